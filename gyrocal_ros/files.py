@@ -1,0 +1,91 @@
+"""Results appear whole or not at all: they are made under a temporary name and renamed when complete."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gyrocal_ros.errors import GyrocalError
+
+
+def write_text_atomic(path: Path, text: str, *, overwrite: bool = False) -> None:
+    """Write a UTF-8 text file in one step.
+
+    Args:
+        path: the file; missing parent folders are made.
+        text: its content.
+        overwrite: replace the file where it exists.
+
+    Raises:
+        GyrocalError: the file exists and may not be replaced, or cannot be written.
+    """
+    path = path.resolve()
+    if path.exists() and not overwrite:
+        raise GyrocalError('exists already', where=str(path), todo='choose another name or allow overwriting')
+    part = _part_of(path)
+    with _os_errors_of(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            part.write_text(text, encoding='utf-8')
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Yield a temporary folder that becomes `path` when the block ends well, and vanishes when not.
+
+    Enter it before the work starts: a folder that may not be written is then refused at once.
+
+    Args:
+        path: the folder to make; missing parents are made, an empty one may exist.
+        overwrite: put the result into a folder that holds files already. Files of the same name
+            are replaced, all others stay: no user's file is ever lost to a mistyped path.
+
+    Raises:
+        GyrocalError: the folder holds files and may not be written, or cannot be made.
+    """
+    path = path.resolve()
+    if path.is_file():
+        raise GyrocalError('is a file, not a folder', where=str(path), todo='choose another name')
+    with _os_errors_of(path):
+        occupied = path.is_dir() and any(path.iterdir())
+        if occupied and not overwrite:
+            raise GyrocalError('is not empty', where=str(path), todo='choose another name or allow overwriting')
+        part = _part_of(path)
+        part.mkdir(parents=True)
+    try:
+        yield part
+        with _os_errors_of(path):
+            if occupied:
+                _move_files(part, path)
+            else:
+                part.replace(path)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _part_of(path: Path) -> Path:
+    """Return the temporary name beside `path`: renaming stays within one file system."""
+    return path.parent / f'.{path.name}.{os.getpid()}.part'
+
+
+def _move_files(source: Path, target: Path) -> None:
+    for file in sorted(item for item in source.rglob('*') if not item.is_dir()):
+        place = target / file.relative_to(source)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        file.replace(place)
+
+
+@contextmanager
+def _os_errors_of(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise GyrocalError(
+            f'cannot be written ({error.strerror})', where=str(path), todo='check the path and its permissions'
+        ) from error

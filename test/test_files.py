@@ -1,0 +1,85 @@
+"""Results appear whole or not at all, and no file of the user's is lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.files import new_folder, write_text_atomic
+
+
+def test_text_is_written_with_its_parent_folders(tmp_path: Path) -> None:
+    write_text_atomic(tmp_path / 'a' / 'b.yaml', 'ä: 1\n')
+    assert (tmp_path / 'a' / 'b.yaml').read_text(encoding='utf-8') == 'ä: 1\n'
+    assert [item.name for item in (tmp_path / 'a').iterdir()] == ['b.yaml']
+
+
+def test_text_replaces_a_file_only_when_told_to(tmp_path: Path) -> None:
+    file = tmp_path / 'b.yaml'
+    file.write_text('old')
+    with pytest.raises(GyrocalError, match='exists already'):
+        write_text_atomic(file, 'new')
+    assert file.read_text() == 'old'
+    write_text_atomic(file, 'new', overwrite=True)
+    assert file.read_text() == 'new'
+
+
+def test_text_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(GyrocalError, match='cannot be written'):
+        write_text_atomic(tmp_path / 'file' / 'b.yaml', 'new')
+    with pytest.raises(UnicodeEncodeError):
+        write_text_atomic(tmp_path / 'b.yaml', '\ud800')
+    assert [item.name for item in tmp_path.iterdir()] == ['file']
+
+
+def test_folder_appears_when_complete(tmp_path: Path) -> None:
+    target = tmp_path / 'runs' / 'one'
+    with new_folder(target) as folder:
+        (folder / 'figures').mkdir()
+        (folder / 'figures' / 'a.html').write_text('a')
+        assert not target.exists()
+    assert (target / 'figures' / 'a.html').read_text() == 'a'
+    assert [item.name for item in target.parent.iterdir()] == ['one']
+
+
+@pytest.mark.parametrize('failure', [RuntimeError, KeyboardInterrupt])
+def test_folder_vanishes_on_failure(tmp_path: Path, failure: type[BaseException]) -> None:
+    with pytest.raises(failure), new_folder(tmp_path / 'out') as folder:
+        (folder / 'half').write_text('half')
+        raise failure
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_with_files_is_refused_before_the_work_starts(tmp_path: Path) -> None:
+    (tmp_path / 'mine.txt').write_text('mine')
+    with pytest.raises(GyrocalError, match='not empty'), new_folder(tmp_path):
+        pytest.fail('the block must not be entered')
+    with pytest.raises(GyrocalError, match='is a file'), new_folder(tmp_path / 'mine.txt', overwrite=True):
+        pytest.fail('the block must not be entered')
+
+
+def test_overwriting_replaces_files_of_the_same_name_alone(tmp_path: Path) -> None:
+    target = tmp_path / 'out'
+    target.mkdir()
+    (target / 'mine.txt').write_text('mine')
+    (target / 'a.html').write_text('old')
+    with new_folder(target, overwrite=True) as folder:
+        (folder / 'a.html').write_text('new')
+        (folder / 'sub').mkdir()
+        (folder / 'sub' / 'b.html').write_text('b')
+    assert {item.relative_to(target).as_posix(): item.read_text() for item in target.rglob('*.*')} == {
+        'mine.txt': 'mine',
+        'a.html': 'new',
+        'sub/b.html': 'b',
+    }
+    assert [item.name for item in tmp_path.iterdir()] == ['out']
+
+
+def test_an_empty_folder_may_be_filled(tmp_path: Path) -> None:
+    (tmp_path / 'out').mkdir()
+    with new_folder(tmp_path / 'out') as folder:
+        (folder / 'a').write_text('a')
+    assert (tmp_path / 'out' / 'a').read_text() == 'a'

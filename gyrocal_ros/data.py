@@ -1,0 +1,255 @@
+"""The values that travel between the rooms: frozen dataclasses, SI units, integer nanoseconds.
+
+A source yields `Measurement`s in the order of their stamps; the filter takes one at a time; all
+that comes after reads a finished `Run` (see `calibrate`).
+
+Frames follow REP 103 and REP 105: `w` is the map, `b` the robot body (x forward, y left, z up),
+`c` the optical frame of the ceiling camera (z along the optical axis, x right and y down in the
+image). `R_ab` turns coordinates in b into coordinates in a; `p_ab` is the origin of b seen from a.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+
+NS_PER_S = 1_000_000_000
+
+
+def seconds(t_ns: int) -> float:
+    """Convert a duration in nanoseconds to seconds."""
+    return t_ns / NS_PER_S
+
+
+def nanoseconds(t_s: float) -> int:
+    """Convert a duration in seconds to nanoseconds, rounded to the nearest."""
+    return round(t_s * NS_PER_S)
+
+
+# --- measurements -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """One IMU reading in body axes, with the nominal scale factor and bias already applied."""
+
+    t_ns: int
+    """Time of measurement."""
+    rate_rad_s: tuple[float, float, float]
+    """Body rates about x, y, z."""
+    specific_force_m_s2: tuple[float, float, float]
+    """Accelerometer reading along x, y, z: (0, 0, +9.8) when level and at rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class WheelSample:
+    """Motion from the wheel encoders alone: the mean over the interval that ends at the stamp."""
+
+    t_ns: int
+    speed_m_s: float
+    """Forward speed."""
+    yaw_rate_rad_s: float
+    """Turning rate by the difference of the wheels; too coarse to calibrate with."""
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureSample:
+    """Temperature of the gyro die or its board."""
+
+    t_ns: int
+    temperature_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class CovariateSample:
+    """Any other recorded number, offered as an explanation of what the model leaves over."""
+
+    t_ns: int
+    name: str
+    """Topic and field, for example `battery_state.current`."""
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingSample:
+    """Heading by an outside reference (visual odometry, laser), in a frame of its own."""
+
+    t_ns: int
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One image of the ceiling camera, stamped at the middle of its exposure."""
+
+    t_ns: int
+    image: NDArray[np.uint8]
+    """(height, width) grey values."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureObservations:
+    """Where the tracker saw its features in one image; empty when it saw none."""
+
+    t_ns: int
+    ids: IntArray
+    """(n,) identities; an id is never used again once its feature is dropped."""
+    pixels: Array
+    """(n, 2) raw, distorted pixels (u, v); the centre of the top-left pixel is (0, 0)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TruthSample:
+    """Pose by an outside reference that is only ever compared with, never estimated from."""
+
+    t_ns: int
+    position_m: tuple[float, float, float]
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class ClockStep:
+    """The clock of the stamps has jumped for good; what follows counts from a new time base."""
+
+    t_ns: int
+    """First stamp on the new time base."""
+    step_ns: int
+    """Size of the jump, new minus old."""
+
+
+Measurement: TypeAlias = (
+    ImuSample
+    | WheelSample
+    | TemperatureSample
+    | CovariateSample
+    | HeadingSample
+    | Frame
+    | FeatureObservations
+    | TruthSample
+    | ClockStep
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchRegions:
+    """Where the filter expects its features in the next image."""
+
+    t_ns: int
+    ids: IntArray
+    """(n,)"""
+    pixels: Array
+    """(n, 2) predicted raw pixels (u, v)."""
+    covariances_px2: Array
+    """(n, 2, 2) of the innovation, pixel noise included."""
+
+
+# --- what the robot is made of ------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class CameraIntrinsics:
+    """Pinhole camera with `plumb_bob` distortion, as in sensor_msgs/CameraInfo."""
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mount:
+    """How a sensor sits on the robot body: `p_b = R_bs p_s + p_bs`."""
+
+    R_bs: Array
+    """(3, 3) rotation from sensor to body axes."""
+    p_bs: Array
+    """(3,) m, origin of the sensor frame in body axes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """The fixed geometry of one robot."""
+
+    camera: CameraIntrinsics | None
+    """None where no ceiling camera is in use."""
+    camera_mount: Mount
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A stretch of time, both ends included."""
+
+    start_ns: int
+    end_ns: int
+
+    @property
+    def duration_s(self) -> float:
+        """Length in seconds."""
+        return seconds(self.end_ns - self.start_ns)
+
+
+class Source(Protocol):
+    """Where measurements come from: a bag, the simulator, later the robot itself."""
+
+    @property
+    def name(self) -> str:
+        """What a person calls this source: a path, a scenario."""
+
+    @property
+    def rig(self) -> Rig:
+        """The geometry that the measurements were made with."""
+
+    @property
+    def span(self) -> Span:
+        """First and last time, for the progress bar."""
+
+    def measurements(self) -> Iterator[Measurement]:
+        """Yield the measurements in the order of their stamps; may be called again."""
+
+
+# --- what the gyro did between two camera frames --------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionBlock:
+    """What the IMU and the wheels measured between two moments, cut into N short intervals.
+
+    The filter predicts over one block at a time; effects see the signals they need as columns.
+    """
+
+    start_ns: int
+    end_ns: int
+    time_s: Array
+    """(N,) middle of each interval, seconds since the first IMU sample."""
+    dt_s: Array
+    """(N,) length of each interval."""
+    rate_rad_s: Array
+    """(N, 3) nominal body rates, mean over each interval."""
+    specific_force_m_s2: Array
+    """(N, 3)"""
+    distance_m: Array
+    """(N,) travelled by the wheels; zeros where there are no encoders."""
+    temperature_c: Array
+    """(N,) NaN where none is recorded."""
+    covariates: dict[str, Array] = field(default_factory=dict)
+    """Name to (N,) values."""
+    gap_s: float = 0.0
+    """Time in this block for which no IMU sample vouches."""
+    wheels_at_rest: bool = False
+    """Every encoder reading that touches the block is zero."""
+
+    @property
+    def duration_s(self) -> float:
+        """Length in seconds."""
+        return seconds(self.end_ns - self.start_ns)

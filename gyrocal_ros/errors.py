@@ -1,0 +1,36 @@
+"""Errors that a user can act on.
+
+Libraries inside the package raise these and never print or exit; the command line and the nodes
+show the one line and decide what happens next.
+"""
+
+
+class GyrocalError(Exception):
+    """Something a user can mend. The message says what is wrong, where, and what to do.
+
+    Args:
+        what: what is wrong, in one clause.
+        where: the file, topic or setting it concerns.
+        todo: what to do about it.
+    """
+
+    def __init__(self, what: str, *, where: str = '', todo: str = '') -> None:
+        self.what, self.where, self.todo = what, where, todo
+        message = f'{where}: {what}' if where else what
+        super().__init__(f'{message}; {todo}' if todo else message)
+
+
+class ConfigError(GyrocalError):
+    """A setting or a sensor model that cannot be used."""
+
+
+class RecordingError(GyrocalError):
+    """A bag that cannot be read, or lacks what the command needs."""
+
+
+class FilterDivergedError(GyrocalError):
+    """The estimate has lost the measurements; its numbers would be nonsense."""
+
+
+class NotObservableError(GyrocalError):
+    """The recording does not contain the motion that the answer needs."""

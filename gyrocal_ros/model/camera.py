@@ -1,0 +1,129 @@
+"""The ceiling camera: pinhole with `plumb_bob` distortion, in the ROS optical frame.
+
+The paper's camera frame has x along the optical axis and (y, z) to the left and up in the image;
+ours is the optical frame (x, y, z) = (-y, -z, x) of the paper's.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+
+MIN_DEPTH = 1e-6
+"""Points closer to the image plane than this (in their own unit) are treated as if there."""
+
+
+def project(camera: CameraIntrinsics, points_c: Array) -> Array:
+    """Eq. (12): raw pixels of points in the optical frame.
+
+    Args:
+        points_c: (n, 3), any scale: only the direction counts.
+
+    Returns:
+        (n, 2) u, v; meaningless for points behind the camera (`points_c[:, 2] <= 0`).
+    """
+    normalised = points_c[:, :2] / np.maximum(points_c[:, 2:], MIN_DEPTH)
+    return _pixels(camera, _distort(camera, normalised))
+
+
+def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Array, Array]:
+    """Eq. (14): raw pixels and their derivative with respect to the point.
+
+    Args:
+        points_c: (n, 3), any scale.
+
+    Returns:
+        (n, 2) pixels and (n, 2, 3) derivatives.
+    """
+    inverse_z = 1.0 / np.maximum(points_c[:, 2], MIN_DEPTH)
+    normalised = points_c[:, :2] * inverse_z[:, None]
+    jacobian = np.zeros((len(points_c), 2, 3))
+    jacobian[:, 0, 0] = inverse_z
+    jacobian[:, 1, 1] = inverse_z
+    jacobian[:, :, 2] = -normalised * inverse_z[:, None]
+    focal = np.array([camera.fx_px, camera.fy_px])
+    if any(camera.distortion):
+        jacobian = _distortion_jacobian(camera, normalised) @ jacobian
+        normalised = _distort(camera, normalised)
+    return _pixels(camera, normalised), focal[:, None] * jacobian
+
+
+def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
+    """Undo the lens: normalised coordinates (x/z, y/z) of raw pixels.
+
+    Args:
+        pixels: (n, 2) u, v.
+
+    Returns:
+        (n, 2); Newton's method, exact to rounding where the distortion can be inverted.
+    """
+    distorted = (pixels - [camera.cx_px, camera.cy_px]) / [camera.fx_px, camera.fy_px]
+    if not any(camera.distortion):
+        return distorted
+    normalised = distorted
+    for _ in range(6):
+        residual = _distort(camera, normalised) - distorted
+        step = np.linalg.solve(_distortion_jacobian(camera, normalised), residual[:, :, None])
+        normalised = normalised - step[:, :, 0]
+    return normalised
+
+
+def bearing_jacobian(camera: CameraIntrinsics, normalised: Array) -> Array:
+    """Derivative (n, 2, 2) of `bearing` with respect to the pixels, at its result (n, 2)."""
+    focal = np.array([camera.fx_px, camera.fy_px])
+    if not any(camera.distortion):
+        return np.broadcast_to(np.diag(1.0 / focal), (len(normalised), 2, 2))
+    return np.linalg.inv(focal[:, None] * _distortion_jacobian(camera, normalised))
+
+
+def in_image(camera: CameraIntrinsics, pixels: Array, border_px: float = 0.0) -> np.ndarray:
+    """Which of the pixels (n, 2) lie inside the image, (n,) bool."""
+    u, v = pixels[:, 0], pixels[:, 1]
+    right, bottom = camera.width_px - 1 - border_px, camera.height_px - 1 - border_px
+    return (u >= border_px) & (u <= right) & (v >= border_px) & (v <= bottom)
+
+
+def mount_from_yaw(x_m: float, y_m: float, z_m: float, yaw_deg: float) -> Mount:
+    """Mount of a camera that looks straight up, its image x axis turned by `yaw_deg` in the body."""
+    yaw = math.radians(yaw_deg)
+    c, s = math.cos(yaw), math.sin(yaw)
+    return Mount(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x_m, y_m, z_m]))
+
+
+def _pixels(camera: CameraIntrinsics, normalised: Array) -> Array:
+    return normalised * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
+
+
+def _distort(camera: CameraIntrinsics, normalised: Array) -> Array:
+    """Plumb-bob model of sensor_msgs/CameraInfo (Brown 1966): radial and tangential."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    if not (k1 or k2 or p1 or p2 or k3):
+        return normalised
+    x, y = normalised[:, 0], normalised[:, 1]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        ],
+        axis=1,
+    )
+
+
+def _distortion_jacobian(camera: CameraIntrinsics, normalised: Array) -> Array:
+    """Derivative (n, 2, 2) of `_distort`."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = normalised[:, 0], normalised[:, 1]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+    jacobian = np.empty((len(normalised), 2, 2))
+    jacobian[:, 0, 0] = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+    jacobian[:, 0, 1] = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+    jacobian[:, 1, 0] = jacobian[:, 0, 1]
+    jacobian[:, 1, 1] = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+    return jacobian

@@ -1,0 +1,158 @@
+"""The contract of a feature parametrisation: which three numbers stand for a point on the ceiling,
+and what of it is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from gyrocal_ros.config import FeatureConfig
+from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A camera at a robot pose, with what the derivatives by that pose need."""
+
+    camera: CameraIntrinsics
+    p_wb: Array
+    """(3,) robot position."""
+    R_wb: Array
+    """(3, 3)"""
+    dR_wb: Array
+    """(3, 3, 3) derivatives of `R_wb` by roll, pitch, yaw."""
+    R_bc: Array
+    p_bc: Array
+
+    @property
+    def R_wc(self) -> Array:
+        """Attitude of the camera in the world."""
+        return self.R_wb @ self.R_bc
+
+    @property
+    def p_wc(self) -> Array:
+        """Position of the camera in the world."""
+        return self.p_wb + self.R_wb @ self.p_bc
+
+
+def view_from_pose(camera: CameraIntrinsics, mount: Mount, position_m: Array, euler_rad: Array) -> View:
+    """Put the camera at a robot pose (position (3,), Euler angles (3,))."""
+    return View(
+        camera=camera,
+        p_wb=position_m,
+        R_wb=rotation_from_euler(euler_rad),
+        dR_wb=rotation_derivatives(euler_rad),
+        R_bc=mount.R_bs,
+        p_bc=mount.p_bs,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchors:
+    """Camera poses of first sight: constants of the map, not part of the state."""
+
+    R_wc: Array
+    """(m, 3, 3)"""
+    p_wc: Array
+    """(m, 3)"""
+
+    def __getitem__(self, rows: Array | slice) -> Anchors:
+        return Anchors(self.R_wc[rows], self.p_wc[rows])
+
+    def joined(self, other: Anchors) -> Anchors:
+        """These anchors followed by the other ones."""
+        return Anchors(np.concatenate([self.R_wc, other.R_wc]), np.concatenate([self.p_wc, other.p_wc]))
+
+
+def no_anchors() -> Anchors:
+    """Anchors of an empty map."""
+    return Anchors(np.empty((0, 3, 3)), np.empty((0, 3)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NewFeatures:
+    """Features at their first sight, and how their doubt arises: eq. (18) needs no more."""
+
+    parameters: Array
+    """(m, 3)"""
+    by_pose: Array
+    """(m, 3, 6) derivative of the parameters with respect to the robot pose."""
+    noise: Array
+    """(m, 3, 3) covariance from the measurement and the prior depth, `Jz R Jz^T`."""
+    anchors: Anchors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """What the map says of a view: measurements to expect, with their derivatives."""
+
+    expected: Array
+    """(m, r)"""
+    by_pose: Array
+    """(m, r, 6)"""
+    by_feature: Array
+    """(m, r, 3)"""
+    points_c: Array
+    """(m, 3) direction of the features in the optical frame; a third value <= 0 is behind it."""
+
+
+class Parametrisation(Protocol):
+    """Three numbers a feature, `rows` measured numbers a sighting. All arrays are over m features."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def rows(self) -> int:
+        """r, measured numbers a sighting."""
+
+    @property
+    def needs_motion_gate(self) -> bool:
+        """Whether camera updates must wait until the robot has moved."""
+
+    def initialise(self, view: View, pixels: Array, noise_px: float, config: FeatureConfig) -> NewFeatures:
+        """Undelayed initialisation from one sighting (m, 2)."""
+
+    def measure(
+        self, view: View, pixels: Array, noise_px: float, config: FeatureConfig
+    ) -> tuple[Array, Array]:
+        """What is measured (m, r), and its noise covariance (m, r, r)."""
+
+    def predict(self, view: View, parameters: Array, anchors: Anchors) -> Prediction:
+        """What should be measured."""
+
+    def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
+        """Points in the world (m, 3) and their derivatives by the parameters (m, 3, 3)."""
+
+
+def points_in_camera(view: View, points_w: Array) -> tuple[Array, Array, Array]:
+    """Eq. (13): world points in the optical frame, `m_c = C_cw (m_w - p) - C_cb p_offset`.
+
+    Returns:
+        (m, 3) points, (m, 3, 6) derivative by the pose, (3, 3) derivative by the points.
+    """
+    R_cw = view.R_wc.T
+    offset = points_w - view.p_wb
+    points_c = offset @ R_cw.T - view.p_bc @ view.R_bc
+    by_pose = np.empty((len(points_w), 3, 6))
+    by_pose[:, :, :3] = -R_cw
+    for i in range(3):
+        by_pose[:, :, 3 + i] = offset @ (view.dR_wb[i] @ view.R_bc)
+    return points_c, by_pose, R_cw
+
+
+def points_in_world(view: View, points_c: Array) -> tuple[Array, Array]:
+    """Eq. (15): points of the optical frame in the world, `m_w = p + C_wb (p_offset + C_bc m_c)`.
+
+    Returns:
+        (m, 3) points and their derivative by the pose (m, 3, 6).
+    """
+    points_b = view.p_bc + points_c @ view.R_bc.T
+    by_pose = np.empty((len(points_c), 3, 6))
+    by_pose[:, :, :3] = np.eye(3)
+    for i in range(3):
+        by_pose[:, :, 3 + i] = points_b @ view.dR_wb[i].T
+    return view.p_wb + points_b @ view.R_wb.T, by_pose

@@ -1,0 +1,62 @@
+"""The paper's parametrisation: a world point, measured as a point in the camera frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.config import FeatureConfig
+from gyrocal_ros.data import Array
+from gyrocal_ros.model.features.base import (
+    Anchors,
+    NewFeatures,
+    Prediction,
+    View,
+    no_anchors,
+    points_in_camera,
+    points_in_world,
+)
+from gyrocal_ros.model.features.rays import cross_std, ray_covariances, ray_points, ray_std
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFramePoint:
+    """World point (x, y, z); the camera counts as a range and bearing sensor of unknown range.
+
+    It is linear in the feature, but not in the attitude, and its noise follows the noisy ray:
+    without parallax ray noise looks like parallax. Hence the motion gate.
+    """
+
+    name: str = 'camera_frame'
+    rows: int = 3
+    needs_motion_gate: bool = True
+
+    def initialise(self, view: View, pixels: Array, noise_px: float, config: FeatureConfig) -> NewFeatures:
+        """Eq. (18): point at the assumed range; the doubt of the ray turned into the world."""
+        points_c, noise_c = self.measure(view, pixels, noise_px, config)
+        points_w, by_pose = points_in_world(view, points_c)
+        return NewFeatures(points_w, by_pose, view.R_wc @ noise_c @ view.R_wc.T, no_anchors_for(points_w))
+
+    def measure(
+        self, view: View, pixels: Array, noise_px: float, config: FeatureConfig
+    ) -> tuple[Array, Array]:
+        """The point at the assumed range, (m, 3), and the noise of its ray."""
+        points_c = ray_points(view.camera, pixels, config.prior_depth_m)
+        cross = cross_std(view.camera, noise_px, config)
+        return points_c, ray_covariances(points_c, cross, ray_std(config))
+
+    def predict(self, view: View, parameters: Array, anchors: Anchors) -> Prediction:
+        """The mapped points in the camera frame."""
+        points_c, by_pose, R_cw = points_in_camera(view, parameters)
+        return Prediction(points_c, by_pose, np.broadcast_to(R_cw, (len(points_c), 3, 3)), points_c)
+
+    def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
+        """The parameters are the point."""
+        return parameters, np.broadcast_to(np.eye(3), (len(parameters), 3, 3))
+
+
+def no_anchors_for(points_w: Array) -> Anchors:
+    """Anchors that hold no information, for parametrisations by world points."""
+    count = len(points_w)
+    return no_anchors() if count == 0 else Anchors(np.zeros((count, 3, 3)), np.zeros((count, 3)))

@@ -1,0 +1,89 @@
+"""Anchored inverse depth: bearing and inverse depth in the camera frame of first sight.
+
+After Montiel, Civera, Davison 2006, with the anchor pose as a constant: three states instead of
+six. The doubt of the pose at first sight goes into the three numbers, correlated with the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.config import FeatureConfig
+from gyrocal_ros.data import Array
+from gyrocal_ros.model.camera import bearing, bearing_jacobian, project_with_jacobian
+from gyrocal_ros.model.features.base import Anchors, NewFeatures, Prediction, View, points_in_world
+
+
+@dataclass(frozen=True, slots=True)
+class AnchoredInverseDepth:
+    """(a, b, r): the point is `p_a + R_a (a, b, 1) / r` with the anchor camera at `p_a`, `R_a`.
+
+    Without parallax the pixel hardly depends on r, so standing still teaches nothing false.
+    """
+
+    name: str = 'inverse_depth'
+    rows: int = 2
+    needs_motion_gate: bool = False
+
+    def initialise(self, view: View, pixels: Array, noise_px: float, config: FeatureConfig) -> NewFeatures:
+        """Bearing from the pixel, inverse depth from the prior."""
+        normalised = bearing(view.camera, pixels)
+        inverse_depth = 1.0 / config.prior_depth_m
+        count = len(pixels)
+        parameters = np.concatenate([normalised, np.full((count, 1), inverse_depth)], axis=1)
+
+        points_c = np.concatenate([normalised, np.ones((count, 1))], axis=1) / inverse_depth
+        _, point_by_pose = points_in_world(view, points_c)
+        by_point_c = np.zeros((count, 3, 3))
+        by_point_c[:, 0, 0] = by_point_c[:, 1, 1] = inverse_depth
+        by_point_c[:, :2, 2] = -inverse_depth * normalised
+        by_point_c[:, 2, 2] = -(inverse_depth**2)
+        by_pose = by_point_c @ view.R_wc.T @ point_by_pose
+
+        by_pixel = bearing_jacobian(view.camera, normalised)
+        noise = np.zeros((count, 3, 3))
+        noise[:, :2, :2] = noise_px**2 * by_pixel @ by_pixel.transpose(0, 2, 1)
+        noise[:, 2, 2] = config.prior_inverse_depth_std**2
+        anchors = Anchors(
+            np.broadcast_to(view.R_wc, (count, 3, 3)).copy(), np.broadcast_to(view.p_wc, (count, 3)).copy()
+        )
+        return NewFeatures(parameters, by_pose, noise, anchors)
+
+    def measure(
+        self, view: View, pixels: Array, noise_px: float, config: FeatureConfig
+    ) -> tuple[Array, Array]:
+        """The pixels themselves."""
+        return pixels, np.broadcast_to(noise_px**2 * np.eye(2), (len(pixels), 2, 2))
+
+    def predict(self, view: View, parameters: Array, anchors: Anchors) -> Prediction:
+        """Pixels of `R_cw (R_a (a, b, 1) + r (p_a - p_c))`, the point scaled by r."""
+        R_cw = view.R_wc.T
+        inverse_depth = parameters[:, 2:]
+        direction = parameters[:, :2, None].transpose(0, 2, 1) @ anchors.R_wc[:, :, :2].transpose(0, 2, 1)
+        rays_w = direction[:, 0, :] + anchors.R_wc[:, :, 2]
+        from_robot = rays_w + inverse_depth * (anchors.p_wc - view.p_wb)
+        lever_c = view.p_bc @ view.R_bc
+        points_c = from_robot @ R_cw.T - inverse_depth * lever_c
+
+        by_pose = np.empty((len(parameters), 3, 6))
+        by_pose[:, :, :3] = -inverse_depth[:, :, None] * R_cw
+        for i in range(3):
+            by_pose[:, :, 3 + i] = from_robot @ (view.dR_wb[i] @ view.R_bc)
+        by_feature = np.empty((len(parameters), 3, 3))
+        by_feature[:, :, :2] = R_cw @ anchors.R_wc[:, :, :2]
+        by_feature[:, :, 2] = (anchors.p_wc - view.p_wb) @ R_cw.T - lever_c
+
+        pixels, by_point = project_with_jacobian(view.camera, points_c)
+        return Prediction(pixels, by_point @ by_pose, by_point @ by_feature, points_c)
+
+    def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
+        """The point, for maps and plots; far away when the inverse depth is not known to be positive."""
+        inverse_depth = np.maximum(parameters[:, 2:], 1e-3)
+        rays_c = np.concatenate([parameters[:, :2], np.ones((len(parameters), 1))], axis=1)
+        rays_w = (anchors.R_wc @ rays_c[:, :, None])[:, :, 0]
+        jacobian = np.empty((len(parameters), 3, 3))
+        jacobian[:, :, :2] = anchors.R_wc[:, :, :2] / inverse_depth[:, :, None]
+        jacobian[:, :, 2] = -rays_w / inverse_depth**2
+        return anchors.p_wc + rays_w / inverse_depth, jacobian

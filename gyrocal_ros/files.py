@@ -55,7 +55,9 @@ def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     with _os_errors_of(path):
         occupied = path.is_dir() and any(path.iterdir())
         if occupied and not overwrite:
-            raise GyrocalError('is not empty', where=str(path), todo='choose another name or allow overwriting')
+            raise GyrocalError(
+                'is not empty', where=str(path), todo='choose another name or allow overwriting'
+            )
         part = _part_of(path)
         part.mkdir(parents=True)
     try:
@@ -87,5 +89,7 @@ def _os_errors_of(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise GyrocalError(
-            f'cannot be written ({error.strerror})', where=str(path), todo='check the path and its permissions'
+            f'cannot be written ({error.strerror})',
+            where=str(path),
+            todo='check the path and its permissions',
         ) from error

@@ -14,21 +14,25 @@ from tqdm import tqdm
 T = TypeVar('T')
 
 
-def progress(
-    label: str, items: Iterable[T] | None = None, *, total: float | None = None, unit: str = ''
-) -> tqdm[T]:
+def progress(label: str, items: Iterable[T] = (), *, total: float | None = None, unit: str = 'it') -> tqdm[T]:
     """Show a progress bar with the time left, where a person is watching and the work takes a while.
 
-    Iterate over it to get `items`, or use it as a context and call its `update`.
+    Iterate over it to get `items`, or give `total`, use it as a context and call its `update`.
 
     Args:
         label: what is being done.
         items: what is worked through.
-        total: amount of work where `items` cannot tell.
+        total: amount of work, where there are no `items` or they have no length.
         unit: unit of `total`.
     """
     return tqdm(
-        items, desc=label, total=total, unit=unit, delay=2.0, disable=not sys.stderr.isatty(), leave=False
+        items,
+        desc=label,
+        total=total,
+        unit=unit,
+        delay=2.0,
+        leave=False,
+        disable=not sys.stderr.isatty(),
     )
 
 

@@ -1,0 +1,52 @@
+# Everything needed without ROS: `make demo` and `make test` set up .venv by themselves.
+
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+# The first interpreter that is new enough and can make virtual environments.
+PYTHON ?= $(firstword $(shell for python in python3.12 python3.11 python3 python3.13 python3.14; do \
+	$$python -c 'import ensurepip, sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$python; done; true))
+
+# A sourced ROS would put its own packages and pytest plugins before those of .venv.
+unexport PYTHONPATH
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help venv demo test lint types format clean
+
+help:
+	@echo 'make demo    calibrate on the bag that comes with the package'
+	@echo 'make test    run the tests'
+	@echo 'make lint    ruff: rules and formatting'
+	@echo 'make types   mypy'
+	@echo 'make format  let ruff format the code'
+	@echo 'make venv    set up .venv alone; its bin/gyrocal is the command'
+	@echo 'make clean   remove .venv and the caches'
+
+$(READY): setup.py pyproject.toml
+	@test -n '$(PYTHON)' || { echo 'Python 3.11 or newer with venv is needed (Debian, Ubuntu: apt install python3-venv)' >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@touch $@
+
+venv: $(READY)
+
+demo: $(READY)
+	$(BIN)/gyrocal demo
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(READY)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+types: $(READY)
+	$(BIN)/mypy gyrocal_ros test
+
+clean:
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache *.egg-info build

@@ -1,0 +1,17 @@
+"""Calibrates the gyro of an indoor robot from its ceiling camera and finds what its model lacks.
+
+The rooms, in the order in which the data flow:
+
+    errors, data, config, files   what everybody uses: errors, the values that travel, settings, writing
+    recording                     bags and their check: messages become measurements
+    sim                           the simulator: the same measurements, with the truth beside them
+    vision                        the tracker: images become feature observations
+    model                         the paper: rotations, kinematics, gyro, camera, feature parametrisations
+    effects                       physical effects that a sensor model can be made of, one a file
+    ekf                           the filter: one measurement at a time, the algorithm on one page in slam
+    calibrate                     composes them: settings and a source become a finished run
+    report                        figures and tables of a finished run
+    cli                           the command `gyrocal`, one file a command
+"""
+
+__version__ = '0.1.0'

@@ -1,0 +1,55 @@
+"""Installs the package: with colcon as an ament_python package, with pip on a machine without ROS."""
+
+from collections import defaultdict
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = 'gyrocal_ros'
+SHARE = Path('share') / NAME
+
+
+def data_files(*folders: str) -> list[tuple[str, list[str]]]:
+    """Pair every folder below `folders` with its files, for installation under share/."""
+    placed: dict[str, list[str]] = defaultdict(list)
+    for file in sorted(file for folder in folders for file in Path(folder).rglob('*') if file.is_file()):
+        placed[str(SHARE / file.parent)].append(str(file))
+    return list(placed.items())
+
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='Calibrates the gyro of an indoor robot from its ceiling camera',
+    license='Apache-2.0',
+    author='gyrocal_ros maintainers',
+    python_requires='>=3.11',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={NAME: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (str(SHARE), ['package.xml']),
+        *data_files('bags', 'config', 'launch'),
+    ],
+    # Ranges, not pins: newer OpenCV wheels insist on numpy 2, older ones work with the 1.26 of ROS 2 Jazzy.
+    install_requires=[
+        'numpy>=1.26',
+        'opencv-python-headless>=4.9',
+        'plotly>=5.20',
+        'pyyaml>=6.0',
+        'rosbags>=0.10.4',
+        'tqdm>=4.60',
+    ],
+    extras_require={
+        'dev': [
+            'mypy>=1.10',
+            'pytest>=8.0',
+            'ruff>=0.8',
+            'scipy>=1.11',
+            'types-PyYAML',
+            'types-tqdm',
+        ],
+    },
+    entry_points={'console_scripts': ['gyrocal = gyrocal_ros.cli.main:main']},
+    zip_safe=False,
+)

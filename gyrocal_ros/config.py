@@ -70,7 +70,11 @@ class GyroConfig:
         high=1.0,
     )
     gap_rate_std_deg_s: float = setting(
-        40.0, 'deg/s', 'how fast the robot may turn, unseen, while IMU samples are missing', low=0.0, high=1000.0
+        40.0,
+        'deg/s',
+        'how fast the robot may turn, unseen, while IMU samples are missing',
+        low=0.0,
+        high=1000.0,
     )
 
 
@@ -100,14 +104,20 @@ class CameraConfig:
     mount_y_m: float = setting(0.0, 'm', 'camera left of the turning centre', low=-5.0, high=5.0)
     mount_z_m: float = setting(0.10, 'm', 'camera above base_link', low=-5.0, high=5.0)
     mount_yaw_deg: float = setting(
-        -90.0, 'deg', 'yaw of the image x axis in base_link; -90: image right is robot right', low=-360.0, high=360.0
+        -90.0,
+        'deg',
+        'yaw of the image x axis in base_link; -90: image right is robot right',
+        low=-360.0,
+        high=360.0,
     )
     pixel_noise_px: float = setting(
-        0.4, 'px', 'noise of a tracked feature, each coordinate; the start of its estimation', low=0.005, high=20.0
+        0.4,
+        'px',
+        'noise of a tracked feature, each coordinate; the start of its estimation',
+        low=0.005,
+        high=20.0,
     )
-    estimate_pixel_noise: bool = setting(
-        True, '', 'follow the true pixel noise by the median innovation'
-    )
+    estimate_pixel_noise: bool = setting(True, '', 'follow the true pixel noise by the median innovation')
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,17 +137,23 @@ class FeatureConfig:
         0.3, '1/m', 'doubt of the inverse of that depth (inverse_depth)', low=1e-3, high=20.0
     )
     ray_std_m: float = setting(
-        100.0, 'm', 'e_ct of eq. (19): doubt of the depth along the ray (camera_frame, pixel)', low=0.1, high=1e5
+        100.0,
+        'm',
+        'e_ct of eq. (19): doubt of the depth along the ray (camera_frame, pixel)',
+        low=0.1,
+        high=1e5,
     )
     calibration_noise_px: float = setting(
         0.0, 'px', 'e_cal of eq. (21): error of the camera calibration (camera_frame)', low=0.0, high=50.0
     )
     motion_gate_m: float = setting(
-        0.03, 'm', 'camera_frame: hold camera updates back until the robot has moved so far', low=0.0, high=10.0
+        0.03,
+        'm',
+        'camera_frame: hold camera updates back until the robot has moved so far',
+        low=0.0,
+        high=10.0,
     )
-    motion_gate_deg: float = setting(
-        5.0, 'deg', 'camera_frame: or has turned so far', low=0.0, high=180.0
-    )
+    motion_gate_deg: float = setting(5.0, 'deg', 'camera_frame: or has turned so far', low=0.0, high=180.0)
     map_size: int = setting(40, '', 'features kept in the map, seen and unseen', low=3, high=1000)
     outlier_probability: float = setting(
         1e-4, '', 'chance that a good observation is thrown away as an outlier', low=1e-9, high=0.2
@@ -218,8 +234,12 @@ class ConvergenceConfig:
     scale_std: float = setting(
         5e-4, '1', 'standard deviation of the scale factor below which it has converged', low=1e-7, high=1.0
     )
-    nis_low: float = setting(0.5, '', 'smallest NIS per degree of freedom of a healthy filter', low=0.0, high=1.0)
-    nis_high: float = setting(2.0, '', 'largest NIS per degree of freedom of a healthy filter', low=1.0, high=100.0)
+    nis_low: float = setting(
+        0.5, '', 'smallest NIS per degree of freedom of a healthy filter', low=0.0, high=1.0
+    )
+    nis_high: float = setting(
+        2.0, '', 'largest NIS per degree of freedom of a healthy filter', low=1.0, high=100.0
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,7 +325,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         tree = yaml.safe_load(path.read_text(encoding='utf-8'))
     except OSError as error:
-        raise ConfigError(f'cannot be read ({error.strerror})', where=str(path), todo='check the path') from error
+        raise ConfigError(
+            f'cannot be read ({error.strerror})', where=str(path), todo='check the path'
+        ) from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         line = str(error).replace('\n', ' ')
         raise ConfigError(f'is not valid YAML ({line})', where=str(path)) from error
@@ -339,6 +361,8 @@ def _checked(name: str, value: Any, default: Any, about: Setting, where: str) ->
         too_high = about.high is not None and value > about.high
         if too_low or too_high or not math.isfinite(value):
             raise ConfigError(
-                f'{name} is {value}', where=where, todo=f'give {about.low} to {about.high} {about.unit}'.rstrip()
+                f'{name} is {value}',
+                where=where,
+                todo=f'give {about.low} to {about.high} {about.unit}'.rstrip(),
             )
     return value

@@ -35,7 +35,9 @@ class Motion:
     """(3, N) attitude in the middle of each interval."""
 
 
-def integrate(position_m: Array, euler_rad: Array, rate_rad_s: Array, dt_s: Array, distance_m: Array) -> Motion:
+def integrate(
+    position_m: Array, euler_rad: Array, rate_rad_s: Array, dt_s: Array, distance_m: Array
+) -> Motion:
     """Eq. (2): carry the pose over a block of N intervals, Eq. (1) being its continuous form.
 
     The Euler angles are integrated by the midpoint rule, solved for all intervals at once by

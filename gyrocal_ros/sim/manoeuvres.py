@@ -1,0 +1,212 @@
+"""What a cleaning robot does all day, as legs: lanes, turns, spins, arcs along walls, rests."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.sim.trajectory import Leg, Trajectory
+
+ACCELERATION_M_S2 = 0.5
+ANGULAR_ACCELERATION_RAD_S2 = 5.0
+
+Pose = tuple[float, float, float]
+Manoeuvre = tuple[Leg, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Habits:
+    """How this robot moves."""
+
+    speed_m_s: float = 0.3
+    turn_rates_deg_s: tuple[float, float] = (30.0, 90.0)
+    """Each turn draws its rate between these two."""
+    area_m: tuple[float, float] = (4.0, 3.6)
+    """Length and width of the area that is cleaned, around the origin."""
+    lane_width_m: float = 0.3
+
+
+# --- single manoeuvres --------------------------------------------------------------------------
+
+
+def rest(duration_s: float) -> Manoeuvre:
+    """Stand still."""
+    return (Leg(duration_s),)
+
+
+def drive(distance_m: float, speed_m_s: float) -> Manoeuvre:
+    """Go straight from rest to rest."""
+    # A glide of peak acceleration a takes 1.5 v / a and covers half of what full speed would.
+    peak = min(speed_m_s, math.sqrt(distance_m * ACCELERATION_M_S2 / 1.5))
+    return _trapezium(distance_m, peak, ACCELERATION_M_S2, lambda v: (v, 0.0))
+
+
+def turn(angle_rad: float, rate_rad_s: float) -> Manoeuvre:
+    """Turn on the spot from rest to rest; a positive angle is to the left."""
+    angle, sign = abs(angle_rad), math.copysign(1.0, angle_rad)
+    peak = min(rate_rad_s, math.sqrt(angle * ANGULAR_ACCELERATION_RAD_S2 / 1.5))
+    return _trapezium(angle, peak, ANGULAR_ACCELERATION_RAD_S2, lambda w: (0.0, sign * w))
+
+
+def arc(angle_rad: float, radius_m: float, rate_rad_s: float) -> Manoeuvre:
+    """Turn while driving, about the radius given, from rest to rest."""
+    angle, sign = abs(angle_rad), math.copysign(1.0, angle_rad)
+    limit = min(ANGULAR_ACCELERATION_RAD_S2, ACCELERATION_M_S2 / radius_m)
+    peak = min(rate_rad_s, math.sqrt(angle * limit / 1.5))
+    return _trapezium(angle, peak, limit, lambda w: (radius_m * w, sign * w))
+
+
+def _trapezium(
+    amount: float, peak: float, limit: float, split: Callable[[float], tuple[float, float]]
+) -> Manoeuvre:
+    """Glide up to the peak rate, hold it, glide down, so that the integral is `amount`."""
+    glide_s = 1.5 * peak / limit
+    hold_s = amount / peak - glide_s
+    held = (Leg(hold_s, *split(peak)),) if hold_s > 1e-9 else ()
+    return (Leg(glide_s, *split(peak)), *held, Leg(glide_s))
+
+
+# --- plans: endless sequences of manoeuvres -----------------------------------------------------
+
+
+class Planner:
+    """Strings manoeuvres together and knows where the robot is after each of them."""
+
+    def __init__(self, habits: Habits, rng: np.random.Generator, pose: Pose) -> None:
+        self.habits, self.rng, self.pose = habits, rng, pose
+        self._sideways = 1.0
+
+    def go(self, manoeuvre: Manoeuvre) -> Manoeuvre:
+        """Take note of where the manoeuvre leads, and return it."""
+        self.pose = Trajectory(manoeuvre, start=self.pose).end
+        return manoeuvre
+
+    def turn_rate(self) -> float:
+        """Draw a rate to turn with, rad/s."""
+        return math.radians(self.rng.uniform(*self.habits.turn_rates_deg_s))
+
+    def turn_to(self, yaw_rad: float) -> Manoeuvre:
+        """Turn the shorter way to a heading."""
+        angle = math.remainder(yaw_rad - self.pose[2], 2.0 * math.pi)
+        return self.go(turn(angle, self.turn_rate())) if abs(angle) > 1e-6 else ()
+
+    def lane(self) -> Manoeuvre:
+        """Drive on to the far end of the area."""
+        x, _, yaw = self.pose
+        distance = self.habits.area_m[0] / 2.0 - x * math.copysign(1.0, math.cos(yaw))
+        return self.go(drive(max(distance, 0.05), self.habits.speed_m_s))
+
+    def change_lane(self) -> Iterator[Manoeuvre]:
+        """Step over to the next lane and face back, by two turns."""
+        _, y, yaw = self.pose
+        step = self.habits.lane_width_m
+        if y * self._sideways + step > self.habits.area_m[1] / 2.0:
+            self._sideways = -self._sideways
+        back = math.pi if math.cos(yaw) > 0.0 else 0.0
+        yield self.turn_to(self._sideways * math.pi / 2.0)
+        yield self.go(drive(step, self.habits.speed_m_s))
+        yield self.turn_to(back)
+
+    def swing_lane(self) -> Iterator[Manoeuvre]:
+        """Step over to the next lane by half a circle, as one sweep."""
+        _, y, yaw = self.pose
+        radius = self.habits.lane_width_m / 2.0
+        if y * self._sideways + 2.0 * radius > self.habits.area_m[1] / 2.0:
+            self._sideways = -self._sideways
+        left = self._sideways * math.copysign(1.0, math.cos(yaw))
+        yield self.go(arc(left * math.pi, radius, self.turn_rate()))
+
+    def spin(self) -> Manoeuvre:
+        """Turn once all the way round on the spot."""
+        side = self.rng.choice([-1.0, 1.0])
+        return self.go(turn(side * 2.0 * math.pi, self.turn_rate()))
+
+    def bend(self) -> Iterator[Manoeuvre]:
+        """Follow something round: out to one side and back to the lane."""
+        side = self.rng.choice([-1.0, 1.0])
+        angle, radius = math.radians(self.rng.uniform(30.0, 60.0)), self.rng.uniform(0.25, 0.5)
+        rate = min(self.turn_rate(), self.habits.speed_m_s / radius)
+        for share in (1.0, -2.0, 1.0):
+            yield self.go(arc(side * share * angle, radius, rate))
+
+
+def lanes(planner: Planner) -> Iterator[Manoeuvre]:
+    """Lanes up and down, as a seed drill goes: two turns to one side, two to the other."""
+    while True:
+        yield planner.lane()
+        yield from planner.change_lane()
+
+
+def cleaning(planner: Planner) -> Iterator[Manoeuvre]:
+    """Lanes with mixed turns, and now and then a sweep, a spin or something to go round."""
+    while True:
+        room_ahead = planner.habits.area_m[0] > 3.0
+        if room_ahead and planner.rng.random() < 0.25:
+            yield planner.go(drive(planner.rng.uniform(0.3, 0.8), planner.habits.speed_m_s))
+            yield from planner.bend()
+        yield planner.lane()
+        if planner.rng.random() < 0.2:
+            yield planner.spin()
+        yield from planner.swing_lane() if planner.rng.random() < 0.25 else planner.change_lane()
+
+
+def rest_and_go(planner: Planner) -> Iterator[Manoeuvre]:
+    """Lanes with a rest after most of them."""
+    for number, manoeuvre in enumerate(lanes(planner)):
+        yield manoeuvre
+        if number % 3 == 2:
+            yield rest(planner.rng.uniform(2.0, 8.0))
+
+
+def spins(planner: Planner) -> Iterator[Manoeuvre]:
+    """Ten rotations to one side, a rest, ten to the other, and so on."""
+    side = planner.rng.choice([-1.0, 1.0])
+    while True:
+        yield planner.go(turn(side * 20.0 * math.pi, planner.turn_rate()))
+        yield rest(2.0)
+        side = -side
+
+
+def standing(planner: Planner) -> Iterator[Manoeuvre]:
+    """Nothing at all."""
+    while True:
+        yield rest(60.0)
+
+
+PLANS: dict[str, Callable[[Planner], Iterator[Manoeuvre]]] = {
+    plan.__name__: plan for plan in (lanes, cleaning, rest_and_go, spins, standing)
+}
+
+
+def plan_legs(
+    stages: tuple[tuple[str, float], ...],
+    standing_s: float,
+    duration_s: float,
+    habits: Habits,
+    rng: np.random.Generator,
+) -> tuple[list[Leg], Pose]:
+    """Return the legs of a whole recording and the pose it starts from.
+
+    Args:
+        stages: name of a plan, and the time until which it is followed; the last one goes on.
+        standing_s: rest before the first motion.
+        duration_s: the legs last at least so long.
+        habits: how the robot moves.
+        rng: where turn rates and the choice of manoeuvres come from.
+    """
+    start: Pose = (-habits.area_m[0] / 2.0, -habits.area_m[1] / 2.0, 0.0)
+    planner = Planner(habits, rng, start)
+    legs = [Leg(standing_s)] if standing_s > 0.0 else []
+    time_s = standing_s
+    for number, (name, until_s) in enumerate(stages):
+        last = number == len(stages) - 1
+        end_s = duration_s if last else min(until_s, duration_s)
+        for manoeuvre in PLANS[name](planner):
+            legs.extend(manoeuvre)
+            time_s += sum(leg.duration_s for leg in manoeuvre)
+            if time_s >= end_s:
+                break
+    return [*legs, Leg(1.0)], start

@@ -1,0 +1,121 @@
+"""The recordings that the simulator can make, by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from gyrocal_ros.config import nearest
+from gyrocal_ros.data import CameraIntrinsics
+from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.sim.manoeuvres import Habits
+from gyrocal_ros.sim.scene import Furniture
+from gyrocal_ros.sim.sensors import SensorErrors
+
+CAMERA = CameraIntrinsics(
+    width_px=640,
+    height_px=480,
+    fx_px=250.0,
+    fy_px=250.0,
+    cx_px=319.5,
+    cy_px=239.5,
+    distortion=(-0.02, 0.004, 0.0005, -0.0005, 0.0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """Everything a recording depends on but its seed."""
+
+    name: str
+    about: str
+    stages: tuple[tuple[str, float], ...] = (('cleaning', 0.0),)
+    """Name of a plan of `manoeuvres` and the time (s) until which it is followed; the last one
+    goes on to the end."""
+    duration_s: float = 300.0
+    standing_s: float = 3.0
+    """Rest before the first motion."""
+    imu_hz: int = 200
+    wheel_hz: int = 50
+    camera_hz: int = 15
+    truth_hz: int = 50
+    features: int = 15
+    """Followed by the tracker at a time."""
+    reacquire_s: float = 20.0
+    """A feature seen again within this time keeps its id."""
+    track_loss: float = 0.002
+    """Chance for each feature to be lost in an image for no visible reason."""
+    track_loss_s: float = 1.0
+    """How long it then stays lost, on average."""
+    camera_until_s: float = float('inf')
+    """The camera is switched off at this time."""
+    habits: Habits = Habits()
+    errors: SensorErrors = SensorErrors()
+    room_m: tuple[float, float] = (6.0, 5.0)
+    furniture: tuple[Furniture, ...] = ()
+    floor_tilt_deg: float = 0.15
+    """Root mean square of roll and pitch on the uneven floor."""
+    bumps: int = 3
+    """Thresholds crossed."""
+    camera: CameraIntrinsics = field(default=CAMERA)
+    mount_xyz_m: tuple[float, float, float] = (0.09, 0.0, 0.10)
+    mount_yaw_deg: float = -90.0
+
+
+_TRIAL = Habits(turn_rates_deg_s=(75.0, 75.0), area_m=(2.8, 4.0))
+
+SCENARIOS: dict[str, Scenario] = {
+    scenario.name: scenario
+    for scenario in (
+        Scenario('cleaning', 'cleaning a room: lanes, sweeps, spins, turns of 30 to 90 deg/s'),
+        Scenario(
+            'lanes',
+            'lanes with about 40 turns at 75 deg/s',
+            stages=(('lanes', 0.0),),
+            imu_hz=100,
+            camera_hz=10,
+            habits=_TRIAL,
+        ),
+        Scenario('spins', 'ten rotations on the spot to one side, then to the other', stages=(('spins', 0.0),)),
+        Scenario('standing', 'standing still', stages=(('standing', 0.0),), duration_s=60.0),
+        Scenario('rest_and_go', 'lanes with rests between them', stages=(('rest_and_go', 0.0),)),
+        Scenario(
+            'furniture',
+            'cleaning with a bed and two tables that hide the ceiling',
+            furniture=(
+                Furniture((-2.6, -1.0), (-0.4, 1.2), 0.30),
+                Furniture((0.6, 1.8), (-1.6, -0.9), 0.70),
+                Furniture((0.4, 2.0), (0.8, 1.6), 0.45),
+            ),
+        ),
+        Scenario(
+            'blind_spins',
+            'two minutes of lanes, then the camera is off: ten rotations to each side',
+            stages=(('lanes', 120.0), ('spins', 0.0)),
+            duration_s=240.0,
+            habits=_TRIAL,
+            imu_hz=100,
+            camera_hz=10,
+            camera_until_s=120.0,
+        ),
+        Scenario(
+            'blind_cleaning',
+            'two minutes of lanes, then ten minutes of cleaning with the camera off',
+            stages=(('lanes', 120.0), ('cleaning', 0.0)),
+            duration_s=720.0,
+            imu_hz=100,
+            camera_hz=10,
+            camera_until_s=120.0,
+        ),
+    )
+}
+
+
+def find_scenario(name: str) -> Scenario:
+    """Return the scenario of that name.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if name not in SCENARIOS:
+        raise ConfigError(f'{name!r} is not a scenario', where='simulator', todo=nearest(name, list(SCENARIOS)))
+    return SCENARIOS[name]

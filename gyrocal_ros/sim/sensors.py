@@ -1,0 +1,258 @@
+"""Where the true signals become readings: one function a sensor, with its own random stream.
+
+Every function draws its random numbers in the same order whatever the sizes of the errors are, so
+that two recordings of one seed differ only in what was changed. Effects that are hidden in a
+recording go in here.
+
+Noise convention: a density d (unit / sqrt(Hz)) gives each sample at f Hz the standard deviation
+d sqrt(f), so that the integral over a time t has the standard deviation d sqrt(t).
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.sim.trajectory import HALF_TRACK_M, Motion
+
+
+@dataclass(frozen=True, slots=True)
+class SensorErrors:
+    """How far each sensor is off. The fields of `NOISE` vanish in a recording without noise."""
+
+    scale_factor: float = 135.5 / 146.4
+    """True yaw rate over nominal yaw rate."""
+    turn_on_bias_deg_s: float = 0.2
+    """Standard deviation of the constant bias of each axis."""
+    bias_walk_deg_s: float = 2.5e-4
+    """Random walk of the bias, deg/s/sqrt(s)."""
+    warmup_deg_s: float = 0.0
+    """Yaw bias gained while warming up."""
+    warmup_time_s: float = 300.0
+    rate_noise_deg_s: float = 0.0075
+    """Density of the noise of the recorded rate, deg/s/sqrt(Hz)."""
+    rate_step_deg_s: float = 0.002
+    """Resolution of the recorded rate."""
+    force_noise_m_s2: float = 0.002
+    """Density, m/s^2/sqrt(Hz)."""
+    vibration_m_s2: float = 0.15
+    """Standard deviation of a force sample at full fan speed; driving shakes as much."""
+    force_bias_m_s2: float = 0.05
+    """Standard deviation of the constant bias of each axis."""
+    wheel_noise_m: float = 0.005
+    """Random error of the distance travelled, m/sqrt(m)."""
+    tick_m: float = 3e-4
+    """Wheel travel from one encoder tick to the next."""
+    track_error: float = 0.02
+    """The track of the wheels is believed to be this much wider than it is."""
+    pixel_noise_px: float = 0.4
+    outliers: float = 0.0
+    """Share of the observations that are wrong by many pixels."""
+    outlier_px: float = 15.0
+    """Standard deviation of those."""
+    temperature_noise_c: float = 0.03
+
+
+NOISE = (
+    'bias_walk_deg_s',
+    'rate_noise_deg_s',
+    'rate_step_deg_s',
+    'force_noise_m_s2',
+    'vibration_m_s2',
+    'wheel_noise_m',
+    'tick_m',
+    'pixel_noise_px',
+    'outliers',
+    'temperature_noise_c',
+)
+
+
+def without_noise(errors: SensorErrors) -> SensorErrors:
+    """Leave the constant errors (scale factor, biases, track) and nothing else."""
+    assert set(NOISE) <= {item.name for item in fields(errors)}
+    return replace(errors, **dict.fromkeys(NOISE, 0.0))
+
+
+def stream(seed: int, name: str) -> np.random.Generator:
+    """Return the random stream of one sensor; it depends on nothing but the seed and the name."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()),)))
+
+
+# --- gyro and accelerometer ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroSignals:
+    """What is true at the n moments at which the gyro is read."""
+
+    time_s: Array
+    """(n,) since power-on."""
+    motion: Motion
+    temperature_c: Array
+    """(n,)"""
+    fan_speed: Array
+    """(n,) 0 to 1."""
+    bias_rad_s: Array
+    """(n, 3)"""
+    scale_factor: float
+
+
+GyroEffect = Callable[[GyroSignals, Array], Array]
+"""Takes the true signals and the nominal yaw rate (n,) of a gyro with scale factor and bias alone;
+returns the nominal yaw rate of a gyro with the effect."""
+
+
+def gyro_bias(time_s: Array, errors: SensorErrors, rng: np.random.Generator) -> Array:
+    """Draw the true bias (n, 3) in rad/s: turn-on offset, random walk, warm-up of the yaw axis."""
+    turn_on = errors.turn_on_bias_deg_s * rng.standard_normal(3)
+    steps = rng.standard_normal((len(time_s), 3)) * np.sqrt(np.diff(time_s, prepend=time_s[0]))[:, None]
+    bias = turn_on + errors.bias_walk_deg_s * np.cumsum(steps, axis=0)
+    bias[:, 2] += errors.warmup_deg_s * -np.expm1(-time_s / errors.warmup_time_s)
+    return np.radians(bias)
+
+
+def read_gyro(
+    signals: GyroSignals,
+    rate_hz: float,
+    errors: SensorErrors,
+    rng: np.random.Generator,
+    effect: GyroEffect | None = None,
+) -> Array:
+    """Return the nominal body rates (n, 3): true rate = scale factor * nominal rate + bias.
+
+    Only the yaw axis has a scale factor error. The noise and the resolution are those of the
+    recorded rate.
+    """
+    nominal = signals.motion.rate_rad_s - signals.bias_rad_s
+    nominal[:, 2] /= signals.scale_factor
+    if effect is not None:
+        nominal[:, 2] = effect(signals, nominal[:, 2])
+    sigma = np.radians(errors.rate_noise_deg_s) * np.sqrt(rate_hz)
+    return _quantised(nominal + sigma * rng.standard_normal(nominal.shape), np.radians(errors.rate_step_deg_s))
+
+
+def read_accelerometer(
+    motion: Motion, fan_speed: Array, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
+) -> Array:
+    """Return the specific force (n, 3) with bias, noise and the shaking of fan and floor."""
+    bias = errors.force_bias_m_s2 * rng.standard_normal(3)
+    shaking = errors.vibration_m_s2 * np.hypot(fan_speed, motion.speed_m_s / 0.3)
+    sigma = np.hypot(errors.force_noise_m_s2 * np.sqrt(rate_hz), shaking)
+    noise = sigma[:, None] * rng.standard_normal((len(sigma), 3))
+    return motion.specific_force_m_s2 + bias + noise
+
+
+# --- wheels -------------------------------------------------------------------------------------
+
+
+def read_wheels(motion: Motion, errors: SensorErrors, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return the steps (n - 1, each) of distance (m) and yaw (rad) between n readings of the ticks.
+
+    Each wheel slips by itself, so that a spin on the spot also makes an error of distance.
+    """
+    sides = np.array([-HALF_TRACK_M, HALF_TRACK_M])
+    wheels = motion.travelled_m[:, None] + sides * motion.euler_rad[:, 2:]
+    moved = np.abs(np.diff(wheels, axis=0, prepend=wheels[:1]))
+    slip = errors.wheel_noise_m * np.sqrt(2.0 * moved) * rng.standard_normal(wheels.shape)
+    ticks = _quantised(wheels + np.cumsum(slip, axis=0), errors.tick_m)
+    steps = np.diff(ticks, axis=0)
+    track = 2.0 * HALF_TRACK_M * (1.0 + errors.track_error)
+    return steps.mean(axis=1), (steps[:, 1] - steps[:, 0]) / track
+
+
+# --- camera -------------------------------------------------------------------------------------
+
+
+def pixel_errors(shape: tuple[int, int], errors: SensorErrors, rng: np.random.Generator) -> Array:
+    """Draw the error (n, m, 2) in pixels of every corner in every image."""
+    noise = errors.pixel_noise_px * rng.standard_normal((*shape, 2))
+    wrong = rng.random(shape) < errors.outliers
+    return noise + np.where(wrong[..., None], errors.outlier_px * rng.standard_normal((*shape, 2)), 0.0)
+
+
+# --- slow signals -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Climate:
+    """Temperature of the gyro: the room's, plus what the robot warms itself by."""
+
+    room_c: float
+    drift_c: float
+    drift_phase_rad: float
+    rise_c: float
+    rise_time_s: float
+
+    def temperature_c(self, time_s: Array) -> Array:
+        """Return the true temperature (n,) at times (n,) since power-on."""
+        drift = self.drift_c * np.sin(2.0 * np.pi * time_s / 900.0 + self.drift_phase_rad)
+        return self.room_c + drift - self.rise_c * np.expm1(-time_s / self.rise_time_s)
+
+
+def draw_climate(rng: np.random.Generator) -> Climate:
+    """Draw the weather of one recording."""
+    return Climate(
+        room_c=rng.normal(22.0, 2.0),
+        drift_c=rng.uniform(0.3, 1.0),
+        drift_phase_rad=rng.uniform(0.0, 2.0 * np.pi),
+        rise_c=rng.uniform(8.0, 14.0),
+        rise_time_s=rng.uniform(200.0, 500.0),
+    )
+
+
+def read_temperature(
+    time_s: Array, climate: Climate, errors: SensorErrors, rng: np.random.Generator
+) -> Array:
+    """Return the temperature (n,) in deg C, in steps of 1/16 as a sensor chip gives it."""
+    noise = errors.temperature_noise_c * rng.standard_normal(len(time_s))
+    return _quantised(climate.temperature_c(time_s) + noise, 0.0625)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fan:
+    """Speed of the suction fan: off at first, then on, with spells of full power on carpets."""
+
+    start_s: float
+    boosts_s: Array
+    """(k, 2) from and to."""
+
+    def speed(self, time_s: Array) -> Array:
+        """Return the speed (n,), 0 to 1, at times (n,)."""
+        def ramp(from_s: float, length_s: float) -> Array:
+            return np.clip((time_s - from_s) / length_s, 0.0, 1.0)
+
+        speed = 0.6 * ramp(self.start_s, 2.0)
+        for from_s, to_s in self.boosts_s:
+            speed = speed + 0.35 * (ramp(from_s, 1.0) - ramp(to_s, 1.0))
+        return speed
+
+
+def draw_fan(rng: np.random.Generator, start_s: float, duration_s: float) -> Fan:
+    """Draw when the fan runs at full power: about a third of the time, in spells of 10 to 30 s."""
+    gaps_and_spells = rng.uniform([20.0, 10.0], [70.0, 30.0], (int(duration_s / 30.0) + 1, 2))
+    ends = start_s + np.cumsum(gaps_and_spells.ravel()).reshape(-1, 2)
+    return Fan(start_s, ends)
+
+
+def read_fan(time_s: Array, fan: Fan, rng: np.random.Generator) -> Array:
+    """Return the fan speed (n,) in revolutions a minute."""
+    return _quantised(fan.speed(time_s) * 18000.0 + 40.0 * rng.standard_normal(len(time_s)), 10.0)
+
+
+def read_battery(motion: Motion, fan_speed: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return voltage (V) and current (A, negative when discharging), each (n,)."""
+    driving = 0.5 * np.abs(motion.speed_m_s) / 0.3 + 0.4 * np.abs(motion.rate_rad_s[:, 2])
+    speeding_up = 0.8 * np.maximum(motion.acceleration_m_s2, 0.0)
+    current = -(0.5 + 1.4 * fan_speed**2 + driving + speeding_up)
+    current = current + 0.03 * rng.standard_normal(len(current))
+    spent_ah = np.cumsum(-current * np.diff(motion.time_s, prepend=motion.time_s[0])) / 3600.0
+    voltage = 16.4 - 0.9 * spent_ah + 0.12 * current + 0.004 * rng.standard_normal(len(current))
+    return _quantised(voltage, 0.001), _quantised(current, 0.001)
+
+
+def _quantised(values: Array, step: float) -> Array:
+    return np.round(values / step) * step if step > 0.0 else values

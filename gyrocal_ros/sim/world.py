@@ -1,0 +1,228 @@
+"""A simulated recording: one seed, one scenario, and every measurement a robot would have made."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from operator import attrgetter
+
+import numpy as np
+
+from gyrocal_ros.data import (
+    NS_PER_S,
+    Array,
+    CovariateSample,
+    FeatureObservations,
+    ImuSample,
+    IntArray,
+    Measurement,
+    Rig,
+    Span,
+    TemperatureSample,
+    TruthSample,
+    WheelSample,
+    nanoseconds,
+)
+from gyrocal_ros.model.camera import mount_from_yaw
+from gyrocal_ros.sim.manoeuvres import plan_legs
+from gyrocal_ros.sim.scenarios import Scenario
+from gyrocal_ros.sim.scene import Scene, draw_scene, track, view
+from gyrocal_ros.sim.sensors import (
+    Climate,
+    Fan,
+    GyroEffect,
+    GyroSignals,
+    draw_climate,
+    draw_fan,
+    gyro_bias,
+    pixel_errors,
+    read_accelerometer,
+    read_battery,
+    read_fan,
+    read_gyro,
+    read_temperature,
+    read_wheels,
+    stream,
+)
+from gyrocal_ros.sim.trajectory import Trajectory, rough_floor
+
+START_NS = 1_700_000_000 * NS_PER_S
+TEMPERATURE_HZ, FAN_HZ, BATTERY_HZ = 1, 5, 5
+WHEEL_PHASE_S, CAMERA_PHASE_S, SLOW_PHASE_S = 0.003, 0.011, 0.017
+"""No two sensors of a real robot are read at the same moment."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What only the simulator knows; benches and tests compare with it."""
+
+    trajectory: Trajectory
+    scene: Scene
+    climate: Climate
+    fan: Fan
+    scale_factor: float
+    """True yaw rate over nominal yaw rate."""
+    bias_time_s: Array
+    """(n,) since the first sample."""
+    bias_rad_s: Array
+    """(n, 3) true bias at those times, z without the hidden effects."""
+
+
+class SimSource:
+    """A scenario with its seed, as a source of measurements.
+
+    The same seed gives the same bits, as often as `measurements` is called and in whatever order.
+
+    Args:
+        scenario: what is recorded, and with what sensors.
+        seed: of all randomness.
+        gyro_effect: a physical effect hidden in the gyro.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int = 0, gyro_effect: GyroEffect | None = None) -> None:
+        self.scenario, self.seed = scenario, seed
+        self._gyro_effect = gyro_effect
+
+    @property
+    def name(self) -> str:
+        """The scenario and the seed."""
+        return f'{self.scenario.name}-{self.seed}'
+
+    @property
+    def rig(self) -> Rig:
+        """Camera and mounting, both known without error."""
+        scenario = self.scenario
+        return Rig(scenario.camera, mount_from_yaw(*scenario.mount_xyz_m, scenario.mount_yaw_deg))
+
+    @property
+    def span(self) -> Span:
+        """From the first IMU sample to the end."""
+        return Span(START_NS, START_NS + nanoseconds(self.scenario.duration_s))
+
+    @cached_property
+    def truth(self) -> Truth:
+        """The world this recording is made in."""
+        scenario = self.scenario
+        rng = stream(self.seed, 'trajectory')
+        legs, start = plan_legs(
+            scenario.stages, scenario.standing_s, scenario.duration_s, scenario.habits, rng
+        )
+        path_m = scenario.duration_s * scenario.habits.speed_m_s / 2.0
+        floor = rough_floor(stream(self.seed, 'floor'), scenario.floor_tilt_deg, scenario.bumps, path_m)
+        bias_s = _times(scenario.imu_hz, scenario.duration_s)
+        return Truth(
+            trajectory=Trajectory(legs, floor, start),
+            scene=draw_scene(
+                stream(self.seed, 'scene'), scenario.room_m, scenario.mount_xyz_m[2], scenario.furniture
+            ),
+            climate=draw_climate(stream(self.seed, 'climate')),
+            fan=draw_fan(stream(self.seed, 'fan'), scenario.standing_s, scenario.duration_s),
+            scale_factor=scenario.errors.scale_factor,
+            bias_time_s=bias_s,
+            bias_rad_s=gyro_bias(bias_s, scenario.errors, stream(self.seed, 'gyro bias')),
+        )
+
+    def measurements(self) -> Iterator[Measurement]:
+        """Yield the measurements in the order of their stamps."""
+        parts = (
+            self._imu(), self._wheels(), self._features(), self._temperature(),
+            self._fan(), self._battery(), self._truth_poses(),
+        )  # fmt: skip
+        return heapq.merge(*parts, key=attrgetter('t_ns'))
+
+    def camera_poses(self, time_s: Array) -> tuple[Array, Array]:
+        """Return the true R_wc (n, 3, 3) and p_wc (n, 3) of the camera at times (n,)."""
+        trajectory, mount = self.truth.trajectory, self.rig.camera_mount
+        R_wb = trajectory.motion(time_s).R_wb
+        return R_wb @ mount.R_bs, trajectory.position(time_s) + R_wb @ mount.p_bs
+
+    def _imu(self) -> Iterator[ImuSample]:
+        scenario, truth = self.scenario, self.truth
+        time_s = truth.bias_time_s
+        motion = truth.trajectory.motion(time_s)
+        fan_speed = truth.fan.speed(time_s)
+        signals = GyroSignals(
+            time_s=time_s,
+            motion=motion,
+            temperature_c=truth.climate.temperature_c(time_s),
+            fan_speed=fan_speed,
+            bias_rad_s=truth.bias_rad_s,
+            scale_factor=truth.scale_factor,
+        )
+        errors, hz = scenario.errors, scenario.imu_hz
+        rates = read_gyro(signals, hz, errors, stream(self.seed, 'gyro'), self._gyro_effect)
+        forces = read_accelerometer(motion, fan_speed, hz, errors, stream(self.seed, 'accelerometer'))
+        yield from map(ImuSample, _stamps(time_s), map(tuple, rates.tolist()), map(tuple, forces.tolist()))
+
+    def _wheels(self) -> Iterator[WheelSample]:
+        scenario = self.scenario
+        time_s = _times(scenario.wheel_hz, scenario.duration_s, WHEEL_PHASE_S)
+        motion = self.truth.trajectory.motion(time_s)
+        distance, turned = read_wheels(motion, scenario.errors, stream(self.seed, 'wheels'))
+        hz = scenario.wheel_hz
+        yield from map(WheelSample, _stamps(time_s[1:]), (distance * hz).tolist(), (turned * hz).tolist())
+
+    def _features(self) -> Iterator[FeatureObservations]:
+        scenario = self.scenario
+        time_s = self.image_times()
+        pixels, seen = view(self.truth.scene, scenario.camera, *self.camera_poses(time_s))
+        pixels = pixels + pixel_errors(seen.shape, scenario.errors, stream(self.seed, 'pixels'))
+        seen &= ~_lost(seen.shape, scenario, stream(self.seed, 'tracker'))
+        tracks = track(seen, time_s, scenario.features, scenario.reacquire_s)
+        for t_ns, places, (ids, corners) in zip(_stamps(time_s), pixels, tracks, strict=True):
+            yield FeatureObservations(t_ns, ids, places[corners])
+
+    def _temperature(self) -> Iterator[TemperatureSample]:
+        time_s = _times(TEMPERATURE_HZ, self.scenario.duration_s, SLOW_PHASE_S)
+        rng = stream(self.seed, 'temperature')
+        values = read_temperature(time_s, self.truth.climate, self.scenario.errors, rng)
+        yield from map(TemperatureSample, _stamps(time_s), values.tolist())
+
+    def _fan(self) -> Iterator[CovariateSample]:
+        time_s = _times(FAN_HZ, self.scenario.duration_s, SLOW_PHASE_S)
+        values = read_fan(time_s, self.truth.fan, stream(self.seed, 'fan speed'))
+        for t_ns, value in zip(_stamps(time_s), values.tolist(), strict=True):
+            yield CovariateSample(t_ns, 'fan_speed.data', value)
+
+    def _battery(self) -> Iterator[CovariateSample]:
+        time_s = _times(BATTERY_HZ, self.scenario.duration_s, SLOW_PHASE_S)
+        motion = self.truth.trajectory.motion(time_s)
+        rng = stream(self.seed, 'battery')
+        voltage, current = read_battery(motion, self.truth.fan.speed(time_s), rng)
+        for t_ns, volt, ampere in zip(_stamps(time_s), voltage.tolist(), current.tolist(), strict=True):
+            yield CovariateSample(t_ns, 'battery_state.voltage', volt)
+            yield CovariateSample(t_ns, 'battery_state.current', ampere)
+
+    def _truth_poses(self) -> Iterator[TruthSample]:
+        time_s = _times(self.scenario.truth_hz, self.scenario.duration_s)
+        trajectory = self.truth.trajectory
+        positions = map(tuple, trajectory.position(time_s).tolist())
+        yaw = trajectory.motion(time_s).euler_rad[:, 2].tolist()
+        yield from map(TruthSample, _stamps(time_s), positions, yaw)
+
+    def image_times(self) -> Array:
+        """Return the middle of the exposure of each image, (n,) s since the start."""
+        scenario = self.scenario
+        return _times(scenario.camera_hz, min(scenario.duration_s, scenario.camera_until_s), CAMERA_PHASE_S)
+
+
+def _times(rate_hz: int, duration_s: float, phase_s: float = 0.0) -> Array:
+    """Return the times (n,) of a sensor, on whole nanoseconds."""
+    count = int((duration_s - phase_s) * rate_hz + 1e-9) + 1
+    return np.round((phase_s + np.arange(count) / rate_hz) * NS_PER_S) / NS_PER_S
+
+
+def _stamps(time_s: Array) -> list[int]:
+    stamps: IntArray = START_NS + np.round(time_s * NS_PER_S).astype(np.int64)
+    return stamps.tolist()
+
+
+def _lost(shape: tuple[int, int], scenario: Scenario, rng: np.random.Generator) -> np.ndarray:
+    """Draw which corners (n, m) the tracker has lost for no visible reason."""
+    starts = rng.random(shape) < scenario.track_loss
+    length = rng.exponential(scenario.track_loss_s * scenario.camera_hz, shape)
+    frame = np.arange(shape[0])[:, None]
+    until = np.maximum.accumulate(np.where(starts, frame + length, -1.0), axis=0)
+    return frame < until

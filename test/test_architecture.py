@@ -1,0 +1,143 @@
+"""The plan of the house, kept by machine: who imports whom, how long a module is, where a formula lives."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parent.parent
+PACKAGE = PROJECT / 'gyrocal_ros'
+MODULES = sorted(PACKAGE.rglob('*.py'))
+
+LEVELS = {
+    'errors': 0,
+    'config': 1,
+    'data': 1,
+    'files': 1,
+    'board': 2,
+    'model': 2,
+    'recording': 2,
+    'vision': 2,
+    'effects': 3,
+    'ekf': 3,
+    'sim': 3,
+    'calibrate': 4,
+    'diagnose': 4,
+    'report': 5,
+    'cli': 6,
+    'nodes': 6,
+    'studio': 6,
+}
+"""A room imports only from rooms of a lower level, and from itself."""
+
+EVERYWHERE = {'numpy'} | sys.stdlib_module_names
+LIBRARY_HOMES = {
+    'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'recording/images.py'),
+    'dash': ('studio',),
+    'plotly': ('report/figures.py',),
+    'rclpy': ('nodes',),
+    'rosbags': ('recording',),
+    'serial': ('board/link.py',),
+    'tqdm': ('cli/output.py',),
+    'yaml': ('config.py',),
+}
+"""The one room of each outside library, so that it can be exchanged or go missing without harm elsewhere."""
+
+MAX_LINES = 400
+EQUATIONS_OF_THE_PAPER = set(range(1, 23))
+
+
+def room(module: Path) -> str:
+    """Room of a module file: `ekf` of `gyrocal_ros/ekf/slam.py`, `data` of `gyrocal_ros/data.py`."""
+    return module.relative_to(PACKAGE).parts[0].removesuffix('.py')
+
+
+def imported_modules(module: Path) -> set[str]:
+    """Full dotted names of all that a module imports, inside functions too."""
+    names = set()
+    for node in ast.walk(ast.parse(module.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f'{module}:{node.lineno}: imports are absolute here'
+            names |= {f'{node.module}.{alias.name}' for alias in node.names}
+    return names
+
+
+def docstrings(module: Path) -> list[str]:
+    """Docstrings of a module and of every class and function in it."""
+    tree = ast.parse(module.read_text(encoding='utf-8'))
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    return [ast.get_docstring(node) or '' for node in ast.walk(tree) if isinstance(node, kinds)]
+
+
+def equations_opening(docstring: str) -> set[int]:
+    """Numbers that a docstring opens with: `Eq. (13):`, `Eqs. (16), (17):` or `Eqs. (1)-(4):`."""
+    opening = re.match(r'Eqs?\. ([(\d), and-]+):', docstring)
+    if not opening:
+        return set()
+    numbers = set()
+    for first, last in re.findall(r'\((\d+)\)(?:-\((\d+)\))?', opening[1]):
+        numbers |= set(range(int(first), int(last or first) + 1))
+    return numbers
+
+
+@pytest.mark.parametrize('module', MODULES, ids=lambda module: module.relative_to(PACKAGE).as_posix())
+class TestEachModule:
+    def test_imports_only_downwards(self, module: Path) -> None:
+        if module == PACKAGE / '__init__.py':
+            assert not imported_modules(module), 'the package itself imports nothing'
+            return
+        own = room(module)
+        others = {
+            name.split('.')[1]
+            for name in imported_modules(module)
+            if name.startswith('gyrocal_ros.') and name != 'gyrocal_ros.__version__'
+        } - {own}
+        assert others <= LEVELS.keys(), 'a new room needs its level'
+        assert {other for other in others if LEVELS[other] >= LEVELS[own]} == set()
+
+    def test_outside_libraries_stay_in_their_room(self, module: Path) -> None:
+        place = module.relative_to(PACKAGE).as_posix()
+        libraries = {name.split('.')[0] for name in imported_modules(module)} - {'gyrocal_ros'}
+        for library in libraries - EVERYWHERE:
+            homes = LIBRARY_HOMES.get(library, ())
+            assert any(place == home or place.startswith(f'{home}/') for home in homes), library
+
+    def test_is_short(self, module: Path) -> None:
+        assert len(module.read_text(encoding='utf-8').splitlines()) <= MAX_LINES
+
+
+def test_an_equation_of_the_paper_has_one_home() -> None:
+    homes: dict[int, set[str]] = defaultdict(set)
+    for module in MODULES:
+        for docstring in docstrings(module):
+            for number in equations_opening(docstring):
+                homes[number].add(f'{module.relative_to(PACKAGE).as_posix()}: {docstring.splitlines()[0]}')
+    assert {number: places for number, places in homes.items() if len(places) > 1} == {}
+    assert homes.keys() <= EQUATIONS_OF_THE_PAPER
+
+
+def test_equation_numbers_are_read_from_docstrings() -> None:
+    assert equations_opening('Eq. (13): a point in the camera frame.') == {13}
+    assert equations_opening('Eqs. (16), (17): the first sight.') == {16, 17}
+    assert equations_opening('Eqs. (1)-(3) and (5): all of it.') == {1, 2, 3, 5}
+    assert equations_opening('The step, see Eq. (2): it is there.') == set()
+
+
+def test_no_text_knows_the_machine_it_was_written_on() -> None:
+    folders = '|'.join(['work', 'root', 'home', 'Users'])
+    machine_path = re.compile(rf'(?<![\w.~}}])/(?:{folders})/\w')
+    kinds = {'.py', '.md', '.rst', '.toml', '.cfg', '.xml', '.yaml', '.txt', ''}
+    for file in PROJECT.rglob('*'):
+        inside = file.relative_to(PROJECT)
+        hidden = any(part.startswith('.') and part not in ('.ci', '.gitignore') for part in inside.parts)
+        generated = inside.parts[0] in ('build', 'install', 'log')
+        if file.is_file() and file.suffix in kinds and not hidden and not generated:
+            found = machine_path.search(file.read_text(encoding='utf-8'))
+            assert found is None, f'{inside}: {found and found[0]}'

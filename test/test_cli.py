@@ -1,0 +1,192 @@
+"""The command line: every command explains itself, and what goes wrong is one clear line."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from gyrocal_ros import __version__
+from gyrocal_ros.cli.main import COMMANDS, main
+from gyrocal_ros.cli.output import print_json
+from gyrocal_ros.errors import GyrocalError
+
+PRESENT = [name for name in COMMANDS if importlib.util.find_spec(f'gyrocal_ros.cli.{name}')]
+
+Probe = Callable[[Callable[[], None]], None]
+
+
+@pytest.fixture
+def probe(monkeypatch: pytest.MonkeyPatch) -> Probe:
+    """Register a command `probe` that does what it is given."""
+
+    def register(work: Callable[[], None]) -> None:
+        module = ModuleType('gyrocal_ros.cli.probe', 'Does what the test says.')
+        vars(module).update(
+            EXAMPLE='gyrocal probe --size 3',
+            add_arguments=lambda parser: parser.add_argument('--size', type=int, help='how large'),
+            run=lambda args: work(),
+        )
+        monkeypatch.setitem(COMMANDS, 'probe', 'tries something')
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+
+    return register
+
+
+def run_python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=60)
+
+
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match='0'):
+        main(['--help'])
+    shown = capsys.readouterr().out
+    assert all(name in shown and meaning in shown for name, meaning in COMMANDS.items())
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match='0'):
+        main(['--version'])
+    assert capsys.readouterr().out == f'gyrocal {__version__}\n'
+
+
+@pytest.mark.parametrize('name', PRESENT)
+def test_each_command_explains_itself_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match='0'):
+        main([name, '--help'])
+    description, _, example = capsys.readouterr().out.partition('example:')
+    assert len(description) > 100
+    assert f'gyrocal {name}' in example
+
+
+@pytest.mark.parametrize('name', PRESENT)
+def test_each_command_refuses_an_unknown_option_in_one_line(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([name, '--no-such-option']) == 2
+    assert one_error_line(capsys).endswith(f'see gyrocal {name} --help')
+
+
+@pytest.mark.parametrize('arguments', [[], ['repaly'], ['--loud']])
+def test_unknown_command_is_refused_in_one_line(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert one_error_line(capsys).endswith('see gyrocal --help')
+
+
+def one_error_line(capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the one line on standard error, after checking that it is all there is."""
+    captured = capsys.readouterr()
+    assert captured.out == ''
+    (line,) = captured.err.splitlines()
+    assert line.startswith('gyrocal: error: ')
+    return line
+
+
+def test_an_error_becomes_one_line_and_status_2(probe: Probe, capsys: pytest.CaptureFixture[str]) -> None:
+    def fail() -> None:
+        raise GyrocalError('holds no images', where='kitchen.bag', todo='record ceiling_camera/image_raw')
+
+    probe(fail)
+    assert main(['probe']) == 2
+    assert one_error_line(capsys) == (
+        'gyrocal: error: kitchen.bag: holds no images; record ceiling_camera/image_raw'
+    )
+
+
+def test_an_argument_of_the_wrong_kind_is_refused(probe: Probe, capsys: pytest.CaptureFixture[str]) -> None:
+    probe(lambda: pytest.fail('must not run'))
+    assert main(['probe', '--size', 'large']) == 2
+    assert "invalid int value: 'large'" in one_error_line(capsys)
+
+
+def test_interruption_is_not_a_traceback(probe: Probe, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    probe(interrupt)
+    assert main(['probe']) == 130
+    assert capsys.readouterr().err == 'gyrocal: interrupted\n'
+
+
+def test_a_fault_of_the_program_is_not_hidden(probe: Probe) -> None:
+    def fail() -> None:
+        raise ZeroDivisionError
+
+    probe(fail)
+    with pytest.raises(ZeroDivisionError):
+        main(['probe'])
+
+
+def test_json_is_one_valid_object(probe: Probe, capsys: pytest.CaptureFixture[str]) -> None:
+    values = {
+        'bias': np.float64(0.25),
+        'unknown': float('nan'),
+        'matrix': np.array([[1.0, np.inf]]),
+        'converged': np.bool_(True),
+        'coefficients': {'scale_cubic': {'value': 1e-3, 'unit': 's²/rad²'}},
+        'missing': ({'effect': 'gyro_lag'},),
+    }
+    probe(lambda: print_json(values))
+    assert main(['probe']) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        'bias': 0.25,
+        'unknown': None,
+        'matrix': [[1.0, None]],
+        'converged': True,
+        'coefficients': {'scale_cubic': {'value': 1e-3, 'unit': 's²/rad²'}},
+        'missing': [{'effect': 'gyro_lag'}],
+    }
+
+
+def test_help_does_not_import_what_it_does_not_need() -> None:
+    heavy = {'numpy', 'cv2', 'rosbags', 'plotly', 'scipy', 'yaml', 'tqdm'}
+    code = f"""
+import sys
+from gyrocal_ros.cli.main import main
+try:
+    main(['--help'])
+finally:
+    print(sorted({heavy} & set(sys.modules)), file=sys.stderr)
+"""
+    done = run_python(code)
+    assert (done.returncode, done.stderr) == (0, '[]\n')
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    code = """
+import sys
+from types import ModuleType
+from gyrocal_ros.cli import main
+talker = ModuleType('gyrocal_ros.cli.talker')
+talker.EXAMPLE, talker.add_arguments = '', lambda parser: None
+talker.run = lambda args: [print('word ' * 1000) for _ in range(1000)]
+sys.modules[talker.__name__] = talker
+main.COMMANDS['talker'] = 'talks'
+sys.exit(main.main(['talker']))
+"""
+    talker = subprocess.Popen(
+        [sys.executable, '-c', code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert talker.stdout is not None and talker.stderr is not None
+    talker.stdout.readline()
+    talker.stdout.close()
+    assert talker.stderr.read() == ''
+    assert talker.wait(timeout=60) == 141
+    talker.stderr.close()
+
+
+def test_arguments_reach_the_command(probe: Probe) -> None:
+    seen: list[argparse.Namespace] = []
+    probe(lambda: None)
+    sys.modules['gyrocal_ros.cli.probe'].run = seen.append  # type: ignore[attr-defined]
+    assert main(['probe', '--size', '3']) == 0
+    assert seen[0].size == 3

@@ -10,7 +10,7 @@ image). `R_ab` turns coordinates in b into coordinates in a; `p_ab` is the origi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias
 
@@ -150,6 +150,10 @@ class SearchRegions:
     """(n, 2, 2) of the innovation, pixel noise included."""
 
 
+Tracking: TypeAlias = Callable[[Frame, Array, SearchRegions], FeatureObservations]
+"""A tracker: image, predicted attitude `R_wc` of the camera (3, 3) and search regions go in."""
+
+
 # --- what the robot is made of ------------------------------------------------------------------
 
 
@@ -246,6 +250,8 @@ class MotionBlock:
     """Name to (N,) values."""
     gap_s: float = 0.0
     """Time in this block for which no IMU sample vouches."""
+    wheel_gap_s: float = 0.0
+    """Time in this block for which no encoder reading vouches."""
     wheels_at_rest: bool = False
     """Every encoder reading that touches the block is zero."""
 

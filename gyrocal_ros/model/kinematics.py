@@ -12,9 +12,9 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 
-PICARD_ITERATIONS = 3
+PICARD_ITERATIONS = 4
 """Enough for blocks in which the robot turns up to some 20 deg: the error left in roll and pitch
-is (turn)^3 / 6 of the tilt."""
+is (turn)^4 / 24 of the tilt."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

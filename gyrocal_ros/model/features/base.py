@@ -67,9 +67,9 @@ class Anchors:
         return Anchors(np.concatenate([self.R_wc, other.R_wc]), np.concatenate([self.p_wc, other.p_wc]))
 
 
-def no_anchors() -> Anchors:
-    """Anchors of an empty map."""
-    return Anchors(np.empty((0, 3, 3)), np.empty((0, 3)))
+def no_anchors(count: int) -> Anchors:
+    """Anchors that hold no information: of an empty map, or of features that are world points."""
+    return Anchors(np.zeros((count, 3, 3)), np.zeros((count, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

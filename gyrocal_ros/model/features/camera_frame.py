@@ -36,7 +36,7 @@ class CameraFramePoint:
         """Eq. (18): point at the assumed range; the doubt of the ray turned into the world."""
         points_c, noise_c = self.measure(view, pixels, noise_px, config)
         points_w, by_pose = points_in_world(view, points_c)
-        return NewFeatures(points_w, by_pose, view.R_wc @ noise_c @ view.R_wc.T, no_anchors_for(points_w))
+        return NewFeatures(points_w, by_pose, view.R_wc @ noise_c @ view.R_wc.T, no_anchors(len(points_w)))
 
     def measure(
         self, view: View, pixels: Array, noise_px: float, config: FeatureConfig
@@ -55,8 +55,3 @@ class CameraFramePoint:
         """The parameters are the point."""
         return parameters, np.broadcast_to(np.eye(3), (len(parameters), 3, 3))
 
-
-def no_anchors_for(points_w: Array) -> Anchors:
-    """Anchors that hold no information, for parametrisations by world points."""
-    count = len(points_w)
-    return no_anchors() if count == 0 else Anchors(np.zeros((count, 3, 3)), np.zeros((count, 3)))

@@ -1,0 +1,178 @@
+"""Samples of the IMU and of everything slower, gathered and cut into blocks for the filter."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+
+import numpy as np
+
+from gyrocal_ros.data import (
+    NS_PER_S,
+    Array,
+    CovariateSample,
+    ImuSample,
+    MotionBlock,
+    TemperatureSample,
+    WheelSample,
+    seconds,
+)
+
+GAP_NS = 100_000_000
+"""IMU samples further apart than this leave a gap."""
+WHEEL_PATIENCE_NS = 300_000_000
+"""How far the encoders may lag behind the IMU before prediction goes on without them."""
+
+
+class _Signal:
+    """A slow signal: the samples that the next block may need."""
+
+    def __init__(self) -> None:
+        self.t_ns: list[int] = []
+        self.values: list[float] = []
+
+    def append(self, t_ns: int, value: float) -> None:
+        self.t_ns.append(t_ns)
+        self.values.append(value)
+
+    def at(self, t_ns: int, offsets_ns: Array) -> Array:
+        """Linear between samples, constant before the first and after the last."""
+        if len(self.t_ns) == 1:
+            return np.full(len(offsets_ns), self.values[0])
+        return np.interp(offsets_ns, np.array([t - t_ns for t in self.t_ns], float), self.values)
+
+    def forget_before(self, t_ns: int) -> None:
+        first = max(bisect_right(self.t_ns, t_ns) - 1, 0)
+        del self.t_ns[:first], self.values[:first]
+
+
+class MotionBuffer:
+    """Holds what has arrived since the last block. Blocks must be taken one after the other."""
+
+    def __init__(self) -> None:
+        self.start_ns: int | None = None
+        self._imu_ns: list[int] = []
+        self._imu: list[tuple[float, ...]] = []
+        self._travelled = _Signal()
+        self._speeds: list[tuple[float, float]] = []
+        self._temperature = _Signal()
+        self._covariates: dict[str, _Signal] = {}
+
+    def add(self, sample: ImuSample | WheelSample | TemperatureSample | CovariateSample) -> None:
+        """Take in one sample; a sample that is not newer than the last of its kind is ignored."""
+        if isinstance(sample, ImuSample):
+            if self._imu_ns and sample.t_ns <= self._imu_ns[-1]:
+                return
+            if self.start_ns is None:
+                self.start_ns = sample.t_ns
+            self._imu_ns.append(sample.t_ns)
+            self._imu.append((*sample.rate_rad_s, *sample.specific_force_m_s2))
+        elif isinstance(sample, WheelSample):
+            self._add_wheels(sample)
+        elif isinstance(sample, TemperatureSample):
+            self._temperature.append(sample.t_ns, sample.temperature_c)
+        else:
+            self._covariates.setdefault(sample.name, _Signal()).append(sample.t_ns, sample.value)
+
+    def _add_wheels(self, sample: WheelSample) -> None:
+        track = self._travelled
+        if not track.t_ns:
+            track.append(sample.t_ns, 0.0)
+        elif sample.t_ns > track.t_ns[-1]:
+            interval_s = seconds(sample.t_ns - track.t_ns[-1])
+            track.append(sample.t_ns, track.values[-1] + sample.speed_m_s * interval_s)
+        else:
+            return
+        self._speeds.append((sample.speed_m_s, sample.yaw_rate_rad_s))
+
+    def covered_until_ns(self) -> int | None:
+        """Up to when a block can be cut now, or None before the first IMU sample."""
+        if not self._imu_ns:
+            return None
+        imu_ns = self._imu_ns[-1]
+        if not self._travelled.t_ns:
+            return imu_ns
+        wheels_ns = self._travelled.t_ns[-1]
+        return min(imu_ns, max(wheels_ns, imu_ns - WHEEL_PATIENCE_NS))
+
+    def cut(self, start_ns: int, end_ns: int) -> MotionBlock:
+        """Cut the block from `start_ns` to `end_ns` and forget what came before its end."""
+        assert self.start_ns is not None and end_ns > start_ns
+        first, last = bisect_right(self._imu_ns, start_ns), bisect_left(self._imu_ns, end_ns)
+        inside = self._imu_ns[first:last]
+        times_ns = [start_ns, *inside, end_ns]
+        nodes = np.array([self._imu_at(start_ns), *self._imu[first:last], self._imu_at(end_ns)])
+        offsets_ns = np.array([t - start_ns for t in times_ns], float)
+        middle_ns = 0.5 * (offsets_ns[1:] + offsets_ns[:-1])
+        values = 0.5 * (nodes[1:] + nodes[:-1])
+        block = MotionBlock(
+            start_ns=start_ns,
+            end_ns=end_ns,
+            time_s=(middle_ns + (start_ns - self.start_ns)) / NS_PER_S,
+            dt_s=np.diff(offsets_ns) / NS_PER_S,
+            rate_rad_s=values[:, :3],
+            specific_force_m_s2=values[:, 3:],
+            distance_m=self._distances(start_ns, offsets_ns),
+            temperature_c=(
+                self._temperature.at(start_ns, middle_ns)
+                if self._temperature.t_ns
+                else np.full(len(middle_ns), np.nan)
+            ),
+            covariates={name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()},
+            gap_s=self._gap_s(start_ns, end_ns),
+            wheel_gap_s=self._wheel_gap_s(start_ns, end_ns),
+            wheels_at_rest=self._wheels_at_rest(start_ns, end_ns),
+        )
+        self._forget_before(end_ns)
+        return block
+
+    def _imu_at(self, t_ns: int) -> tuple[float, ...]:
+        """Rates and specific force at a moment, linear between the samples around it."""
+        after = bisect_left(self._imu_ns, t_ns)
+        if after == len(self._imu_ns):
+            return self._imu[-1]
+        if after == 0 or self._imu_ns[after] == t_ns:
+            return self._imu[after]
+        earlier_ns, later_ns = self._imu_ns[after - 1], self._imu_ns[after]
+        part = (t_ns - earlier_ns) / (later_ns - earlier_ns)
+        return tuple(
+            a + part * (b - a) for a, b in zip(self._imu[after - 1], self._imu[after], strict=True)
+        )
+
+    def _distances(self, start_ns: int, offsets_ns: Array) -> Array:
+        if len(self._travelled.t_ns) < 2:
+            return np.zeros(len(offsets_ns) - 1)
+        return np.diff(self._travelled.at(start_ns, offsets_ns))
+
+    def _gap_s(self, start_ns: int, end_ns: int) -> float:
+        """Time between samples too far apart, and before the first or after the last sample."""
+        around = self._imu_ns[max(bisect_right(self._imu_ns, start_ns) - 1, 0) :]
+        edges = [*around[: bisect_left(around, end_ns) + 1]]
+        gap_ns = max(edges[0] - start_ns, 0) + max(end_ns - edges[-1], 0)
+        for earlier_ns, later_ns in zip(edges[:-1], edges[1:], strict=True):
+            if later_ns - earlier_ns > GAP_NS:
+                gap_ns += min(later_ns, end_ns) - max(earlier_ns, start_ns)
+        return seconds(gap_ns)
+
+    def _wheel_gap_s(self, start_ns: int, end_ns: int) -> float:
+        track = self._travelled.t_ns
+        if not track:
+            return seconds(end_ns - start_ns)
+        return seconds(max(end_ns - max(start_ns, track[-1]), 0))
+
+    def _wheels_at_rest(self, start_ns: int, end_ns: int) -> bool:
+        """Whether every encoder interval that touches the block is without motion."""
+        track = self._travelled.t_ns
+        if not track or track[-1] < end_ns:
+            return False
+        first, last = bisect_right(track, start_ns), bisect_left(track, end_ns)
+        return not any(speed or yaw_rate for speed, yaw_rate in self._speeds[first : last + 1])
+
+    def _forget_before(self, t_ns: int) -> None:
+        first = max(bisect_right(self._imu_ns, t_ns) - 1, 0)
+        del self._imu_ns[:first], self._imu[:first]
+        kept = len(self._travelled.t_ns)
+        self._travelled.forget_before(t_ns)
+        del self._speeds[: kept - len(self._travelled.t_ns)]
+        self._temperature.forget_before(t_ns)
+        for signal in self._covariates.values():
+            signal.forget_before(t_ns)

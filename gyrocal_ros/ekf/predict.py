@@ -1,0 +1,106 @@
+"""Prediction: the state and its covariance carried over one block of IMU and wheel samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrocal_ros.config import GyroConfig, WheelConfig
+from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW_BIAS, State
+from gyrocal_ros.model.gyro import SensorModel, body_rates
+from gyrocal_ros.model.kinematics import Motion, integrate
+
+UNMEASURED_SPEED_M_S = 0.5
+"""How fast the robot may travel, unseen, where no encoder vouches for it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transition:
+    """How the robot part of the state (r = 9 + k) went from one moment to the next."""
+
+    matrix: Array
+    """(r, r)"""
+    motion: Motion
+    columns: Array
+    """(N, k) derivative of the yaw rate with respect to the coefficients."""
+
+
+def predict(
+    state: State,
+    block: MotionBlock,
+    model: SensorModel,
+    gyro: GyroConfig,
+    wheels: WheelConfig,
+    extra_yaw_walk: float = 0.0,
+) -> tuple[State, Transition]:
+    """Eq. (10): robot, bias and coefficients one block on; Eq. (11): features stay where they are.
+
+    Args:
+        state: at the start of the block.
+        block: samples up to its end.
+        model: the sensor model whose coefficients are part of the state.
+        gyro: noise of the gyro.
+        wheels: noise of the wheels.
+        extra_yaw_walk: rad / sqrt(s), further random walk of the heading.
+    """
+    correction, columns = model.correction(block, state.coefficients)
+    rate = body_rates(block, correction, state.bias_rad_s)
+    motion = integrate(state.position_m, state.euler_rad, rate, block.dt_s, block.distance_m)
+    bias, bias_kept = model.bias.step(state.bias_rad_s[2], block.duration_s)
+
+    matrix = np.eye(state.robot_size)
+    matrix[POSE, POSE] = motion.transition
+    matrix[POSE, BIAS] = motion.rate_gain.sum(axis=2)
+    matrix[POSE, COEFFICIENTS_START:] = motion.rate_gain[:, 2] @ columns
+    matrix[YAW_BIAS, YAW_BIAS] = bias_kept
+
+    mean = state.mean.copy()
+    mean[POSITION], mean[EULER], mean[YAW_BIAS] = motion.position_m, motion.euler_rad, bias
+
+    r = state.robot_size
+    covariance = np.empty_like(state.covariance)
+    covariance[:r, :r] = matrix @ state.covariance[:r, :r] @ matrix.T
+    covariance[:r, :r] += _process_noise(block, motion, model, gyro, wheels, extra_yaw_walk)
+    covariance[:r, r:] = matrix @ state.covariance[:r, r:]
+    covariance[r:, :r] = covariance[:r, r:].T
+    covariance[r:, r:] = state.covariance[r:, r:]
+    after = replace(state, t_ns=block.end_ns, mean=mean, covariance=covariance)
+    return after, Transition(matrix, motion, columns)
+
+
+def _process_noise(
+    block: MotionBlock,
+    motion: Motion,
+    model: SensorModel,
+    gyro: GyroConfig,
+    wheels: WheelConfig,
+    extra_yaw_walk: float,
+) -> Array:
+    """Covariance (9 + k, 9 + k) that one block adds."""
+    duration_s = block.duration_s
+    walks = [coefficient.walk for coefficient in model.coefficients]
+    noise = np.zeros((COEFFICIENTS_START + len(walks),) * 2)
+
+    gap_rad = math.radians(gyro.gap_rate_std_deg_s) * block.gap_s
+    rate_std = math.radians(gyro.rate_noise_deg_s)
+    by_rate = motion.rate_gain / np.sqrt(block.dt_s)
+    noise[POSE, POSE] = rate_std**2 * np.tensordot(by_rate, by_rate, ((1, 2), (1, 2)))
+    noise[EULER, EULER] += gap_rad**2 * np.eye(3)
+    noise[EULER, EULER][2, 2] += extra_yaw_walk**2 * duration_s
+
+    distance_m = float(np.abs(block.distance_m).sum())
+    turn_rad = float(np.abs(block.rate_rad_s[:, 2]) @ block.dt_s)
+    turning = wheels.turn_noise_m**2 * turn_rad + (UNMEASURED_SPEED_M_S * block.wheel_gap_s) ** 2
+    steps = distance_m * np.array(
+        [wheels.distance_noise_m**2, wheels.lateral_noise_m**2, wheels.vertical_noise_m**2]
+    ) + np.array([turning, turning, 0.0])
+    R_wb = motion.step_gain[:, :, len(block.dt_s) // 2]
+    noise[POSITION, POSITION] += R_wb * steps @ R_wb.T
+
+    noise[BIAS, BIAS] = math.radians(gyro.bias_walk_deg_s) ** 2 * duration_s * np.eye(3)
+    coefficients = np.arange(COEFFICIENTS_START, len(noise))
+    noise[coefficients, coefficients] = np.square(walks) * duration_s
+    return noise

@@ -1,0 +1,244 @@
+"""EKF SLAM with self-calibration: the algorithm on one page.
+
+Lee, Choi, Park, Myung 2012, section 2.3. IMU and wheel samples are gathered; whenever the camera
+(or another heading reference) speaks, the state is predicted up to that moment (eqs. (10), (11)),
+corrected by what was seen, and new features join the map at first sight (eqs. (15) to (22)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import (
+    Array,
+    ClockStep,
+    FeatureObservations,
+    Frame,
+    HeadingSample,
+    Measurement,
+    MotionBlock,
+    Rig,
+    SearchRegions,
+    Tracking,
+    TruthSample,
+    seconds,
+)
+from gyrocal_ros.ekf.gate import NoiseFollower, chi_square_quantile
+from gyrocal_ros.ekf.landmarks import forget_all
+from gyrocal_ros.ekf.motion import MotionBuffer
+from gyrocal_ros.ekf.predict import predict
+from gyrocal_ros.ekf.start import Start, initial_state, moved_unseen
+from gyrocal_ros.ekf.state import POSE, YAW, State
+from gyrocal_ros.ekf.update import heading_update, zero_rate_update
+from gyrocal_ros.ekf.sighting import Sighting, meet, search_regions, see
+from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.features import PARAMETRISATIONS
+from gyrocal_ros.model.features.base import View, view_from_pose
+from gyrocal_ros.model.gyro import SensorModel
+
+MAX_BLOCK_NS = 250_000_000
+"""Longest block that is predicted at once, where the camera is slow or covered."""
+LOST_FRAMES = 15
+"""Images in a row that contradict the map before it is given up and begun anew."""
+MAX_RESTARTS = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepRecord:
+    """One step of the filter: what it believed afterwards, and what the measurement said."""
+
+    t_ns: int
+    mean: Array
+    """(9 + k,) robot part of the state."""
+    std: Array
+    """(9 + k,)"""
+    sighting: Sighting
+    block: MotionBlock
+    """The motion that led here."""
+    columns: Array
+    """(k,) derivative of the turn in this block with respect to the coefficients, rad per unit."""
+    event: str = ''
+    """What happened that a person should know."""
+
+
+class EkfSlam:
+    """The estimator: takes one measurement at a time, in the order of their stamps."""
+
+    def __init__(
+        self,
+        model: SensorModel,
+        config: Config,
+        rig: Rig,
+        track: Tracking | None = None,
+        start: Start | None = None,
+    ) -> None:
+        self.model, self.config, self.rig = model, config, rig
+        self.state: State = initial_state(model, config, start)
+        self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
+        self.pixel_noise = NoiseFollower(config.camera.pixel_noise_px, 0.02, 10.0)
+        reference_std = math.radians(config.reference.heading_noise_deg)
+        self.reference_noise = NoiseFollower(reference_std, 1e-3 * reference_std, 1e3 * reference_std)
+        self.has_started = False
+        self._track = track
+        self._buffer = MotionBuffer()
+        self._waiting: deque[Frame | FeatureObservations | HeadingSample] = deque()
+        self._resting_since_ns: int | None = None
+        self._updated_at: Array | None = None
+        self._reference_offset: float | None = None
+        self._lost_frames = 0
+        self._restarts = 0
+
+    def step(self, measurement: Measurement) -> list[StepRecord]:
+        """Take one measurement; return the steps that have become possible by it (often none).
+
+        Raises:
+            FilterDivergedError: the measurements contradict the estimate beyond repair.
+        """
+        match measurement:
+            case Frame() | FeatureObservations() | HeadingSample():
+                self._waiting.append(measurement)
+            case ClockStep():
+                return self._start_new_time_base(measurement)
+            case TruthSample():
+                return []
+            case _:
+                self._buffer.add(measurement)
+        return self._catch_up(self._buffer.covered_until_ns())
+
+    def finish(self) -> list[StepRecord]:
+        """Use what still waits, at the end of the stream."""
+        return self._catch_up(self._waiting[-1].t_ns if self._waiting else None)
+
+    def view(self) -> View:
+        """The camera at the present estimate."""
+        assert self.rig.camera is not None
+        return view_from_pose(
+            self.rig.camera, self.rig.camera_mount, self.state.position_m, self.state.euler_rad
+        )
+
+    def regions(self) -> SearchRegions:
+        """Where the mapped features are expected in an image taken now."""
+        return search_regions(self.state, self.view(), self.parametrisation, self.pixel_noise.std)
+
+    def _catch_up(self, covered_ns: int | None) -> list[StepRecord]:
+        records: list[StepRecord] = []
+        if covered_ns is None or self._buffer.start_ns is None:
+            return records
+        if not self.has_started:
+            self.state = replace(self.state, t_ns=self._buffer.start_ns)
+            self.has_started = True
+        while self._waiting and self._waiting[0].t_ns <= covered_ns:
+            seen = self._waiting.popleft()
+            while seen.t_ns - self.state.t_ns > MAX_BLOCK_NS:
+                records.append(self._predict_to(self.state.t_ns + MAX_BLOCK_NS))
+            if seen.t_ns > self.state.t_ns:
+                records.append(self._predict_to(seen.t_ns, seen))
+        while covered_ns - self.state.t_ns > MAX_BLOCK_NS:
+            records.append(self._predict_to(self.state.t_ns + MAX_BLOCK_NS))
+        return records
+
+    def _predict_to(
+        self, t_ns: int, seen: Frame | FeatureObservations | HeadingSample | None = None
+    ) -> StepRecord:
+        """One cycle of the filter: predict, stand still if it does, correct."""
+        block = self._buffer.cut(self.state.t_ns, t_ns)
+        before, config = self.state, self.config
+        walk = math.radians(config.reference.heading_walk_deg) if self._reference_offset is not None else 0.0
+        self.state, transition = predict(before, block, self.model, config.gyro, config.wheels, walk)
+        if self._is_resting(block):
+            std = math.radians(config.rest.rotation_noise_deg)
+            gate = chi_square_quantile(1.0 - config.features.outlier_probability, 3)
+            self.state = zero_rate_update(before, self.state, transition.matrix, std, gate)
+
+        sighting, event = Sighting(), ''
+        if isinstance(seen, HeadingSample):
+            sighting = self._compare_heading(seen)
+        elif seen is not None:
+            observations = self._track_features(seen) if isinstance(seen, Frame) else seen
+            sighting = self._see(observations)
+            event = self._watch(sighting)
+        r = self.state.robot_size
+        return StepRecord(
+            t_ns=t_ns,
+            mean=self.state.mean[:r],
+            std=np.sqrt(np.diagonal(self.state.covariance)[:r]),
+            sighting=sighting,
+            block=block,
+            columns=block.dt_s @ transition.columns,
+            event=event,
+        )
+
+    def _is_resting(self, block: MotionBlock) -> bool:
+        """Whether the robot stands still; a gap in the IMU is not standing still."""
+        if not block.wheels_at_rest or block.gap_s > 0.0:
+            self._resting_since_ns = None
+            return False
+        if self._resting_since_ns is None:
+            self._resting_since_ns = block.start_ns
+        return seconds(block.end_ns - self._resting_since_ns) > self.config.rest.settle_s
+
+    def _track_features(self, frame: Frame) -> FeatureObservations:
+        assert self._track is not None, 'images need a tracker'
+        return self._track(frame, self.view().R_wc, self.regions())
+
+    def _see(self, observations: FeatureObservations) -> Sighting:
+        if self.parametrisation.needs_motion_gate and not self._has_moved():
+            return Sighting()
+        self._updated_at = self.state.mean[POSE].copy()
+        form, config, noise_px = self.parametrisation, self.config, self.pixel_noise.std
+        self.state, sighting = see(self.state, self.view(), observations, form, config, noise_px)
+        self.state, added = meet(self.state, self.view(), observations, form, config, noise_px)
+        if config.camera.estimate_pixel_noise:
+            self.pixel_noise.follow(sighting.noise_distances, 2)
+        return replace(sighting, added=added)
+
+    def _has_moved(self) -> bool:
+        """The motion gate of the paper's parametrisation: some parallax or turn since the last update."""
+        if self._updated_at is None:
+            return True
+        moved = self.state.mean[POSE] - self._updated_at
+        features = self.config.features
+        far = float(np.linalg.norm(moved[:3])) >= features.motion_gate_m
+        return far or abs(moved[YAW]) >= math.radians(features.motion_gate_deg)
+
+    def _watch(self, sighting: Sighting) -> str:
+        """Give the map up when image after image contradicts it; give up altogether in the end."""
+        contradicted = sighting.rejected > 2 * sighting.used and sighting.rejected >= 3
+        self._lost_frames = self._lost_frames + 1 if contradicted else 0
+        if self._lost_frames < LOST_FRAMES:
+            return ''
+        self._lost_frames = 0
+        self._restarts += 1
+        if self._restarts > MAX_RESTARTS:
+            raise FilterDivergedError(
+                f'the images contradict the estimate again and again ({self._restarts} new maps)',
+                todo='check the camera calibration, its mounting and the time stamps with `gyrocal check`',
+            )
+        self.state = forget_all(self.state)
+        return 'the images contradicted the map; a new map was begun'
+
+    def _compare_heading(self, sample: HeadingSample) -> Sighting:
+        """Correct by another heading reference, aligned to the map when it first speaks."""
+        if self._reference_offset is None:
+            self._reference_offset = sample.yaw_rad - float(self.state.mean[YAW])
+            self.state.covariance[YAW, YAW] += self.reference_noise.std**2
+        yaw_rad = sample.yaw_rad - self._reference_offset
+        self.state, residual, std = heading_update(self.state, yaw_rad, self.reference_noise.std)
+        if std < 2.0 * self.reference_noise.std:
+            self.reference_noise.follow(np.array([(residual / std) ** 2]), 1)
+        return Sighting(nis=(residual / std) ** 2, dof=1, heading_rad=residual, heading_std_rad=std)
+
+    def _start_new_time_base(self, step: ClockStep) -> list[StepRecord]:
+        """Keep the calibration; forget where the robot is, for nobody saw it move meanwhile."""
+        records = self.finish()
+        self._waiting.clear()
+        self._buffer = MotionBuffer()
+        self._resting_since_ns = self._reference_offset = None
+        self.state = moved_unseen(forget_all(self.state), step.t_ns)
+        self.has_started = False
+        return records

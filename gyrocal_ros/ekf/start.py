@@ -1,0 +1,62 @@
+"""Where the filter begins: the priors, or a calibration from an earlier run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, POSITION, YAW, YAW_BIAS, State, no_landmarks
+from gyrocal_ros.model.gyro import SensorModel
+
+LOST_POSITION_STD_M = 0.3
+LOST_YAW_STD_RAD = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """What an earlier run found: the yaw bias and some or all coefficients of the model."""
+
+    names: tuple[str, ...]
+    """`bias` and coefficient names, as in `SensorModel.coefficient_names`."""
+    values: Array
+    """(len(names),)"""
+    covariance: Array
+    """(len(names), len(names))"""
+
+
+def initial_state(model: SensorModel, config: Config, start: Start | None) -> State:
+    """The state before the first sample: pose zero by definition, all else from the priors.
+
+    Names that an earlier run knows replace their prior. Its bias is a turn-on quantity and may have
+    moved while the robot was off, so its prior doubt is kept.
+    """
+    coefficients = model.coefficients
+    size = COEFFICIENTS_START + len(coefficients)
+    mean = np.zeros(size)
+    mean[COEFFICIENTS_START:] = [item.prior_mean for item in coefficients]
+    std = np.zeros(size)
+    std[BIAS] = math.radians(config.gyro.bias_prior_std_deg_s)
+    std[COEFFICIENTS_START:] = [item.prior_std for item in coefficients]
+    covariance = np.diag(std**2)
+    if start is not None:
+        known = {'bias': YAW_BIAS}
+        known |= {name: COEFFICIENTS_START + i for i, name in enumerate(model.coefficient_names)}
+        taken = [i for i, name in enumerate(start.names) if name in known]
+        places = [known[start.names[i]] for i in taken]
+        bias_variance = covariance[YAW_BIAS, YAW_BIAS]
+        mean[places] = start.values[taken]
+        covariance[np.ix_(places, places)] = start.covariance[np.ix_(taken, taken)]
+        covariance[YAW_BIAS, YAW_BIAS] += bias_variance
+    return State(0, mean, covariance, len(coefficients), no_landmarks())
+
+
+def moved_unseen(state: State, t_ns: int) -> State:
+    """The robot part of a state without a map, carried over a time in which nobody saw the robot."""
+    covariance = state.covariance.copy()
+    covariance[POSITION, POSITION] += LOST_POSITION_STD_M**2 * np.eye(3)
+    covariance[YAW, YAW] += LOST_YAW_STD_RAD**2
+    return replace(state, t_ns=t_ns, covariance=covariance)

@@ -1,0 +1,89 @@
+"""The state of the filter, and the only place that says where in it each number stands.
+
+    position (3)  Euler angles (3)  gyro biases (3)  coefficients (k)  features (3 each)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.model.features.base import Anchors, no_anchors
+
+POSITION = slice(0, 3)
+EULER = slice(3, 6)
+POSE = slice(0, 6)
+YAW = 5
+BIAS = slice(6, 9)
+YAW_BIAS = 8
+COEFFICIENTS_START = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmarks:
+    """What is known of the m mapped features beside their part of the state."""
+
+    ids: IntArray
+    anchors: Anchors
+    last_seen_ns: IntArray
+    rejections: IntArray
+    """Outliers in a row."""
+
+    def __getitem__(self, rows: np.ndarray) -> Landmarks:
+        return Landmarks(self.ids[rows], self.anchors[rows], self.last_seen_ns[rows], self.rejections[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Estimate and covariance at one moment. n = 9 + k + 3 m."""
+
+    t_ns: int
+    mean: Array
+    """(n,)"""
+    covariance: Array
+    """(n, n)"""
+    coefficient_count: int
+    """k"""
+    landmarks: Landmarks
+
+    @property
+    def robot_size(self) -> int:
+        """Where the features begin: 9 + k."""
+        return COEFFICIENTS_START + self.coefficient_count
+
+    @property
+    def position_m(self) -> Array:
+        """(3,)"""
+        return self.mean[POSITION]
+
+    @property
+    def euler_rad(self) -> Array:
+        """(3,) roll, pitch, yaw."""
+        return self.mean[EULER]
+
+    @property
+    def bias_rad_s(self) -> Array:
+        """(3,) biases about x, y, z."""
+        return self.mean[BIAS]
+
+    @property
+    def coefficients(self) -> Array:
+        """(k,)"""
+        return self.mean[COEFFICIENTS_START : self.robot_size]
+
+    @property
+    def features(self) -> Array:
+        """(m, 3) parameters of the features."""
+        return self.mean[self.robot_size :].reshape(-1, 3)
+
+    def feature_columns(self, rows: IntArray) -> IntArray:
+        """Where the parameters of the given features stand in the state, (len(rows), 3)."""
+        return self.robot_size + 3 * rows[:, None] + np.arange(3)
+
+
+def no_landmarks() -> Landmarks:
+    """An empty map."""
+    empty = np.empty(0, np.int64)
+    return Landmarks(empty, no_anchors(0), empty, empty)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,7 +31,7 @@ class Sighting:
     heading_rad: float = 0.0
     """The innovation as a heading: the rotation about the vertical that fits it best."""
     heading_std_rad: float = float('nan')
-    noise_distances: Array = np.empty(0)
+    noise_distances: Array = field(default_factory=lambda: np.empty(0))
     """Squared distances of innovations in which the pixel noise dominates."""
 
 

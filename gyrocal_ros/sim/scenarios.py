@@ -75,7 +75,9 @@ SCENARIOS: dict[str, Scenario] = {
             camera_hz=10,
             habits=_TRIAL,
         ),
-        Scenario('spins', 'ten rotations on the spot to one side, then to the other', stages=(('spins', 0.0),)),
+        Scenario(
+            'spins', 'ten rotations on the spot to one side, then to the other', stages=(('spins', 0.0),)
+        ),
         Scenario('standing', 'standing still', stages=(('standing', 0.0),), duration_s=60.0),
         Scenario('rest_and_go', 'lanes with rests between them', stages=(('rest_and_go', 0.0),)),
         Scenario(
@@ -117,5 +119,7 @@ def find_scenario(name: str) -> Scenario:
         ConfigError: there is none.
     """
     if name not in SCENARIOS:
-        raise ConfigError(f'{name!r} is not a scenario', where='simulator', todo=nearest(name, list(SCENARIOS)))
+        raise ConfigError(
+            f'{name!r} is not a scenario', where='simulator', todo=nearest(name, list(SCENARIOS))
+        )
     return SCENARIOS[name]

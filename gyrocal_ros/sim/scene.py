@@ -51,7 +51,9 @@ def draw_scene(
     count = corners + lamps
     half = np.array(room_m) / 2.0
     level = rng.uniform(-half, half, (count, 2))
-    height = np.where(rng.permutation(count) < lamps, rng.uniform(1.2, 2.0, count), rng.uniform(2.0, 2.7, count))
+    height = np.where(
+        rng.permutation(count) < lamps, rng.uniform(1.2, 2.0, count), rng.uniform(2.0, 2.7, count)
+    )
     return Scene(np.column_stack([level, camera_height_m + height]), furniture)
 
 

@@ -132,7 +132,9 @@ def read_gyro(
     if effect is not None:
         nominal[:, 2] = effect(signals, nominal[:, 2])
     sigma = np.radians(errors.rate_noise_deg_s) * np.sqrt(rate_hz)
-    return _quantised(nominal + sigma * rng.standard_normal(nominal.shape), np.radians(errors.rate_step_deg_s))
+    return _quantised(
+        nominal + sigma * rng.standard_normal(nominal.shape), np.radians(errors.rate_step_deg_s)
+    )
 
 
 def read_accelerometer(
@@ -222,6 +224,7 @@ class Fan:
 
     def speed(self, time_s: Array) -> Array:
         """Return the speed (n,), 0 to 1, at times (n,)."""
+
         def ramp(from_s: float, length_s: float) -> Array:
             return np.clip((time_s - from_s) / length_s, 0.0, 1.0)
 

@@ -7,6 +7,7 @@ from setuptools import find_packages, setup
 
 NAME = 'gyrocal_ros'
 SHARE = Path('share') / NAME
+TEST = ['pytest>=7.4', 'scipy>=1.11']
 
 
 def data_files(*folders: str) -> list[tuple[str, list[str]]]:
@@ -41,14 +42,8 @@ setup(
         'tqdm>=4.60',
     ],
     extras_require={
-        'dev': [
-            'mypy>=1.10',
-            'pytest>=8.0',
-            'ruff>=0.8',
-            'scipy>=1.11',
-            'types-PyYAML',
-            'types-tqdm',
-        ],
+        'test': TEST,
+        'dev': [*TEST, 'mypy>=1.10', 'ruff>=0.8', 'types-PyYAML', 'types-tqdm'],
     },
     entry_points={'console_scripts': ['gyrocal = gyrocal_ros.cli.main:main']},
     zip_safe=False,

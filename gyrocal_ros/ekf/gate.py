@@ -34,7 +34,8 @@ def inliers(distances: Array, dof: int, outlier_probability: float) -> np.ndarra
     """
     bound = chi_square_quantile(1.0 - outlier_probability, dof)
     if len(distances) >= MIN_FEATURES_FOR_MEDIAN:
-        bound *= max(1.0, float(np.median(distances)) / chi_square_quantile(0.5, dof))
+        median = float(np.partition(distances, len(distances) // 2)[len(distances) // 2])
+        bound *= max(1.0, median / chi_square_quantile(0.5, dof))
     return distances <= bound
 
 

@@ -52,9 +52,7 @@ def keep(state: State, kept: np.ndarray) -> State:
 def forget_all(state: State) -> State:
     """Drop the whole map."""
     r = state.robot_size
-    return replace(
-        state, mean=state.mean[:r], covariance=state.covariance[:r, :r], landmarks=no_landmarks()
-    )
+    return replace(state, mean=state.mean[:r], covariance=state.covariance[:r, :r], landmarks=no_landmarks())
 
 
 def note_sighting(state: State, accepted: IntArray, rejected: IntArray, drop_after: int) -> State:

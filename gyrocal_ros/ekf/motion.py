@@ -134,9 +134,7 @@ class MotionBuffer:
             return self._imu[after]
         earlier_ns, later_ns = self._imu_ns[after - 1], self._imu_ns[after]
         part = (t_ns - earlier_ns) / (later_ns - earlier_ns)
-        return tuple(
-            a + part * (b - a) for a, b in zip(self._imu[after - 1], self._imu[after], strict=True)
-        )
+        return tuple(a + part * (b - a) for a, b in zip(self._imu[after - 1], self._imu[after], strict=True))
 
     def _distances(self, start_ns: int, offsets_ns: Array) -> Array:
         if len(self._travelled.t_ns) < 2:

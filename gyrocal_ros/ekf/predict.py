@@ -12,6 +12,7 @@ from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW_BIAS, State
 from gyrocal_ros.model.gyro import SensorModel, body_rates
 from gyrocal_ros.model.kinematics import Motion, integrate
+from gyrocal_ros.model.rotation import rotation_from_euler
 
 UNMEASURED_SPEED_M_S = 0.5
 """How fast the robot may travel, unseen, where no encoder vouches for it."""
@@ -97,7 +98,7 @@ def _process_noise(
     steps = distance_m * np.array(
         [wheels.distance_noise_m**2, wheels.lateral_noise_m**2, wheels.vertical_noise_m**2]
     ) + np.array([turning, turning, 0.0])
-    R_wb = motion.step_gain[:, :, len(block.dt_s) // 2]
+    R_wb = rotation_from_euler(motion.mid_euler_rad[:, len(block.dt_s) // 2])
     noise[POSITION, POSITION] += R_wb * steps @ R_wb.T
 
     noise[BIAS, BIAS] = math.radians(gyro.bias_walk_deg_s) ** 2 * duration_s * np.eye(3)

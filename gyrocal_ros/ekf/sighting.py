@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -91,8 +92,9 @@ def meet(
     noise_px: float,
 ) -> tuple[State, int]:
     """Add the features of an image that the map does not know; returns how many were added."""
-    fresh = ~np.isin(observations.ids, state.landmarks.ids)
-    count = int(fresh.sum())
+    known = set(state.landmarks.ids.tolist())
+    fresh = [i for i, feature in enumerate(observations.ids.tolist()) if feature not in known]
+    count = len(fresh)
     if count == 0:
         return state, 0
     state = make_room(state, count, config.features.map_size)
@@ -124,15 +126,19 @@ def search_regions(state: State, view: View, form: Parametrisation, noise_px: fl
 
 def _noise_dominates(innovation: Innovation) -> np.ndarray:
     """Which innovations owe at least two thirds of their variance to the pixel noise, (m,) bool."""
-    total = np.trace(innovation.own_covariances(), axis1=1, axis2=2)
-    return np.trace(innovation.noise, axis1=1, axis2=2) > total * 2.0 / 3.0
+    total = np.einsum('mii->m', innovation.own_covariances())
+    return np.einsum('mii->m', innovation.noise) > total * 2.0 / 3.0
 
 
 def _as_heading(innovation: Innovation) -> tuple[float, float]:
-    """The innovation as a heading error, least squares over the image, and its standard deviation."""
-    if len(innovation.rows) == 0:
+    """The innovation as a heading error, least squares over the image, and its standard deviation.
+
+    Every pixel has the same noise, so it drops out of the estimate. Not told (NaN) where something
+    else than pixels is measured.
+    """
+    if len(innovation.rows) == 0 or innovation.noise.shape[1] != 2:
         return 0.0, float('nan')
     by_yaw = innovation.prediction.by_pose[:, :, YAW]
-    weighted = np.linalg.solve(innovation.noise, by_yaw[:, :, None])[:, :, 0]
-    information = float(np.sum(weighted * by_yaw))
-    return float(np.sum(weighted * innovation.residual)) / information, information**-0.5
+    information = float(np.vdot(by_yaw, by_yaw))
+    heading_rad = float(np.vdot(by_yaw, innovation.residual)) / information
+    return heading_rad, math.sqrt(float(innovation.noise[0, 0, 0]) / information)

@@ -32,10 +32,10 @@ from gyrocal_ros.ekf.gate import NoiseFollower, chi_square_quantile
 from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.motion import MotionBuffer
 from gyrocal_ros.ekf.predict import predict
+from gyrocal_ros.ekf.sighting import Sighting, meet, search_regions, see
 from gyrocal_ros.ekf.start import Start, initial_state, moved_unseen
 from gyrocal_ros.ekf.state import POSE, YAW, State
 from gyrocal_ros.ekf.update import heading_update, zero_rate_update
-from gyrocal_ros.ekf.sighting import Sighting, meet, search_regions, see
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import View, view_from_pose

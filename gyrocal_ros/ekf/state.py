@@ -1,6 +1,6 @@
 """The state of the filter, and the only place that says where in it each number stands.
 
-    position (3)  Euler angles (3)  gyro biases (3)  coefficients (k)  features (3 each)
+position (3)  Euler angles (3)  gyro biases (3)  coefficients (k)  features (3 each)
 """
 
 from __future__ import annotations

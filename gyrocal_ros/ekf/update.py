@@ -46,7 +46,9 @@ class Innovation:
         return self.covariance[each, :, each, :]
 
 
-def innovate(state: State, rows: IntArray, prediction: Prediction, measured: Array, noise: Array) -> Innovation:
+def innovate(
+    state: State, rows: IntArray, prediction: Prediction, measured: Array, noise: Array
+) -> Innovation:
     """Compare measurements with the map.
 
     Args:

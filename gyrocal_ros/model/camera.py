@@ -26,7 +26,7 @@ def project(camera: CameraIntrinsics, points_c: Array) -> Array:
         (n, 2) u, v; meaningless for points behind the camera (`points_c[:, 2] <= 0`).
     """
     normalised = points_c[:, :2] / np.maximum(points_c[:, 2:], MIN_DEPTH)
-    return _pixels(camera, _distort(camera, normalised))
+    return _pixels(camera, _distort_with_jacobian(camera, normalised)[0])
 
 
 def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Array, Array]:
@@ -40,15 +40,12 @@ def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Ar
     """
     inverse_z = 1.0 / np.maximum(points_c[:, 2], MIN_DEPTH)
     normalised = points_c[:, :2] * inverse_z[:, None]
-    jacobian = np.zeros((len(points_c), 2, 3))
-    jacobian[:, 0, 0] = inverse_z
-    jacobian[:, 1, 1] = inverse_z
-    jacobian[:, :, 2] = -normalised * inverse_z[:, None]
-    focal = np.array([camera.fx_px, camera.fy_px])
-    if any(camera.distortion):
-        jacobian = _distortion_jacobian(camera, normalised) @ jacobian
-        normalised = _distort(camera, normalised)
-    return _pixels(camera, normalised), focal[:, None] * jacobian
+    distorted, lens = _distort_with_jacobian(camera, normalised)
+    jacobian = np.empty((len(points_c), 2, 3))
+    jacobian[:, :, :2] = lens
+    jacobian[:, :, 2] = -(lens @ normalised[:, :, None])[:, :, 0]
+    jacobian *= np.array([[camera.fx_px], [camera.fy_px]]) * inverse_z[:, None, None]
+    return _pixels(camera, distorted), jacobian
 
 
 def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
@@ -65,18 +62,15 @@ def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
         return distorted
     normalised = distorted
     for _ in range(6):
-        residual = _distort(camera, normalised) - distorted
-        step = np.linalg.solve(_distortion_jacobian(camera, normalised), residual[:, :, None])
-        normalised = normalised - step[:, :, 0]
+        reached, lens = _distort_with_jacobian(camera, normalised)
+        normalised = normalised - np.linalg.solve(lens, (reached - distorted)[:, :, None])[:, :, 0]
     return normalised
 
 
 def bearing_jacobian(camera: CameraIntrinsics, normalised: Array) -> Array:
     """Derivative (n, 2, 2) of `bearing` with respect to the pixels, at its result (n, 2)."""
-    focal = np.array([camera.fx_px, camera.fy_px])
-    if not any(camera.distortion):
-        return np.broadcast_to(np.diag(1.0 / focal), (len(normalised), 2, 2))
-    return np.linalg.inv(focal[:, None] * _distortion_jacobian(camera, normalised))
+    _, lens = _distort_with_jacobian(camera, normalised)
+    return np.linalg.inv(np.array([[camera.fx_px], [camera.fy_px]]) * lens)
 
 
 def in_image(camera: CameraIntrinsics, pixels: Array, border_px: float = 0.0) -> np.ndarray:
@@ -97,33 +91,26 @@ def _pixels(camera: CameraIntrinsics, normalised: Array) -> Array:
     return normalised * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
 
 
-def _distort(camera: CameraIntrinsics, normalised: Array) -> Array:
-    """Plumb-bob model of sensor_msgs/CameraInfo (Brown 1966): radial and tangential."""
-    k1, k2, p1, p2, k3 = camera.distortion
-    if not (k1 or k2 or p1 or p2 or k3):
-        return normalised
-    x, y = normalised[:, 0], normalised[:, 1]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ],
-        axis=1,
-    )
+def _distort_with_jacobian(camera: CameraIntrinsics, normalised: Array) -> tuple[Array, Array]:
+    """Plumb-bob model of sensor_msgs/CameraInfo (Brown 1966): radial and tangential.
 
-
-def _distortion_jacobian(camera: CameraIntrinsics, normalised: Array) -> Array:
-    """Derivative (n, 2, 2) of `_distort`."""
-    k1, k2, p1, p2, k3 = camera.distortion
-    x, y = normalised[:, 0], normalised[:, 1]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+    Returns:
+        (n, 2) distorted normalised coordinates and their derivative (n, 2, 2).
+    """
     jacobian = np.empty((len(normalised), 2, 2))
-    jacobian[:, 0, 0] = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-    jacobian[:, 0, 1] = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-    jacobian[:, 1, 0] = jacobian[:, 0, 1]
-    jacobian[:, 1, 1] = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-    return jacobian
+    if not any(camera.distortion):
+        jacobian[:] = np.eye(2)
+        return normalised, jacobian
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = normalised[:, 0], normalised[:, 1]
+    xx, yy, xy = x * x, y * y, x * y
+    r2 = xx + yy
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3)))
+    distorted = normalised * radial[:, None]
+    distorted[:, 0] += 2.0 * p1 * xy + p2 * (r2 + 2.0 * xx)
+    distorted[:, 1] += p1 * (r2 + 2.0 * yy) + 2.0 * p2 * xy
+    jacobian[:, 0, 0] = radial + slope * xx + 2.0 * p1 * y + 6.0 * p2 * x
+    jacobian[:, 0, 1] = jacobian[:, 1, 0] = slope * xy + 2.0 * (p1 * x + p2 * y)
+    jacobian[:, 1, 1] = radial + slope * yy + 6.0 * p1 * y + 2.0 * p2 * x
+    return distorted, jacobian

@@ -7,14 +7,12 @@ integrated at once, with all derivatives, so that the covariance is touched once
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from gyrocal_ros.data import Array
 
-PICARD_ITERATIONS = 4
-"""Enough for blocks in which the robot turns up to some 20 deg: the error left in roll and pitch
-is (turn)^4 / 24 of the tilt."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,19 +27,27 @@ class Motion:
     """(6, 6) d pose / d pose at the start."""
     rate_gain: Array
     """(6, 3, N) d pose / d body rate of each interval."""
-    step_gain: Array
-    """(3, 3, N) d position / d step in body axes of each interval: the attitudes on the way."""
     mid_euler_rad: Array
     """(3, N) attitude in the middle of each interval."""
 
 
-def integrate(
-    position_m: Array, euler_rad: Array, rate_rad_s: Array, dt_s: Array, distance_m: Array
-) -> Motion:
+class _Trig(NamedTuple):
+    """Sines and cosines of N roll, pitch and yaw angles."""
+
+    sr: Array
+    sp: Array
+    sy: Array
+    cr: Array
+    cp: Array
+    cy: Array
+
+
+def integrate(position_m: Array, euler_rad: Array, rate_rad_s: Array, dt_s: Array, distance_m: Array) -> Motion:
     """Eq. (2): carry the pose over a block of N intervals, Eq. (1) being its continuous form.
 
-    The Euler angles are integrated by the midpoint rule, solved for all intervals at once by
-    Picard iteration: on a floor roll and pitch are small and the yaw hardly depends on them.
+    The Euler angles follow the midpoint rule, for all intervals at once: a guess that is exact to
+    first order in roll and pitch is put through `E_wb` of eq. (4) once more, which leaves errors of
+    third order in the tilt.
 
     Args:
         position_m: (3,) at the start.
@@ -53,92 +59,91 @@ def integrate(
     Returns:
         The pose at the end and its derivatives, to first order in what happens inside the block.
     """
-    rate = rate_rad_s.T
-    mid = euler_rad[:, None] + np.zeros_like(rate)
-    for _ in range(PICARD_ITERATIONS):
-        increments = _euler_rates(mid, rate) * dt_s
-        ends = np.cumsum(increments, axis=1)
-        mid = euler_rad[:, None] + ends - 0.5 * increments
-    rotation = _rotations(mid)
-    step = rotation[:, 0] * distance_m
+    turns = rate_rad_s.T * dt_s
+    guess = _nearly_level(euler_rad, turns)
+    increments = _euler_increments(guess, turns)
+    ends = np.cumsum(increments, axis=1)
+    mid = euler_rad[:, None] + ends - 0.5 * increments
+    trig = _Trig(*np.sin(mid), *np.cos(mid))
 
-    drift = _rate_derivatives(mid, rate) * dt_s
+    drift = _increment_derivatives(trig, turns)
     drift_before = np.cumsum(drift, axis=2) - 0.5 * drift
     drift_total = drift.sum(axis=2)
     squared = drift_total @ drift_total
-    turn = np.eye(3) + drift_total + squared / 2.0 + squared @ drift_total / 6.0
-
-    step_by_euler = _forward_derivatives(mid) * distance_m
-    moved_by_start = np.einsum('ijn,jkn->ik', step_by_euler, drift_before) + step_by_euler.sum(axis=2)
+    step_by_euler = _forward_derivatives(trig) * distance_m
     transition = np.eye(6)
-    transition[3:, 3:] = turn
-    transition[:3, 3:] = moved_by_start
+    transition[3:, 3:] += drift_total + squared / 2.0 + squared @ drift_total / 6.0
+    transition[:3, 3:] = np.einsum('ijn,jkn->ik', step_by_euler, drift_before) + step_by_euler.sum(axis=2)
 
-    euler_gain = _euler_rate_matrices(mid) * dt_s
-    rate_gain = np.empty((6, 3, len(dt_s)))
+    euler_gain = _euler_rate_matrices(trig) * dt_s
     drift_after = drift_total[:, :, None] - drift_before
+    steps_total = step_by_euler.sum(axis=2)
+    steps_after = steps_total[:, :, None] - np.cumsum(step_by_euler, axis=2) + 0.5 * step_by_euler
+    rate_gain = np.empty((6, 3, len(dt_s)))
     rate_gain[3:] = euler_gain + np.einsum('ijn,jkn->ikn', drift_after, euler_gain)
-    steps_after = np.cumsum(step_by_euler[:, :, ::-1], axis=2)[:, :, ::-1] - 0.5 * step_by_euler
     rate_gain[:3] = np.einsum('ijn,jkn->ikn', steps_after, euler_gain)
     return Motion(
-        position_m=position_m + step.sum(axis=1),
+        position_m=position_m + _forward(trig) @ distance_m,
         euler_rad=euler_rad + ends[:, -1],
         transition=transition,
         rate_gain=rate_gain,
-        step_gain=rotation,
         mid_euler_rad=mid,
     )
 
 
-def _euler_rates(euler: Array, rate: Array) -> Array:
-    """Rates (3, N) of the Euler angles, `E_wb` of eq. (4) times the body rates."""
+def _nearly_level(euler_rad: Array, turns: Array) -> Array:
+    """Euler angles (3, N) in the middle of the intervals, to first order in roll and pitch.
+
+    With z = roll + i pitch and the heading psi turned since the start, `z exp(i psi)` stands still
+    but for the body rates about x and y.
+    """
+    heading = np.cumsum(turns[2]) - 0.5 * turns[2]
+    spun = np.exp(1j * heading)
+    tilting = (turns[0] + 1j * turns[1]) * spun
+    tilt = (complex(euler_rad[0], euler_rad[1]) + np.cumsum(tilting) - 0.5 * tilting) * spun.conj()
+    return np.stack([tilt.real, tilt.imag, euler_rad[2] + heading])
+
+
+def _euler_increments(euler: Array, turns: Array) -> Array:
+    """Increments (3, N) of the Euler angles, `E_wb` of eq. (4) times the body's turns."""
     sr, cr, tp = np.sin(euler[0]), np.cos(euler[0]), np.tan(euler[1])
-    level = sr * rate[1] + cr * rate[2]
-    return np.stack([rate[0] + tp * level, cr * rate[1] - sr * rate[2], level / np.cos(euler[1])])
+    level = sr * turns[1] + cr * turns[2]
+    return np.stack([turns[0] + tp * level, cr * turns[1] - sr * turns[2], level * np.sqrt(1.0 + tp * tp)])
 
 
-def _euler_rate_matrices(euler: Array) -> Array:
+def _euler_rate_matrices(trig: _Trig) -> Array:
     """`E_wb` of eq. (4) for N attitudes, (3, 3, N)."""
-    sr, cr = np.sin(euler[0]), np.cos(euler[0])
-    tp, secant = np.tan(euler[1]), 1.0 / np.cos(euler[1])
-    matrices = np.zeros((3, *euler.shape))
+    secant = 1.0 / trig.cp
+    matrices = np.zeros((3, 3, len(secant)))
     matrices[0, 0] = 1.0
-    matrices[0, 1], matrices[0, 2] = sr * tp, cr * tp
-    matrices[1, 1], matrices[1, 2] = cr, -sr
-    matrices[2, 1], matrices[2, 2] = sr * secant, cr * secant
+    matrices[1, 1], matrices[1, 2] = trig.cr, -trig.sr
+    matrices[2, 1], matrices[2, 2] = trig.sr * secant, trig.cr * secant
+    matrices[0, 1:] = matrices[2, 1:] * trig.sp
     return matrices
 
 
-def _rate_derivatives(euler: Array, rate: Array) -> Array:
-    """Derivative (3, 3, N) of the Euler rates with respect to the Euler angles."""
-    sr, cr = np.sin(euler[0]), np.cos(euler[0])
-    tp, secant = np.tan(euler[1]), 1.0 / np.cos(euler[1])
-    level = sr * rate[1] + cr * rate[2]
-    across = cr * rate[1] - sr * rate[2]
-    derivatives = np.zeros((3, *euler.shape))
+def _increment_derivatives(trig: _Trig, turns: Array) -> Array:
+    """Derivative (3, 3, N) of the Euler increments with respect to the Euler angles."""
+    secant = 1.0 / trig.cp
+    tp = trig.sp * secant
+    level = trig.sr * turns[1] + trig.cr * turns[2]
+    across = trig.cr * turns[1] - trig.sr * turns[2]
+    derivatives = np.zeros((3, 3, len(secant)))
     derivatives[0, 0], derivatives[0, 1] = tp * across, level * secant**2
     derivatives[1, 0] = -level
     derivatives[2, 0], derivatives[2, 1] = across * secant, level * tp * secant
     return derivatives
 
 
-def _rotations(euler: Array) -> Array:
-    """`C_wb` of eq. (3) for N attitudes, (3, 3, N)."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(euler), np.cos(euler)
-    return np.stack(
-        [
-            np.stack([cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr]),
-            np.stack([sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr]),
-            np.stack([-sp, cp * sr, cp * cr]),
-        ]
-    )
+def _forward(trig: _Trig) -> Array:
+    """The body x axis in the world, first column of `C_wb` (3), for N attitudes, (3, N)."""
+    return np.stack([trig.cy * trig.cp, trig.sy * trig.cp, -trig.sp])
 
 
-def _forward_derivatives(euler: Array) -> Array:
-    """Derivative (3, 3, N) of the body x axis in the world with respect to the Euler angles."""
-    (_, sp, sy), (_, cp, cy) = np.sin(euler), np.cos(euler)
-    derivatives = np.zeros((3, *euler.shape))
-    derivatives[0, 1], derivatives[0, 2] = -cy * sp, -sy * cp
-    derivatives[1, 1], derivatives[1, 2] = -sy * sp, cy * cp
-    derivatives[2, 1] = -cp
+def _forward_derivatives(trig: _Trig) -> Array:
+    """Derivative (3, 3, N) of the body x axis with respect to the Euler angles."""
+    derivatives = np.zeros((3, 3, len(trig.sp)))
+    derivatives[0, 1], derivatives[0, 2] = -trig.cy * trig.sp, -trig.sy * trig.cp
+    derivatives[1, 1], derivatives[1, 2] = -trig.sy * trig.sp, trig.cy * trig.cp
+    derivatives[2, 1] = -trig.cp
     return derivatives

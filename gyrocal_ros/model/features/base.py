@@ -1,5 +1,4 @@
-"""The contract of a feature parametrisation: which three numbers stand for a point on the ceiling,
-and what of it is measured."""
+"""The contract of a feature parametrisation: the numbers that stand for a point, and what is measured."""
 
 from __future__ import annotations
 
@@ -24,13 +23,12 @@ class View:
     """(3, 3)"""
     dR_wb: Array
     """(3, 3, 3) derivatives of `R_wb` by roll, pitch, yaw."""
+    R_wc: Array
+    """(3, 3) attitude of the camera."""
+    dR_wc: Array
+    """(3, 3, 3) its derivatives by roll, pitch, yaw."""
     R_bc: Array
     p_bc: Array
-
-    @property
-    def R_wc(self) -> Array:
-        """Attitude of the camera in the world."""
-        return self.R_wb @ self.R_bc
 
     @property
     def p_wc(self) -> Array:
@@ -40,14 +38,9 @@ class View:
 
 def view_from_pose(camera: CameraIntrinsics, mount: Mount, position_m: Array, euler_rad: Array) -> View:
     """Put the camera at a robot pose (position (3,), Euler angles (3,))."""
-    return View(
-        camera=camera,
-        p_wb=position_m,
-        R_wb=rotation_from_euler(euler_rad),
-        dR_wb=rotation_derivatives(euler_rad),
-        R_bc=mount.R_bs,
-        p_bc=mount.p_bs,
-    )
+    R_wb, dR_wb = rotation_from_euler(euler_rad), rotation_derivatives(euler_rad)
+    R_bc = mount.R_bs
+    return View(camera, position_m, R_wb, dR_wb, R_wb @ R_bc, dR_wb @ R_bc, R_bc, mount.p_bs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,8 +132,7 @@ def points_in_camera(view: View, points_w: Array) -> tuple[Array, Array, Array]:
     points_c = offset @ R_cw.T - view.p_bc @ view.R_bc
     by_pose = np.empty((len(points_w), 3, 6))
     by_pose[:, :, :3] = -R_cw
-    for i in range(3):
-        by_pose[:, :, 3 + i] = offset @ (view.dR_wb[i] @ view.R_bc)
+    by_pose[:, :, 3:] = (offset @ view.dR_wc).transpose(1, 2, 0)
     return points_c, by_pose, R_cw
 
 
@@ -153,6 +145,5 @@ def points_in_world(view: View, points_c: Array) -> tuple[Array, Array]:
     points_b = view.p_bc + points_c @ view.R_bc.T
     by_pose = np.empty((len(points_c), 3, 6))
     by_pose[:, :, :3] = np.eye(3)
-    for i in range(3):
-        by_pose[:, :, 3 + i] = points_b @ view.dR_wb[i].T
+    by_pose[:, :, 3:] = (points_b @ view.dR_wb.transpose(0, 2, 1)).transpose(1, 2, 0)
     return view.p_wb + points_b @ view.R_wb.T, by_pose

@@ -33,7 +33,7 @@ class CameraFramePoint:
     needs_motion_gate: bool = True
 
     def initialise(self, view: View, pixels: Array, noise_px: float, config: FeatureConfig) -> NewFeatures:
-        """Eq. (18): point at the assumed range; the doubt of the ray turned into the world."""
+        """The point at the assumed range, its doubt turned from the ray into the world."""
         points_c, noise_c = self.measure(view, pixels, noise_px, config)
         points_w, by_pose = points_in_world(view, points_c)
         return NewFeatures(points_w, by_pose, view.R_wc @ noise_c @ view.R_wc.T, no_anchors(len(points_w)))
@@ -54,4 +54,3 @@ class CameraFramePoint:
     def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
         """The parameters are the point."""
         return parameters, np.broadcast_to(np.eye(3), (len(parameters), 3, 3))
-

@@ -59,21 +59,20 @@ class AnchoredInverseDepth:
 
     def predict(self, view: View, parameters: Array, anchors: Anchors) -> Prediction:
         """Pixels of `R_cw (R_a (a, b, 1) + r (p_a - p_c))`, the point scaled by r."""
-        R_cw = view.R_wc.T
+        R_wc = view.R_wc
         inverse_depth = parameters[:, 2:]
-        direction = parameters[:, :2, None].transpose(0, 2, 1) @ anchors.R_wc[:, :, :2].transpose(0, 2, 1)
-        rays_w = direction[:, 0, :] + anchors.R_wc[:, :, 2]
-        from_robot = rays_w + inverse_depth * (anchors.p_wc - view.p_wb)
+        to_anchor = anchors.p_wc - view.p_wb
+        rays_w = (anchors.R_wc[:, :, :2] @ parameters[:, :2, None])[:, :, 0] + anchors.R_wc[:, :, 2]
+        from_robot = rays_w + inverse_depth * to_anchor
         lever_c = view.p_bc @ view.R_bc
-        points_c = from_robot @ R_cw.T - inverse_depth * lever_c
+        points_c = from_robot @ R_wc - inverse_depth * lever_c
 
         by_pose = np.empty((len(parameters), 3, 6))
-        by_pose[:, :, :3] = -inverse_depth[:, :, None] * R_cw
-        for i in range(3):
-            by_pose[:, :, 3 + i] = from_robot @ (view.dR_wb[i] @ view.R_bc)
+        by_pose[:, :, :3] = -inverse_depth[:, :, None] * R_wc.T
+        by_pose[:, :, 3:] = (from_robot @ view.dR_wc).transpose(1, 2, 0)
         by_feature = np.empty((len(parameters), 3, 3))
-        by_feature[:, :, :2] = R_cw @ anchors.R_wc[:, :, :2]
-        by_feature[:, :, 2] = (anchors.p_wc - view.p_wb) @ R_cw.T - lever_c
+        by_feature[:, :, :2] = R_wc.T @ anchors.R_wc[:, :, :2]
+        by_feature[:, :, 2] = to_anchor @ R_wc - lever_c
 
         pixels, by_point = project_with_jacobian(view.camera, points_c)
         return Prediction(pixels, by_point @ by_pose, by_point @ by_feature, points_c)

@@ -29,7 +29,7 @@ class Innovation:
     noise: Array
     """(m, r, r) R"""
 
-    def __getitem__(self, chosen: Array) -> Innovation:
+    def __getitem__(self, chosen: np.ndarray) -> Innovation:
         p = self.prediction
         return Innovation(
             self.rows[chosen],

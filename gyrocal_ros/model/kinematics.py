@@ -14,7 +14,6 @@ import numpy as np
 from gyrocal_ros.data import Array
 
 
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """Pose at the end of a block and its derivatives; a pose is (position, Euler angles), 6 values."""
@@ -42,7 +41,9 @@ class _Trig(NamedTuple):
     cy: Array
 
 
-def integrate(position_m: Array, euler_rad: Array, rate_rad_s: Array, dt_s: Array, distance_m: Array) -> Motion:
+def integrate(
+    position_m: Array, euler_rad: Array, rate_rad_s: Array, dt_s: Array, distance_m: Array
+) -> Motion:
     """Eq. (2): carry the pose over a block of N intervals, Eq. (1) being its continuous form.
 
     The Euler angles follow the midpoint rule, for all intervals at once: a guess that is exact to

@@ -10,6 +10,7 @@ import pytest
 from gyrocal_ros.data import (
     CovariateSample,
     FeatureObservations,
+    Frame,
     ImuSample,
     Measurement,
     TemperatureSample,
@@ -19,6 +20,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.camera import project
+from gyrocal_ros.model.kinematics import integrate
 from gyrocal_ros.sim.scenarios import SCENARIOS, Scenario, find_scenario
 from gyrocal_ros.sim.scene import Furniture
 from gyrocal_ros.sim.sensors import SensorErrors, without_noise
@@ -164,6 +166,21 @@ def test_accelerometer_feels_gravity_at_rest() -> None:
     assert np.all(forces[800:, :2].std(axis=0) > 2.0 * forces[:400, :2].std(axis=0))
 
 
+@pytest.mark.parametrize('name', ['lanes', 'cleaning', 'spins'])
+def test_perfect_sensors_lead_the_motion_model_to_the_true_pose(name: str) -> None:
+    errors = replace(without_noise(SensorErrors()), scale_factor=1.0, turn_on_bias_deg_s=0.0)
+    source = SimSource(replace(SCENARIOS[name], errors=errors, duration_s=60.0), 1)
+    truth, dt = source.truth, 1.0 / source.scenario.imu_hz
+    motion, rate = truth.trajectory.motion(truth.bias_time_s), rates(source)
+    mean_rate, steps = 0.5 * (rate[1:] + rate[:-1]), np.diff(motion.travelled_m)
+    position, euler = truth.trajectory.position(np.zeros(1))[0], motion.euler_rad[0]
+    for block in np.split(np.arange(len(steps)), len(steps) // 20):
+        moved = integrate(position, euler, mean_rate[block], np.full(len(block), dt), steps[block])
+        position, euler = moved.position_m, moved.euler_rad
+    assert np.degrees(euler) == pytest.approx(np.degrees(motion.euler_rad[-1]), abs=1e-3)
+    assert position == pytest.approx(truth.trajectory.position(np.array([60.0]))[0], abs=1e-4)
+
+
 # --- wheels -------------------------------------------------------------------------------------
 
 
@@ -273,6 +290,21 @@ def test_furniture_hides_all_or_part_of_the_ceiling() -> None:
 def test_camera_can_be_switched_off() -> None:
     images = of_type(SimSource(replace(SHORT, camera_until_s=12.0)), FeatureObservations)
     assert times_s(images)[-1] == pytest.approx(12.0, abs=0.1)
+
+
+def test_images_show_what_the_camera_passes() -> None:
+    start = np.array([-2.0, -1.8])
+    board = Furniture((start[0] - 1.0, start[0] + 1.0), (start[1] - 1.0, start[1] + 1.0), 0.25)
+    scenario = replace(SHORT, duration_s=9.0, camera_hz=1, furniture=(board,))
+    frames = of_type(SimSource(scenario, 7, images=True), Frame)
+    assert [frame.t_ns for frame in frames] == [
+        item.t_ns for item in of_type(SimSource(scenario, 7), FeatureObservations)
+    ]
+    assert frames[0].image.shape == (480, 640)
+    assert frames[0].image.max() < 40  # below the board
+    assert frames[-1].image.mean() > 60.0
+    again = of_type(SimSource(scenario, 7, images=True), Frame)
+    assert all(np.array_equal(a.image, b.image) for a, b in zip(frames, again, strict=True))
 
 
 # --- truth and slow signals ---------------------------------------------------------------------

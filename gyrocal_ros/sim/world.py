@@ -15,6 +15,7 @@ from gyrocal_ros.data import (
     Array,
     CovariateSample,
     FeatureObservations,
+    Frame,
     ImuSample,
     IntArray,
     Measurement,
@@ -78,11 +79,20 @@ class SimSource:
     Args:
         scenario: what is recorded, and with what sensors.
         seed: of all randomness.
+        images: film the ceiling, in place of following its corners.
         gyro_effect: a physical effect hidden in the gyro.
     """
 
-    def __init__(self, scenario: Scenario, seed: int = 0, gyro_effect: GyroEffect | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int = 0,
+        *,
+        images: bool = False,
+        gyro_effect: GyroEffect | None = None,
+    ) -> None:
         self.scenario, self.seed = scenario, seed
+        self._images = images
         self._gyro_effect = gyro_effect
 
     @property
@@ -127,8 +137,8 @@ class SimSource:
     def measurements(self) -> Iterator[Measurement]:
         """Yield the measurements in the order of their stamps."""
         parts = (
-            self._imu(), self._wheels(), self._features(), self._temperature(),
-            self._fan(), self._battery(), self._truth_poses(),
+            self._imu(), self._wheels(), self._frames() if self._images else self._features(),
+            self._temperature(), self._fan(), self._battery(), self._truth_poses(),
         )  # fmt: skip
         return heapq.merge(*parts, key=attrgetter('t_ns'))
 
@@ -173,6 +183,13 @@ class SimSource:
         tracks = track(seen, time_s, scenario.features, scenario.reacquire_s)
         for t_ns, places, (ids, corners) in zip(_stamps(time_s), pixels, tracks, strict=True):
             yield FeatureObservations(t_ns, ids, places[corners])
+
+    def _frames(self) -> Iterator[Frame]:
+        from gyrocal_ros.sim.film import film  # OpenCV is loaded for images alone
+
+        scenario, time_s = self.scenario, self.image_times()
+        images = film(scenario.camera, scenario.furniture, self.seed, time_s, self.camera_poses)
+        yield from map(Frame, _stamps(time_s), images)
 
     def _temperature(self) -> Iterator[TemperatureSample]:
         time_s = _times(TEMPERATURE_HZ, self.scenario.duration_s, SLOW_PHASE_S)

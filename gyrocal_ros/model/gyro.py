@@ -1,4 +1,4 @@
-"""What the gyro puts out, and the bias that drifts beneath it.
+"""Eqs. (5), (6): what the gyro puts out, and what of it is left to estimate.
 
 The paper writes the sensor's voltage as
 

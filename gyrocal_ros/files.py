@@ -1,4 +1,7 @@
-"""Results appear whole or not at all: they are made under a temporary name and renamed when complete."""
+"""Where the files that come with the package are, and how results are written.
+
+Results appear whole or not at all: they are made under a temporary name and renamed when complete.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,27 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gyrocal_ros.errors import GyrocalError
+
+
+def shipped(name: str) -> Path:
+    """Find a file or folder that comes with the package, `bags` or `config/model.yaml`.
+
+    In a checkout it lies beside the package; colcon and pip install it into `share/gyrocal_ros`
+    below the prefix that holds the package.
+
+    Raises:
+        GyrocalError: it was not installed.
+    """
+    package = Path(__file__).resolve().parent
+    checkout = package.parent
+    shares = [parent / 'share' / package.name for parent in package.parents]
+    places = [checkout] if (checkout / 'package.xml').is_file() else shares
+    for place in places:
+        if (place / name).exists():
+            return place / name
+    raise GyrocalError(
+        f'{name} is not installed', where=package.name, todo='install the package with pip or colcon'
+    )
 
 
 def write_text_atomic(path: Path, text: str, *, overwrite: bool = False) -> None:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from gyrocal_ros import files
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.files import new_folder, write_text_atomic
+from gyrocal_ros.files import new_folder, shipped, write_text_atomic
 
 
 def test_text_is_written_with_its_parent_folders(tmp_path: Path) -> None:
@@ -83,3 +84,27 @@ def test_an_empty_folder_may_be_filled(tmp_path: Path) -> None:
     with new_folder(tmp_path / 'out') as folder:
         (folder / 'a').write_text('a')
     assert (tmp_path / 'out' / 'a').read_text() == 'a'
+
+
+@pytest.mark.parametrize(
+    ('package', 'share'),
+    [
+        ('checkout/gyrocal_ros', 'checkout'),
+        ('venv/lib/python3.12/site-packages/gyrocal_ros', 'venv/share/gyrocal_ros'),
+        (
+            'install/gyrocal_ros/lib/python3.12/site-packages/gyrocal_ros',
+            'install/gyrocal_ros/share/gyrocal_ros',
+        ),
+    ],
+    ids=['checkout', 'pip', 'colcon'],
+)
+def test_shipped_files_are_found_however_the_package_is_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str, share: str
+) -> None:
+    (tmp_path / package).mkdir(parents=True)
+    (tmp_path / share / 'bags').mkdir(parents=True)
+    (tmp_path / share / 'package.xml').write_text('')
+    monkeypatch.setattr(files, '__file__', str(tmp_path / package / 'files.py'))
+    assert shipped('bags') == (tmp_path / share / 'bags').resolve()
+    with pytest.raises(GyrocalError, match='not installed'):
+        shipped('no_such_thing')

@@ -53,9 +53,6 @@ class GyroConfig:
     nominal_scale_factor_volt: float = setting(
         146.4, 'deg/s/V', 'scale factor of the data sheet, already applied to the samples', low=1e-6
     )
-    scale_prior_std: float = setting(
-        0.1, '1', 'how far the true scale factor may lie from the nominal one (1 sigma)', low=1e-5, high=1.0
-    )
     bias_prior_std_deg_s: float = setting(
         1.0, 'deg/s', 'how large the bias of each axis may be at the start (1 sigma)', low=1e-6, high=50.0
     )
@@ -154,7 +151,7 @@ class FeatureConfig:
         high=10.0,
     )
     motion_gate_deg: float = setting(5.0, 'deg', 'camera_frame: or has turned so far', low=0.0, high=180.0)
-    map_size: int = setting(40, '', 'features kept in the map, seen and unseen', low=3, high=1000)
+    map_size: int = setting(30, '', 'features kept in the map, seen and unseen', low=3, high=1000)
     outlier_probability: float = setting(
         1e-4, '', 'chance that a good observation is thrown away as an outlier', low=1e-9, high=0.2
     )

@@ -25,8 +25,10 @@ class Transition:
     matrix: Array
     """(r, r)"""
     motion: Motion
+    correction_rad_s: Array
+    """(N,) correction of the yaw rate by the coefficients, without the bias."""
     columns: Array
-    """(N, k) derivative of the yaw rate with respect to the coefficients."""
+    """(N, k) its derivative with respect to the coefficients."""
 
 
 def predict(
@@ -69,7 +71,7 @@ def predict(
     covariance[r:, :r] = covariance[:r, r:].T
     covariance[r:, r:] = state.covariance[r:, r:]
     after = replace(state, t_ns=block.end_ns, mean=mean, covariance=covariance)
-    return after, Transition(matrix, motion, columns)
+    return after, Transition(matrix, motion, correction, columns)
 
 
 def _process_noise(

@@ -66,7 +66,7 @@ def see(
     distances = mahalanobis(innovation)
     good = inliers(distances, form.rows, config.features.outlier_probability)
     good &= prediction.points_c[:, 2] > MIN_SIGHTING_DEPTH
-    used = innovation[np.flatnonzero(good)]
+    used = innovation if good.all() else innovation[np.flatnonzero(good)]
     heading_rad, heading_std_rad = _as_heading(used)
     nis = 0.0
     if good.any():

@@ -60,8 +60,12 @@ class StepRecord:
     sighting: Sighting
     block: MotionBlock
     """The motion that led here."""
+    correction_rad: float
+    """How far the coefficients corrected the turn in this block, the bias not counted."""
     columns: Array
-    """(k,) derivative of the turn in this block with respect to the coefficients, rad per unit."""
+    """(k,) its derivative with respect to the coefficients, rad per unit."""
+    pixel_noise_px: float
+    """Present estimate."""
     event: str = ''
     """What happened that a person should know."""
 
@@ -169,7 +173,9 @@ class EkfSlam:
             std=np.sqrt(np.diagonal(self.state.covariance)[:r]),
             sighting=sighting,
             block=block,
+            correction_rad=float(block.dt_s @ transition.correction_rad_s),
             columns=block.dt_s @ transition.columns,
+            pixel_noise_px=self.pixel_noise.std,
             event=event,
         )
 

@@ -1,0 +1,182 @@
+"""The result: what is known of the gyro at the end of a run, and `calibration.yaml` that keeps it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from gyrocal_ros import __version__
+from gyrocal_ros.config import Config, read_yaml, to_dict
+from gyrocal_ros.data import Array
+from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
+from gyrocal_ros.ekf.run import History, Run
+from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
+from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.files import write_text_atomic
+from gyrocal_ros.model.gyro import SensorModel
+
+CONSISTENCY_STEPS = 300
+"""The filter's consistency is judged by the NIS of so many last steps."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Bias and coefficients with their joint covariance, and where they come from."""
+
+    model: SensorModel
+    names: tuple[str, ...]
+    """`bias`, then the coefficients in the model's order."""
+    units: tuple[str, ...]
+    values: Array
+    """(1 + k,)"""
+    covariance: Array
+    """(1 + k, 1 + k)"""
+    nominal_scale_factor_volt: float
+    converged: bool
+    convergence_time_s: float | None
+    """Since the first sample; None where it did not converge."""
+    duration_s: float
+    source: str
+    end_ns: int
+
+    @property
+    def stds(self) -> Array:
+        """(1 + k,) standard deviations."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def scale_factor(self) -> float:
+        """True rate over nominal rate at small rates, 1 + a1."""
+        return 1.0 + float(self.values[1])
+
+    @property
+    def scale_factor_std(self) -> float:
+        """Standard deviation of the scale factor."""
+        return float(self.stds[1])
+
+    @property
+    def scale_factor_volt(self) -> float:
+        """The scale factor as a data sheet gives it, deg/s/V."""
+        return self.scale_factor * self.nominal_scale_factor_volt
+
+    def start(self) -> Start:
+        """What a later run may begin with."""
+        return Start(self.names, self.values, self.covariance)
+
+
+def conclude(run: Run) -> Calibration:
+    """What a run has found."""
+    model, state = run.model, run.state
+    places = [YAW_BIAS, *range(COEFFICIENTS_START, state.robot_size)]
+    time_s = convergence_time_s(run.history, run.config)
+    return Calibration(
+        model=model,
+        names=('bias', *model.coefficient_names),
+        units=('rad/s', *(item.unit for item in model.coefficients)),
+        values=state.mean[places],
+        covariance=state.covariance[np.ix_(places, places)],
+        nominal_scale_factor_volt=run.config.gyro.nominal_scale_factor_volt,
+        converged=time_s is not None and is_consistent(run.history, run.config),
+        convergence_time_s=time_s,
+        duration_s=run.span.duration_s,
+        source=run.source,
+        end_ns=run.span.end_ns,
+    )
+
+
+def convergence_time_s(history: History, config: Config) -> float | None:
+    """When the standard deviation of the scale factor went, and stayed, under its threshold."""
+    too_wide = np.flatnonzero(history.std[:, COEFFICIENTS_START] > config.convergence.scale_std)
+    first = int(too_wide[-1]) + 1 if len(too_wide) else 0
+    return float(history.time_s[first]) if first < len(history.t_ns) else None
+
+
+def is_consistent(history: History, config: Config) -> bool:
+    """Whether the innovations of the last steps are as large as the filter says they should be."""
+    measured = np.flatnonzero(history.dof > 0)[-CONSISTENCY_STEPS:]
+    if len(measured) == 0:
+        return False
+    ratio = float(history.nis[measured].sum() / history.dof[measured].sum())
+    return config.convergence.nis_low <= ratio <= config.convergence.nis_high
+
+
+def save_calibration(
+    calibration: Calibration, config: Config, path: Path, *, overwrite: bool = False
+) -> None:
+    """Write `calibration.yaml` in one step, with everything needed to understand it later."""
+    text = yaml.safe_dump(_to_dict(calibration, config), sort_keys=False, allow_unicode=True, width=110)
+    write_text_atomic(path, text, overwrite=overwrite)
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Read a `calibration.yaml`.
+
+    Raises:
+        ConfigError: it cannot be read, or is not a calibration.
+    """
+    tree = read_yaml(path)
+    try:
+        model = model_from_dict(tree['model'], f'{path}, model')
+        names = ('bias', *model.coefficient_names)
+        values = np.array([float(tree['coefficients'][name]['value']) for name in names])
+        covariance = np.array(tree['covariance'], float)
+        if covariance.shape != (len(names),) * 2 or not np.isfinite(covariance).all():
+            raise ValueError('covariance has the wrong shape')
+        provenance: Mapping[str, Any] = tree['provenance']
+        return Calibration(
+            model=model,
+            names=names,
+            units=tuple(str(tree['coefficients'][name]['unit']) for name in names),
+            values=values,
+            covariance=covariance,
+            nominal_scale_factor_volt=float(tree['nominal_scale_factor_volt']),
+            converged=bool(tree['converged']),
+            convergence_time_s=tree['convergence_time_s'],
+            duration_s=float(provenance['duration_s']),
+            source=str(provenance['source']),
+            end_ns=int(provenance['end_ns']),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f'is not a calibration ({type(error).__name__}: {error})',
+            where=str(path),
+            todo='give a calibration.yaml that `gyrocal replay -o` wrote',
+        ) from error
+
+
+def _to_dict(calibration: Calibration, config: Config) -> dict[str, Any]:
+    return {
+        'scale_factor': calibration.scale_factor,
+        'scale_factor_std': calibration.scale_factor_std,
+        'scale_factor_volt': calibration.scale_factor_volt,
+        'nominal_scale_factor_volt': calibration.nominal_scale_factor_volt,
+        'bias_deg_s': math.degrees(float(calibration.values[0])),
+        'converged': calibration.converged,
+        'convergence_time_s': calibration.convergence_time_s,
+        'coefficients': coefficient_table(calibration),
+        'covariance': calibration.covariance.tolist(),
+        'model': model_to_dict(calibration.model),
+        'provenance': {
+            'source': calibration.source,
+            'duration_s': calibration.duration_s,
+            'end_ns': calibration.end_ns,
+            'version': __version__,
+        },
+        'settings': to_dict(config),
+    }
+
+
+def coefficient_table(calibration: Calibration) -> dict[str, dict[str, Any]]:
+    """Name to value, standard deviation and unit, as files and JSON output give them."""
+    columns = (calibration.names, calibration.values, calibration.stds, calibration.units)
+    return {
+        name: {'value': float(value), 'std': float(std), 'unit': unit}
+        for name, value, std, unit in zip(*columns, strict=True)
+    }

@@ -1,0 +1,137 @@
+"""Heading and position by the gyro alone: how far dead reckoning goes astray."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.data import NS_PER_S, Array
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import YAW, YAW_BIAS
+
+SPAN_S = 60.0
+STRIDE_S = 5.0
+SETTLING_S = 10.0
+"""Spans begin no earlier than this: until then the bias is hardly known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlindDrift:
+    """Heading error after so long without the camera."""
+
+    span_s: float
+    start_s: Array
+    """(n,) beginnings of the spans, since the first step."""
+    error_rad: Array
+    """(n,) heading by the gyro less heading by the reference, at the end of each span."""
+    reference: str
+    """`ground truth` or `slam`."""
+
+    @property
+    def rms_deg(self) -> float:
+        """Root mean square, NaN where there is no span."""
+        return float(np.degrees(np.sqrt(np.mean(self.error_rad**2)))) if len(self.error_rad) else float('nan')
+
+    @property
+    def max_deg(self) -> float:
+        """Largest magnitude, NaN where there is no span."""
+        return float(np.degrees(np.abs(self.error_rad).max())) if len(self.error_rad) else float('nan')
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Where the robot was, by one way of knowing it."""
+
+    time_s: Array
+    position_m: Array
+    """(n, 2)"""
+    yaw_rad: Array
+    """(n,) unwrapped."""
+
+
+def slam_path(run: Run) -> Path:
+    """The path by the filter."""
+    history = run.history
+    return Path(history.time_s, history.mean[:, :2], history.mean[:, YAW])
+
+
+def truth_path(run: Run) -> Path | None:
+    """The ground truth, brought into the map's frame at the first common moment."""
+    if run.truth is None:
+        return None
+    slam = slam_path(run)
+    time_s = (run.truth.t_ns - run.history.t_ns[0]) / NS_PER_S
+    inside = (time_s >= slam.time_s[0]) & (time_s <= slam.time_s[-1])
+    if inside.sum() < 2:
+        return None
+    time_s, position, yaw = time_s[inside], run.truth.position_m[inside, :2], run.truth.yaw_rad[inside]
+    at_first = [np.interp(time_s[0], slam.time_s, column) for column in (*slam.position_m.T, slam.yaw_rad)]
+    turn = at_first[2] - yaw[0]
+    c, s = np.cos(turn), np.sin(turn)
+    moved = (position - position[0]) @ np.array([[c, s], [-s, c]]) + at_first[:2]
+    return Path(time_s, moved, yaw + turn)
+
+
+def reference_path(run: Run) -> tuple[Path, str]:
+    """What headings are compared with, and what it is called."""
+    truth = truth_path(run)
+    return (truth, 'ground truth') if truth is not None else (slam_path(run), 'slam')
+
+
+def heading_rms_deg(run: Run) -> float | None:
+    """Heading error of the filter against the ground truth, where there is one."""
+    truth = truth_path(run)
+    if truth is None:
+        return None
+    slam = slam_path(run)
+    error = np.interp(truth.time_s, slam.time_s, slam.yaw_rad) - truth.yaw_rad
+    return float(np.degrees(np.sqrt(np.mean(error**2))))
+
+
+def turns(run: Run, coefficients: Array) -> Array:
+    """Turn of each step (s,) by the gyro with the given coefficients (k,), the bias not yet added.
+
+    Exact for effects that are linear in their coefficients, first order for the others.
+    """
+    history = run.history
+    changed = np.einsum('sk,sk->s', history.columns, coefficients - history.coefficients)
+    return history.turn_rad + history.correction_rad + changed
+
+
+def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Path:
+    """The path by gyro and wheels alone, with fixed coefficients and bias."""
+    history = run.history
+    increments = turns(run, coefficients) + bias_rad_s * history.dt_s
+    yaw = history.mean[0, YAW] + np.cumsum(increments) - increments[0]
+    heading = yaw - 0.5 * increments
+    steps = np.stack([np.cos(heading), np.sin(heading)], axis=1) * history.distance_m[:, None]
+    return Path(history.time_s, np.cumsum(steps, axis=0), yaw)
+
+
+def blind_drift(run: Run, coefficients: Array | None = None, span_s: float = SPAN_S) -> BlindDrift:
+    """Heading error after spans without the camera, all over the run.
+
+    A span begins with the filter's heading and bias of that moment; then the gyro is alone, but for
+    standing still, when the robot knows that it does not turn.
+
+    Args:
+        run: a finished run.
+        coefficients: (k,) to use, those at the end of the run where None.
+        span_s: length of a span.
+    """
+    history = run.history
+    if coefficients is None:
+        coefficients = run.state.coefficients
+    time_s = history.time_s
+    moving = history.resting == 0
+    heading = np.cumsum(np.where(moving, turns(run, coefficients), 0.0))
+    moving_s = np.cumsum(np.where(moving, history.dt_s, 0.0))
+    reference, name = reference_path(run)
+    latest = min(time_s[-1], reference.time_s[-1]) - span_s
+    start_s = np.arange(SETTLING_S, max(latest, SETTLING_S - 1.0), STRIDE_S)
+    first, last = np.searchsorted(time_s, start_s), np.searchsorted(time_s, start_s + span_s)
+    bias = history.mean[first, YAW_BIAS]
+    turned = heading[last] - heading[first] + bias * (moving_s[last] - moving_s[first])
+    true_heading = np.interp(time_s, reference.time_s, reference.yaw_rad)
+    return BlindDrift(span_s, start_s, turned - (true_heading[last] - true_heading[first]), name)

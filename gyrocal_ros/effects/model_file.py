@@ -1,0 +1,143 @@
+"""`model.yaml`: a sensor model as a person edits it.
+
+name: default
+version: 1
+bias: {form: drift}
+effects:
+  - scale_factor
+  - name: scale_cubic
+    prior_std: {a3: 0.001}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from gyrocal_ros.config import nearest, read_yaml
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.model.gyro import BiasModel, GyroTerm, SensorModel
+
+BIAS_FORMS = ('drift', 'settling')
+
+
+def load_model(path: Path | None) -> SensorModel:
+    """Read a sensor model; without a path, return the default one.
+
+    Raises:
+        ConfigError: the file cannot be read, or names an effect or a coefficient that is not known.
+    """
+    return default_model() if path is None else model_from_dict(read_yaml(path), str(path))
+
+
+def model_from_dict(tree: Mapping[str, Any], where: str) -> SensorModel:
+    """Make a sensor model from the content of a `model.yaml`.
+
+    Raises:
+        ConfigError: something in it is unknown, twice there, or of the wrong kind.
+    """
+    _only(tree, ('name', 'version', 'bias', 'effects'), where)
+    entries = tree.get('effects')
+    if not isinstance(entries, list) or not entries:
+        raise ConfigError('lists no effects', where=where, todo='begin with `effects: [scale_factor]`')
+    terms = tuple(_term(entry, where) for entry in entries)
+    names = [term.name for term in terms]
+    if names[0] != 'scale_factor':
+        raise ConfigError('the first effect must be scale_factor', where=where)
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise ConfigError(f'{twice} is listed twice', where=where)
+    return SensorModel(
+        name=str(tree.get('name', Path(where).stem)),
+        bias=_bias(tree.get('bias', {}), where),
+        terms=terms,
+        version=_integer(tree.get('version', 1), where),
+    )
+
+
+def model_to_dict(model: SensorModel) -> dict[str, Any]:
+    """The content of a `model.yaml` that gives this model again, every prior written out."""
+    bias: dict[str, Any] = {'form': model.bias.form}
+    if model.bias.form == 'settling':
+        bias |= {
+            'time_constant_s': model.bias.time_constant_s,
+            'settled_deg_s': math.degrees(model.bias.settled_rad_s),
+        }
+    effects = [
+        {
+            'name': term.name,
+            'prior_mean': {item.name: item.prior_mean for item in term.coefficients},
+            'prior_std': {item.name: item.prior_std for item in term.coefficients},
+            'walk': {item.name: item.walk for item in term.coefficients},
+        }
+        for term in model.terms
+    ]
+    return {'name': model.name, 'version': model.version, 'bias': bias, 'effects': effects}
+
+
+def model_to_yaml(model: SensorModel) -> str:
+    """A sensor model as YAML text."""
+    return yaml.safe_dump(model_to_dict(model), sort_keys=False)
+
+
+def _term(entry: Any, where: str) -> GyroTerm:
+    if isinstance(entry, str):
+        return find_effect(entry, where)
+    if not isinstance(entry, Mapping) or 'name' not in entry:
+        raise ConfigError(f'{entry!r} is not an effect', where=where, todo='give its name')
+    _only(entry, ('name', 'prior_mean', 'prior_std', 'walk'), where)
+    term = find_effect(str(entry['name']), where)
+    coefficients = {item.name: item for item in term.coefficients}
+    for field in ('prior_mean', 'prior_std', 'walk'):
+        for name, value in _per_coefficient(term, entry.get(field, {}), f'{where}, {term.name}.{field}'):
+            coefficients[name] = replace(coefficients[name], **{field: value})  # type: ignore[arg-type]
+    return replace(term, coefficients=tuple(coefficients.values()))  # type: ignore[type-var]
+
+
+def _per_coefficient(term: GyroTerm, given: Any, where: str) -> list[tuple[str, float]]:
+    """A number for the only coefficient, or numbers by the names of the coefficients."""
+    names = [item.name for item in term.coefficients]
+    if not isinstance(given, Mapping):
+        if len(names) > 1:
+            raise ConfigError('has several coefficients', where=where, todo=f'name them: {", ".join(names)}')
+        given = {names[0]: given}
+    pairs = []
+    for name, value in given.items():
+        if name not in names:
+            raise ConfigError(f'there is no coefficient {name!r}', where=where, todo=nearest(name, names))
+        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if not number or (value < 0.0 and not where.endswith('prior_mean')):
+            raise ConfigError(f'{name} is {value!r}', where=where, todo='give a number that makes sense')
+        pairs.append((name, float(value)))
+    return pairs
+
+
+def _bias(given: Any, where: str) -> BiasModel:
+    if not isinstance(given, Mapping):
+        raise ConfigError('bias holds no settings', where=where, todo='write `bias: {form: drift}`')
+    _only(given, ('form', 'time_constant_s', 'settled_deg_s'), f'{where}, bias')
+    form = str(given.get('form', 'drift'))
+    if form not in BIAS_FORMS:
+        raise ConfigError(f'bias form {form!r}', where=where, todo=nearest(form, list(BIAS_FORMS)))
+    time_constant_s = float(given.get('time_constant_s', 500.0))
+    if not time_constant_s > 0.0:
+        raise ConfigError(f'bias time_constant_s is {time_constant_s}', where=where, todo='give seconds')
+    return BiasModel(form, time_constant_s, math.radians(float(given.get('settled_deg_s', 0.0))))
+
+
+def _only(tree: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
+    for name in tree:
+        if name not in known:
+            raise ConfigError(f'{name!r} is not known', where=where, todo=nearest(str(name), list(known)))
+
+
+def _integer(value: Any, where: str) -> int:
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise ConfigError(f'version is {value!r}', where=where, todo='give a whole number')
+    return value

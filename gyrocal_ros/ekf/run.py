@@ -1,0 +1,188 @@
+"""A finished run: everything that happened, as arrays. All criticism and every report reads this."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import NS_PER_S, Array, IntArray, Rig, Span, TruthSample
+from gyrocal_ros.ekf.slam import StepRecord
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
+from gyrocal_ros.model.gyro import SensorModel
+
+TRUTH_INTERVAL_NS = 40_000_000
+"""Ground truth is kept no denser than this."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History:
+    """One row a step of the filter, s steps."""
+
+    t_ns: IntArray
+    mean: Array
+    """(s, 9 + k) robot part of the state, as `ekf.state` lays it out."""
+    std: Array
+    """(s, 9 + k)"""
+    nis: Array
+    dof: Array
+    """(s,) zero where nothing was measured."""
+    used: Array
+    rejected: Array
+    heading_innovation_rad: Array
+    """(s,) NaN where nothing was measured."""
+    heading_innovation_std_rad: Array
+    pixel_noise_px: Array
+    dt_s: Array
+    turn_rad: Array
+    """(s,) turn of the step by the nominal gyro, bias and coefficients not applied."""
+    correction_rad: Array
+    """(s,) what the coefficients of that moment added to it, the bias not counted."""
+    columns: Array
+    """(s, k) derivative of that with respect to the coefficients."""
+    distance_m: Array
+    temperature_c: Array
+    forward_m_s2: Array
+    """(s,) mean specific force along body x."""
+    resting: Array
+    """(s,) 1 where the wheels stood still."""
+
+    @property
+    def time_s(self) -> Array:
+        """(s,) since the first step."""
+        return (self.t_ns - self.t_ns[0]) / NS_PER_S if len(self.t_ns) else np.empty(0)
+
+    @property
+    def coefficients(self) -> Array:
+        """(s, k)"""
+        return self.mean[:, COEFFICIENTS_START:]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """Ground truth, in a frame of its own. Only ever compared with."""
+
+    t_ns: IntArray
+    position_m: Array
+    """(j, 3)"""
+    yaw_rad: Array
+    """(j,) unwrapped."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened during the run and that a person should know."""
+
+    t_ns: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """What one pass of the filter over one source leaves behind."""
+
+    source: str
+    span: Span
+    rig: Rig
+    config: Config
+    model: SensorModel
+    history: History
+    state: State
+    """The last one, with the map."""
+    truth: Truth | None
+    events: tuple[Event, ...]
+
+
+class Recorder:
+    """Gathers the steps of a run in memory that grows by some 300 bytes a step."""
+
+    def __init__(self, coefficient_count: int) -> None:
+        self._count = coefficient_count
+        self._times_ns: list[int] = []
+        self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 14))
+        self._truth_ns: list[int] = []
+        self._truth: list[tuple[float, float, float, float]] = []
+        self._events: list[Event] = []
+
+    def add(self, record: StepRecord) -> None:
+        """Take in one step of the filter."""
+        if len(self._times_ns) == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+        block, sighting = record.block, record.sighting
+        measured = sighting.dof > 0
+        self._rows[len(self._times_ns)] = np.concatenate(
+            [
+                record.mean,
+                record.std,
+                record.columns,
+                (
+                    sighting.nis,
+                    sighting.dof,
+                    sighting.used,
+                    sighting.rejected,
+                    sighting.heading_rad if measured else np.nan,
+                    sighting.heading_std_rad if measured else np.nan,
+                    record.pixel_noise_px,
+                    block.duration_s,
+                    block.rate_rad_s[:, 2] @ block.dt_s,
+                    record.correction_rad,
+                    block.distance_m.sum(),
+                    block.temperature_c[-1],
+                    block.specific_force_m_s2[:, 0] @ block.dt_s / block.duration_s,
+                    block.wheels_at_rest,
+                ),
+            ]
+        )
+        self._times_ns.append(record.t_ns)
+        if record.event:
+            self._events.append(Event(record.t_ns, record.event))
+
+    def add_truth(self, sample: TruthSample) -> None:
+        """Take in one pose of the ground truth."""
+        if not self._truth_ns or sample.t_ns - self._truth_ns[-1] >= TRUTH_INTERVAL_NS:
+            self._truth_ns.append(sample.t_ns)
+            self._truth.append((*sample.position_m, sample.yaw_rad))
+
+    def note(self, t_ns: int, text: str) -> None:
+        """Take in something that a person should know."""
+        self._events.append(Event(t_ns, text))
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened so far."""
+        return tuple(self._events)
+
+    def history(self) -> History:
+        """All steps so far."""
+        rows = self._rows[: len(self._times_ns)].copy()
+        r = COEFFICIENTS_START + self._count
+        mean, std, columns = rows[:, :r], rows[:, r : 2 * r], rows[:, 2 * r : 2 * r + self._count]
+        scalars = rows[:, 2 * r + self._count :].T
+        return History(
+            t_ns=np.array(self._times_ns, np.int64),
+            mean=mean,
+            std=std,
+            columns=columns,
+            nis=scalars[0],
+            dof=scalars[1],
+            used=scalars[2],
+            rejected=scalars[3],
+            heading_innovation_rad=scalars[4],
+            heading_innovation_std_rad=scalars[5],
+            pixel_noise_px=scalars[6],
+            dt_s=scalars[7],
+            turn_rad=scalars[8],
+            correction_rad=scalars[9],
+            distance_m=scalars[10],
+            temperature_c=scalars[11],
+            forward_m_s2=scalars[12],
+            resting=scalars[13],
+        )
+
+    def truth(self) -> Truth | None:
+        """Ground truth so far, if any came."""
+        if len(self._truth_ns) < 2:
+            return None
+        poses = np.array(self._truth)
+        return Truth(np.array(self._truth_ns, np.int64), poses[:, :3], np.unwrap(poses[:, 3]))

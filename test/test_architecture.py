@@ -22,8 +22,8 @@ LEVELS = {
             ('model',),  # the lens and the rotations of the paper serve the tracker too
             ('board', 'recording', 'vision'),
             ('effects', 'ekf', 'sim'),
-            ('calibrate', 'diagnose'),
-            ('report',),
+            ('calibrate', 'calibration', 'diagnose'),
+            ('bench', 'report'),
             ('cli', 'nodes', 'studio'),
         ]
     )

@@ -1,0 +1,1 @@
+"""Measurements of the package itself on simulated robots, whose truth is known."""

@@ -1,0 +1,102 @@
+"""Accuracy and consistency over many seeds, beside the paper's parametrisation and the bound."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from gyrocal_ros.bench.trials import Trial, Variant, run_trial
+from gyrocal_ros.sim.scenarios import Scenario, find_scenario
+
+T = TypeVar('T')
+R = TypeVar('R')
+
+OURS = Variant('inverse_depth')
+PAPER = Variant('paper as written', 'camera_frame', motion_gate=False, settling_bias=True)
+PAPER_GATED = Variant('paper, motion gate, drift bias', 'camera_frame')
+CONVENTIONAL = Variant('conventional pixel', 'pixel')
+
+
+def in_parallel(function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+    """Map over all cores, in order; each process keeps to one thread of linear algebra."""
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        yield from pool.map(function, tasks)
+
+
+Case = tuple[str, Scenario, Variant, bool, bool]
+"""Label, scenario, variant, from images, with the bound."""
+
+
+def cases(quick: bool) -> list[Case]:
+    """Everything that the accuracy bench runs; `quick` leaves the long ones out."""
+    lanes, cleaning = find_scenario('lanes'), find_scenario('cleaning')
+    table: list[Case] = [
+        ('lanes', lanes, OURS, False, True),
+        ('cleaning', cleaning, OURS, False, True),
+        ('lanes', lanes, PAPER, False, False),
+        ('lanes', lanes, PAPER_GATED, False, False),
+        ('lanes', lanes, CONVENTIONAL, False, False),
+        ('lanes, 5 features', replace(lanes, features=5), OURS, False, False),
+        ('lanes, 180 s standing', replace(lanes, standing_s=180.0, duration_s=480.0), OURS, False, False),
+        ('cleaning, 2 % outliers', _with_outliers(cleaning), OURS, False, False),
+        ('images, 120 s', replace(cleaning, duration_s=120.0, camera_hz=10), OURS, True, False),
+    ]
+    return table[:1] if quick else table
+
+
+def accuracy_row(case: Case, trials: list[Trial]) -> dict[str, Any]:
+    """The figures of one case over its seeds; errors in per cent of the scale factor."""
+    label, _, variant, _, _ = case
+    good = [trial for trial in trials if not trial.diverged]
+
+    def column(name: str) -> np.ndarray:
+        return np.array([getattr(trial, name) for trial in good])
+
+    final = 100.0 * column('final_error')
+    bound = column('bound_std')
+    return {
+        'case': label,
+        'variant': variant.name,
+        'seeds': len(trials),
+        'diverged': len(trials) - len(good),
+        'early_max_percent': _max(100.0 * column('early_error')),
+        'settled_max_percent': _max(100.0 * column('settled_error')),
+        'final_rms_percent': _rms(final),
+        'final_max_percent': _max(final),
+        'std_percent': _rms(100.0 * column('final_std')),
+        'nees': float(np.mean(column('nees'))) if good else None,
+        'inside_3_sigma': float(np.mean(column('nees') < 9.0)) if good else None,
+        'nis_per_dof_min': float(column('nis_per_dof').min()) if good else None,
+        'nis_per_dof_max': float(column('nis_per_dof').max()) if good else None,
+        'std_by_bound_max': _max(column('final_std') / bound) if np.isfinite(bound).any() else None,
+        'heading_rms_deg': _rms(np.degrees(column('heading_rms_rad'))),
+    }
+
+
+def accuracy(seeds: int, quick: bool = False) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the accuracy table as they become ready."""
+    for case in cases(quick):
+        yield accuracy_row(case, list(in_parallel(_trial, [(case, seed) for seed in range(seeds)])))
+
+
+def _trial(task: tuple[Case, int]) -> Trial:
+    (_, scenario, variant, images, with_bound), seed = task
+    return run_trial(scenario, seed, variant, images=images, with_bound=with_bound)
+
+
+def _with_outliers(scenario: Scenario) -> Scenario:
+    return replace(scenario, errors=replace(scenario.errors, outliers=0.02))
+
+
+def _rms(values: np.ndarray) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+
+def _max(values: np.ndarray) -> float | None:
+    return float(np.abs(values).max()) if len(values) else None

@@ -222,6 +222,8 @@ class RecordingConfig:
         5.0, 's', 'a lasting jump of the stamps larger than this starts a new time base', low=0.1, high=1e6
     )
     use_images: bool = setting(False, '', 'track the images even where the bag holds features')
+    remap: str = setting('', '', 'topics under other names: NAME:=TOPIC, several separated by blanks')
+    heading_reference: str = setting('', '', 'topic to take the heading from, in place of the ceiling camera')
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,6 +271,24 @@ def to_dict(config: Config) -> dict[str, dict[str, Any]]:
         for section in fields(config)
         for values in [getattr(config, section.name)]
     }
+
+
+def to_yaml(config: Config) -> str:
+    """The settings as a commented ROS 2 parameter file for any node; `load_config` reads it."""
+    lines = ['/**:', '  ros__parameters:']
+    section = ''
+    for name, value, about in flat_settings(config):
+        new_section, item = name.split('.')
+        if new_section != section:
+            section = new_section
+            lines.append(f'    {section}:')
+        bounds = (
+            f', {about.low:g} to {about.high:g}' if about.low is not None and about.high is not None else ''
+        )
+        unit = f' [{about.unit}]' if about.unit else ''
+        lines.append(f'      # {about.help}{unit}{bounds}')
+        lines.append(f'      {item}: {yaml.safe_dump(value).splitlines()[0]}')
+    return '\n'.join(lines) + '\n'
 
 
 def with_settings(config: Config, nested: Mapping[str, Any], where: str = 'settings') -> Config:

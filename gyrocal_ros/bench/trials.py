@@ -95,7 +95,7 @@ def run_trial(
     turned_s = end_of_first_turn_s(source)
 
     def error_at(moment_s: float) -> float:
-        return float(scale[min(np.searchsorted(time_s, moment_s), len(scale) - 1)]) / true_scale - 1.0
+        return float(scale[min(int(np.searchsorted(time_s, moment_s)), len(scale) - 1)]) / true_scale - 1.0
 
     return Trial(
         seed=seed,

@@ -28,8 +28,10 @@ class SensorErrors:
     """True yaw rate over nominal yaw rate."""
     turn_on_bias_deg_s: float = 0.2
     """Standard deviation of the constant bias of each axis."""
-    bias_walk_deg_s: float = 2.5e-4
-    """Random walk of the bias, deg/s/sqrt(s)."""
+    bias_wander_deg_h: float = 10.0
+    """In-run bias instability: standard deviation about the turn-on offset, deg/h."""
+    bias_wander_time_s: float = 250.0
+    """Correlation time of it; over shorter times it is a walk of 2.5e-4 deg/s/sqrt(s)."""
     warmup_deg_s: float = 0.0
     """Yaw bias gained while warming up."""
     warmup_time_s: float = 300.0
@@ -58,7 +60,7 @@ class SensorErrors:
 
 
 NOISE = (
-    'bias_walk_deg_s',
+    'bias_wander_deg_h',
     'rate_noise_deg_s',
     'rate_step_deg_s',
     'force_noise_m_s2',
@@ -107,10 +109,16 @@ returns the nominal yaw rate of a gyro with the effect."""
 
 
 def gyro_bias(time_s: Array, errors: SensorErrors, rng: np.random.Generator) -> Array:
-    """Draw the true bias (n, 3) in rad/s: turn-on offset, random walk, warm-up of the yaw axis."""
+    """Draw the true bias (n, 3) in rad/s: turn-on offset, wander, warm-up of the yaw axis.
+
+    The wander is a first-order Gauss-Markov process that starts at zero, written as its integral:
+    the sum of the steps, each faded by the time since.
+    """
     turn_on = errors.turn_on_bias_deg_s * rng.standard_normal(3)
+    faded = np.exp(-(time_s - time_s[0]) / errors.bias_wander_time_s)[:, None]
+    step = errors.bias_wander_deg_h / 3600.0 * np.sqrt(2.0 / errors.bias_wander_time_s)
     steps = rng.standard_normal((len(time_s), 3)) * np.sqrt(np.diff(time_s, prepend=time_s[0]))[:, None]
-    bias = turn_on + errors.bias_walk_deg_s * np.cumsum(steps, axis=0)
+    bias = turn_on + step * faded * np.cumsum(steps / faded, axis=0)
     bias[:, 2] += errors.warmup_deg_s * -np.expm1(-time_s / errors.warmup_time_s)
     return np.radians(bias)
 

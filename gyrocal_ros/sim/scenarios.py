@@ -68,6 +68,15 @@ SCENARIOS: dict[str, Scenario] = {
     for scenario in (
         Scenario('cleaning', 'cleaning a room: lanes, sweeps, spins, turns of 30 to 90 deg/s'),
         Scenario(
+            'demo',
+            'a small room cleaned in little more than a minute, with many turns',
+            duration_s=75.0,
+            imu_hz=100,
+            camera_hz=10,
+            habits=Habits(area_m=(1.6, 1.6)),
+            room_m=(3.0, 3.0),
+        ),
+        Scenario(
             'lanes',
             'lanes with about 40 turns at 75 deg/s',
             stages=(('lanes', 0.0),),
@@ -120,6 +129,6 @@ def find_scenario(name: str) -> Scenario:
     """
     if name not in SCENARIOS:
         raise ConfigError(
-            f'{name!r} is not a scenario', where='simulator', todo=nearest(name, list(SCENARIOS))
+            f'{name!r} is not a scenario', where='scenario', todo=nearest(name, list(SCENARIOS))
         )
     return SCENARIOS[name]

@@ -45,6 +45,8 @@ class SensorErrors:
     """Standard deviation of a force sample at full fan speed; driving shakes as much."""
     force_bias_m_s2: float = 0.05
     """Standard deviation of the constant bias of each axis."""
+    force_step_m_s2: float = 0.0012
+    """Resolution of the recorded force: 16 bits over 4 g to either side."""
     wheel_noise_m: float = 0.005
     """Random error of the distance travelled, m/sqrt(m)."""
     tick_m: float = 3e-4
@@ -65,6 +67,7 @@ NOISE = (
     'rate_step_deg_s',
     'force_noise_m_s2',
     'vibration_m_s2',
+    'force_step_m_s2',
     'wheel_noise_m',
     'tick_m',
     'pixel_noise_px',
@@ -153,7 +156,7 @@ def read_accelerometer(
     shaking = errors.vibration_m_s2 * np.hypot(fan_speed, motion.speed_m_s / 0.3)
     sigma = np.hypot(errors.force_noise_m_s2 * np.sqrt(rate_hz), shaking)
     noise = sigma[:, None] * rng.standard_normal((len(sigma), 3))
-    return motion.specific_force_m_s2 + bias + noise
+    return _quantised(motion.specific_force_m_s2 + bias + noise, errors.force_step_m_s2)
 
 
 # --- wheels -------------------------------------------------------------------------------------

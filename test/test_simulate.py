@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.cli.main import main
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import (
+    CovariateSample,
+    FeatureObservations,
+    Frame,
+    ImuSample,
+    TruthSample,
+    WheelSample,
+)
+from gyrocal_ros.recording.bag import open_bag
+from gyrocal_ros.sim.scenarios import SCENARIOS
+from gyrocal_ros.sim.world import SimSource
+
+CLEANING = replace(SCENARIOS['cleaning'], duration_s=5.0)
+
+
+def simulate(out: Path, *options: str) -> int:
+    return main(['simulate', str(out), '--duration', '5', '--seed', '3', *options])
+
+
+def digest(bag: Path) -> str:
+    return hashlib.sha256(b''.join(file.read_bytes() for file in sorted(bag.iterdir()))).hexdigest()
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_the_bag_holds_what_the_simulator_measured(tmp_path: Path, storage: str) -> None:
+    assert simulate(tmp_path / 'bag', '--storage', storage) == 0
+    bag, source = open_bag(tmp_path / 'bag', Config(), with_covariates=True), SimSource(CLEANING, 3)
+    assert bag.rig.camera == source.rig.camera
+    np.testing.assert_allclose(bag.rig.camera_mount.R_bs, source.rig.camera_mount.R_bs, atol=1e-12)
+    np.testing.assert_allclose(bag.rig.camera_mount.p_bs, source.rig.camera_mount.p_bs, atol=1e-12)
+    recorded, measured = list(bag.measurements()), list(source.measurements())
+    for kind in (ImuSample, WheelSample):
+        assert [item for item in recorded if isinstance(item, kind)] == [
+            item for item in measured if isinstance(item, kind)
+        ]
+    seen = [item for item in recorded if isinstance(item, FeatureObservations)]
+    tracked = [item for item in measured if isinstance(item, FeatureObservations)]
+    for one, other in zip(seen, tracked, strict=True):
+        assert one.t_ns == other.t_ns
+        np.testing.assert_array_equal(one.ids, other.ids)
+        np.testing.assert_allclose(one.pixels, other.pixels, atol=1e-4)
+    names = {item.name for item in recorded if isinstance(item, CovariateSample)}
+    assert {'battery_state.current', 'battery_state.voltage', 'fan_speed.data'} <= names
+    assert sum(isinstance(item, TruthSample) for item in recorded) == 251
+
+
+def test_images_are_recorded_in_place_of_features(tmp_path: Path) -> None:
+    assert simulate(tmp_path / 'bag', '--scenario', 'demo', '--images', '--duration', '2') == 0
+    recorded = list(open_bag(tmp_path / 'bag', Config()).measurements())
+    frames = [item for item in recorded if isinstance(item, Frame)]
+    assert len(frames) == 20
+    assert frames[0].image.shape == (480, 640)
+    assert not any(isinstance(item, FeatureObservations) for item in recorded)
+
+
+def test_same_seed_same_bytes(tmp_path: Path) -> None:
+    for place in ('one', 'two'):
+        assert simulate(tmp_path / place / 'bag') == 0
+    assert digest(tmp_path / 'one' / 'bag') == digest(tmp_path / 'two' / 'bag')
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        (['--scenario', 'cleanin'], "did you mean 'cleaning'?"),
+        (['--seed', '-1'], '--seed'),
+        (['--duration', 'nan'], '--duration'),
+        (['--duration', '0'], '--duration'),
+        (['--jpeg-quality', '101'], '--jpeg-quality'),
+    ],
+)
+def test_bad_arguments_are_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    assert simulate(tmp_path / 'bag', *options) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ''
+    assert captured.err.count('\n') == 1
+    assert message in captured.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bag_is_not_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert simulate(tmp_path / 'bag') == 0
+    before = digest(tmp_path / 'bag')
+    assert simulate(tmp_path / 'bag', '--seed', '4') == 2
+    assert 'is not empty' in capsys.readouterr().err
+    assert digest(tmp_path / 'bag') == before
+    assert simulate(tmp_path / 'bag', '--seed', '4', '--overwrite') == 0
+    assert digest(tmp_path / 'bag') != before
+
+
+def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(self: SimSource) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SimSource, 'measurements', interrupted)
+    assert simulate(tmp_path / 'bag') == 130
+    assert list(tmp_path.iterdir()) == []

@@ -6,13 +6,13 @@ import argparse
 import math
 from collections import Counter
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from gyrocal_ros.cli.output import progress
-from gyrocal_ros.data import seconds
+from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.recording.write import new_bag
 from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
@@ -49,16 +49,13 @@ def run(args: argparse.Namespace) -> None:
     """
     source = _source(args)
     span, counts = source.span, Counter[str]()
-    bar: tqdm[None] = progress('simulating', total=round(span.duration_s), unit='s')
-    bag_to_be = new_bag(args.out, args.storage, overwrite=args.overwrite, jpeg_quality=args.jpeg_quality)
-    with bag_to_be as bag, bar:
+    with new_bag(args.out, args.storage, overwrite=args.overwrite, jpeg_quality=args.jpeg_quality) as bag:
         bag.write_rig(source.rig, span.start_ns, R_bi=np.eye(3))
-        for measurement in source.measurements():
-            bag.write(measurement)
-            counts[type(measurement).__name__] += 1
-            done_s = int(seconds(measurement.t_ns - span.start_ns))
-            if done_s > bar.n:
-                bar.update(done_s - bar.n)
+        by_second = groupby(source.measurements(), key=lambda item: item.t_ns // NS_PER_S)
+        for _, measured in progress('simulating', by_second, total=math.ceil(span.duration_s), unit='s'):
+            for measurement in measured:
+                bag.write(measurement)
+                counts[type(measurement).__name__] += 1
     size_mb = sum(file.stat().st_size for file in args.out.iterdir()) / 1e6
     camera = f'{counts["Frame"]} images' if args.images else f'{counts["FeatureObservations"]} feature lists'
     print(

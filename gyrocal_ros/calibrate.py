@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
 from gyrocal_ros.config import Config
-from gyrocal_ros.data import Rig, Source, Tracking, TruthSample
-from gyrocal_ros.ekf.run import Recorder, Run
+from gyrocal_ros.data import HeadingSample, Measurement, Rig, Source, Span, Tracking, TruthSample, seconds
+from gyrocal_ros.ekf.reference import WALKS_DEG, Preview, log_likelihood, on_time, preview, with_sign
+from gyrocal_ros.ekf.run import Event, Recorder, Run
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError, NotObservableError, RecordingError
 from gyrocal_ros.model.gyro import SensorModel
 from gyrocal_ros.vision.tracker import Tracker
 
+MAX_MISFIT_DEG = 2.0
+"""A heading reference that differs more than this from the best fit of the gyro is no good."""
 MIN_TURN_RAD = math.radians(45.0)
 """Less turning than this, to and fro, tells nothing of a scale factor."""
 
@@ -60,18 +65,35 @@ def calibrate(
         NotObservableError: the robot hardly turned, so that no scale factor can be known.
         RecordingError: the source holds nothing to estimate from.
     """
+    if source.rig.camera is None:
+        run = _calibrate_by_heading(source, config, model, start, report)
+    else:
+        run = _run(source, source.measurements(), config, model, start, report)
+    _require_observable(run)
+    return run
+
+
+def _run(
+    source: Source,
+    measurements: Iterable[Measurement],
+    config: Config,
+    model: SensorModel,
+    start: Start | None,
+    report: Callable[[Progress], None] | None,
+) -> Run:
+    """One pass of the filter."""
     slam = make_filter(model, config, source.rig, start)
     recorder = Recorder(len(model.coefficients))
     span = source.span
     told_s = 0.0
     try:
-        for measurement in source.measurements():
+        for measurement in measurements:
             if isinstance(measurement, TruthSample):
                 recorder.add_truth(measurement)
                 continue
             for record in slam.step(measurement):
                 recorder.add(record)
-            done_s = (measurement.t_ns - span.start_ns) / 1e9
+            done_s = seconds(measurement.t_ns - span.start_ns)
             if report is not None and done_s - told_s >= 1.0:
                 told_s = done_s
                 report(Progress(done_s, span.duration_s))
@@ -79,7 +101,7 @@ def calibrate(
             recorder.add(record)
     except FilterDivergedError as error:
         raise FilterDivergedError(error.what, where=source.name, todo=error.todo) from error
-    run = Run(
+    return Run(
         source=source.name,
         span=span,
         rig=source.rig,
@@ -90,8 +112,60 @@ def calibrate(
         truth=recorder.truth(),
         events=recorder.events,
     )
-    _require_observable(run)
-    return run
+
+
+def _calibrate_by_heading(
+    source: Source,
+    config: Config,
+    model: SensorModel,
+    start: Start | None,
+    report: Callable[[Progress], None] | None,
+) -> Run:
+    """Calibrate against another heading reference, whose noise the likelihood tells.
+
+    A reference of unknown make drifts; taken for white, its drift would make the filter far too sure.
+    """
+    first_look = preview(source.measurements(), source.name)
+    model = with_sign(model, first_look.scale_factor)
+    stream = [
+        on_time(sample, first_look.time_offset_s) if isinstance(sample, HeadingSample) else sample
+        for sample in source.measurements()
+    ]
+    stream.sort(key=attrgetter('t_ns'))
+    runs = []
+    for walk_deg in WALKS_DEG:
+        reference = replace(config.reference, heading_walk_deg=walk_deg)
+        runs.append(_run(source, stream, replace(config, reference=reference), model, start, report))
+    run = max(runs, key=lambda run: log_likelihood(run.history))
+    run = replace(run, events=(*run.events, *_reference_events(first_look, source.span)))
+    return _widened(run, first_look.scale_std)
+
+
+def _widened(run: Run, scale_std: float) -> Run:
+    """The run with all its doubts as much larger as the scatter of the reference asks for."""
+    history, state = run.history, run.state
+    factor = max(1.0, scale_std / float(history.std[-1, COEFFICIENTS_START]))
+    return replace(
+        run,
+        history=replace(history, std=factor * history.std),
+        state=replace(state, covariance=factor**2 * state.covariance),
+    )
+
+
+def _reference_events(first_look: Preview, span: Span) -> Iterator[Event]:
+    """What a person should know of the reference."""
+    if first_look.scale_factor < 0.0:
+        yield Event(span.start_ns, 'the gyro turns against the reference: its z axis points down')
+    if abs(first_look.time_offset_s) >= 0.02:
+        late = 'late' if first_look.time_offset_s > 0.0 else 'early'
+        text = (
+            f'the reference is stamped {abs(first_look.time_offset_s) * 1e3:.0f} ms too {late}; allowed for'
+        )
+        yield Event(span.start_ns, text)
+    misfit_deg = math.degrees(first_look.residual_rms_rad)
+    if misfit_deg > MAX_MISFIT_DEG:
+        text = f'the reference does not fit the gyro: {misfit_deg:.1f} deg rms are left over at best'
+        yield Event(span.start_ns, text)
 
 
 def _require_observable(run: Run) -> None:

@@ -1,0 +1,222 @@
+"""The geometry of the robot, as a recording tells it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from gyrocal_ros.config import CameraConfig
+from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, Mount, Rig
+from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.recording.findings import Finding, Severity
+from gyrocal_ros.recording.selection import Selection
+from gyrocal_ros.recording.stats import TurnStats, compare_turns
+from gyrocal_ros.recording.storage import DAMAGED, Storage, Topic, damaged_message
+from gyrocal_ros.recording.topics import (
+    BODY_FRAME,
+    IMU_SAMPLE,
+    FlatMessage,
+    Role,
+    camera_intrinsics,
+    heading_sample,
+    transforms,
+)
+from gyrocal_ros.recording.transforms import (
+    IDENTITY,
+    UPRIGHT,
+    UPSIDE_DOWN,
+    Transform,
+    find_mount,
+    quaternion_from_yaw,
+    rotation_from_quaternion,
+    upright_rotation,
+)
+
+REST_NS = 2 * NS_PER_S
+"""So much of the start of a recording tells which way gravity points."""
+TURNS_NS = 300 * NS_PER_S
+"""So much of it tells whether gyro and heading reference turn the same way."""
+CLEAR_CORRELATION = 0.8
+
+T = TypeVar('T')
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """Where the sensors sit."""
+
+    rig: Rig
+    R_bi: Array
+    """(3, 3) from the IMU's axes to body axes."""
+    findings: tuple[Finding, ...]
+    """What had to be assumed."""
+
+
+def read_geometry(storage: Storage, selection: Selection, config: CameraConfig) -> Geometry:
+    """Read camera calibration and mounts; what no transform says comes from settings, gravity and turns.
+
+    Args:
+        storage: the open recording.
+        selection: its topics.
+        config: how the camera is mounted where the recording does not say it.
+
+    Raises:
+        RecordingError: the camera is not calibrated, or a message is damaged.
+    """
+    links = read_links(storage, selection)
+    findings: list[Finding] = []
+    camera, mount = None, _mount_of_settings(config)
+    camera_topic = selection.topics.get(Role.FEATURES) or selection.topics.get(Role.IMAGE)
+    if camera_topic:
+        camera = _intrinsics(storage, selection.topics.get(Role.CAMERA_INFO))
+        mount = _camera_mount(storage, camera_topic, links, mount, findings)
+    R_bi = IDENTITY.R_bs
+    if Role.IMU in selection.topics:
+        heading = selection.topics.get(Role.HEADING)
+        R_bi = read_imu_rotation(storage, selection.topics[Role.IMU], links, heading, findings)
+    return Geometry(Rig(camera, mount), R_bi, tuple(findings))
+
+
+def read_links(storage: Storage, selection: Selection) -> list[Transform]:
+    """Return all static transforms.
+
+    Raises:
+        RecordingError: a message is damaged.
+    """
+    return [
+        link
+        for topic in selection.static_transforms
+        for message in storage.messages(topic)
+        for link in transforms(message)
+    ]
+
+
+def read_imu_rotation(
+    storage: Storage,
+    topic: Topic,
+    links: Sequence[Transform],
+    heading: Topic | None,
+    findings: list[Finding],
+) -> Array:
+    """Return the rotation (3, 3) from an IMU's axes to body axes.
+
+    A transform says it; without one, gravity tells an IMU that is upside down or on its side, and a
+    heading reference one that is upside down though its accelerometer denies it.
+
+    Args:
+        storage: the open recording.
+        topic: the IMU.
+        links: the static transforms.
+        heading: the heading reference, if any.
+        findings: what had to be assumed, or is contradictory, is added to them.
+
+    Raises:
+        RecordingError: a message is damaged.
+    """
+    frame = storage.first_message(topic).header.frame_id.lstrip('/')
+    mount = _mount_of_frame(links, frame)
+    R_bi = mount.R_bs if mount else IDENTITY.R_bs
+    force = R_bi @ _starting_force(storage, topic)
+    if not force.any():
+        return R_bi
+    evidence = 'at rest it reads ({:.1f}, {:.1f}, {:.1f}) m/s^2 where (0, 0, 9.8) is expected'.format(*force)
+    mending = upright_rotation(force)
+    if mending and heading and _turns_against(storage, topic, mending.R_bs @ R_bi, heading):
+        mending = upright_rotation(-force)
+        evidence = f'{heading.name} turns the other way, whatever the accelerometer says'
+    if mending is UPRIGHT:
+        return R_bi
+    where = f'from {BODY_FRAME} to {frame or "its frame"}'
+    if mending is None or mount:
+        problem = 'is tilted' if mending is None else 'contradicts its transform'
+        todo = f'check its mounting and the transform {where}'
+        findings.append(Finding(Severity.WARNING, 'imu_mount', topic.name, f'{problem}: {evidence}', todo))
+        return R_bi
+    problem = 'is upside down' if mending is UPSIDE_DOWN else 'lies on its side'
+    todo = f'it is turned by {mending.words} here; better publish that {where} on /tf_static'
+    findings.append(Finding(Severity.WARNING, 'imu_mount', topic.name, f'{problem}: {evidence}', todo))
+    return mending.R_bs
+
+
+def _intrinsics(storage: Storage, topic: Topic | None) -> CameraIntrinsics | None:
+    if not topic:
+        return None
+    try:
+        return camera_intrinsics(storage.first_message(topic))
+    except RecordingError as error:
+        place = error.where or f'{storage.path}, {topic.name}'
+        raise RecordingError(error.what, where=place, todo=error.todo) from error
+
+
+def _mount_of_settings(config: CameraConfig) -> Mount:
+    R_bc = rotation_from_quaternion(*quaternion_from_yaw(math.radians(config.mount_yaw_deg)))
+    return Mount(R_bc, np.array([config.mount_x_m, config.mount_y_m, config.mount_z_m]))
+
+
+def _camera_mount(
+    storage: Storage, topic: Topic, links: Sequence[Transform], assumed: Mount, findings: list[Finding]
+) -> Mount:
+    frame = storage.first_message(topic).header.frame_id.lstrip('/')
+    mount = _mount_of_frame(links, frame)
+    if mount:
+        return mount
+    findings.append(
+        Finding(
+            Severity.WARNING,
+            'camera_mount',
+            topic.name,
+            f'no transform says how {frame or "the camera"} sits on {BODY_FRAME}; the settings do',
+            'publish it on /tf_static',
+        )
+    )
+    return assumed
+
+
+def _mount_of_frame(links: Sequence[Transform], frame: str) -> Mount | None:
+    """Return where a frame sits on the body; its name may have a prefix, as in `robot1/base_link`."""
+    frames = {link.parent for link in links} | {link.child for link in links}
+    bodies = [name for name in sorted(frames) if name.endswith(f'/{BODY_FRAME}')]
+    mounts = (find_mount(links, frame, body) for body in (BODY_FRAME, *bodies) if frame != body)
+    return next((mount for mount in mounts if mount), None)
+
+
+def _starting_force(storage: Storage, topic: Topic) -> Array:
+    """Mean accelerometer reading (3,) over the start of the recording; zeros where there is none."""
+    forces = [sample.specific_force_m_s2 for sample in _start(storage, topic, IMU_SAMPLE, REST_NS)]
+    return np.mean(forces, axis=0) if forces else np.zeros(3)
+
+
+def _turns_against(storage: Storage, imu: Topic, R_bi: Array, heading: Topic) -> bool:
+    """Whether an IMU and a heading reference turn in opposite directions."""
+    by_gyro, by_heading = TurnStats(), TurnStats()
+    samples = _start(storage, imu, IMU_SAMPLE, TURNS_NS)
+    rates = np.array([sample.rate_rad_s for sample in samples])
+    by_gyro.add(np.array([sample.t_ns for sample in samples]), rates @ R_bi[2])
+    poses = _start(storage, heading, heading_sample(heading.type_name), TURNS_NS)
+    by_heading.add_headings(
+        np.array([pose.t_ns for pose in poses]), np.array([pose.yaw_rad for pose in poses])
+    )
+    agreement = compare_turns(by_gyro, by_heading)
+    return agreement is not None and agreement.correlation < -CLEAR_CORRELATION
+
+
+def _start(storage: Storage, topic: Topic, conversion: FlatMessage[T], length_ns: int) -> list[T]:
+    """Return what a topic holds over its first `length_ns`; NaN are left out."""
+    read = storage.reader_of(topic, conversion.fields)
+    samples: list[T] = []
+    start_ns: int | None = None
+    for _, recorded_ns, raw in storage.raw_messages([topic]):
+        start_ns = recorded_ns if start_ns is None else start_ns
+        if recorded_ns > start_ns + length_ns:
+            break
+        try:
+            values = read(raw)
+        except DAMAGED as error:
+            raise damaged_message(storage.path, topic.name, error) from error
+        if math.isfinite(sum(values)):
+            samples.append(conversion.build(*values))
+    return samples

@@ -99,8 +99,10 @@ class GyroSignals:
     motion: Motion
     temperature_c: Array
     """(n,)"""
-    fan_speed: Array
-    """(n,) 0 to 1."""
+    shaking_m_s2: Array
+    """(n,) standard deviation of the vibration."""
+    covariates: dict[str, Array]
+    """Name as recorded to true values (n,)."""
     bias_rad_s: Array
     """(n, 3)"""
     scale_factor: float
@@ -148,13 +150,17 @@ def read_gyro(
     )
 
 
+def shaking(motion: Motion, fan_speed: Array, errors: SensorErrors) -> Array:
+    """Return the standard deviation (n,) of the vibration in m/s^2 that fan and floor cause."""
+    return errors.vibration_m_s2 * np.hypot(fan_speed, motion.speed_m_s / 0.3)
+
+
 def read_accelerometer(
-    motion: Motion, fan_speed: Array, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
+    motion: Motion, shaking_m_s2: Array, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
 ) -> Array:
-    """Return the specific force (n, 3) with bias, noise and the shaking of fan and floor."""
+    """Return the specific force (n, 3) with bias, noise and vibration."""
     bias = errors.force_bias_m_s2 * rng.standard_normal(3)
-    shaking = errors.vibration_m_s2 * np.hypot(fan_speed, motion.speed_m_s / 0.3)
-    sigma = np.hypot(errors.force_noise_m_s2 * np.sqrt(rate_hz), shaking)
+    sigma = np.hypot(errors.force_noise_m_s2 * np.sqrt(rate_hz), shaking_m_s2)
     noise = sigma[:, None] * rng.standard_normal((len(sigma), 3))
     return _quantised(motion.specific_force_m_s2 + bias + noise, errors.force_step_m_s2)
 
@@ -252,20 +258,31 @@ def draw_fan(rng: np.random.Generator, start_s: float, duration_s: float) -> Fan
     return Fan(start_s, ends)
 
 
-def read_fan(time_s: Array, fan: Fan, rng: np.random.Generator) -> Array:
-    """Return the fan speed (n,) in revolutions a minute."""
-    return _quantised(fan.speed(time_s) * 18000.0 + 40.0 * rng.standard_normal(len(time_s)), 10.0)
-
-
-def read_battery(motion: Motion, fan_speed: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return voltage (V) and current (A, negative when discharging), each (n,)."""
+def covariates(motion: Motion, fan_speed: Array) -> dict[str, Array]:
+    """Return the true values (n,) of the other recorded numbers: V, A (discharging: negative), 1/min."""
     driving = 0.5 * np.abs(motion.speed_m_s) / 0.3 + 0.4 * np.abs(motion.rate_rad_s[:, 2])
     speeding_up = 0.8 * np.maximum(motion.acceleration_m_s2, 0.0)
     current = -(0.5 + 1.4 * fan_speed**2 + driving + speeding_up)
-    current = current + 0.03 * rng.standard_normal(len(current))
     spent_ah = np.cumsum(-current * np.diff(motion.time_s, prepend=motion.time_s[0])) / 3600.0
-    voltage = 16.4 - 0.9 * spent_ah + 0.12 * current + 0.004 * rng.standard_normal(len(current))
-    return _quantised(voltage, 0.001), _quantised(current, 0.001)
+    return {
+        'battery_state.voltage': 16.4 - 0.9 * spent_ah + 0.12 * current,
+        'battery_state.current': current,
+        'fan_speed.data': 18000.0 * fan_speed,
+    }
+
+
+COVARIATE_ERRORS = {
+    'battery_state.voltage': (0.004, 0.001),
+    'battery_state.current': (0.03, 0.001),
+    'fan_speed.data': (40.0, 10.0),
+}
+"""Standard deviation of the noise, and resolution."""
+
+
+def read_covariate(name: str, values: Array, rng: np.random.Generator) -> Array:
+    """Return the readings (n,) of one of the `covariates`."""
+    noise, step = COVARIATE_ERRORS[name]
+    return _quantised(values + noise * rng.standard_normal(len(values)), step)
 
 
 def _quantised(values: Array, step: float) -> Array:

@@ -35,22 +35,23 @@ from gyrocal_ros.sim.sensors import (
     Fan,
     GyroEffect,
     GyroSignals,
+    covariates,
     draw_climate,
     draw_fan,
     gyro_bias,
     pixel_errors,
     read_accelerometer,
-    read_battery,
-    read_fan,
+    read_covariate,
     read_gyro,
     read_temperature,
     read_wheels,
+    shaking,
     stream,
 )
 from gyrocal_ros.sim.trajectory import Trajectory, rough_floor
 
 START_NS = 1_700_000_000 * NS_PER_S
-TEMPERATURE_HZ, FAN_HZ, BATTERY_HZ = 1, 5, 5
+TEMPERATURE_HZ, COVARIATE_HZ = 1, 5
 WHEEL_PHASE_S, CAMERA_PHASE_S, SLOW_PHASE_S = 0.003, 0.011, 0.017
 """No two sensors of a real robot are read at the same moment."""
 
@@ -138,7 +139,7 @@ class SimSource:
         """Yield the measurements in the order of their stamps."""
         parts = (
             self._imu(), self._wheels(), self._frames() if self._images else self._features(),
-            self._temperature(), self._fan(), self._battery(), self._truth_poses(),
+            self._temperature(), self._covariates(), self._truth_poses(),
         )  # fmt: skip
         return heapq.merge(*parts, key=attrgetter('t_ns'))
 
@@ -157,13 +158,15 @@ class SimSource:
             time_s=time_s,
             motion=motion,
             temperature_c=truth.climate.temperature_c(time_s),
-            fan_speed=fan_speed,
+            shaking_m_s2=shaking(motion, fan_speed, scenario.errors),
+            covariates=covariates(motion, fan_speed),
             bias_rad_s=truth.bias_rad_s,
             scale_factor=truth.scale_factor,
         )
         errors, hz = scenario.errors, scenario.imu_hz
         rates = read_gyro(signals, hz, errors, stream(self.seed, 'gyro'), self._gyro_effect)
-        forces = read_accelerometer(motion, fan_speed, hz, errors, stream(self.seed, 'accelerometer'))
+        noise = stream(self.seed, 'accelerometer')
+        forces = read_accelerometer(motion, signals.shaking_m_s2, hz, errors, noise)
         yield from map(ImuSample, _stamps(time_s), map(tuple, rates.tolist()), map(tuple, forces.tolist()))
 
     def _wheels(self) -> Iterator[WheelSample]:
@@ -197,20 +200,16 @@ class SimSource:
         values = read_temperature(time_s, self.truth.climate, self.scenario.errors, rng)
         yield from map(TemperatureSample, _stamps(time_s), values.tolist())
 
-    def _fan(self) -> Iterator[CovariateSample]:
-        time_s = _times(FAN_HZ, self.scenario.duration_s, SLOW_PHASE_S)
-        values = read_fan(time_s, self.truth.fan, stream(self.seed, 'fan speed'))
-        for t_ns, value in zip(_stamps(time_s), values.tolist(), strict=True):
-            yield CovariateSample(t_ns, 'fan_speed.data', value)
-
-    def _battery(self) -> Iterator[CovariateSample]:
-        time_s = _times(BATTERY_HZ, self.scenario.duration_s, SLOW_PHASE_S)
-        motion = self.truth.trajectory.motion(time_s)
-        rng = stream(self.seed, 'battery')
-        voltage, current = read_battery(motion, self.truth.fan.speed(time_s), rng)
-        for t_ns, volt, ampere in zip(_stamps(time_s), voltage.tolist(), current.tolist(), strict=True):
-            yield CovariateSample(t_ns, 'battery_state.voltage', volt)
-            yield CovariateSample(t_ns, 'battery_state.current', ampere)
+    def _covariates(self) -> Iterator[CovariateSample]:
+        time_s = _times(COVARIATE_HZ, self.scenario.duration_s, SLOW_PHASE_S)
+        motion, fan_speed = self.truth.trajectory.motion(time_s), self.truth.fan.speed(time_s)
+        readings = {
+            name: read_covariate(name, values, stream(self.seed, name)).tolist()
+            for name, values in covariates(motion, fan_speed).items()
+        }
+        for row, t_ns in enumerate(_stamps(time_s)):
+            for name, values in readings.items():
+                yield CovariateSample(t_ns, name, values[row])
 
     def _truth_poses(self) -> Iterator[TruthSample]:
         time_s = _times(self.scenario.truth_hz, self.scenario.duration_s)

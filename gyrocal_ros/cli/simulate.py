@@ -21,7 +21,7 @@ from gyrocal_ros.sim.world import SimSource
 EXAMPLE = """gyrocal simulate my_bag --scenario furniture --seed 7 --duration 120
 gyrocal simulate my_images --duration 60 --images"""
 
-MAX_DURATION_S = 24 * 3600.0
+MAX_DURATION_S = 2 * 3600.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -94,28 +94,25 @@ def _term(entry: Any, where: str) -> GyroTerm:
     _only(entry, ('name', 'prior_mean', 'prior_std', 'walk'), where)
     term = find_effect(str(entry['name']), where)
     coefficients = {item.name: item for item in term.coefficients}
-    for field in ('prior_mean', 'prior_std', 'walk'):
-        for name, value in _per_coefficient(term, entry.get(field, {}), f'{where}, {term.name}.{field}'):
-            coefficients[name] = replace(coefficients[name], **{field: value})  # type: ignore[arg-type]
+    for field, low in (('prior_mean', -math.inf), ('prior_std', 0.0), ('walk', 0.0)):
+        place = f'{where}, {term.name}.{field}'
+        for name, value in _per_coefficient(term, entry.get(field, {}), place).items():
+            number = _number(name, value, place, low)
+            coefficients[name] = replace(coefficients[name], **{field: number})  # type: ignore[arg-type]
     return replace(term, coefficients=tuple(coefficients.values()))  # type: ignore[type-var]
 
 
-def _per_coefficient(term: GyroTerm, given: Any, where: str) -> list[tuple[str, float]]:
-    """A number for the only coefficient, or numbers by the names of the coefficients."""
+def _per_coefficient(term: GyroTerm, given: Any, where: str) -> Mapping[str, Any]:
+    """A value for the only coefficient, or values by the names of the coefficients."""
     names = [item.name for item in term.coefficients]
     if not isinstance(given, Mapping):
         if len(names) > 1:
             raise ConfigError('has several coefficients', where=where, todo=f'name them: {", ".join(names)}')
         given = {names[0]: given}
-    pairs = []
-    for name, value in given.items():
+    for name in given:
         if name not in names:
             raise ConfigError(f'there is no coefficient {name!r}', where=where, todo=nearest(name, names))
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not number or (value < 0.0 and not where.endswith('prior_mean')):
-            raise ConfigError(f'{name} is {value!r}', where=where, todo='give a number that makes sense')
-        pairs.append((name, float(value)))
-    return pairs
+    return given
 
 
 def _bias(given: Any, where: str) -> BiasModel:
@@ -125,16 +122,22 @@ def _bias(given: Any, where: str) -> BiasModel:
     form = str(given.get('form', 'drift'))
     if form not in BIAS_FORMS:
         raise ConfigError(f'bias form {form!r}', where=where, todo=nearest(form, list(BIAS_FORMS)))
-    time_constant_s = float(given.get('time_constant_s', 500.0))
-    if not time_constant_s > 0.0:
-        raise ConfigError(f'bias time_constant_s is {time_constant_s}', where=where, todo='give seconds')
-    return BiasModel(form, time_constant_s, math.radians(float(given.get('settled_deg_s', 0.0))))
+    time_constant_s = _number('time_constant_s', given.get('time_constant_s', 500.0), f'{where}, bias', 1e-3)
+    settled_deg_s = _number('settled_deg_s', given.get('settled_deg_s', 0.0), f'{where}, bias')
+    return BiasModel(form, time_constant_s, math.radians(settled_deg_s))
 
 
 def _only(tree: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
     for name in tree:
         if name not in known:
             raise ConfigError(f'{name!r} is not known', where=where, todo=nearest(str(name), list(known)))
+
+
+def _number(name: str, value: Any, where: str, low: float = -math.inf) -> float:
+    known = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not known or value < low:
+        raise ConfigError(f'{name} is {value!r}', where=where, todo='give a number that makes sense')
+    return float(value)
 
 
 def _integer(value: Any, where: str) -> int:

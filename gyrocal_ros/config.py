@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
@@ -51,7 +52,7 @@ class GyroConfig:
     """The yaw gyro as its data sheet has it, and how far that is trusted."""
 
     nominal_scale_factor_volt: float = setting(
-        146.4, 'deg/s/V', 'scale factor of the data sheet, already applied to the samples', low=1e-6
+        146.4, 'deg/s/V', 'scale factor of the data sheet, already applied to the samples', low=1e-6, high=1e6
     )
     bias_prior_std_deg_s: float = setting(
         1.0, 'deg/s', 'how large the bias of each axis may be at the start (1 sigma)', low=1e-6, high=50.0
@@ -128,7 +129,7 @@ class FeatureConfig:
         choices=('inverse_depth', 'camera_frame', 'pixel'),
     )
     prior_depth_m: float = setting(
-        2.5, 'm', 'assumed depth along the optical axis at first sight', low=0.05, high=100.0
+        2.5, 'm', 'depth (inverse_depth) or range (other forms) at first sight', low=0.05, high=100.0
     )
     prior_inverse_depth_std: float = setting(
         0.3, '1/m', 'doubt of the inverse of that depth (inverse_depth)', low=1e-3, high=20.0
@@ -144,11 +145,7 @@ class FeatureConfig:
         0.0, 'px', 'e_cal of eq. (21): error of the camera calibration (camera_frame)', low=0.0, high=50.0
     )
     motion_gate_m: float = setting(
-        0.03,
-        'm',
-        'camera_frame: hold camera updates back until the robot has moved so far',
-        low=0.0,
-        high=10.0,
+        0.03, 'm', 'camera_frame: no updates until the robot has moved so far', low=0.0, high=10.0
     )
     motion_gate_deg: float = setting(5.0, 'deg', 'camera_frame: or has turned so far', low=0.0, high=180.0)
     map_size: int = setting(30, '', 'features kept in the map, seen and unseen', low=3, high=1000)
@@ -282,12 +279,10 @@ def to_yaml(config: Config) -> str:
         if new_section != section:
             section = new_section
             lines.append(f'    {section}:')
-        bounds = (
-            f', {about.low:g} to {about.high:g}' if about.low is not None and about.high is not None else ''
-        )
+        bounds = '' if about.low is None else f', {about.low:g} to {about.high:g}'
         unit = f' [{about.unit}]' if about.unit else ''
         lines.append(f'      # {about.help}{unit}{bounds}')
-        lines.append(f'      {item}: {yaml.safe_dump(value).splitlines()[0]}')
+        lines.append(f'      {item}: {yaml.safe_dump(value, width=math.inf).splitlines()[0]}')
     return '\n'.join(lines) + '\n'
 
 
@@ -319,18 +314,34 @@ def load_config(path: Path | None) -> Config:
     Raises:
         ConfigError: the file cannot be read, or a setting in it is unknown or out of bounds.
     """
-    if path is None:
-        return Config()
-    tree = read_yaml(path)
-    for node_name in tree:
-        parameters = tree[node_name].get('ros__parameters') if isinstance(tree[node_name], Mapping) else None
+    config = Config()
+    for node_name, node in read_yaml(path).items() if path else ():
+        parameters = node.get('ros__parameters') if isinstance(node, Mapping) else None
         if not isinstance(parameters, Mapping):
             raise ConfigError(
                 f'{node_name!r} has no ros__parameters', where=str(path), todo='write a ROS 2 parameter file'
             )
-        estimator = {name: value for name, value in parameters.items() if isinstance(value, Mapping)}
-        return with_settings(Config(), estimator, str(path))
-    return Config()
+        config = with_settings(config, _estimator_settings(parameters), str(path))
+    return config
+
+
+def _estimator_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings among the parameters of a node, which may also be written `section.setting`."""
+    nested = {name: dict(value) for name, value in parameters.items() if isinstance(value, Mapping)}
+    for name, value in parameters.items():
+        section, _, item = str(name).partition('.')
+        if item and hasattr(Config, section):
+            nested.setdefault(section, {})[item] = value
+    return nested
+
+
+class _Loader(yaml.SafeLoader):
+    """Takes `1e-3` for a number, as ROS does; PyYAML insists on `1.0e-3`."""
+
+
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float', re.compile(r'[-+]?\d+[eE][-+]?\d+$'), list('-+0123456789')
+)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -340,7 +351,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ConfigError: there is no such file, or it is not YAML, or holds something else.
     """
     try:
-        tree = yaml.safe_load(path.read_text(encoding='utf-8'))
+        tree = yaml.load(path.read_text(encoding='utf-8'), _Loader)
     except OSError as error:
         raise ConfigError(
             f'cannot be read ({error.strerror})', where=str(path), todo='check the path'

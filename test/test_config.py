@@ -1,0 +1,197 @@
+"""Settings: bounds, names, files and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gyrocal_ros.config import (
+    Config,
+    Setting,
+    flat_settings,
+    load_config,
+    nearest,
+    read_yaml,
+    to_dict,
+    to_yaml,
+    with_settings,
+)
+from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.files import shipped
+
+SETTINGS = list(flat_settings(Config()))
+NUMBERS = [item for item in SETTINGS if type(item[1]) in (int, float)]
+
+
+def nested(name: str, value: Any) -> Mapping[str, Any]:
+    section, setting = name.split('.')
+    return {section: {setting: value}}
+
+
+def other_value(value: Any, about: Setting) -> Any:
+    """A value that is allowed and differs from the default."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, str):
+        return about.choices[-1] if about.choices else f'{value} {"long " * 40}: #\'"'
+    return about.high if value != about.high else about.low
+
+
+# --- every setting ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(('name', 'value', 'about'), SETTINGS, ids=[name for name, _, _ in SETTINGS])
+def test_a_setting_is_declared_completely(name: str, value: Any, about: Setting) -> None:
+    assert about.help and not about.help.endswith('.')
+    assert with_settings(Config(), nested(name, value)) == Config(), 'the default keeps its own bounds'
+    if about.choices:
+        assert value in about.choices
+    if type(value) in (int, float):
+        assert about.low is not None and about.high is not None
+
+
+@pytest.mark.parametrize(('name', 'value', 'about'), NUMBERS, ids=[name for name, _, _ in NUMBERS])
+def test_a_number_keeps_to_its_bounds(name: str, value: Any, about: Setting) -> None:
+    assert about.low is not None and about.high is not None
+    kind = type(value)
+    for bound in (about.low, about.high):
+        changed = with_settings(Config(), nested(name, kind(bound)))
+        assert to_dict(changed)[name.split('.')[0]][name.split('.')[1]] == bound
+    for beyond in (about.low - max(abs(about.low), 1.0), about.high + max(abs(about.high), 1.0)):
+        with pytest.raises(ConfigError, match=name) as caught:
+            with_settings(Config(), nested(name, kind(beyond)), 'mine.yaml')
+        assert caught.value.where == 'mine.yaml'
+        assert f'{about.low} to {about.high}' in caught.value.todo
+
+
+# --- values and names that make no sense --------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ('settings', 'message'),
+    [
+        ({'camera': {'pixel_noise_px': math.nan}}, 'camera.pixel_noise_px is nan'),
+        ({'camera': {'pixel_noise_px': math.inf}}, 'camera.pixel_noise_px is inf'),
+        ({'camera': {'pixel_noise_px': '0.3 px'}}, "must be a float, not '0.3 px'"),
+        ({'camera': {'pixel_noise_px': True}}, 'must be a float, not True'),
+        ({'camera': {'pixel_noise_px': None}}, 'must be a float, not None'),
+        ({'camera': {'estimate_pixel_noise': 1}}, 'must be a bool, not 1'),
+        ({'features': {'map_size': 10.0}}, 'map_size must be a int, not 10.0'),
+        (
+            {'features': {'parametrisation': 'inverse depth'}},
+            'choose from inverse_depth, camera_frame, pixel',
+        ),
+        ({'camera': {'pixel_nois_px': 0.3}}, "section camera: .*did you mean 'pixel_noise_px'"),
+        ({'camra': {}}, "did you mean 'camera'"),
+        ({'xyz': {}}, 'known are gyro, wheels, camera'),
+        ({'camera': 0.3}, "section 'camera' holds no settings"),
+        ({3: {}}, '3 is not known'),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings: Mapping[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        with_settings(Config(), settings)
+
+
+def test_whole_numbers_serve_as_decimals() -> None:
+    noise = with_settings(Config(), {'camera': {'pixel_noise_px': 1}}).camera.pixel_noise_px
+    assert noise == 1.0 and isinstance(noise, float)
+
+
+def test_settings_leave_the_others_alone() -> None:
+    changed = with_settings(Config(), {'features': {'map_size': 50}, 'rest': {'settle_s': 1.0}})
+    assert changed == replace(
+        Config(), features=replace(Config().features, map_size=50), rest=replace(Config().rest, settle_s=1.0)
+    )
+
+
+def test_nearest_name() -> None:
+    assert nearest('scael', ['scale', 'bias']) == "did you mean 'scale'?"
+    assert nearest('zzz', ['scale', 'bias']) == 'known are scale, bias'
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+def test_the_shipped_settings_are_the_defaults() -> None:
+    assert shipped('config/gyrocal.yaml').read_text(encoding='utf-8') == to_yaml(Config())
+
+
+def test_settings_are_written_and_read_back(tmp_path: Path) -> None:
+    changed = Config()
+    for name, value, about in SETTINGS:
+        changed = with_settings(changed, nested(name, other_value(value, about)))
+    assert all(to_dict(changed)[section] != to_dict(Config())[section] for section in to_dict(Config()))
+    file = tmp_path / 'all.yaml'
+    file.write_text(to_yaml(changed))
+    assert load_config(file) == changed
+    assert with_settings(Config(), to_dict(changed)) == changed
+
+
+def test_a_file_may_say_a_little(tmp_path: Path) -> None:
+    file = tmp_path / 'some.yaml'
+    file.write_text('/**:\n  ros__parameters:\n    camera: {pixel_noise_px: 2e-1}\n')
+    assert load_config(file).camera.pixel_noise_px == 0.2
+    assert load_config(None) == Config()
+
+
+def test_a_file_may_serve_several_nodes(tmp_path: Path) -> None:
+    file = tmp_path / 'robot.yaml'
+    file.write_text(
+        '/driver: {ros__parameters: {port: /dev/ttyUSB0, gyro: {rate_noise_deg_s: 0.01}}}\n'
+        '/calibrator: {ros__parameters: {features.map_size: 50, features: {ray_std_m: 50.0}}}\n'
+    )
+    config = load_config(file)
+    assert config.gyro.rate_noise_deg_s == 0.01
+    assert (config.features.map_size, config.features.ray_std_m) == (50, 50.0)
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('', 'holds no settings'),
+        ('just words', 'holds no settings'),
+        ('a: [', 'is not valid YAML'),
+        ('camera: {pixel_noise_px: 0.3}', 'no ros__parameters'),
+        ('/**: 3', 'no ros__parameters'),
+        ('/**: {ros__parameters: {camera: {pixel_noise: 0.3}}}', "did you mean 'pixel_noise_px'"),
+        ('/**: {ros__parameters: {camera.pixel_noise: 0.3}}', "did you mean 'pixel_noise_px'"),
+        ('/**: {ros__parameters: {camera: {pixel_noise_px: 300.0}}}', '0.005 to 20.0 px'),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / 'mine.yaml'
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=message) as caught:
+        load_config(file)
+    assert str(file) in caught.value.where
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match='cannot be read'):
+        load_config(tmp_path / 'none.yaml')
+    with pytest.raises(ConfigError, match='cannot be read'):
+        load_config(tmp_path)
+    file = tmp_path / 'latin.yaml'
+    file.write_bytes(b'name: \xe9')
+    with pytest.raises(ConfigError, match='is not valid YAML'):
+        load_config(file)
+
+
+@pytest.mark.parametrize('text', ['1e-3', '1E-3', '1.e-3', '0.1e-2', '+1e-3'])
+def test_numbers_are_written_as_people_and_ros_do(text: str, tmp_path: Path) -> None:
+    file = tmp_path / 'number.yaml'
+    file.write_text(f'value: {text}')
+    assert read_yaml(file) == {'value': 1e-3}
+
+
+@pytest.mark.parametrize('text', ['e3', '1e', '1-3', "'1e-3'", 'a1e-3', '0x1e-3'])
+def test_words_stay_words(text: str, tmp_path: Path) -> None:
+    file = tmp_path / 'word.yaml'
+    file.write_text(f'value: {text}')
+    assert isinstance(read_yaml(file)['value'], str)

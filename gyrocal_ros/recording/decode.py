@@ -113,14 +113,7 @@ class Decoder:
             except RecordingError as error:
                 self._count_bad(topic, error.what, error.todo)
                 return ()
-            height, width = frame.image.shape
-            if (width, height) != (camera.width_px, camera.height_px):
-                raise RecordingError(
-                    f'an image has {width}x{height} pixels, '
-                    f'its camera_info says {camera.width_px}x{camera.height_px}',
-                    where=f'{self._storage.path}, {topic.name}',
-                    todo='record the camera_info of this camera at this resolution',
-                )
+            images.refuse_other_size(frame, camera, f'{self._storage.path}, {topic.name}')
             return (frame,)
 
         return decode

@@ -53,3 +53,14 @@ def refuse_errors(findings: Iterable[Finding], where: str) -> None:
         if finding.severity is Severity.ERROR:
             place = f'{where}, {finding.topic}' if finding.topic else where
             raise RecordingError(finding.text, where=place, todo=finding.todo)
+
+
+def one_a_kind(findings: Iterable[Finding]) -> list[Finding]:
+    """Return one finding a kind, the worst of each: enough for a person who wants to get on."""
+    order = list(Severity)
+    worst: dict[str, Finding] = {}
+    for finding in findings:
+        known = worst.setdefault(finding.kind, finding)
+        if order.index(finding.severity) < order.index(known.severity):
+            worst[finding.kind] = finding
+    return list(worst.values())

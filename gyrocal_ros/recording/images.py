@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal_ros.data import Frame
+from gyrocal_ros.data import CameraIntrinsics, Frame
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.recording import topics
 from gyrocal_ros.recording.messages import MessageMaker
@@ -62,6 +62,27 @@ def frame(message: Any) -> Frame:
     """
     t_ns = topics.stamp_ns(message)
     return Frame(t_ns, _raw_image(message) if hasattr(message, 'encoding') else _compressed_image(message))
+
+
+def refuse_other_size(seen: Frame, camera: CameraIntrinsics, where: str) -> None:
+    """Refuse an image that the calibration is not made for.
+
+    Args:
+        seen: the image.
+        camera: the calibration.
+        where: recording and topic.
+
+    Raises:
+        RecordingError: its size is not that of the camera.
+    """
+    height, width = seen.image.shape
+    if (width, height) != (camera.width_px, camera.height_px):
+        raise RecordingError(
+            f'an image has {width}x{height} pixels, '
+            f'its camera_info says {camera.width_px}x{camera.height_px}',
+            where=where,
+            todo='record the camera_info of this camera at this resolution',
+        )
 
 
 def _raw_image(message: Any) -> NDArray[np.uint8]:

@@ -69,16 +69,38 @@ def read_geometry(storage: Storage, selection: Selection, config: CameraConfig) 
     """
     links = read_links(storage, selection)
     findings: list[Finding] = []
+    rig = read_rig(storage, selection, links, config, findings)
+    heading = selection.topics.get(Role.HEADING)
+    R_bi = read_imu_rotation(storage, selection.topics[Role.IMU], links, heading, findings)
+    return Geometry(rig, R_bi, tuple(findings))
+
+
+def read_rig(
+    storage: Storage,
+    selection: Selection,
+    links: Sequence[Transform],
+    config: CameraConfig,
+    findings: list[Finding],
+) -> Rig:
+    """Return the camera, if one is in use, and how it sits on the robot.
+
+    Args:
+        storage: the open recording.
+        selection: its topics.
+        links: the static transforms.
+        config: how the camera is mounted where the recording does not say it.
+        findings: what had to be assumed is added to them.
+
+    Raises:
+        RecordingError: the camera is not calibrated, or a message is damaged.
+    """
     camera, mount = None, _mount_of_settings(config)
     camera_topic = selection.topics.get(Role.FEATURES) or selection.topics.get(Role.IMAGE)
     if camera_topic:
-        camera = _intrinsics(storage, selection.topics.get(Role.CAMERA_INFO))
         mount = _camera_mount(storage, camera_topic, links, mount, findings)
-    R_bi = IDENTITY.R_bs
-    if Role.IMU in selection.topics:
-        heading = selection.topics.get(Role.HEADING)
-        R_bi = read_imu_rotation(storage, selection.topics[Role.IMU], links, heading, findings)
-    return Geometry(Rig(camera, mount), R_bi, tuple(findings))
+        if Role.CAMERA_INFO in selection.topics:
+            camera = _intrinsics(storage, selection.topics[Role.CAMERA_INFO])
+    return Rig(camera, mount)
 
 
 def read_links(storage: Storage, selection: Selection) -> list[Transform]:
@@ -142,9 +164,7 @@ def read_imu_rotation(
     return mending.R_bs
 
 
-def _intrinsics(storage: Storage, topic: Topic | None) -> CameraIntrinsics | None:
-    if not topic:
-        return None
+def _intrinsics(storage: Storage, topic: Topic) -> CameraIntrinsics:
     try:
         return camera_intrinsics(storage.first_message(topic))
     except RecordingError as error:

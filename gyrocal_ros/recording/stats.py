@@ -16,6 +16,8 @@ LONGEST_STEP_S = 0.3
 """Rates are not integrated over longer intervals."""
 BIN_NS = NS_PER_S // 2
 """Turns are compared over so long: longer than latencies, shorter than turns."""
+CLEAR_TURN_RAD = math.radians(3.0) * BIN_NS / NS_PER_S
+"""More than drift and floor make of a bin."""
 
 
 @dataclass(slots=True)
@@ -138,6 +140,12 @@ class TurnStats:
         for number, turn in zip(numbers.tolist(), np.bincount(places, turns_rad).tolist(), strict=True):
             self.bins_rad[number] += turn
 
+    @property
+    def left_right_rad(self) -> tuple[float, float]:
+        """How far it turned to the left and to the right, drift left out."""
+        clear = [turn for turn in self.bins_rad.values() if abs(turn) > CLEAR_TURN_RAD]
+        return sum(turn for turn in clear if turn > 0.0), -sum(turn for turn in clear if turn < 0.0)
+
 
 @dataclass(slots=True)
 class ImuStats:
@@ -146,7 +154,6 @@ class ImuStats:
     R_bi: Array
     """(3, 3) from the IMU's axes to body axes."""
     count: int = 0
-    not_finite: int = 0
     at_zero: int = 0
     """Samples with all three rates exactly zero."""
     largest_rate_rad_s: float = 0.0
@@ -155,11 +162,6 @@ class ImuStats:
 
     def add(self, stamps_ns: IntArray, readings: Array) -> None:
         """Add a block of samples: stamps (n,), and rates and specific forces (n, 6)."""
-        finite = np.isfinite(readings).all(axis=1)
-        self.not_finite += int(np.count_nonzero(~finite))
-        if not finite.any():
-            return
-        stamps_ns, readings = stamps_ns[finite], readings[finite]
         rates = readings[:, :3] @ self.R_bi.T
         self.count += len(rates)
         self.at_zero += int(np.count_nonzero(~rates.any(axis=1)))

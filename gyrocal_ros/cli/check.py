@@ -1,0 +1,61 @@
+"""Say what is in a bag, and what is wrong with it: topics, rates, gaps, stamps, units, mounting, turns."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+
+from gyrocal_ros.cli.options import add_bag_options, bag_options, read_config
+from gyrocal_ros.cli.output import print_json
+from gyrocal_ros.recording.check import CheckReport, TopicSummary, check_bag
+
+EXAMPLE = 'gyrocal check my_bag\ngyrocal check my_bag -r imu/data_raw:=/imu/data --heading-reference /odom'
+
+COLUMNS = ('topic', 'type', 'used as', 'messages', 'Hz', 'from s', 'to s', 'longest gap s')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_bag_options(parser)
+    parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
+
+
+def run(args: argparse.Namespace) -> None:
+    """Check the bag and print what was found."""
+    report = check_bag(args.bag, read_config(args), **bag_options(args))
+    if args.json:
+        print_json({**asdict(report), 'usable': report.usable})
+    else:
+        print('\n'.join(_text(report)))
+
+
+def _text(report: CheckReport) -> Iterator[str]:
+    yield f'{report.name}: {report.duration_s:.1f} s'
+    yield ''
+    yield from _table([COLUMNS, *map(_row, report.topics)])
+    yield ''
+    for finding in report.findings:
+        yield f'{finding.severity}: {finding}'
+    yield 'This bag can be calibrated from.' if report.usable else 'This bag cannot be calibrated from.'
+
+
+def _row(topic: TopicSummary) -> tuple[str, ...]:
+    figures = (
+        f'{topic.rate_hz:.4g}',
+        f'{topic.start_s:.1f}',
+        f'{topic.end_s:.1f}',
+        f'{topic.longest_gap_s:.2g}',
+    )
+    shown = ('' if text == 'nan' else text for text in figures)
+    return topic.name, topic.type_name, topic.role, str(topic.count), *shown
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [
+            text.ljust(width) if place < 3 else text.rjust(width)
+            for place, (text, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        yield '  '.join(cells).rstrip()

@@ -1,0 +1,93 @@
+"""How fast, and in how much memory: the filter alone, and whole `gyrocal replay` processes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gyrocal_ros.config import Config
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.sim.scenarios import Scenario, find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+SINGLE_THREAD = {'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1'}
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """What a finished child process took."""
+
+    wall_s: float
+    cpu_s: float
+    peak_mb: float
+
+
+def filter_alone(scenario: Scenario, repeats: int = 3) -> dict[str, Any]:
+    """Best of several runs of the filter over measurements that lie ready in memory."""
+    source = SimSource(scenario, 0)
+    measurements = list(source.measurements())
+    walls = []
+    for _ in range(repeats):
+        slam = EkfSlam(default_model(), Config(), source.rig)
+        started = time.perf_counter()
+        for measurement in measurements:
+            slam.step(measurement)
+        slam.finish()
+        walls.append(time.perf_counter() - started)
+    return {
+        'case': f'filter alone, {scenario.imu_hz} Hz, {scenario.camera_hz} frames/s, {scenario.features} features',
+        'wall_s': min(walls),
+        'times_real_time': scenario.duration_s / min(walls),
+        'peak_mb': None,
+    }
+
+
+def gyrocal_process(*words: str) -> Process:
+    """Run `gyrocal` as a user does, with one thread.
+
+    Raises:
+        RuntimeError: the command failed.
+    """
+    command = [sys.executable, '-m', 'gyrocal_ros.cli.main', *words]
+    started = time.perf_counter()
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=os.environ | SINGLE_THREAD)
+    _, status, usage = os.wait4(child.pid, 0)
+    wall_s = time.perf_counter() - started
+    if os.waitstatus_to_exitcode(status) != 0:
+        raise RuntimeError(f'{" ".join(command)} failed')
+    return Process(wall_s, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0)
+
+
+def whole_process(folder: Path, duration_s: float, images: bool) -> dict[str, Any]:
+    """Write a bag and replay it."""
+    kind = 'images' if images else 'features'
+    bag = folder / f'{kind}-{duration_s:.0f}'
+    scenario = IMAGES_SCENARIO if images else 'cleaning'
+    options = ['--images'] if images else []
+    gyrocal_process('simulate', str(bag), '--scenario', scenario, '--duration', str(duration_s), *options)
+    process = gyrocal_process('replay', str(bag), '--json')
+    return {
+        'case': f'replay of {duration_s:.0f} s with {kind}, whole process',
+        'wall_s': process.wall_s,
+        'times_real_time': duration_s / process.wall_s,
+        'peak_mb': process.peak_mb,
+    }
+
+
+def speed(quick: bool = False) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the table: filter alone, then whole processes on bags made for it."""
+    yield filter_alone(find_scenario('lanes'))
+    if quick:
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        for images, durations_s in ((False, (60.0, 300.0, 1200.0)), (True, (60.0, 300.0))):
+            for duration_s in durations_s:
+                yield whole_process(Path(folder), duration_s, images)

@@ -1,0 +1,139 @@
+"""Calibrate the gyro from a recorded bag: the same estimator as on the robot, without ROS."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gyrocal_ros.calibrate import Progress, calibrate
+from gyrocal_ros.calibration import Calibration, conclude, load_calibration
+from gyrocal_ros.cli.options import BagOptions, add_bag_options, bag_options, read_config
+from gyrocal_ros.cli.output import print_json, progress, warn
+from gyrocal_ros.config import Config
+from gyrocal_ros.effects.model_file import load_model
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.files import new_folder
+from gyrocal_ros.model.gyro import SensorModel
+from gyrocal_ros.recording.bag import open_bag
+from gyrocal_ros.recording.check import check_bag
+from gyrocal_ros.recording.findings import Finding, one_a_kind, refuse_errors
+from gyrocal_ros.report.summary import summarise
+
+EXAMPLE = """gyrocal replay my_bag -o result
+gyrocal replay my_bag --json
+gyrocal replay xsens.bag -r imu/data_raw:=/xsens/imu_data --heading-reference /stereo/odometry"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_bag_options(parser)
+    parser.add_argument('--model', type=Path, metavar='FILE', help='sensor model (model.yaml)')
+    parser.add_argument(
+        '--start-from', type=Path, metavar='FILE', help='calibration.yaml of an earlier run to begin with'
+    )
+    parser.add_argument(
+        '--from-images', action='store_true', help='track the images even if there are features'
+    )
+    parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the report and the results')
+    parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
+    parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
+
+
+def run(args: argparse.Namespace) -> None:
+    """Calibrate, print the result, and write the report where one is wanted."""
+    config = read_config(args)
+    if args.from_images:
+        config = replace(config, recording=replace(config.recording, use_images=True))
+    start = load_calibration(args.start_from).start() if args.start_from else None
+    summary = replay(
+        args.bag,
+        config,
+        load_model(args.model),
+        bag_options(args),
+        start=start,
+        out=args.out,
+        overwrite=args.overwrite,
+    )
+    if args.json:
+        print_json(summary)
+    else:
+        print(verdict(summary))
+        if args.out:
+            print(f'\nReport: {args.out / "report.html"}')
+
+
+def replay(
+    bag: Path,
+    config: Config,
+    model: SensorModel,
+    options: BagOptions,
+    *,
+    start: Start | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Check a bag, calibrate from it and write the report; returns what `--json` prints."""
+    began_s = time.perf_counter()
+    with ExitStack() as stack:
+        folder = stack.enter_context(new_folder(out, overwrite=overwrite)) if out else None
+        findings = check_bag(bag, config, **options).findings
+        refuse_errors(findings, str(bag))
+        for finding in one_a_kind(findings):
+            warn(str(finding))
+        finished = _calibrate(bag, config, model, options, start)
+        calibration = conclude(finished)
+        for event in finished.events:
+            warn(event.text)
+        if folder is not None:
+            _write(folder, finished, calibration, findings)
+    return summarise(finished, calibration) | {'wall_s': time.perf_counter() - began_s}
+
+
+def verdict(summary: dict[str, Any]) -> str:
+    """The result in a few lines for a person."""
+    lines = [
+        'scale factor  {:.6f} +- {:.6f}   ({:.3f} deg/s/V)'.format(
+            summary['scale_factor'], summary['scale_factor_std'], summary['scale_factor_volt']
+        ),
+        'bias          {:+.4f} +- {:.4f} deg/s'.format(
+            math.degrees(summary['bias']), math.degrees(summary['bias_std'])
+        ),
+    ]
+    for name, entry in list(summary['coefficients'].items())[2:]:
+        lines.append(f'{name}  {entry["value"]:.6g} +- {entry["std"]:.2g} {entry["unit"]}')
+    if summary['converged']:
+        lines.append(
+            f'converged     after {summary["convergence_time_s"]:.1f} s of {summary["duration_s"]:.0f} s'
+        )
+    else:
+        lines.append('converged     no: see the warnings, and record more turns both ways')
+    if 'blind_drift_deg' in summary:
+        drift = summary['blind_drift_deg']
+        lines.append(f'heading       {summary["heading_rms_deg"]:.3f} deg rms against the ground truth')
+        lines.append(f'blind drift   {drift["rms"]:.2f} deg rms, {drift["max"]:.2f} deg at worst, after 60 s')
+    return '\n'.join(lines)
+
+
+def _calibrate(
+    bag: Path, config: Config, model: SensorModel, options: BagOptions, start: Start | None
+) -> Run:
+    source = open_bag(bag, config, **options)
+    with progress('calibrating', total=round(source.span.duration_s), unit='s') as bar:
+
+        def report(state: Progress) -> None:
+            bar.update(round(state.done_s) - bar.n)
+
+        return calibrate(source, config, model, start, report)
+
+
+def _write(folder: Path, finished: Run, calibration: Calibration, findings: Sequence[Finding]) -> None:
+    from gyrocal_ros.report.write import fill  # only those who want pages pay for the plotting library
+
+    fill(folder, finished, calibration, [(finding.severity, str(finding)) for finding in findings])

@@ -1,0 +1,105 @@
+"""Where new features are worth having: Harris corners, spread over the image."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal_ros.config import TrackerConfig
+from gyrocal_ros.data import Array
+
+HARRIS_K = 0.04
+WINDOW_PX = 14
+"""Side of the window of the structure tensor: about that of a patch."""
+
+SATURATED_GREY = 250
+DISTINCT_PX = 16
+"""How far around a corner nothing else may look like it: about as far as it is searched for."""
+
+
+def find_corners(
+    image: NDArray[np.uint8], taken: Array, missing: int, margin_px: int, config: TrackerConfig
+) -> NDArray[np.intp]:
+    """Find Harris corners, most welcome first.
+
+    They are looked for at half the resolution, where noise and motion blur weigh less. A part of the
+    image with few features is served before one with stronger corners: heading is seen best from
+    features all around. Corners of lamps that dazzle the camera come last: they move as the exposure
+    changes.
+
+    Args:
+        image: (height, width).
+        taken: (n, 2) pixels to keep away from.
+        missing: how many corners are needed.
+        margin_px: distance to keep from the edge of the image.
+        config: distances and quality.
+
+    Returns:
+        (m, 2) whole pixels u, v.
+    """
+    half = np.asarray(cv2.pyrDown(image), np.uint8)
+    allowed = np.zeros(half.shape, dtype=np.uint8)
+    edge = margin_px // 2 + 1
+    allowed[edge:-edge, edge:-edge] = 255
+    for u, v in taken:
+        cv2.circle(allowed, (round(0.5 * u), round(0.5 * v)), round(0.5 * config.min_distance_px), 0, -1)
+    dazzled = cv2.dilate(half, np.ones((WINDOW_PX // 2 + 2,) * 2, np.uint8)) >= SATURATED_GREY
+    corners = _harris(half, np.where(dazzled, 0, allowed).astype(np.uint8), config)
+    order = _spread(corners, taken, image.shape, config.features)
+    if len(corners) < missing and dazzled.any():
+        more = _harris(half, np.where(dazzled, allowed, 0).astype(np.uint8), config)
+        corners = np.concatenate([corners[order], more])
+        return corners
+    return corners[order]
+
+
+def _harris(half: NDArray[np.uint8], allowed: NDArray[np.uint8], config: TrackerConfig) -> NDArray[np.intp]:
+    """Corners (n, 2) in pixels of the whole image, strongest first."""
+    found = cv2.goodFeaturesToTrack(
+        half,
+        maxCorners=8 * config.features,
+        qualityLevel=config.corner_quality,
+        minDistance=0.5 * config.min_distance_px,
+        mask=allowed,
+        blockSize=WINDOW_PX // 2,
+        useHarrisDetector=True,
+        k=HARRIS_K,
+    )
+    return np.zeros((0, 2), np.intp) if found is None else 2 * found.reshape(-1, 2).astype(np.intp)
+
+
+def is_distinct(image: NDArray[np.uint8], corner: NDArray[np.intp], size: int, limit: float) -> bool:
+    """Whether no other place near a corner looks as much like it as the correlation `limit`.
+
+    The slats of a grille and points along an edge do not pass: they would be mistaken for each other.
+    """
+    u, v = corner
+    half, wide = size // 2, size // 2 + DISTINCT_PX
+    top, left = max(0, v - wide), max(0, u - wide)
+    patch = image[v - half : v + half + 1, u - half : u + half + 1]
+    scores = cv2.matchTemplate(image[top : v + wide + 1, left : u + wide + 1], patch, cv2.TM_CCOEFF_NORMED)
+    row, column = v - half - top, u - half - left
+    own = size // 4
+    scores[max(0, row - own) : row + own + 1, max(0, column - own) : column + own + 1] = -1.0
+    return bool(scores.max() < limit)
+
+
+def noise_level(image: NDArray[np.uint8]) -> float:
+    """Standard deviation of the noise of a pixel, in grey levels, by the median second difference."""
+    lines = image[::8].astype(np.int16)
+    second = np.abs(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2])
+    return max(0.5, float(np.median(second)) / (0.6745 * 6.0**0.5))
+
+
+def _spread(corners: NDArray[np.intp], taken: Array, shape: tuple[int, ...], wanted: int) -> NDArray[np.intp]:
+    """Order in which corners fill the image evenly; `corners` come strongest first."""
+    side = (shape[0] * shape[1] / max(wanted, 1)) ** 0.5
+    cells = [tuple(cell) for cell in np.floor_divide(corners, side).astype(int)]
+    filled: dict[tuple[int, ...], int] = {}
+    for place in np.floor_divide(taken, side).astype(int):
+        filled[tuple(place)] = filled.get(tuple(place), 0) + 1
+    rank = np.empty(len(corners), dtype=int)
+    for index, cell in enumerate(cells):
+        rank[index] = filled[cell] = filled.get(cell, 0) + 1
+    return np.argsort(rank, kind='stable')

@@ -1,0 +1,89 @@
+"""Where a feature is looked for, and the search through a region too wide for Lucas-Kanade."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal_ros.data import Array, CameraIntrinsics
+from gyrocal_ros.model.camera import bearing, project
+from gyrocal_ros.vision.patches import grid
+
+SIGMAS = 3.5
+"""Half-axes of a search region, in standard deviations."""
+SLACK_PX = 1.0
+"""Doubt added to every region: the filter's covariance is as good as its model."""
+MIN_RISE = 0.05
+"""Rays flatter than this, as z of the ray in the world, count as if so steep."""
+MAX_REACH_PX = 60
+"""No region is searched further than this."""
+
+
+def ceiling_coordinates(camera: CameraIntrinsics, pixels: Array, R_wc: Array) -> Array:
+    """Place on the ceiling in units of its distance: x/z, y/z of the ray in world axes.
+
+    Args:
+        pixels: (..., 2).
+        R_wc: (3, 3) attitude of the camera.
+
+    Returns:
+        (..., 2). On any horizontal plane, what lies between two points keeps its coordinates while
+        the camera drives and turns below it at the same height.
+    """
+    rays_w = _homogeneous(bearing(camera, pixels.reshape(-1, 2))) @ R_wc.T
+    return (rays_w[:, :2] / np.maximum(rays_w[:, 2:], MIN_RISE)).reshape(pixels.shape)
+
+
+def ceiling_pixels(camera: CameraIntrinsics, ceiling: Array, R_wc: Array) -> Array:
+    """Pixels (..., 2) of ceiling coordinates (..., 2): the inverse of `ceiling_coordinates`."""
+    rays_c = _homogeneous(ceiling.reshape(-1, 2)) @ R_wc
+    return project(camera, rays_c).reshape(ceiling.shape)
+
+
+def inside(offsets: Array, covariances: Array) -> NDArray[np.bool_]:
+    """Which offsets (n, 2) from the prediction lie in the region of the covariance (n or 1, 2, 2)."""
+    inverse = np.linalg.inv(covariances + SLACK_PX**2 * np.eye(2))
+    return ((offsets[:, None, :] @ inverse)[:, 0] * offsets).sum(axis=1) <= SIGMAS**2
+
+
+def reach(covariances: Array) -> NDArray[np.intp]:
+    """Whole pixels (n,) from the centre to the far end of each region."""
+    largest = np.linalg.eigvalsh(covariances)[:, 1] + SLACK_PX**2
+    return np.minimum(np.ceil(SIGMAS * np.sqrt(largest)), MAX_REACH_PX).astype(np.intp)
+
+
+def best_place(image: NDArray[np.uint8], template: Array, points: Array, covariance: Array) -> Array:
+    """Find where in its region a patch correlates best, to the pixel.
+
+    The region is resampled along the axes of the patch, so the patch itself stays as it is.
+
+    Args:
+        image: (height, width).
+        template: (m,) grey values of the patch.
+        points: (m, 2) pixels where its points are expected.
+        covariance: (2, 2) of the expectation.
+
+    Returns:
+        (2,) offset in pixels, to be added to `points`.
+    """
+    size = round(len(template) ** 0.5)
+    middle = len(template) // 2
+    basis = 0.5 * np.stack(
+        [points[middle + 1] - points[middle - 1], points[middle + size] - points[middle - size]]
+    )
+    wide = int(reach(covariance[None])[0])
+    region = np.clip(points[middle] + grid(size + 2 * wide) @ basis, -1e4, 1e4).astype(np.float32)
+    looked = cv2.remap(image, region[:, None], None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
+    scores = cv2.matchTemplate(
+        looked.reshape(size + 2 * wide, -1).astype(np.float32),
+        template.reshape(size, size).astype(np.float32),
+        cv2.TM_CCOEFF_NORMED,
+    ).ravel()
+    offsets = grid(2 * wide + 1) @ basis
+    allowed = inside(offsets, covariance[None]) & np.isfinite(scores)
+    return offsets[np.argmax(np.where(allowed, scores, -2.0))]
+
+
+def _homogeneous(coordinates: Array) -> Array:
+    return np.concatenate([coordinates, np.ones((len(coordinates), 1))], axis=1)

@@ -1,0 +1,256 @@
+"""The feature tracker: images of the ceiling become observations of features.
+
+Every feature is matched to its patch of FIRST sight, never to the last image, so errors do not add
+up along a track. The patch is turned by what the camera is predicted to have turned since; the rest
+of the turn, which the prediction got wrong, is found together with the positions (`patches.align`),
+so that an error of the gyro does not come back as an error of the tracks.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal_ros.config import TrackerConfig
+from gyrocal_ros.data import (
+    Array,
+    CameraIntrinsics,
+    FeatureObservations,
+    Frame,
+    IntArray,
+    SearchRegions,
+    nanoseconds,
+)
+from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.model.camera import in_image
+from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
+from gyrocal_ros.vision.patches import Patches, align, cut, grid
+from gyrocal_ros.vision.search import best_place, ceiling_coordinates, ceiling_pixels, inside, reach
+
+UNPREDICTED_STD_PX = 5.0
+"""Doubt of the position of a feature that the filter does not predict: about the motion of one frame."""
+UNPREDICTED_NS = nanoseconds(1.0)
+"""Such a feature is looked for no longer than this after it was last seen."""
+LUCAS_KANADE_REACH_PX = 10
+"""A region that reaches further is searched by correlation first."""
+MAX_NOISE_PX = 0.1
+"""A corner that the noise of the image alone would move by more than this is none."""
+
+
+@dataclass(slots=True, eq=False)
+class _Features:
+    """n features with patches of m points, oldest first."""
+
+    ids: IntArray
+    seen_ns: IntArray
+    """(n,) when they were last seen."""
+    ceiling: Array
+    """(n, 2) ceiling coordinates then."""
+    outline: Array
+    """(n, m, 2) ceiling coordinates of the points of the patch, relative to its centre."""
+    patches: Patches
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> _Features:
+        return _Features(*(getattr(self, item.name)[chosen] for item in fields(self)))
+
+    def __add__(self, more: _Features) -> _Features:
+        return _Features(
+            np.concatenate([self.ids, more.ids]),
+            np.concatenate([self.seen_ns, more.seen_ns]),
+            np.concatenate([self.ceiling, more.ceiling]),
+            np.concatenate([self.outline, more.outline]),
+            self.patches + more.patches,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """Which of the features are looked for in an image, and where; k of them."""
+
+    index: IntArray
+    """(k,) into the features."""
+    pixels: Array
+    """(k, 2) expected."""
+    covariances_px2: Array
+    """(k, 2, 2)"""
+    tracked: NDArray[np.bool_]
+    """(k,) seen in the last image."""
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> _Search:
+        return _Search(*(getattr(self, item.name)[chosen] for item in fields(self)))
+
+
+class Tracker:
+    """Follows features from image to image.
+
+    Args:
+        camera: intrinsics of the images.
+        config: numbers, distances and thresholds.
+    """
+
+    def __init__(self, camera: CameraIntrinsics, config: TrackerConfig) -> None:
+        self._camera = camera
+        self._config = config
+        self._size_px = config.patch_px | 1
+        self._margin_px = max(config.border_px, math.ceil(self._size_px / math.sqrt(2.0)) + 2)
+        self._next_id = 0
+        self._last_ns = -1
+        self._frames_to_detection = 0
+        self._yaw_error_rad = 0.0  # of the attitudes given, as far as the patches show it
+        dark = np.zeros((camera.height_px, camera.width_px), np.uint8)
+        self._features = self._new_features(Frame(0, dark), np.eye(3), np.zeros((0, 2), np.intp))
+
+    def track(self, frame: Frame, R_wc: Array, regions: SearchRegions | None) -> FeatureObservations:
+        """Find the known features in an image, and new ones where there are too few.
+
+        Args:
+            frame: the next image.
+            R_wc: (3, 3) predicted attitude, from the optical frame to the world. Its yaw may err by
+                an angle that changes slowly.
+            regions: where the filter expects the features that it knows.
+
+        Raises:
+            RecordingError: the image has another size than the camera.
+        """
+        self._check(frame)
+        self._forget(frame.t_ns)
+        search = self._expect(frame.t_ns, R_wc, regions)
+        pixels, found = self._match(frame.image, R_wc, search)
+        seen = search.index[found]
+        self._features.seen_ns[seen] = frame.t_ns
+        self._features.ceiling[seen] = self._to_ceiling(pixels[found], R_wc)
+        new = self._detect(frame, R_wc, pixels, len(seen))
+        self._last_ns = frame.t_ns
+        ids = np.concatenate([self._features.ids[seen], self._features.ids[len(self._features) - len(new) :]])
+        return FeatureObservations(frame.t_ns, ids, np.concatenate([pixels[found], new]))
+
+    def _check(self, frame: Frame) -> None:
+        expected = (self._camera.height_px, self._camera.width_px)
+        if frame.image.shape != expected:
+            got = ' x '.join(str(side) for side in frame.image.shape[1::-1])
+            raise RecordingError(
+                f'an image is {got} pixels, but its camera info says {expected[1]} x {expected[0]}',
+                todo='record images and camera info at the same resolution',
+            )
+
+    def _forget(self, t_ns: int) -> None:
+        """Drop the features that were not seen for long."""
+        lost = self._features.seen_ns != self._last_ns
+        old = np.abs(t_ns - self._features.seen_ns) > nanoseconds(self._config.reacquire_s)
+        if (lost & old).any():
+            self._features = self._features[~(lost & old)]
+
+    def _attitude(self, R_wc: Array) -> Array:
+        """The attitude with the yaw that the patches agree with."""
+        return rotation_from_euler(np.array([0.0, 0.0, -self._yaw_error_rad])) @ R_wc
+
+    def _to_ceiling(self, pixels: Array, R_wc: Array) -> Array:
+        return ceiling_coordinates(self._camera, pixels, self._attitude(R_wc))
+
+    def _to_pixels(self, ceiling: Array, R_wc: Array) -> Array:
+        return ceiling_pixels(self._camera, ceiling, self._attitude(R_wc))
+
+    def _expect(self, t_ns: int, R_wc: Array, regions: SearchRegions | None) -> _Search:
+        """Decide which features to look for, and where.
+
+        Lost ones only while fewer than wanted are tracked, and only where the filter expects them or
+        where they have just been.
+        """
+        features = self._features
+        pixels = self._to_pixels(features.ceiling, R_wc)
+        covariances = np.tile(UNPREDICTED_STD_PX**2 * np.eye(2), (len(features), 1, 1))
+        tracked = features.seen_ns == self._last_ns
+        predictable = np.abs(t_ns - features.seen_ns) <= UNPREDICTED_NS
+        if regions is not None:
+            _, ours, theirs = np.intersect1d(features.ids, regions.ids, return_indices=True)
+            pixels[ours] = regions.pixels[theirs]
+            covariances[ours] = regions.covariances_px2[theirs]
+            predictable[ours] = True
+        wanted = tracked | predictable if tracked.sum() < self._config.features else tracked
+        index = np.flatnonzero(wanted & in_image(self._camera, pixels, self._margin_px))
+        return _Search(index, pixels[index], covariances[index], tracked[index])
+
+    def _match(
+        self, image: NDArray[np.uint8], R_wc: Array, search: _Search
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Look for features: their pixels (k, 2), as expected where not found, and whether found (k,)."""
+        if not len(search.index):
+            return search.pixels, search.tracked
+        wide = reach(search.covariances_px2) > LUCAS_KANADE_REACH_PX
+        pixels, score = self._align(image, R_wc, search, wide)
+        missed = search.tracked & ~wide & (score < 0.0)
+        if missed.any():  # once more, by correlation; further around if the filter errs about most
+            again = search[missed]
+            if 2 * len(again.index) > search.tracked.sum():
+                again.covariances_px2[:] += UNPREDICTED_STD_PX**2 * np.eye(2)
+            pixels[missed], score[missed] = self._align(
+                image, R_wc, again, np.ones(len(again.index), dtype=bool)
+            )
+        _drop_doubles(pixels, score, 0.5 * self._config.patch_px)
+        room = max(0, self._config.features - int((score[search.tracked] > 0.0).sum()))
+        returned = np.flatnonzero(~search.tracked & (score > 0.0))
+        score[returned[np.argsort(-score[returned], kind='stable')][room:]] = -1.0
+        return np.where(score[:, None] > 0.0, pixels, search.pixels), score > 0.0
+
+    def _align(
+        self, image: NDArray[np.uint8], R_wc: Array, search: _Search, wide: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """Pixels (k, 2) by Lucas-Kanade, and their correlation (k,), -1 where the match is refused."""
+        patches = self._features.patches[search.index]
+        centres = self._to_ceiling(search.pixels, R_wc)
+        points = self._to_pixels(centres[:, None] + self._features.outline[search.index], R_wc)
+        for k in np.flatnonzero(wide):
+            points[k] += best_place(image, patches.template[k], points[k], search.covariances_px2[k])
+        result = align(image, patches, points, self._config.min_correlation)
+        good = (
+            (result.correlation > max(0.0, self._config.min_correlation))
+            & (result.backward_px <= self._config.max_reprojection_px)
+            & inside(result.pixels - search.pixels, search.covariances_px2)
+            & in_image(self._camera, result.pixels, self._margin_px)
+        )
+        if good.any():
+            self._yaw_error_rad += result.twist_rad
+        return result.pixels, np.where(good, result.correlation, -1.0)
+
+    def _detect(self, frame: Frame, R_wc: Array, taken: Array, tracked: int) -> Array:
+        """Take new features where it is time or many are missing; return their pixels (k, 2)."""
+        missing = self._config.features - tracked
+        self._frames_to_detection -= 1
+        if missing <= 0 or (self._frames_to_detection > 0 and missing <= tracked):
+            return np.zeros((0, 2))
+        self._frames_to_detection = self._config.detect_interval
+        corners = find_corners(frame.image, taken, missing, self._margin_px, self._config)
+        information = cut(frame.image, corners, self._size_px).information
+        clear = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
+        limit = max(0.0, self._config.min_correlation)
+        distinct = (
+            corner for corner in corners[clear] if is_distinct(frame.image, corner, self._size_px, limit)
+        )
+        corners = np.array(list(islice(distinct, missing)), dtype=np.intp).reshape(-1, 2)
+        self._features += self._new_features(frame, R_wc, corners)
+        self._next_id += len(corners)
+        return corners.astype(float)
+
+    def _new_features(self, frame: Frame, R_wc: Array, corners: NDArray[np.intp]) -> _Features:
+        ceiling = self._to_ceiling(corners.astype(float), R_wc)
+        outline = self._to_ceiling(corners[:, None] + grid(self._size_px), R_wc) - ceiling[:, None]
+        ids = self._next_id + np.arange(len(corners))
+        patches = cut(frame.image, corners, self._size_px)
+        return _Features(ids, np.full(len(ids), frame.t_ns), ceiling, outline, patches)
+
+
+def _drop_doubles(pixels: Array, score: Array, distance_px: float) -> None:
+    """Of any two matches closer than a distance, refuse the one that looks less like its patch."""
+    close = np.linalg.norm(pixels[:, None] - pixels, axis=2) < distance_px
+    for k in np.flatnonzero(close.sum(axis=1) > 1):
+        rivals = close[k] & (score > 0.0)
+        if rivals[k] and score[k] < score[rivals].max():
+            score[k] = -1.0

@@ -5,11 +5,16 @@ Results appear whole or not at all: they are made under a temporary name and ren
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from gyrocal_ros.errors import GyrocalError
 
@@ -59,6 +64,11 @@ def write_text_atomic(path: Path, text: str, *, overwrite: bool = False) -> None
             part.unlink(missing_ok=True)
 
 
+def json_text(values: Mapping[str, Any]) -> str:
+    """Write one JSON object, with a line end; numbers that are not finite become null, arrays lists."""
+    return json.dumps(_plain(values), indent=2, ensure_ascii=False, allow_nan=False) + '\n'
+
+
 @contextmanager
 def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Yield a temporary folder that becomes `path` when the block ends well, and vanishes when not.
@@ -93,6 +103,18 @@ def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
                 part.replace(path)
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def _part_of(path: Path) -> Path:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 from collections.abc import Iterable, Mapping
-from typing import Any, TypeVar
+from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
-T = TypeVar('T')
+from gyrocal_ros.files import json_text
 
 
 def progress(label: str, items: Iterable[T] = (), *, total: float | None = None, unit: str = 'it') -> tqdm[T]:
@@ -42,17 +39,23 @@ def warn(message: str) -> None:
 
 
 def print_json(values: Mapping[str, Any]) -> None:
-    """Print one JSON object; numbers that are not finite become null, arrays become lists."""
-    print(json.dumps(_plain(values), indent=2, ensure_ascii=False, allow_nan=False))
+    """Print one JSON object."""
+    print(json_text(values), end='')
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def print_row(row: Mapping[str, Any], header: bool) -> None:
+    """Print one row of a table at once, so that a long one grows as its rows become ready.
+
+    Args:
+        row: names and values; the columns are as wide as their names, those of texts wider.
+        header: print the names above it.
+    """
+    widths = [max(len(name), 32 if isinstance(value, str) else 9) for name, value in row.items()]
+    if header:
+        print('  '.join(name.ljust(width) for name, width in zip(row, widths, strict=True)).rstrip())
+    cells = [_cell(value).ljust(width) for value, width in zip(row.values(), widths, strict=True)]
+    print('  '.join(cells).rstrip(), flush=True)
+
+
+def _cell(value: Any) -> str:
+    return f'{value:.4g}' if isinstance(value, float) else '-' if value is None else str(value)

@@ -11,7 +11,9 @@ from tqdm import tqdm
 from gyrocal_ros.files import json_text
 
 
-def progress(label: str, items: Iterable[T] = (), *, total: float | None = None, unit: str = 'it') -> tqdm[T]:
+def progress(
+    label: str, items: Iterable[Any] = (), *, total: float | None = None, unit: str = 'it'
+) -> tqdm[Any]:
     """Show a progress bar with the time left, where a person is watching and the work takes a while.
 
     Iterate over it to get `items`, or give `total`, use it as a context and call its `update`.

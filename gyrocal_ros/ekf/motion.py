@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from itertools import pairwise
 
 import numpy as np
 
@@ -31,8 +32,9 @@ class _Signal:
         self.values: list[float] = []
 
     def append(self, t_ns: int, value: float) -> None:
-        self.t_ns.append(t_ns)
-        self.values.append(value)
+        if not self.t_ns or t_ns > self.t_ns[-1]:
+            self.t_ns.append(t_ns)
+            self.values.append(value)
 
     def at(self, t_ns: int, offsets_ns: Array) -> Array:
         """Linear between samples, constant before the first and after the last."""
@@ -46,10 +48,15 @@ class _Signal:
 
 
 class MotionBuffer:
-    """Holds what has arrived since the last block. Blocks must be taken one after the other."""
+    """Holds what has arrived since the last block. Blocks must be taken one after the other.
 
-    def __init__(self) -> None:
+    Args:
+        running_s: how long the gyro has been running when the first sample comes.
+    """
+
+    def __init__(self, running_s: float = 0.0) -> None:
         self.start_ns: int | None = None
+        self._running_s = running_s
         self._imu_ns: list[int] = []
         self._imu: list[tuple[float, ...]] = []
         self._travelled = _Signal()
@@ -84,6 +91,10 @@ class MotionBuffer:
             return
         self._speeds.append((sample.speed_m_s, sample.yaw_rate_rad_s))
 
+    def running_s(self, t_ns: int) -> float:
+        """How long the gyro has been running at a time, counted from the very first IMU sample."""
+        return self._running_s + (seconds(t_ns - self.start_ns) if self.start_ns is not None else 0.0)
+
     def covered_until_ns(self) -> int | None:
         """Up to when a block can be cut now, or None before the first IMU sample."""
         if not self._imu_ns:
@@ -107,7 +118,7 @@ class MotionBuffer:
         block = MotionBlock(
             start_ns=start_ns,
             end_ns=end_ns,
-            time_s=(middle_ns + (start_ns - self.start_ns)) / NS_PER_S,
+            time_s=self.running_s(start_ns) + middle_ns / NS_PER_S,
             dt_s=np.diff(offsets_ns) / NS_PER_S,
             rate_rad_s=values[:, :3],
             specific_force_m_s2=values[:, 3:],
@@ -143,13 +154,11 @@ class MotionBuffer:
 
     def _gap_s(self, start_ns: int, end_ns: int) -> float:
         """Time between samples too far apart, and before the first or after the last sample."""
-        around = self._imu_ns[max(bisect_right(self._imu_ns, start_ns) - 1, 0) :]
-        edges = [*around[: bisect_left(around, end_ns) + 1]]
-        gap_ns = max(edges[0] - start_ns, 0) + max(end_ns - edges[-1], 0)
-        for earlier_ns, later_ns in zip(edges[:-1], edges[1:], strict=True):
-            if later_ns - earlier_ns > GAP_NS:
-                gap_ns += min(later_ns, end_ns) - max(earlier_ns, start_ns)
-        return seconds(gap_ns)
+        first, last = bisect_right(self._imu_ns, start_ns) - 1, bisect_left(self._imu_ns, end_ns)
+        around = self._imu_ns[max(first, 0) : last + 1]
+        wide = [(a, b) for a, b in pairwise(around) if b - a > GAP_NS]
+        unknown = [(start_ns, around[0]), *wide, (around[-1], end_ns)]
+        return seconds(sum(max(min(b, end_ns) - max(a, start_ns), 0) for a, b in unknown))
 
     def _wheel_gap_s(self, start_ns: int, end_ns: int) -> float:
         track = self._travelled.t_ns

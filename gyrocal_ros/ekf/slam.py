@@ -243,7 +243,7 @@ class EkfSlam:
         """Keep the calibration; forget where the robot is, for nobody saw it move meanwhile."""
         records = self.finish()
         self._waiting.clear()
-        self._buffer = MotionBuffer()
+        self._buffer = MotionBuffer(self._buffer.running_s(self.state.t_ns))
         self._resting_since_ns = self._reference_offset = None
         self.state = moved_unseen(forget_all(self.state), step.t_ns)
         self.has_started = False

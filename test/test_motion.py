@@ -1,0 +1,254 @@
+"""Samples gathered and cut into blocks: nothing lost, nothing counted twice, gaps known."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.data import (
+    CovariateSample,
+    ImuSample,
+    MotionBlock,
+    TemperatureSample,
+    WheelSample,
+    nanoseconds,
+    seconds,
+)
+from gyrocal_ros.ekf.motion import GAP_NS, WHEEL_PATIENCE_NS, MotionBuffer
+
+START_NS = 1_700_000_000_000_000_000
+
+
+def at(time_s: float) -> int:
+    return START_NS + nanoseconds(time_s)
+
+
+def imu(time_s: float, yaw_rate: float = 0.0) -> ImuSample:
+    return ImuSample(at(time_s), (0.1, 0.2, yaw_rate), (time_s, 0.0, 9.8))
+
+
+def wheels(time_s: float, speed: float = 0.0, yaw_rate: float = 0.0) -> WheelSample:
+    return WheelSample(at(time_s), speed, yaw_rate)
+
+
+def filled(
+    duration_s: float = 1.0, speed: float = 0.0, imu_hz: int = 200, wheel_hz: int = 50
+) -> MotionBuffer:
+    buffer = MotionBuffer()
+    for i in range(int(duration_s * imu_hz) + 1):
+        buffer.add(imu(i / imu_hz))
+    for i in range(int(duration_s * wheel_hz) + 1):
+        buffer.add(wheels(i / wheel_hz, speed))
+    return buffer
+
+
+# --- IMU ----------------------------------------------------------------------------------------
+
+
+def test_edges_are_interpolated() -> None:
+    buffer = MotionBuffer()
+    for time_s, rate in ((0.0, 0.0), (0.01, 1.0), (0.02, 3.0)):
+        buffer.add(imu(time_s, rate))
+    block = buffer.cut(at(0.004), at(0.015))
+    np.testing.assert_allclose(block.dt_s, [0.006, 0.005])
+    np.testing.assert_allclose(block.time_s, [0.007, 0.0125])
+    np.testing.assert_allclose(block.rate_rad_s[:, 2], [0.7, 1.5])
+    np.testing.assert_allclose(block.specific_force_m_s2[:, 0], [0.007, 0.0125])
+    assert block.duration_s == pytest.approx(0.011)
+    assert block.gap_s == 0.0
+    assert block.wheel_gap_s == pytest.approx(0.011)
+    np.testing.assert_array_equal(block.distance_m, [0.0, 0.0])
+
+
+def test_blocks_share_out_the_whole_turn_and_the_whole_way() -> None:
+    """Whatever the times of samples and cuts: the trapezoids of the gyro, the steps of the wheels."""
+    rng = np.random.default_rng(3)
+    imu_s = np.cumsum(rng.integers(2_000_000, 20_000_000, 400)) * 1e-9
+    rates = rng.normal(size=400)
+    wheel_s = np.cumsum(rng.integers(10_000_000, 60_000_000, 100)) * 1e-9
+    speeds = rng.normal(0.3, 0.1, 100)
+    buffer = MotionBuffer()
+    for t, rate in zip(imu_s, rates, strict=True):
+        buffer.add(imu(t, rate))
+    for t, speed in zip(wheel_s, speeds, strict=True):
+        buffer.add(wheels(t, speed))
+    end_s = min(imu_s[-1], wheel_s[-1])
+    cuts = np.sort(np.concatenate([[imu_s[0], end_s], rng.uniform(imu_s[0], end_s, 60)]))
+    blocks = [
+        buffer.cut(at(start), at(end))
+        for start, end in zip(cuts[:-1], cuts[1:], strict=True)
+        if at(end) > at(start)
+    ]
+
+    def turned(until_s: float) -> float:
+        grid = np.append(imu_s[imu_s < until_s], until_s)
+        at_nodes = np.interp(grid, imu_s, rates)
+        return float(0.5 * (at_nodes[1:] + at_nodes[:-1]) @ np.diff(grid))
+
+    def travelled(until_s: float) -> float:
+        steps = np.concatenate([[0.0], speeds[1:] * np.diff(wheel_s)])
+        return float(np.interp(until_s, wheel_s, np.cumsum(steps)))
+
+    for block in blocks:
+        start_s, end_s = seconds(block.start_ns - START_NS), seconds(block.end_ns - START_NS)
+        assert block.dt_s.sum() == pytest.approx(end_s - start_s, abs=1e-12)
+        assert block.rate_rad_s[:, 2] @ block.dt_s == pytest.approx(turned(end_s) - turned(start_s), abs=1e-9)
+        assert block.distance_m.sum() == pytest.approx(travelled(end_s) - travelled(start_s), abs=1e-9)
+
+
+def test_time_counts_from_the_first_imu_sample() -> None:
+    buffer = filled()
+    buffer.cut(at(0.0), at(0.5))
+    block = buffer.cut(at(0.5), at(0.6))
+    np.testing.assert_allclose(block.time_s, np.arange(0.5025, 0.6, 0.005))
+    assert buffer.running_s(at(0.6)) == pytest.approx(0.6)
+
+
+def test_time_goes_on_from_an_earlier_time_base() -> None:
+    buffer = MotionBuffer(running_s=40.0)
+    assert buffer.running_s(at(0.0)) == 40.0
+    buffer.add(imu(0.0))
+    buffer.add(imu(0.1))
+    np.testing.assert_allclose(buffer.cut(at(0.0), at(0.1)).time_s, [40.05])
+
+
+# --- what is missing ----------------------------------------------------------------------------
+
+
+def gaps(buffer: MotionBuffer, cuts_s: list[float]) -> list[float]:
+    return [buffer.cut(at(start), at(end)).gap_s for start, end in zip(cuts_s[:-1], cuts_s[1:], strict=True)]
+
+
+def test_a_gap_is_counted_in_the_blocks_it_lies_in() -> None:
+    buffer = MotionBuffer()
+    for time_s in (*np.arange(0.0, 0.3, 0.01), *np.arange(0.55, 0.8, 0.01)):
+        buffer.add(imu(float(time_s)))
+    assert gaps(buffer, [0.0, 0.2, 0.4, 0.5, 0.7]) == pytest.approx([0.0, 0.11, 0.1, 0.05], abs=1e-9)
+
+
+def test_slow_samples_are_no_gap() -> None:
+    buffer = MotionBuffer()
+    for i in range(6):
+        buffer.add(imu(i * seconds(GAP_NS)))
+    assert gaps(buffer, [0.0, 0.25, 0.5]) == [0.0, 0.0]
+
+
+def test_time_beyond_the_last_sample_is_a_gap() -> None:
+    buffer = filled(0.2)
+    block = buffer.cut(at(0.1), at(0.5))
+    assert block.gap_s == pytest.approx(0.3)
+    assert block.wheel_gap_s == pytest.approx(0.3)
+    assert not block.wheels_at_rest
+    assert buffer.cut(at(0.5), at(0.6)).gap_s == pytest.approx(0.1)
+
+
+def test_blocks_wait_for_the_wheels_but_not_for_ever() -> None:
+    buffer = MotionBuffer()
+    assert buffer.covered_until_ns() is None
+    buffer.add(wheels(0.0))
+    assert buffer.covered_until_ns() is None
+    buffer.add(imu(0.1))
+    assert buffer.covered_until_ns() == at(0.0)
+    buffer.add(wheels(0.2))
+    assert buffer.covered_until_ns() == at(0.1)
+    buffer.add(imu(0.9))
+    assert buffer.covered_until_ns() == at(0.9) - WHEEL_PATIENCE_NS
+
+
+def test_without_wheels_blocks_wait_for_nothing() -> None:
+    buffer = MotionBuffer()
+    buffer.add(imu(0.0))
+    buffer.add(imu(0.1))
+    assert buffer.covered_until_ns() == at(0.1)
+
+
+# --- rest ---------------------------------------------------------------------------------------
+
+
+def rests(buffer: MotionBuffer, cuts_s: list[float]) -> list[bool]:
+    blocks = (buffer.cut(at(start), at(end)) for start, end in zip(cuts_s[:-1], cuts_s[1:], strict=True))
+    return [block.wheels_at_rest for block in blocks]
+
+
+@pytest.mark.parametrize('moving', [{'speed': 0.01}, {'speed': -0.01}, {'yaw_rate': 0.01}])
+def test_rest_ends_with_the_interval_of_the_first_motion(moving: dict[str, float]) -> None:
+    """The reading at 0.34 s speaks of the motion since 0.32 s."""
+    buffer = MotionBuffer()
+    for i in range(101):
+        buffer.add(imu(i * 0.01))
+    for i in range(51):
+        buffer.add(wheels(i * 0.02, **(moving if i == 17 else {})))
+    cuts_s = [0.0, 0.1, 0.31, 0.32, 0.33, 0.34, 0.35, 0.5]
+    assert rests(buffer, cuts_s) == [True, True, True, False, False, True, True]
+
+
+def test_no_rest_without_wheels() -> None:
+    buffer = MotionBuffer()
+    for i in range(101):
+        buffer.add(imu(i * 0.01))
+    assert rests(buffer, [0.0, 0.5, 1.0]) == [False, False]
+
+
+def test_no_rest_where_the_wheels_are_not_known() -> None:
+    buffer = filled(1.0, wheel_hz=10)
+    buffer.add(imu(1.5))
+    assert rests(buffer, [0.0, 0.5, 1.0, 1.2]) == [True, True, False]
+
+
+# --- slow signals, and samples that make no sense -----------------------------------------------
+
+
+def with_temperature(buffer: MotionBuffer, samples: list[tuple[float, float]]) -> MotionBlock:
+    for time_s, value in samples:
+        buffer.add(TemperatureSample(at(time_s), value))
+        buffer.add(CovariateSample(at(time_s), 'fan.data', 10.0 * value))
+    return buffer.cut(at(0.0), at(1.0))
+
+
+def test_slow_signals_are_linear_between_samples_and_constant_outside() -> None:
+    block = with_temperature(filled(), [(0.2, 20.0), (0.7, 30.0)])
+    expected = np.interp(block.time_s, [0.2, 0.7], [20.0, 30.0])
+    np.testing.assert_allclose(block.temperature_c, expected, atol=1e-6)
+    np.testing.assert_allclose(block.covariates['fan.data'], 10.0 * expected, atol=1e-6)
+
+
+def test_one_sample_holds_everywhere() -> None:
+    block = with_temperature(filled(), [(0.2, 20.0)])
+    np.testing.assert_array_equal(block.temperature_c, 20.0)
+
+
+def test_a_temperature_that_is_not_recorded_is_not_a_number() -> None:
+    assert np.isnan(filled().cut(at(0.0), at(1.0)).temperature_c).all()
+
+
+def test_samples_that_are_not_newer_are_ignored() -> None:
+    plain, disturbed = filled(speed=0.3), filled(speed=0.3)
+    for time_s in (1.0, 0.5, -1.0):
+        disturbed.add(imu(time_s, 9.0))
+        disturbed.add(wheels(time_s, 9.0))
+    expected = with_temperature(plain, [(0.2, 20.0), (0.7, 30.0)])
+    block = with_temperature(disturbed, [(0.2, 20.0), (0.2, 80.0), (0.7, 30.0), (0.7, 90.0), (0.1, 99.0)])
+    np.testing.assert_array_equal(block.rate_rad_s, expected.rate_rad_s)
+    np.testing.assert_array_equal(block.distance_m, expected.distance_m)
+    np.testing.assert_array_equal(block.temperature_c, expected.temperature_c)
+    np.testing.assert_array_equal(block.covariates['fan.data'], expected.covariates['fan.data'])
+
+
+def test_memory_stays_bounded() -> None:
+    def sizes() -> Iterator[int]:
+        buffer = MotionBuffer()
+        for second in range(60):
+            for i in range(100):
+                buffer.add(imu(second + i / 100))
+                buffer.add(wheels(second + i / 100, 0.3))
+                buffer.add(TemperatureSample(at(second + i / 100), 25.0))
+                buffer.add(CovariateSample(at(second + i / 100), 'fan.data', 1.0))
+            if second:
+                buffer.cut(at(second - 0.5), at(second + 0.5))
+                yield len(pickle.dumps(buffer))
+
+    measured = list(sizes())
+    assert max(measured[1:]) <= 1.05 * measured[1]

@@ -52,7 +52,7 @@ class Anchors:
     p_wc: Array
     """(m, 3)"""
 
-    def __getitem__(self, rows: Array | slice) -> Anchors:
+    def __getitem__(self, rows: np.ndarray | slice) -> Anchors:
         return Anchors(self.R_wc[rows], self.p_wc[rows])
 
     def joined(self, other: Anchors) -> Anchors:

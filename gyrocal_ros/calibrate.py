@@ -17,7 +17,7 @@ from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError, NotObservableError, RecordingError
-from gyrocal_ros.model.gyro import SensorModel
+from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.vision.tracker import Tracker
 
 MAX_MISFIT_DEG = 2.0
@@ -34,12 +34,18 @@ class Progress:
     total_s: float
 
 
-def make_filter(model: SensorModel, config: Config, rig: Rig, start: Start | None = None) -> EkfSlam:
+def make_filter(
+    model: SensorModel,
+    config: Config,
+    rig: Rig,
+    start: Start | None = None,
+    candidates: tuple[Effect, ...] = (),
+) -> EkfSlam:
     """The estimator with its tracker, as it runs live and offline."""
     track: Tracking | None = None
     if rig.camera is not None:
         track = Tracker(rig.camera, config.tracker).track
-    return EkfSlam(model, config, rig, track, start)
+    return EkfSlam(model, config, rig, track, start, candidates)
 
 
 def calibrate(
@@ -48,6 +54,7 @@ def calibrate(
     model: SensorModel,
     start: Start | None = None,
     report: Callable[[Progress], None] | None = None,
+    candidates: tuple[Effect, ...] = (),
 ) -> Run:
     """Run the filter over a source.
 
@@ -59,6 +66,7 @@ def calibrate(
         model: the sensor model to estimate.
         start: what an earlier calibration knows.
         report: told of the progress about once a second of recorded time.
+        candidates: effects that the model lacks, to gather evidence of.
 
     Raises:
         FilterDivergedError: the measurements contradict the model beyond repair.
@@ -66,9 +74,9 @@ def calibrate(
         RecordingError: the source holds nothing to estimate from.
     """
     if source.rig.camera is None:
-        run = _calibrate_by_heading(source, config, model, start, report)
+        run = _calibrate_by_heading(source, config, model, start, report, candidates)
     else:
-        run = _run(source, source.measurements(), config, model, start, report)
+        run = _run(source, source.measurements(), config, model, start, report, candidates)
     _require_observable(run)
     return run
 
@@ -80,10 +88,11 @@ def _run(
     model: SensorModel,
     start: Start | None,
     report: Callable[[Progress], None] | None,
+    candidates: tuple[Effect, ...],
 ) -> Run:
     """One pass of the filter."""
-    slam = make_filter(model, config, source.rig, start)
-    recorder = Recorder(len(model.coefficients))
+    slam = make_filter(model, config, source.rig, start, candidates)
+    recorder = Recorder(len(model.coefficients), candidates)
     span = source.span
     told_s = 0.0
     try:
@@ -111,6 +120,7 @@ def _run(
         state=slam.state,
         truth=recorder.truth(),
         events=recorder.events,
+        evidence=recorder.evidence(),
     )
 
 
@@ -120,6 +130,7 @@ def _calibrate_by_heading(
     model: SensorModel,
     start: Start | None,
     report: Callable[[Progress], None] | None,
+    candidates: tuple[Effect, ...],
 ) -> Run:
     """Calibrate against another heading reference, whose noise the likelihood tells.
 
@@ -135,7 +146,9 @@ def _calibrate_by_heading(
     runs = []
     for walk_deg in WALKS_DEG:
         reference = replace(config.reference, heading_walk_deg=walk_deg)
-        runs.append(_run(source, stream, replace(config, reference=reference), model, start, report))
+        runs.append(
+            _run(source, stream, replace(config, reference=reference), model, start, report, candidates)
+        )
     run = max(runs, key=lambda run: log_likelihood(run.history))
     run = replace(run, events=(*run.events, *_reference_events(first_look, source.span)))
     return _widened(run, first_look.scale_std)

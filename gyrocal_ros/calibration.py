@@ -20,7 +20,7 @@ from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import write_text_atomic
-from gyrocal_ros.model.gyro import SensorModel
+from gyrocal_ros.model.sensor import SensorModel
 
 CONSISTENCY_STEPS = 300
 """The filter's consistency is judged by the NIS of so many last steps."""

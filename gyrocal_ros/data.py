@@ -240,10 +240,14 @@ class MotionBlock:
     """(N,) length of each interval."""
     rate_rad_s: Array
     """(N, 3) nominal body rates, mean over each interval."""
+    yaw_acceleration_rad_s2: Array
+    """(N,) change of the nominal yaw rate over each interval."""
     specific_force_m_s2: Array
     """(N, 3)"""
     distance_m: Array
     """(N,) travelled by the wheels; zeros where there are no encoders."""
+    wheel_turn_rad: Array
+    """(N,) turned by the difference of the wheels; zeros where there are no encoders."""
     temperature_c: Array
     """(N,) NaN where none is recorded."""
     covariates: dict[str, Array] = field(default_factory=dict)

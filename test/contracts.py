@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Protocol
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -20,10 +19,19 @@ from gyrocal_ros.config import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
+from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.camera import project, project_with_jacobian
 from gyrocal_ros.model.features.base import Anchors, NewFeatures, Parametrisation, View, view_from_pose
-from gyrocal_ros.model.gyro import BiasModel, Coefficient, GyroTerm, SensorModel
 from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.model.sensor import (
+    CameraEffect,
+    Effect,
+    GroundEffect,
+    GyroEffect,
+    SeenPoints,
+    SensorModel,
+    WheelEffect,
+)
 
 CAMERA = CameraIntrinsics(640, 480, 250.0, 260.0, 310.0, 245.0, (-0.05, 0.01, 1e-3, -2e-3, 0.001))
 MOUNT = Mount(rotation_from_euler(np.array([0.03, -0.02, -1.2])), np.array([0.09, -0.03, 0.1]))
@@ -174,24 +182,26 @@ def eventful_block(count: int = 12, seed: int = 0) -> MotionBlock:
         time_s=end_s - 0.5 * dt_s,
         dt_s=dt_s,
         rate_rad_s=np.radians(rng.uniform([-5, -5, -90], [5, 5, 90], (count, 3))),
+        yaw_acceleration_rad_s2=rng.uniform(-3.0, 3.0, count),
         specific_force_m_s2=rng.normal([0.0, 0.0, 9.8], 0.5, (count, 3)),
         distance_m=0.3 * dt_s,
+        wheel_turn_rad=rng.uniform(-0.5, 0.5, count) * dt_s,
         temperature_c=rng.uniform(20.0, 45.0, count),
         covariates={'battery_state.voltage': rng.uniform(14.0, 16.0, count)},
     )
 
 
+def part_of(block: MotionBlock, part: slice) -> MotionBlock:
+    """Some intervals of a block, as a block."""
+    columns = {
+        item.name: getattr(block, item.name)[part]
+        for item in fields(block)
+        if isinstance(getattr(block, item.name), np.ndarray)
+    }
+    return replace(block, covariates={n: c[part] for n, c in block.covariates.items()}, **columns)
+
+
 SCALE_FACTOR = find_effect('scale_factor')
-
-
-class Effect(Protocol):
-    """What effects of every kind have in common."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def coefficients(self) -> tuple[Coefficient, ...]: ...
 
 
 class EffectContract:
@@ -208,50 +218,23 @@ class EffectContract:
             assert re.fullmatch(r'[a-z][a-z0-9_]*', item.name)
             assert re.fullmatch(r'1|\S+', item.unit)
             assert math.isfinite(item.prior_mean)
-            assert 0.0 < item.prior_std < math.inf
+            assert 0.0 <= item.prior_std < math.inf
             assert 0.0 <= item.walk < math.inf
 
-
-class GyroEffectContract(EffectContract):
-    """An effect in the gyro: a correction of the yaw rate, and its derivative."""
-
     @staticmethod
-    def draws(effect: GyroTerm) -> list[Array]:
+    def draws(effect: Effect) -> list[Array]:
         """Coefficient values as they may come up: the prior mean, and half a sigma about it."""
         rng = np.random.default_rng(1)
         mean = np.array([item.prior_mean for item in effect.coefficients])
         std = np.array([item.prior_std for item in effect.coefficients])
         return [mean, *(mean + 0.5 * std * rng.uniform(-1.0, 1.0, (3, len(mean))))]
 
-    def test_correction_and_jacobian_have_their_shapes(self, effect: GyroTerm) -> None:
-        for count in (1, 12):
-            block = eventful_block(count)
-            for values in self.draws(effect):
-                assert effect.correction(block, values).shape == (count,)
-                assert effect.jacobian(block, values).shape == (count, len(effect.coefficients))
+    @staticmethod
+    def steps(effect: Effect) -> Array:
+        """Steps for differences, small against the priors."""
+        return np.array([1e-4 * (item.prior_std or 1e-3) for item in effect.coefficients])
 
-    def test_jacobian_is_the_derivative(self, effect: GyroTerm) -> None:
-        block = eventful_block()
-        steps = 1e-4 * np.array([item.prior_std for item in effect.coefficients])
-        for values in self.draws(effect):
-            by_value = differences(lambda at: effect.correction(block, at), values, steps)
-            np.testing.assert_allclose(
-                effect.jacobian(block, values) * steps, by_value * steps, rtol=1e-6, atol=1e-13
-            )
-
-    def test_it_does_something(self, effect: GyroTerm) -> None:
-        values = np.array([item.prior_mean + item.prior_std for item in effect.coefficients])
-        turned_rad = eventful_block().dt_s @ np.abs(effect.correction(eventful_block(), values))
-        assert math.radians(1e-4) < turned_rad < math.radians(90.0)
-
-    def test_it_leaves_the_block_alone(self, effect: GyroTerm) -> None:
-        block, untouched = eventful_block(), eventful_block()
-        effect.correction(block, self.draws(effect)[1])
-        effect.jacobian(block, self.draws(effect)[1])
-        np.testing.assert_array_equal(block.rate_rad_s, untouched.rate_rad_s)
-        np.testing.assert_array_equal(block.time_s, untouched.time_s)
-
-    def test_model_file_keeps_it(self, effect: GyroTerm) -> None:
+    def test_model_file_keeps_it(self, effect: Effect) -> None:
         items = tuple(
             replace(item, prior_mean=item.prior_mean + 0.1, prior_std=2.0 * item.prior_std, walk=1e-6)
             for item in effect.coefficients
@@ -260,3 +243,91 @@ class GyroEffectContract(EffectContract):
         others = () if effect.name == SCALE_FACTOR.name else (SCALE_FACTOR,)
         model = SensorModel('mine', BiasModel(), (*others, changed), version=3)
         assert model_from_dict(model_to_dict(model), 'model.yaml') == model
+
+
+class GyroEffectContract(EffectContract):
+    """An effect in the gyro: a correction of the yaw rate, and its derivative."""
+
+    def test_contribution_has_its_shapes(self, effect: GyroEffect) -> None:
+        for count in (1, 12):
+            for values in self.draws(effect):
+                term = effect.contribute(eventful_block(count), values, None)
+                assert term.rate_rad_s.shape == (count,)
+                assert term.by_values.shape == (count, len(effect.coefficients))
+
+    def test_derivative_is_that_of_the_contribution(self, effect: GyroEffect) -> None:
+        first, second = eventful_block(), eventful_block(7)
+        steps = self.steps(effect)
+
+        def rate_of_second(values: Array) -> Array:
+            memory = effect.contribute(first, values, None).memory
+            return effect.contribute(second, values, memory).rate_rad_s
+
+        for values in self.draws(effect):
+            memory = effect.contribute(first, values, None).memory
+            by_values = effect.contribute(second, values, memory).by_values
+            np.testing.assert_allclose(
+                by_values * steps, differences(rate_of_second, values, steps) * steps, rtol=1e-5, atol=1e-12
+            )
+
+    def test_two_blocks_are_as_good_as_one(self, effect: GyroEffect) -> None:
+        whole = eventful_block(12)
+        values = self.draws(effect)[1]
+        halves, memory = [], None
+        for part in (slice(0, 5), slice(5, 12)):
+            term = effect.contribute(part_of(whole, part), values, memory)
+            memory = term.memory
+            halves.append(term.rate_rad_s)
+        if effect.name != 'vibration_rectification':  # whose window is the block
+            joined = effect.contribute(whole, values, None).rate_rad_s
+            np.testing.assert_allclose(np.concatenate(halves), joined, rtol=1e-9, atol=1e-12)
+
+    def test_it_leaves_the_block_alone(self, effect: GyroEffect) -> None:
+        block, untouched = eventful_block(), eventful_block()
+        effect.contribute(block, self.draws(effect)[1], None)
+        np.testing.assert_array_equal(block.rate_rad_s, untouched.rate_rad_s)
+        np.testing.assert_array_equal(block.time_s, untouched.time_s)
+
+
+class MotionEffectContract(EffectContract):
+    """An effect on the wheels or over the ground: metres, and their derivative."""
+
+    def test_derivative_is_that_of_the_contribution(self, effect: WheelEffect | GroundEffect) -> None:
+        block, steps = eventful_block(), self.steps(effect)
+        for values in self.draws(effect):
+            added, by_values = effect.contribute(block, values)
+            assert added.shape == ((12,) if effect.acts_on == 'wheels' else (3,))
+            expected = differences(lambda at: effect.contribute(block, at)[0], values, steps)
+            np.testing.assert_allclose(by_values, expected, rtol=1e-6, atol=1e-12)
+
+
+class CameraEffectContract(EffectContract):
+    """An effect on the camera: another camera, and the derivative of what it sees."""
+
+    def test_derivative_is_that_of_the_pixels(self, effect: CameraEffect) -> None:
+        points_b = np.array([[0.3, 0.2, 2.1], [-1.0, 0.4, 2.5], [0.9, -1.1, 2.3]])
+
+        def pixels(values: Array) -> Array:
+            camera, mount = effect.corrected(CAMERA, MOUNT, values)
+            return project(camera, (points_b - mount.p_bs) @ mount.R_bs)
+
+        for values in self.draws(effect)[:1]:
+            camera, mount = effect.corrected(CAMERA, MOUNT, values)
+            points_c = (points_b - mount.p_bs) @ mount.R_bs
+            seen_pixels, by_point = project_with_jacobian(camera, points_c)
+            scale = np.array([0.5, 1.0, 2.0])
+            seen = SeenPoints(
+                camera,
+                mount.R_bs,
+                scale[:, None] * points_c,
+                scale,
+                seen_pixels,
+                by_point / scale[:, None, None],
+            )
+            steps = self.steps(effect)
+            np.testing.assert_allclose(
+                effect.pixels_by_values(seen, values) * steps,
+                differences(pixels, values, steps) * steps,
+                rtol=1e-5,
+                atol=1e-9,
+            )

@@ -9,20 +9,55 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contracts import GyroEffectContract, eventful_block
+from contracts import (
+    CameraEffectContract,
+    EffectContract,
+    GyroEffectContract,
+    MotionEffectContract,
+    eventful_block,
+)
 
+from gyrocal_ros.data import MotionBlock
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
+from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
 from gyrocal_ros.effects.model_file import load_model, model_from_dict, model_to_dict, model_to_yaml
 from gyrocal_ros.effects.scale import scale_power
+from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import shipped
+from gyrocal_ros.model.gyro import correct
+from gyrocal_ros.model.sensor import GyroTerm, placed
 
 SECOND_ORDER = (find_effect('scale_power_4'), find_effect('scale_power_9'))
 
 
-@pytest.mark.parametrize('effect', [*EFFECTS.values(), *SECOND_ORDER], ids=lambda effect: effect.name)
+COVARIATES = (covariate_bias('battery_state.voltage', 15.0), covariate_scale('battery_state.voltage', 15.0))
+LIBRARY = (*EFFECTS.values(), *SECOND_ORDER, TurnHysteresis(driven_by='side'), *COVARIATES)
+
+
+def acting_on(*places: str) -> pytest.MarkDecorator:
+    chosen = [effect for effect in LIBRARY if effect.acts_on in places]
+    return pytest.mark.parametrize('effect', chosen, ids=lambda effect: effect.name)
+
+
+@acting_on('gyro')
 class TestEachGyroEffect(GyroEffectContract):
+    pass
+
+
+@acting_on('wheels', 'ground')
+class TestEachMotionEffect(MotionEffectContract):
+    pass
+
+
+@acting_on('camera')
+class TestEachCameraEffect(CameraEffectContract):
+    pass
+
+
+@acting_on('time')
+class TestEachTimeEffect(EffectContract):
     pass
 
 
@@ -35,16 +70,20 @@ def test_powers_of_the_nominal_rate() -> None:
     for power in (1, 2, 3, 5):
         term = scale_power(power)
         np.testing.assert_allclose(
-            term.correction(block, np.array([0.5])), 0.5 * block.rate_rad_s[:, 2] ** power
+            term.contribute(block, np.array([0.5]), None).rate_rad_s, 0.5 * block.rate_rad_s[:, 2] ** power
         )
         assert term.coefficients[0].name == f'a{power}'
     assert [scale_power(power).coefficients[0].unit for power in (1, 2, 3)] == ['1', 's/rad', 's^2/rad^2']
 
 
+def warmup(block: MotionBlock, values: list[float]) -> GyroTerm:
+    return BiasWarmup().contribute(block, np.array(values), None)
+
+
 def test_warmup_fades_and_leaves_the_bias_its_meaning() -> None:
     block = eventful_block(2)
     at = {
-        time_s: BiasWarmup().correction(replace(block, time_s=np.full(2, time_s)), np.array([0.01, 300.0]))
+        time_s: warmup(replace(block, time_s=np.full(2, time_s)), [0.01, 300.0]).rate_rad_s
         for time_s in (0.0, 300.0, 1e5)
     }
     assert at[0.0] == pytest.approx(-0.01)
@@ -54,9 +93,9 @@ def test_warmup_fades_and_leaves_the_bias_its_meaning() -> None:
 
 def test_warmup_bears_any_time_constant() -> None:
     for time_constant in (-5.0, 0.0, 1e-9):
-        values = np.array([0.01, time_constant])
-        assert np.isfinite(BiasWarmup().correction(eventful_block(), values)).all()
-        assert np.isfinite(BiasWarmup().jacobian(eventful_block(), values)).all()
+        term = warmup(eventful_block(), [0.01, time_constant])
+        assert np.isfinite(term.rate_rad_s).all()
+        assert np.isfinite(term.by_values).all()
 
 
 @pytest.mark.parametrize(
@@ -119,9 +158,10 @@ def test_a_model_without_a_name_is_called_after_its_file(tmp_path: Path) -> None
 def test_names_count_where_a_term_has_several_coefficients() -> None:
     model = model_from_dict({'effects': ['scale_factor', 'bias_warmup']}, 'm.yaml')
     assert model.coefficient_names[0] == 'scale_factor'
-    correction, columns = model.correction(eventful_block(), np.array([0.1, 0.0, 500.0]))
-    np.testing.assert_allclose(correction, 0.1 * eventful_block().rate_rad_s[:, 2])
-    assert columns.shape == (12, 3)
+    gyro_effects = placed(model.effects, 'gyro')
+    added = correct(gyro_effects, eventful_block(), np.array([0.1, 0.0, 500.0]), (None, None))
+    np.testing.assert_allclose(added.rate_rad_s, 0.1 * eventful_block().rate_rad_s[:, 2])
+    assert added.by_values.shape == (12, 3)
 
 
 @pytest.mark.parametrize(

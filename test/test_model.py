@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
 from gyrocal_ros.data import Array, CameraIntrinsics
 from gyrocal_ros.effects import find_effect
+from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.camera import (
     bearing,
     bearing_jacobian,
@@ -20,9 +21,10 @@ from gyrocal_ros.model.camera import (
     project,
     project_with_jacobian,
 )
-from gyrocal_ros.model.gyro import BiasModel, SensorModel, body_rates
+from gyrocal_ros.model.gyro import body_rates, correct
 from gyrocal_ros.model.kinematics import Motion, integrate
 from gyrocal_ros.model.rotation import euler_rate_matrix, rotation_derivatives, rotation_from_euler
+from gyrocal_ros.model.sensor import SensorModel, placed
 
 ATTITUDES = [np.array(euler) for euler in ([0, 0, 0], [0.1, -0.2, 3.0], [-0.7, 1.2, -2.0], [3.0, -1.4, 9.0])]
 
@@ -215,7 +217,8 @@ def test_a_settling_bias_is_the_paper_s_however_it_is_stepped() -> None:
 def test_corrections_of_all_terms_add_up() -> None:
     block = eventful_block()
     model = SensorModel('two', BiasModel(), (find_effect('scale_factor'), find_effect('scale_cubic')))
-    correction, columns = model.correction(block, np.array([0.1, 0.02]))
+    added = correct(placed(model.effects, 'gyro'), block, np.array([0.1, 0.02]), (None, None))
+    correction, columns = added.rate_rad_s, added.by_values
     rate = block.rate_rad_s[:, 2]
     np.testing.assert_allclose(correction, 0.1 * rate + 0.02 * rate**3)
     np.testing.assert_allclose(columns, np.stack([rate, rate**3], axis=1))

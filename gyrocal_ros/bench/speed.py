@@ -43,7 +43,7 @@ def filter_alone(scenario: Scenario, repeats: int = 3) -> dict[str, Any]:
         slam.finish()
         walls.append(time.perf_counter() - started)
     return {
-        'case': f'filter alone, {scenario.imu_hz} Hz, {scenario.camera_hz} frames/s, {scenario.features} features',
+        'case': f'filter alone, {scenario.imu_hz} Hz IMU, {scenario.camera_hz} images/s',
         'wall_s': min(walls),
         'times_real_time': scenario.duration_s / min(walls),
         'peak_mb': None,
@@ -70,12 +70,12 @@ def whole_process(folder: Path, duration_s: float, images: bool) -> dict[str, An
     """Write a bag and replay it."""
     kind = 'images' if images else 'features'
     bag = folder / f'{kind}-{duration_s:.0f}'
-    scenario = IMAGES_SCENARIO if images else 'cleaning'
+    scenario = 'filmed' if images else 'cleaning'
     options = ['--images'] if images else []
     gyrocal_process('simulate', str(bag), '--scenario', scenario, '--duration', str(duration_s), *options)
     process = gyrocal_process('replay', str(bag), '--json')
     return {
-        'case': f'replay of {duration_s:.0f} s with {kind}, whole process',
+        'case': f'replay of {duration_s:.0f} s of {kind}, whole process',
         'wall_s': process.wall_s,
         'times_real_time': duration_s / process.wall_s,
         'peak_mb': process.peak_mb,

@@ -16,7 +16,8 @@ from gyrocal_ros.ekf.run import History, Run
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
-from gyrocal_ros.model.gyro import BiasModel, SensorModel
+from gyrocal_ros.model.bias import BiasModel
+from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.sim.scenarios import Scenario
 from gyrocal_ros.sim.sensors import without_noise
 from gyrocal_ros.sim.world import START_NS, SimSource

@@ -20,7 +20,7 @@ from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.files import new_folder
-from gyrocal_ros.model.gyro import SensorModel
+from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.recording.bag import open_bag
 from gyrocal_ros.recording.check import check_bag
 from gyrocal_ros.recording.findings import Finding, one_a_kind, refuse_errors

@@ -1,16 +1,38 @@
-"""What an effect is made of, beyond its part in the filter: words for people, a form for the simulator."""
+"""What an effect of the library has beyond its part in the filter: words for people."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.model.gyro import Coefficient
+from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
 
-class LinearEffect(ABC):
-    """A gyro effect that is linear in its coefficients: a few columns of the paper's U."""
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """An effect in words."""
 
+    physics: str
+    """One paragraph that a technician understands."""
+    equation: str
+    usual_size: str
+    best_motion: str
+    """The motion that shows it best."""
+    twins: tuple[str, ...] = ()
+    """Effects that it is easily taken for."""
+    needs: tuple[str, ...] = ()
+    """Signals beside IMU, wheels and camera: `temperature`."""
+    source: str = ''
+
+
+class LinearGyroEffect(ABC):
+    """A gyro effect without memory that is linear in its coefficients: columns of the paper's U."""
+
+    acts_on: ClassVar[Place] = 'gyro'
     name: str
     coefficients: tuple[Coefficient, ...]
 
@@ -18,10 +40,12 @@ class LinearEffect(ABC):
     def columns(self, block: MotionBlock) -> Array:
         """(N, k) contribution to the yaw rate, rad/s, per unit of each coefficient."""
 
-    def correction(self, block: MotionBlock, values: Array) -> Array:
-        """(N,) rad/s."""
-        return self.columns(block) @ values
+    def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
+        """Contribution at the coefficient values (k,)."""
+        columns = self.columns(block)
+        return GyroTerm(columns @ values, columns)
 
-    def jacobian(self, block: MotionBlock, values: Array) -> Array:
-        """(N, k)"""
-        return self.columns(block)
+
+def column(*signals: Array) -> Array:
+    """Signals (N,) as the columns (N, k) of a linear effect; not recorded (NaN) counts as zero."""
+    return np.nan_to_num(np.stack(signals, axis=1))

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.model.gyro import Coefficient
+from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
+
+MIN_TIME_CONSTANT_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -19,25 +22,16 @@ class BiasWarmup:
     Time counts from the first IMU sample.
     """
 
+    acts_on: ClassVar[Place] = 'gyro'
     name: str = 'bias_warmup'
     coefficients: tuple[Coefficient, ...] = (
         Coefficient('amplitude', 'rad/s', prior_std=math.radians(1.0)),
-        Coefficient('time_constant', 's', prior_std=200.0, prior_mean=500.0),
+        Coefficient('time_constant', 's', prior_std=200.0, prior_mean=300.0),
     )
 
-    def correction(self, block: MotionBlock, values: Array) -> Array:
-        """(N,) rad/s."""
-        amplitude, time_constant = values
-        return -amplitude * np.exp(-block.time_s / _at_least_a_second(time_constant))
-
-    def jacobian(self, block: MotionBlock, values: Array) -> Array:
-        """(N, 2)"""
-        amplitude, time_constant = values
-        time_constant = _at_least_a_second(time_constant)
+    def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
+        """Contribution and its derivative (N, 2)."""
+        amplitude, time_constant = values[0], max(values[1], MIN_TIME_CONSTANT_S)
         decay = np.exp(-block.time_s / time_constant)
-        return np.stack([-decay, -amplitude * decay * block.time_s / time_constant**2], axis=1)
-
-
-def _at_least_a_second(time_constant: float) -> float:
-    """Keep the estimate of the time constant where the exponential means something."""
-    return max(float(time_constant), 1.0)
+        by_time_constant = -amplitude * decay * block.time_s / time_constant**2
+        return GyroTerm(-amplitude * decay, np.stack([-decay, by_time_constant], axis=1))

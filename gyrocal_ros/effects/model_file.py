@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ import yaml
 from gyrocal_ros.config import nearest, read_yaml
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.model.gyro import BiasModel, GyroTerm, SensorModel
+from gyrocal_ros.model.bias import BiasModel
+from gyrocal_ros.model.sensor import Effect, SensorModel
 
 BIAS_FORMS = ('drift', 'settling')
 
@@ -46,8 +47,8 @@ def model_from_dict(tree: Mapping[str, Any], where: str) -> SensorModel:
     entries = tree.get('effects')
     if not isinstance(entries, list) or not entries:
         raise ConfigError('lists no effects', where=where, todo='begin with `effects: [scale_factor]`')
-    terms = tuple(_term(entry, where) for entry in entries)
-    names = [term.name for term in terms]
+    effects = tuple(_effect(entry, where) for entry in entries)
+    names = [effect.name for effect in effects]
     if names[0] != 'scale_factor':
         raise ConfigError('the first effect must be scale_factor', where=where)
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -56,7 +57,7 @@ def model_from_dict(tree: Mapping[str, Any], where: str) -> SensorModel:
     return SensorModel(
         name=str(tree.get('name', Path(where).stem)),
         bias=_bias(tree.get('bias', {}), where),
-        terms=terms,
+        effects=effects,
         version=_integer(tree.get('version', 1), where),
     )
 
@@ -71,12 +72,13 @@ def model_to_dict(model: SensorModel) -> dict[str, Any]:
         }
     effects = [
         {
-            'name': term.name,
-            'prior_mean': {item.name: item.prior_mean for item in term.coefficients},
-            'prior_std': {item.name: item.prior_std for item in term.coefficients},
-            'walk': {item.name: item.walk for item in term.coefficients},
+            'name': effect.name,
+            'prior_mean': {item.name: item.prior_mean for item in effect.coefficients},
+            'prior_std': {item.name: item.prior_std for item in effect.coefficients},
+            'walk': {item.name: item.walk for item in effect.coefficients},
         }
-        for term in model.terms
+        | _options(effect)
+        for effect in model.effects
     ]
     return {'name': model.name, 'version': model.version, 'bias': bias, 'effects': effects}
 
@@ -86,25 +88,44 @@ def model_to_yaml(model: SensorModel) -> str:
     return yaml.safe_dump(model_to_dict(model), sort_keys=False)
 
 
-def _term(entry: Any, where: str) -> GyroTerm:
+def _effect(entry: Any, where: str) -> Effect:
     if isinstance(entry, str):
         return find_effect(entry, where)
     if not isinstance(entry, Mapping) or 'name' not in entry:
         raise ConfigError(f'{entry!r} is not an effect', where=where, todo='give its name')
-    _only(entry, ('name', 'prior_mean', 'prior_std', 'walk'), where)
-    term = find_effect(str(entry['name']), where)
-    coefficients = {item.name: item for item in term.coefficients}
+    effect = find_effect(str(entry['name']), where)
+    options = _options(effect)
+    _only(entry, ('name', 'prior_mean', 'prior_std', 'walk', *options), where)
+    coefficients = {item.name: item for item in effect.coefficients}
     for field, low in (('prior_mean', -math.inf), ('prior_std', 0.0), ('walk', 0.0)):
-        place = f'{where}, {term.name}.{field}'
-        for name, value in _per_coefficient(term, entry.get(field, {}), place).items():
+        place = f'{where}, {effect.name}.{field}'
+        for name, value in _per_coefficient(effect, entry.get(field, {}), place).items():
             number = _number(name, value, place, low)
             coefficients[name] = replace(coefficients[name], **{field: number})  # type: ignore[arg-type]
-    return replace(term, coefficients=tuple(coefficients.values()))  # type: ignore[type-var]
+    given = {
+        name: _option(name, entry[name], default, where) for name, default in options.items() if name in entry
+    }
+    return replace(effect, coefficients=tuple(coefficients.values()), **given)  # type: ignore[type-var]
 
 
-def _per_coefficient(term: GyroTerm, given: Any, where: str) -> Mapping[str, Any]:
+def _options(effect: Effect) -> dict[str, Any]:
+    """What else can be said of an effect in `model.yaml`, beside its coefficients, with its value."""
+    fixed = ('name', 'coefficients', 'signal', 'power')
+    names = [item.name for item in fields(effect) if item.name not in fixed]  # type: ignore[arg-type]
+    return {name: getattr(effect, name) for name in names}
+
+
+def _option(name: str, value: Any, default: Any, where: str) -> Any:
+    if isinstance(default, float):
+        return _number(name, value, where, -math.inf)
+    if not isinstance(value, type(default)):
+        raise ConfigError(f'{name} is {value!r}', where=where, todo=f'write it as {default!r}')
+    return value
+
+
+def _per_coefficient(effect: Effect, given: Any, where: str) -> Mapping[str, Any]:
     """A value for the only coefficient, or values by the names of the coefficients."""
-    names = [item.name for item in term.coefficients]
+    names = [item.name for item in effect.coefficients]
     if not isinstance(given, Mapping):
         if len(names) > 1:
             raise ConfigError('has several coefficients', where=where, todo=f'name them: {", ".join(names)}')

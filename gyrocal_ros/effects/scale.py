@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import LinearEffect
-from gyrocal_ros.model.gyro import Coefficient
+from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.model.sensor import Coefficient
 
 FULL_RATE_RAD_S = math.radians(100.0)
 USUAL_NONLINEARITY = 0.01
@@ -15,7 +15,7 @@ USUAL_NONLINEARITY = 0.01
 
 
 @dataclass(frozen=True)
-class ScalePower(LinearEffect):
+class ScalePower(LinearGyroEffect):
     """`a_n w^n`: the n-th power of the scale-factor function, first column of U for n = 1."""
 
     power: int
@@ -24,7 +24,7 @@ class ScalePower(LinearEffect):
 
     def columns(self, block: MotionBlock) -> Array:
         """(N, 1)"""
-        return block.rate_rad_s[:, 2:] ** self.power
+        return column(block.rate_rad_s[:, 2] ** self.power)
 
 
 def scale_power(power: int, prior_std: float | None = None) -> ScalePower:

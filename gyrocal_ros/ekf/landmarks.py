@@ -6,22 +6,35 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrocal_ros.data import IntArray
-from gyrocal_ros.ekf.state import POSE, Landmarks, State, no_landmarks
+from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.ekf.state import POSE, Landmarks, State
 from gyrocal_ros.model.features.base import NewFeatures
 
 
-def augment(state: State, ids: IntArray, new: NewFeatures) -> State:
-    """Eq. (18): add m features; the new block of P is `Jx P Jx^T + Jz R Jz^T`, with cross terms."""
-    count = len(ids)
+def augment(
+    state: State, ids: IntArray, new: NewFeatures, by_values: Array | None, by_candidates: Array | None
+) -> State:
+    """Eq. (18): add m features; the new block of P is `Jx P Jx^T + Jz R Jz^T`, with cross terms.
+
+    Args:
+        state: the state before.
+        ids: (m,)
+        new: the features at their first sight.
+        by_values: (m, 3, k) their derivative by the coefficients; None where there is none.
+        by_candidates: (m, 3, c) the same by effects that the model lacks.
+    """
+    count, r = len(ids), state.robot_size
     n, size = len(state.mean), 3 * count
-    by_pose = new.by_pose.reshape(size, 6)
-    cross = by_pose @ state.covariance[POSE]
+    by_robot = np.zeros((size, r))
+    by_robot[:, POSE] = new.by_pose.reshape(size, 6)
+    if by_values is not None:
+        by_robot[:, state.coefficient_columns] = by_values.reshape(size, -1)
+    cross = by_robot @ state.covariance[:r]
     covariance = np.empty((n + size, n + size))
     covariance[:n, :n] = state.covariance
     covariance[n:, :n] = cross
     covariance[:n, n:] = cross.T
-    own = cross[:, POSE] @ by_pose.T
+    own = cross[:, :r] @ by_robot.T
     blocks = own.reshape(count, 3, count, 3)
     blocks[np.arange(count), :, np.arange(count), :] += new.noise
     covariance[n:, n:] = own
@@ -33,7 +46,11 @@ def augment(state: State, ids: IntArray, new: NewFeatures) -> State:
         rejections=np.concatenate([old.rejections, np.zeros(count, np.int64)]),
     )
     mean = np.concatenate([state.mean, new.parameters.ravel()])
-    return replace(state, mean=mean, covariance=covariance, landmarks=landmarks)
+    sensitivity = by_robot @ state.sensitivity[:r]
+    if by_candidates is not None:
+        sensitivity += by_candidates.reshape(size, -1)
+    sensitivity = np.concatenate([state.sensitivity, sensitivity])
+    return replace(state, mean=mean, covariance=covariance, landmarks=landmarks, sensitivity=sensitivity)
 
 
 def keep(state: State, kept: np.ndarray) -> State:
@@ -46,13 +63,13 @@ def keep(state: State, kept: np.ndarray) -> State:
         mean=state.mean[entries],
         covariance=state.covariance[np.ix_(entries, entries)],
         landmarks=state.landmarks[kept],
+        sensitivity=state.sensitivity[entries],
     )
 
 
 def forget_all(state: State) -> State:
     """Drop the whole map."""
-    r = state.robot_size
-    return replace(state, mean=state.mean[:r], covariance=state.covariance[:r, :r], landmarks=no_landmarks())
+    return keep(state, np.zeros(len(state.landmarks.ids), bool))
 
 
 def note_sighting(state: State, accepted: IntArray, rejected: IntArray, drop_after: int) -> State:

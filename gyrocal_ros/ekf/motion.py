@@ -60,6 +60,7 @@ class MotionBuffer:
         self._imu_ns: list[int] = []
         self._imu: list[tuple[float, ...]] = []
         self._travelled = _Signal()
+        self._turned = _Signal()
         self._speeds: list[tuple[float, float]] = []
         self._temperature = _Signal()
         self._covariates: dict[str, _Signal] = {}
@@ -81,12 +82,14 @@ class MotionBuffer:
             self._covariates.setdefault(sample.name, _Signal()).append(sample.t_ns, sample.value)
 
     def _add_wheels(self, sample: WheelSample) -> None:
-        track = self._travelled
-        if not track.t_ns:
-            track.append(sample.t_ns, 0.0)
-        elif sample.t_ns > track.t_ns[-1]:
-            interval_s = seconds(sample.t_ns - track.t_ns[-1])
-            track.append(sample.t_ns, track.values[-1] + sample.speed_m_s * interval_s)
+        travelled, turned = self._travelled, self._turned
+        if not travelled.t_ns:
+            travelled.append(sample.t_ns, 0.0)
+            turned.append(sample.t_ns, 0.0)
+        elif sample.t_ns > travelled.t_ns[-1]:
+            interval_s = seconds(sample.t_ns - travelled.t_ns[-1])
+            travelled.append(sample.t_ns, travelled.values[-1] + sample.speed_m_s * interval_s)
+            turned.append(sample.t_ns, turned.values[-1] + sample.yaw_rate_rad_s * interval_s)
         else:
             return
         self._speeds.append((sample.speed_m_s, sample.yaw_rate_rad_s))
@@ -115,14 +118,17 @@ class MotionBuffer:
         offsets_ns = np.array([t - start_ns for t in times_ns], float)
         middle_ns = 0.5 * (offsets_ns[1:] + offsets_ns[:-1])
         values = 0.5 * (nodes[1:] + nodes[:-1])
+        dt_s = np.diff(offsets_ns) / NS_PER_S
         block = MotionBlock(
             start_ns=start_ns,
             end_ns=end_ns,
             time_s=self.running_s(start_ns) + middle_ns / NS_PER_S,
-            dt_s=np.diff(offsets_ns) / NS_PER_S,
+            dt_s=dt_s,
             rate_rad_s=values[:, :3],
+            yaw_acceleration_rad_s2=np.diff(nodes[:, 2]) / dt_s,
             specific_force_m_s2=values[:, 3:],
-            distance_m=self._distances(start_ns, offsets_ns),
+            distance_m=_increments(self._travelled, start_ns, offsets_ns),
+            wheel_turn_rad=_increments(self._turned, start_ns, offsets_ns),
             temperature_c=(
                 self._temperature.at(start_ns, middle_ns)
                 if self._temperature.t_ns
@@ -146,11 +152,6 @@ class MotionBuffer:
         earlier_ns, later_ns = self._imu_ns[after - 1], self._imu_ns[after]
         part = (t_ns - earlier_ns) / (later_ns - earlier_ns)
         return tuple(a + part * (b - a) for a, b in zip(self._imu[after - 1], self._imu[after], strict=True))
-
-    def _distances(self, start_ns: int, offsets_ns: Array) -> Array:
-        if len(self._travelled.t_ns) < 2:
-            return np.zeros(len(offsets_ns) - 1)
-        return np.diff(self._travelled.at(start_ns, offsets_ns))
 
     def _gap_s(self, start_ns: int, end_ns: int) -> float:
         """Time between samples too far apart, and before the first or after the last sample."""
@@ -179,7 +180,15 @@ class MotionBuffer:
         del self._imu_ns[:first], self._imu[:first]
         kept = len(self._travelled.t_ns)
         self._travelled.forget_before(t_ns)
+        self._turned.forget_before(t_ns)
         del self._speeds[: kept - len(self._travelled.t_ns)]
         self._temperature.forget_before(t_ns)
         for signal in self._covariates.values():
             signal.forget_before(t_ns)
+
+
+def _increments(signal: _Signal, start_ns: int, offsets_ns: Array) -> Array:
+    """What a running total gained between the given moments."""
+    if len(signal.t_ns) < 2:
+        return np.zeros(len(offsets_ns) - 1)
+    return np.diff(signal.at(start_ns, offsets_ns))

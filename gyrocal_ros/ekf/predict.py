@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrocal_ros.config import GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW_BIAS, State
-from gyrocal_ros.model.gyro import SensorModel, body_rates
+from gyrocal_ros.ekf.parts import Contribution, Parts, contribute, pose_by_values
+from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
+from gyrocal_ros.model.gyro import body_rates
 from gyrocal_ros.model.kinematics import Motion, integrate
 from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.model.sensor import Memory, SensorModel
 
 UNMEASURED_SPEED_M_S = 0.5
 """How fast the robot may travel, unseen, where no encoder vouches for it."""
@@ -25,16 +28,16 @@ class Transition:
     matrix: Array
     """(r, r)"""
     motion: Motion
-    correction_rad_s: Array
-    """(N,) correction of the yaw rate by the coefficients, without the bias."""
-    columns: Array
-    """(N, k) its derivative with respect to the coefficients."""
+    contribution: Contribution
+    """Of the effects in the model."""
 
 
 def predict(
     state: State,
     block: MotionBlock,
     model: SensorModel,
+    parts: Parts,
+    memories: Sequence[Memory],
     gyro: GyroConfig,
     wheels: WheelConfig,
     extra_yaw_walk: float = 0.0,
@@ -45,33 +48,66 @@ def predict(
         state: at the start of the block.
         block: samples up to its end.
         model: the sensor model whose coefficients are part of the state.
+        parts: its effects.
+        memories: what its gyro effects remember.
         gyro: noise of the gyro.
         wheels: noise of the wheels.
         extra_yaw_walk: rad / sqrt(s), further random walk of the heading.
     """
-    correction, columns = model.correction(block, state.coefficients)
-    rate = body_rates(block, correction, state.bias_rad_s)
-    motion = integrate(state.position_m, state.euler_rad, rate, block.dt_s, block.distance_m)
+    added = contribute(parts, block, state.coefficients, memories)
+    rate = body_rates(block, added.correction.rate_rad_s, state.bias_rad_s)
+    distance_m = block.distance_m + added.distance_m
+    motion = integrate(state.position_m, state.euler_rad, rate, block.dt_s, distance_m)
     bias, bias_kept = model.bias.step(state.bias_rad_s[2], block.duration_s)
 
     matrix = np.eye(state.robot_size)
     matrix[POSE, POSE] = motion.transition
     matrix[POSE, BIAS] = motion.rate_gain.sum(axis=2)
-    matrix[POSE, COEFFICIENTS_START:] = motion.rate_gain[:, 2] @ columns
+    matrix[POSE, COEFFICIENTS_START:] = pose_by_values(motion, added)
     matrix[YAW_BIAS, YAW_BIAS] = bias_kept
 
     mean = state.mean.copy()
-    mean[POSITION], mean[EULER], mean[YAW_BIAS] = motion.position_m, motion.euler_rad, bias
+    mean[POSITION], mean[EULER], mean[YAW_BIAS] = motion.position_m + added.drift_m, motion.euler_rad, bias
 
     r = state.robot_size
     covariance = np.empty_like(state.covariance)
     covariance[:r, :r] = matrix @ state.covariance[:r, :r] @ matrix.T
     covariance[:r, :r] += _process_noise(block, motion, model, gyro, wheels, extra_yaw_walk)
+    covariance[YAW, YAW] += float(np.sum(added.correction.noise_rad_s * block.dt_s)) ** 2
     covariance[:r, r:] = matrix @ state.covariance[:r, r:]
     covariance[r:, :r] = covariance[:r, r:].T
     covariance[r:, r:] = state.covariance[r:, r:]
     after = replace(state, t_ns=block.end_ns, mean=mean, covariance=covariance)
-    return after, Transition(matrix, motion, correction, columns)
+    return after, Transition(matrix, motion, added)
+
+
+def predict_sensitivity(
+    state: State,
+    transition: Transition,
+    block: MotionBlock,
+    candidates: Parts,
+    memories: Sequence[Memory],
+) -> tuple[State, tuple[Memory, ...]]:
+    """`X(k+1) = F X(k) + df / dtheta`: how the prediction depends on effects that the model lacks.
+
+    After Friedland 1969. The candidates' own coefficients stay at their prior means.
+
+    Args:
+        state: already predicted, its sensitivity still that from before.
+        transition: how it was predicted.
+        block: the block.
+        candidates: effects that the model lacks.
+        memories: what these remember.
+
+    Returns:
+        The state with its sensitivity, and what the candidates remember.
+    """
+    added = contribute(candidates, block, candidates.prior_means, memories)
+    r = state.robot_size
+    sensitivity = state.sensitivity.copy()
+    sensitivity[:r] = transition.matrix @ state.sensitivity[:r]
+    sensitivity[POSE] += pose_by_values(transition.motion, added)
+    return replace(state, sensitivity=sensitivity), added.correction.memories
 
 
 def _process_noise(

@@ -15,7 +15,7 @@ import numpy as np
 from gyrocal_ros.data import NS_PER_S, Array, HeadingSample, ImuSample, Measurement, nanoseconds
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.errors import NotObservableError
-from gyrocal_ros.model.gyro import SensorModel
+from gyrocal_ros.model.sensor import SensorModel
 
 OFFSETS_S = np.arange(-0.3, 0.3001, 0.01)
 MIN_TURN_RAD = math.radians(45.0)
@@ -87,9 +87,9 @@ def with_sign(model: SensorModel, scale_factor: float) -> SensorModel:
     """The model with the prior of its scale factor about -1 where the gyro turns the other way."""
     if scale_factor > 0.0:
         return model
-    first = model.terms[0]
+    first = model.effects[0]
     item = replace(first.coefficients[0], prior_mean=-2.0 - first.coefficients[0].prior_mean)
-    return replace(model, terms=(replace(first, coefficients=(item,)), *model.terms[1:]))  # type: ignore[type-var]
+    return replace(model, effects=(replace(first, coefficients=(item,)), *model.effects[1:]))  # type: ignore[type-var]
 
 
 def log_likelihood(history: History) -> float:

@@ -8,9 +8,10 @@ import numpy as np
 
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import NS_PER_S, Array, IntArray, Rig, Span, TruthSample
+from gyrocal_ros.ekf.evidence import Evidence, EvidenceRecorder
 from gyrocal_ros.ekf.slam import StepRecord
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
-from gyrocal_ros.model.gyro import SensorModel
+from gyrocal_ros.model.sensor import Effect, SensorModel
 
 TRUTH_INTERVAL_NS = 40_000_000
 """Ground truth is kept no denser than this."""
@@ -92,13 +93,16 @@ class Run:
     """The last one, with the map."""
     truth: Truth | None
     events: tuple[Event, ...]
+    evidence: Evidence | None = None
+    """Of effects that the model lacks, where some were on trial."""
 
 
 class Recorder:
     """Gathers the steps of a run in memory that grows by some 300 bytes a step."""
 
-    def __init__(self, coefficient_count: int) -> None:
+    def __init__(self, coefficient_count: int, candidates: tuple[Effect, ...] = ()) -> None:
         self._count = coefficient_count
+        self._evidence = EvidenceRecorder(candidates) if candidates else None
         self._times_ns: list[int] = []
         self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 14))
         self._truth_ns: list[int] = []
@@ -110,15 +114,15 @@ class Recorder:
         if len(self._times_ns) == len(self._rows):
             self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
         block, sighting = record.block, record.sighting
-        measured = sighting.dof > 0
+        measured = sighting.lesson.dof > 0
         self._rows[len(self._times_ns)] = np.concatenate(
             [
                 record.mean,
                 record.std,
                 record.columns,
                 (
-                    sighting.nis,
-                    sighting.dof,
+                    sighting.lesson.nis,
+                    sighting.lesson.dof,
                     sighting.used,
                     sighting.rejected,
                     sighting.heading_rad if measured else np.nan,
@@ -137,6 +141,8 @@ class Recorder:
         self._times_ns.append(record.t_ns)
         if record.event:
             self._events.append(Event(record.t_ns, record.event))
+        if self._evidence:
+            self._evidence.add(record.t_ns, (record.resting, sighting.lesson))
 
     def add_truth(self, sample: TruthSample) -> None:
         """Take in one pose of the ground truth."""
@@ -179,6 +185,10 @@ class Recorder:
             forward_m_s2=scalars[12],
             resting=scalars[13],
         )
+
+    def evidence(self) -> Evidence | None:
+        """Of the candidates so far, where there are any."""
+        return self._evidence.evidence() if self._evidence else None
 
     def truth(self) -> Truth | None:
         """Ground truth so far, if any came."""

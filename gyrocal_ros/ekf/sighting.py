@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from gyrocal_ros.config import Config
 from gyrocal_ros.data import Array, FeatureObservations, SearchRegions
 from gyrocal_ros.ekf.gate import inliers
 from gyrocal_ros.ekf.landmarks import augment, make_room, note_sighting
+from gyrocal_ros.ekf.parts import Parts, first_sight_by_values, measurement_by_values
 from gyrocal_ros.ekf.state import YAW, State
-from gyrocal_ros.ekf.update import Innovation, innovate, mahalanobis, update
+from gyrocal_ros.ekf.update import Innovation, Lesson, innovate, mahalanobis, update
 from gyrocal_ros.model.camera import project_with_jacobian
 from gyrocal_ros.model.features.base import Parametrisation, Prediction, View
 
@@ -26,9 +27,8 @@ class Sighting:
     used: int = 0
     rejected: int = 0
     added: int = 0
-    nis: float = 0.0
-    """`nu^T S^-1 nu` of what was used."""
-    dof: int = 0
+    lesson: Lesson = Lesson()
+    """What the update taught."""
     heading_rad: float = 0.0
     """The innovation as a heading: the rotation about the vertical that fits it best."""
     heading_std_rad: float = float('nan')
@@ -36,70 +36,86 @@ class Sighting:
     """Squared distances of innovations in which the pixel noise dominates."""
 
 
-def see(
-    state: State,
-    view: View,
-    observations: FeatureObservations,
-    form: Parametrisation,
-    config: Config,
-    noise_px: float,
-) -> tuple[State, Sighting]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Eye:
+    """Everything a look at an image needs beside state and image."""
+
+    view: View
+    """The camera at the state, corrected by the model's effects on it."""
+    form: Parametrisation
+    config: Config
+    noise_px: float
+    """Present standard deviation of the pixels."""
+    parts: Parts
+    """Effects in the model."""
+    candidates: Parts
+    """Effects that the model lacks."""
+    pose_rate: Array
+    """(6,) rate of the robot's pose."""
+
+    def by_values(self, prediction: Prediction, values: Array) -> Array | None:
+        """Derivative (m, r, k) of a prediction by the coefficients (k,)."""
+        return _image_derivative(self.parts, self, prediction, values)
+
+    def by_candidates(self, prediction: Prediction) -> Array | None:
+        """Derivative (m, r, c) of a prediction by effects that the model lacks."""
+        return _image_derivative(self.candidates, self, prediction, self.candidates.prior_means)
+
+
+def see(state: State, eye: Eye, observations: FeatureObservations) -> tuple[State, Sighting]:
     """Correct the state by those of the features seen that the map knows.
 
     Args:
         state: predicted to the time of the image.
-        view: the camera at that state.
+        eye: how it is looked at.
         observations: what the tracker saw.
-        form: parametrisation of the features.
-        config: settings.
-        noise_px: present standard deviation of the pixels.
     """
+    form, features = eye.form, eye.config.features
     row_of = {feature: row for row, feature in enumerate(state.landmarks.ids.tolist())}
     known = [i for i, feature in enumerate(observations.ids.tolist()) if feature in row_of]
     if not known:
         return state, Sighting()
     rows = np.array([row_of[int(observations.ids[i])] for i in known])
-    prediction = form.predict(view, state.features[rows], state.landmarks.anchors[rows])
-    measured, noise = form.measure(view, observations.pixels[known], noise_px, config.features)
-    innovation = innovate(state, rows, prediction, measured, noise)
+    prediction = form.predict(eye.view, state.features[rows], state.landmarks.anchors[rows])
+    measured, noise = form.measure(eye.view, observations.pixels[known], eye.noise_px, features)
+    by_values, by_candidates = eye.by_values(prediction, state.coefficients), eye.by_candidates(prediction)
+    innovation = innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
 
     distances = mahalanobis(innovation)
-    good = inliers(distances, form.rows, config.features.outlier_probability)
+    good = inliers(distances, form.rows, features.outlier_probability)
     good &= prediction.points_c[:, 2] > MIN_SIGHTING_DEPTH
     used = innovation if good.all() else innovation[np.flatnonzero(good)]
     heading_rad, heading_std_rad = _as_heading(used)
-    nis = 0.0
+    lesson = Lesson()
     if good.any():
-        state, nis = update(state, used)
-    state = note_sighting(state, rows[good], rows[~good], config.features.drop_after_rejections)
+        state, lesson = update(state, used)
+    state = note_sighting(state, rows[good], rows[~good], features.drop_after_rejections)
     return state, Sighting(
         used=int(good.sum()),
         rejected=int((~good).sum()),
-        nis=nis,
-        dof=used.residual.size,
+        lesson=lesson,
         heading_rad=heading_rad,
         heading_std_rad=heading_std_rad,
         noise_distances=distances[_noise_dominates(innovation)] if form.rows == 2 else np.empty(0),
     )
 
 
-def meet(
-    state: State,
-    view: View,
-    observations: FeatureObservations,
-    form: Parametrisation,
-    config: Config,
-    noise_px: float,
-) -> tuple[State, int]:
+def meet(state: State, eye: Eye, observations: FeatureObservations) -> tuple[State, int]:
     """Add the features of an image that the map does not know; returns how many were added."""
     known = set(state.landmarks.ids.tolist())
     fresh = [i for i, feature in enumerate(observations.ids.tolist()) if feature not in known]
     count = len(fresh)
     if count == 0:
         return state, 0
-    state = make_room(state, count, config.features.map_size)
-    features = form.initialise(view, observations.pixels[fresh], noise_px, config.features)
-    return augment(state, observations.ids[fresh], features), count
+    features = eye.config.features
+    state = make_room(state, count, features.map_size)
+    new = eye.form.initialise(eye.view, observations.pixels[fresh], eye.noise_px, features)
+    by_values = by_candidates = None
+    if eye.parts.act_on_images or eye.candidates.act_on_images:
+        prediction = eye.form.predict(eye.view, new.parameters, new.anchors)
+        by_values = _at_first_sight(prediction, eye.by_values(prediction, state.coefficients))
+        by_candidates = _at_first_sight(prediction, eye.by_candidates(prediction))
+    return augment(state, observations.ids[fresh], new, by_values, by_candidates), count
 
 
 def search_regions(state: State, view: View, form: Parametrisation, noise_px: float) -> SearchRegions:
@@ -108,20 +124,27 @@ def search_regions(state: State, view: View, form: Parametrisation, noise_px: fl
     pixels, by_point = project_with_jacobian(view.camera, prediction.points_c)
     if form.rows == 3:
         by_pose, by_feature = by_point @ prediction.by_pose, by_point @ prediction.by_feature
-        prediction = Prediction(pixels, by_pose, by_feature, prediction.points_c)
+        prediction = replace(
+            prediction, expected=pixels, by_pose=by_pose, by_feature=by_feature, by_point=by_point
+        )
     visible = np.flatnonzero(prediction.points_c[:, 2] > MIN_SIGHTING_DEPTH)
     count = len(visible)
-    seen = Prediction(
-        pixels[visible],
-        prediction.by_pose[visible],
-        prediction.by_feature[visible],
-        prediction.points_c[visible],
-    )
+    seen = prediction[visible]
     noise = np.broadcast_to(noise_px**2 * np.eye(2), (count, 2, 2))
     innovation = innovate(state, visible, seen, seen.expected, noise)
     return SearchRegions(
         state.t_ns, state.landmarks.ids[visible], pixels[visible], innovation.own_covariances()
     )
+
+
+def _image_derivative(parts: Parts, eye: Eye, prediction: Prediction, values: Array) -> Array | None:
+    if not parts.act_on_images:
+        return None
+    return measurement_by_values(parts, eye.view, prediction, eye.pose_rate, values)
+
+
+def _at_first_sight(prediction: Prediction, by_values: Array | None) -> Array | None:
+    return None if by_values is None else first_sight_by_values(prediction, by_values)
 
 
 def _noise_dominates(innovation: Innovation) -> np.ndarray:

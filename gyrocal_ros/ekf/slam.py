@@ -26,26 +26,30 @@ from gyrocal_ros.data import (
     SearchRegions,
     Tracking,
     TruthSample,
+    nanoseconds,
     seconds,
 )
 from gyrocal_ros.ekf.gate import NoiseFollower, chi_square_quantile
 from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.motion import MotionBuffer
-from gyrocal_ros.ekf.predict import predict
-from gyrocal_ros.ekf.sighting import Sighting, meet, search_regions, see
+from gyrocal_ros.ekf.parts import sort_effects, true_camera
+from gyrocal_ros.ekf.predict import predict, predict_sensitivity
+from gyrocal_ros.ekf.sighting import Eye, Sighting, meet, search_regions, see
 from gyrocal_ros.ekf.start import Start, initial_state, moved_unseen
 from gyrocal_ros.ekf.state import POSE, YAW, State
-from gyrocal_ros.ekf.update import heading_update, zero_rate_update
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.ekf.update import Lesson, heading_update, zero_rate_update
+from gyrocal_ros.errors import ConfigError, FilterDivergedError
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import View, view_from_pose
-from gyrocal_ros.model.gyro import SensorModel
+from gyrocal_ros.model.sensor import Effect, SensorModel
 
 MAX_BLOCK_NS = 250_000_000
 """Longest block that is predicted at once, where the camera is slow or covered."""
 LOST_FRAMES = 15
 """Images in a row that contradict the map before it is given up and begun anew."""
 MAX_RESTARTS = 10
+
+Sight = Frame | FeatureObservations | HeadingSample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +62,8 @@ class StepRecord:
     std: Array
     """(9 + k,)"""
     sighting: Sighting
+    resting: Lesson
+    """What standing still taught."""
     block: MotionBlock
     """The motion that led here."""
     correction_rad: float
@@ -71,7 +77,17 @@ class StepRecord:
 
 
 class EkfSlam:
-    """The estimator: takes one measurement at a time, in the order of their stamps."""
+    """The estimator: takes one measurement at a time, in the order of their stamps.
+
+    Args:
+        model: the sensor model whose coefficients are estimated.
+        config: settings.
+        rig: camera and its mounting, as believed.
+        track: what follows features through images; not needed where features are measured.
+        start: what an earlier run knows.
+        candidates: effects that the model lacks and that are on trial: the sensitivity of all
+            innovations to them is carried along, the estimate does not depend on them.
+    """
 
     def __init__(
         self,
@@ -80,17 +96,28 @@ class EkfSlam:
         rig: Rig,
         track: Tracking | None = None,
         start: Start | None = None,
+        candidates: tuple[Effect, ...] = (),
     ) -> None:
         self.model, self.config, self.rig = model, config, rig
-        self.state: State = initial_state(model, config, start)
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
         self.pixel_noise = NoiseFollower(config.camera.pixel_noise_px, 0.02, 10.0)
         reference_std = math.radians(config.reference.heading_noise_deg)
         self.reference_noise = NoiseFollower(reference_std, 1e-3 * reference_std, 1e3 * reference_std)
         self.has_started = False
+        self._parts, self._candidates = sort_effects(model.effects), sort_effects(candidates)
+        if self.parametrisation.rows != 2 and (self._parts.act_on_images or self._candidates.act_on_images):
+            raise ConfigError(
+                'effects on the camera need features measured in pixels',
+                where='features.parametrisation',
+                todo='use inverse_depth',
+            )
+        self.state: State = initial_state(model, config, start, self._candidates.count)
+        self._memories = self._parts.no_memories()
+        self._candidate_memories = self._candidates.no_memories()
         self._track = track
         self._buffer = MotionBuffer()
-        self._waiting: deque[Frame | FeatureObservations | HeadingSample] = deque()
+        self._waiting: deque[Sight] = deque()
+        self._pose_rate: Array = np.zeros(6)
         self._resting_since_ns: int | None = None
         self._updated_at: Array | None = None
         self._reference_offset: float | None = None
@@ -116,14 +143,14 @@ class EkfSlam:
 
     def finish(self) -> list[StepRecord]:
         """Use what still waits, at the end of the stream."""
-        return self._catch_up(self._waiting[-1].t_ns if self._waiting else None)
+        return self._catch_up(self._true_time_ns(self._waiting[-1]) if self._waiting else None)
 
     def view(self) -> View:
         """The camera at the present estimate."""
         assert self.rig.camera is not None
-        return view_from_pose(
-            self.rig.camera, self.rig.camera_mount, self.state.position_m, self.state.euler_rad
-        )
+        state = self.state
+        camera, mount = true_camera(self._parts, self.rig.camera, self.rig.camera_mount, state.coefficients)
+        return view_from_pose(camera, mount, state.position_m, state.euler_rad)
 
     def regions(self) -> SearchRegions:
         """Where the mapped features are expected in an image taken now."""
@@ -136,28 +163,40 @@ class EkfSlam:
         if not self.has_started:
             self.state = replace(self.state, t_ns=self._buffer.start_ns)
             self.has_started = True
-        while self._waiting and self._waiting[0].t_ns <= covered_ns:
+        while self._waiting and (moment_ns := self._true_time_ns(self._waiting[0])) <= covered_ns:
             seen = self._waiting.popleft()
-            while seen.t_ns - self.state.t_ns > MAX_BLOCK_NS:
+            while moment_ns - self.state.t_ns > MAX_BLOCK_NS:
                 records.append(self._predict_to(self.state.t_ns + MAX_BLOCK_NS))
-            if seen.t_ns > self.state.t_ns:
-                records.append(self._predict_to(seen.t_ns, seen))
+            if moment_ns > self.state.t_ns:
+                records.append(self._predict_to(moment_ns, seen))
         while covered_ns - self.state.t_ns > MAX_BLOCK_NS:
             records.append(self._predict_to(self.state.t_ns + MAX_BLOCK_NS))
         return records
 
-    def _predict_to(
-        self, t_ns: int, seen: Frame | FeatureObservations | HeadingSample | None = None
-    ) -> StepRecord:
+    def _true_time_ns(self, seen: Sight) -> int:
+        """The stamp, put right by the model's time offset."""
+        offset_s = sum(float(self.state.coefficients[place][0]) for _, place in self._parts.time)
+        return seen.t_ns - nanoseconds(offset_s)
+
+    def _predict_to(self, t_ns: int, seen: Sight | None = None) -> StepRecord:
         """One cycle of the filter: predict, stand still if it does, correct."""
         block = self._buffer.cut(self.state.t_ns, t_ns)
         before, config = self.state, self.config
         walk = math.radians(config.reference.heading_walk_deg) if self._reference_offset is not None else 0.0
-        self.state, transition = predict(before, block, self.model, config.gyro, config.wheels, walk)
+        self.state, transition = predict(
+            before, block, self.model, self._parts, self._memories, config.gyro, config.wheels, walk
+        )
+        correction = transition.contribution.correction
+        self._memories, self._pose_rate = correction.memories, transition.motion.pose_rate
+        if self._candidates.count:
+            self.state, self._candidate_memories = predict_sensitivity(
+                self.state, transition, block, self._candidates, self._candidate_memories
+            )
+        resting = Lesson()
         if self._is_resting(block):
             std = math.radians(config.rest.rotation_noise_deg)
             gate = chi_square_quantile(1.0 - config.features.outlier_probability, 3)
-            self.state = zero_rate_update(before, self.state, transition.matrix, std, gate)
+            self.state, resting = zero_rate_update(before, self.state, transition.matrix, std, gate)
 
         sighting, event = Sighting(), ''
         if isinstance(seen, HeadingSample):
@@ -172,9 +211,10 @@ class EkfSlam:
             mean=self.state.mean[:r],
             std=np.sqrt(np.diagonal(self.state.covariance)[:r]),
             sighting=sighting,
+            resting=resting,
             block=block,
-            correction_rad=float(block.dt_s @ transition.correction_rad_s),
-            columns=block.dt_s @ transition.columns,
+            correction_rad=float(block.dt_s @ correction.rate_rad_s),
+            columns=block.dt_s @ correction.by_values,
             pixel_noise_px=self.pixel_noise.std,
             event=event,
         )
@@ -192,14 +232,24 @@ class EkfSlam:
         assert self._track is not None, 'images need a tracker'
         return self._track(frame, self.view().R_wc, self.regions())
 
+    def _eye(self) -> Eye:
+        return Eye(
+            view=self.view(),
+            form=self.parametrisation,
+            config=self.config,
+            noise_px=self.pixel_noise.std,
+            parts=self._parts,
+            candidates=self._candidates,
+            pose_rate=self._pose_rate,
+        )
+
     def _see(self, observations: FeatureObservations) -> Sighting:
         if self.parametrisation.needs_motion_gate and not self._has_moved():
             return Sighting()
         self._updated_at = self.state.mean[POSE].copy()
-        form, config, noise_px = self.parametrisation, self.config, self.pixel_noise.std
-        self.state, sighting = see(self.state, self.view(), observations, form, config, noise_px)
-        self.state, added = meet(self.state, self.view(), observations, form, config, noise_px)
-        if config.camera.estimate_pixel_noise:
+        self.state, sighting = see(self.state, self._eye(), observations)
+        self.state, added = meet(self.state, self._eye(), observations)
+        if self.config.camera.estimate_pixel_noise:
             self.pixel_noise.follow(sighting.noise_distances, 2)
         return replace(sighting, added=added)
 
@@ -230,14 +280,23 @@ class EkfSlam:
 
     def _compare_heading(self, sample: HeadingSample) -> Sighting:
         """Correct by another heading reference, aligned to the map when it first speaks."""
+        state, noise = self.state, self.reference_noise
         if self._reference_offset is None:
-            self._reference_offset = sample.yaw_rad - float(self.state.mean[YAW])
-            self.state.covariance[YAW, YAW] += self.reference_noise.std**2
+            self._reference_offset = sample.yaw_rad - float(state.mean[YAW])
+            covariance = state.covariance.copy()
+            covariance[YAW, YAW] += noise.std**2
+            state = replace(state, covariance=covariance)
+        by_values, by_candidates = np.zeros(self._parts.count), np.zeros(self._candidates.count)
+        for derivative, parts in ((by_values, self._parts), (by_candidates, self._candidates)):
+            for _, place in parts.time:
+                derivative[place] = -self._pose_rate[YAW]
         yaw_rad = sample.yaw_rad - self._reference_offset
-        self.state, residual, std = heading_update(self.state, yaw_rad, self.reference_noise.std)
-        if std < 2.0 * self.reference_noise.std:
-            self.reference_noise.follow(np.array([(residual / std) ** 2]), 1)
-        return Sighting(nis=(residual / std) ** 2, dof=1, heading_rad=residual, heading_std_rad=std)
+        self.state, lesson, residual, std = heading_update(
+            state, yaw_rad, noise.std, by_values, by_candidates
+        )
+        if std < 2.0 * noise.std:
+            noise.follow(np.array([lesson.nis]), 1)
+        return Sighting(lesson=lesson, heading_rad=residual, heading_std_rad=std)
 
     def _start_new_time_base(self, step: ClockStep) -> list[StepRecord]:
         """Keep the calibration; forget where the robot is, for nobody saw it move meanwhile."""

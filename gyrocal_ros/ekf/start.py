@@ -10,7 +10,7 @@ import numpy as np
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, POSITION, YAW, YAW_BIAS, State, no_landmarks
-from gyrocal_ros.model.gyro import SensorModel
+from gyrocal_ros.model.sensor import SensorModel
 
 LOST_POSITION_STD_M = 0.3
 LOST_YAW_STD_RAD = 0.1
@@ -28,7 +28,7 @@ class Start:
     """(len(names), len(names))"""
 
 
-def initial_state(model: SensorModel, config: Config, start: Start | None) -> State:
+def initial_state(model: SensorModel, config: Config, start: Start | None, candidate_count: int = 0) -> State:
     """The state before the first sample: pose zero by definition, all else from the priors.
 
     Names that an earlier run knows replace their prior. Its bias is a turn-on quantity and may have
@@ -51,7 +51,7 @@ def initial_state(model: SensorModel, config: Config, start: Start | None) -> St
         mean[places] = start.values[taken]
         covariance[np.ix_(places, places)] = start.covariance[np.ix_(taken, taken)]
         covariance[YAW_BIAS, YAW_BIAS] += bias_variance
-    return State(0, mean, covariance, len(coefficients), no_landmarks())
+    return State(0, mean, covariance, len(coefficients), no_landmarks(), np.zeros((size, candidate_count)))
 
 
 def moved_unseen(state: State, t_ns: int) -> State:

@@ -47,11 +47,19 @@ class State:
     coefficient_count: int
     """k"""
     landmarks: Landmarks
+    sensitivity: Array
+    """(n, c) derivative of the estimate with respect to the coefficients of effects that the model
+    lacks; c is 0 where nobody asks for it."""
 
     @property
     def robot_size(self) -> int:
         """Where the features begin: 9 + k."""
         return COEFFICIENTS_START + self.coefficient_count
+
+    @property
+    def coefficient_columns(self) -> slice:
+        """Where the coefficients stand."""
+        return slice(COEFFICIENTS_START, self.robot_size)
 
     @property
     def position_m(self) -> Array:

@@ -28,16 +28,19 @@ class Innovation:
     """(m, r, m, r) S = H P H^T + R."""
     noise: Array
     """(m, r, r) R"""
+    sensitivity: Array
+    """(m, r, c) G = H X + dh/dtheta: minus the derivative of the innovation with respect to the
+    coefficients of effects that the model lacks."""
 
-    def __getitem__(self, chosen: np.ndarray) -> Innovation:
-        p = self.prediction
+    def __getitem__(self, chosen: IntArray) -> Innovation:
         return Innovation(
             self.rows[chosen],
             self.residual[chosen],
-            Prediction(p.expected[chosen], p.by_pose[chosen], p.by_feature[chosen], p.points_c[chosen]),
+            self.prediction[chosen],
             self.gain_numerator[chosen],
             self.covariance[chosen][:, :, chosen],
             self.noise[chosen],
+            self.sensitivity[chosen],
         )
 
     def own_covariances(self) -> Array:
@@ -46,8 +49,27 @@ class Innovation:
         return self.covariance[each, :, each, :]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Lesson:
+    """What an update taught, beside the new state."""
+
+    nis: float = 0.0
+    """`nu^T S^-1 nu`."""
+    dof: int = 0
+    information: Array | None = None
+    """(c, c) `G^T S^-1 G`; None where no effects are on trial."""
+    score: Array | None = None
+    """(c,) `G^T S^-1 nu`."""
+
+
 def innovate(
-    state: State, rows: IntArray, prediction: Prediction, measured: Array, noise: Array
+    state: State,
+    rows: IntArray,
+    prediction: Prediction,
+    measured: Array,
+    noise: Array,
+    by_values: Array | None = None,
+    by_candidates: Array | None = None,
 ) -> Innovation:
     """Compare measurements with the map.
 
@@ -57,19 +79,30 @@ def innovate(
         prediction: what the map says of them.
         measured: (m, r)
         noise: (m, r, r) R of each.
+        by_values: (m, r, k) derivative of the prediction by the coefficients; None for zero.
+        by_candidates: (m, r, c) the same by effects that the model lacks.
     """
     count, width = measured.shape
     by_pose, by_feature = prediction.by_pose, prediction.by_feature
-    columns = state.feature_columns(rows)
+    columns, k = state.feature_columns(rows), state.coefficient_columns
     numerator = by_pose @ state.covariance[:6] + by_feature @ state.covariance[columns]
+    sensitivity = by_pose @ state.sensitivity[:6] + by_feature @ state.sensitivity[columns]
+    if by_values is not None:
+        numerator += by_values @ state.covariance[k]
+        sensitivity += by_values @ state.sensitivity[k]
+    if by_candidates is not None:
+        sensitivity += by_candidates
     flat = numerator.reshape(count * width, -1)
     covariance = flat[:, :6] @ by_pose.reshape(-1, 6).T
     own = flat[:, columns].reshape(count * width, count, 3).transpose(1, 0, 2)
     covariance += (own @ by_feature.transpose(0, 2, 1)).transpose(1, 0, 2).reshape(count * width, -1)
+    if by_values is not None:
+        covariance += flat[:, k] @ by_values.reshape(count * width, -1).T
     covariance = covariance.reshape(count, width, count, width)
     each = np.arange(count)
     covariance[each, :, each, :] += noise
-    return Innovation(rows, measured - prediction.expected, prediction, numerator, covariance, noise)
+    residual = measured - prediction.expected
+    return Innovation(rows, residual, prediction, numerator, covariance, noise, sensitivity)
 
 
 def mahalanobis(innovation: Innovation) -> Array:
@@ -78,30 +111,28 @@ def mahalanobis(innovation: Innovation) -> Array:
     return np.einsum('mr,mr->m', innovation.residual, whitened)
 
 
-def update(state: State, innovation: Innovation) -> tuple[State, float]:
+def update(state: State, innovation: Innovation) -> tuple[State, Lesson]:
     """One stacked update with all features of an image.
 
     With L L^T = S and W = L^-1 H P, the covariance loses W^T W: symmetric by construction, and it
     cannot turn indefinite by more than rounding, which is what the Joseph form is used for.
 
-    Returns:
-        The state after, and the NIS `nu^T S^-1 nu`.
-
     Raises:
         FilterDivergedError: S is not positive definite, or the estimate is no longer finite.
     """
     rows = innovation.residual.size
-    correction, lost, nis = _solve(
+    return _correct(
+        state,
         innovation.residual.reshape(rows),
         innovation.gain_numerator.reshape(rows, -1),
         innovation.covariance.reshape(rows, rows),
+        innovation.sensitivity.reshape(rows, -1),
     )
-    return _corrected(state, correction, lost), nis
 
 
 def zero_rate_update(
     before: State, after: State, matrix: Array, rotation_std_rad: float, gate: float
-) -> State:
+) -> tuple[State, Lesson]:
     """At rest the robot does not turn: between two moments the Euler angles change by nothing.
 
     The measurement `euler(after) - euler(before) = 0` shares the gyro noise with the prediction;
@@ -122,41 +153,64 @@ def zero_rate_update(
     change_covariance = change_covariance + rotation_std_rad**2 * np.eye(3)
     residual = before.euler_rad - after.euler_rad
     if residual @ np.linalg.solve(change_covariance, residual) > gate:
-        return after
-    correction, lost, _ = _solve(residual, with_change, change_covariance)
-    return _corrected(after, correction, lost)
+        return after, Lesson()
+    sensitivity = after.sensitivity[EULER] - before.sensitivity[EULER]
+    return _correct(after, residual, with_change, change_covariance, sensitivity)
 
 
-def heading_update(state: State, yaw_rad: float, std_rad: float) -> tuple[State, float, float]:
+def heading_update(
+    state: State, yaw_rad: float, std_rad: float, by_values: Array, by_candidates: Array
+) -> tuple[State, Lesson, float, float]:
     """A heading by an outside reference, already in the map's frame.
 
+    Args:
+        state: predicted to the time of the heading.
+        yaw_rad: measured.
+        std_rad: its noise.
+        by_values: (k,) derivative of the expected heading by the coefficients.
+        by_candidates: (c,) the same by effects that the model lacks.
+
     Returns:
-        The state after, the innovation in rad and its standard deviation.
+        The state after, what was learned, the innovation in rad and its standard deviation.
     """
     residual = yaw_rad - state.mean[YAW]
     residual -= 2.0 * math.pi * round(residual / (2.0 * math.pi))
-    variance = state.covariance[YAW, YAW] + std_rad**2
-    correction, lost, _ = _solve(
-        np.array([residual]), state.covariance[YAW : YAW + 1], np.array([[variance]])
+    k = state.coefficient_columns
+    numerator = state.covariance[YAW] + by_values @ state.covariance[k]
+    variance = float(numerator[YAW] + numerator[k] @ by_values) + std_rad**2
+    sensitivity = state.sensitivity[YAW] + by_values @ state.sensitivity[k] + by_candidates
+    corrected, lesson = _correct(
+        state, np.array([residual]), numerator[None], np.array([[variance]]), sensitivity[None]
     )
-    return _corrected(state, correction, lost), residual, math.sqrt(variance)
+    return corrected, lesson, residual, math.sqrt(variance)
 
 
-def _solve(residual: Array, numerator: Array, covariance: Array) -> tuple[Array, Array, float]:
-    """Correction of the state (n,), covariance taken away (n, n), and the NIS."""
+def _correct(
+    state: State, residual: Array, numerator: Array, covariance: Array, sensitivity: Array
+) -> tuple[State, Lesson]:
+    """The update itself, for q measured numbers.
+
+    Args:
+        state: before.
+        residual: nu (q,).
+        numerator: H P (q, n).
+        covariance: S (q, q).
+        sensitivity: G (q, c).
+    """
     try:
         factor = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError as error:
         raise FilterDivergedError(
             'the covariance of the innovation is not positive definite', todo='check the noise settings'
         ) from error
-    whitened = np.linalg.solve(factor, np.column_stack([numerator, residual]))
-    gain, score = whitened[:, :-1], whitened[:, -1]
-    return gain.T @ score, gain.T @ gain, float(score @ score)
-
-
-def _corrected(state: State, correction: Array, lost: Array) -> State:
-    mean = state.mean + correction
+    n = len(state.mean)
+    whitened = np.linalg.solve(factor, np.column_stack([numerator, residual, sensitivity]))
+    gain, score, trial = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
+    mean = state.mean + gain.T @ score
     if not np.isfinite(mean).all():
         raise FilterDivergedError('the estimate is no longer finite', todo='check the noise settings')
-    return replace(state, mean=mean, covariance=state.covariance - lost)
+    after = replace(state, mean=mean, covariance=state.covariance - gain.T @ gain)
+    if trial.shape[1] == 0:
+        return after, Lesson(float(score @ score), len(residual))
+    after = replace(after, sensitivity=state.sensitivity - gain.T @ trial)
+    return after, Lesson(float(score @ score), len(residual), trial.T @ trial, trial.T @ score)

@@ -9,117 +9,61 @@ so everything here is a correction, in rad/s, to the nominal rate:
 
     wz = wz_nom + dwz                                           (6)
 
-Each term of dwz, the paper's powers of u as well as the terms that it neglects, is a `GyroTerm`;
-the effect library holds them.
+Each term of dwz, the paper's powers of u as well as the terms that it neglects, is an effect of the
+library; `sensor` says what an effect is.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.model.sensor import GyroEffect, Memory
 
 
-@dataclass(frozen=True, slots=True)
-class Coefficient:
-    """One number of an effect, with what is known of it before any measurement."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """What all gyro effects together add to the yaw rate of a block, the bias not counted."""
 
-    name: str
-    unit: str
-    prior_std: float
-    prior_mean: float = 0.0
-    walk: float = 0.0
-    """Random walk, unit / sqrt(s); zero for a constant of the motion."""
-
-
-class GyroTerm(Protocol):
-    """One term of the correction dwz."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def coefficients(self) -> tuple[Coefficient, ...]:
-        """k coefficients."""
-
-    def correction(self, block: MotionBlock, values: Array) -> Array:
-        """Contribution (N,) in rad/s at the given coefficient values (k,)."""
-
-    def jacobian(self, block: MotionBlock, values: Array) -> Array:
-        """Derivative (N, k) of the contribution with respect to the coefficients."""
+    rate_rad_s: Array
+    """(N,)"""
+    by_values: Array
+    """(N, K) derivative with respect to all coefficients of the model; zero for other effects'."""
+    noise_rad_s: Array | float
+    """(N,) standard deviation of what an effect cannot tell, as where the sensor saturates."""
+    memories: tuple[Memory, ...]
+    """What each effect remembers for the next block."""
 
 
-@dataclass(frozen=True, slots=True)
-class BiasModel:
-    """How the yaw bias moves by itself.
+def correct(
+    effects: Sequence[tuple[GyroEffect, slice]],
+    block: MotionBlock,
+    values: Array,
+    memories: Sequence[Memory],
+) -> Correction:
+    """Eq. (7): the correction dwz, sum of all terms.
 
-    `drift` is a random walk. `settling` is the paper's first-order approach to a final value; it
-    pulls every gyro towards that value, so a turn-on offset that it does not know makes it lag
-    (the departure from the paper that the default takes).
+    Args:
+        effects: gyro effects with the place of their coefficients among all K.
+        block: N intervals.
+        values: (K,) coefficients.
+        memories: what each effect remembers of the blocks before.
     """
-
-    form: str = 'drift'
-    time_constant_s: float = 500.0
-    settled_rad_s: float = 0.0
-
-    def step(self, bias_rad_s: float, dt_s: float) -> tuple[float, float]:
-        """Eq. (8): the bias after `dt_s`, and its derivative with respect to the bias before.
-
-        For `drift` T is infinite. The paper's quotient T / (T + dt) is the first order of the
-        exponential used here, which does not depend on the length of the step.
-        """
-        if self.form == 'drift':
-            return bias_rad_s, 1.0
-        keep = math.exp(-dt_s / self.time_constant_s)
-        return keep * bias_rad_s + (1.0 - keep) * self.settled_rad_s, keep
-
-
-@dataclass(frozen=True, slots=True)
-class SensorModel:
-    """The sensor model in use: a name, the bias, and the ordered terms of the gyro's correction."""
-
-    name: str
-    bias: BiasModel
-    terms: tuple[GyroTerm, ...]
-    version: int = 1
-
-    @property
-    def coefficients(self) -> tuple[Coefficient, ...]:
-        """Every coefficient in the order of the filter's state."""
-        return tuple(item for term in self.terms for item in term.coefficients)
-
-    @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        """Names as reported: the term's own, with the coefficient's behind it where it has several."""
-        return tuple(
-            term.name if len(term.coefficients) == 1 else f'{term.name}.{item.name}'
-            for term in self.terms
-            for item in term.coefficients
-        )
-
-    def correction(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
-        """Eq. (7): the correction dwz, without the bias, and its derivative.
-
-        Args:
-            block: N intervals.
-            values: (k,) coefficients, in order.
-
-        Returns:
-            (N,) rad/s and (N, k).
-        """
-        total = np.zeros(len(block.dt_s))
-        columns = np.empty((len(block.dt_s), len(values)))
-        start = 0
-        for term in self.terms:
-            end = start + len(term.coefficients)
-            total += term.correction(block, values[start:end])
-            columns[:, start:end] = term.jacobian(block, values[start:end])
-            start = end
-        return total, columns
+    rate = np.zeros(len(block.dt_s))
+    by_values = np.zeros((len(block.dt_s), len(values)))
+    variance: Array | float = 0.0
+    kept = []
+    for (effect, place), memory in zip(effects, memories, strict=True):
+        term = effect.contribute(block, values[place], memory)
+        rate += term.rate_rad_s
+        by_values[:, place] = term.by_values
+        kept.append(term.memory)
+        if term.noise_rad_s is not None:
+            variance = variance + term.noise_rad_s**2
+    return Correction(rate, by_values, np.sqrt(variance), tuple(kept))
 
 
 def body_rates(block: MotionBlock, correction_rad_s: Array, bias_rad_s: Array) -> Array:

@@ -26,8 +26,12 @@ class Motion:
     """(6, 6) d pose / d pose at the start."""
     rate_gain: Array
     """(6, 3, N) d pose / d body rate of each interval."""
+    forward: Array
+    """(3, N) body x axis in the world in the middle of each interval."""
     mid_euler_rad: Array
     """(3, N) attitude in the middle of each interval."""
+    pose_rate: Array
+    """(6,) rate of the pose at the end of the block."""
 
 
 class _Trig(NamedTuple):
@@ -83,12 +87,16 @@ def integrate(
     rate_gain = np.empty((6, 3, len(dt_s)))
     rate_gain[3:] = euler_gain + np.einsum('ijn,jkn->ikn', drift_after, euler_gain)
     rate_gain[:3] = np.einsum('ijn,jkn->ikn', steps_after, euler_gain)
+    forward = _forward(trig)
+    last_step = np.concatenate([forward[:, -1] * distance_m[-1], increments[:, -1]])
     return Motion(
-        position_m=position_m + _forward(trig) @ distance_m,
+        position_m=position_m + forward @ distance_m,
         euler_rad=euler_rad + ends[:, -1],
         transition=transition,
         rate_gain=rate_gain,
+        forward=forward,
         mid_euler_rad=mid,
+        pose_rate=last_step / dt_s[-1],
     )
 
 

@@ -76,6 +76,7 @@ SCENARIOS: dict[str, Scenario] = {
             habits=Habits(area_m=(1.6, 1.6)),
             room_m=(3.0, 3.0),
         ),
+        Scenario('filmed', 'cleaning with ten images a second', camera_hz=10),
         Scenario(
             'lanes',
             'lanes with about 40 turns at 75 deg/s',

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from gyrocal_ros.config import FeatureConfig
-from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.data import Array, CameraIntrinsics, IntArray, Mount
 from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
 
 
@@ -89,7 +89,21 @@ class Prediction:
     by_feature: Array
     """(m, r, 3)"""
     points_c: Array
-    """(m, 3) direction of the features in the optical frame; a third value <= 0 is behind it."""
+    """(m, 3) the features in the optical frame, times `scale`; a third value <= 0 is behind it."""
+    by_point: Array
+    """(m, r, 3) derivative of what is measured by `points_c`."""
+    scale: Array
+    """(m,) inverse depth where the parametrisation carries it, else 1."""
+
+    def __getitem__(self, rows: IntArray) -> Prediction:
+        return Prediction(
+            self.expected[rows],
+            self.by_pose[rows],
+            self.by_feature[rows],
+            self.points_c[rows],
+            self.by_point[rows],
+            self.scale[rows],
+        )
 
 
 class Parametrisation(Protocol):

@@ -49,7 +49,10 @@ class CameraFramePoint:
     def predict(self, view: View, parameters: Array, anchors: Anchors) -> Prediction:
         """The mapped points in the camera frame."""
         points_c, by_pose, R_cw = points_in_camera(view, parameters)
-        return Prediction(points_c, by_pose, np.broadcast_to(R_cw, (len(points_c), 3, 3)), points_c)
+        each = (len(points_c), 3, 3)
+        by_point = np.broadcast_to(np.eye(3), each)
+        by_feature = np.broadcast_to(R_cw, each)
+        return Prediction(points_c, by_pose, by_feature, points_c, by_point, np.ones(len(points_c)))
 
     def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
         """The parameters are the point."""

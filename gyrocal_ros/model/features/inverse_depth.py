@@ -75,7 +75,9 @@ class AnchoredInverseDepth:
         by_feature[:, :, 2] = to_anchor @ R_wc - lever_c
 
         pixels, by_point = project_with_jacobian(view.camera, points_c)
-        return Prediction(pixels, by_point @ by_pose, by_point @ by_feature, points_c)
+        return Prediction(
+            pixels, by_point @ by_pose, by_point @ by_feature, points_c, by_point, parameters[:, 2]
+        )
 
     def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
         """The point, for maps and plots; far away when the inverse depth is not known to be positive."""

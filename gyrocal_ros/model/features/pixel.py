@@ -38,7 +38,9 @@ class PixelPoint:
         """Pixels of the mapped points."""
         points_c, by_pose, R_cw = points_in_camera(view, parameters)
         pixels, by_point = project_with_jacobian(view.camera, points_c)
-        return Prediction(pixels, by_point @ by_pose, by_point @ R_cw, points_c)
+        return Prediction(
+            pixels, by_point @ by_pose, by_point @ R_cw, points_c, by_point, np.ones(len(points_c))
+        )
 
     def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
         """The parameters are the point."""

@@ -1,0 +1,33 @@
+"""The camera does not sit where its mounting says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+
+
+@dataclass(frozen=True)
+class CameraPosition:
+    """Offset (x, y) of the mounting in body axes."""
+
+    acts_on: ClassVar[Place] = 'camera'
+    name: str = 'camera_position'
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('x', 'm', prior_std=0.02),
+        Coefficient('y', 'm', prior_std=0.02),
+    )
+
+    def corrected(
+        self, camera: CameraIntrinsics, mount: Mount, values: Array
+    ) -> tuple[CameraIntrinsics, Mount]:
+        """The shifted mounting."""
+        return camera, replace(mount, p_bs=mount.p_bs + np.array([values[0], values[1], 0.0]))
+
+    def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
+        """Points shift against the camera by the offset, in its axes and in the points' scale."""
+        return seen.by_point @ (-seen.scale[:, None, None] * seen.R_bc.T[:, :2])

@@ -1,0 +1,42 @@
+"""The camera does not look where its mounting says."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+
+
+@dataclass(frozen=True)
+class CameraTilt:
+    """A small rotation about the optical frame's x and y, `R_bc' = R_bc R(tx, ty)`.
+
+    Applied after the transform that is given, it makes the true mounting.
+    """
+
+    acts_on: ClassVar[Place] = 'camera'
+    name: str = 'camera_tilt'
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('x', 'rad', prior_std=math.radians(2.0)),
+        Coefficient('y', 'rad', prior_std=math.radians(2.0)),
+    )
+
+    def corrected(
+        self, camera: CameraIntrinsics, mount: Mount, values: Array
+    ) -> tuple[CameraIntrinsics, Mount]:
+        """The tilted mounting."""
+        tilt = rotation_from_euler(np.array([values[0], values[1], 0.0]))
+        return camera, replace(mount, R_bs=mount.R_bs @ tilt)
+
+    def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
+        """Points turn against the camera: `dm_c = -t x m_c`, for tilts so small that order is no matter."""
+        x, y, z = seen.points_c.T
+        zero = np.zeros_like(x)
+        by_values = np.stack([np.stack([zero, z, -y], axis=1), np.stack([-z, zero, x], axis=1)], axis=2)
+        return seen.by_point @ by_values

@@ -1,0 +1,32 @@
+"""The lens magnifies more or less than its calibration says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+
+
+@dataclass(frozen=True)
+class FocalLength:
+    """True focal length = (1 + s) times camera_info's."""
+
+    acts_on: ClassVar[Place] = 'camera'
+    name: str = 'focal_length'
+    coefficients: tuple[Coefficient, ...] = (Coefficient('s', '1', prior_std=0.02),)
+
+    def corrected(
+        self, camera: CameraIntrinsics, mount: Mount, values: Array
+    ) -> tuple[CameraIntrinsics, Mount]:
+        """The camera with its true focal length."""
+        s = float(values[0])
+        return replace(camera, fx_px=(1.0 + s) * camera.fx_px, fy_px=(1.0 + s) * camera.fy_px), mount
+
+    def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
+        """Pixels move away from the image centre."""
+        centre = np.array([seen.camera.cx_px, seen.camera.cy_px])
+        return ((seen.pixels - centre) / (1.0 + values[0]))[:, :, None]

@@ -1,0 +1,34 @@
+"""The optical axis meets the image elsewhere than the calibration says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+
+
+@dataclass(frozen=True)
+class PrincipalPoint:
+    """True principal point = camera_info's plus (u0, v0)."""
+
+    acts_on: ClassVar[Place] = 'camera'
+    name: str = 'principal_point'
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('u0', 'px', prior_std=5.0),
+        Coefficient('v0', 'px', prior_std=5.0),
+    )
+
+    def corrected(
+        self, camera: CameraIntrinsics, mount: Mount, values: Array
+    ) -> tuple[CameraIntrinsics, Mount]:
+        """The camera with its true principal point."""
+        u0, v0 = map(float, values)
+        return replace(camera, cx_px=camera.cx_px + u0, cy_px=camera.cy_px + v0), mount
+
+    def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
+        """Pixels move with it."""
+        return np.broadcast_to(np.eye(2), (len(seen.pixels), 2, 2))

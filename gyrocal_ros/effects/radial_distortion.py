@@ -1,0 +1,38 @@
+"""The lens bends the image otherwise than its calibration says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+
+
+@dataclass(frozen=True)
+class RadialDistortion:
+    """True k1, k2 of the plumb-bob model = camera_info's plus these."""
+
+    acts_on: ClassVar[Place] = 'camera'
+    name: str = 'radial_distortion'
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('k1', '1', prior_std=0.03),
+        Coefficient('k2', '1', prior_std=0.01),
+    )
+
+    def corrected(
+        self, camera: CameraIntrinsics, mount: Mount, values: Array
+    ) -> tuple[CameraIntrinsics, Mount]:
+        """The camera with its true distortion."""
+        k1, k2, p1, p2, k3 = camera.distortion
+        true = (k1 + float(values[0]), k2 + float(values[1]), p1, p2, k3)
+        return replace(camera, distortion=true), mount
+
+    def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
+        """`f (x, y) r^2` and `f (x, y) r^4`."""
+        normalised = seen.points_c[:, :2] / seen.points_c[:, 2:]
+        r2 = np.sum(normalised**2, axis=1)
+        radial = normalised * [seen.camera.fx_px, seen.camera.fy_px]
+        return np.stack([radial * r2[:, None], radial * (r2**2)[:, None]], axis=2)

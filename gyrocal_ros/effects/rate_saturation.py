@@ -1,0 +1,45 @@
+"""The sensor cannot read faster turns than its range."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
+
+AT_LIMIT = 0.995
+"""Readings within half a per cent of the limit count as clipped."""
+WHEEL_TURN_ERROR = 0.1
+"""How far the wheels' turn is trusted where the gyro is blind."""
+
+
+@dataclass(frozen=True)
+class RateSaturation:
+    """Rates beyond `limit` are read as the limit; what is lost is taken from wheels and camera.
+
+    The limit is found in the readings themselves, not estimated: nothing in the model depends on it
+    smoothly.
+    """
+
+    acts_on: ClassVar[Place] = 'gyro'
+    name: str = 'rate_saturation'
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('limit', 'rad/s', prior_std=0.0, prior_mean=math.radians(300.0)),
+    )
+
+    def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
+        """The wheels' rate in place of a clipped one, with the doubt that belongs to it."""
+        rate = block.rate_rad_s[:, 2]
+        clipped = np.abs(rate) >= AT_LIMIT * values[0]
+        by_wheels = block.wheel_turn_rad / block.dt_s
+        beyond = np.maximum(np.abs(by_wheels) - np.abs(rate), 0.0) * np.sign(rate)
+        noise = WHEEL_TURN_ERROR * np.maximum(np.abs(by_wheels), np.abs(rate))
+        return GyroTerm(
+            np.where(clipped, beyond, 0.0),
+            np.zeros((len(rate), 1)),
+            noise_rad_s=np.where(clipped, noise, 0.0),
+        )

@@ -1,0 +1,151 @@
+"""The effects of a sensor model, sorted by where the filter meets them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount
+from gyrocal_ros.model.features.base import Prediction, View
+from gyrocal_ros.model.gyro import Correction, correct
+from gyrocal_ros.model.kinematics import Motion
+from gyrocal_ros.model.sensor import (
+    CameraEffect,
+    Effect,
+    GroundEffect,
+    GyroEffect,
+    Memory,
+    SeenPoints,
+    WheelEffect,
+    placed,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parts:
+    """Effects by place, each with where its coefficients stand among all K."""
+
+    count: int
+    """K"""
+    prior_means: Array
+    """(K,)"""
+    gyro: Sequence[tuple[GyroEffect, slice]]
+    wheels: Sequence[tuple[WheelEffect, slice]]
+    ground: Sequence[tuple[GroundEffect, slice]]
+    camera: Sequence[tuple[CameraEffect, slice]]
+    time: Sequence[tuple[Effect, slice]]
+
+    @property
+    def act_on_images(self) -> bool:
+        """Whether any effect changes what is seen."""
+        return bool(self.camera or self.time)
+
+    def no_memories(self) -> tuple[Memory, ...]:
+        """What the gyro effects remember before the first block: nothing."""
+        return (None,) * len(self.gyro)
+
+
+def sort_effects(effects: tuple[Effect, ...]) -> Parts:
+    """Sort effects by place."""
+    means = [item.prior_mean for effect in effects for item in effect.coefficients]
+    return Parts(
+        count=len(means),
+        prior_means=np.array(means, float),
+        gyro=placed(effects, 'gyro'),
+        wheels=placed(effects, 'wheels'),
+        ground=placed(effects, 'ground'),
+        camera=placed(effects, 'camera'),
+        time=placed(effects, 'time'),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contribution:
+    """What all effects add to the motion of one block."""
+
+    correction: Correction
+    distance_m: Array | float
+    """(N,) to add to the wheels' distance."""
+    distance_by_values: Array | None
+    """(N, K)"""
+    drift_m: Array | float
+    """(3,) displacement that no sensor sees."""
+    drift_by_values: Array | None
+    """(3, K)"""
+
+
+def contribute(parts: Parts, block: MotionBlock, values: Array, memories: Sequence[Memory]) -> Contribution:
+    """Ask every effect on gyro, wheels and ground what it adds at the coefficients (K,)."""
+    distance: Array | float = 0.0
+    drift: Array | float = 0.0
+    distance_by = np.zeros((len(block.dt_s), parts.count)) if parts.wheels else None
+    drift_by = np.zeros((3, parts.count)) if parts.ground else None
+    for wheel_effect, place in parts.wheels:
+        added, by_values = wheel_effect.contribute(block, values[place])
+        distance = distance + added
+        distance_by[:, place] = by_values  # type: ignore[index]
+    for ground_effect, place in parts.ground:
+        added, by_values = ground_effect.contribute(block, values[place])
+        drift = drift + added
+        drift_by[:, place] = by_values  # type: ignore[index]
+    correction = correct(parts.gyro, block, values, memories)
+    return Contribution(correction, distance, distance_by, drift, drift_by)
+
+
+def pose_by_values(motion: Motion, contribution: Contribution) -> Array:
+    """Derivative (6, K) of the pose at the end of a block with respect to the coefficients."""
+    by_values: Array = motion.rate_gain[:, 2] @ contribution.correction.by_values
+    if contribution.distance_by_values is not None:
+        by_values[:3] += motion.forward @ contribution.distance_by_values
+    if contribution.drift_by_values is not None:
+        by_values[:3] += contribution.drift_by_values
+    return by_values
+
+
+def true_camera(
+    parts: Parts, camera: CameraIntrinsics, mount: Mount, values: Array
+) -> tuple[CameraIntrinsics, Mount]:
+    """The camera that is believed, corrected by all effects on it."""
+    for effect, place in parts.camera:
+        camera, mount = effect.corrected(camera, mount, values[place])
+    return camera, mount
+
+
+def measurement_by_values(
+    parts: Parts, view: View, prediction: Prediction, pose_rate: Array, values: Array
+) -> Array:
+    """Derivative (m, 2, K) of predicted pixels with respect to the coefficients.
+
+    Args:
+        parts: effects; those on gyro, wheels and ground do not count here.
+        view: the camera.
+        prediction: m features as seen by it.
+        pose_rate: (6,) rate of the robot's pose at that moment.
+        values: (K,)
+    """
+    by_values = np.zeros((len(prediction.points_c), 2, parts.count))
+    seen = SeenPoints(
+        view.camera,
+        view.R_bc,
+        prediction.points_c,
+        prediction.scale,
+        prediction.expected,
+        prediction.by_point,
+    )
+    for effect, place in parts.camera:
+        by_values[:, :, place] = effect.pixels_by_values(seen, values[place])
+    for _, place in parts.time:
+        by_values[:, :, place] = -(prediction.by_pose @ pose_rate)[:, :, None]
+    return by_values
+
+
+def first_sight_by_values(prediction: Prediction, by_values: Array) -> Array:
+    """Derivative (m, 3, K) of new features with respect to the coefficients.
+
+    Whatever the coefficients are, a new feature is put where it was seen: its own change must undo
+    what they do to its pixel. The depth, which no pixel tells, stays.
+    """
+    by_feature: Array = -np.linalg.pinv(prediction.by_feature) @ by_values
+    return by_feature

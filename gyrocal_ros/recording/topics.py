@@ -8,7 +8,7 @@ and neither needs ROS.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import StrEnum
 from functools import lru_cache
 from operator import attrgetter
@@ -260,7 +260,7 @@ def transforms(message: Any) -> list[Transform]:
 def numeric_fields(message: Any) -> Iterator[str]:
     """Yield the dotted names of all single numbers in a message, its header left out."""
     if is_dataclass(message):
-        names = [item.name for item in fields(message)]
+        names = [item.name for item in fields(message) if item.default is MISSING]  # constants have one
     else:
         names = list(message.get_fields_and_field_types())
     for name in names:

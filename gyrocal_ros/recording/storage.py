@@ -148,13 +148,13 @@ class Storage:
             if topic.type_name not in self._embedded.fielddefs:
                 self._learn(topic, definition)
             return self._embedded
-        if topic.type_name not in _ros_types().fielddefs:
+        if topic.type_name not in ros_types().fielddefs:
             raise RecordingError(
                 f'the type {topic.type_name} is not known, and the recording does not define it',
                 where=topic.name,
                 todo='record it again with a newer rosbag2, which stores definitions',
             )
-        return _ros_types()
+        return ros_types()
 
     def _learn(self, topic: Topic, definition: MessageDefinition) -> None:
         try:
@@ -245,5 +245,6 @@ def _parse(definition: MessageDefinition, type_name: str) -> dict[str, Any]:
 
 
 @cache
-def _ros_types() -> Typestore:
+def ros_types() -> Typestore:
+    """Return the message types of ROS 2."""
     return get_typestore(Stores.ROS2_JAZZY)

@@ -19,7 +19,6 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from gyrocal_ros.data import (
     Array,
@@ -40,6 +39,7 @@ from gyrocal_ros.data import (
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.recording import images, messages, topics
+from gyrocal_ros.recording.storage import ros_types
 from gyrocal_ros.recording.topics import Role
 
 _FOREVER = QosTime(2147483647, 4294967295)
@@ -93,7 +93,7 @@ class BagWriter:
         """Use `new_bag`."""
         self._writer, self._jpeg_quality = writer, jpeg_quality
         self._prefix = f'/{namespace.strip("/")}/' if namespace.strip('/') else '/'
-        self._types = get_typestore(Stores.ROS2_JAZZY)
+        self._types = ros_types()
         self._make = messages.MessageMaker(self._types.types.__getitem__)
         self._connections: dict[str, Connection] = {}
         self._odometry = _DeadReckoning()

@@ -1,0 +1,127 @@
+"""Messages come out in the order of their stamps, and steps of the clock are seen."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+from typing import TypeAlias
+
+import pytest
+
+from gyrocal_ros.data import NS_PER_S, ClockStep
+from gyrocal_ros.recording.reorder import Drop, Reorderer
+
+MS = NS_PER_S // 1000
+WINDOW, STEP = 100 * MS, 5 * NS_PER_S
+Message: TypeAlias = tuple[int, int]
+"""Stamp and stream; the stamp is the item too."""
+
+
+def sort(messages: Iterable[Message], window: int = WINDOW) -> tuple[list[int | ClockStep], Reorderer[int]]:
+    order = Reorderer[int](window, STEP)
+    out = [item for t_ns, stream in messages for item in order.push(t_ns, stream, t_ns)]
+    return out + list(order.finish()), order
+
+
+def steady(start_ms: int, end_ms: int, every_ms: int = 5, stream: int = 0) -> list[Message]:
+    return [(t * MS, stream) for t in range(start_ms, end_ms, every_ms)]
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_late_messages_are_sorted_in_while_the_window_allows(seed: int) -> None:
+    rng = random.Random(seed)
+    messages = steady(0, 2000, 5, 0) + steady(1, 2000, 20, 1) + steady(2, 2000, 66, 2)
+    delayed = sorted(messages, key=lambda message: message[0] + rng.randrange(0, WINDOW))
+    out, order = sort(delayed)
+    assert out == sorted(t_ns for t_ns, _ in messages)
+    assert not order.drops
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_whatever_comes_the_output_is_sorted_and_all_is_accounted_for(seed: int) -> None:
+    rng = random.Random(seed)
+    messages = [(rng.randrange(0, 4 * NS_PER_S, MS), rng.randrange(3)) for _ in range(1000)]
+    out, order = sort(messages)
+    assert out == sorted(item for item in out if isinstance(item, int))
+    assert len(out) + sum(order.drops.values()) == len(messages)
+
+
+def test_messages_later_than_the_window_are_dropped_and_counted() -> None:
+    messages = steady(0, 1000)
+    messages.insert(150, (7 * MS, 1))
+    out, order = sort(messages)
+    assert 7 * MS not in out
+    assert order.drops == {(Drop.LATE, 1): 1}
+
+
+def test_repeated_stamps_of_a_stream_are_dropped_but_not_of_another() -> None:
+    messages = [*steady(0, 100), (50 * MS, 0), (95 * MS, 0), (95 * MS, 1)]
+    out, order = sort(messages)
+    assert out.count(95 * MS) == 2
+    assert order.drops == {(Drop.DUPLICATE, 0): 2}
+
+
+def test_equal_stamps_come_out_in_the_order_of_their_streams() -> None:
+    order = Reorderer[str](WINDOW, STEP)
+    for stream in (2, 0, 1):
+        assert not order.push(0, stream, f'stream {stream}')
+    assert list(order.finish()) == ['stream 0', 'stream 1', 'stream 2']
+
+
+@pytest.mark.parametrize('odd_ms', [0, 90_000, -90_000])
+def test_a_single_odd_stamp_is_dropped_and_is_no_step(odd_ms: int) -> None:
+    messages = steady(10_000, 12_000)
+    messages.insert(200, (odd_ms * MS, 3))
+    out, order = sort(messages)
+    assert out == [t_ns for t_ns, _ in steady(10_000, 12_000)]
+    assert order.drops == {(Drop.ODD, 3): 1}
+
+
+def test_an_odd_first_stamp_is_dropped_and_is_no_step() -> None:
+    out, order = sort([(0, 1), *steady(100_000, 102_000)])
+    assert out == [t_ns for t_ns, _ in steady(100_000, 102_000)]
+    assert order.drops == {(Drop.ODD, 1): 1}
+
+
+@pytest.mark.parametrize('step_s', [100, -100])
+def test_a_lasting_jump_starts_a_new_time_base(step_s: int) -> None:
+    before = steady(200_000, 202_000, 5, 0) + steady(200_001, 202_000, 20, 1)
+    after = steady(202_000, 204_000, 5, 0) + steady(202_001, 204_000, 20, 1)
+    moved = sorted((t_ns + step_s * NS_PER_S, stream) for t_ns, stream in after)
+    out, order = sort(sorted(before) + moved)
+    first = moved[0][0]
+    step = ClockStep(first, first - max(before)[0])
+    assert out == [*(t_ns for t_ns, _ in sorted(before)), step, *(t_ns for t_ns, _ in moved)]
+    assert not order.drops
+
+
+def test_stragglers_from_before_the_step_do_not_hide_it() -> None:
+    before, after = steady(0, 2000), steady(102_000, 104_000)
+    stragglers = [(t_ns, 2) for t_ns in (1990 * MS, 1994 * MS, 1998 * MS)]
+    for place, straggler in enumerate(stragglers):
+        after.insert(10 + 10 * place, straggler)
+    out, order = sort(before + after)
+    assert [type(item) for item in out].count(ClockStep) == 1
+    assert {t_ns for t_ns, _ in stragglers} <= set(out)
+    assert not order.drops
+
+
+def test_one_stream_that_leaves_the_others_is_no_step() -> None:
+    together = sorted(steady(0, 4000, 5, 0) + steady(1, 4000, 20, 1))
+    strayed = [
+        (t_ns + 60 * NS_PER_S, 0) if stream == 0 and t_ns > NS_PER_S else (t_ns, stream)
+        for t_ns, stream in together
+    ]
+    out, order = sort(strayed)
+    assert not any(isinstance(item, ClockStep) for item in out)
+    assert set(order.drops) == {(Drop.ODD, 0)}
+    assert [item for item in out if isinstance(item, int) and item % (5 * MS)] == [t_ns for t_ns, stream in together if stream == 1]
+
+
+def test_memory_does_not_grow_with_the_recording() -> None:
+    order = Reorderer[int](WINDOW, STEP)
+    held = most_held = 0
+    for t_ns, stream in steady(0, 20_000):
+        held += 1 - len(order.push(t_ns, stream, t_ns))
+        most_held = max(most_held, held)
+    assert most_held <= 1 + (WINDOW + WINDOW // 4) // (5 * MS)

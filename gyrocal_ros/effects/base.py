@@ -47,5 +47,10 @@ class LinearGyroEffect(ABC):
 
 
 def column(*signals: Array) -> Array:
-    """Signals (N,) as the columns (N, k) of a linear effect; not recorded (NaN) counts as zero."""
-    return np.nan_to_num(np.stack(signals, axis=1))
+    """Signals (N,) as the columns (N, k) of a linear effect."""
+    return np.array(signals).T
+
+
+def recorded(signal: Array) -> Array:
+    """A signal with zero for what was not recorded (NaN): the effect then has nothing to say."""
+    return np.nan_to_num(signal)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.effects.base import LinearGyroEffect, column, recorded
 from gyrocal_ros.model.sensor import Coefficient
 
 REFERENCE_C = 25.0
@@ -21,4 +21,4 @@ class BiasTemperature(LinearGyroEffect):
 
     def columns(self, block: MotionBlock) -> Array:
         """(N, 1)"""
-        return column(block.temperature_c - REFERENCE_C)
+        return column(recorded(block.temperature_c - REFERENCE_C))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.effects.base import LinearGyroEffect, column, recorded
 from gyrocal_ros.model.sensor import Coefficient
 
 REFERENCE_C = 25.0
@@ -20,4 +20,4 @@ class ScaleTemperature(LinearGyroEffect):
 
     def columns(self, block: MotionBlock) -> Array:
         """(N, 1)"""
-        return column((block.temperature_c - REFERENCE_C) * block.rate_rad_s[:, 2])
+        return column(recorded(block.temperature_c - REFERENCE_C) * block.rate_rad_s[:, 2])

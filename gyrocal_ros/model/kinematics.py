@@ -110,14 +110,14 @@ def _nearly_level(euler_rad: Array, turns: Array) -> Array:
     spun = np.exp(1j * heading)
     tilting = (turns[0] + 1j * turns[1]) * spun
     tilt = (complex(euler_rad[0], euler_rad[1]) + np.cumsum(tilting) - 0.5 * tilting) * spun.conj()
-    return np.stack([tilt.real, tilt.imag, euler_rad[2] + heading])
+    return np.array([tilt.real, tilt.imag, euler_rad[2] + heading])
 
 
 def _euler_increments(euler: Array, turns: Array) -> Array:
     """Increments (3, N) of the Euler angles, `E_wb` of eq. (4) times the body's turns."""
     sr, cr, tp = np.sin(euler[0]), np.cos(euler[0]), np.tan(euler[1])
     level = sr * turns[1] + cr * turns[2]
-    return np.stack([turns[0] + tp * level, cr * turns[1] - sr * turns[2], level * np.sqrt(1.0 + tp * tp)])
+    return np.array([turns[0] + tp * level, cr * turns[1] - sr * turns[2], level * np.sqrt(1.0 + tp * tp)])
 
 
 def _euler_rate_matrices(trig: _Trig) -> Array:
@@ -146,7 +146,7 @@ def _increment_derivatives(trig: _Trig, turns: Array) -> Array:
 
 def _forward(trig: _Trig) -> Array:
     """The body x axis in the world, first column of `C_wb` (3), for N attitudes, (3, N)."""
-    return np.stack([trig.cy * trig.cp, trig.sy * trig.cp, -trig.sp])
+    return np.array([trig.cy * trig.cp, trig.sy * trig.cp, -trig.sp])
 
 
 def _forward_derivatives(trig: _Trig) -> Array:

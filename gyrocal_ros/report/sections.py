@@ -1,0 +1,104 @@
+"""Which figures a report shows, in what order, and what it says below them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from gyrocal_ros.calibration import Calibration
+from gyrocal_ros.diagnose.drift import BlindDrift, Path, dead_reckoning, slam_path, truth_path
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.report import figures, series
+
+CAPTIONS = {
+    'scale_factor': """The estimate with its band of three standard deviations, which should hold the true
+        value nearly all the time. Below, how wide that band is, and how far the estimate still was from
+        its final value.""",
+    'coefficients': """The bands are three standard deviations; one that has not narrowed means that this
+        recording says nothing of the coefficient.""",
+    'path': """The gyro paths use gyro and wheels alone from the start to the end, both with the bias found
+        here. Crosses mark the ends; a click on a name hides a path.""",
+    'map': """Features of the ceiling seen from above, as the map holds them at the end. Most ellipses are
+        smaller than the marks; a long one is a feature whose distance is not known yet.""",
+    'distance': """The paths of the figure above against the ground truth, which is aligned in position and
+        heading at the first moment.""",
+    'blind_drift': """Each mark is a span of {span_s:.0f} s in which the gyro is left alone, from the heading
+        and bias that the filter had at its beginning, compared with {reference}. The coefficients are those
+        of this very recording: another recording would be the stricter test.""",
+    'heading': """The error should stay inside the band, which is three standard deviations of the heading by
+        SLAM.""",
+    'heading_alone': """Without ground truth only the filter's own doubt can be shown: three standard
+        deviations.""",
+    'bias': """The bias moves by itself. One that follows the temperature wants a sensor model that knows of
+        the temperature.""",
+    'innovations': """Differences between measurement and prediction: their squares by what the filter expects
+        (NIS), over windows of {window_s:.0f} s. They should be within the bounds in {expected:.0%} of the
+        windows and are in {inside:.0%}; well above one, the filter is too sure of itself. Below, where there
+        are any, the features used and rejected, and the differences as a heading, with the band that the
+        noise of the measurement alone explains.""",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """A figure and how to read it."""
+
+    name: str
+    figure: Any
+    caption: str
+    half: bool = False
+    """Two of them stand side by side where the screen is wide."""
+
+
+def sections(run: Run, calibration: Calibration, before: BlindDrift, after: BlindDrift) -> Iterator[Section]:
+    """Yield the figures that this run has the data for.
+
+    Args:
+        run: a finished run.
+        calibration: what it has found.
+        before: blind drift of the nominal gyro.
+        after: blind drift of the calibrated gyro.
+    """
+    history = run.history
+    yield _section('scale_factor', figures.scale_factor(history, calibration))
+    if run.state.coefficient_count > 1:
+        yield _section('coefficients', figures.coefficients(history, calibration))
+
+    truth, tracks = truth_path(run), _paths(run)
+    compared = tracks if truth is None else {'ground truth': truth, **tracks}
+    yield _section('path', figures.paths(compared), half=True)
+    ceiling = series.ceiling_map(run)
+    if len(ceiling.ids):
+        yield _section('map', figures.ceiling_map(ceiling, tracks['SLAM']), half=True)
+    if truth is not None:
+        yield _section('distance', figures.distances(*series.distances_m(tracks, truth)))
+
+    if len(after.error_rad):
+        reference = 'the ground truth' if after.reference == 'ground truth' else 'the heading by SLAM'
+        drift = figures.blind_drift(before, after)
+        yield _section('blind_drift', drift, span_s=after.span_s, reference=reference)
+    error = series.heading_error(run)
+    yield _section('heading' if error else 'heading_alone', figures.heading(history, error))
+    yield _section('bias', figures.bias(history))
+    windows = series.windows(history)
+    yield _section(
+        'innovations',
+        figures.innovations(history, windows),
+        window_s=windows.length_s,
+        expected=series.CONFIDENCE,
+        inside=windows.share_inside,
+    )
+
+
+def _section(name: str, figure: Any, half: bool = False, **facts: float | str) -> Section:
+    return Section(name, figure, CAPTIONS[name].format(**facts), half)
+
+
+def _paths(run: Run) -> dict[str, Path]:
+    coefficients, bias = run.state.coefficients, float(run.state.bias_rad_s[2])
+    return {
+        'SLAM': slam_path(run),
+        'calibrated gyro': dead_reckoning(run, coefficients, bias),
+        'nominal gyro': dead_reckoning(series.uncorrected(run), coefficients, bias),
+    }

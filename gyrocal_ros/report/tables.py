@@ -1,0 +1,120 @@
+"""What a report says in words and in tables."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from gyrocal_ros.calibration import Calibration
+from gyrocal_ros.config import Config
+from gyrocal_ros.diagnose.drift import BlindDrift
+from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.state import YAW_BIAS
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a technician wants to know first."""
+
+    good: bool
+    headline: str
+    sentences: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the table of coefficients."""
+
+    name: str
+    value: str
+    unit: str
+    """Value with its standard deviation, in the unit of the effect library."""
+    known_before: str
+    meaning: str
+    """The same as people are used to it."""
+
+
+def verdict(calibration: Calibration, config: Config, before: BlindDrift, after: BlindDrift) -> Verdict:
+    """Sum a calibration up in a few sentences.
+
+    Args:
+        calibration: the result.
+        config: the settings it was made with.
+        before: blind drift of the nominal gyro.
+        after: blind drift of the calibrated gyro.
+    """
+    good, headline = _headline(calibration, config)
+    sentences = [_scale_sentence(calibration), _bias_sentence(calibration)]
+    if len(after.error_rad):
+        reference = 'the ground truth' if after.reference == 'ground truth' else 'the heading by SLAM'
+        sentences.append(
+            f'With the camera covered, the heading drifts {after.rms_deg:.3g} deg in {after.span_s:.0f} s '
+            f'(rms against {reference}; worst {after.max_deg:.3g} deg). '
+            f'With the nominal scale factor it was {before.rms_deg:.3g} deg.'
+        )
+    return Verdict(good, headline, tuple(sentences))
+
+
+def coefficient_rows(calibration: Calibration, history: History) -> list[Row]:
+    """Bias and coefficients, each with what was known of it before the recording."""
+    before = zip(history.mean[0, YAW_BIAS:], history.std[0, YAW_BIAS:], strict=True)
+    after = zip(calibration.names, calibration.values, calibration.stds, calibration.units, strict=True)
+    return [
+        Row(name, with_std(value, std), unit, with_std(*prior), _meaning(name, value, std, unit))
+        for (name, value, std, unit), prior in zip(after, before, strict=True)
+    ]
+
+
+def with_std(value: float, std: float) -> str:
+    """A number and its standard deviation, to two digits of the latter: `0.92555 ± 0.00021`."""
+    if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
+        return f'{value:g} ± {std:g}'
+    decimals = 1 - math.floor(math.log10(std))
+    if decimals > 8:
+        return f'{value:.4g} ± {std:.2g}'
+    shown = max(decimals, 0)
+    return f'{round(value, decimals):.{shown}f} ± {round(std, decimals):.{shown}f}'
+
+
+def _headline(calibration: Calibration, config: Config) -> tuple[bool, str]:
+    threshold = f'{100.0 * config.convergence.scale_std:g} %'
+    if calibration.converged:
+        return True, (
+            f'Calibrated: the scale factor was known to {threshold} after '
+            f'{calibration.convergence_time_s:.0f} s.'
+        )
+    if calibration.convergence_time_s is None:
+        return False, (
+            f'Not calibrated yet: the scale factor is known to {100.0 * calibration.scale_factor_std:.2g} % '
+            f'only, not to {threshold}. Record more turns, both ways, while the camera sees the ceiling.'
+        )
+    return False, (
+        'Not to be trusted: at the end the measurements differ from what the filter expects, as the figure '
+        'of the innovations shows. Look at the warnings, the camera calibration and the time stamps.'
+    )
+
+
+def _scale_sentence(calibration: Calibration) -> str:
+    nominal = calibration.nominal_scale_factor_volt
+    volt = with_std(calibration.scale_factor_volt, calibration.scale_factor_std * nominal)
+    excess = 100.0 * (1.0 / abs(calibration.scale_factor) - 1.0)
+    how = f'{abs(excess):.2f} % too {"much" if excess > 0.0 else "little"}'
+    if calibration.scale_factor < 0.0:
+        how += ', and turns the wrong way round'
+    return (
+        f'The scale factor is {with_std(calibration.scale_factor, calibration.scale_factor_std)}, that is '
+        f'{volt} deg/s/V instead of the nominal {nominal:g}: uncalibrated, the gyro reports {how}.'
+    )
+
+
+def _bias_sentence(calibration: Calibration) -> str:
+    bias = with_std(math.degrees(calibration.values[0]), math.degrees(calibration.stds[0]))
+    return f'The bias at the end is {bias} deg/s, to be added to the scaled rate.'
+
+
+def _meaning(name: str, value: float, std: float, unit: str) -> str:
+    if name == 'scale_factor':
+        return f'true rate = ({with_std(1.0 + value, std)}) times the nominal rate'
+    if unit.startswith('rad'):
+        return f'{with_std(math.degrees(value), math.degrees(std))} deg{unit.removeprefix("rad")}'
+    return ''

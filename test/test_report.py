@@ -1,0 +1,317 @@
+"""What a run leaves behind: files that can be read again, and a page that needs nothing else."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.calibrate import calibrate
+from gyrocal_ros.calibration import Calibration, conclude, load_calibration
+from gyrocal_ros.config import Config, load_config, with_settings
+from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects.model_file import load_model, model_from_dict
+from gyrocal_ros.ekf.run import Event, Run
+from gyrocal_ros.ekf.state import EULER, no_landmarks
+from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.model.rotation import rotation_from_euler, rotation_from_quaternion
+from gyrocal_ros.report import figures, page, series, write
+from gyrocal_ros.report.sections import sections
+from gyrocal_ros.report.summary import summarise
+from gyrocal_ros.report.tables import coefficient_rows, verdict, with_std
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+FILES = {
+    'calibration.yaml',
+    'model.yaml',
+    'settings.yaml',
+    'summary.json',
+    'trajectory.txt',
+    'trajectory_gyro.txt',
+    'report.html',
+}
+SCENARIO = replace(find_scenario('cleaning'), duration_s=75.0, camera_until_s=65.0)
+
+
+@pytest.fixture(scope='module')
+def run() -> Run:
+    config = with_settings(Config(), {'tracker': {'features': 12}})
+    return calibrate(SimSource(SCENARIO, 0), config, default_model())
+
+
+@pytest.fixture(scope='module')
+def calibration(run: Run) -> Calibration:
+    return conclude(run)
+
+
+@pytest.fixture(scope='module')
+def folder(run: Run, calibration: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp('report') / 'out'
+    write.write_report(run, calibration, target, [('warning', 'gaps in the <imu>')])
+    return target
+
+
+def without_features(run: Run) -> Run:
+    """As a run with another heading reference ends: no map, and no pixel was ever used."""
+    size = run.state.robot_size
+    state = replace(
+        run.state,
+        mean=run.state.mean[:size],
+        covariance=run.state.covariance[:size, :size],
+        landmarks=no_landmarks(),
+    )
+    nothing = np.zeros_like(run.history.used)
+    return replace(run, state=state, history=replace(run.history, used=nothing, rejected=nothing))
+
+
+def repeated(run: Run, times: int) -> Run:
+    """A recording as long as so many of this one."""
+    history = run.history
+    length_ns = int(history.t_ns[-1] - history.t_ns[0]) + 66_000_000
+    columns = {
+        item.name: np.concatenate([getattr(history, item.name)] * times) for item in fields(type(history))
+    }
+    columns['t_ns'] = np.concatenate([history.t_ns + i * length_ns for i in range(times)])
+    return replace(run, history=type(history)(**columns))
+
+
+def figure_names(run: Run) -> list[str]:
+    drift = blind_drift(run)
+    return [section.name for section in sections(run, conclude(run), drift, drift)]
+
+
+class TestFolder:
+    def test_holds_everything(self, folder: Path) -> None:
+        assert {file.name for file in folder.iterdir()} == FILES
+        assert [item.name for item in folder.parent.iterdir()] == ['out']
+
+    def test_calibration_model_and_settings_load_again(
+        self, folder: Path, run: Run, calibration: Calibration
+    ) -> None:
+        loaded = load_calibration(folder / 'calibration.yaml')
+        assert loaded.names == calibration.names
+        np.testing.assert_array_equal(loaded.values, calibration.values)
+        assert load_model(folder / 'model.yaml') == run.model
+        assert load_config(folder / 'settings.yaml') == run.config != Config()
+
+    def test_summary_is_that_of_the_run(self, folder: Path, run: Run, calibration: Calibration) -> None:
+        assert json.loads((folder / 'summary.json').read_text()) == summarise(run, calibration)
+
+    def test_trajectories_are_in_tum_format(self, folder: Path, run: Run) -> None:
+        for name in ('trajectory.txt', 'trajectory_gyro.txt'):
+            poses = np.loadtxt(folder / name)
+            assert poses.shape == (len(run.history.t_ns), 8)
+            np.testing.assert_allclose(poses[:, 0], run.history.t_ns / 1e9, rtol=0.0, atol=1e-6)
+            np.testing.assert_allclose(np.linalg.norm(poses[:, 4:], axis=1), 1.0, atol=1e-8)
+        poses = np.loadtxt(folder / 'trajectory.txt')
+        np.testing.assert_allclose(poses[:, 1:4], run.history.mean[:, :3], atol=1e-6)
+        first = (folder / 'trajectory.txt').read_text().splitlines()[1].split()[0]
+        assert int(first.replace('.', '')) == run.history.t_ns[0], 'to the nanosecond'
+        for row in (0, 400, 1000):
+            np.testing.assert_allclose(
+                rotation_from_quaternion(*poses[row, 4:]),
+                rotation_from_euler(run.history.mean[row, EULER]),
+                atol=1e-7,
+            )
+
+    def test_files_of_the_user_are_left_alone(
+        self, run: Run, calibration: Calibration, tmp_path: Path
+    ) -> None:
+        (tmp_path / 'mine.txt').write_text('mine')
+        with pytest.raises(GyrocalError, match='not empty'):
+            write.write_report(run, calibration, tmp_path)
+        write.write_report(run, calibration, tmp_path, overwrite=True)
+        assert {file.name for file in tmp_path.iterdir()} == FILES | {'mine.txt'}
+
+    def test_is_whole_or_not_there(
+        self, run: Run, calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def interrupted(*_: object) -> str:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(write, 'report_page', interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            write.write_report(run, calibration, tmp_path / 'out')
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestPage:
+    def test_needs_no_other_file_and_no_network(self, folder: Path) -> None:
+        text = (folder / 'report.html').read_text(encoding='utf-8')
+        library = figures.library()
+        assert text.count(library) == 1
+        own = text.replace(library, '')
+        assert re.findall(r'(?:src|href)\s*=|@import|url\(|https?://', own) == []
+        assert own.count('"showSendToCloud": false') == own.count('Plotly.newPlot(') > 0
+        assert len(text) < 6_000_000
+
+    def test_shows_every_figure_once(self, folder: Path, run: Run) -> None:
+        text = (folder / 'report.html').read_text(encoding='utf-8')
+        names = figure_names(run)
+        assert len(set(names)) == len(names)
+        assert re.findall(r'<div id="(\w+)" class="plotly-graph-div"', text) == names
+
+    def test_escapes_what_comes_from_outside(self, run: Run, calibration: Calibration, folder: Path) -> None:
+        assert 'gaps in the &lt;imu&gt;' in (folder / 'report.html').read_text(encoding='utf-8')
+        text = page.report_page(replace(run, source='<b>bag</b>'), calibration)
+        assert '<b>bag' not in text
+        assert 'No warnings' in text
+
+    def test_tells_the_events_with_their_times(self, run: Run, calibration: Calibration) -> None:
+        event = Event(run.span.start_ns + 12_300_000_000, 'a new map was begun')
+        text = page.report_page(replace(run, events=(event,)), calibration)
+        assert '12.3 s after the start: a new map was begun' in text
+
+    def test_is_the_same_for_the_same_run(self, run: Run, calibration: Calibration) -> None:
+        assert page.report_page(run, calibration) == page.report_page(run, calibration)
+
+
+class TestSections:
+    def test_leave_out_what_a_run_cannot_show(self, run: Run) -> None:
+        assert figure_names(run) == [
+            'scale_factor', 'path', 'map', 'distance', 'blind_drift', 'heading', 'bias', 'innovations',
+        ]  # fmt: skip
+        bare = without_features(replace(run, truth=None))
+        assert figure_names(bare) == [
+            'scale_factor', 'path', 'blind_drift', 'heading_alone', 'bias', 'innovations',
+        ]  # fmt: skip
+
+    def test_show_the_other_coefficients_of_a_larger_model(self) -> None:
+        model = model_from_dict({'effects': ['scale_factor', 'scale_cubic', 'bias_warmup']}, 'test')
+        run = calibrate(SimSource(replace(SCENARIO, duration_s=25.0), 0), Config(), model)
+        calibration = conclude(run)
+        assert figure_names(run)[1] == 'coefficients'
+        names = {trace.name for trace in figures.coefficients(run.history, calibration).data}
+        assert names == {'3 sigma', *model.coefficient_names[1:]}
+        rows = coefficient_rows(calibration, run.history)
+        assert [row.name for row in rows] == ['bias', *model.coefficient_names]
+        last = model.coefficients[-1]
+        assert rows[-1].known_before == with_std(last.prior_mean, last.prior_std)
+
+    def test_size_does_not_grow_with_the_recording(self, run: Run) -> None:
+        hour = repeated(run, 40)
+        assert len(hour.history.t_ns) > 40_000
+        for section in sections(hour, conclude(hour), blind_drift(hour), blind_drift(hour)):
+            for trace in section.figure.data:
+                assert len(trace.x) == len(trace.y) < 2.2 * figures.POINTS, (section.name, trace.name)
+
+    def test_axes_have_titles_and_lines_have_names(self, run: Run, calibration: Calibration) -> None:
+        drift = blind_drift(run)
+        for section in sections(run, calibration, drift, drift):
+            layout = section.figure.layout
+            assert layout.title.text
+            assert all(trace.name for trace in section.figure.data)
+            assert any(axis.title.text for axis in section.figure.select_xaxes())
+            panels = sum(bool(axis.title.text) for axis in section.figure.select_yaxes())
+            assert panels >= len(list(section.figure.select_yaxes())) - 1
+
+
+class TestSeries:
+    def test_thinning_keeps_the_extremes(self) -> None:
+        values = np.random.default_rng(0).normal(size=(50_000, 2))
+        values[31_234, 0], values[7, 1], values[100:200, 0] = 50.0, -60.0, np.nan
+        rows = series.kept(values, 1000)
+        assert len(rows) <= 1002
+        assert {0, 7, 31_234, 49_999} <= set(rows.tolist())
+        assert (np.diff(rows) > 0).all()
+        np.testing.assert_array_equal(series.kept(values[:1000], 1000), np.arange(1000))
+
+    def test_windows_lose_nothing(self, run: Run) -> None:
+        windows = series.windows(run.history)
+        assert windows.rejected.sum() == run.history.rejected.sum()
+        covered = windows.used == 0.0
+        assert covered.any(), 'the camera is off at the end'
+        assert np.isnan(windows.nis_per_dof[covered]).all()
+
+    def test_a_consistent_filter_stays_within_the_bounds(self, run: Run) -> None:
+        rng = np.random.default_rng(1)
+        hour = repeated(run, 40).history
+        windows = series.windows(replace(hour, nis=rng.chisquare(np.maximum(hour.dof, 1e-9))))
+        assert len(windows.time_s) <= series.WINDOWS + 1
+        assert windows.share_inside == pytest.approx(series.CONFIDENCE, abs=0.04)
+        too_sure = series.windows(replace(hour, nis=2.0 * hour.dof))
+        assert too_sure.share_inside == 0.0
+
+    def test_uncorrected_gyro_turns_by_its_samples_alone(self, run: Run) -> None:
+        history = run.history
+        track = dead_reckoning(series.uncorrected(run), run.state.coefficients, 0.0)
+        turned = track.yaw_rad - track.yaw_rad[0]
+        np.testing.assert_allclose(turned, np.cumsum(history.turn_rad) - history.turn_rad[0], atol=1e-9)
+
+    def test_heading_error_is_what_the_filter_says(self, run: Run) -> None:
+        error = series.heading_error(run)
+        assert error is not None
+        assert np.mean(np.abs(error.error_rad) < 3.0 * error.std_rad) > 0.97
+        assert series.heading_error(replace(run, truth=None)) is None
+
+    def test_outlines_are_as_many_sigmas_away(self, run: Run) -> None:
+        ceiling = series.ceiling_map(run)
+        assert len(ceiling.ids) == len(run.state.landmarks.ids) > 5
+        offsets = ceiling.outlines(3.0) - ceiling.points_m[:, None, :2]
+        information = np.linalg.inv(ceiling.covariances_m2[:, :2, :2])
+        distances = np.einsum('mci,mij,mcj->mc', offsets, information, offsets)
+        np.testing.assert_allclose(distances, 9.0, rtol=1e-4)
+        assert 2.0 < np.median(ceiling.points_m[:, 2]) < 3.0, 'a ceiling is above the floor'
+
+    def test_distances_are_measured_to_the_truth(self, run: Run) -> None:
+        path = dead_reckoning(run, run.state.coefficients, float(run.state.bias_rad_s[2]))
+        moved = replace(path, position_m=path.position_m + [0.3, -0.4])
+        _, distances = series.distances_m({'moved': moved}, path)
+        np.testing.assert_allclose(distances['moved'], 0.5)
+
+
+class TestWords:
+    @pytest.mark.parametrize(
+        ('value', 'std', 'text'),
+        [
+            (0.9255473, 0.0000209, '0.925547 ± 0.000021'),
+            (135.50013, 0.00307, '135.5001 ± 0.0031'),
+            (-0.0744, 0.1, '-0.07 ± 0.10'),
+            (577.2, 112.0, '580 ± 110'),
+            (1e-10, 3e-11, '1e-10 ± 3e-11'),
+            (1.0, 0.0, '1 ± 0'),
+            (1.0, math.nan, '1 ± nan'),
+        ],
+    )
+    def test_numbers_are_as_long_as_their_doubt_allows(self, value: float, std: float, text: str) -> None:
+        assert with_std(value, std) == text
+
+    def test_a_good_calibration(self, run: Run, calibration: Calibration) -> None:
+        words = verdict(calibration, run.config, blind_drift(series.uncorrected(run)), blind_drift(run))
+        assert words.good
+        assert words.headline.startswith('Calibrated: the scale factor was known to 0.05 % after')
+        assert '135.' in words.sentences[0]
+        assert '8.0' in words.sentences[0]
+        assert 'too much' in words.sentences[0]
+        assert 'against the ground truth' in words.sentences[2]
+
+    def test_one_that_needs_more_turns(self, run: Run, calibration: Calibration) -> None:
+        early = replace(calibration, converged=False, convergence_time_s=None)
+        words = verdict(early, run.config, blind_drift(run), blind_drift(run))
+        assert not words.good
+        assert 'Record more turns' in words.headline
+
+    def test_one_that_contradicts_itself(self, run: Run, calibration: Calibration) -> None:
+        words = verdict(replace(calibration, converged=False), run.config, blind_drift(run), blind_drift(run))
+        assert not words.good
+        assert 'Not to be trusted' in words.headline
+
+    def test_a_gyro_that_is_mounted_upside_down(self, run: Run, calibration: Calibration) -> None:
+        turned = replace(calibration, values=np.array([0.0, -1.99]))
+        words = verdict(turned, run.config, blind_drift(run), blind_drift(run))
+        assert 'reports 1.01 % too much, and turns the wrong way round' in words.sentences[0]
+
+
+def test_figures_of_merit_come_without_plotly() -> None:
+    code = 'import sys, gyrocal_ros.report.summary; print("plotly" in sys.modules)'
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == 'False'

@@ -101,13 +101,18 @@ def see(state: State, eye: Eye, observations: FeatureObservations) -> tuple[Stat
 
 
 def meet(state: State, eye: Eye, observations: FeatureObservations) -> tuple[State, int]:
-    """Add the features of an image that the map does not know; returns how many were added."""
+    """Add the features of an image that the map does not know; returns how many were added.
+
+    None that was just seen makes room for another: one known for longer is worth more.
+    """
     known = set(state.landmarks.ids.tolist())
     fresh = [i for i, feature in enumerate(observations.ids.tolist()) if feature not in known]
+    just_seen = int(np.count_nonzero(state.landmarks.last_seen_ns == state.t_ns))
+    features = eye.config.features
+    fresh = fresh[: max(features.map_size - just_seen, 0)]
     count = len(fresh)
     if count == 0:
         return state, 0
-    features = eye.config.features
     state = make_room(state, count, features.map_size)
     new = eye.form.initialise(eye.view, observations.pixels[fresh], eye.noise_px, features)
     by_values = by_candidates = None

@@ -95,7 +95,8 @@ def innovate(
     flat = numerator.reshape(count * width, len(state.mean))
     covariance = flat[:, :6] @ by_pose.reshape(-1, 6).T
     own = flat[:, columns].reshape(count * width, count, 3).transpose(1, 0, 2)
-    covariance += (own @ by_feature.transpose(0, 2, 1)).transpose(1, 0, 2).reshape(count * width, -1)
+    own = (own @ by_feature.transpose(0, 2, 1)).transpose(1, 0, 2)
+    covariance += own.reshape(covariance.shape)
     if by_values is not None:
         covariance += flat[:, k] @ by_values.reshape(count * width, state.coefficient_count).T
     covariance = covariance.reshape(count, width, count, width)

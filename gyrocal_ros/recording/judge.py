@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from gyrocal_ros.data import seconds
 from gyrocal_ros.recording.findings import Finding, Severity
-from gyrocal_ros.recording.stats import Agreement, Event, ImuStats, TurnStats, compare_turns
+from gyrocal_ros.recording.stats import Agreement, Event, ImuStats, compare_turns
 from gyrocal_ros.recording.topics import Role
 from gyrocal_ros.recording.watch import Seen, Watch
 
@@ -40,25 +40,42 @@ def judge(seen: Seen, *, reorder_window_s: float, clock_step_s: float) -> Iterat
         reorder_window_s: how late a message may be recorded and still be sorted in.
         clock_step_s: topics whose clocks differ by more than this cannot be used together.
     """
-    imu = seen.of(Role.IMU)
+    stamped = [watch for watch in seen.watches if watch.stamps.unset < watch.stamps.count]
     for watch in seen.watches:
-        if watch.stamps.unset == watch.stamps.count:
+        if watch not in stamped:
             yield _found(
-                watch, ERROR, 'unset_stamps', 'all stamps are zero', 'let the driver set header.stamp'
+                watch, ERROR, 'unset_stamps', 'all stamps are zero', 'the driver must set header.stamp'
             )
-            continue
+    imus = [watch for watch in stamped if watch.role is Role.IMU]
+    for watch in stamped:
         yield from _stamps(watch, reorder_window_s)
         yield from _numbers(watch)
-        if imu and watch.role in NEEDED and watch.role is not Role.IMU:
-            yield from _beside_imu(watch, imu, clock_step_s)
-    for topic, stats in seen.imus.items():
-        yield from _imu(topic, stats, seen)
+        if imus and watch.role in NEEDED and watch.role is not Role.IMU:
+            yield from _beside_imu(watch, imus[0], clock_step_s)
+    for imu in imus:
+        yield from _imu(imu, seen.imus[imu.topic.name], _references(imu, stamped, seen))
     features = seen.of(Role.FEATURES)
     if features and seen.feature_count < FEW_FEATURES * features.stamps.count:
         mean = seen.feature_count / features.stamps.count
         yield _found(
             features, WARNING, 'few_features', f'{mean:.1f} features an image', 'look at the tracker'
         )
+
+
+def _references(imu: Watch, stamped: list[Watch], seen: Seen) -> dict[str, tuple[Watch, Agreement]]:
+    """Return how far wheels and heading reference, by topic, turn as the gyro does."""
+    agreements = {}
+    for watch in stamped:
+        if watch.role in seen.turns and abs(_behind_s(watch, imu)) < SAME_CLOCK_S:
+            agreement = compare_turns(seen.imus[imu.topic.name].turns, seen.turns[watch.role])
+            if agreement:
+                agreements[watch.topic.name] = watch, agreement
+    return agreements
+
+
+def _behind_s(watch: Watch, imu: Watch) -> float:
+    """How far the stamps of a topic lie behind those of the IMU."""
+    return watch.stamps.least_delay_s - imu.stamps.least_delay_s
 
 
 def _found(watch: Watch, severity: Severity, kind: str, text: str, todo: str = '') -> Finding:
@@ -117,7 +134,7 @@ def _beside_imu(watch: Watch, imu: Watch, clock_step_s: float) -> Iterator[Findi
     """Tell whether a topic goes with the IMU in clock and time."""
     if watch.stamps.jumped.count or imu.stamps.jumped.count:
         return
-    apart_s = watch.stamps.least_delay_s - imu.stamps.least_delay_s
+    apart_s = _behind_s(watch, imu)
     if abs(apart_s) > SAME_CLOCK_S:
         severity = ERROR if abs(apart_s) > clock_step_s else WARNING
         side = 'behind' if apart_s > 0.0 else 'ahead of'
@@ -132,67 +149,59 @@ def _beside_imu(watch: Watch, imu: Watch, clock_step_s: float) -> Iterator[Findi
         yield _found(watch, WARNING, 'ends_early', f'ends {early_s:.1f} s before the IMU')
 
 
-def _imu(topic: str, stats: ImuStats, seen: Seen) -> Iterator[Finding]:
-    def found(severity: Severity, kind: str, text: str, todo: str = '') -> Finding:
-        return Finding(severity, kind, topic, text, todo)
-
+def _imu(imu: Watch, stats: ImuStats, references: Mapping[str, tuple[Watch, Agreement]]) -> Iterator[Finding]:
     if stats.at_zero == stats.count:
-        yield found(ERROR, 'dead_imu', 'the gyro reads exactly zero throughout', 'choose another IMU topic')
+        text = 'the gyro reads exactly zero throughout'
+        yield _found(imu, ERROR, 'dead_imu', text, 'choose another IMU topic')
         return
-    yield from _accelerometer(topic, stats.mean_force_m_s2)
-    compared = False
-    references = [watch for watch in seen.watches if watch.role in seen.turns]
-    for watch in {watch.topic.name: watch for watch in references}.values():
-        agreement = compare_turns(stats.turns, seen.turns[watch.role])
-        if not agreement:
-            continue
+    yield from _accelerometer(imu, stats.mean_force_m_s2)
+    for watch, agreement in references.values():
         if _is_degrees(1.0 / agreement.ratio):
             text = f'turns {abs(1.0 / agreement.ratio):.0f} times as much as {watch.topic.name}: in degrees?'
-            yield found(ERROR, 'unit_degrees', text, 'let the driver publish rad/s')
+            yield _found(imu, ERROR, 'unit_degrees', text, 'the driver must publish rad/s')
             return
-        compared = True
-        yield from _agreement(topic, watch, agreement, stats.turns, seen.turns[watch.role])
-    if stats.largest_rate_rad_s > FASTEST_RAD_S and not compared:
-        text = f'reads up to {stats.largest_rate_rad_s:.0f} rad/s: degrees, not radians?'
-        yield found(ERROR, 'unit_degrees', text, 'let the driver publish rad/s')
+        yield from _agreement(watch, imu, agreement)
+    if stats.largest_rate_rad_s > FASTEST_RAD_S and not references:
+        text = f'reads up to {stats.largest_rate_rad_s:.0f} rad/s: in degrees?'
+        yield _found(imu, ERROR, 'unit_degrees', text, 'the driver must publish rad/s')
         return
     left, right = (turn * DEGREES for turn in stats.turns.left_right_rad)
     if left + right < LEAST_TURN_DEG:
         text = f'the robot turns {left + right:.0f} deg in all: the scale factor does not show'
-        yield found(ERROR, 'no_turns', text, TURN_ADVICE)
+        yield _found(imu, ERROR, 'no_turns', text, TURN_ADVICE)
     elif left + right < FEW_TURNS_DEG:
         text = f'the robot turns only {left + right:.0f} deg in all: the scale factor shows badly'
-        yield found(WARNING, 'few_turns', text, TURN_ADVICE)
+        yield _found(imu, WARNING, 'few_turns', text, TURN_ADVICE)
     elif min(left, right) < ONE_WAY_SHARE * (left + right):
         text = f'the robot turns {left:.0f} deg to the left, {right:.0f} deg to the right'
-        yield found(NOTE, 'one_way_turns', text, 'turns to both sides tell the effects apart')
+        yield _found(imu, NOTE, 'one_way_turns', text, 'turns to both sides tell the effects apart')
 
 
-def _accelerometer(topic: str, force_m_s2: float) -> Iterator[Finding]:
+def _accelerometer(imu: Watch, force_m_s2: float) -> Iterator[Finding]:
     if force_m_s2 < 0.3:
-        yield Finding(NOTE, 'no_accelerometer', topic, 'the accelerometer reads no gravity')
+        yield _found(imu, NOTE, 'no_accelerometer', 'the accelerometer reads no gravity')
     elif 0.8 < force_m_s2 < 1.25:
         text = f'the accelerometer reads {force_m_s2:.2f}: g, not m/s^2'
-        yield Finding(WARNING, 'unit_g', topic, text, 'let the driver publish m/s^2')
+        yield _found(imu, WARNING, 'unit_g', text, 'the driver must publish m/s^2')
     elif not 9.0 < force_m_s2 < 11.0:
         text = f'the accelerometer reads {force_m_s2:.3g} m/s^2 on average where 9.8 is expected'
-        yield Finding(WARNING, 'odd_gravity', topic, text, 'look after its unit and its calibration')
+        yield _found(imu, WARNING, 'odd_gravity', text, 'look after its unit and its calibration')
 
 
-def _agreement(
-    imu: str, watch: Watch, agreement: Agreement, by_gyro: TurnStats, by_other: TurnStats
-) -> Iterator[Finding]:
+def _agreement(watch: Watch, imu: Watch, agreement: Agreement) -> Iterator[Finding]:
     """Tell whether wheels or heading reference turn as the gyro does."""
-    is_reference = watch.role is Role.HEADING
     if _is_degrees(agreement.ratio):
-        text = f'turns {abs(agreement.ratio):.0f} times as much as {imu}: in degrees?'
-        yield _found(watch, WARNING, 'unit_degrees', text, 'let the driver publish rad/s')
+        text = f'turns {abs(agreement.ratio):.0f} times as much as {imu.topic.name}: in degrees?'
+        yield _found(watch, WARNING, 'unit_degrees', text, 'the driver must publish rad/s')
     elif agreement.correlation < -UNFIT_CORRELATION:
         todo = 'is the IMU upside down? publish how it is mounted on /tf_static'
-        yield _found(watch, WARNING, 'opposite_turns', f'turns the other way than {imu}', todo)
+        yield _found(watch, WARNING, 'opposite_turns', f'turns the other way than {imu.topic.name}', todo)
     elif agreement.correlation < LEAST_CORRELATION or not 1.0 / MAX_RATIO < agreement.ratio < MAX_RATIO:
-        gyro, other = (sum(turns.left_right_rad) * DEGREES for turns in (by_gyro, by_other))
-        text = f'turns {other:.0f} deg in all, {imu} {gyro:.0f} deg (correlation {agreement.correlation:.2f})'
+        is_reference = watch.role is Role.HEADING
+        text = (
+            f'turns {agreement.other_deg:.0f} deg in all, {imu.topic.name} {agreement.this_deg:.0f} deg '
+            f'(correlation {agreement.correlation:.2f})'
+        )
         todo = 'unfit as a heading reference' + ('' if is_reference else '; do the wheels slip?')
         severity = ERROR if is_reference and agreement.correlation < UNFIT_CORRELATION else WARNING
         yield _found(watch, severity, 'turns_disagree', text, todo)

@@ -125,7 +125,9 @@ class TurnStats:
         """Add a block of rates (n,), each taken to hold for the interval that ends at its stamp (n,)."""
         if len(stamps_ns):
             steps_s = np.diff(stamps_ns, prepend=self._last_ns or stamps_ns[0]) / NS_PER_S
-            self._add_turns(stamps_ns, yaw_rates_rad_s * np.where(steps_s < LONGEST_STEP_S, steps_s, 0.0))
+            self._add_turns(
+                stamps_ns, yaw_rates_rad_s * np.where(abs(steps_s) < LONGEST_STEP_S, steps_s, 0.0)
+            )
 
     def add_headings(self, stamps_ns: IntArray, yaws_rad: Array) -> None:
         """Add a block of headings (n,) with their stamps (n,)."""
@@ -180,8 +182,11 @@ class Agreement:
     """How the turns of two sensors compare."""
 
     ratio: float
-    """Turn by the other over turn by this one."""
+    """Turn by the other over turn by this one, from bin to bin."""
     correlation: float
+    this_deg: float
+    """How far each turned in all, to both sides."""
+    other_deg: float
 
 
 def compare_turns(this: TurnStats, other: TurnStats) -> Agreement | None:
@@ -196,4 +201,9 @@ def compare_turns(this: TurnStats, other: TurnStats) -> Agreement | None:
     least = len(common) * math.radians(0.5) ** 2
     if max(aa, bb) < least or min(aa, bb) == 0.0:
         return None
-    return Agreement(math.sqrt(bb / aa) * math.copysign(1.0, ab), ab / math.sqrt(aa * bb))
+    return Agreement(
+        ratio=math.copysign(math.sqrt(bb / aa), ab),
+        correlation=ab / math.sqrt(aa * bb),
+        this_deg=math.degrees(sum(this.left_right_rad)),
+        other_deg=math.degrees(sum(other.left_right_rad)),
+    )

@@ -33,7 +33,7 @@ Look: TypeAlias = Callable[[IntArray, Array], None]
 """Takes the stamps (n,) of a block of messages and their numbers (n, fields)."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Watch:
     """One topic that is looked at."""
 

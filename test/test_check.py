@@ -1,0 +1,353 @@
+"""A check names what is wrong with a bag, each thing once, and nothing where nothing is wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_bags import CAMERA, RIG, START_NS, drive, turned_imu, write
+
+from gyrocal_ros.cli.main import main
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import (
+    NS_PER_S,
+    FeatureObservations,
+    Frame,
+    ImuSample,
+    Measurement,
+    Rig,
+    TruthSample,
+    WheelSample,
+)
+from gyrocal_ros.recording.check import CheckReport, check_bag
+from gyrocal_ros.recording.findings import Finding, Severity, one_a_kind
+from gyrocal_ros.recording.write import new_bag
+
+SHARED = Path(__file__).resolve().parent.parent.parent / 'shared' / 'data' / 'robot-localization-bags'
+JACKAL = SHARED / 'test2_jackal.bag'
+here = pytest.mark.skipif(not SHARED.is_dir(), reason='the recordings of others are not here')
+
+
+def check(path: Path, samples: Iterable[Measurement] | None = None, **options: Any) -> CheckReport:
+    return check_bag(write(path / 'bag', samples), Config(), **options)
+
+
+def found(report: CheckReport) -> dict[str, Finding]:
+    """The findings by kind; there must be one of each."""
+    kinds = {finding.kind: finding for finding in report.findings}
+    assert len(kinds) == len(report.findings), report.findings
+    return kinds
+
+
+def each(kind: type[Any], change: Callable[[Any], Any]) -> list[Measurement]:
+    """The drive with every sample of a kind changed; None leaves it out."""
+    changed = (change(sample) if isinstance(sample, kind) else sample for sample in drive())
+    return [sample for sample in changed if sample is not None]
+
+
+def time_s(sample: Any) -> float:
+    return (sample.t_ns - START_NS) / NS_PER_S
+
+
+def test_a_good_bag(tmp_path: Path) -> None:
+    report = check(tmp_path)
+    assert report.usable
+    assert report.findings == ()
+    assert report.duration_s == pytest.approx(10.0, abs=0.1)
+    imu = next(topic for topic in report.topics if topic.role == 'imu/data_raw')
+    assert (imu.name, imu.type_name, imu.count) == ('/imu/data_raw', 'sensor_msgs/msg/Imu', 1000)
+    assert imu.rate_hz == pytest.approx(100.0)
+    assert (imu.start_s, imu.end_s, imu.longest_gap_s) == pytest.approx((0.0, 9.99, 0.0))
+    assert {topic.name: topic.role for topic in report.topics if 'a' in topic.role}[
+        '/battery_state'
+    ] == 'covariate'
+
+
+# --- numbers -------------------------------------------------------------------------------------
+
+
+def turning(factor: float) -> Callable[[ImuSample], ImuSample]:
+    return lambda item: replace(item, rate_rad_s=scaled(factor, item.rate_rad_s))
+
+
+def pushing(factor: float) -> Callable[[ImuSample], ImuSample]:
+    return lambda item: replace(item, specific_force_m_s2=scaled(factor, item.specific_force_m_s2))
+
+
+def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = vector
+    return factor * x, factor * y, factor * z
+
+
+def wheel_turning(sample: WheelSample, factor: float) -> WheelSample:
+    return replace(sample, yaw_rate_rad_s=factor * sample.yaw_rate_rad_s)
+
+
+def only_two(seen: FeatureObservations) -> FeatureObservations:
+    return FeatureObservations(seen.t_ns, seen.ids[:2], seen.pixels[:2])
+
+
+@pytest.mark.parametrize(
+    'kind, change, expected, severity',
+    [
+        (ImuSample, turning(math.degrees(1.0)), 'unit_degrees', Severity.ERROR),
+        (ImuSample, turning(0.0), 'dead_imu', Severity.ERROR),
+        (ImuSample, turning(-1.0), 'opposite_turns', Severity.WARNING),
+        (ImuSample, turning(1.5), 'turns_disagree', Severity.WARNING),
+        (ImuSample, pushing(1 / 9.81), 'unit_g', Severity.WARNING),
+        (ImuSample, pushing(0.6), 'odd_gravity', Severity.WARNING),
+        (ImuSample, pushing(0.0), 'no_accelerometer', Severity.NOTE),
+        (
+            WheelSample,
+            lambda s: replace(s, yaw_rate_rad_s=57.3 * s.yaw_rate_rad_s),
+            'unit_degrees',
+            Severity.WARNING,
+        ),
+        (
+            FeatureObservations,
+            lambda s: FeatureObservations(s.t_ns, s.ids[:2], s.pixels[:2]),
+            'few_features',
+            Severity.WARNING,
+        ),
+    ],
+)
+def test_numbers_that_cannot_be_right(
+    tmp_path: Path, kind: type, change: Callable[[Any], Any], expected: str, severity: Severity
+) -> None:
+    findings = found(check(tmp_path, each(kind, change)))
+    assert list(findings) == [expected]
+    assert findings[expected].severity is severity
+
+
+def test_degrees_without_wheels_to_compare_with(tmp_path: Path) -> None:
+    samples = [turning(50.0)(item) if isinstance(item, ImuSample) else item for item in drive()]
+    report = check(tmp_path, [item for item in samples if not isinstance(item, WheelSample)])
+    assert found(report)['unit_degrees'].topic == '/imu/data_raw'
+
+
+def test_nan(tmp_path: Path) -> None:
+    def spoil(sample: ImuSample) -> ImuSample:
+        return replace(sample, rate_rad_s=(math.nan, 0.0, 0.0)) if 4.0 < time_s(sample) < 4.1 else sample
+
+    findings = found(check(tmp_path, each(ImuSample, spoil)))
+    assert list(findings) == ['not_finite']
+    assert '9 of 1000' in findings['not_finite'].text
+
+
+@pytest.mark.parametrize(
+    'R_ib, words',
+    [(np.diag([1.0, -1.0, -1.0]), '180 deg about x'), (np.diag([1.0, -1.0, -1.0])[[2, 1, 0]], 'deg about y')],
+)
+def test_gravity_on_the_wrong_axis(tmp_path: Path, R_ib: np.ndarray, words: str) -> None:
+    findings = found(check(tmp_path, turned_imu(drive(), R_ib)))
+    assert list(findings) == ['imu_mount']
+    assert words in findings['imu_mount'].todo
+
+
+def test_a_robot_that_never_turns(tmp_path: Path) -> None:
+    def straight(sample: Any) -> Any:
+        if isinstance(sample, WheelSample):
+            return replace(sample, yaw_rate_rad_s=0.0)
+        return replace(sample, rate_rad_s=(0.0, 0.0, 0.02 + 0.01 * math.sin(40 * time_s(sample))))
+
+    findings = found(check(tmp_path, each(ImuSample | WheelSample, straight)))  # type: ignore[arg-type]
+    assert list(findings) == ['no_turns']
+    assert findings['no_turns'].severity is Severity.ERROR
+    assert 'turn on the spot' in findings['no_turns'].todo
+
+
+def test_a_robot_that_turns_to_one_side(tmp_path: Path) -> None:
+    def left(sample: Any) -> Any:
+        if isinstance(sample, WheelSample):
+            return replace(sample, yaw_rate_rad_s=abs(sample.yaw_rate_rad_s))
+        return replace(sample, rate_rad_s=(0.0, 0.0, abs(sample.rate_rad_s[2])))
+
+    assert list(found(check(tmp_path, each(ImuSample | WheelSample, left)))) == ['one_way_turns']  # type: ignore[arg-type]
+
+
+# --- stamps --------------------------------------------------------------------------------------
+
+
+def test_a_gap(tmp_path: Path) -> None:
+    findings = found(check(tmp_path, each(ImuSample, lambda s: None if 3.0 < time_s(s) < 5.5 else s)))
+    assert list(findings) == ['gap']
+    assert '1 gap, the longest 2.5 s, 3.0 s after the start' in findings['gap'].text
+
+
+def recorded(path: Path, change: Callable[[Any, float], tuple[float, float]]) -> CheckReport:
+    """Check the drive with IMU stamps and times of recording (s since the start) changed."""
+    with new_bag(path / 'bag') as bag:
+        bag.write_rig(RIG, START_NS)
+        for sample in drive():
+            stamp_s, recorded_s = change(sample, time_s(sample))
+            t_ns, recorded_ns = (START_NS + round(value * NS_PER_S) for value in (stamp_s, recorded_s))
+            if isinstance(sample, FeatureObservations):
+                sample = FeatureObservations(t_ns, sample.ids, sample.pixels)
+            else:
+                sample = replace(sample, t_ns=t_ns)
+            bag.write(sample, recorded_ns=recorded_ns)
+    return check_bag(path / 'bag', Config())
+
+
+def is_imu(sample: Measurement, from_s: float = 0.0, to_s: float = 99.0) -> bool:
+    return isinstance(sample, ImuSample) and from_s <= time_s(sample) < to_s
+
+
+@pytest.mark.parametrize(
+    'change, expected',
+    [
+        (lambda s, t: (5.0 if is_imu(s, 5.0, 5.1) else t, t), {'repeated_stamps', 'gap'}),
+        (lambda s, t: (t - 0.2 if is_imu(s, 5.0, 5.1) else t, t), {'backward_stamps', 'gap'}),
+        (lambda s, t: (t + 60.0 if is_imu(s, 5.0) else t, t), {'clock_jump'}),
+        (lambda s, t: (t - 60.0 if is_imu(s, 5.0, 5.005) else t, t), {'clock_jump'}),
+        (lambda s, t: (t, t + 2.0 if isinstance(s, FeatureObservations) and t > 5.0 else t), {'late'}),
+        (lambda s, t: (t - 2.0 if is_imu(s) else t, t), {'other_clock', 'clocks_differ'}),
+        (lambda s, t: (t, t + 1000.0), {'other_clock'}),
+    ],
+)
+def test_stamps(
+    tmp_path: Path, change: Callable[[Any, float], tuple[float, float]], expected: set[str]
+) -> None:
+    report = recorded(tmp_path, change)
+    assert {finding.kind for finding in report.findings} == expected
+    assert report.usable
+
+
+def test_clocks_too_far_apart_to_be_used_together(tmp_path: Path) -> None:
+    report = recorded(tmp_path, lambda s, t: (t - 100.0 if is_imu(s) else t, t))
+    assert {finding.kind for finding in report.findings if finding.severity is Severity.ERROR} == {
+        'clocks_differ'
+    }
+
+
+def test_stamps_that_nobody_set(tmp_path: Path) -> None:
+    report = recorded(tmp_path, lambda s, t: (-START_NS / NS_PER_S if is_imu(s) else t, t))
+    assert found(report)['unset_stamps'].severity is Severity.ERROR
+
+
+def test_a_topic_that_covers_a_part(tmp_path: Path) -> None:
+    late = each(FeatureObservations, lambda s: s if time_s(s) > 3.0 else None)
+    assert list(found(check(tmp_path, late))) == ['begins_late']
+    early = each(WheelSample, lambda s: s if time_s(s) < 6.0 else None)
+    assert list(found(check(tmp_path / 'early', early))) == ['ends_early']
+
+
+def test_a_slow_imu(tmp_path: Path) -> None:
+    slow = each(ImuSample, lambda s: s if round(time_s(s) * 100) % 4 == 0 else None)
+    assert '25 messages a second' in found(check(tmp_path, slow))['slow'].text
+
+
+# --- topics --------------------------------------------------------------------------------------
+
+
+def test_a_missing_camera_calibration_and_wrong_remaps(tmp_path: Path) -> None:
+    with new_bag(tmp_path / 'bag') as bag:
+        for sample in drive():
+            bag.write(sample)
+    report = check_bag(tmp_path / 'bag', Config(), remap={'wheel/odometry': '/wheel/odom'})
+    assert not report.usable
+    errors = [str(finding) for finding in report.findings if finding.severity is Severity.ERROR]
+    assert any(
+        '/wheel/odom: there is no such topic; did you mean /wheel/odometry?' in error for error in errors
+    )
+    assert any('the camera has no calibration' in error for error in errors)
+
+
+def test_topics_that_may_be_meant_are_looked_at(tmp_path: Path) -> None:
+    """A mounting that is wrong shows although the topic has another name."""
+    path = write(tmp_path / 'bag', turned_imu(drive(), np.diag([1.0, -1.0, -1.0])))
+    report = check_bag(path, Config(), remap={'imu/data_raw': '/nowhere'})
+    assert {'missing_topic', 'imu_mount'} <= {finding.kind for finding in report.findings}
+
+
+def test_an_image_of_another_size(tmp_path: Path) -> None:
+    images = each(FeatureObservations, lambda s: Frame(s.t_ns, np.zeros((24, 32), np.uint8)))
+    assert '32x24' in found(check(tmp_path, images))['camera'].text
+
+
+def test_a_camera_that_is_not_calibrated(tmp_path: Path) -> None:
+    rig = Rig(replace(CAMERA, fx_px=0.0), RIG.camera_mount)
+    report = check_bag(write(tmp_path / 'bag', rig=rig), Config())
+    assert 'not calibrated' in found(report)['camera'].text
+
+
+def test_the_worst_of_each_kind() -> None:
+    findings = [
+        Finding(severity, kind, '', '')
+        for severity, kind in [(Severity.NOTE, 'gap'), (Severity.WARNING, 'late'), (Severity.WARNING, 'gap')]
+    ]
+    assert one_a_kind(findings) == [findings[2], findings[1]]
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def test_the_command_prints_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / 'bag', each(ImuSample, lambda s: None if 3.0 < time_s(s) < 5.5 else s))
+    assert main(['check', str(path)]) == 0
+    out = capsys.readouterr().out
+    assert '/ceiling_camera/features' in out
+    assert 'warning: /imu/data_raw: 1 gap' in out
+    assert 'This bag can be calibrated from.' in out
+
+
+def test_the_command_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / 'bag', each(TruthSample, lambda s: None))
+    assert main(['check', str(path), '--json', '-r', 'imu/data_raw:=/imu/data_raw']) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report['usable'] is True
+    assert report['findings'] == []
+    assert {topic['role'] for topic in report['topics']} >= {'imu/data_raw', 'wheel/odometry', 'covariate'}
+
+
+@pytest.mark.parametrize(
+    'arguments', [['nothing'], ['bag', '-r', 'imu'], ['bag', '--config', 'nothing.yaml'], []]
+)
+def test_the_command_refuses_bad_input_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / 'bag', drive(1.0))
+    assert main(['check', *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ''
+    assert captured.err.startswith('gyrocal: error: ') and captured.err.count('\n') == 1
+
+
+# --- recordings of others ------------------------------------------------------------------------
+
+
+@here
+def test_wheels_that_slip_are_unfit_as_a_heading_reference() -> None:
+    odometry = '/jackal_velocity_controller/odom'
+    remap = {'imu/data_raw': '/imu/data', 'wheel/odometry': odometry}
+    report = check_bag(JACKAL, Config(), remap=remap, heading_reference=odometry)
+    finding = found(report)['turns_disagree']
+    assert finding.severity is Severity.ERROR
+    assert 'unfit as a heading reference' in finding.todo
+
+
+@here
+def test_topics_of_a_foreign_bag_are_suggested() -> None:
+    text = ' '.join(str(finding) for finding in check_bag(JACKAL, Config()).findings)
+    assert 'give -r imu/data_raw:=/imu/data' in text
+    assert 'give -r wheel/odometry:=/jackal_velocity_controller/odom' in text
+    assert '--heading-reference /jackal_velocity_controller/odom' in text
+
+
+@here
+def test_an_imu_on_its_side_and_one_that_reads_nothing() -> None:
+    kinds = {finding.kind for finding in check_bag(SHARED / 'test1_husky.bag', Config()).findings}
+    assert {'imu_mount', 'slow'} <= kinds
+    report = check_bag(SHARED / 'test1_2014_xsens_wheel_stereo.bag', Config())
+    assert found_topic(report, 'dead_imu') == '/my_odometry2imu/imu_data'
+
+
+def found_topic(report: CheckReport, kind: str) -> str:
+    return next(finding.topic for finding in report.findings if finding.kind == kind)

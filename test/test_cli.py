@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -17,6 +19,7 @@ from gyrocal_ros import __version__
 from gyrocal_ros.cli.main import COMMANDS, main
 from gyrocal_ros.cli.output import print_json
 from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.files import shipped
 
 PRESENT = [name for name in COMMANDS if importlib.util.find_spec(f'gyrocal_ros.cli.{name}')]
 
@@ -145,6 +148,46 @@ def test_json_is_one_valid_object(probe: Probe, capsys: pytest.CaptureFixture[st
         'coefficients': {'scale_cubic': {'value': 1e-3, 'unit': 's²/rad²'}},
         'missing': [{'effect': 'gyro_lag'}],
     }
+
+
+def test_demo_finds_the_true_scale_factor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(['demo', '--json']) == 0
+    captured = capsys.readouterr()
+    summary = json.loads(captured.out)
+    assert captured.err == ''
+    assert summary['converged']
+    assert abs(summary['scale_factor'] - 135.5 / 146.4) < 3.0 * summary['scale_factor_std'] < 3e-4
+    report = tmp_path / 'gyrocal_demo'
+    assert {'calibration.yaml', 'report.html'} <= {file.name for file in report.iterdir()}
+    assert [folder.name for folder in tmp_path.iterdir()] == ['gyrocal_demo']
+
+
+def test_a_result_folder_in_use_is_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'mine.txt').write_text('mine')
+    assert main(['demo', '-o', str(tmp_path)]) == 2
+    assert 'is not empty' in one_error_line(capsys)
+
+
+@pytest.mark.parametrize('command', ['check', 'replay'])
+@pytest.mark.parametrize('case', ['missing', 'empty', 'truncated'])
+def test_a_bag_that_cannot_be_read_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, case: str
+) -> None:
+    bag = tmp_path / 'bag'
+    if case != 'missing':
+        shutil.copytree(shipped('bags/cleaning'), bag)
+        recording = bag / 'cleaning.mcap'
+        recording.write_bytes(b'' if case == 'empty' else recording.read_bytes()[:100_000])
+    before = sorted(tmp_path.rglob('*'))
+    out = ['-o', str(tmp_path / 'out')] if command == 'replay' else []
+    assert main([command, str(bag), *out]) == 2
+    assert str(bag) in one_error_line(capsys)
+    assert sorted(tmp_path.rglob('*')) == before
 
 
 def test_help_does_not_import_what_it_does_not_need() -> None:

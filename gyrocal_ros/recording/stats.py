@@ -10,8 +10,8 @@ import numpy as np
 
 from gyrocal_ros.data import NS_PER_S, Array, IntArray, seconds
 
-GAP_PERIODS = 4.0
-"""A pause of so many usual intervals is a gap; one lost message is none."""
+GAP_PERIODS, GAP_NS = 4.0, NS_PER_S // 10
+"""A pause longer than so many usual intervals, and so long, is a gap; a few lost messages are none."""
 LONGEST_STEP_S = 0.3
 """Rates are not integrated over longer intervals."""
 BIN_NS = NS_PER_S // 2
@@ -82,7 +82,7 @@ class StampStats:
         before = before[:-1]
         jumped = np.abs(steps - recorded_steps) > self.step_ns
         backward = (steps < 0) & ~jumped
-        gap = (steps > GAP_PERIODS * self.period_ns) & ~jumped
+        gap = (steps > max(GAP_PERIODS * self.period_ns, GAP_NS)) & ~jumped
         for event, where in (
             (self.repeated, steps == 0),
             (self.backward, backward),

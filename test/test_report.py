@@ -39,7 +39,7 @@ FILES = {
     'trajectory_gyro.txt',
     'report.html',
 }
-SCENARIO = replace(find_scenario('cleaning'), duration_s=75.0, camera_until_s=65.0)
+SCENARIO = replace(find_scenario('cleaning'), duration_s=90.0, camera_until_s=80.0)
 
 
 @pytest.fixture(scope='module')
@@ -71,6 +71,13 @@ def without_features(run: Run) -> Run:
     )
     nothing = np.zeros_like(run.history.used)
     return replace(run, state=state, history=replace(run.history, used=nothing, rejected=nothing))
+
+
+def shortened(run: Run, steps: int) -> Run:
+    """A recording that ends early."""
+    history = run.history
+    columns = {item.name: getattr(history, item.name)[:steps] for item in fields(type(history))}
+    return replace(run, history=type(history)(**columns))
 
 
 def repeated(run: Run, times: int) -> Run:
@@ -184,6 +191,9 @@ class TestSections:
         assert figure_names(bare) == [
             'scale_factor', 'path', 'blind_drift', 'heading_alone', 'bias', 'innovations',
         ]  # fmt: skip
+        assert 'blind_drift' not in figure_names(without_features(shortened(run, 1000))), (
+            'one span, no figure'
+        )
 
     def test_show_the_other_coefficients_of_a_larger_model(self) -> None:
         model = model_from_dict({'effects': ['scale_factor', 'scale_cubic', 'bias_warmup']}, 'test')

@@ -314,6 +314,7 @@ def _heading_innovations(figure: go.Figure, history: History, place: Place) -> N
     _band(figure, time_s, np.zeros(len(rows)), reach[rows], place)
     _line(figure, time_s, value[rows], 'innovation as a heading', '.3f', place)
     figure.data[-1].update(mode='markers', marker={'size': 3, 'color': BLUE})
+    _show(figure, place, np.percentile(np.concatenate([value, reach, -reach]), [0.5, 99.5]), margin=0.3)
 
 
 def _estimate(

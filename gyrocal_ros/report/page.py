@@ -58,7 +58,7 @@ def _verdict(words: Verdict) -> str:
 
 def _warnings(findings: Iterable[tuple[str, str]]) -> str:
     items = ''.join(f'<li><b>{escape(severity)}</b> {escape(text)}</li>' for severity, text in findings)
-    return f'<h2>Warnings</h2><ul>{items}</ul>' if items else '<p>No warnings.</p>'
+    return f'<h2>Warnings and notes</h2><ul>{items}</ul>' if items else '<p>No warnings.</p>'
 
 
 def _table(rows: Iterable[Row]) -> str:
@@ -78,13 +78,13 @@ def _table(rows: Iterable[Row]) -> str:
 
 
 def _figures(parts: Iterable[Section]) -> str:
-    return '<div class="figures">{}</div>'.format(
-        '\n'.join(
-            f'<figure class="{"half" if part.half else "full"}">{figures.fragment(part.figure, part.name)}'
-            f'<figcaption>{escape(part.caption)}</figcaption></figure>'
-            for part in parts
-        )
+    drawn = '\n'.join(
+        f'<figure class="{"half" if part.half else "full"}">{figures.fragment(part.figure, part.name)}'
+        f'<figcaption>{escape(part.caption)}</figcaption></figure>'
+        for part in parts
     )
+    hint = 'In the figures: drag to zoom in, double-click to see all, click a name to hide it.'
+    return f'<p class="note">{hint}</p><div class="figures">{drawn}</div>'
 
 
 def _details(title: str, text: str) -> str:
@@ -118,7 +118,7 @@ td:not(:last-child) { white-space: nowrap; }
 thead th { color: var(--faint); font-weight: 500; }
 tbody th { font-weight: 600; }
 .figures { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 2rem 2.5rem;
-  margin: 2.5rem 0; }
+  margin: 1rem 0 2.5rem; }
 figure { margin: 0; grid-column: 1 / -1; min-width: 0; }
 @media (min-width: 1000px) { figure.half { grid-column: auto; } }
 figcaption { max-width: 95ch; margin-top: .4rem; }

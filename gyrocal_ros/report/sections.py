@@ -18,9 +18,10 @@ CAPTIONS = {
     'coefficients': """The bands are three standard deviations; one that has not narrowed means that this
         recording says nothing of the coefficient.""",
     'path': """The gyro paths use gyro and wheels alone from the start to the end, both with the bias found
-        here. Crosses mark the ends; a click on a name hides a path.""",
-    'map': """Features of the ceiling seen from above, as the map holds them at the end. Most ellipses are
-        smaller than the marks; a long one is a feature whose distance is not known yet.""",
+        here. Crosses mark the ends.""",
+    'map': """Features of the ceiling seen from above, as the map holds them at the end. Ellipses are three
+        standard deviations, {reach_mm:.0f} mm at the median and so mostly smaller than the marks; a long one
+        is a feature whose distance is not known yet.""",
     'distance': """The paths of the figure above against the ground truth, which is aligned in position and
         heading at the first moment.""",
     'blind_drift': """Each mark is a span of {span_s:.0f} s in which the gyro is left alone, from the heading
@@ -70,11 +71,12 @@ def sections(run: Run, calibration: Calibration, before: BlindDrift, after: Blin
     yield _section('path', figures.paths(compared), half=True)
     ceiling = series.ceiling_map(run)
     if len(ceiling.ids):
-        yield _section('map', figures.ceiling_map(ceiling, tracks['SLAM']), half=True)
+        reach_mm = 1000.0 * figures.SIGMAS * ceiling.median_std_m
+        yield _section('map', figures.ceiling_map(ceiling, tracks['SLAM']), half=True, reach_mm=reach_mm)
     if truth is not None:
         yield _section('distance', figures.distances(*series.distances_m(tracks, truth)))
 
-    if len(after.error_rad):
+    if len(after.error_rad) > 2:
         reference = 'the ground truth' if after.reference == 'ground truth' else 'the heading by SLAM'
         drift = figures.blind_drift(before, after)
         yield _section('blind_drift', drift, span_s=after.span_s, reference=reference)

@@ -70,6 +70,11 @@ class CeilingMap:
     in_view: np.ndarray
     """(m,) bool, seen in the last image; the others are remembered."""
 
+    @property
+    def median_std_m(self) -> float:
+        """Standard deviation along the longest axis on the floor, of the feature in the middle."""
+        return math.sqrt(float(np.median(np.linalg.eigvalsh(self.covariances_m2[:, :2, :2])[:, -1])))
+
     def outlines(self, sigmas: float, corners: int = 40) -> Array:
         """Ellipses in the floor plane, (m, corners + 1, 2), closed."""
         angle = np.linspace(0.0, 2.0 * math.pi, corners + 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,35 +11,40 @@ from typing import Any
 import numpy as np
 import pytest
 from contracts import (
-    CameraEffectContract,
+    SIGNAL,
     EffectContract,
+    GroundEffectContract,
     GyroEffectContract,
-    MotionEffectContract,
+    ImageEffectContract,
+    WheelEffectContract,
     eventful_block,
+    eventful_blocks,
 )
 
 from gyrocal_ros.data import MotionBlock
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
-from gyrocal_ros.effects.bias_warmup import BiasWarmup
-from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
+from gyrocal_ros.effects.covariate import CovariateBias
 from gyrocal_ros.effects.model_file import load_model, model_from_dict, model_to_dict, model_to_yaml
-from gyrocal_ros.effects.scale import scale_power
-from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import shipped
 from gyrocal_ros.model.gyro import correct
-from gyrocal_ros.model.sensor import GyroTerm, placed
+from gyrocal_ros.model.sensor import Effect, GyroEffect, GyroTerm, Memory, coefficient_names, placed
 
-SECOND_ORDER = (find_effect('scale_power_4'), find_effect('scale_power_9'))
-
-
-COVARIATES = (covariate_bias('battery_state.voltage', 15.0), covariate_scale('battery_state.voltage', 15.0))
-LIBRARY = (*EFFECTS.values(), *SECOND_ORDER, TurnHysteresis(driven_by='side'), *COVARIATES)
+FURTHER = ('scale_power_4', 'scale_power_9', f'covariate_bias:{SIGNAL}', f'covariate_scale:{SIGNAL}')
+ALL = [*EFFECTS.values(), *map(find_effect, FURTHER)]
+CONTRACTS: dict[str, type[EffectContract]] = {}
 
 
-def acting_on(*places: str) -> pytest.MarkDecorator:
-    chosen = [effect for effect in LIBRARY if effect.acts_on in places]
-    return pytest.mark.parametrize('effect', chosen, ids=lambda effect: effect.name)
+def acting_on(*places: str) -> Callable[[type[EffectContract]], type[EffectContract]]:
+    """Run the contract with every effect that acts at these places."""
+    effects = [effect for effect in ALL if effect.acts_on in places]
+    mark = pytest.mark.parametrize('effect', effects, ids=lambda effect: effect.name)
+
+    def marked(contract: type[EffectContract]) -> type[EffectContract]:
+        CONTRACTS.update((effect.name, contract) for effect in effects)
+        return mark(contract)
+
+    return marked
 
 
 @acting_on('gyro')
@@ -46,19 +52,31 @@ class TestEachGyroEffect(GyroEffectContract):
     pass
 
 
-@acting_on('wheels', 'ground')
-class TestEachMotionEffect(MotionEffectContract):
+@acting_on('wheels')
+class TestEachWheelEffect(WheelEffectContract):
     pass
 
 
-@acting_on('camera')
-class TestEachCameraEffect(CameraEffectContract):
+@acting_on('ground')
+class TestEachGroundEffect(GroundEffectContract):
     pass
 
 
-@acting_on('time')
-class TestEachTimeEffect(EffectContract):
+@acting_on('camera', 'time')
+class TestEachEffectOnImages(ImageEffectContract):
     pass
+
+
+def test_each_effect_has_its_contract() -> None:
+    assert CONTRACTS.keys() == {effect.name for effect in ALL}
+
+
+# --- single effects -----------------------------------------------------------------------------
+
+
+def term(name: str, block: MotionBlock, *values: float, memory: Memory = None) -> GyroTerm:
+    effect: GyroEffect = find_effect(name)  # type: ignore[assignment]
+    return effect.contribute(block, np.array(values), memory)
 
 
 def test_the_table_goes_by_the_names() -> None:
@@ -67,35 +85,96 @@ def test_the_table_goes_by_the_names() -> None:
 
 def test_powers_of_the_nominal_rate() -> None:
     block = eventful_block()
-    for power in (1, 2, 3, 5):
-        term = scale_power(power)
-        np.testing.assert_allclose(
-            term.contribute(block, np.array([0.5]), None).rate_rad_s, 0.5 * block.rate_rad_s[:, 2] ** power
-        )
-        assert term.coefficients[0].name == f'a{power}'
-    assert [scale_power(power).coefficients[0].unit for power in (1, 2, 3)] == ['1', 's/rad', 's^2/rad^2']
-
-
-def warmup(block: MotionBlock, values: list[float]) -> GyroTerm:
-    return BiasWarmup().contribute(block, np.array(values), None)
+    names = {1: 'scale_factor', 2: 'scale_quadratic', 3: 'scale_cubic', 5: 'scale_power_5'}
+    for power, name in names.items():
+        expected = 0.5 * block.rate_rad_s[:, 2] ** power
+        np.testing.assert_allclose(term(name, block, 0.5).rate_rad_s, expected)
+        assert find_effect(name).coefficients[0].name == f'a{power}'
+    units = [find_effect(name).coefficients[0].unit for name in names.values()]
+    assert units == ['1', 's/rad', 's^2/rad^2', 's^4/rad^4']
 
 
 def test_warmup_fades_and_leaves_the_bias_its_meaning() -> None:
-    block = eventful_block(2)
-    at = {
-        time_s: warmup(replace(block, time_s=np.full(2, time_s)), [0.01, 300.0]).rate_rad_s
-        for time_s in (0.0, 300.0, 1e5)
-    }
-    assert at[0.0] == pytest.approx(-0.01)
-    assert at[300.0] == pytest.approx(-0.01 / math.e)
-    assert at[1e5] == pytest.approx(0.0)
+    for time_s, expected in ((0.0, -0.01), (300.0, -0.01 / math.e), (1e5, 0.0)):
+        block = replace(eventful_block(2), time_s=np.full(2, time_s))
+        assert term('bias_warmup', block, 0.01, 300.0).rate_rad_s == pytest.approx(expected)
 
 
-def test_warmup_bears_any_time_constant() -> None:
-    for time_constant in (-5.0, 0.0, 1e-9):
-        term = warmup(eventful_block(), [0.01, time_constant])
-        assert np.isfinite(term.rate_rad_s).all()
-        assert np.isfinite(term.by_values).all()
+@pytest.mark.parametrize('name', ['bias_warmup', 'turn_hysteresis'])
+def test_any_time_constant_is_borne(name: str) -> None:
+    for time_constant in (-5.0, 0.0, 1e-9, 1e9):
+        found = term(name, eventful_block(), 0.01, time_constant)
+        assert np.isfinite(found.rate_rad_s).all() and np.isfinite(found.by_values).all()
+
+
+def test_hysteresis_is_the_fading_memory_of_the_turns() -> None:
+    """After a turn of 1 rad/s for 5 s, tau = 20 s: h = 1 - exp(-5/20), fading by itself then."""
+    turning = replace(
+        eventful_block(1000), dt_s=np.full(1000, 0.005), rate_rad_s=np.tile([0.0, 0.0, 1.0], (1000, 1))
+    )
+    after = replace(turning, rate_rad_s=np.zeros((1000, 3)))
+    first = term('turn_hysteresis', turning, 0.1, 20.0)
+    then = term('turn_hysteresis', after, 0.1, 20.0, memory=first.memory)
+    at_end = 1.0 - math.exp(-5.0 / 20.0)
+    assert first.rate_rad_s[-1] == pytest.approx(0.1 * at_end, rel=1e-3)
+    assert then.rate_rad_s[-1] == pytest.approx(0.1 * at_end * math.exp(-5.0 / 20.0), rel=1e-3)
+
+
+def test_hysteresis_does_not_care_how_time_is_cut() -> None:
+    blocks = eventful_blocks()
+    whole = replace(
+        blocks[0],
+        dt_s=np.concatenate([block.dt_s for block in blocks]),
+        rate_rad_s=np.concatenate([block.rate_rad_s for block in blocks]),
+    )
+    memory, parts = None, []
+    for block in blocks:
+        found = term('turn_hysteresis', block, 0.1, 20.0, memory=memory)
+        memory = found.memory
+        parts.append(found.rate_rad_s)
+    np.testing.assert_allclose(np.concatenate(parts), term('turn_hysteresis', whole, 0.1, 20.0).rate_rad_s)
+
+
+def test_what_saturation_hides_comes_from_the_wheels() -> None:
+    block, limit = eventful_block(), 1.0
+    clipped = replace(block, rate_rad_s=np.clip(block.rate_rad_s, -limit, limit))
+    found = term('rate_saturation', clipped, limit)
+    over = np.abs(block.rate_rad_s[:, 2]) > limit
+    assert over.any() and not over.all()
+    np.testing.assert_allclose(clipped.rate_rad_s[:, 2] + found.rate_rad_s, block.rate_rad_s[:, 2])
+    assert found.noise_rad_s is not None
+    np.testing.assert_array_equal(found.noise_rad_s > 0.0, over)
+
+
+def test_what_the_deadband_hides_is_in_doubt() -> None:
+    block = eventful_block()
+    found = term('rate_deadband', block, 0.5)
+    assert found.noise_rad_s is not None
+    inside = np.abs(block.rate_rad_s[:, 2]) < 0.5
+    np.testing.assert_allclose(found.noise_rad_s, np.where(inside, 0.5 / math.sqrt(3.0), 0.0))
+
+
+@pytest.mark.parametrize(
+    ('name', 'missing'),
+    [
+        ('bias_temperature', {'temperature_c': np.full(12, np.nan)}),
+        ('scale_temperature', {'temperature_c': np.full(12, np.nan)}),
+        (f'covariate_bias:{SIGNAL}', {'covariates': {}}),
+        (f'covariate_scale:{SIGNAL}', {'covariates': {}}),
+    ],
+)
+def test_a_signal_that_is_missing_says_nothing(name: str, missing: dict[str, Any]) -> None:
+    found = term(name, replace(eventful_block(), **missing), 0.1)
+    assert not found.rate_rad_s.any() and not found.by_values.any()
+
+
+def test_covariates_count_from_their_reference() -> None:
+    tree = {'effects': ['scale_factor', {'name': f'covariate_bias:{SIGNAL}', 'reference': 15.0}]}
+    effect = model_from_dict(tree, 'm.yaml').effects[1]
+    assert isinstance(effect, CovariateBias)
+    block = eventful_block()
+    expected = 0.1 * (block.covariates[SIGNAL] - 15.0)
+    np.testing.assert_allclose(effect.contribute(block, np.array([0.1]), None).rate_rad_s, expected)
 
 
 @pytest.mark.parametrize(
@@ -155,13 +234,25 @@ def test_a_model_without_a_name_is_called_after_its_file(tmp_path: Path) -> None
     assert load_model(file).name == 'warm'
 
 
-def test_names_count_where_a_term_has_several_coefficients() -> None:
-    model = model_from_dict({'effects': ['scale_factor', 'bias_warmup']}, 'm.yaml')
-    assert model.coefficient_names[0] == 'scale_factor'
-    gyro_effects = placed(model.effects, 'gyro')
-    added = correct(gyro_effects, eventful_block(), np.array([0.1, 0.0, 500.0]), (None, None))
-    np.testing.assert_allclose(added.rate_rad_s, 0.1 * eventful_block().rate_rad_s[:, 2])
-    assert added.by_values.shape == (12, 3)
+def test_names_count_where_an_effect_has_several_coefficients() -> None:
+    assert coefficient_names(find_effect('scale_cubic')) == ('scale_cubic',)
+    assert coefficient_names(find_effect('cross_axis')) == ('cross_axis.mx', 'cross_axis.my')
+
+
+def test_corrections_of_all_effects_add_up() -> None:
+    block, names = eventful_block(), ('scale_factor', 'turn_slip', 'cross_axis', 'rate_deadband')
+    effects: tuple[Effect, ...] = tuple(map(find_effect, names))
+    gyro = placed(effects, 'gyro')
+    values = np.array([0.1, 9.0, 0.02, -0.03, 0.5])
+    assert [place for _, place in gyro] == [slice(0, 1), slice(2, 4), slice(4, 5)]
+    assert [place for _, place in placed(effects, 'wheels')] == [slice(1, 2)]
+    total = correct(gyro, block, values, (None,) * 3)
+    wx, wy, wz = block.rate_rad_s.T
+    np.testing.assert_allclose(total.rate_rad_s, 0.1 * wz + 0.02 * wx - 0.03 * wy)
+    zero = np.zeros(12)
+    np.testing.assert_allclose(total.by_values, np.stack([wz, zero, wx, wy, zero], axis=1))
+    np.testing.assert_array_equal(np.asarray(total.noise_rad_s) > 0.0, np.abs(wz) < 0.5)
+    assert total.memories == (None, None, None)
 
 
 @pytest.mark.parametrize(

@@ -35,8 +35,8 @@ class CameraTilt:
         return camera, replace(mount, R_bs=mount.R_bs @ tilt)
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
-        """Points turn against the camera: `dm_c = -t x m_c`, for tilts so small that order is no matter."""
-        x, y, z = seen.points_c.T
-        zero = np.zeros_like(x)
-        by_values = np.stack([np.stack([zero, z, -y], axis=1), np.stack([-z, zero, x], axis=1)], axis=2)
-        return seen.by_point @ by_values
+        """Points turn against the camera: `dm_c = -t x m_c`, the y axis being tilted about x itself."""
+        c, s = math.cos(values[0]), math.sin(values[0])
+        about_x = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+        about_y = np.array([[0.0, s, c], [-s, 0.0, 0.0], [-c, 0.0, 0.0]])
+        return seen.by_point @ np.stack([seen.points_c @ about_x, seen.points_c @ about_y], axis=2)

@@ -9,8 +9,10 @@ The rooms, in the order in which the data flow:
     model                         the paper: rotations, kinematics, gyro, camera, feature parametrisations
     effects                       physical effects that a sensor model can be made of, one a file
     ekf                           the filter: one measurement at a time, the algorithm on one page in slam
-    calibrate                     composes them: settings and a source become a finished run
-    report                        figures and tables of a finished run
+    calibrate, calibration        settings and a source become a finished run, and a run a calibration
+    diagnose                      reads a finished run: what the calibration is worth
+    report                        figures and tables of a finished run; computes nothing
+    bench                         accuracy and speed over many simulated runs
     cli                           the command `gyrocal`, one file a command
 """
 

@@ -135,9 +135,10 @@ class Decoder:
                 t_ns, values = values[0] * NS_PER_S + values[1], values[2:]
             else:
                 t_ns = recorded_ns + self._clock_offset_ns()
-            pairs = zip(names, values, strict=True)
             return [
-                CovariateSample(t_ns, name, float(value)) for name, value in pairs if math.isfinite(value)
+                CovariateSample(t_ns, full_name, float(value))
+                for full_name, value in zip(names, values, strict=True)
+                if math.isfinite(value)
             ]
 
         return decode

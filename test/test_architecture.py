@@ -105,6 +105,15 @@ class TestEachModule:
             homes = LIBRARY_HOMES.get(library, ())
             assert any(place == home or place.startswith(f'{home}/') for home in homes), library
 
+    def test_only_the_edge_prints_and_exits(self, module: Path) -> None:
+        calls = {
+            ast.unparse(node.func)
+            for node in ast.walk(ast.parse(module.read_text(encoding='utf-8')))
+            if isinstance(node, ast.Call)
+        }
+        if room(module) not in ('cli', 'nodes', 'studio'):
+            assert not calls & {'print', 'exit', 'quit', 'input', 'sys.exit', 'os._exit'}
+
     def test_is_short(self, module: Path) -> None:
         assert len(module.read_text(encoding='utf-8').splitlines()) <= MAX_LINES
 
@@ -122,6 +131,13 @@ def test_equation_numbers_are_read_from_docstrings() -> None:
     assert equations_at_home('Eq. (13): a point in the camera frame.') == {13}
     assert equations_at_home('Eqs. (16), (17): the first sight, without eq. (18).') == {16, 17}
     assert equations_at_home('Eq. (10): the robot; Eqs. (1)-(3) and (5): the rest.') == {1, 2, 3, 5, 10}
+
+
+def test_every_effect_stands_in_the_table_of_contents() -> None:
+    modules = {module.stem for module in (PACKAGE / 'effects').glob('*.py')}
+    contents = imported_modules(PACKAGE / 'effects' / '__init__.py')
+    listed = {name.split('.')[2] for name in contents if name.startswith('gyrocal_ros.effects.')}
+    assert modules - listed == {'__init__', 'base', 'model_file'}
 
 
 def test_no_text_knows_the_machine_it_was_written_on() -> None:

@@ -24,11 +24,13 @@ from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.gate import NoiseFollower, chi_square_quantile, inliers
 from gyrocal_ros.ekf.landmarks import augment, forget_all, keep, make_room, note_sighting
-from gyrocal_ros.ekf.predict import predict
+from gyrocal_ros.ekf.parts import sort_effects
+from gyrocal_ros.ekf.predict import Transition, predict, predict_sensitivity
 from gyrocal_ros.ekf.start import Start, initial_state, moved_unseen
 from gyrocal_ros.ekf.state import BIAS, EULER, POSE, POSITION, YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.update import (
     Innovation,
+    Lesson,
     heading_update,
     innovate,
     mahalanobis,
@@ -36,15 +38,25 @@ from gyrocal_ros.ekf.update import (
     zero_rate_update,
 )
 from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import Parametrisation
-from gyrocal_ros.model.gyro import BiasModel, SensorModel
 from gyrocal_ros.model.kinematics import integrate
 from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.model.sensor import SensorModel
 
-MODEL = SensorModel(
-    'test', BiasModel(), tuple(map(find_effect, ('scale_factor', 'scale_cubic', 'bias_warmup')))
+EFFECTS = tuple(
+    map(
+        find_effect,
+        ('scale_factor', 'scale_cubic', 'bias_warmup', 'turn_slip', 'lateral_drift', 'camera_time_offset'),
+    )
 )
+CANDIDATES = tuple(map(find_effect, ('scale_asymmetry', 'turn_hysteresis', 'wheel_scale', 'principal_point')))
+MODEL = SensorModel('test', BiasModel(), EFFECTS)
+VALUES = np.array([-0.07, 0.002, 0.01, 300.0, 0.01, 0.01, -0.02, 0.01])
+SCALES = np.array([0.01, 0.001, 0.003, 40.0, 0.01, 0.005, 0.005, 0.003])
+"""Coefficients of the model, and how well they are known."""
+K, C = len(VALUES), 6
 INVERSE_DEPTH = PARAMETRISATIONS['inverse_depth']
 QUIET_GYRO = replace(GyroConfig(), rate_noise_deg_s=0.0, bias_walk_deg_s=0.0)
 QUIET_WHEELS = WheelConfig(0.0, 0.0, 0.0, 0.0)
@@ -53,32 +65,35 @@ QUIET_WHEELS = WheelConfig(0.0, 0.0, 0.0, 0.0)
 def some_state(form: Parametrisation = INVERSE_DEPTH, seed: int = 0, t_ns: int = 30_000_000_000) -> State:
     """A state in the middle of a run: five features, everything correlated with everything."""
     rng = np.random.default_rng(seed)
-    state = initial_state(MODEL, Config(), None)
-    mean = state.mean.copy()
-    mean[POSE] = LATER_POSE
-    mean[BIAS] = [0.001, -0.002, 0.003]
-    mean[9:] = [-0.07, 0.002, 0.01, 400.0]
+    state = initial_state(MODEL, Config(), None, C)
+    mean = np.concatenate([LATER_POSE, [0.001, -0.002, 0.003], VALUES])
     state = replace(state, t_ns=t_ns, mean=mean)
     new = form.initialise(view_at(LATER_POSE), PIXELS, NOISE_PX, FEATURES)
-    state = augment(state, np.array([3, 1, 4, 15, 9]), new)
-    scale = np.concatenate([[0.02] * 3, [0.003] * 3, [1e-4] * 3, [0.01, 0.001, 0.003, 40.0], [0.02] * 15])
+    state = augment(state, np.array([3, 1, 4, 15, 9]), new, None, None)
+    scale = np.concatenate([[0.02] * 3, [0.003] * 3, [1e-4] * 3, SCALES, [0.02] * 15])
     mixing = scale[:, None] * rng.normal(size=(len(scale), len(scale))) / math.sqrt(len(scale))
-    return replace(state, covariance=mixing @ mixing.T + np.diag((0.1 * scale) ** 2))
+    covariance = mixing @ mixing.T + np.diag((0.1 * scale) ** 2)
+    return replace(state, covariance=covariance, sensitivity=rng.normal(size=(len(scale), C)))
 
 
 # --- prediction ---------------------------------------------------------------------------------
 
 
-def predicted(
-    state: State, block: MotionBlock, gyro: GyroConfig = QUIET_GYRO, wheels: WheelConfig = QUIET_WHEELS
-) -> State:
-    return predict(state, block, MODEL, gyro, wheels)[0]
+def step(
+    state: State,
+    block: MotionBlock,
+    gyro: GyroConfig = QUIET_GYRO,
+    wheels: WheelConfig = QUIET_WHEELS,
+    model: SensorModel = MODEL,
+    extra_yaw_walk: float = 0.0,
+) -> tuple[State, Transition]:
+    parts = sort_effects(model.effects)
+    return predict(state, block, model, parts, parts.no_memories(), gyro, wheels, extra_yaw_walk)
 
 
 def dense_transition(state: State, block: MotionBlock) -> Array:
-    _, transition = predict(state, block, MODEL, QUIET_GYRO, QUIET_WHEELS)
     matrix = np.eye(len(state.mean))
-    matrix[: state.robot_size, : state.robot_size] = transition.matrix
+    matrix[: state.robot_size, : state.robot_size] = step(state, block)[1].matrix
     return matrix
 
 
@@ -88,19 +103,19 @@ def added_noise(
     """What prediction adds to the covariance of a state that was known exactly."""
     state = replace(initial_state(model, Config(), None), t_ns=block.start_ns)
     state = replace(state, covariance=np.zeros_like(state.covariance))
-    return predict(state, block, model, gyro, wheels)[0].covariance
+    return step(state, block, gyro, wheels, model)[0].covariance
 
 
 @pytest.mark.parametrize('bias', [BiasModel(), BiasModel('settling', 50.0, 0.01)], ids=lambda bias: bias.form)
 def test_transition_is_the_derivative_of_the_prediction(bias: BiasModel) -> None:
     state, block, model = some_state(), eventful_block(), replace(MODEL, bias=bias)
-    after, transition = predict(state, block, model, QUIET_GYRO, QUIET_WHEELS)
+    after, transition = step(state, block, model=model)
     r = state.robot_size
-    steps = np.concatenate([np.full(9, 1e-6), [1e-5, 1e-5, 1e-5, 1e-2]])
+    steps = np.concatenate([np.full(9, 1e-6), 1e-3 * SCALES])
 
     def robot_after(robot: Array) -> Array:
         mean = np.concatenate([robot, state.mean[r:]])
-        return predict(replace(state, mean=mean), block, model, QUIET_GYRO, QUIET_WHEELS)[0].mean[:r]
+        return step(replace(state, mean=mean), block, model=model)[0].mean[:r]
 
     expected = differences(robot_after, state.mean[:r], steps)
     np.testing.assert_allclose(transition.matrix, expected, atol=1e-4)
@@ -113,15 +128,14 @@ def test_prediction_of_the_covariance_is_that_of_dense_matrices() -> None:
     state, block = some_state(), eventful_block()
     matrix = dense_transition(state, block)
     np.testing.assert_allclose(
-        predicted(state, block).covariance, matrix @ state.covariance @ matrix.T, rtol=1e-9, atol=1e-15
+        step(state, block)[0].covariance, matrix @ state.covariance @ matrix.T, rtol=1e-9, atol=1e-15
     )
 
 
 def test_prediction_noise_touches_the_robot_alone() -> None:
     state, block = some_state(), eventful_block()
-    noise = (
-        predicted(state, block, GyroConfig(), WheelConfig()).covariance - predicted(state, block).covariance
-    )
+    noisy, quiet = step(state, block, GyroConfig(), WheelConfig())[0], step(state, block)[0]
+    noise = noisy.covariance - quiet.covariance
     r = state.robot_size
     np.testing.assert_array_equal(noise[r:], 0.0)
     np.testing.assert_array_equal(noise[:, r:], 0.0)
@@ -155,7 +169,7 @@ def test_wheel_noise_has_the_axes_of_the_robot() -> None:
     state.mean[EULER] = [0.1, -0.2, 1.0]
     state = replace(state, covariance=np.zeros_like(state.covariance))
     R_wb = rotation_from_euler(state.euler_rad)
-    noise = R_wb.T @ predicted(state, block, wheels=wheels).covariance[POSITION, POSITION] @ R_wb
+    noise = R_wb.T @ step(state, block, wheels=wheels)[0].covariance[POSITION, POSITION] @ R_wb
     np.testing.assert_allclose(noise, 0.6 * np.diag([0.01**2, 0.02**2, 0.003**2]), atol=1e-12)
 
 
@@ -170,14 +184,15 @@ def test_turning_moves_the_turning_centre() -> None:
 
 def test_walks_grow_with_time() -> None:
     coefficient = replace(find_effect('scale_factor').coefficients[0], walk=1e-4)
-    model = replace(MODEL, terms=(replace(find_effect('scale_factor'), coefficients=(coefficient,)),))  # type: ignore[type-var]
+    effect = replace(find_effect('scale_factor'), coefficients=(coefficient,))  # type: ignore[type-var]
+    model = replace(MODEL, effects=(effect,))
     gyro, block = replace(QUIET_GYRO, bias_walk_deg_s=0.01), eventful_block()
     noise = np.diagonal(added_noise(block, gyro, QUIET_WHEELS, model))
     np.testing.assert_allclose(noise[BIAS], math.radians(0.01) ** 2 * block.duration_s)
     assert noise[9] == pytest.approx(1e-8 * block.duration_s)
     state = replace(initial_state(model, Config(), None), t_ns=block.start_ns)
-    with_walk, _ = predict(state, block, model, QUIET_GYRO, QUIET_WHEELS, extra_yaw_walk=0.1)
-    without, _ = predict(state, block, model, QUIET_GYRO, QUIET_WHEELS)
+    with_walk, _ = step(state, block, model=model, extra_yaw_walk=0.1)
+    without, _ = step(state, block, model=model)
     grown = with_walk.covariance - without.covariance
     assert grown[YAW, YAW] == pytest.approx(0.01 * block.duration_s)
     assert np.count_nonzero(grown) == 1
@@ -190,6 +205,36 @@ def test_what_nobody_saw_is_in_doubt() -> None:
     np.testing.assert_allclose(np.diagonal(noise)[:2], 0.25**2, rtol=1e-6)
 
 
+def test_blind_sensors_put_the_heading_in_doubt() -> None:
+    effect = find_effect('rate_deadband')
+    limit = replace(effect.coefficients[0], prior_mean=0.5)
+    effect = replace(effect, coefficients=(limit,))  # type: ignore[type-var]
+    block, model = eventful_block(), replace(MODEL, effects=(find_effect('scale_factor'), effect))
+    noise = added_noise(block, QUIET_GYRO, QUIET_WHEELS, model)
+    hidden_s = block.dt_s[np.abs(block.rate_rad_s[:, 2]) < 0.5].sum()
+    assert noise[YAW, YAW] == pytest.approx((0.5 / math.sqrt(3.0) * hidden_s) ** 2)
+
+
+def test_sensitivity_goes_with_the_prediction() -> None:
+    """`F X` of what was, and what the candidates would have added in this block."""
+    state, block, candidates = some_state(), eventful_block(), sort_effects(CANDIDATES)
+    after, transition = step(state, block)
+    carried, memories = predict_sensitivity(after, transition, block, candidates, candidates.no_memories())
+    larger = replace(MODEL, effects=(*EFFECTS, *CANDIDATES))
+    r = state.robot_size
+
+    def mean_after(values: Array) -> Array:
+        robot = np.concatenate([state.mean[:r], values])
+        grown = replace(initial_state(larger, Config(), None), t_ns=state.t_ns, mean=robot)
+        return step(grown, block, model=larger)[0].mean[:r]
+
+    added = differences(mean_after, candidates.prior_means, 1e-5)
+    expected = dense_transition(state, block) @ state.sensitivity
+    expected[:r] += added
+    np.testing.assert_allclose(carried.sensitivity, expected, atol=2e-5)
+    assert len(memories) == len(candidates.gyro)
+
+
 # --- updates ------------------------------------------------------------------------------------
 
 
@@ -199,16 +244,46 @@ def seen(form: Parametrisation, rows: IntArray, seed: int = 1) -> tuple[State, I
     view = view_at(state.mean[POSE])
     prediction = form.predict(view, state.features[rows], state.landmarks.anchors[rows])
     measured, noise = form.measure(view, PIXELS[rows] + rng.normal(size=(len(rows), 2)), NOISE_PX, FEATURES)
-    return state, innovate(state, rows, prediction, measured, noise)
+    by_values, by_candidates = derivatives(rows, form.rows)
+    return state, innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
 
 
-def dense_update(state: State, jacobian: Array, residual: Array, noise: Array) -> tuple[Array, Array, float]:
-    """Textbook Kalman update, covariance in Joseph's form."""
-    innovation = jacobian @ state.covariance @ jacobian.T + noise
-    gain = state.covariance @ jacobian.T @ np.linalg.inv(innovation)
-    left = np.eye(len(state.mean)) - gain @ jacobian
-    covariance = left @ state.covariance @ left.T + gain @ noise @ gain.T
-    return state.mean + gain @ residual, covariance, float(residual @ np.linalg.solve(innovation, residual))
+def derivatives(rows: IntArray, width: int) -> tuple[Array, Array]:
+    """Of the predictions, by the model's coefficients and by those of candidates."""
+    rng = np.random.default_rng(7)
+    return (rng.normal(size=(5, width, K)) / SCALES)[rows], rng.normal(size=(5, width, C))[rows]
+
+
+def assert_textbook(
+    before: State,
+    after: State,
+    lesson: Lesson,
+    jacobian: Array,
+    residual: Array,
+    noise: Array,
+    by_candidates: Array,
+) -> None:
+    """It is the Kalman update, covariance in Joseph's form, and the candidates' part in it."""
+    covariance = before.covariance
+    whole = jacobian @ covariance @ jacobian.T + noise
+    gain = covariance @ jacobian.T @ np.linalg.inv(whole)
+    left = np.eye(len(before.mean)) - gain @ jacobian
+    expected = left @ covariance @ left.T + gain @ noise @ gain.T
+    sensitivity = jacobian @ before.sensitivity + by_candidates
+    scale = np.sqrt(np.diagonal(covariance))
+    np.testing.assert_allclose(after.mean / scale, (before.mean + gain @ residual) / scale, atol=1e-7)
+    square = np.outer(scale, scale)
+    np.testing.assert_allclose(after.covariance / square, expected / square, atol=1e-7)
+    carried = (before.sensitivity - gain @ sensitivity) / scale[:, None]
+    np.testing.assert_allclose(
+        after.sensitivity / scale[:, None], carried, rtol=1e-6, atol=1e-7 * np.abs(carried).max()
+    )
+    weighted = np.linalg.solve(whole, np.column_stack([residual, sensitivity]))
+    assert lesson.dof == len(residual)
+    assert lesson.score is not None and lesson.information is not None
+    assert lesson.nis == pytest.approx(residual @ weighted[:, 0])
+    np.testing.assert_allclose(lesson.score, sensitivity.T @ weighted[:, 0], rtol=1e-5)
+    np.testing.assert_allclose(lesson.information, sensitivity.T @ weighted[:, 1:], rtol=1e-5)
 
 
 def dense_jacobian(state: State, innovation: Innovation) -> Array:
@@ -218,6 +293,7 @@ def dense_jacobian(state: State, innovation: Innovation) -> Array:
         jacobian[i, :, POSE] = innovation.prediction.by_pose[i]
         start = state.robot_size + 3 * row
         jacobian[i, :, start : start + 3] = innovation.prediction.by_feature[i]
+    jacobian[:, :, state.coefficient_columns] = derivatives(innovation.rows, width)[0]
     return jacobian.reshape(count * width, -1)
 
 
@@ -234,15 +310,25 @@ class TestStackedUpdate:
     def test_it_is_the_textbook_s(self, form: Parametrisation, rows: IntArray) -> None:
         state, innovation = seen(form, rows)
         jacobian, noise = dense_jacobian(state, innovation), block_diagonal(innovation.noise)
-        mean, covariance, nis = dense_update(state, jacobian, innovation.residual.ravel(), noise)
-        after, own_nis = update(state, innovation)
-        scale = np.sqrt(np.diagonal(state.covariance))
-        np.testing.assert_allclose(after.mean / scale, mean / scale, atol=1e-8)
-        np.testing.assert_allclose(
-            after.covariance / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=1e-8
-        )
-        assert own_nis == pytest.approx(nis)
+        after, lesson = update(state, innovation)
+        by_candidates = derivatives(rows, form.rows)[1].reshape(-1, C)
+        residual = innovation.residual.ravel()
+        assert_textbook(state, after, lesson, jacobian, residual, noise, by_candidates)
         assert_positive_definite(after.covariance)
+
+    def test_what_is_not_asked_for_is_left_out(self, form: Parametrisation, rows: IntArray) -> None:
+        """Without effects on the image, and without candidates."""
+        state, _ = seen(form, rows)
+        state = replace(state, sensitivity=state.sensitivity[:, :0])
+        view = view_at(state.mean[POSE])
+        prediction = form.predict(view, state.features[rows], state.landmarks.anchors[rows])
+        measured, noise = form.measure(view, PIXELS[rows] + 0.5, NOISE_PX, FEATURES)
+        none = innovate(state, rows, prediction, measured, noise)
+        zeros = innovate(state, rows, prediction, measured, noise, np.zeros((len(rows), form.rows, K)))
+        np.testing.assert_allclose(none.covariance, zeros.covariance, rtol=1e-12)
+        after, lesson = update(state, none)
+        np.testing.assert_allclose(after.mean, update(state, zeros)[0].mean, rtol=1e-9)
+        assert lesson.information is None and lesson.score is None
 
     def test_distances_are_those_of_each_alone(self, form: Parametrisation, rows: IntArray) -> None:
         state, innovation = seen(form, rows)
@@ -257,12 +343,14 @@ class TestStackedUpdate:
     def test_choosing_is_seeing_fewer(self, form: Parametrisation, rows: IntArray) -> None:
         state, innovation = seen(form, rows)
         some = innovation[np.arange(len(rows) // 2, len(rows))]
+        measured = some.residual + some.prediction.expected
         direct = innovate(
-            state, some.rows, some.prediction, some.residual + some.prediction.expected, some.noise
+            state, some.rows, some.prediction, measured, some.noise, *derivatives(some.rows, form.rows)
         )
         assert len(some.rows) == (len(rows) + 1) // 2
         np.testing.assert_allclose(some.covariance, direct.covariance, rtol=1e-12)
         np.testing.assert_allclose(some.gain_numerator, direct.gain_numerator, rtol=1e-12)
+        np.testing.assert_allclose(some.sensitivity, direct.sensitivity, rtol=1e-12)
 
 
 def test_an_impossible_covariance_is_no_update() -> None:
@@ -287,25 +375,33 @@ def still_block(rate_rad_s: float = 0.0) -> MotionBlock:
 def test_zero_rate_update_is_that_of_the_augmented_state() -> None:
     """The state before stands beside the state after, and their difference is measured."""
     before, block, std = some_state(), still_block(), math.radians(0.005)
-    after, transition = predict(before, block, MODEL, GyroConfig(), WheelConfig())
+    after, transition = step(before, block, GyroConfig(), WheelConfig())
+    after = replace(after, sensitivity=2.0 * before.sensitivity)
     n = len(before.mean)
     matrix = np.vstack([dense_transition(before, block), np.eye(n)[EULER]])
     covariance = matrix @ before.covariance @ matrix.T
-    covariance[:n, :n] += after.covariance - covariance[:n, :n]  # the noise of the prediction
-    both = replace(after, mean=np.concatenate([after.mean, before.euler_rad]), covariance=covariance)
+    covariance[:n, :n] = after.covariance  # with the noise of the prediction
+    mean = np.concatenate([after.mean, before.euler_rad])
+    sensitivity = np.concatenate([after.sensitivity, before.sensitivity[EULER]])
+
     jacobian = np.zeros((3, n + 3))
     jacobian[:, EULER], jacobian[:, n:] = np.eye(3), -np.eye(3)
-    residual = before.euler_rad - after.euler_rad
-    mean, covariance, _ = dense_update(both, jacobian, residual, std**2 * np.eye(3))
-
-    updated = zero_rate_update(before, after, transition.matrix, std, gate=1e9)
+    whole = jacobian @ covariance @ jacobian.T + std**2 * np.eye(3)
+    gain = covariance @ jacobian.T @ np.linalg.inv(whole)
+    updated, lesson = zero_rate_update(before, after, transition.matrix, std, gate=1e9)
     scale = np.sqrt(np.diagonal(after.covariance))
-    np.testing.assert_allclose(updated.mean / scale, mean[:n] / scale, atol=1e-7)
+    np.testing.assert_allclose(updated.mean / scale, (mean - gain @ jacobian @ mean)[:n] / scale, atol=1e-7)
     np.testing.assert_allclose(
         updated.covariance / np.outer(scale, scale),
-        covariance[:n, :n] / np.outer(scale, scale),
+        (covariance - gain @ whole @ gain.T)[:n, :n] / np.outer(scale, scale),
         atol=1e-7,
     )
+    np.testing.assert_allclose(
+        updated.sensitivity, (sensitivity - gain @ jacobian @ sensitivity)[:n], rtol=1e-6, atol=1e-6
+    )
+    trial = jacobian @ sensitivity
+    assert lesson.dof == 3 and lesson.nis > 0.0 and lesson.information is not None
+    np.testing.assert_allclose(lesson.information, trial.T @ np.linalg.solve(whole, trial), rtol=1e-6)
 
 
 def test_resting_teaches_the_bias() -> None:
@@ -314,8 +410,8 @@ def test_resting_teaches_the_bias() -> None:
     for i in range(60):
         block = replace(still_block(), rate_rad_s=np.tile(-true_bias, (12, 1)), time_s=np.full(12, 1e5))
         block = replace(block, start_ns=i, end_ns=i + round(block.dt_s.sum() * 1e9))
-        after, transition = predict(state, block, MODEL, GyroConfig(), WheelConfig())
-        state = zero_rate_update(state, after, transition.matrix, math.radians(0.005), gate=21.0)
+        after, transition = step(state, block, GyroConfig(), WheelConfig())
+        state, _ = zero_rate_update(state, after, transition.matrix, math.radians(0.005), gate=21.0)
     std = np.sqrt(np.diagonal(state.covariance))[BIAS]
     np.testing.assert_array_less(std, math.radians(0.05))
     np.testing.assert_array_less(np.abs(state.bias_rad_s - true_bias), 0.1 * std)
@@ -324,22 +420,24 @@ def test_resting_teaches_the_bias() -> None:
 
 def test_a_robot_that_turns_does_not_rest() -> None:
     before = some_state()
-    after, transition = predict(before, still_block(0.5), MODEL, GyroConfig(), WheelConfig())
+    after, transition = step(before, still_block(0.5), GyroConfig(), WheelConfig())
     gate = chi_square_quantile(0.9999, 3)
-    assert zero_rate_update(before, after, transition.matrix, math.radians(0.005), gate) is after
+    state, lesson = zero_rate_update(before, after, transition.matrix, math.radians(0.005), gate)
+    assert state is after and lesson.dof == 0
 
 
-def test_heading_update_is_the_textbook_s() -> None:
-    state, std = some_state(), math.radians(0.5)
+@pytest.mark.parametrize('turns', [-3, 0, 2])
+def test_heading_update_is_the_textbook_s(turns: int) -> None:
+    state, std, rng = some_state(), math.radians(0.5), np.random.default_rng(0)
+    by_values, by_candidates = 0.01 * rng.normal(size=K) / SCALES, rng.normal(size=C)
     jacobian = np.zeros((1, len(state.mean)))
-    jacobian[0, YAW] = 1.0
-    mean, covariance, nis = dense_update(state, jacobian, np.array([0.02]), std**2 * np.eye(1))
-    for turns in (-3, 0, 2):
-        yaw = float(state.mean[YAW]) + 0.02 + 2.0 * math.pi * turns
-        after, residual, sigma = heading_update(state, yaw, std)
-        np.testing.assert_allclose(after.mean, mean, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(after.covariance, covariance, rtol=1e-7, atol=1e-14)
-        assert (residual / sigma) ** 2 == pytest.approx(nis)
+    jacobian[0, YAW], jacobian[0, state.coefficient_columns] = 1.0, by_values
+    yaw_rad = float(state.mean[YAW]) + 0.02 + 2.0 * math.pi * turns
+    after, lesson, residual, sigma = heading_update(state, yaw_rad, std, by_values, by_candidates)
+    assert residual == pytest.approx(0.02)
+    assert (residual / sigma) ** 2 == pytest.approx(lesson.nis)
+    noise = np.array([[std**2]])
+    assert_textbook(state, after, lesson, jacobian, np.array([residual]), noise, by_candidates[None])
 
 
 # --- gate and noise -----------------------------------------------------------------------------
@@ -409,11 +507,16 @@ def test_noise_is_followed_within_bounds() -> None:
 def test_new_features_join_with_all_correlations(form: Parametrisation) -> None:
     state = some_state(form)
     new = form.initialise(view_at(state.mean[POSE]), PIXELS[:2] + 5.0, NOISE_PX, FEATURES)
-    after = augment(state, np.array([20, 21]), new)
+    by_values, by_candidates = derivatives(np.arange(2), 3)
+    after = augment(state, np.array([20, 21]), new, by_values, by_candidates)
     n = len(state.mean)
     jacobian = np.zeros((n + 6, n))
     jacobian[:n] = np.eye(n)
     jacobian[n:, POSE] = new.by_pose.reshape(6, 6)
+    jacobian[n:, state.coefficient_columns] = by_values.reshape(6, K)
+    sensitivity = jacobian @ state.sensitivity
+    sensitivity[n:] += by_candidates.reshape(6, C)
+    np.testing.assert_allclose(after.sensitivity, sensitivity, rtol=1e-9, atol=1e-9)
     expected = jacobian @ state.covariance @ jacobian.T
     expected[n:, n:] += block_diagonal(new.noise)
     np.testing.assert_allclose(after.covariance, expected, rtol=1e-12, atol=1e-18)
@@ -430,6 +533,7 @@ def test_forgetting_leaves_the_rest_alone() -> None:
     kept = [*range(state.robot_size), *state.feature_columns(np.array([0, 2, 3])).ravel()]
     np.testing.assert_array_equal(after.mean, state.mean[kept])
     np.testing.assert_array_equal(after.covariance, state.covariance[np.ix_(kept, kept)])
+    np.testing.assert_array_equal(after.sensitivity, state.sensitivity[kept])
     assert after.landmarks.ids.tolist() == [3, 4, 15]
     np.testing.assert_array_equal(after.landmarks.anchors.p_wc, state.landmarks.anchors.p_wc[[0, 2, 3]])
     assert keep(state, np.ones(5, bool)) is state
@@ -442,7 +546,7 @@ def test_forgetting_leaves_the_rest_alone() -> None:
 def test_a_feature_that_joins_and_leaves_changes_nothing() -> None:
     state = some_state()
     new = INVERSE_DEPTH.initialise(view_at(state.mean[POSE]), PIXELS[:1], NOISE_PX, FEATURES)
-    after = keep(augment(state, np.array([30]), new), np.array([True] * 5 + [False]))
+    after = keep(augment(state, np.array([30]), new, None, None), np.array([True] * 5 + [False]))
     np.testing.assert_array_equal(after.mean, state.mean)
     np.testing.assert_array_equal(after.covariance, state.covariance)
 

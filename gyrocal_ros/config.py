@@ -111,7 +111,7 @@ class CameraConfig:
     pixel_noise_px: float = setting(
         0.4,
         'px',
-        'noise of a tracked feature, each coordinate; the start of its estimation',
+        'noise of a recorded feature, each coordinate; the start of its estimation',
         low=0.005,
         high=20.0,
     )
@@ -195,13 +195,16 @@ class TrackerConfig:
         10, 'frames', 'look for new corners every so many frames, or when few are left', low=1, high=1000
     )
     corner_quality: float = setting(
-        0.02, '', 'Harris response of a corner against the best in the image', low=1e-6, high=1.0
+        0.001, '', 'Harris response of a corner against the best in the image', low=1e-6, high=1.0
     )
     min_correlation: float = setting(
         0.75, '', 'normalised correlation below which a match is refused', low=-1.0, high=1.0
     )
     max_reprojection_px: float = setting(
         0.5, 'px', 'forward-backward error above which a match is refused', low=0.01, high=20.0
+    )
+    noise_px: float = setting(
+        0.1, 'px', 'noise of a feature tracked here, the start of its estimation', low=0.005, high=20.0
     )
     reacquire_s: float = setting(
         20.0, 's', 'a lost feature is looked for so long before its id is dropped', low=0.0, high=3600.0

@@ -117,7 +117,9 @@ def verdict(summary: dict[str, Any]) -> str:
     if 'blind_drift_deg' in summary:
         drift = summary['blind_drift_deg']
         lines.append(f'heading       {summary["heading_rms_deg"]:.3f} deg rms against the ground truth')
-        lines.append(f'blind drift   {drift["rms"]:.2f} deg rms, {drift["max"]:.2f} deg at worst, after 60 s')
+        if math.isfinite(drift['rms']):
+            worst = f'{drift["max"]:.2f} deg at worst'
+            lines.append(f'blind drift   {drift["rms"]:.2f} deg rms, {worst}, after 60 s without the camera')
     return '\n'.join(lines)
 
 

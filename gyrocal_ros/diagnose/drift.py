@@ -13,7 +13,7 @@ from gyrocal_ros.ekf.state import YAW, YAW_BIAS
 SPAN_S = 60.0
 STRIDE_S = 5.0
 SETTLING_S = 10.0
-"""Spans begin no earlier than this: until then the bias is hardly known."""
+"""Spans begin no earlier than this: until then the gyro is hardly known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,8 @@ def heading_rms_deg(run: Run) -> float | None:
     if truth is None:
         return None
     slam = slam_path(run)
-    error = np.interp(truth.time_s, slam.time_s, slam.yaw_rad) - truth.yaw_rad
+    inside = (slam.time_s >= truth.time_s[0]) & (slam.time_s <= truth.time_s[-1])
+    error = slam.yaw_rad[inside] - np.interp(slam.time_s[inside], truth.time_s, truth.yaw_rad)
     return float(np.degrees(np.sqrt(np.mean(error**2))))
 
 
@@ -109,29 +110,35 @@ def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Path:
     return Path(history.time_s, np.cumsum(steps, axis=0), yaw)
 
 
-def blind_drift(run: Run, coefficients: Array | None = None, span_s: float = SPAN_S) -> BlindDrift:
+def blind_drift(
+    run: Run, reference: tuple[Path, str] | None = None, from_s: float = SETTLING_S, span_s: float = SPAN_S
+) -> BlindDrift:
     """Heading error after spans without the camera, all over the run.
 
-    A span begins with the filter's heading and bias of that moment; then the gyro is alone, but for
-    standing still, when the robot knows that it does not turn.
+    A span begins with the filter's heading, bias and coefficients of that moment, so nothing was
+    fitted on what follows; then the gyro is alone, but for standing still, when the robot knows that
+    it does not turn.
 
     Args:
         run: a finished run.
-        coefficients: (k,) to use, those at the end of the run where None.
+        reference: headings to compare with, and what they are called; the run's own where None.
+        from_s: when the first span may begin.
         span_s: length of a span.
     """
     history = run.history
-    if coefficients is None:
-        coefficients = run.state.coefficients
-    time_s = history.time_s
-    moving = history.resting == 0
-    heading = np.cumsum(np.where(moving, turns(run, coefficients), 0.0))
+    time_s, moving = history.time_s, history.resting == 0
+    path, name = reference if reference is not None else reference_path(run)
+    # The turn of a step is (without coefficients) + columns @ coefficients, summed up over spans.
+    without = history.turn_rad + history.correction_rad
+    without = without - np.einsum('sk,sk->s', history.columns, history.coefficients)
+    turned = np.cumsum(np.where(moving, without, 0.0))
+    columns = np.cumsum(np.where(moving[:, None], history.columns, 0.0), axis=0)
     moving_s = np.cumsum(np.where(moving, history.dt_s, 0.0))
-    reference, name = reference_path(run)
-    latest = min(time_s[-1], reference.time_s[-1]) - span_s
-    start_s = np.arange(SETTLING_S, max(latest, SETTLING_S - 1.0), STRIDE_S)
+    latest = min(time_s[-1], path.time_s[-1]) - span_s
+    start_s = np.arange(from_s, max(latest, from_s - 1.0), STRIDE_S)
     first, last = np.searchsorted(time_s, start_s), np.searchsorted(time_s, start_s + span_s)
-    bias = history.mean[first, YAW_BIAS]
-    turned = heading[last] - heading[first] + bias * (moving_s[last] - moving_s[first])
-    true_heading = np.interp(time_s, reference.time_s, reference.yaw_rad)
-    return BlindDrift(span_s, start_s, turned - (true_heading[last] - true_heading[first]), name)
+    by_gyro = turned[last] - turned[first]
+    by_gyro += np.einsum('nk,nk->n', columns[last] - columns[first], history.coefficients[first])
+    by_gyro += history.mean[first, YAW_BIAS] * (moving_s[last] - moving_s[first])
+    heading = np.interp(time_s, path.time_s, path.yaw_rad)
+    return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name)

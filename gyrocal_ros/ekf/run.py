@@ -13,7 +13,7 @@ from gyrocal_ros.ekf.slam import StepRecord
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
-TRUTH_INTERVAL_NS = 40_000_000
+TRUTH_INTERVAL_NS = 20_000_000
 """Ground truth is kept no denser than this."""
 
 

@@ -48,6 +48,7 @@ MAX_BLOCK_NS = 250_000_000
 LOST_FRAMES = 15
 """Images in a row that contradict the map before it is given up and begun anew."""
 MAX_RESTARTS = 10
+PIXEL_NOISE_RANGE_PX = (0.02, 10.0)
 
 Sight = Frame | FeatureObservations | HeadingSample
 
@@ -100,7 +101,7 @@ class EkfSlam:
     ) -> None:
         self.model, self.config, self.rig = model, config, rig
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
-        self.pixel_noise = NoiseFollower(config.camera.pixel_noise_px, 0.02, 10.0)
+        self.pixel_noise = NoiseFollower(config.camera.pixel_noise_px, *PIXEL_NOISE_RANGE_PX)
         reference_std = math.radians(config.reference.heading_noise_deg)
         self.reference_noise = NoiseFollower(reference_std, 1e-3 * reference_std, 1e3 * reference_std)
         self.has_started = False
@@ -115,6 +116,7 @@ class EkfSlam:
         self._memories = self._parts.no_memories()
         self._candidate_memories = self._candidates.no_memories()
         self._track = track
+        self._tracks_images = False
         self._buffer = MotionBuffer()
         self._waiting: deque[Sight] = deque()
         self._pose_rate: Array = np.zeros(6)
@@ -230,6 +232,9 @@ class EkfSlam:
 
     def _track_features(self, frame: Frame) -> FeatureObservations:
         assert self._track is not None, 'images need a tracker'
+        if not self._tracks_images:
+            self._tracks_images = True
+            self.pixel_noise = NoiseFollower(self.config.tracker.noise_px, *PIXEL_NOISE_RANGE_PX)
         return self._track(frame, self.view().R_wc, self.regions())
 
     def _eye(self) -> Eye:

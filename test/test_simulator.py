@@ -145,21 +145,6 @@ def test_turn_on_bias_and_walk_have_their_sizes() -> None:
     assert (biases[:, -1] - biases[:, 0]).std() == pytest.approx(2.5e-4 * np.sqrt(10.0), rel=0.2)
 
 
-def test_an_effect_is_put_into_the_yaw_gyro() -> None:
-    hidden = SimSource(QUIET, 4, gyro_effect=lambda signals, nominal: nominal + 1e-3 * signals.temperature_c)
-    difference = rates(hidden) - rates(SimSource(QUIET, 4))
-    assert np.all(difference[:, :2] == 0.0)
-    temperature = hidden.truth.climate.temperature_c(hidden.truth.bias_time_s)
-    np.testing.assert_allclose(difference[:, 2], 1e-3 * temperature, atol=1e-12)
-
-
-def test_warm_up_lifts_the_bias_of_the_yaw_axis() -> None:
-    warm = replace(QUIET, errors=replace(QUIET.errors, warmup_deg_s=0.6, warmup_time_s=20.0))
-    difference = np.degrees(SimSource(warm).truth.bias_rad_s - SimSource(QUIET).truth.bias_rad_s)
-    assert np.abs(difference[:, :2]).max() == 0.0
-    assert difference[[0, -1], 2] == pytest.approx([0.0, 0.6 * (1.0 - np.exp(-2.0))], abs=1e-12)
-
-
 def test_accelerometer_feels_gravity_at_rest() -> None:
     forces = np.array([item.specific_force_m_s2 for item in of_type(SimSource(SHORT), ImuSample)])
     assert forces[:400].mean(axis=0) == pytest.approx([0.0, 0.0, 9.81], abs=0.25)

@@ -28,3 +28,7 @@ class RateDeadband:
         inside = np.abs(rate) < values[0]
         noise = np.where(inside, values[0] / np.sqrt(3.0), 0.0)
         return GyroTerm(np.zeros(len(rate)), np.zeros((len(rate), 1)), noise_rad_s=noise)
+
+    def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
+        """Zero within the band."""
+        return np.where(np.abs(nominal_rad_s) < values[0], 0.0, nominal_rad_s)

@@ -43,3 +43,7 @@ class RateSaturation:
             np.zeros((len(rate), 1)),
             noise_rad_s=np.where(clipped, noise, 0.0),
         )
+
+    def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
+        """Clipped at the limit, to both sides."""
+        return np.clip(nominal_rad_s, -values[0], values[0])

@@ -7,7 +7,7 @@ contribution and the derivatives of it; the filter holds the coefficients as sta
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount
 from gyrocal_ros.model.bias import BiasModel
@@ -65,6 +65,26 @@ class GyroEffect(Effect, Protocol):
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Contribution at the coefficient values (k,); `memory` is None at the first block."""
+
+
+@runtime_checkable
+class GyroEffectOnReadings(Protocol):
+    """What a gyro effect has besides where its contribution does not tell what the sensor reads.
+
+    The simulator solves `true rate = scale factor * nominal rate + bias + contributions` for the
+    nominal rate. That fails where an effect loses information, as at a limit, or depends on the
+    derivative of the rate; such an effect gives the readings itself.
+    """
+
+    def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
+        """Nominal yaw rate (n,) that is read where a sensor without the effect reads `nominal_rad_s`.
+
+        Args:
+            nominal_rad_s: (n,) what a sensor without the effect reads.
+            dt_s: (n,) time from one reading to the next.
+            values: (k,) coefficients.
+            scale_factor: true rate over nominal rate.
+        """
 
 
 class WheelEffect(Effect, Protocol):

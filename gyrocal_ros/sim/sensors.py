@@ -2,7 +2,7 @@
 
 Every function draws its random numbers in the same order whatever the sizes of the errors are, so
 that two recordings of one seed differ only in what was changed. Effects that are hidden in a
-recording go in here.
+recording are the business of `forward`.
 
 Noise convention: a density d (unit / sqrt(Hz)) gives each sample at f Hz the standard deviation
 d sqrt(f), so that the integral over a time t has the standard deviation d sqrt(t).
@@ -11,7 +11,6 @@ d sqrt(f), so that the integral over a time t has the standard deviation d sqrt(
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -32,9 +31,6 @@ class SensorErrors:
     """In-run bias instability: standard deviation about the turn-on offset, deg/h."""
     bias_wander_time_s: float = 250.0
     """Correlation time of it; over shorter times it is a walk of 2.5e-4 deg/s/sqrt(s)."""
-    warmup_deg_s: float = 0.0
-    """Yaw bias gained while warming up."""
-    warmup_time_s: float = 300.0
     rate_noise_deg_s: float = 0.0075
     """Density of the noise of the recorded rate, deg/s/sqrt(Hz)."""
     rate_step_deg_s: float = 0.002
@@ -59,6 +55,10 @@ class SensorErrors:
     outlier_px: float = 15.0
     """Standard deviation of those."""
     temperature_noise_c: float = 0.03
+    temperature_step_c: float = 0.0625
+    """Resolution of the recorded temperature."""
+    other_noise: float = 1.0
+    """Noise and resolution of the other recorded numbers, as parts of `OTHER_ERRORS`."""
 
 
 NOISE = (
@@ -73,6 +73,8 @@ NOISE = (
     'pixel_noise_px',
     'outliers',
     'temperature_noise_c',
+    'temperature_step_c',
+    'other_noise',
 )
 
 
@@ -90,31 +92,8 @@ def stream(seed: int, name: str) -> np.random.Generator:
 # --- gyro and accelerometer ---------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GyroSignals:
-    """What is true at the n moments at which the gyro is read."""
-
-    time_s: Array
-    """(n,) since power-on."""
-    motion: Motion
-    temperature_c: Array
-    """(n,)"""
-    shaking_m_s2: Array
-    """(n,) standard deviation of the vibration."""
-    covariates: dict[str, Array]
-    """Name as recorded to true values (n,)."""
-    bias_rad_s: Array
-    """(n, 3)"""
-    scale_factor: float
-
-
-GyroEffect = Callable[[GyroSignals, Array], Array]
-"""Takes the true signals and the nominal yaw rate (n,) of a gyro with scale factor and bias alone;
-returns the nominal yaw rate of a gyro with the effect."""
-
-
 def gyro_bias(time_s: Array, errors: SensorErrors, rng: np.random.Generator) -> Array:
-    """Draw the true bias (n, 3) in rad/s: turn-on offset, wander, warm-up of the yaw axis.
+    """Draw the true bias (n, 3) in rad/s: turn-on offset and wander.
 
     The wander is a first-order Gauss-Markov process that starts at zero, written as its integral:
     the sum of the steps, each faded by the time since.
@@ -124,30 +103,14 @@ def gyro_bias(time_s: Array, errors: SensorErrors, rng: np.random.Generator) -> 
     step = errors.bias_wander_deg_h / 3600.0 * np.sqrt(2.0 / errors.bias_wander_time_s)
     steps = rng.standard_normal((len(time_s), 3)) * np.sqrt(np.diff(time_s, prepend=time_s[0]))[:, None]
     bias = turn_on + step * faded * np.cumsum(steps / faded, axis=0)
-    bias[:, 2] += errors.warmup_deg_s * -np.expm1(-time_s / errors.warmup_time_s)
     return np.radians(bias)
 
 
-def read_gyro(
-    signals: GyroSignals,
-    rate_hz: float,
-    errors: SensorErrors,
-    rng: np.random.Generator,
-    effect: GyroEffect | None = None,
-) -> Array:
-    """Return the nominal body rates (n, 3): true rate = scale factor * nominal rate + bias.
-
-    Only the yaw axis has a scale factor error. The noise and the resolution are those of the
-    recorded rate.
-    """
-    nominal = signals.motion.rate_rad_s - signals.bias_rad_s
-    nominal[:, 2] /= signals.scale_factor
-    if effect is not None:
-        nominal[:, 2] = effect(signals, nominal[:, 2])
+def read_gyro(nominal_rad_s: Array, rate_hz: float, errors: SensorErrors, rng: np.random.Generator) -> Array:
+    """Return the recorded body rates (n, 3): nominal ones with noise, in steps of the resolution."""
     sigma = np.radians(errors.rate_noise_deg_s) * np.sqrt(rate_hz)
-    return _quantised(
-        nominal + sigma * rng.standard_normal(nominal.shape), np.radians(errors.rate_step_deg_s)
-    )
+    noise = sigma * rng.standard_normal(nominal_rad_s.shape)
+    return _quantised(nominal_rad_s + noise, np.radians(errors.rate_step_deg_s))
 
 
 def shaking(motion: Motion, fan_speed: Array, errors: SensorErrors) -> Array:
@@ -155,26 +118,34 @@ def shaking(motion: Motion, fan_speed: Array, errors: SensorErrors) -> Array:
     return errors.vibration_m_s2 * np.hypot(fan_speed, motion.speed_m_s / 0.3)
 
 
+def vibration(shaking_m_s2: Array, rng: np.random.Generator) -> Array:
+    """Draw the specific force (n, 3) that vibration adds."""
+    return shaking_m_s2[:, None] * rng.standard_normal((len(shaking_m_s2), 3))
+
+
 def read_accelerometer(
-    motion: Motion, shaking_m_s2: Array, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
+    force_m_s2: Array, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
 ) -> Array:
-    """Return the specific force (n, 3) with bias, noise and vibration."""
+    """Return the readings (n, 3) of a specific force (n, 3): bias, noise and resolution."""
     bias = errors.force_bias_m_s2 * rng.standard_normal(3)
-    sigma = np.hypot(errors.force_noise_m_s2 * np.sqrt(rate_hz), shaking_m_s2)
-    noise = sigma[:, None] * rng.standard_normal((len(sigma), 3))
-    return _quantised(motion.specific_force_m_s2 + bias + noise, errors.force_step_m_s2)
+    noise = errors.force_noise_m_s2 * np.sqrt(rate_hz) * rng.standard_normal(force_m_s2.shape)
+    return _quantised(force_m_s2 + bias + noise, errors.force_step_m_s2)
 
 
 # --- wheels -------------------------------------------------------------------------------------
 
 
-def read_wheels(motion: Motion, errors: SensorErrors, rng: np.random.Generator) -> tuple[Array, Array]:
+def read_wheels(
+    rolled_m: Array, yaw_rad: Array, errors: SensorErrors, rng: np.random.Generator
+) -> tuple[Array, Array]:
     """Return the steps (n - 1, each) of distance (m) and yaw (rad) between n readings of the ticks.
+
+    `rolled_m` (n,) is how far the middle of the axle has rolled, `yaw_rad` (n,) the true heading.
 
     Each wheel slips by itself, so that a spin on the spot also makes an error of distance.
     """
     sides = np.array([-HALF_TRACK_M, HALF_TRACK_M])
-    wheels = motion.travelled_m[:, None] + sides * motion.euler_rad[:, 2:]
+    wheels = rolled_m[:, None] + sides * yaw_rad[:, None]
     moved = np.abs(np.diff(wheels, axis=0, prepend=wheels[:1]))
     slip = errors.wheel_noise_m * np.sqrt(2.0 * moved) * rng.standard_normal(wheels.shape)
     ticks = _quantised(wheels + np.cumsum(slip, axis=0), errors.tick_m)
@@ -226,9 +197,9 @@ def draw_climate(rng: np.random.Generator) -> Climate:
 def read_temperature(
     time_s: Array, climate: Climate, errors: SensorErrors, rng: np.random.Generator
 ) -> Array:
-    """Return the temperature (n,) in deg C, in steps of 1/16 as a sensor chip gives it."""
+    """Return the readings (n,) of the temperature in deg C, in steps as a sensor chip gives it."""
     noise = errors.temperature_noise_c * rng.standard_normal(len(time_s))
-    return _quantised(climate.temperature_c(time_s) + noise, 0.0625)
+    return _quantised(climate.temperature_c(time_s) + noise, errors.temperature_step_c)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,7 +242,7 @@ def covariates(motion: Motion, fan_speed: Array) -> dict[str, Array]:
     }
 
 
-COVARIATE_ERRORS = {
+OTHER_ERRORS = {
     'battery_state.voltage': (0.004, 0.001),
     'battery_state.current': (0.03, 0.001),
     'fan_speed.data': (40.0, 10.0),
@@ -279,9 +250,9 @@ COVARIATE_ERRORS = {
 """Standard deviation of the noise, and resolution."""
 
 
-def read_covariate(name: str, values: Array, rng: np.random.Generator) -> Array:
+def read_covariate(name: str, values: Array, errors: SensorErrors, rng: np.random.Generator) -> Array:
     """Return the readings (n,) of one of the `covariates`."""
-    noise, step = COVARIATE_ERRORS[name]
+    noise, step = errors.other_noise * np.array(OTHER_ERRORS[name])
     return _quantised(values + noise * rng.standard_normal(len(values)), step)
 
 

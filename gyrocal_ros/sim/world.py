@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
 
@@ -13,12 +13,14 @@ import numpy as np
 from gyrocal_ros.data import (
     NS_PER_S,
     Array,
+    CameraIntrinsics,
     CovariateSample,
     FeatureObservations,
     Frame,
     ImuSample,
     IntArray,
     Measurement,
+    Mount,
     Rig,
     Span,
     TemperatureSample,
@@ -27,14 +29,22 @@ from gyrocal_ros.data import (
     nanoseconds,
 )
 from gyrocal_ros.model.camera import mount_from_yaw
+from gyrocal_ros.sim.forward import (
+    HiddenEffect,
+    at_readings,
+    between,
+    carried,
+    nominal_yaw_rate,
+    slip,
+    stamp_error_s,
+    true_camera,
+)
 from gyrocal_ros.sim.manoeuvres import plan_legs
 from gyrocal_ros.sim.scenarios import Scenario
 from gyrocal_ros.sim.scene import Scene, draw_scene, track, view
 from gyrocal_ros.sim.sensors import (
     Climate,
     Fan,
-    GyroEffect,
-    GyroSignals,
     covariates,
     draw_climate,
     draw_fan,
@@ -47,6 +57,7 @@ from gyrocal_ros.sim.sensors import (
     read_wheels,
     shaking,
     stream,
+    vibration,
 )
 from gyrocal_ros.sim.trajectory import Trajectory, rough_floor
 
@@ -66,10 +77,20 @@ class Truth:
     fan: Fan
     scale_factor: float
     """True yaw rate over nominal yaw rate."""
+    camera: CameraIntrinsics
+    """As it is; the rig holds what is believed."""
+    camera_mount: Mount
+    carried_m: Array
+    """(n, 3) how far the ground has carried the robot by the times of the IMU."""
     bias_time_s: Array
     """(n,) since the first sample."""
     bias_rad_s: Array
     """(n, 3) true bias at those times, z without the hidden effects."""
+
+    def position(self, time_s: Array) -> Array:
+        """Return the true positions (n, 3) of the body in the world at times (n,)."""
+        carried = [np.interp(time_s, self.bias_time_s, column) for column in self.carried_m.T]
+        return self.trajectory.position(time_s) + np.stack(carried, axis=1)
 
 
 class SimSource:
@@ -81,7 +102,7 @@ class SimSource:
         scenario: what is recorded, and with what sensors.
         seed: of all randomness.
         images: film the ceiling, in place of following its corners.
-        gyro_effect: a physical effect hidden in the gyro.
+        hidden: physical effects that the recording has and its rig does not tell of.
     """
 
     def __init__(
@@ -90,11 +111,11 @@ class SimSource:
         seed: int = 0,
         *,
         images: bool = False,
-        gyro_effect: GyroEffect | None = None,
+        hidden: tuple[HiddenEffect, ...] = (),
     ) -> None:
         self.scenario, self.seed = scenario, seed
         self._images = images
-        self._gyro_effect = gyro_effect
+        self.hidden = hidden
 
     @property
     def name(self) -> str:
@@ -103,7 +124,7 @@ class SimSource:
 
     @property
     def rig(self) -> Rig:
-        """Camera and mounting, both known without error."""
+        """Camera and mounting as they are believed to be."""
         scenario = self.scenario
         return Rig(scenario.camera, mount_from_yaw(*scenario.mount_xyz_m, scenario.mount_yaw_deg))
 
@@ -122,15 +143,22 @@ class SimSource:
         )
         path_m = scenario.duration_s * scenario.habits.speed_m_s / 2.0
         floor = rough_floor(stream(self.seed, 'floor'), scenario.floor_tilt_deg, scenario.bumps, path_m)
+        trajectory = Trajectory(legs, floor, start)
         bias_s = _times(scenario.imu_hz, scenario.duration_s)
+        rig = self.rig
+        assert rig.camera is not None
+        camera, mount = true_camera(rig.camera, rig.camera_mount, self.hidden)
         return Truth(
-            trajectory=Trajectory(legs, floor, start),
+            trajectory=trajectory,
             scene=draw_scene(
                 stream(self.seed, 'scene'), scenario.room_m, scenario.mount_xyz_m[2], scenario.furniture
             ),
             climate=draw_climate(stream(self.seed, 'climate')),
             fan=draw_fan(stream(self.seed, 'fan'), scenario.standing_s, scenario.duration_s),
             scale_factor=scenario.errors.scale_factor,
+            camera=camera,
+            camera_mount=mount,
+            carried_m=carried(between(trajectory.motion(bias_s)), self.hidden),
             bias_time_s=bias_s,
             bias_rad_s=gyro_bias(bias_s, scenario.errors, stream(self.seed, 'gyro bias')),
         )
@@ -145,54 +173,54 @@ class SimSource:
 
     def camera_poses(self, time_s: Array) -> tuple[Array, Array]:
         """Return the true R_wc (n, 3, 3) and p_wc (n, 3) of the camera at times (n,)."""
-        trajectory, mount = self.truth.trajectory, self.rig.camera_mount
-        R_wb = trajectory.motion(time_s).R_wb
-        return R_wb @ mount.R_bs, trajectory.position(time_s) + R_wb @ mount.p_bs
+        mount, R_wb = self.truth.camera_mount, self.truth.trajectory.motion(time_s).R_wb
+        return R_wb @ mount.R_bs, self.truth.position(time_s) + R_wb @ mount.p_bs
 
     def _imu(self) -> Iterator[ImuSample]:
         scenario, truth = self.scenario, self.truth
-        time_s = truth.bias_time_s
-        motion = truth.trajectory.motion(time_s)
-        fan_speed = truth.fan.speed(time_s)
-        signals = GyroSignals(
-            time_s=time_s,
-            motion=motion,
+        errors, hz, time_s = scenario.errors, scenario.imu_hz, truth.bias_time_s
+        motion, fan_speed = truth.trajectory.motion(time_s), truth.fan.speed(time_s)
+        shaken = vibration(shaking(motion, fan_speed, errors), stream(self.seed, 'vibration'))
+        force = motion.specific_force_m_s2 + shaken
+        rate = motion.rate_rad_s - truth.bias_rad_s
+        block = replace(
+            at_readings(motion),
+            rate_rad_s=rate,
+            specific_force_m_s2=force,
             temperature_c=truth.climate.temperature_c(time_s),
-            shaking_m_s2=shaking(motion, fan_speed, scenario.errors),
             covariates=covariates(motion, fan_speed),
-            bias_rad_s=truth.bias_rad_s,
-            scale_factor=truth.scale_factor,
         )
-        errors, hz = scenario.errors, scenario.imu_hz
-        rates = read_gyro(signals, hz, errors, stream(self.seed, 'gyro'), self._gyro_effect)
-        noise = stream(self.seed, 'accelerometer')
-        forces = read_accelerometer(motion, signals.shaking_m_s2, hz, errors, noise)
+        rate[:, 2] = nominal_yaw_rate(rate[:, 2], truth.scale_factor, block, self.hidden)
+        rates = read_gyro(rate, hz, errors, stream(self.seed, 'gyro'))
+        forces = read_accelerometer(force, hz, errors, stream(self.seed, 'accelerometer'))
         yield from map(ImuSample, _stamps(time_s), map(tuple, rates.tolist()), map(tuple, forces.tolist()))
 
     def _wheels(self) -> Iterator[WheelSample]:
         scenario = self.scenario
         time_s = _times(scenario.wheel_hz, scenario.duration_s, WHEEL_PHASE_S)
         motion = self.truth.trajectory.motion(time_s)
-        distance, turned = read_wheels(motion, scenario.errors, stream(self.seed, 'wheels'))
+        slipped = slip(between(motion), self.hidden)
+        rolled, yaw = motion.travelled_m - slipped, motion.euler_rad[:, 2]
+        distance, turned = read_wheels(rolled, yaw, scenario.errors, stream(self.seed, 'wheels'))
         hz = scenario.wheel_hz
         yield from map(WheelSample, _stamps(time_s[1:]), (distance * hz).tolist(), (turned * hz).tolist())
 
     def _features(self) -> Iterator[FeatureObservations]:
         scenario = self.scenario
         time_s = self.image_times()
-        pixels, seen = view(self.truth.scene, scenario.camera, *self.camera_poses(time_s))
+        pixels, seen = view(self.truth.scene, self.truth.camera, *self.camera_poses(time_s))
         pixels = pixels + pixel_errors(seen.shape, scenario.errors, stream(self.seed, 'pixels'))
         seen &= ~_lost(seen.shape, scenario, stream(self.seed, 'tracker'))
         tracks = track(seen, time_s, scenario.features, scenario.reacquire_s)
-        for t_ns, places, (ids, corners) in zip(_stamps(time_s), pixels, tracks, strict=True):
+        for t_ns, places, (ids, corners) in zip(self._image_stamps(), pixels, tracks, strict=True):
             yield FeatureObservations(t_ns, ids, places[corners])
 
     def _frames(self) -> Iterator[Frame]:
         from gyrocal_ros.sim.film import film  # OpenCV is loaded for images alone
 
         scenario, time_s = self.scenario, self.image_times()
-        images = film(scenario.camera, scenario.furniture, self.seed, time_s, self.camera_poses)
-        yield from map(Frame, _stamps(time_s), images)
+        images = film(self.truth.camera, scenario.furniture, self.seed, time_s, self.camera_poses)
+        yield from map(Frame, self._image_stamps(), images)
 
     def _temperature(self) -> Iterator[TemperatureSample]:
         time_s = _times(TEMPERATURE_HZ, self.scenario.duration_s, SLOW_PHASE_S)
@@ -201,10 +229,11 @@ class SimSource:
         yield from map(TemperatureSample, _stamps(time_s), values.tolist())
 
     def _covariates(self) -> Iterator[CovariateSample]:
-        time_s = _times(COVARIATE_HZ, self.scenario.duration_s, SLOW_PHASE_S)
+        scenario = self.scenario
+        time_s = _times(COVARIATE_HZ, scenario.duration_s, SLOW_PHASE_S)
         motion, fan_speed = self.truth.trajectory.motion(time_s), self.truth.fan.speed(time_s)
         readings = {
-            name: read_covariate(name, values, stream(self.seed, name)).tolist()
+            name: read_covariate(name, values, scenario.errors, stream(self.seed, name)).tolist()
             for name, values in covariates(motion, fan_speed).items()
         }
         for row, t_ns in enumerate(_stamps(time_s)):
@@ -213,15 +242,17 @@ class SimSource:
 
     def _truth_poses(self) -> Iterator[TruthSample]:
         time_s = _times(self.scenario.truth_hz, self.scenario.duration_s)
-        trajectory = self.truth.trajectory
-        positions = map(tuple, trajectory.position(time_s).tolist())
-        yaw = trajectory.motion(time_s).euler_rad[:, 2].tolist()
+        positions = map(tuple, self.truth.position(time_s).tolist())
+        yaw = self.truth.trajectory.motion(time_s).euler_rad[:, 2].tolist()
         yield from map(TruthSample, _stamps(time_s), positions, yaw)
 
     def image_times(self) -> Array:
         """Return the middle of the exposure of each image, (n,) s since the start."""
         scenario = self.scenario
         return _times(scenario.camera_hz, min(scenario.duration_s, scenario.camera_until_s), CAMERA_PHASE_S)
+
+    def _image_stamps(self) -> list[int]:
+        return _stamps(self.image_times() + stamp_error_s(self.hidden))
 
 
 def _times(rate_hz: int, duration_s: float, phase_s: float = 0.0) -> Array:

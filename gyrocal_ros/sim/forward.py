@@ -1,0 +1,167 @@
+"""Physical effects the other way round: from what is true to what the sensors read.
+
+An effect says how readings are to be corrected; a recording in which it is hidden holds readings
+that need just that correction. This room knows effects by their protocols alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds
+from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.model.sensor import Effect, GyroEffectOnReadings, Place
+from gyrocal_ros.sim.trajectory import Motion
+
+MAX_ROUNDS = 60
+SOLVED_RAD_S = 1e-13
+GOOD_ENOUGH_RAD_S = 1e-7
+"""Where an effect has steps a reading may jump to and fro; by more than this it must not."""
+
+
+@dataclass(frozen=True, slots=True)
+class HiddenEffect:
+    """An effect that is put into a recording, with the true values of its coefficients."""
+
+    effect: Effect
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        needed = len(self.effect.coefficients)
+        if len(self.values) != needed:
+            raise ConfigError(f'needs {needed} values, not {len(self.values)}', where=self.effect.name)
+
+
+Hidden = tuple[HiddenEffect, ...]
+
+
+def nominal_yaw_rate(true_rad_s: Array, scale_factor: float, block: MotionBlock, hidden: Hidden) -> Array:
+    """Solve `true = scale factor * nominal + contributions(nominal)` for the nominal rate (n,).
+
+    Args:
+        true_rad_s: (n,) true yaw rate less the bias.
+        scale_factor: true rate over nominal rate.
+        block: the whole recording, one interval a reading; its yaw rate does not count.
+        hidden: effects; those that do not act on the gyro are passed by.
+
+    Raises:
+        ConfigError: there is no such rate, for an effect is too strong.
+    """
+    gyro = _acting_on(hidden, 'gyro')
+    on_readings = [(effect, values) for effect, values in gyro if isinstance(effect, GyroEffectOnReadings)]
+    plain = [(effect, values) for effect, values in gyro if not isinstance(effect, GyroEffectOnReadings)]
+    nominal, change = true_rad_s / scale_factor, np.inf
+    for _ in range(MAX_ROUNDS):
+        added = _contributions(plain, _with_yaw_rate(block, nominal)) if plain else 0.0
+        found = (true_rad_s - added) / scale_factor
+        for effect, values in on_readings:
+            found = effect.readings(found, block.dt_s, values, scale_factor)
+        change, nominal = float(np.abs(found - nominal).max()), found
+        if change < SOLVED_RAD_S:
+            break
+    if not change < GOOD_ENOUGH_RAD_S:
+        names = ', '.join(effect.name for effect, _ in gyro)
+        raise ConfigError('is so strong that no reading fits the motion', where=names, todo='give less')
+    return nominal
+
+
+def slip(block: MotionBlock, hidden: Hidden) -> Array:
+    """Solve `true = odometry + contributions(odometry)`: how far true is ahead of odometry, (n + 1,).
+
+    Args:
+        block: n true steps; the result is for the moments before the first and after each of them.
+        hidden: effects; those that do not act on the wheels are passed by.
+    """
+    wheels = _acting_on(hidden, 'wheels')
+    ahead = np.zeros(len(block.dt_s))
+    for _ in range(MAX_ROUNDS if wheels else 0):
+        counted = replace(block, distance_m=block.distance_m - ahead)
+        ahead = np.sum([effect.contribute(counted, values)[0] for effect, values in wheels], axis=0)
+    return np.concatenate([[0.0], np.cumsum(ahead)])
+
+
+def carried(block: MotionBlock, hidden: Hidden) -> Array:
+    """How far the ground has carried the robot, (n + 1, 3): before the first and after each interval."""
+    ground = _acting_on(hidden, 'ground')
+    steps = np.zeros((len(block.dt_s) + 1, 3))
+    for row, part in enumerate(_parts(block, 1) if ground else (), 1):
+        steps[row] = sum(effect.contribute(part, values)[0] for effect, values in ground)
+    return np.cumsum(steps, axis=0)
+
+
+def true_camera(camera: CameraIntrinsics, mount: Mount, hidden: Hidden) -> tuple[CameraIntrinsics, Mount]:
+    """The camera and its mounting as they are, from what is believed of them."""
+    for effect, values in _acting_on(hidden, 'camera'):
+        camera, mount = effect.corrected(camera, mount, values)
+    return camera, mount
+
+
+def stamp_error_s(hidden: Hidden) -> float:
+    """Stamp of an image minus true time of exposure."""
+    return sum(float(values[0]) for _, values in _acting_on(hidden, 'time'))
+
+
+def at_readings(motion: Motion) -> MotionBlock:
+    """What is true of n moments, as a block with one interval about each of them."""
+    dt_s = np.gradient(motion.time_s)
+    return _block(motion, motion.time_s, dt_s, motion.rate_rad_s, motion.speed_m_s * dt_s)
+
+
+def between(motion: Motion) -> MotionBlock:
+    """What is true between n moments, as a block of n - 1 intervals."""
+    middle_s = 0.5 * (motion.time_s[1:] + motion.time_s[:-1])
+    rate = 0.5 * (motion.rate_rad_s[1:] + motion.rate_rad_s[:-1])
+    return _block(motion, middle_s, np.diff(motion.time_s), rate, np.diff(motion.travelled_m))
+
+
+def _block(motion: Motion, time_s: Array, dt_s: Array, rate_rad_s: Array, distance_m: Array) -> MotionBlock:
+    return MotionBlock(
+        start_ns=nanoseconds(float(motion.time_s[0])),
+        end_ns=nanoseconds(float(motion.time_s[-1])),
+        time_s=time_s,
+        dt_s=dt_s,
+        rate_rad_s=rate_rad_s,
+        yaw_acceleration_rad_s2=np.gradient(rate_rad_s[:, 2]) / dt_s,
+        specific_force_m_s2=np.zeros((len(dt_s), 3)),
+        distance_m=distance_m,
+        wheel_turn_rad=rate_rad_s[:, 2] * dt_s,
+        temperature_c=np.full(len(dt_s), np.nan),
+    )
+
+
+def _acting_on(hidden: Hidden, place: Place) -> list[tuple[Any, Array]]:
+    return [(item.effect, np.array(item.values)) for item in hidden if item.effect.acts_on == place]
+
+
+def _contributions(effects: list[tuple[Any, Array]], block: MotionBlock) -> Array:
+    """Sum (n,) of what gyro effects add, one second after the other as the filter would ask."""
+    second = max(round(1.0 / float(block.dt_s[0])), 1)
+    memories = [None] * len(effects)
+    pieces = []
+    for part in _parts(block, second):
+        terms = [
+            effect.contribute(part, values, memory)
+            for (effect, values), memory in zip(effects, memories, strict=True)
+        ]
+        memories = [term.memory for term in terms]
+        pieces.append(np.sum([term.rate_rad_s for term in terms], axis=0))
+    return np.concatenate(pieces)
+
+
+def _with_yaw_rate(block: MotionBlock, yaw_rate_rad_s: Array) -> MotionBlock:
+    rates = np.column_stack([block.rate_rad_s[:, :2], yaw_rate_rad_s])
+    acceleration = np.gradient(yaw_rate_rad_s) / block.dt_s
+    return replace(block, rate_rad_s=rates, yaw_acceleration_rad_s2=acceleration)
+
+
+def _parts(block: MotionBlock, count: int) -> Iterator[MotionBlock]:
+    """Cut a block into blocks of `count` intervals."""
+    columns = [item.name for item in fields(block) if isinstance(getattr(block, item.name), np.ndarray)]
+    for first in range(0, len(block.dt_s), count):
+        part = slice(first, first + count)
+        cut: dict[str, Any] = {name: getattr(block, name)[part] for name in columns}
+        yield replace(block, covariates={name: c[part] for name, c in block.covariates.items()}, **cut)

@@ -27,6 +27,7 @@ from gyrocal_ros.data import (
     HeadingSample,
     ImuSample,
     Measurement,
+    TemperatureSample,
     TruthSample,
     WheelSample,
 )
@@ -153,6 +154,18 @@ def test_foreign_bags_without_definitions(tmp_path: Path) -> None:
     path = write(tmp_path / 'bag', storage='sqlite3')
     database = sqlite3.connect(data_file(path))
     database.execute('DELETE FROM message_definitions')
+    database.commit()
+    database.close()
+    assert_same(read(path, with_covariates=True), drive())
+
+
+def test_definitions_that_leave_the_types_of_ros_out(tmp_path: Path) -> None:
+    path = write(tmp_path / 'bag', storage='sqlite3')
+    database = sqlite3.connect(data_file(path))
+    definition = 'std_msgs/Header header\nfloat64 temperature\nfloat64 variance'
+    update = 'UPDATE message_definitions SET encoded_message_definition = ? WHERE topic_type = ?'
+    database.execute(update, [definition, topics.TEMPERATURE])
+    database.execute(update, ['no definition ]', topics.ODOMETRY])
     database.commit()
     database.close()
     assert_same(read(path, with_covariates=True), drive())
@@ -512,6 +525,16 @@ def test_nan_is_left_out_and_counted(tmp_path: Path) -> None:
 def test_too_much_nan_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match='/imu/data_raw: the numbers are not finite'):
         read(write(tmp_path / 'bag', with_nan(5)))
+
+
+def test_what_only_helps_may_be_broken(tmp_path: Path) -> None:
+    samples = [
+        replace(sample, temperature_c=float('nan')) if isinstance(sample, TemperatureSample) else sample
+        for sample in drive(20.0)
+    ]
+    source = open_bag(write(tmp_path / 'bag', samples), CONFIG)
+    assert not of(list(source.measurements()), TemperatureSample)
+    assert kinds(source) == ['meaningless']
 
 
 # --- images --------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from gyrocal_ros.config import Config, RecordingConfig
 from gyrocal_ros.data import ClockStep, Measurement, Rig, Span, nanoseconds
 from gyrocal_ros.recording import topics
 from gyrocal_ros.recording.decode import Decode, Decoder
-from gyrocal_ros.recording.findings import Finding, Severity, refuse_errors
+from gyrocal_ros.recording.findings import Finding, Severity, one_a_kind, refuse_errors
 from gyrocal_ros.recording.reorder import Drop, Reorderer
 from gyrocal_ros.recording.rig import Geometry, read_geometry
 from gyrocal_ros.recording.selection import Choice, Selection, parse_remap, remap_roles, select_topics
@@ -61,7 +61,7 @@ class BagSource:
     @property
     def warnings(self) -> list[Finding]:
         """What was worked around, one of a kind; what was dropped shows after `measurements`."""
-        return [*self._selection.findings, *self._geometry.findings, *self._pass_findings]
+        return one_a_kind([*self._selection.findings, *self._geometry.findings, *self._pass_findings])
 
     def measurements(self) -> Iterator[Measurement]:
         """Yield the measurements in the order of their stamps; may be called again.

@@ -15,12 +15,12 @@ from gyrocal_ros.recording import images, topics
 from gyrocal_ros.recording.fields import FieldReader
 from gyrocal_ros.recording.findings import Finding, Severity
 from gyrocal_ros.recording.rig import Geometry
-from gyrocal_ros.recording.selection import Selection
+from gyrocal_ros.recording.selection import NEEDED_ROLES, Selection
 from gyrocal_ros.recording.storage import Storage, Topic
 from gyrocal_ros.recording.topics import STAMP_FIELDS, FlatMessage, Role
 
 MAX_BAD_SHARE, MAX_BAD = 0.1, 10
-"""A recording is refused when more messages of a topic than this mean nothing."""
+"""A recording is refused when more messages of a needed topic than this mean nothing."""
 
 Decode: TypeAlias = Callable[[bytes, int], Sequence[Measurement]]
 """From a serialised message and its time of recording (ns) to what was measured at one moment."""
@@ -57,6 +57,7 @@ class Decoder:
         self.stamps_ahead_ns = 0
         """Latest stamp less its time of recording; set by the user of the decoder."""
         self._storage, self._geometry, self._other_clock_ns = storage, geometry, other_clock_ns
+        self._needed = {topic.name for role, topic in selection.topics.items() if role in NEEDED_ROLES}
         self.streams: list[tuple[Topic, Decode]] = []
         """Each topic in use with its decoder; a topic of two roles stands there twice."""
         for role in Role:
@@ -150,7 +151,7 @@ class Decoder:
     def _count_bad(self, topic: Topic, what: str, todo: str) -> None:
         self.bad[topic.name] += 1
         count = self.bad[topic.name]
-        if count > max(MAX_BAD, MAX_BAD_SHARE * topic.count):
+        if topic.name in self._needed and count > max(MAX_BAD, MAX_BAD_SHARE * topic.count):
             place = f'{self._storage.path}, {topic.name}'
             raise RecordingError(f'{what} in {count} messages already', where=place, todo=todo)
 

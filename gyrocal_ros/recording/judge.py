@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping
 
 from gyrocal_ros.data import seconds
 from gyrocal_ros.recording.findings import Finding, Severity
+from gyrocal_ros.recording.selection import NEEDED_ROLES
 from gyrocal_ros.recording.stats import Agreement, Event, ImuStats, compare_turns
 from gyrocal_ros.recording.topics import Role
 from gyrocal_ros.recording.watch import Seen, Watch
 
 ERROR, WARNING, NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
-NEEDED = (Role.IMU, Role.WHEELS, Role.FEATURES, Role.IMAGE, Role.HEADING)
 SLOWEST_HZ = {Role.IMU: 50.0, Role.WHEELS: 8.0, Role.FEATURES: 4.0, Role.IMAGE: 4.0, Role.HEADING: 2.0}
 """Slower topics follow turns badly."""
 MAX_NAN_SHARE = 0.1
@@ -50,7 +50,7 @@ def judge(seen: Seen, *, reorder_window_s: float, clock_step_s: float) -> Iterat
     for watch in stamped:
         yield from _stamps(watch, reorder_window_s)
         yield from _numbers(watch)
-        if imus and watch.role in NEEDED and watch.role is not Role.IMU:
+        if imus and watch.role in NEEDED_ROLES and watch.role is not Role.IMU:
             yield from _beside_imu(watch, imus[0], clock_step_s)
     for imu in imus:
         yield from _imu(imu, seen.imus[imu.topic.name], _references(imu, stamped, seen))
@@ -79,7 +79,7 @@ def _behind_s(watch: Watch, imu: Watch) -> float:
 
 
 def _found(watch: Watch, severity: Severity, kind: str, text: str, todo: str = '') -> Finding:
-    return Finding(severity if watch.role in NEEDED else NOTE, kind, watch.topic.name, text, todo)
+    return Finding(severity if watch.role in NEEDED_ROLES else NOTE, kind, watch.topic.name, text, todo)
 
 
 def _stamps(watch: Watch, reorder_window_s: float) -> Iterator[Finding]:
@@ -150,6 +150,8 @@ def _beside_imu(watch: Watch, imu: Watch, clock_step_s: float) -> Iterator[Findi
 
 
 def _imu(imu: Watch, stats: ImuStats, references: Mapping[str, tuple[Watch, Agreement]]) -> Iterator[Finding]:
+    if not stats.count:
+        return
     if stats.at_zero == stats.count:
         text = 'the gyro reads exactly zero throughout'
         yield _found(imu, ERROR, 'dead_imu', text, 'choose another IMU topic')

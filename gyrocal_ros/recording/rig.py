@@ -214,12 +214,11 @@ def _turns_against(storage: Storage, imu: Topic, R_bi: Array, heading: Topic) ->
     """Whether an IMU and a heading reference turn in opposite directions."""
     by_gyro, by_heading = TurnStats(), TurnStats()
     samples = _start(storage, imu, IMU_SAMPLE, TURNS_NS)
-    rates = np.array([sample.rate_rad_s for sample in samples])
+    rates = np.array([sample.rate_rad_s for sample in samples]).reshape(-1, 3)
     by_gyro.add(np.array([sample.t_ns for sample in samples]), rates @ R_bi[2])
     poses = _start(storage, heading, heading_sample(heading.type_name), TURNS_NS)
-    by_heading.add_headings(
-        np.array([pose.t_ns for pose in poses]), np.array([pose.yaw_rad for pose in poses])
-    )
+    yaws = np.array([pose.yaw_rad for pose in poses])
+    by_heading.add_headings(np.array([pose.t_ns for pose in poses]), yaws)
     agreement = compare_turns(by_gyro, by_heading)
     return agreement is not None and agreement.correlation < -CLEAR_CORRELATION
 

@@ -14,6 +14,7 @@ from gyrocal_ros.recording.topics import POSES, STATIC_TRANSFORMS, TRANSFORMS, T
 ENDINGS = {role: (str(role),) for role in Role} | {Role.IMAGE: (Role.IMAGE, f'{Role.IMAGE}/compressed')}
 CAMERA_ROLES = (Role.FEATURES, Role.IMAGE)
 NEEDED_ROLES = (Role.IMU, Role.WHEELS, Role.FEATURES, Role.IMAGE, Role.CAMERA_INFO, Role.HEADING)
+"""All others may be missing or broken: they only help."""
 
 NO_COVARIATES = (
     'geometry_msgs/',

@@ -52,6 +52,7 @@ class Storage:
         """Whether messages are ROS 2 CDR, not ROS 1."""
         self._reader = reader
         self._embedded = get_typestore(Stores.EMPTY)
+        self._stores: dict[str, Typestore] = {}
 
     @cached_property
     def topics(self) -> dict[str, Topic]:
@@ -142,31 +143,31 @@ class Storage:
         return bool(fields) and fields[0][0] == 'header'
 
     def _store_of(self, topic: Topic) -> Typestore:
-        """Return the store that knows the type: by the definition in the recording, else by ROS."""
-        definition = topic.connections[0].msgdef
-        if definition.format != MessageDefinitionFormat.NONE:
-            if topic.type_name not in self._embedded.fielddefs:
-                self._learn(topic, definition)
-            return self._embedded
-        if topic.type_name not in ros_types().fielddefs:
-            raise RecordingError(
-                f'the type {topic.type_name} is not known, and the recording does not define it',
-                where=topic.name,
-                todo='record it again with a newer rosbag2, which stores definitions',
-            )
-        return ros_types()
+        """Return the store that knows the type of a topic, each found once."""
+        if topic.type_name not in self._stores:
+            self._stores[topic.type_name] = self._find_store(topic)
+        return self._stores[topic.type_name]
 
-    def _learn(self, topic: Topic, definition: MessageDefinition) -> None:
-        try:
-            known = self._embedded.fielddefs
-            types = _parse(definition, topic.type_name)
-            self._embedded.register({name: types[name] for name in types.keys() - known.keys()})
-            self._embedded.get_msgdef(topic.type_name)
-        except Exception as error:  # the parser fails in many ways on definitions it does not understand
-            raise RecordingError(
-                f'the definition of {topic.type_name} cannot be understood ({_one_line(error)})',
-                where=topic.name,
-            ) from error
+    def _find_store(self, topic: Topic) -> Typestore:
+        """Learn a type from the definition in the recording; without a good one, ROS may know it."""
+        name, definition = topic.type_name, topic.connections[0].msgdef
+        problem = 'the recording does not define it'
+        if definition.format != MessageDefinitionFormat.NONE:
+            try:
+                known = self._embedded.fielddefs
+                types = _parse(definition, name)
+                self._embedded.register({other: types[other] for other in types.keys() - known.keys()})
+                self._embedded.get_msgdef(name)
+                return self._embedded
+            except Exception as error:  # the parser fails in many ways on what it does not understand
+                problem = f'its definition cannot be understood: {_one_line(error)}'
+        if self.cdr and name in ros_types().fielddefs:
+            return ros_types()
+        raise RecordingError(
+            f'the type {name} is not known ({problem})',
+            where=f'{self.path}, {topic.name}',
+            todo='record it with a rosbag2 that stores definitions',
+        )
 
 
 @contextmanager

@@ -128,7 +128,7 @@ def look_through(
 
 def _candidates(storage: Storage, selection: Selection) -> Iterator[tuple[Role, Topic]]:
     for role in Role:
-        if role in selection.topics:
+        if role in selection.topics and role is not Role.CAMERA_INFO:
             yield role, selection.topics[role]
         elif role in (Role.IMU, Role.WHEELS):
             fitting = [

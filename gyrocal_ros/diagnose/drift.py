@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import NS_PER_S, Array
+from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS
 
@@ -61,7 +61,7 @@ def truth_path(run: Run) -> Path | None:
     if run.truth is None:
         return None
     slam = slam_path(run)
-    time_s = (run.truth.t_ns - run.history.t_ns[0]) / NS_PER_S
+    time_s = run.truth.time_s
     inside = (time_s >= slam.time_s[0]) & (time_s <= slam.time_s[-1])
     if inside.sum() < 2:
         return None
@@ -117,7 +117,7 @@ def blind_drift(
 
     A span begins with the filter's heading, bias and coefficients of that moment, so nothing was
     fitted on what follows; then the gyro is alone, but for standing still, when the robot knows that
-    it does not turn.
+    it does not turn. Spans in which IMU samples are missing do not count.
 
     Args:
         run: a finished run.
@@ -137,6 +137,9 @@ def blind_drift(
     latest = min(time_s[-1], path.time_s[-1]) - span_s
     start_s = np.arange(from_s, max(latest, from_s - 1.0), STRIDE_S)
     first, last = np.searchsorted(time_s, start_s), np.searchsorted(time_s, start_s + span_s)
+    gap_s = np.cumsum(history.gap_s)
+    whole = gap_s[last] == gap_s[first]
+    start_s, first, last = start_s[whole], first[whole], last[whole]
     by_gyro = turned[last] - turned[first]
     by_gyro += np.einsum('nk,nk->n', columns[last] - columns[first], history.coefficients[first])
     by_gyro += history.mean[first, YAW_BIAS] * (moving_s[last] - moving_s[first])

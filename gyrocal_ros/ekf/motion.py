@@ -24,6 +24,10 @@ WHEEL_PATIENCE_NS = 300_000_000
 """How far the encoders may lag behind the IMU before prediction goes on without them."""
 
 
+SPEED_SIGNAL = 'wheel_odometry.twist.twist.linear.x'
+"""The forward speed, as a signal that something may follow."""
+
+
 class _Signal:
     """A slow signal: the samples that the next block may need."""
 
@@ -119,6 +123,9 @@ class MotionBuffer:
         middle_ns = 0.5 * (offsets_ns[1:] + offsets_ns[:-1])
         values = 0.5 * (nodes[1:] + nodes[:-1])
         dt_s = np.diff(offsets_ns) / NS_PER_S
+        distance_m = _increments(self._travelled, start_ns, offsets_ns)
+        covariates = {name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()}
+        covariates[SPEED_SIGNAL] = distance_m / dt_s
         block = MotionBlock(
             start_ns=start_ns,
             end_ns=end_ns,
@@ -127,14 +134,14 @@ class MotionBuffer:
             rate_rad_s=values[:, :3],
             yaw_acceleration_rad_s2=np.diff(nodes[:, 2]) / dt_s,
             specific_force_m_s2=values[:, 3:],
-            distance_m=_increments(self._travelled, start_ns, offsets_ns),
+            distance_m=distance_m,
             wheel_turn_rad=_increments(self._turned, start_ns, offsets_ns),
             temperature_c=(
                 self._temperature.at(start_ns, middle_ns)
                 if self._temperature.t_ns
                 else np.full(len(middle_ns), np.nan)
             ),
-            covariates={name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()},
+            covariates=covariates,
             gap_s=self._gap_s(start_ns, end_ns),
             wheel_gap_s=self._wheel_gap_s(start_ns, end_ns),
             wheels_at_rest=self._wheels_at_rest(start_ns, end_ns),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import IntArray
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
@@ -68,9 +68,10 @@ def _with_time_constant(effect: BiasWarmup | TurnHysteresis, time_s: float) -> E
     return replace(effect, coefficients=(amplitude, replace(time_constant, prior_mean=time_s)))
 
 
-def columns_of(candidates: Sequence[Effect]) -> list[Array]:
+def columns_of(candidates: Sequence[Effect]) -> list[IntArray]:
     """Where the coefficients of each candidate stand among all, as index arrays."""
-    columns, start = [], 0
+    columns: list[IntArray] = []
+    start = 0
     for effect in candidates:
         columns.append(np.arange(start, start + len(effect.coefficients)))
         start += len(effect.coefficients)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import IntArray
 from gyrocal_ros.diagnose.candidates import columns_of
 from gyrocal_ros.diagnose.evidence import Fit, correlation, fit, preference
 from gyrocal_ros.ekf.evidence import Evidence
@@ -25,7 +25,7 @@ class Suspect:
     """One candidate effect as the recording sees it."""
 
     effect: Effect
-    columns: Array
+    columns: IntArray
     fit: Fit
 
     @property

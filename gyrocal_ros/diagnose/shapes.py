@@ -1,4 +1,4 @@
-"""Shapes that are no physics: what an effect outside the library looks like to the diagnosis."""
+"""Shapes that are no physics: how an effect outside the library shows itself."""
 
 from __future__ import annotations
 

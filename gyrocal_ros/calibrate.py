@@ -10,7 +10,17 @@ from operator import attrgetter
 import numpy as np
 
 from gyrocal_ros.config import Config
-from gyrocal_ros.data import HeadingSample, Measurement, Rig, Source, Span, Tracking, TruthSample, seconds
+from gyrocal_ros.data import (
+    ClockStep,
+    HeadingSample,
+    Measurement,
+    Rig,
+    Source,
+    Span,
+    Tracking,
+    TruthSample,
+    seconds,
+)
 from gyrocal_ros.ekf.reference import WALKS_DEG, Preview, log_likelihood, on_time, preview, with_sign
 from gyrocal_ros.ekf.run import Event, Recorder, Run
 from gyrocal_ros.ekf.slam import EkfSlam
@@ -102,7 +112,9 @@ def _run(
                 continue
             for record in slam.step(measurement):
                 recorder.add(record)
-            done_s = seconds(measurement.t_ns - span.start_ns)
+            if isinstance(measurement, ClockStep):
+                recorder.add_clock_step(measurement)
+            done_s = seconds(recorder.running_ns(measurement.t_ns) - span.start_ns)
             if report is not None and done_s - told_s >= 1.0:
                 told_s = done_s
                 report(Progress(done_s, span.duration_s))

@@ -38,15 +38,12 @@ class EvidenceRecorder:
     def __init__(self, candidates: tuple[Effect, ...]) -> None:
         self._candidates = candidates
         self._count = sum(len(effect.coefficients) for effect in candidates)
-        self._start_ns: int | None = None
         self._information: list[Array] = []
         self._score: list[Array] = []
 
-    def add(self, t_ns: int, lessons: tuple[Lesson, ...]) -> None:
-        """Take in what one step of the filter taught."""
-        if self._start_ns is None:
-            self._start_ns = t_ns
-        block = int((t_ns - self._start_ns) / (BLOCK_S * NS_PER_S))
+    def add(self, time_ns: int, lessons: tuple[Lesson, ...]) -> None:
+        """Take in what one step of the filter taught, so long after the first one."""
+        block = int(time_ns / (BLOCK_S * NS_PER_S))
         while len(self._score) <= block:
             self._information.append(np.zeros((self._count, self._count)))
             self._score.append(np.zeros(self._count))

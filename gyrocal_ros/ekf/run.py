@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.config import Config
-from gyrocal_ros.data import NS_PER_S, Array, IntArray, Rig, Span, TruthSample
+from gyrocal_ros.data import NS_PER_S, Array, ClockStep, IntArray, Rig, Span, TruthSample, seconds
 from gyrocal_ros.ekf.evidence import Evidence, EvidenceRecorder
 from gyrocal_ros.ekf.slam import StepRecord
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
@@ -22,6 +22,9 @@ class History:
     """One row a step of the filter, s steps."""
 
     t_ns: IntArray
+    """(s,) stamps."""
+    time_s: Array
+    """(s,) since the first step; steps of the clock do not count."""
     mean: Array
     """(s, 9 + k) robot part of the state, as `ekf.state` lays it out."""
     std: Array
@@ -48,11 +51,8 @@ class History:
     """(s,) mean specific force along body x."""
     resting: Array
     """(s,) 1 where the wheels stood still."""
-
-    @property
-    def time_s(self) -> Array:
-        """(s,) since the first step."""
-        return (self.t_ns - self.t_ns[0]) / NS_PER_S if len(self.t_ns) else np.empty(0)
+    gap_s: Array
+    """(s,) time for which no IMU sample vouches."""
 
     @property
     def coefficients(self) -> Array:
@@ -64,7 +64,8 @@ class History:
 class Truth:
     """Ground truth, in a frame of its own. Only ever compared with."""
 
-    t_ns: IntArray
+    time_s: Array
+    """(j,) on the time axis of the history."""
     position_m: Array
     """(j, 3)"""
     yaw_rad: Array
@@ -103,11 +104,17 @@ class Recorder:
     def __init__(self, coefficient_count: int, candidates: tuple[Effect, ...] = ()) -> None:
         self._count = coefficient_count
         self._evidence = EvidenceRecorder(candidates) if candidates else None
+        self._t_ns: list[int] = []
         self._times_ns: list[int] = []
-        self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 14))
+        self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 15))
         self._truth_ns: list[int] = []
         self._truth: list[tuple[float, float, float, float]] = []
         self._events: list[Event] = []
+        self._stepped_ns = 0
+
+    def running_ns(self, t_ns: int) -> int:
+        """A stamp on the time axis of the first clock."""
+        return t_ns - self._stepped_ns
 
     def add(self, record: StepRecord) -> None:
         """Take in one step of the filter."""
@@ -135,24 +142,29 @@ class Recorder:
                     block.temperature_c[-1],
                     block.specific_force_m_s2[:, 0] @ block.dt_s / block.duration_s,
                     block.wheels_at_rest,
+                    block.gap_s,
                 ),
             ]
         )
-        self._times_ns.append(record.t_ns)
+        self._t_ns.append(record.t_ns)
+        self._times_ns.append(self.running_ns(record.t_ns))
         if record.event:
             self._events.append(Event(record.t_ns, record.event))
         if self._evidence:
-            self._evidence.add(record.t_ns, (record.resting, sighting.lesson))
+            self._evidence.add(self._times_ns[-1] - self._times_ns[0], (record.resting, sighting.lesson))
 
     def add_truth(self, sample: TruthSample) -> None:
         """Take in one pose of the ground truth."""
-        if not self._truth_ns or sample.t_ns - self._truth_ns[-1] >= TRUTH_INTERVAL_NS:
-            self._truth_ns.append(sample.t_ns)
+        t_ns = self.running_ns(sample.t_ns)
+        if not self._truth_ns or t_ns - self._truth_ns[-1] >= TRUTH_INTERVAL_NS:
+            self._truth_ns.append(t_ns)
             self._truth.append((*sample.position_m, sample.yaw_rad))
 
-    def note(self, t_ns: int, text: str) -> None:
-        """Take in something that a person should know."""
-        self._events.append(Event(t_ns, text))
+    def add_clock_step(self, step: ClockStep) -> None:
+        """Take in that the clock of the stamps has stepped: what follows is on the new one."""
+        self._stepped_ns += step.step_ns
+        text = f'the clock stepped by {seconds(step.step_ns):+.1f} s; pose and map were begun anew'
+        self._events.append(Event(step.t_ns, text))
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -166,7 +178,8 @@ class Recorder:
         mean, std, columns = rows[:, :r], rows[:, r : 2 * r], rows[:, 2 * r : 2 * r + self._count]
         scalars = rows[:, 2 * r + self._count :].T
         return History(
-            t_ns=np.array(self._times_ns, np.int64),
+            t_ns=np.array(self._t_ns, np.int64),
+            time_s=_since_first(self._times_ns, self._times_ns),
             mean=mean,
             std=std,
             columns=columns,
@@ -184,6 +197,7 @@ class Recorder:
             temperature_c=scalars[11],
             forward_m_s2=scalars[12],
             resting=scalars[13],
+            gap_s=scalars[14],
         )
 
     def evidence(self) -> Evidence | None:
@@ -192,7 +206,13 @@ class Recorder:
 
     def truth(self) -> Truth | None:
         """Ground truth so far, if any came."""
-        if len(self._truth_ns) < 2:
+        if len(self._truth_ns) < 2 or not self._times_ns:
             return None
         poses = np.array(self._truth)
-        return Truth(np.array(self._truth_ns, np.int64), poses[:, :3], np.unwrap(poses[:, 3]))
+        time_s = _since_first(self._truth_ns, self._times_ns)
+        return Truth(time_s, poses[:, :3], np.unwrap(poses[:, 3]))
+
+
+def _since_first(times_ns: list[int], steps_ns: list[int]) -> Array:
+    """Seconds since the first step."""
+    return (np.array(times_ns, np.int64) - steps_ns[0]) / NS_PER_S if steps_ns else np.empty(0)

@@ -49,6 +49,8 @@ LOST_FRAMES = 15
 """Images in a row that contradict the map before it is given up and begun anew."""
 MAX_RESTARTS = 10
 PIXEL_NOISE_RANGE_PX = (0.02, 10.0)
+"""What the noise of the pixels is followed within; at its end the images fit nothing."""
+CHECK_THE_CAMERA = 'check the camera calibration, its mounting and the time stamps with `gyrocal check`'
 
 Sight = Frame | FeatureObservations | HeadingSample
 
@@ -269,6 +271,11 @@ class EkfSlam:
 
     def _watch(self, sighting: Sighting) -> str:
         """Give the map up when image after image contradicts it; give up altogether in the end."""
+        if self.pixel_noise.std >= PIXEL_NOISE_RANGE_PX[1]:
+            raise FilterDivergedError(
+                f'the images miss what is expected of them by {PIXEL_NOISE_RANGE_PX[1]:.0f} px and more',
+                todo=CHECK_THE_CAMERA,
+            )
         contradicted = sighting.rejected > 2 * sighting.used and sighting.rejected >= 3
         self._lost_frames = self._lost_frames + 1 if contradicted else 0
         if self._lost_frames < LOST_FRAMES:
@@ -278,7 +285,7 @@ class EkfSlam:
         if self._restarts > MAX_RESTARTS:
             raise FilterDivergedError(
                 f'the images contradict the estimate again and again ({self._restarts} new maps)',
-                todo='check the camera calibration, its mounting and the time stamps with `gyrocal check`',
+                todo=CHECK_THE_CAMERA,
             )
         self.state = forget_all(self.state)
         return 'the images contradicted the map; a new map was begun'
@@ -290,7 +297,8 @@ class EkfSlam:
             self._reference_offset = sample.yaw_rad - float(state.mean[YAW])
             covariance = state.covariance.copy()
             covariance[YAW, YAW] += noise.std**2
-            state = replace(state, covariance=covariance)
+            self.state = replace(state, covariance=covariance)
+            return Sighting()
         by_values, by_candidates = np.zeros(self._parts.count), np.zeros(self._candidates.count)
         for derivative, parts in ((by_values, self._parts), (by_candidates, self._candidates)):
             for _, place in parts.time:

@@ -107,8 +107,15 @@ def innovate(
 
 
 def mahalanobis(innovation: Innovation) -> Array:
-    """Squared distance (m,) of each feature's innovation from zero, by its own covariance."""
-    whitened = np.linalg.solve(innovation.own_covariances(), innovation.residual[:, :, None])[:, :, 0]
+    """Squared distance (m,) of each feature's innovation from zero, by its own covariance.
+
+    Raises:
+        FilterDivergedError: a covariance is singular.
+    """
+    try:
+        whitened = np.linalg.solve(innovation.own_covariances(), innovation.residual[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError as error:
+        raise _not_a_covariance() from error
     return np.einsum('mr,mr->m', innovation.residual, whitened)
 
 
@@ -201,9 +208,7 @@ def _correct(
     try:
         factor = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError as error:
-        raise FilterDivergedError(
-            'the covariance of the innovation is not positive definite', todo='check the noise settings'
-        ) from error
+        raise _not_a_covariance() from error
     n = len(state.mean)
     whitened = np.linalg.solve(factor, np.column_stack([numerator, residual, sensitivity]))
     gain, score, trial = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
@@ -215,3 +220,9 @@ def _correct(
         return after, Lesson(float(score @ score), len(residual))
     after = replace(after, sensitivity=state.sensitivity - gain.T @ trial)
     return after, Lesson(float(score @ score), len(residual), trial.T @ trial, trial.T @ score)
+
+
+def _not_a_covariance() -> FilterDivergedError:
+    return FilterDivergedError(
+        'the covariance of the innovation is not positive definite', todo='check the noise settings'
+    )

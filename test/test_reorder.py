@@ -115,7 +115,9 @@ def test_one_stream_that_leaves_the_others_is_no_step() -> None:
     out, order = sort(strayed)
     assert not any(isinstance(item, ClockStep) for item in out)
     assert set(order.drops) == {(Drop.ODD, 0)}
-    assert [item for item in out if isinstance(item, int) and item % (5 * MS)] == [t_ns for t_ns, stream in together if stream == 1]
+    assert [item for item in out if isinstance(item, int) and item % (5 * MS)] == [
+        t_ns for t_ns, stream in together if stream == 1
+    ]
 
 
 def test_memory_does_not_grow_with_the_recording() -> None:

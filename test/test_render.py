@@ -49,7 +49,7 @@ def spread_dots(rng: np.random.Generator, extent_m: float) -> Array:
 
 
 @pytest.mark.parametrize(('camera', 'most_px'), [(PINHOLE, 0.012), (CAMERA, 0.02)])
-def test_a_point_of_the_ceiling_lies_where_geometry_puts_it(camera: CameraIntrinsics, most_px: float):
+def test_a_point_of_the_ceiling_lies_where_geometry_puts_it(camera: CameraIntrinsics, most_px: float) -> None:
     """With a lens that bends, the middle of a dot that is not a point lies a little further inside."""
     rng = np.random.default_rng(0)
     dots_m = spread_dots(rng, 2.2)
@@ -67,7 +67,7 @@ def test_a_point_of_the_ceiling_lies_where_geometry_puts_it(camera: CameraIntrin
     assert np.abs(errors.mean(axis=0)).max() < 0.001
 
 
-def test_what_hangs_lower_shows_parallax_and_hides_the_ceiling():
+def test_what_hangs_lower_shows_parallax_and_hides_the_ceiling() -> None:
     low_m = 1.8
     dot = np.array([[0.1, -0.05]])
     piece = dotted(dot, 150, low_m, 20.0, np.full((150, 150), OPAQUE, dtype=np.uint16))
@@ -82,7 +82,7 @@ def test_what_hangs_lower_shows_parallax_and_hides_the_ceiling():
     assert (renderer.render(np.eye(3), np.array([9.0, 9.0, 0.1])) == 200).all()
 
 
-def test_same_seed_same_bytes():
+def test_same_seed_same_bytes() -> None:
     R_wc, p_wc = np.eye(3), np.array([0.3, 0.2, 0.1])
     one, again, other = (
         ceiling_renderer(CAMERA, seed).render(R_wc, p_wc, rng=np.random.default_rng(1)) for seed in (5, 5, 6)
@@ -99,19 +99,19 @@ def plain() -> CeilingRenderer:
     return CeilingRenderer(CAMERA, [grey], read_noise=2.0, vignetting=0.25)
 
 
-def test_exposure_scales_and_clips(plain: CeilingRenderer):
+def test_exposure_scales_and_clips(plain: CeilingRenderer) -> None:
     pose = np.eye(3), np.zeros(3)
     middle = [plain.render(*pose, exposure=exposure)[120, 160] for exposure in (0.5, 1.0, 2.0, 4.0)]
     assert middle == [50, 100, 200, 255]
 
 
-def test_vignetting_darkens_the_corners(plain: CeilingRenderer):
+def test_vignetting_darkens_the_corners(plain: CeilingRenderer) -> None:
     image = plain.render(np.eye(3), np.zeros(3))
     assert image[0, 0] == 75
     assert image[120, 160] == 100
 
 
-def test_read_noise_is_what_was_asked_for(plain: CeilingRenderer):
+def test_read_noise_is_what_was_asked_for(plain: CeilingRenderer) -> None:
     clean = plain.render(np.eye(3), np.zeros(3))
     noisy = plain.render(np.eye(3), np.zeros(3), rng=np.random.default_rng(3))
     difference = noisy.astype(float) - clean
@@ -119,7 +119,7 @@ def test_read_noise_is_what_was_asked_for(plain: CeilingRenderer):
     assert abs(difference.mean()) < 0.03
 
 
-def test_motion_blur_is_the_mean_of_what_was_seen_meanwhile():
+def test_motion_blur_is_the_mean_of_what_was_seen_meanwhile() -> None:
     renderer = CeilingRenderer(CAMERA, [dotted(spread_dots(np.random.default_rng(1), 1.0), 500, HEIGHT_M)])
     poses = [
         (rotation_from_euler(np.array([0.0, 0.0, yaw])), np.array([0.0, 0.0, 0.1]))
@@ -131,7 +131,7 @@ def test_motion_blur_is_the_mean_of_what_was_seen_meanwhile():
     assert np.abs(blurred - renderer.render(*poses[1])).max() > 3.0
 
 
-def test_layers_come_from_high_to_low_and_are_smooth():
+def test_layers_come_from_high_to_low_and_are_smooth() -> None:
     layers = ceiling_layers(np.random.default_rng(2), HEIGHT_M, TEXEL_M, size_m=5.0, objects=4)
     heights = [layer.height_m for layer in layers]
     assert heights == sorted(heights, reverse=True)

@@ -21,7 +21,7 @@ from gyrocal_ros.model.camera import (
     project,
     project_with_jacobian,
 )
-from gyrocal_ros.model.gyro import body_rates, correct
+from gyrocal_ros.model.gyro import Correction, body_rates, correct
 from gyrocal_ros.model.kinematics import Motion, integrate
 from gyrocal_ros.model.rotation import euler_rate_matrix, rotation_derivatives, rotation_from_euler
 from gyrocal_ros.model.sensor import SensorModel, placed
@@ -226,7 +226,7 @@ def test_corrections_of_all_terms_add_up() -> None:
 
 def test_body_rates_take_biases_and_correction() -> None:
     block, nominal = eventful_block(), eventful_block().rate_rad_s
-    bias, correction = np.array([0.01, -0.02, 0.03]), np.linspace(0.0, 0.1, 12)
-    rates = body_rates(block, correction, bias)
-    np.testing.assert_allclose(rates - nominal, bias + np.outer(correction, [0.0, 0.0, 1.0]))
+    bias, added = np.array([0.01, -0.02, 0.03]), np.linspace(0.0, 0.1, 12)
+    rates = body_rates(block, Correction(added, np.zeros((12, 0)), 0.0, ()), bias)
+    np.testing.assert_allclose(rates - nominal, bias + np.outer(added, [0.0, 0.0, 1.0]))
     np.testing.assert_array_equal(block.rate_rad_s, nominal)

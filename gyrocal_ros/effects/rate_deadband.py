@@ -23,11 +23,15 @@ class RateDeadband:
     coefficients: tuple[Coefficient, ...] = (Coefficient('width', 'rad/s', prior_std=0.0, prior_mean=0.0),)
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """No correction, but the doubt of a uniform distribution over the band."""
+        """Zero within the band, with the doubt of a uniform distribution over it."""
         rate = block.rate_rad_s[:, 2]
         inside = np.abs(rate) < values[0]
-        noise = np.where(inside, values[0] / np.sqrt(3.0), 0.0)
-        return GyroTerm(np.zeros(len(rate)), np.zeros((len(rate), 1)), noise_rad_s=noise)
+        return GyroTerm(
+            np.where(inside, -rate, 0.0),
+            np.zeros((len(rate), 1)),
+            noise_rad_s=np.where(inside, values[0] / np.sqrt(3.0), 0.0),
+            blind=inside,
+        )
 
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
         """Zero within the band."""

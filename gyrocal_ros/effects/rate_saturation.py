@@ -42,6 +42,7 @@ class RateSaturation:
             np.where(clipped, beyond, 0.0),
             np.zeros((len(rate), 1)),
             noise_rad_s=np.where(clipped, noise, 0.0),
+            blind=clipped,
         )
 
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:

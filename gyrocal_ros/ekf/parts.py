@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount
 from gyrocal_ros.model.features.base import Prediction, View
-from gyrocal_ros.model.gyro import Correction, correct
+from gyrocal_ros.model.gyro import Correction
 from gyrocal_ros.model.kinematics import Motion
 from gyrocal_ros.model.sensor import (
     CameraEffect,
@@ -76,8 +76,20 @@ class Contribution:
     """(3, K)"""
 
 
-def contribute(parts: Parts, block: MotionBlock, values: Array, memories: Sequence[Memory]) -> Contribution:
-    """Ask every effect on gyro, wheels and ground what it adds at the coefficients (K,)."""
+def contribute(
+    parts: Parts, block: MotionBlock, correction: Correction, rate_rad_s: Array, values: Array
+) -> Contribution:
+    """Ask every effect on wheels and ground what it adds; how that follows the rate is left out.
+
+    Args:
+        parts: effects by place.
+        block: N intervals.
+        correction: what those on the gyro add.
+        rate_rad_s: (N, 3) true body rates, as far as known.
+        values: (K,) coefficients.
+    """
+    if parts.wheels or parts.ground:
+        block = replace(block, rate_rad_s=rate_rad_s)
     distance: Array | float = 0.0
     drift: Array | float = 0.0
     distance_by = np.zeros((len(block.dt_s), parts.count)) if parts.wheels else None
@@ -90,13 +102,15 @@ def contribute(parts: Parts, block: MotionBlock, values: Array, memories: Sequen
         added, by_values = ground_effect.contribute(block, values[place])
         drift = drift + added
         drift_by[:, place] = by_values  # type: ignore[index]
-    correction = correct(parts.gyro, block, values, memories)
     return Contribution(correction, distance, distance_by, drift, drift_by)
 
 
-def pose_by_values(motion: Motion, contribution: Contribution) -> Array:
-    """Derivative (6, K) of the pose at the end of a block with respect to the coefficients."""
-    by_values: Array = motion.rate_gain[:, 2] @ contribution.correction.by_values
+def pose_by_values(motion: Motion, yaw_gain: Array, contribution: Contribution) -> Array:
+    """Derivative (6, K) of the pose at the end of a block with respect to the coefficients.
+
+    `yaw_gain` (6, N) is that with respect to the corrected yaw rate of each interval.
+    """
+    by_values: Array = yaw_gain @ contribution.correction.by_values
     if contribution.distance_by_values is not None:
         by_values[:3] += motion.forward @ contribution.distance_by_values
     if contribution.drift_by_values is not None:

@@ -12,7 +12,7 @@ from gyrocal_ros.config import GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.ekf.parts import Contribution, Parts, contribute, pose_by_values
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
-from gyrocal_ros.model.gyro import body_rates
+from gyrocal_ros.model.gyro import body_rates, correct
 from gyrocal_ros.model.kinematics import Motion, integrate
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import Memory, SensorModel
@@ -30,6 +30,10 @@ class Transition:
     motion: Motion
     contribution: Contribution
     """Of the effects in the model."""
+    rate_rad_s: Array
+    """(N, 3) corrected body rates."""
+    yaw_gain: Array
+    """(6, N) d pose / d correction of the yaw rate of each interval; zero where the gyro is blind."""
 
 
 def predict(
@@ -54,16 +58,19 @@ def predict(
         wheels: noise of the wheels.
         extra_yaw_walk: rad / sqrt(s), further random walk of the heading.
     """
-    added = contribute(parts, block, state.coefficients, memories)
-    rate = body_rates(block, added.correction.rate_rad_s, state.bias_rad_s)
+    correction = correct(parts.gyro, block, state.coefficients, memories)
+    rate = body_rates(block, correction, state.bias_rad_s)
+    added = contribute(parts, block, correction, rate, state.coefficients)
     distance_m = block.distance_m + added.distance_m
     motion = integrate(state.position_m, state.euler_rad, rate, block.dt_s, distance_m)
     bias, bias_kept = model.bias.step(state.bias_rad_s[2], block.duration_s)
 
     matrix = np.eye(state.robot_size)
     matrix[POSE, POSE] = motion.transition
+    yaw_gain = motion.rate_gain[:, 2] * correction.sees
     matrix[POSE, BIAS] = motion.rate_gain.sum(axis=2)
-    matrix[POSE, COEFFICIENTS_START:] = pose_by_values(motion, added)
+    matrix[POSE, YAW_BIAS] = yaw_gain.sum(axis=1)
+    matrix[POSE, COEFFICIENTS_START:] = pose_by_values(motion, yaw_gain, added)
     matrix[YAW_BIAS, YAW_BIAS] = bias_kept
 
     mean = state.mean.copy()
@@ -73,12 +80,12 @@ def predict(
     covariance = np.empty_like(state.covariance)
     covariance[:r, :r] = matrix @ state.covariance[:r, :r] @ matrix.T
     covariance[:r, :r] += _process_noise(block, motion, model, gyro, wheels, extra_yaw_walk)
-    covariance[YAW, YAW] += float(np.sum(added.correction.noise_rad_s * block.dt_s)) ** 2
+    covariance[YAW, YAW] += float(np.sum(correction.noise_rad_s * block.dt_s)) ** 2
     covariance[:r, r:] = matrix @ state.covariance[:r, r:]
     covariance[r:, :r] = covariance[:r, r:].T
     covariance[r:, r:] = state.covariance[r:, r:]
     after = replace(state, t_ns=block.end_ns, mean=mean, covariance=covariance)
-    return after, Transition(matrix, motion, added)
+    return after, Transition(matrix, motion, added, rate, yaw_gain)
 
 
 def predict_sensitivity(
@@ -102,12 +109,13 @@ def predict_sensitivity(
     Returns:
         The state with its sensitivity, and what the candidates remember.
     """
-    added = contribute(candidates, block, candidates.prior_means, memories)
+    correction = correct(candidates.gyro, block, candidates.prior_means, memories)
+    added = contribute(candidates, block, correction, transition.rate_rad_s, candidates.prior_means)
     r = state.robot_size
     sensitivity = state.sensitivity.copy()
     sensitivity[:r] = transition.matrix @ state.sensitivity[:r]
-    sensitivity[POSE] += pose_by_values(transition.motion, added)
-    return replace(state, sensitivity=sensitivity), added.correction.memories
+    sensitivity[POSE] += pose_by_values(transition.motion, transition.yaw_gain, added)
+    return replace(state, sensitivity=sensitivity), correction.memories
 
 
 def _process_noise(

@@ -36,6 +36,8 @@ class Correction:
     """(N,) standard deviation of what an effect cannot tell, as where the sensor saturates."""
     memories: tuple[Memory, ...]
     """What each effect remembers for the next block."""
+    sees: Array | float = 1.0
+    """(N,) 0 where the sensor is blind, else 1: there the bias does not count either."""
 
 
 def correct(
@@ -56,6 +58,7 @@ def correct(
     by_values = np.zeros((len(block.dt_s), len(values)))
     variance: Array | float = 0.0
     kept = []
+    blind_spots = []
     for (effect, place), memory in zip(effects, memories, strict=True):
         term = effect.contribute(block, values[place], memory)
         rate += term.rate_rad_s
@@ -63,15 +66,22 @@ def correct(
         kept.append(term.memory)
         if term.noise_rad_s is not None:
             variance = variance + term.noise_rad_s**2
-    return Correction(rate, by_values, np.sqrt(variance), tuple(kept))
+        if term.blind is not None and term.blind.any():
+            blind_spots.append((term.blind, term.rate_rad_s))
+    sees: Array | float = 1.0
+    for blind, whole_rate in blind_spots:
+        rate = np.where(blind, whole_rate, rate)
+        sees = np.where(blind, 0.0, sees)
+        by_values[blind] = 0.0
+    return Correction(rate, by_values, np.sqrt(variance), tuple(kept), sees)
 
 
-def body_rates(block: MotionBlock, correction_rad_s: Array, bias_rad_s: Array) -> Array:
+def body_rates(block: MotionBlock, correction: Correction, bias_rad_s: Array) -> Array:
     """Eq. (9): true body rates (N, 3): nominal roll and pitch rates, corrected yaw rate.
 
     The paper leaves roll and pitch rates as they are; here their biases (of `bias_rad_s`, (3,))
     are taken off too, for without that the camera would have to fight them.
     """
     rate = block.rate_rad_s + bias_rad_s
-    rate[:, 2] += correction_rad_s
+    rate[:, 2] += correction.rate_rad_s + (correction.sees - 1.0) * bias_rad_s[2]
     return rate

@@ -58,6 +58,9 @@ class GyroTerm:
     memory: Memory = None
     noise_rad_s: Array | None = None
     """(N,) standard deviation of what the effect cannot tell."""
+    blind: Array | None = None
+    """(N,) bool, where the reading says nothing of the rate: there neither scale factor nor bias nor
+    other effects count, and reading plus `rate_rad_s` is all that is known."""
 
 
 class GyroEffect(Effect, Protocol):
@@ -91,14 +94,20 @@ class WheelEffect(Effect, Protocol):
     """Corrects the distance that the wheels report."""
 
     def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
-        """Metres to add to each interval's distance (N,), and the derivative (N, k)."""
+        """Metres to add to each interval's distance (N,), and the derivative (N, k).
+
+        The block's rates are true ones, as far as known, in place of nominal ones.
+        """
 
 
 class GroundEffect(Effect, Protocol):
     """Moves the robot over the ground as no sensor sees."""
 
     def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
-        """Displacement in the world over the block (3,), and the derivative (3, k)."""
+        """Displacement in the world over the block (3,), and the derivative (3, k).
+
+        The block's rates are true ones, as far as known, in place of nominal ones.
+        """
 
 
 class CameraEffect(Effect, Protocol):

@@ -21,11 +21,11 @@ from gyrocal_ros.data import (
     TruthSample,
     seconds,
 )
-from gyrocal_ros.ekf.reference import WALKS_DEG, Preview, log_likelihood, on_time, preview, with_sign
+from gyrocal_ros.ekf.reference import WALKS_DEG, Preview, log_likelihood, on_time, preview
 from gyrocal_ros.ekf.run import Event, Recorder, Run
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
 from gyrocal_ros.errors import FilterDivergedError, NotObservableError, RecordingError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.vision.tracker import Tracker
@@ -149,7 +149,6 @@ def _calibrate_by_heading(
     A reference of unknown make drifts; taken for white, its drift would make the filter far too sure.
     """
     first_look = preview(source.measurements(), source.name)
-    model = with_sign(model, first_look.scale_factor)
     stream = [
         on_time(sample, first_look.time_offset_s) if isinstance(sample, HeadingSample) else sample
         for sample in source.measurements()
@@ -179,8 +178,6 @@ def _widened(run: Run, scale_std: float) -> Run:
 
 def _reference_events(first_look: Preview, span: Span) -> Iterator[Event]:
     """What a person should know of the reference."""
-    if first_look.scale_factor < 0.0:
-        yield Event(span.start_ns, 'the gyro turns against the reference: its z axis points down')
     if abs(first_look.time_offset_s) >= 0.02:
         late = 'late' if first_look.time_offset_s > 0.0 else 'early'
         text = (
@@ -208,7 +205,8 @@ def _require_observable(run: Run) -> None:
             where=run.source,
             todo='record the ceiling camera uncovered, or name a `--heading-reference`',
         )
-    turned_rad = float(np.abs(history.turn_rad[history.resting == 0]).sum())
+    turns_rad = history.turn_rad + history.mean[:, YAW_BIAS] * history.dt_s
+    turned_rad = float(np.abs(turns_rad[history.resting == 0]).sum())
     if turned_rad < MIN_TURN_RAD:
         raise NotObservableError(
             f'no turns: {math.degrees(turned_rad):.0f} deg in all, so the scale factor cannot be known',

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from itertools import pairwise
 
@@ -20,6 +21,8 @@ from gyrocal_ros.data import (
 
 GAP_NS = 100_000_000
 """IMU samples further apart than this leave a gap."""
+VIBRATION_S = 0.2
+"""Time constant of the memory of how much the IMU shakes."""
 WHEEL_PATIENCE_NS = 300_000_000
 """How far the encoders may lag behind the IMU before prediction goes on without them."""
 
@@ -63,6 +66,7 @@ class MotionBuffer:
         self._running_s = running_s
         self._imu_ns: list[int] = []
         self._imu: list[tuple[float, ...]] = []
+        self._vibration_m2_s4: float | None = None
         self._travelled = _Signal()
         self._turned = _Signal()
         self._speeds: list[tuple[float, float]] = []
@@ -134,6 +138,7 @@ class MotionBuffer:
             rate_rad_s=values[:, :3],
             yaw_acceleration_rad_s2=np.diff(nodes[:, 2]) / dt_s,
             specific_force_m_s2=values[:, 3:],
+            vibration_m2_s4=np.full(len(dt_s), self._shaken(nodes[1:-1, 3:], seconds(end_ns - start_ns))),
             distance_m=distance_m,
             wheel_turn_rad=_increments(self._turned, start_ns, offsets_ns),
             temperature_c=(
@@ -159,6 +164,14 @@ class MotionBuffer:
         earlier_ns, later_ns = self._imu_ns[after - 1], self._imu_ns[after]
         part = (t_ns - earlier_ns) / (later_ns - earlier_ns)
         return tuple(a + part * (b - a) for a, b in zip(self._imu[after - 1], self._imu[after], strict=True))
+
+    def _shaken(self, forces: Array, duration_s: float) -> float:
+        """Half the mean square of the differences from sample to sample (n, 3), with a short memory."""
+        if len(forces) > 1:
+            fresh = 0.5 * float(np.square(np.diff(forces, axis=0)).sum()) / (len(forces) - 1)
+            kept = self._vibration_m2_s4 if self._vibration_m2_s4 is not None else fresh
+            self._vibration_m2_s4 = fresh + math.exp(-duration_s / VIBRATION_S) * (kept - fresh)
+        return self._vibration_m2_s4 or 0.0
 
     def _gap_s(self, start_ns: int, end_ns: int) -> float:
         """Time between samples too far apart, and before the first or after the last sample."""

@@ -15,7 +15,6 @@ import numpy as np
 from gyrocal_ros.data import NS_PER_S, Array, HeadingSample, ImuSample, Measurement, nanoseconds
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.errors import NotObservableError
-from gyrocal_ros.model.sensor import SensorModel
 
 OFFSETS_S = np.arange(-0.3, 0.3001, 0.01)
 MIN_TURN_RAD = math.radians(45.0)
@@ -30,7 +29,6 @@ class Preview:
     """How a heading reference goes with the gyro, by least squares over the whole recording."""
 
     scale_factor: float
-    """Signed: negative where the gyro turns against the reference."""
     bias_rad_s: float
     time_offset_s: float
     """Stamp of the reference minus true time, positive when it is stamped late."""
@@ -68,7 +66,7 @@ def preview(measurements: Iterable[Measurement], where: str) -> Preview:
     yaw = np.unwrap(yaw)
     fits = [_fit(heading_s - offset_s, yaw, imu_s, turned, offset_s) for offset_s in OFFSETS_S]
     best = min(fits, key=lambda fit: fit.residual_rms_rad)
-    if not PLAUSIBLE_SCALE[0] <= abs(best.scale_factor) <= PLAUSIBLE_SCALE[1]:
+    if not PLAUSIBLE_SCALE[0] <= best.scale_factor <= PLAUSIBLE_SCALE[1]:
         raise NotObservableError(
             f'the reference turns {best.scale_factor:.2f} times as far as the gyro, so it is unfit as a '
             'heading reference: slipping wheels, or other units',
@@ -81,15 +79,6 @@ def preview(measurements: Iterable[Measurement], where: str) -> Preview:
 def on_time(sample: HeadingSample, offset_s: float) -> HeadingSample:
     """The sample with its stamp put right."""
     return replace(sample, t_ns=sample.t_ns - nanoseconds(offset_s))
-
-
-def with_sign(model: SensorModel, scale_factor: float) -> SensorModel:
-    """The model with the prior of its scale factor about -1 where the gyro turns the other way."""
-    if scale_factor > 0.0:
-        return model
-    first = model.effects[0]
-    item = replace(first.coefficients[0], prior_mean=-2.0 - first.coefficients[0].prior_mean)
-    return replace(model, effects=(replace(first, coefficients=(item,)), *model.effects[1:]))  # type: ignore[type-var]
 
 
 def log_likelihood(history: History) -> float:

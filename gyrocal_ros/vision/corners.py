@@ -19,7 +19,7 @@ DISTINCT_PX = 16
 
 
 def find_corners(
-    image: NDArray[np.uint8], taken: Array, missing: int, margin_px: int, config: TrackerConfig
+    image: NDArray[np.uint8], taken: Array, margin_px: int, config: TrackerConfig
 ) -> NDArray[np.intp]:
     """Find Harris corners, most welcome first.
 
@@ -31,7 +31,6 @@ def find_corners(
     Args:
         image: (height, width).
         taken: (n, 2) pixels to keep away from.
-        missing: how many corners are needed.
         margin_px: distance to keep from the edge of the image.
         config: distances and quality.
 
@@ -42,16 +41,21 @@ def find_corners(
     allowed = np.zeros(half.shape, dtype=np.uint8)
     edge = margin_px // 2 + 1
     allowed[edge:-edge, edge:-edge] = 255
-    for u, v in taken:
-        cv2.circle(allowed, (round(0.5 * u), round(0.5 * v)), round(0.5 * config.min_distance_px), 0, -1)
+    _forbid(allowed, taken, config)
     dazzled = cv2.dilate(half, np.ones((WINDOW_PX // 2 + 2,) * 2, np.uint8)) >= SATURATED_GREY
-    corners = _harris(half, np.where(dazzled, 0, allowed).astype(np.uint8), config)
-    order = _spread(corners, taken, image.shape, config.features)
-    if len(corners) < missing and dazzled.any():
-        more = _harris(half, np.where(dazzled, allowed, 0).astype(np.uint8), config)
-        corners = np.concatenate([corners[order], more])
-        return corners
-    return corners[order]
+    dark = _harris(half, np.where(dazzled, 0, allowed).astype(np.uint8), config)
+    corners = dark[_spread(dark, taken, image.shape, config.features)]
+    if dazzled.any():
+        _forbid(allowed, dark, config)
+        bright = _harris(half, np.where(dazzled, allowed, 0).astype(np.uint8), config)
+        corners = np.concatenate([corners, bright])
+    return corners
+
+
+def _forbid(allowed: NDArray[np.uint8], pixels: Array | NDArray[np.intp], config: TrackerConfig) -> None:
+    """Keep corners away from pixels (n, 2) of the whole image."""
+    for u, v in pixels:
+        cv2.circle(allowed, (round(0.5 * u), round(0.5 * v)), round(0.5 * config.min_distance_px), 0, -1)
 
 
 def _harris(half: NDArray[np.uint8], allowed: NDArray[np.uint8], config: TrackerConfig) -> NDArray[np.intp]:

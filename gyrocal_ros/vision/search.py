@@ -16,8 +16,6 @@ SLACK_PX = 1.0
 """Doubt added to every region: the filter's covariance is as good as its model."""
 MIN_RISE = 0.05
 """Rays flatter than this, as z of the ray in the world, count as if so steep."""
-MAX_REACH_PX = 60
-"""No region is searched further than this."""
 
 
 def ceiling_coordinates(camera: CameraIntrinsics, pixels: Array, R_wc: Array) -> Array:
@@ -50,7 +48,7 @@ def inside(offsets: Array, covariances: Array) -> NDArray[np.bool_]:
 def reach(covariances: Array) -> NDArray[np.intp]:
     """Whole pixels (n,) from the centre to the far end of each region."""
     largest = np.linalg.eigvalsh(covariances)[:, 1] + SLACK_PX**2
-    return np.minimum(np.ceil(SIGMAS * np.sqrt(largest)), MAX_REACH_PX).astype(np.intp)
+    return np.ceil(SIGMAS * np.sqrt(largest)).astype(np.intp)
 
 
 def best_place(image: NDArray[np.uint8], template: Array, points: Array, covariance: Array) -> Array:

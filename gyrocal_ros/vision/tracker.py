@@ -34,10 +34,12 @@ from gyrocal_ros.vision.search import best_place, ceiling_coordinates, ceiling_p
 
 UNPREDICTED_STD_PX = 5.0
 """Doubt of the position of a feature that the filter does not predict: about the motion of one frame."""
-UNPREDICTED_NS = nanoseconds(1.0)
-"""Such a feature is looked for no longer than this after it was last seen."""
+MAX_REACH_PX = 20
+"""A region that reaches further is no better than a guess."""
 LUCAS_KANADE_REACH_PX = 10
 """A region that reaches further is searched by correlation first."""
+SAME_VIEW_PX = 2.0
+"""Over a longer way the lens and the tilt of the camera change the shape of a patch."""
 MAX_NOISE_PX = 0.1
 """A corner that the noise of the image alone would move by more than this is none."""
 
@@ -58,7 +60,7 @@ class _Features:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> _Features:
+    def __getitem__(self, chosen: NDArray[np.bool_] | IntArray) -> _Features:
         return _Features(*(getattr(self, item.name)[chosen] for item in fields(self)))
 
     def __add__(self, more: _Features) -> _Features:
@@ -122,7 +124,7 @@ class Tracker:
         """
         self._check(frame)
         self._forget(frame.t_ns)
-        search = self._expect(frame.t_ns, R_wc, regions)
+        search = self._expect(R_wc, regions)
         pixels, found = self._match(frame.image, R_wc, search)
         seen = search.index[found]
         self._features.seen_ns[seen] = frame.t_ns
@@ -158,24 +160,25 @@ class Tracker:
     def _to_pixels(self, ceiling: Array, R_wc: Array) -> Array:
         return ceiling_pixels(self._camera, ceiling, self._attitude(R_wc))
 
-    def _expect(self, t_ns: int, R_wc: Array, regions: SearchRegions | None) -> _Search:
+    def _expect(self, R_wc: Array, regions: SearchRegions | None) -> _Search:
         """Decide which features to look for, and where.
 
-        Lost ones only while fewer than wanted are tracked, and only where the filter expects them or
-        where they have just been.
+        What was lost is looked for only while fewer features than wanted are tracked, and only where
+        the filter can tell.
         """
         features = self._features
         pixels = self._to_pixels(features.ceiling, R_wc)
         covariances = np.tile(UNPREDICTED_STD_PX**2 * np.eye(2), (len(features), 1, 1))
         tracked = features.seen_ns == self._last_ns
-        predictable = np.abs(t_ns - features.seen_ns) <= UNPREDICTED_NS
+        returning = np.zeros(len(features), dtype=bool)
         if regions is not None:
             _, ours, theirs = np.intersect1d(features.ids, regions.ids, return_indices=True)
+            helpful = reach(regions.covariances_px2[theirs]) <= MAX_REACH_PX
+            ours, theirs = ours[helpful], theirs[helpful]
             pixels[ours] = regions.pixels[theirs]
             covariances[ours] = regions.covariances_px2[theirs]
-            predictable[ours] = True
-        wanted = tracked | predictable if tracked.sum() < self._config.features else tracked
-        index = np.flatnonzero(wanted & in_image(self._camera, pixels, self._margin_px))
+            returning[ours] = tracked.sum() < self._config.features
+        index = np.flatnonzero((tracked | returning) & in_image(self._camera, pixels, self._margin_px))
         return _Search(index, pixels[index], covariances[index], tracked[index])
 
     def _match(
@@ -204,21 +207,34 @@ class Tracker:
         self, image: NDArray[np.uint8], R_wc: Array, search: _Search, wide: NDArray[np.bool_]
     ) -> tuple[Array, Array]:
         """Pixels (k, 2) by Lucas-Kanade, and their correlation (k,), -1 where the match is refused."""
-        patches = self._features.patches[search.index]
-        centres = self._to_ceiling(search.pixels, R_wc)
-        points = self._to_pixels(centres[:, None] + self._features.outline[search.index], R_wc)
+        features = self._features[search.index]
+        starts = search.pixels.copy()
+        points = self._points(features, starts, R_wc)
         for k in np.flatnonzero(wide):
-            points[k] += best_place(image, patches.template[k], points[k], search.covariances_px2[k])
-        result = align(image, patches, points, self._config.min_correlation)
-        good = (
-            (result.correlation > max(0.0, self._config.min_correlation))
-            & (result.backward_px <= self._config.max_reprojection_px)
-            & inside(result.pixels - search.pixels, search.covariances_px2)
-            & in_image(self._camera, result.pixels, self._margin_px)
-        )
-        if good.any():
-            self._yaw_error_rad += result.twist_rad
+            starts[k] += best_place(image, features.patches.template[k], points[k], search.covariances_px2[k])
+        for _ in range(2):
+            if (starts != search.pixels).any():
+                points = self._points(features, starts, R_wc)
+            result = align(image, features.patches, points, self._config.min_correlation)
+            good = (
+                (result.correlation > max(0.0, self._config.min_correlation))
+                & (result.backward_px <= self._config.max_reprojection_px)
+                & inside(result.pixels - search.pixels, search.covariances_px2)
+                & in_image(self._camera, result.pixels, self._margin_px)
+            )
+            if good.any():
+                self._yaw_error_rad += result.twist_rad
+            moved = np.linalg.norm(result.pixels - starts, axis=1)
+            if not (moved[good] > SAME_VIEW_PX).any():
+                break
+            starts = np.where(
+                good[:, None], result.pixels, starts
+            )  # where the lens shows them a little differently
         return result.pixels, np.where(good, result.correlation, -1.0)
+
+    def _points(self, features: _Features, centres: Array, R_wc: Array) -> Array:
+        """Pixels (n, m, 2) of the points of patches whose centres are at pixels (n, 2)."""
+        return self._to_pixels(self._to_ceiling(centres, R_wc)[:, None] + features.outline, R_wc)
 
     def _detect(self, frame: Frame, R_wc: Array, taken: Array, tracked: int) -> Array:
         """Take new features where it is time or many are missing; return their pixels (k, 2)."""
@@ -227,7 +243,7 @@ class Tracker:
         if missing <= 0 or (self._frames_to_detection > 0 and missing <= tracked):
             return np.zeros((0, 2))
         self._frames_to_detection = self._config.detect_interval
-        corners = find_corners(frame.image, taken, missing, self._margin_px, self._config)
+        corners = find_corners(frame.image, taken, self._margin_px, self._config)
         information = cut(frame.image, corners, self._size_px).information
         clear = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
         limit = max(0.0, self._config.min_correlation)

@@ -1,0 +1,384 @@
+from __future__ import annotations
+
+import gzip
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gyrocal_ros.bench.tracker import Conditions, tracker_accuracy
+from gyrocal_ros.config import TrackerConfig
+from gyrocal_ros.data import Array, CameraIntrinsics, FeatureObservations, Frame, SearchRegions, nanoseconds
+from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.model.camera import bearing, project
+from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
+from gyrocal_ros.vision.corners import find_corners
+from gyrocal_ros.vision.draw import draw_tracks
+from gyrocal_ros.vision.patches import align, cut, grid, sample
+from gyrocal_ros.vision.search import ceiling_coordinates, ceiling_pixels
+from gyrocal_ros.vision.tracker import Tracker
+
+DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'
+CAMERA = CameraIntrinsics(640, 480, 250.0, 250.0, 320.0, 240.0, (-0.05, 0.01, 5e-4, -3e-4, 0.0))
+CONFIG = TrackerConfig()
+CEILING_M = 2.5
+
+
+def attitude(yaw_rad: float) -> Array:
+    return rotation_from_euler(np.array([0.0, 0.0, yaw_rad]))
+
+
+class Ride:
+    """A camera under a rendered ceiling and a tracker that sees what it sees."""
+
+    def __init__(self, renderer: CeilingRenderer, config: TrackerConfig = CONFIG) -> None:
+        self.tracker = Tracker(CAMERA, config)
+        self.renderer = renderer
+        self.rng = np.random.default_rng(0)
+        self.points_w: dict[int, Array] = {}
+
+    def step(
+        self, t_s: float, yaw_rad: float, *, x_m: float = 0.0, exposure: float = 1.0, covered: bool = False
+    ) -> FeatureObservations:
+        R_wc, p_wc = attitude(yaw_rad), np.array([x_m, 0.0, 0.1])
+        image = self.renderer.render(R_wc, p_wc, exposure=exposure, rng=self.rng)
+        if covered:
+            image[:, :320] = 30
+        seen = self.tracker.track(Frame(nanoseconds(t_s), image), R_wc, self.regions(t_s, R_wc, p_wc))
+        rays_w = np.column_stack([bearing(CAMERA, seen.pixels), np.ones(len(seen.ids))]) @ R_wc.T
+        for id_, point_w in zip(seen.ids.tolist(), p_wc + rays_w * (CEILING_M - p_wc[2]), strict=True):
+            self.points_w.setdefault(id_, point_w)
+        return seen
+
+    def regions(self, t_s: float, R_wc: Array, p_wc: Array) -> SearchRegions:
+        points_w = np.array(list(self.points_w.values())).reshape(-1, 3)
+        covariances = np.tile(0.25 * np.eye(2), (len(points_w), 1, 1))
+        ids = np.array(list(self.points_w), np.int64)
+        return SearchRegions(nanoseconds(t_s), ids, project(CAMERA, (points_w - p_wc) @ R_wc), covariances)
+
+
+@pytest.fixture(scope='module')
+def renderer() -> CeilingRenderer:
+    return ceiling_renderer(CAMERA, 1, ceiling_height_m=CEILING_M, objects=0)
+
+
+# --- patches ------------------------------------------------------------------------------------
+
+
+def smooth_image(shift: tuple[float, float] = (0.0, 0.0), turn_rad: float = 0.0) -> np.ndarray:
+    """A pattern known at any fraction of a pixel, moved and turned about pixel (60, 60)."""
+    v, u = np.mgrid[:121, :121] - 60.0
+    u, v = u - shift[0], v - shift[1]
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    x, y = c * u + s * v, c * v - s * u
+    bumps = [(0.0, 1.0, 60.0), (3.5, -3.0, -45.0), (-4.5, -2.5, 40.0), (-2.0, 5.5, -35.0), (6.5, 5.0, 30.0)]
+    grey = 120.0 + sum(a * np.exp(-((x - p) ** 2 + (y - q) ** 2) / (2.0 * 1.8**2)) for p, q, a in bumps)
+    return np.rint(grey).astype(np.uint8)
+
+
+@pytest.mark.parametrize(('shift', 'turn_deg'), [((0.0, 0.0), 0.0), ((0.31, -0.77), 0.0), ((1.4, 1.1), 6.0)])
+def test_lucas_kanade_finds_shift_and_twist_to_a_hundredth_of_a_pixel(
+    shift: tuple[float, float], turn_deg: float
+):
+    patches = cut(smooth_image(), np.array([[60, 60]]), 15)
+    image = smooth_image(shift, math.radians(turn_deg))
+    found = align(image, patches, 60.0 + grid(15)[None], 0.75)
+    assert np.abs(found.pixels[0] - 60.0 - shift).max() < 0.01
+    assert math.degrees(found.twist_rad) == pytest.approx(turn_deg, abs=0.2)
+    assert found.correlation[0] > 0.995
+    assert found.backward_px[0] < 0.02
+
+
+def test_gain_offset_and_slope_of_the_light_do_not_move_a_patch():
+    patches = cut(smooth_image(), np.array([[60, 60]]), 15)
+    slope = 0.4 * (np.arange(121) - 60.0)
+    image = np.rint(0.7 * smooth_image((0.4, 0.3)) + 25.0 + slope).astype(np.uint8)
+    found = align(image, patches, 60.0 + grid(15)[None], 0.75)
+    assert np.abs(found.pixels[0] - [60.4, 60.3]).max() < 0.015
+
+
+def test_sampling_reproduces_a_slope_everywhere():
+    v, u = np.mgrid[:40, :50]
+    points = np.random.default_rng(0).uniform(3.0, 30.0, (100, 2))
+    values = sample((2 * u + 3 * v).astype(np.uint8), points)
+    assert values == pytest.approx(2.0 * points[:, 0] + 3.0 * points[:, 1], abs=1e-4)
+
+
+def test_ceiling_coordinates_and_pixels_are_inverse():
+    R_wc = rotation_from_euler(np.array([0.05, -0.1, 2.0]))
+    pixels = np.random.default_rng(0).uniform([20, 20], [620, 460], (50, 2))
+    there = ceiling_coordinates(CAMERA, pixels, R_wc)
+    assert ceiling_pixels(CAMERA, there, R_wc) == pytest.approx(pixels, abs=1e-6)
+
+
+# --- accuracy -----------------------------------------------------------------------------------
+
+
+def test_the_turn_of_the_tracks_is_the_true_turn_although_the_prediction_is_wrong():
+    rows = list(tracker_accuracy(1, (20.0, 100.0), Conditions(frames=25, attitude_error=0.08)))
+    for row in rows:
+        assert abs(row['turn_error_percent']) < 0.03
+        assert row['white_px'] < 0.05
+        assert row['anchor_px'] < 0.08
+        assert row['features'] > 10
+
+
+def test_noise_of_a_track_is_white(renderer: CeilingRenderer):
+    ride = Ride(renderer)
+    seen = [ride.step(0.1 * k, 0.02 * k, exposure=1.0 + 0.01 * k) for k in range(25)]
+    steady = set.intersection(*(set(each.ids.tolist()) for each in seen))
+    assert len(steady) >= 8
+    errors = []
+    for k, each in enumerate(seen[1:], start=1):
+        points_w = np.array([ride.points_w[id_] for id_ in sorted(steady)])
+        where = project(CAMERA, (points_w - [0.0, 0.0, 0.1]) @ attitude(0.02 * k))
+        errors.append(each.pixels[np.isin(each.ids, list(steady))] - where)
+    own = np.array(errors) - np.mean(errors, axis=0)
+    assert math.sqrt((own**2).mean()) < 0.03
+    assert abs((own[1:] * own[:-1]).mean() / (own**2).mean()) < 0.2
+
+
+# --- keeping and losing features ------------------------------------------------------------------
+
+
+def test_a_hidden_feature_comes_back_under_its_id_and_no_id_is_used_twice(renderer: CeilingRenderer):
+    ride = Ride(renderer)
+    before = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(4)][-1]
+    hidden = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k, covered=True) for k in range(4, 10)][-1]
+    after = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(10, 13)][-1]
+    left = set(before.ids[before.pixels[:, 0] < 280].tolist())
+    assert len(left) >= 3
+    assert not left & set(hidden.ids.tolist())
+    assert hidden.pixels[:, 0].min() > 300
+    assert len(left & set(after.ids.tolist())) >= 4
+    assert len(set(after.ids.tolist())) == len(after.ids)
+    common, first, second = np.intersect1d(before.ids, after.ids, return_indices=True)
+    assert len(common) >= 8
+
+
+def test_a_feature_that_stays_away_for_long_is_dropped(renderer: CeilingRenderer):
+    ride = Ride(renderer, replace(CONFIG, reacquire_s=1.0))
+    before = ride.step(0.0, 0.0)
+    ride.step(0.1, 0.0, covered=True)
+    for k in range(2, 15):
+        ride.step(0.1 * k, 0.0, covered=True)
+    after = ride.step(1.6, 0.0)
+    left = set(before.ids[before.pixels[:, 0] < 280].tolist())
+    assert left
+    assert not left & set(after.ids.tolist())
+    assert after.ids.min() >= 0
+    assert set(after.ids.tolist()) - set(before.ids.tolist()) > set()
+
+
+def test_no_two_features_on_one_corner(renderer: CeilingRenderer):
+    ride = Ride(renderer)
+    for k in range(15):
+        seen = ride.step(0.1 * k, 0.05 * k, x_m=0.03 * k)
+        apart = np.linalg.norm(seen.pixels[:, None] - seen.pixels, axis=2) + 1e3 * np.eye(len(seen.ids))
+        assert apart.min() > 0.5 * CONFIG.patch_px
+
+
+def test_a_wrong_filter_does_not_lose_the_tracks(renderer: CeilingRenderer):
+    tracker = Tracker(CAMERA, CONFIG)
+    image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]), rng=np.random.default_rng(0))
+    first = tracker.track(Frame(0, image), np.eye(3), None)
+    off = SearchRegions(
+        nanoseconds(0.1), first.ids, first.pixels + 9.0, np.tile(0.04 * np.eye(2), (len(first.ids), 1, 1))
+    )
+    second = tracker.track(Frame(nanoseconds(0.1), image), np.eye(3), off)
+    common, then, now = np.intersect1d(first.ids, second.ids, return_indices=True)
+    assert len(common) >= 0.9 * len(first.ids)
+    assert np.abs(second.pixels[now] - first.pixels[then]).max() < 0.01
+
+
+def test_one_match_outside_its_region_is_refused(renderer: CeilingRenderer):
+    tracker = Tracker(CAMERA, CONFIG)
+    image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]), rng=np.random.default_rng(0))
+    first = tracker.track(Frame(0, image), np.eye(3), None)
+    pixels = first.pixels.copy()
+    pixels[2] += 12.0
+    regions = SearchRegions(
+        nanoseconds(0.1), first.ids, pixels, np.tile(0.04 * np.eye(2), (len(first.ids), 1, 1))
+    )
+    second = tracker.track(Frame(nanoseconds(0.1), image), np.eye(3), regions)
+    assert first.ids[2] not in second.ids
+    assert set(np.delete(first.ids, 2).tolist()) <= set(second.ids.tolist())
+
+
+def test_the_same_images_give_the_same_bits(renderer: CeilingRenderer):
+    def pixels() -> bytes:
+        ride = Ride(renderer)
+        return b''.join(ride.step(0.1 * k, 0.1 * k, x_m=0.05 * k).pixels.tobytes() for k in range(8))
+
+    assert pixels() == pixels()
+
+
+@pytest.mark.parametrize('wanted', [1, 5, 60, 200])
+def test_any_number_of_features(renderer: CeilingRenderer, wanted: int):
+    ride = Ride(renderer, replace(CONFIG, features=wanted, min_distance_px=16.0))
+    counts = [len(ride.step(0.1 * k, 0.02 * k).ids) for k in range(3)]
+    assert max(counts) <= wanted
+    assert min(counts) >= min(wanted, 30)
+
+
+# --- images without anything to see -------------------------------------------------------------
+
+
+def blank_images() -> Iterator[np.ndarray]:
+    rng = np.random.default_rng(0)
+    shape = (CAMERA.height_px, CAMERA.width_px)
+    for grey in (0, 127, 255):
+        yield np.full(shape, grey, np.uint8)
+    yield np.clip(rng.normal(3.0, 2.0, shape), 0, 255).astype(np.uint8)
+    yield np.clip(rng.normal(120.0, 6.0, shape), 0, 255).astype(np.uint8)
+    yield np.tile(np.linspace(20, 200, CAMERA.width_px).astype(np.uint8), (CAMERA.height_px, 1))
+
+
+@pytest.mark.parametrize(
+    'image', blank_images(), ids=['dark', 'grey', 'bright', 'dark noise', 'noise', 'slope']
+)
+def test_nothing_to_see_gives_an_empty_observation(image: np.ndarray, renderer: CeilingRenderer):
+    tracker = Tracker(CAMERA, CONFIG)
+    for k in range(3):
+        seen = tracker.track(Frame(nanoseconds(0.1 * k), image), np.eye(3), None)
+        assert len(seen.ids) == 0
+        assert seen.pixels.shape == (0, 2)
+    ceiling = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]))
+    assert len(tracker.track(Frame(nanoseconds(0.4), ceiling), np.eye(3), None).ids) > 12
+    assert len(tracker.track(Frame(nanoseconds(0.5), image), np.eye(3), None).ids) == 0
+
+
+def test_slats_and_edges_are_no_features():
+    image = np.full((480, 640), 100, np.uint8)
+    image[100:300, 100:300:8] = 180
+    image[100:300, 101:300:8] = 180
+    image[350:, 400:] = 200
+    tracker = Tracker(CAMERA, CONFIG)
+    seen = tracker.track(Frame(0, image), np.eye(3), None)
+    assert len(seen.ids) >= 1
+    inner = ((seen.pixels > 125) & (seen.pixels < 275)).all(axis=1)
+    assert not inner.any()
+    assert np.linalg.norm(seen.pixels - [400, 350], axis=1).min() < 8
+
+
+def test_an_image_of_another_size_is_refused():
+    with pytest.raises(RecordingError, match='320 x 240.*640 x 480'):
+        Tracker(CAMERA, CONFIG).track(Frame(0, np.zeros((240, 320), np.uint8)), np.eye(3), None)
+
+
+def test_tracks_can_be_drawn(renderer: CeilingRenderer):
+    ride = Ride(renderer)
+    ride.step(0.0, 0.0)
+    image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]))
+    regions = ride.regions(0.1, np.eye(3), np.array([0.0, 0.0, 0.1]))
+    seen = ride.tracker.track(Frame(nanoseconds(0.1), image), np.eye(3), regions)
+    picture = draw_tracks(image, seen, regions)
+    assert picture.shape == (480, 640, 3)
+    assert picture.dtype == np.uint8
+    assert (picture[..., 0] != picture[..., 1]).any()
+    assert draw_tracks(
+        image, FeatureObservations(0, np.zeros(0, np.int64), np.zeros((0, 2))), None
+    ).shape == (
+        480,
+        640,
+        3,
+    )
+
+
+# --- real pixels ----------------------------------------------------------------------------------
+
+
+def test_corners_of_a_real_ceiling_are_spread_over_it():
+    photo = DATA / 'ubiquity-ceiling' / 'ceiling3-6-02.jpg'
+    if not photo.exists():
+        pytest.skip(f'no {photo.name} beside the project')
+    image = cv2.imread(str(photo), cv2.IMREAD_GRAYSCALE)
+    corners = find_corners(image, np.zeros((0, 2)), 14, CONFIG)[:15]
+    assert len(corners) == 15
+    apart = np.linalg.norm(corners[:, None] - corners, axis=2) + 1e3 * np.eye(15)
+    assert apart.min() >= CONFIG.min_distance_px - 2.0
+    quarters = {(u > 320, v > 240) for u, v in corners.tolist()}
+    assert len(quarters) == 4
+    seen = Tracker(CAMERA, CONFIG).track(Frame(0, image), np.eye(3), None)
+    assert len(seen.ids) >= 8
+
+
+class Fisheye:
+    """The lens of the cycloid recording: equidistant, and the part of it that a plain camera can follow."""
+
+    focal_px, centre = 765.0 / 4.05, np.array([1280.0, 920.0]) / 4.05
+    half_px = 180
+
+    def __init__(self) -> None:
+        x = np.linspace(0.01, 1.5, 200)
+        angle = np.arctan(x)
+        powers = np.stack([x**3, x**5, x**7], axis=1)
+        k1, k2, k3 = np.linalg.lstsq(powers, angle * (1 + 0.015 * angle**2) - x, rcond=None)[0].tolist()
+        self.corner = self.centre.astype(int) - self.half_px
+        middle = self.centre - self.corner
+        size = 2 * self.half_px + 1
+        self.camera = CameraIntrinsics(
+            size, size, self.focal_px, self.focal_px, *middle.tolist(), (k1, k2, 0.0, 0.0, k3)
+        )
+
+    def cropped(self, image: np.ndarray) -> np.ndarray:
+        left, top = self.corner
+        return np.ascontiguousarray(
+            image[top : top + self.camera.height_px, left : left + self.camera.width_px]
+        )
+
+    def on_ceiling(self, pixels: Array, R_wc: Array) -> Array:
+        offset = (pixels + self.corner - self.centre) / self.focal_px
+        radius = np.linalg.norm(offset, axis=1, keepdims=True)
+        angle = radius.copy()
+        for _ in range(8):
+            angle -= (angle * (1 + 0.015 * angle**2) - radius) / (1 + 0.045 * angle**2)
+        rays_w = np.column_stack([offset * np.tan(angle) / radius, np.ones(len(pixels))]) @ R_wc.T
+        return rays_w[:, :2] / rays_w[:, 2:]
+
+
+def turn_between(before: Array, after: Array) -> float:
+    """Angle of the rigid motion from points to points, the worst fitting ones left out."""
+    keep = np.ones(len(before), bool)
+    angle = 0.0
+    for _ in range(4):
+        a, b = before - before[keep].mean(axis=0), after - after[keep].mean(axis=0)
+        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        angle = math.atan2(cross[keep].sum(), (a[keep] * b[keep]).sum())
+        misfit = np.linalg.norm(b - a @ attitude(angle)[:2, :2].T, axis=1)
+        fitting = misfit <= max(3.0 * float(np.median(misfit)), 0.002)
+        keep = fitting if fitting.sum() >= 2 else keep
+    return angle
+
+
+def test_heading_over_a_real_drive_agrees_with_another_tracker():
+    """Lamps in black and white, no prediction of the motion: the tracker alone, hard pressed."""
+    folder = DATA / 'cycloid-ceiling'
+    if not folder.exists():
+        pytest.skip('no cycloid-ceiling beside the project')
+    frames = np.frombuffer(gzip.decompress((folder / 'data.raw.gz').read_bytes()), np.uint8).reshape(
+        -1, 480, 640
+    )
+    reference = np.unwrap(np.loadtxt(folder / 'golden.txt')[: len(frames), 2])
+    lens = Fisheye()
+    R_wc = rotation_from_euler(np.array([0.0, math.radians(22.0), 0.0]))
+    config = replace(CONFIG, min_distance_px=20.0, detect_interval=2)  # there are few lamps: take every end
+    tracker = Tracker(lens.camera, config)
+    heading = [0.0]
+    before: FeatureObservations | None = None
+    for k, image in enumerate(frames):
+        seen = tracker.track(Frame(nanoseconds(k / 30), lens.cropped(image)), R_wc, None)
+        if before is not None:
+            _, first, second = np.intersect1d(before.ids, seen.ids, return_indices=True)
+            a, b = lens.on_ceiling(before.pixels[first], R_wc), lens.on_ceiling(seen.pixels[second], R_wc)
+            heading.append(heading[-1] + (turn_between(a, b) if len(first) >= 2 else 0.0))
+        before = seen
+    difference = np.degrees(np.array(heading) - (reference - reference[0]))
+    assert math.degrees(reference[-1] - reference[0]) == pytest.approx(193.0, abs=1.0)
+    assert np.abs(difference).max() < 6.0
+    assert math.sqrt((difference**2).mean()) < 3.5

@@ -244,6 +244,8 @@ class MotionBlock:
     """(N,) change of the nominal yaw rate over each interval."""
     specific_force_m_s2: Array
     """(N, 3)"""
+    vibration_m2_s4: Array
+    """(N,) variance of the specific force of late, trends left out, all axes together."""
     distance_m: Array
     """(N,) travelled by the wheels; zeros where there are no encoders."""
     wheel_turn_rad: Array

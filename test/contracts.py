@@ -207,6 +207,7 @@ def eventful_block(count: int = 12, seed: int = 0, start_s: float = 30.0) -> Mot
         rate_rad_s=rate,
         yaw_acceleration_rad_s2=np.gradient(rate[:, 2]) / dt_s if count > 1 else np.array([3.0]),
         specific_force_m_s2=rng.normal([0.0, 0.0, 9.8], 0.5, (count, 3)),
+        vibration_m2_s4=rng.uniform(0.0, 0.1, count),
         distance_m=0.3 * dt_s,
         wheel_turn_rad=rate[:, 2] * dt_s,
         temperature_c=rng.uniform(20.0, 45.0, count),
@@ -323,8 +324,6 @@ class GyroEffectContract(EffectContract):
         assert 0.0 < block.dt_s @ changed < math.radians(90.0)
 
     def test_two_blocks_are_as_good_as_one(self, effect: GyroEffect) -> None:
-        if effect.name == 'vibration_rectification':
-            pytest.skip('its window is the block')
         whole, values, memory, rates = eventful_block(), draws(effect)[1], None, []
         for part in (slice(0, 5), slice(5, 12)):
             term = effect.contribute(part_of(whole, part), values, memory)

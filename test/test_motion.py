@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -97,6 +98,18 @@ def test_blocks_share_out_the_whole_turn_and_the_whole_way() -> None:
         assert block.dt_s.sum() == pytest.approx(end_s - start_s, abs=1e-12)
         assert block.rate_rad_s[:, 2] @ block.dt_s == pytest.approx(turned(end_s) - turned(start_s), abs=1e-9)
         assert block.distance_m.sum() == pytest.approx(travelled(end_s) - travelled(start_s), abs=1e-9)
+
+
+@pytest.mark.parametrize('block_s', [0.03, 0.1, 0.25])
+def test_vibration_is_the_variance_about_the_trend_whatever_the_blocks(block_s: float) -> None:
+    buffer, rng = MotionBuffer(), np.random.default_rng(0)
+    for i in range(4001):
+        x, y, z = 0.2 * rng.standard_normal(3)
+        buffer.add(ImuSample(at(i / 200), (0.0, 0.0, 0.0), (x + i / 200, y - i / 400, z + 9.8)))
+    edges = np.arange(0.0, 20.0, block_s)
+    found = [buffer.cut(at(a), at(b)).vibration_m2_s4[0] for a, b in pairwise(edges.tolist())]
+    assert np.mean(found) == pytest.approx(3 * 0.2**2, rel=0.05)
+    assert np.std(found[10:]) < 0.3 * np.mean(found)
 
 
 def test_time_counts_from_the_first_imu_sample() -> None:

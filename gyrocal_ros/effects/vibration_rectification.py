@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import LinearGyroEffect, column
 from gyrocal_ros.model.sensor import Coefficient
@@ -14,7 +12,7 @@ from gyrocal_ros.model.sensor import Coefficient
 
 @dataclass(frozen=True)
 class VibrationRectification(LinearGyroEffect):
-    """`k var(a)`, the variance of the specific force within the block."""
+    """`k var(a)`, with the variance of the specific force of late, all axes together."""
 
     name: str = 'vibration_rectification'
     coefficients: tuple[Coefficient, ...] = (
@@ -23,6 +21,4 @@ class VibrationRectification(LinearGyroEffect):
 
     def columns(self, block: MotionBlock) -> Array:
         """(N, 1)"""
-        force = block.specific_force_m_s2
-        variance = float(np.var(force, axis=0).sum())
-        return column(np.full(len(force), variance))
+        return column(block.vibration_m2_s4)

@@ -127,6 +127,7 @@ def _block(motion: Motion, time_s: Array, dt_s: Array, rate_rad_s: Array, distan
         rate_rad_s=rate_rad_s,
         yaw_acceleration_rad_s2=np.gradient(rate_rad_s[:, 2]) / dt_s,
         specific_force_m_s2=np.zeros((len(dt_s), 3)),
+        vibration_m2_s4=np.zeros(len(dt_s)),
         distance_m=distance_m,
         wheel_turn_rad=rate_rad_s[:, 2] * dt_s,
         temperature_c=np.full(len(dt_s), np.nan),

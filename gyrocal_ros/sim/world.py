@@ -180,13 +180,14 @@ class SimSource:
         scenario, truth = self.scenario, self.truth
         errors, hz, time_s = scenario.errors, scenario.imu_hz, truth.bias_time_s
         motion, fan_speed = truth.trajectory.motion(time_s), truth.fan.speed(time_s)
-        shaken = vibration(shaking(motion, fan_speed, errors), stream(self.seed, 'vibration'))
-        force = motion.specific_force_m_s2 + shaken
+        shakes = shaking(motion, fan_speed, errors)
+        force = motion.specific_force_m_s2 + vibration(shakes, stream(self.seed, 'vibration'))
         rate = motion.rate_rad_s - truth.bias_rad_s
         block = replace(
             at_readings(motion),
             rate_rad_s=rate,
             specific_force_m_s2=force,
+            vibration_m2_s4=3.0 * shakes**2,
             temperature_c=truth.climate.temperature_c(time_s),
             covariates=covariates(motion, fan_speed),
         )

@@ -36,8 +36,6 @@ UNPREDICTED_STD_PX = 5.0
 """Doubt of the position of a feature that the filter does not predict: about the motion of one frame."""
 MAX_REACH_PX = 20
 """A region that reaches further is no better than a guess."""
-LUCAS_KANADE_REACH_PX = 10
-"""A region that reaches further is searched by correlation first."""
 SAME_VIEW_PX = 2.0
 """Over a longer way the lens and the tilt of the camera change the shape of a patch."""
 MAX_NOISE_PX = 0.1
@@ -187,15 +185,14 @@ class Tracker:
         """Look for features: their pixels (k, 2), as expected where not found, and whether found (k,)."""
         if not len(search.index):
             return search.pixels, search.tracked
-        wide = reach(search.covariances_px2) > LUCAS_KANADE_REACH_PX
-        pixels, score = self._align(image, R_wc, search, wide)
-        missed = search.tracked & ~wide & (score < 0.0)
+        pixels, score = self._align(image, R_wc, search, search.pixels)
+        missed = search.tracked & (score < 0.0)
         if missed.any():  # once more, by correlation; further around if the filter errs about most
             again = search[missed]
             if 2 * len(again.index) > search.tracked.sum():
                 again.covariances_px2[:] += UNPREDICTED_STD_PX**2 * np.eye(2)
             pixels[missed], score[missed] = self._align(
-                image, R_wc, again, np.ones(len(again.index), dtype=bool)
+                image, R_wc, again, self._by_correlation(image, R_wc, again)
             )
         _drop_doubles(pixels, score, 0.5 * self._config.patch_px)
         room = max(0, self._config.features - int((score[search.tracked] > 0.0).sum()))
@@ -203,18 +200,20 @@ class Tracker:
         score[returned[np.argsort(-score[returned], kind='stable')][room:]] = -1.0
         return np.where(score[:, None] > 0.0, pixels, search.pixels), score > 0.0
 
+    def _by_correlation(self, image: NDArray[np.uint8], R_wc: Array, search: _Search) -> Array:
+        """Where in their regions the patches correlate best, to the pixel (k, 2)."""
+        features = self._features[search.index]
+        points = self._points(features, search.pixels, R_wc)
+        arguments = zip(features.patches.template, points, search.covariances_px2, strict=True)
+        return search.pixels + np.array([best_place(image, *each) for each in arguments])
+
     def _align(
-        self, image: NDArray[np.uint8], R_wc: Array, search: _Search, wide: NDArray[np.bool_]
+        self, image: NDArray[np.uint8], R_wc: Array, search: _Search, starts: Array
     ) -> tuple[Array, Array]:
         """Pixels (k, 2) by Lucas-Kanade, and their correlation (k,), -1 where the match is refused."""
         features = self._features[search.index]
-        starts = search.pixels.copy()
-        points = self._points(features, starts, R_wc)
-        for k in np.flatnonzero(wide):
-            starts[k] += best_place(image, features.patches.template[k], points[k], search.covariances_px2[k])
         for _ in range(2):
-            if (starts != search.pixels).any():
-                points = self._points(features, starts, R_wc)
+            points = self._points(features, starts, R_wc)
             result = align(image, features.patches, points, self._config.min_correlation)
             good = (
                 (result.correlation > max(0.0, self._config.min_correlation))
@@ -224,12 +223,12 @@ class Tracker:
             )
             if good.any():
                 self._yaw_error_rad += result.twist_rad
-            moved = np.linalg.norm(result.pixels - starts, axis=1)
-            if not (moved[good] > SAME_VIEW_PX).any():
+            moved_px = np.linalg.norm(result.pixels - starts, axis=1)
+            if not (moved_px[good] > SAME_VIEW_PX).any():
                 break
             starts = np.where(
                 good[:, None], result.pixels, starts
-            )  # where the lens shows them a little differently
+            )  # the lens shows it a little differently there
         return result.pixels, np.where(good, result.correlation, -1.0)
 
     def _points(self, features: _Features, centres: Array, R_wc: Array) -> Array:

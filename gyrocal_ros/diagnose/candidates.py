@@ -19,6 +19,10 @@ HYSTERESIS_TIMES_S = (4.0, 12.0, 40.0)
 NOT_LINEAR = ('rate_saturation', 'rate_deadband')
 """Effects that enter by a limit: told by the readings, not by sensitivities."""
 
+NEEDS_A_RUN = ('wheel_scale', 'focal_length')
+"""Effects so weakly observed that the change of the filter's gain with them must not be neglected:
+the sensitivity is no guide there, only a run of the filter with the effect in the model is."""
+
 
 @dataclass(frozen=True, slots=True)
 class Signal:

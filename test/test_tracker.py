@@ -84,7 +84,7 @@ def smooth_image(shift: tuple[float, float] = (0.0, 0.0), turn_rad: float = 0.0)
 @pytest.mark.parametrize(('shift', 'turn_deg'), [((0.0, 0.0), 0.0), ((0.31, -0.77), 0.0), ((1.4, 1.1), 6.0)])
 def test_lucas_kanade_finds_shift_and_twist_to_a_hundredth_of_a_pixel(
     shift: tuple[float, float], turn_deg: float
-):
+) -> None:
     patches = cut(smooth_image(), np.array([[60, 60]]), 15)
     image = smooth_image(shift, math.radians(turn_deg))
     found = align(image, patches, 60.0 + grid(15)[None], 0.75)
@@ -94,7 +94,7 @@ def test_lucas_kanade_finds_shift_and_twist_to_a_hundredth_of_a_pixel(
     assert found.backward_px[0] < 0.02
 
 
-def test_gain_offset_and_slope_of_the_light_do_not_move_a_patch():
+def test_gain_offset_and_slope_of_the_light_do_not_move_a_patch() -> None:
     patches = cut(smooth_image(), np.array([[60, 60]]), 15)
     slope = 0.4 * (np.arange(121) - 60.0)
     image = np.rint(0.7 * smooth_image((0.4, 0.3)) + 25.0 + slope).astype(np.uint8)
@@ -102,14 +102,14 @@ def test_gain_offset_and_slope_of_the_light_do_not_move_a_patch():
     assert np.abs(found.pixels[0] - [60.4, 60.3]).max() < 0.015
 
 
-def test_sampling_reproduces_a_slope_everywhere():
+def test_sampling_reproduces_a_slope_everywhere() -> None:
     v, u = np.mgrid[:40, :50]
     points = np.random.default_rng(0).uniform(3.0, 30.0, (100, 2))
     values = sample((2 * u + 3 * v).astype(np.uint8), points)
     assert values == pytest.approx(2.0 * points[:, 0] + 3.0 * points[:, 1], abs=1e-4)
 
 
-def test_ceiling_coordinates_and_pixels_are_inverse():
+def test_ceiling_coordinates_and_pixels_are_inverse() -> None:
     R_wc = rotation_from_euler(np.array([0.05, -0.1, 2.0]))
     pixels = np.random.default_rng(0).uniform([20, 20], [620, 460], (50, 2))
     there = ceiling_coordinates(CAMERA, pixels, R_wc)
@@ -119,7 +119,7 @@ def test_ceiling_coordinates_and_pixels_are_inverse():
 # --- accuracy -----------------------------------------------------------------------------------
 
 
-def test_the_turn_of_the_tracks_is_the_true_turn_although_the_prediction_is_wrong():
+def test_the_turn_of_the_tracks_is_the_true_turn_although_the_prediction_is_wrong() -> None:
     rows = list(tracker_accuracy(1, (20.0, 100.0), Conditions(frames=25, attitude_error=0.08)))
     for row in rows:
         assert abs(row['turn_error_percent']) < 0.03
@@ -128,7 +128,7 @@ def test_the_turn_of_the_tracks_is_the_true_turn_although_the_prediction_is_wron
         assert row['features'] > 10
 
 
-def test_noise_of_a_track_is_white(renderer: CeilingRenderer):
+def test_noise_of_a_track_is_white(renderer: CeilingRenderer) -> None:
     ride = Ride(renderer)
     seen = [ride.step(0.1 * k, 0.02 * k, exposure=1.0 + 0.01 * k) for k in range(25)]
     steady = set.intersection(*(set(each.ids.tolist()) for each in seen))
@@ -146,7 +146,7 @@ def test_noise_of_a_track_is_white(renderer: CeilingRenderer):
 # --- keeping and losing features ------------------------------------------------------------------
 
 
-def test_a_hidden_feature_comes_back_under_its_id_and_no_id_is_used_twice(renderer: CeilingRenderer):
+def test_a_hidden_feature_comes_back_under_its_id_and_no_id_is_used_twice(renderer: CeilingRenderer) -> None:
     ride = Ride(renderer)
     before = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(4)][-1]
     hidden = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k, covered=True) for k in range(4, 10)][-1]
@@ -161,7 +161,7 @@ def test_a_hidden_feature_comes_back_under_its_id_and_no_id_is_used_twice(render
     assert len(common) >= 8
 
 
-def test_a_feature_that_stays_away_for_long_is_dropped(renderer: CeilingRenderer):
+def test_a_feature_that_stays_away_for_long_is_dropped(renderer: CeilingRenderer) -> None:
     ride = Ride(renderer, replace(CONFIG, reacquire_s=1.0))
     before = ride.step(0.0, 0.0)
     ride.step(0.1, 0.0, covered=True)
@@ -175,7 +175,7 @@ def test_a_feature_that_stays_away_for_long_is_dropped(renderer: CeilingRenderer
     assert set(after.ids.tolist()) - set(before.ids.tolist()) > set()
 
 
-def test_no_two_features_on_one_corner(renderer: CeilingRenderer):
+def test_no_two_features_on_one_corner(renderer: CeilingRenderer) -> None:
     ride = Ride(renderer)
     for k in range(15):
         seen = ride.step(0.1 * k, 0.05 * k, x_m=0.03 * k)
@@ -183,7 +183,7 @@ def test_no_two_features_on_one_corner(renderer: CeilingRenderer):
         assert apart.min() > 0.5 * CONFIG.patch_px
 
 
-def test_a_wrong_filter_does_not_lose_the_tracks(renderer: CeilingRenderer):
+def test_a_wrong_filter_does_not_lose_the_tracks(renderer: CeilingRenderer) -> None:
     tracker = Tracker(CAMERA, CONFIG)
     image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]), rng=np.random.default_rng(0))
     first = tracker.track(Frame(0, image), np.eye(3), None)
@@ -196,7 +196,7 @@ def test_a_wrong_filter_does_not_lose_the_tracks(renderer: CeilingRenderer):
     assert np.abs(second.pixels[now] - first.pixels[then]).max() < 0.01
 
 
-def test_one_match_outside_its_region_is_refused(renderer: CeilingRenderer):
+def test_one_match_outside_its_region_is_refused(renderer: CeilingRenderer) -> None:
     tracker = Tracker(CAMERA, CONFIG)
     image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]), rng=np.random.default_rng(0))
     first = tracker.track(Frame(0, image), np.eye(3), None)
@@ -210,7 +210,7 @@ def test_one_match_outside_its_region_is_refused(renderer: CeilingRenderer):
     assert set(np.delete(first.ids, 2).tolist()) <= set(second.ids.tolist())
 
 
-def test_the_same_images_give_the_same_bits(renderer: CeilingRenderer):
+def test_the_same_images_give_the_same_bits(renderer: CeilingRenderer) -> None:
     def pixels() -> bytes:
         ride = Ride(renderer)
         return b''.join(ride.step(0.1 * k, 0.1 * k, x_m=0.05 * k).pixels.tobytes() for k in range(8))
@@ -219,7 +219,7 @@ def test_the_same_images_give_the_same_bits(renderer: CeilingRenderer):
 
 
 @pytest.mark.parametrize('wanted', [1, 5, 60, 200])
-def test_any_number_of_features(renderer: CeilingRenderer, wanted: int):
+def test_any_number_of_features(renderer: CeilingRenderer, wanted: int) -> None:
     ride = Ride(renderer, replace(CONFIG, features=wanted, min_distance_px=16.0))
     counts = [len(ride.step(0.1 * k, 0.02 * k).ids) for k in range(3)]
     assert max(counts) <= wanted
@@ -240,9 +240,9 @@ def blank_images() -> Iterator[np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    'image', blank_images(), ids=['dark', 'grey', 'bright', 'dark noise', 'noise', 'slope']
+    'image', list(blank_images()), ids=['dark', 'grey', 'bright', 'dark noise', 'noise', 'slope']
 )
-def test_nothing_to_see_gives_an_empty_observation(image: np.ndarray, renderer: CeilingRenderer):
+def test_nothing_to_see_gives_an_empty_observation(image: np.ndarray, renderer: CeilingRenderer) -> None:
     tracker = Tracker(CAMERA, CONFIG)
     for k in range(3):
         seen = tracker.track(Frame(nanoseconds(0.1 * k), image), np.eye(3), None)
@@ -253,7 +253,7 @@ def test_nothing_to_see_gives_an_empty_observation(image: np.ndarray, renderer: 
     assert len(tracker.track(Frame(nanoseconds(0.5), image), np.eye(3), None).ids) == 0
 
 
-def test_slats_and_edges_are_no_features():
+def test_slats_and_edges_are_no_features() -> None:
     image = np.full((480, 640), 100, np.uint8)
     image[100:300, 100:300:8] = 180
     image[100:300, 101:300:8] = 180
@@ -266,12 +266,12 @@ def test_slats_and_edges_are_no_features():
     assert np.linalg.norm(seen.pixels - [400, 350], axis=1).min() < 8
 
 
-def test_an_image_of_another_size_is_refused():
+def test_an_image_of_another_size_is_refused() -> None:
     with pytest.raises(RecordingError, match='320 x 240.*640 x 480'):
         Tracker(CAMERA, CONFIG).track(Frame(0, np.zeros((240, 320), np.uint8)), np.eye(3), None)
 
 
-def test_tracks_can_be_drawn(renderer: CeilingRenderer):
+def test_tracks_can_be_drawn(renderer: CeilingRenderer) -> None:
     ride = Ride(renderer)
     ride.step(0.0, 0.0)
     image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]))
@@ -293,11 +293,11 @@ def test_tracks_can_be_drawn(renderer: CeilingRenderer):
 # --- real pixels ----------------------------------------------------------------------------------
 
 
-def test_corners_of_a_real_ceiling_are_spread_over_it():
+def test_corners_of_a_real_ceiling_are_spread_over_it() -> None:
     photo = DATA / 'ubiquity-ceiling' / 'ceiling3-6-02.jpg'
     if not photo.exists():
         pytest.skip(f'no {photo.name} beside the project')
-    image = cv2.imread(str(photo), cv2.IMREAD_GRAYSCALE)
+    image = np.asarray(cv2.imread(str(photo), cv2.IMREAD_GRAYSCALE), np.uint8)
     corners = find_corners(image, np.zeros((0, 2)), 14, CONFIG)[:15]
     assert len(corners) == 15
     apart = np.linalg.norm(corners[:, None] - corners, axis=2) + 1e3 * np.eye(15)
@@ -320,10 +320,10 @@ class Fisheye:
         powers = np.stack([x**3, x**5, x**7], axis=1)
         k1, k2, k3 = np.linalg.lstsq(powers, angle * (1 + 0.015 * angle**2) - x, rcond=None)[0].tolist()
         self.corner = self.centre.astype(int) - self.half_px
-        middle = self.centre - self.corner
+        cx, cy = (self.centre - self.corner).tolist()
         size = 2 * self.half_px + 1
         self.camera = CameraIntrinsics(
-            size, size, self.focal_px, self.focal_px, *middle.tolist(), (k1, k2, 0.0, 0.0, k3)
+            size, size, self.focal_px, self.focal_px, cx, cy, (k1, k2, 0.0, 0.0, k3)
         )
 
     def cropped(self, image: np.ndarray) -> np.ndarray:
@@ -356,7 +356,7 @@ def turn_between(before: Array, after: Array) -> float:
     return angle
 
 
-def test_heading_over_a_real_drive_agrees_with_another_tracker():
+def test_heading_over_a_real_drive_agrees_with_another_tracker() -> None:
     """Lamps in black and white, no prediction of the motion: the tracker alone, hard pressed."""
     folder = DATA / 'cycloid-ceiling'
     if not folder.exists():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,10 @@ class CovariateBias(LinearGyroEffect):
         """(N, 1)"""
         return column(deviation(block, self.signal, self.reference))
 
+    def counted_from(self, reference: float) -> CovariateBias:
+        """The same with another c0."""
+        return replace(self, reference=reference)
+
 
 @dataclass(frozen=True)
 class CovariateScale(LinearGyroEffect):
@@ -39,6 +43,10 @@ class CovariateScale(LinearGyroEffect):
     def columns(self, block: MotionBlock) -> Array:
         """(N, 1)"""
         return column(deviation(block, self.signal, self.reference) * block.rate_rad_s[:, 2])
+
+    def counted_from(self, reference: float) -> CovariateScale:
+        """The same with another c0."""
+        return replace(self, reference=reference)
 
 
 def covariate_bias(signal: str, reference: float = 0.0, spread: float = 1.0) -> CovariateBias:

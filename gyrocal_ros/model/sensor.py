@@ -90,6 +90,18 @@ class GyroEffectOnReadings(Protocol):
         """
 
 
+@runtime_checkable
+class SignalEffect(Effect, Protocol):
+    """An effect that follows a recorded signal, counted from the signal's mean over the recording."""
+
+    @property
+    def signal(self) -> str:
+        """Name of the signal, as in `MotionBlock.covariates`."""
+
+    def counted_from(self, reference: float) -> Effect:
+        """The same effect with another reference."""
+
+
 class WheelEffect(Effect, Protocol):
     """Corrects the distance that the wheels report."""
 

@@ -6,19 +6,21 @@ that need just that correction. This room knows effects by their protocols alone
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
+from gyrocal_ros.config import nearest
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.model.sensor import Effect, GyroEffectOnReadings, Place
+from gyrocal_ros.model.sensor import Effect, GyroEffectOnReadings, Place, SignalEffect
 from gyrocal_ros.sim.trajectory import Motion
 
 MAX_ROUNDS = 60
 SOLVED_RAD_S = 1e-13
+HOPELESS_RAD_S = 1e3
 GOOD_ENOUGH_RAD_S = 1e-7
 """Where an effect has steps a reading may jump to and fro; by more than this it must not."""
 
@@ -37,6 +39,25 @@ class HiddenEffect:
 
 
 Hidden = tuple[HiddenEffect, ...]
+
+
+def referred(hidden: Hidden, means: Mapping[str, float]) -> Hidden:
+    """Let effects of recorded signals count from the signals' means, as they are reported.
+
+    Raises:
+        ConfigError: a signal is not recorded.
+    """
+    found = []
+    for item in hidden:
+        if isinstance(item.effect, SignalEffect):
+            signal = item.effect.signal
+            if signal not in means:
+                raise ConfigError(
+                    f'{signal!r} is not recorded', where=item.effect.name, todo=nearest(signal, list(means))
+                )
+            item = replace(item, effect=item.effect.counted_from(means[signal]))
+        found.append(item)
+    return tuple(found)
 
 
 def nominal_yaw_rate(true_rad_s: Array, scale_factor: float, block: MotionBlock, hidden: Hidden) -> Array:
@@ -61,7 +82,7 @@ def nominal_yaw_rate(true_rad_s: Array, scale_factor: float, block: MotionBlock,
         for effect, values in on_readings:
             found = effect.readings(found, block.dt_s, values, scale_factor)
         change, nominal = float(np.abs(found - nominal).max()), found
-        if change < SOLVED_RAD_S:
+        if not SOLVED_RAD_S < change < HOPELESS_RAD_S:
             break
     if not change < GOOD_ENOUGH_RAD_S:
         names = ', '.join(effect.name for effect, _ in gyro)

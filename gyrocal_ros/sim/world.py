@@ -35,6 +35,7 @@ from gyrocal_ros.sim.forward import (
     between,
     carried,
     nominal_yaw_rate,
+    referred,
     slip,
     stamp_error_s,
     true_camera,
@@ -115,12 +116,20 @@ class SimSource:
     ) -> None:
         self.scenario, self.seed = scenario, seed
         self._images = images
-        self.hidden = hidden
+        self._hidden = hidden
 
     @property
     def name(self) -> str:
         """The scenario and the seed."""
         return f'{self.scenario.name}-{self.seed}'
+
+    @cached_property
+    def hidden(self) -> tuple[HiddenEffect, ...]:
+        """The hidden effects, those of recorded signals counted from the signals' means."""
+        if not self._hidden:
+            return ()
+        _, signals = self._true_covariates()
+        return referred(self._hidden, {name: float(values.mean()) for name, values in signals.items()})
 
     @property
     def rig(self) -> Rig:
@@ -136,6 +145,27 @@ class SimSource:
     @cached_property
     def truth(self) -> Truth:
         """The world this recording is made in."""
+        scenario, rig = self.scenario, self.rig
+        assert rig.camera is not None
+        camera, mount = true_camera(rig.camera, rig.camera_mount, self.hidden)
+        bias_s = _times(scenario.imu_hz, scenario.duration_s)
+        return Truth(
+            trajectory=self._trajectory,
+            scene=draw_scene(
+                stream(self.seed, 'scene'), scenario.room_m, scenario.mount_xyz_m[2], scenario.furniture
+            ),
+            climate=draw_climate(stream(self.seed, 'climate')),
+            fan=self._fan,
+            scale_factor=scenario.errors.scale_factor,
+            camera=camera,
+            camera_mount=mount,
+            carried_m=carried(between(self._trajectory.motion(bias_s)), self.hidden),
+            bias_time_s=bias_s,
+            bias_rad_s=gyro_bias(bias_s, scenario.errors, stream(self.seed, 'gyro bias')),
+        )
+
+    @cached_property
+    def _trajectory(self) -> Trajectory:
         scenario = self.scenario
         rng = stream(self.seed, 'trajectory')
         legs, start = plan_legs(
@@ -143,25 +173,11 @@ class SimSource:
         )
         path_m = scenario.duration_s * scenario.habits.speed_m_s / 2.0
         floor = rough_floor(stream(self.seed, 'floor'), scenario.floor_tilt_deg, scenario.bumps, path_m)
-        trajectory = Trajectory(legs, floor, start)
-        bias_s = _times(scenario.imu_hz, scenario.duration_s)
-        rig = self.rig
-        assert rig.camera is not None
-        camera, mount = true_camera(rig.camera, rig.camera_mount, self.hidden)
-        return Truth(
-            trajectory=trajectory,
-            scene=draw_scene(
-                stream(self.seed, 'scene'), scenario.room_m, scenario.mount_xyz_m[2], scenario.furniture
-            ),
-            climate=draw_climate(stream(self.seed, 'climate')),
-            fan=draw_fan(stream(self.seed, 'fan'), scenario.standing_s, scenario.duration_s),
-            scale_factor=scenario.errors.scale_factor,
-            camera=camera,
-            camera_mount=mount,
-            carried_m=carried(between(trajectory.motion(bias_s)), self.hidden),
-            bias_time_s=bias_s,
-            bias_rad_s=gyro_bias(bias_s, scenario.errors, stream(self.seed, 'gyro bias')),
-        )
+        return Trajectory(legs, floor, start)
+
+    @cached_property
+    def _fan(self) -> Fan:
+        return draw_fan(stream(self.seed, 'fan'), self.scenario.standing_s, self.scenario.duration_s)
 
     def measurements(self) -> Iterator[Measurement]:
         """Yield the measurements in the order of their stamps."""
@@ -229,13 +245,16 @@ class SimSource:
         values = read_temperature(time_s, self.truth.climate, self.scenario.errors, rng)
         yield from map(TemperatureSample, _stamps(time_s), values.tolist())
 
+    def _true_covariates(self) -> tuple[Array, dict[str, Array]]:
+        time_s = _times(COVARIATE_HZ, self.scenario.duration_s, SLOW_PHASE_S)
+        return time_s, covariates(self._trajectory.motion(time_s), self._fan.speed(time_s))
+
     def _covariates(self) -> Iterator[CovariateSample]:
-        scenario = self.scenario
-        time_s = _times(COVARIATE_HZ, scenario.duration_s, SLOW_PHASE_S)
-        motion, fan_speed = self.truth.trajectory.motion(time_s), self.truth.fan.speed(time_s)
+        time_s, signals = self._true_covariates()
+        errors = self.scenario.errors
         readings = {
-            name: read_covariate(name, values, scenario.errors, stream(self.seed, name)).tolist()
-            for name, values in covariates(motion, fan_speed).items()
+            name: read_covariate(name, values, errors, stream(self.seed, name)).tolist()
+            for name, values in signals.items()
         }
         for row, t_ns in enumerate(_stamps(time_s)):
             for name, values in readings.items():

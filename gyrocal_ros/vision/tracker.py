@@ -37,7 +37,7 @@ UNPREDICTED_STD_PX = 5.0
 MAX_REACH_PX = 20
 """A region that reaches further is no better than a guess."""
 SAME_VIEW_PX = 2.0
-"""Over a longer way the lens and the tilt of the camera change the shape of a patch."""
+"""Found further from where it was expected, a patch is shaped anew for the lens there and aligned again."""
 MAX_NOISE_PX = 0.1
 """A corner that the noise of the image alone would move by more than this is none."""
 
@@ -226,9 +226,7 @@ class Tracker:
             moved_px = np.linalg.norm(result.pixels - starts, axis=1)
             if not (moved_px[good] > SAME_VIEW_PX).any():
                 break
-            starts = np.where(
-                good[:, None], result.pixels, starts
-            )  # the lens shows it a little differently there
+            starts = np.where(good[:, None], result.pixels, starts)
         return result.pixels, np.where(good, result.correlation, -1.0)
 
     def _points(self, features: _Features, centres: Array, R_wc: Array) -> Array:

@@ -67,7 +67,7 @@ HIDDEN |= {
     for name, values in {
         'stranger_knock': (0.3 * DEG, 9.0),
         'stranger_speed_bias': (DEG,),
-        'stranger_supply_kink': (0.03, 16.3),
+        'stranger_supply_kink': (0.01, 16.3),
     }.items()
 }
 

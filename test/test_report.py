@@ -16,6 +16,7 @@ import pytest
 from gyrocal_ros.calibrate import calibrate
 from gyrocal_ros.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.config import Config, load_config, with_settings
+from gyrocal_ros.data import seconds
 from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
@@ -88,6 +89,7 @@ def repeated(run: Run, times: int) -> Run:
         item.name: np.concatenate([getattr(history, item.name)] * times) for item in fields(type(history))
     }
     columns['t_ns'] = np.concatenate([history.t_ns + i * length_ns for i in range(times)])
+    columns['time_s'] = np.concatenate([history.time_s + i * seconds(length_ns) for i in range(times)])
     return replace(run, history=type(history)(**columns))
 
 

@@ -127,9 +127,12 @@ def load_calibration(path: Path) -> Calibration:
         names = ('bias', *model.coefficient_names)
         values = np.array([float(tree['coefficients'][name]['value']) for name in names])
         covariance = np.array(tree['covariance'], float)
-        if covariance.shape != (len(names),) * 2 or not np.isfinite(covariance).all():
-            raise ValueError('covariance has the wrong shape')
+        if covariance.shape != (len(names),) * 2 or not np.isfinite([*values, *covariance.flat]).all():
+            raise ValueError('a value or the covariance is incomplete')
+        if not _is_covariance(covariance):
+            raise ValueError('the covariance cannot be one')
         provenance: Mapping[str, Any] = tree['provenance']
+        time_s = tree['convergence_time_s']
         return Calibration(
             model=model,
             names=names,
@@ -138,17 +141,25 @@ def load_calibration(path: Path) -> Calibration:
             covariance=covariance,
             nominal_scale_factor_volt=float(tree['nominal_scale_factor_volt']),
             converged=bool(tree['converged']),
-            convergence_time_s=tree['convergence_time_s'],
+            convergence_time_s=None if time_s is None else float(time_s),
             duration_s=float(provenance['duration_s']),
             source=str(provenance['source']),
             end_ns=int(provenance['end_ns']),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise ConfigError(
             f'is not a calibration ({type(error).__name__}: {error})',
             where=str(path),
             todo='give a calibration.yaml that `gyrocal replay -o` wrote',
         ) from error
+
+
+def _is_covariance(matrix: Array) -> bool:
+    """Whether a matrix is symmetric and, but for rounding, not negative in any direction."""
+    std = np.sqrt(np.abs(np.diagonal(matrix)))
+    scale = np.where(std > 0.0, std, 1.0)
+    correlation = matrix / np.outer(scale, scale)
+    return bool(np.allclose(correlation, correlation.T) and np.linalg.eigvalsh(correlation).min() > -1e-9)
 
 
 def _to_dict(calibration: Calibration, config: Config) -> dict[str, Any]:

@@ -495,10 +495,10 @@ def test_noise_is_followed_within_bounds() -> None:
     assert follower.std == 0.4
     for _ in range(3000):
         follower.follow(np.full(15, 1e6), 2)
-    assert follower.std == 10.0
+    assert follower.std == 10.0 and follower.is_at_the_top
     for _ in range(3000):
         follower.follow(np.zeros(15), 2)
-    assert follower.std == 0.02
+    assert follower.std == 0.02 and not follower.is_at_the_top
 
 
 # --- map ----------------------------------------------------------------------------------------

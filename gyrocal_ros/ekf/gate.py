@@ -56,6 +56,11 @@ class NoiseFollower:
         self._low, self._high = low, high
         self._count = 0
 
+    @property
+    def is_at_the_top(self) -> bool:
+        """Whether the truth may be larger than can be followed."""
+        return self.std >= self._high
+
     def follow(self, distances: Array, dof: int) -> None:
         """Learn from squared Mahalanobis distances (m,) in which the noise followed dominates."""
         if len(distances) == 0:

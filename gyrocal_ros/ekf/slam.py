@@ -48,8 +48,8 @@ MAX_BLOCK_NS = 250_000_000
 LOST_FRAMES = 15
 """Images in a row that contradict the map before it is given up and begun anew."""
 MAX_RESTARTS = 10
-PIXEL_NOISE_RANGE_PX = (0.02, 10.0)
-"""What the noise of the pixels is followed within; at its end the images fit nothing."""
+LOWEST_PIXEL_NOISE_PX, HIGHEST_PIXEL_NOISE_PX = 0.02, 5.0
+"""What the noise of the pixels is followed within; no tracker is so bad, the images fit nothing."""
 CHECK_THE_CAMERA = 'check the camera calibration, its mounting and the time stamps with `gyrocal check`'
 
 Sight = Frame | FeatureObservations | HeadingSample
@@ -103,7 +103,7 @@ class EkfSlam:
     ) -> None:
         self.model, self.config, self.rig = model, config, rig
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
-        self.pixel_noise = NoiseFollower(config.camera.pixel_noise_px, *PIXEL_NOISE_RANGE_PX)
+        self.pixel_noise = _pixel_noise(config.camera.pixel_noise_px)
         reference_std = math.radians(config.reference.heading_noise_deg)
         self.reference_noise = NoiseFollower(reference_std, 1e-3 * reference_std, 1e3 * reference_std)
         self.has_started = False
@@ -236,7 +236,7 @@ class EkfSlam:
         assert self._track is not None, 'images need a tracker'
         if not self._tracks_images:
             self._tracks_images = True
-            self.pixel_noise = NoiseFollower(self.config.tracker.noise_px, *PIXEL_NOISE_RANGE_PX)
+            self.pixel_noise = _pixel_noise(self.config.tracker.noise_px)
         return self._track(frame, self.view().R_wc, self.regions())
 
     def _eye(self) -> Eye:
@@ -271,9 +271,9 @@ class EkfSlam:
 
     def _watch(self, sighting: Sighting) -> str:
         """Give the map up when image after image contradicts it; give up altogether in the end."""
-        if self.pixel_noise.std >= PIXEL_NOISE_RANGE_PX[1]:
+        if self.pixel_noise.is_at_the_top:
             raise FilterDivergedError(
-                f'the images miss what is expected of them by {PIXEL_NOISE_RANGE_PX[1]:.0f} px and more',
+                f'the images miss what is expected of them by {self.pixel_noise.std:.0f} px and more',
                 todo=CHECK_THE_CAMERA,
             )
         contradicted = sighting.rejected > 2 * sighting.used and sighting.rejected >= 3
@@ -320,3 +320,7 @@ class EkfSlam:
         self.state = moved_unseen(forget_all(self.state), step.t_ns)
         self.has_started = False
         return records
+
+
+def _pixel_noise(start_px: float) -> NoiseFollower:
+    return NoiseFollower(start_px, LOWEST_PIXEL_NOISE_PX, max(HIGHEST_PIXEL_NOISE_PX, 5.0 * start_px))

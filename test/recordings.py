@@ -1,0 +1,118 @@
+"""Simulated recordings for tests, and ways to spoil them."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from gyrocal_ros.data import ClockStep, FeatureObservations, Measurement, Rig, Source, Span, nanoseconds
+from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import START_NS, SimSource
+
+Change = Callable[[Iterable[Measurement]], Iterator[Measurement]]
+
+
+@cache
+def recording(
+    scenario: str = 'cleaning',
+    seed: int = 1,
+    duration_s: float = 60.0,
+    hidden: tuple[HiddenEffect, ...] = (),
+    **changes: Any,
+) -> SimSource:
+    """A short recording of a scenario by slow sensors, changed in some of its fields."""
+    changes = {'duration_s': duration_s, 'imu_hz': 100, 'camera_hz': 10, **changes}
+    return SimSource(replace(find_scenario(scenario), **changes), seed, hidden=hidden)
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A source with its measurements changed on the way."""
+
+    source: Source
+    change: Change
+    rig_in_use: Rig | None = None
+
+    @property
+    def name(self) -> str:
+        return f'changed {self.source.name}'
+
+    @property
+    def rig(self) -> Rig:
+        return self.rig_in_use or self.source.rig
+
+    @property
+    def span(self) -> Span:
+        return self.source.span
+
+    def measurements(self) -> Iterator[Measurement]:
+        return self.change(self.source.measurements())
+
+
+def at(time_s: float) -> int:
+    """Stamp of a moment of a simulated recording."""
+    return START_NS + nanoseconds(time_s)
+
+
+def without(kind: type[Any], from_s: float = -1.0, to_s: float = 1e6) -> Change:
+    """Leave out one kind of measurement for a while."""
+
+    def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+        for item in measurements:
+            if not (isinstance(item, kind) and at(from_s) < item.t_ns < at(to_s)):
+                yield item
+
+    return change
+
+
+def each(kind: type[Any], function: Callable[[Any], Measurement]) -> Change:
+    """Put something else in the place of each measurement of one kind."""
+
+    def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+        for item in measurements:
+            yield function(item) if isinstance(item, kind) else item
+
+    return change
+
+
+def with_clock_step(step_s: float, at_s: float) -> Change:
+    """Let the clock of all stamps step."""
+    step_ns = nanoseconds(step_s)
+
+    def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+        stepped = False
+        for item in measurements:
+            if item.t_ns < at(at_s):
+                yield item
+                continue
+            if not stepped:
+                yield ClockStep(item.t_ns + step_ns, step_ns)
+                stepped = True
+            yield replace(item, t_ns=item.t_ns + step_ns)
+
+    return change
+
+
+def with_features_of(other: Source, late_s: float = 0.0) -> Change:
+    """Put the features of another recording in, or of the same one too late."""
+
+    def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+        features = (item for item in other.measurements() if isinstance(item, FeatureObservations))
+        late = (replace(item, t_ns=item.t_ns + nanoseconds(late_s)) for item in features)
+        others = (item for item in measurements if not isinstance(item, FeatureObservations))
+        return heapq.merge(others, late, key=attrgetter('t_ns'))
+
+    return change
+
+
+def random_pixels(item: FeatureObservations) -> FeatureObservations:
+    """Features that are anywhere."""
+    rng = np.random.default_rng(item.t_ns % 2**32)
+    return replace(item, pixels=rng.uniform(0.0, 480.0, item.pixels.shape))

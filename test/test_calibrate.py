@@ -1,0 +1,497 @@
+"""From a recording to a calibration, end to end, on good recordings and on bad ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from recordings import (
+    Change,
+    Changed,
+    at,
+    each,
+    random_pixels,
+    recording,
+    with_clock_step,
+    with_features_of,
+    without,
+)
+
+from gyrocal_ros.calibrate import Progress, calibrate
+from gyrocal_ros.calibration import Calibration, conclude, load_calibration, save_calibration
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import (
+    CameraIntrinsics,
+    FeatureObservations,
+    HeadingSample,
+    ImuSample,
+    Measurement,
+    Source,
+    TruthSample,
+    WheelSample,
+)
+from gyrocal_ros.diagnose.drift import blind_drift, heading_rms_deg
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
+from gyrocal_ros.errors import ConfigError, FilterDivergedError, NotObservableError, RecordingError
+from gyrocal_ros.model.bias import BiasModel
+from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.manoeuvres import Habits
+from gyrocal_ros.sim.sensors import SensorErrors
+from gyrocal_ros.sim.world import SimSource
+
+TRUE_SCALE = SensorErrors().scale_factor
+
+
+@cache
+def plain_run(scenario: str = 'cleaning', seed: int = 1) -> Run:
+    """A recording with nothing special, calibrated by the defaults."""
+    return calibrate(recording(scenario, seed), Config(), default_model())
+
+
+def with_features(**changes: Any) -> Config:
+    return replace(Config(), features=replace(Config().features, **changes))
+
+
+def assert_calibrated(run: Run, percent: float = 0.04, true_scale: float = TRUE_SCALE) -> None:
+    """The scale factor is right to so many per cent, and within 4 of its standard deviations."""
+    error = 1.0 + float(run.state.coefficients[0]) - true_scale
+    std = math.sqrt(run.state.covariance[COEFFICIENTS_START, COEFFICIENTS_START])
+    assert abs(error) < 4.0 * std
+    assert abs(error) < percent / 100.0 * true_scale
+    assert np.all(np.linalg.eigvalsh(run.state.covariance) > -1e-12)
+
+
+def same_estimates(run: Run, other: Run) -> bool:
+    """To the last bit, at every step."""
+    return np.array_equal(run.history.mean, other.history.mean) and np.array_equal(
+        run.state.covariance, other.state.covariance
+    )
+
+
+# --- good recordings ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+@pytest.mark.parametrize('scenario', ['cleaning', 'lanes'])
+def test_scale_and_bias_are_found(scenario: str, seed: int) -> None:
+    run = plain_run(scenario, seed)
+    assert_calibrated(run, percent=0.02)
+    history = run.history
+    true_bias = recording(scenario, seed).truth.bias_rad_s[-1, 2]
+    assert abs(history.mean[-1, YAW_BIAS] - true_bias) < 4.0 * history.std[-1, YAW_BIAS]
+    assert history.nis.sum() / history.dof.sum() == pytest.approx(1.0, abs=0.05)
+    assert history.pixel_noise_px[-1] == pytest.approx(SensorErrors().pixel_noise_px, rel=0.05)
+    heading = heading_rms_deg(run)
+    assert heading is not None and heading < 0.1
+    calibration = conclude(run)
+    assert calibration.converged and run.events == ()
+    assert calibration.convergence_time_s is not None and calibration.convergence_time_s < 25.0
+
+
+def test_the_doubt_is_honest_over_many_seeds() -> None:
+    errors = []
+    for seed in range(12):
+        run = calibrate(recording('lanes', seed, 30.0), Config(), default_model())
+        error = 1.0 + run.history.coefficients[-1, 0] - TRUE_SCALE
+        errors.append(error / run.history.std[-1, COEFFICIENTS_START])
+    assert 0.4 < np.mean(np.square(errors)) < 2.2  # chi-square of 12: 99.5 % between 0.26 and 2.36
+
+
+def test_the_same_recording_gives_the_same_bits() -> None:
+    again = calibrate(recording(), Config(), default_model())
+    assert same_estimates(again, plain_run())
+
+
+def test_ground_truth_is_never_read() -> None:
+    def scrambled(sample: TruthSample) -> TruthSample:
+        return replace(sample, position_m=(7.0, -3.0, 99.0), yaw_rad=math.sin(1e3 * sample.yaw_rad))
+
+    for change in (each(TruthSample, scrambled), without(TruthSample)):
+        assert same_estimates(calibrate(Changed(recording(), change), Config(), default_model()), plain_run())
+
+
+def test_progress_is_told() -> None:
+    told: list[Progress] = []
+    calibrate(recording(duration_s=20.0), Config(), default_model(), report=told.append)
+    times_s = [progress.done_s for progress in told]
+    assert times_s == sorted(times_s) and len(times_s) == pytest.approx(20, abs=2)
+    assert all(progress.total_s == 20.0 for progress in told)
+
+
+def test_the_paper_s_points_calibrate_too() -> None:
+    config = with_features(parametrisation='camera_frame')
+    assert_calibrated(calibrate(recording(), config, default_model()), percent=0.05)
+
+
+def test_conventional_points_calibrate_where_depths_are_known_better() -> None:
+    config = with_features(parametrisation='pixel', ray_std_m=0.3)
+    assert_calibrated(calibrate(recording(), config, default_model()), percent=0.05)
+
+
+def test_conventional_points_fail_as_the_paper_says_and_say_so() -> None:
+    with pytest.raises(FilterDivergedError, match='cleaning-1'):
+        calibrate(recording(), with_features(parametrisation='pixel'), default_model())
+
+
+def test_a_map_that_is_full_keeps_what_it_sees() -> None:
+    """More features than the map holds are no worse than as many as it holds."""
+    few, many = (
+        calibrate(recording(features=count), with_features(map_size=20), default_model())
+        for count in (20, 40)
+    )
+    assert_calibrated(many)
+    assert len(many.state.landmarks.ids) <= 20
+    assert many.history.std[-1, COEFFICIENTS_START] < 1.05 * few.history.std[-1, COEFFICIENTS_START]
+    assert heading_rms_deg(many) == pytest.approx(heading_rms_deg(few), abs=0.03)
+
+
+def test_noise_of_the_pixels_is_found() -> None:
+    for noise_px in (0.15, 1.2):
+        errors = replace(SensorErrors(), pixel_noise_px=noise_px)
+        run = calibrate(recording(errors=errors), Config(), default_model())
+        assert_calibrated(run, percent=0.1)
+        assert run.history.pixel_noise_px[-1] == pytest.approx(noise_px, rel=0.1)
+
+
+# --- recordings with holes ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('step_s', [100.0, -100.0, 1.7e9, -1.6e9])
+def test_a_step_of_the_clock_keeps_the_calibration(step_s: float) -> None:
+    candidates = (find_effect('scale_cubic'),)
+    source = Changed(recording(), with_clock_step(step_s, at_s=30.0))
+    run = calibrate(source, Config(), default_model(), candidates=candidates)
+    assert_calibrated(run)
+    assert [event.text.split(';')[0] for event in run.events] == [f'the clock stepped by {step_s:+.1f} s']
+    before = run.history.time_s < 29.9
+    plain = plain_run().history
+    np.testing.assert_allclose(run.history.mean[before], plain.mean[: before.sum()], rtol=1e-8, atol=1e-11)
+    np.testing.assert_allclose(run.history.std[-1, 9], plain.std[-1, 9], rtol=0.3)
+    grown = run.history.std[run.history.time_s > 30.05][0]
+    assert grown[0] > 0.2 and grown[YAW] > math.radians(3.0), 'the pose is in doubt'
+    assert np.all(np.diff(run.history.time_s) > 0.0)
+    assert run.history.time_s[-1] == pytest.approx(plain.time_s[-1], abs=0.1)
+    assert conclude(run).convergence_time_s == conclude(plain_run()).convergence_time_s
+    assert run.truth is not None and len(run.truth.time_s) == pytest.approx(3000, abs=5)
+    assert blind_drift(run, span_s=20.0).rms_deg == pytest.approx(
+        blind_drift(plain_run(), span_s=20.0).rms_deg, abs=0.3
+    )
+    assert run.evidence is not None and len(run.evidence.start_s) == 6
+
+
+@pytest.mark.parametrize(('from_s', 'to_s'), [(20.0, 21.0), (10.0, 30.0), (40.0, 1e6)])
+def test_a_gap_in_the_imu_is_survived(from_s: float, to_s: float) -> None:
+    run = calibrate(Changed(recording(), without(ImuSample, from_s, to_s)), Config(), default_model())
+    assert_calibrated(run)
+    assert run.history.gap_s.sum() == pytest.approx(min(to_s, 60.0) - from_s, abs=0.1)
+    drift = blind_drift(run, from_s=5.0, span_s=5.0)
+    touched = (drift.start_s + 5.0 > from_s + 0.1) & (drift.start_s < to_s - 0.1)
+    assert len(touched) > 4 and not touched.any(), 'what happens in a gap is no drift of the gyro'
+
+
+def test_a_gap_in_the_imu_is_not_standing_still() -> None:
+    """Camera and IMU are away while the wheels say rest: nobody knows whether somebody turned it."""
+    hidden = (without(ImuSample, 1.0, 2.5), without(FeatureObservations, 1.0, 2.6))
+    source = Changed(Changed(recording(), hidden[0]), hidden[1])
+    history = calibrate(source, Config(), default_model()).history
+    stds = [
+        history.std[np.searchsorted(history.t_ns, at(2.45)) - 1, YAW]
+        for history in (history, plain_run().history)
+    ]
+    assert stds[0] > math.radians(20.0) and stds[1] < math.radians(0.1)
+
+
+def test_a_covered_camera_is_survived() -> None:
+    source = Changed(recording(), without(FeatureObservations, 20.0, 35.0))
+    run = calibrate(source, Config(), default_model())
+    assert_calibrated(run)
+    covered = (run.history.t_ns > at(20.1)) & (run.history.t_ns < at(34.9))
+    assert covered.sum() > 50 and not np.any(run.history.dof[covered])
+
+
+@pytest.mark.parametrize(('from_s', 'to_s'), [(20.0, 25.0), (-1.0, 1e6)])
+def test_missing_wheels_are_survived(from_s: float, to_s: float) -> None:
+    run = calibrate(Changed(recording(), without(WheelSample, from_s, to_s)), Config(), default_model())
+    assert_calibrated(run)
+
+
+@pytest.mark.parametrize('share', [0.02, 0.1])
+def test_outliers_are_left_out(share: float) -> None:
+    errors = replace(SensorErrors(), outliers=share)
+    run = calibrate(recording(errors=errors), Config(), default_model())
+    assert_calibrated(run)
+    rejected = run.history.rejected.sum() / (run.history.rejected.sum() + run.history.used.sum())
+    assert rejected == pytest.approx(0.95 * share, rel=0.15)  # one in twenty outliers is small
+
+
+# --- recordings that hold no answer -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    'change',
+    [
+        with_features_of(recording(seed=7)),
+        with_features_of(recording(), late_s=1.0),
+        each(FeatureObservations, random_pixels),
+        each(ImuSample, lambda s: replace(s, rate_rad_s=tuple(map(math.degrees, s.rate_rad_s)))),
+    ],
+    ids=['another recording', 'a second late', 'random', 'degrees'],
+)
+def test_nonsense_is_no_calibration(change: Change) -> None:
+    with pytest.raises(FilterDivergedError, match='changed cleaning-1') as caught:
+        calibrate(Changed(recording(), change), Config(), default_model())
+    assert caught.value.todo
+
+
+def straight_on() -> SimSource:
+    """A minute of driving straight, with a bias that alone would make a full turn of it."""
+    errors = replace(SensorErrors(), turn_on_bias_deg_s=3.0)
+    habits = Habits(area_m=(24.0, 1.0))
+    return recording('lanes', 2, room_m=(30.0, 5.0), habits=habits, errors=errors)
+
+
+@pytest.mark.parametrize(
+    ('source', 'message'),
+    [
+        (recording('standing'), 'no turns: 0 deg'),
+        (straight_on(), 'no turns'),
+        (Changed(recording(), without(FeatureObservations)), 'no image feature'),
+    ],
+    ids=['standing', 'straight', 'covered'],
+)
+def test_what_cannot_be_known_is_not_told(source: Source, message: str) -> None:
+    with pytest.raises(NotObservableError, match=message) as caught:
+        calibrate(source, Config(), default_model())
+    assert caught.value.where == source.name and caught.value.todo
+
+
+@pytest.mark.parametrize('kind', [ImuSample, object], ids=['no IMU', 'nothing'])
+def test_nothing_to_work_on_is_refused(kind: type[Any]) -> None:
+    with pytest.raises(RecordingError, match='no stretch with IMU samples'):
+        calibrate(Changed(recording(), without(kind)), Config(), default_model())
+
+
+# --- hidden effects -----------------------------------------------------------------------------
+
+HIDDEN: dict[str, tuple[float, ...]] = {
+    'scale_asymmetry': (0.004,),
+    'scale_quadratic': (0.003,),
+    'scale_cubic': (0.003,),
+    'bias_warmup': (math.radians(0.5), 300.0),
+    'bias_temperature': (math.radians(0.03),),
+    'scale_temperature': (0.0005,),
+    'g_sensitivity': (math.radians(0.015), math.radians(-0.01)),
+    'cross_axis': (0.02, -0.03),
+    'gyro_lag': (0.02,),
+    'vibration_rectification': (math.radians(0.5),),
+    'camera_time_offset': (0.03,),
+    'turn_slip': (0.02,),
+    'camera_tilt': (math.radians(1.5), math.radians(-1.0)),
+    'camera_position': (0.015, -0.01),
+    'focal_length': (0.02,),
+    'principal_point': (5.0, -4.0),
+    'radial_distortion': (0.02, -0.005),
+    'covariate_bias:battery_state.current': (math.radians(0.05),),
+}
+
+
+@pytest.mark.parametrize('name', HIDDEN)
+def test_a_hidden_effect_is_found_by_a_model_that_has_it(name: str) -> None:
+    effect, values = find_effect(name), HIDDEN[name]
+    source = recording(hidden=(HiddenEffect(effect, values),))
+    model = SensorModel('with it', BiasModel(), (find_effect('scale_factor'), effect))
+    run = calibrate(source, Config(), model)
+    assert_calibrated(run, percent=0.3)
+    std = np.sqrt(np.diagonal(run.state.covariance))[COEFFICIENTS_START + 1 : run.state.robot_size]
+    np.testing.assert_array_less(np.abs(run.state.coefficients[1:] - values), 4.0 * std)
+    prior = [item.prior_std for item in effect.coefficients]
+    assert np.all(std < prior), 'something was learned'
+    assert run.history.nis.sum() / run.history.dof.sum() == pytest.approx(1.0, abs=0.06)
+
+
+@pytest.mark.parametrize(('name', 'limit'), [('rate_saturation', 60.0), ('rate_deadband', 0.3)])
+def test_a_limit_that_is_known_does_no_harm(name: str, limit: float) -> None:
+    effect: Any = find_effect(name)
+    item = replace(effect.coefficients[0], prior_mean=math.radians(limit))
+    effect = replace(effect, coefficients=(item,))
+    source = recording(hidden=(HiddenEffect(effect, (math.radians(limit),)),))
+    model = SensorModel('with it', BiasModel(), (find_effect('scale_factor'), effect))
+    assert_calibrated(calibrate(source, Config(), model), percent=0.05)
+    if name == 'rate_saturation':
+        unaware = calibrate(source, Config(), default_model())
+        assert abs(float(unaware.state.coefficients[0]) + 1.0 - TRUE_SCALE) > 0.01
+
+
+def test_a_candidate_shows_in_the_evidence() -> None:
+    """One pass without the effect tells its size, and the pass does not depend on who asks."""
+    cubic = find_effect('scale_cubic')
+    source = recording(hidden=(HiddenEffect(cubic, (0.003,)),))
+    asked = calibrate(source, Config(), default_model(), candidates=(cubic, find_effect('turn_slip')))
+    plain = calibrate(source, Config(), default_model())
+    np.testing.assert_allclose(asked.history.mean, plain.history.mean, rtol=1e-9, atol=1e-12)
+    assert plain.evidence is None and asked.evidence is not None
+    information, score = asked.evidence.information.sum(axis=0), asked.evidence.score.sum(axis=0)
+    estimate = np.linalg.solve(information, score)
+    assert estimate[0] == pytest.approx(0.003, rel=0.15)
+    assert estimate[0] > 10.0 / math.sqrt(information[0, 0])
+
+
+def test_effects_on_images_need_pixels() -> None:
+    model = SensorModel('tilted', BiasModel(), (find_effect('scale_factor'), find_effect('camera_tilt')))
+    with pytest.raises(ConfigError, match='pixels'):
+        calibrate(recording(), with_features(parametrisation='camera_frame'), model)
+
+
+# --- another heading reference ------------------------------------------------------------------
+
+
+def by_heading(
+    noise_deg: float = 0.2, offset_s: float = 0.0, sign: float = 1.0, scale: float = 1.0
+) -> Source:
+    """The true heading, noisy and in a frame of its own, takes the place of the camera."""
+    rng = np.random.default_rng(0)
+
+    def heading(sample: TruthSample) -> HeadingSample:
+        yaw = scale * sample.yaw_rad + 1.0 + math.radians(noise_deg) * rng.normal()
+        return HeadingSample(sample.t_ns + round(offset_s * 1e9), math.remainder(yaw, 2.0 * math.pi))
+
+    def turned(sample: ImuSample) -> ImuSample:
+        wx, wy, wz = sample.rate_rad_s
+        return replace(sample, rate_rad_s=(wx, sign * wy, sign * wz))
+
+    source = Changed(recording(duration_s=45.0, truth_hz=20), without(FeatureObservations))
+    source = Changed(source, each(TruthSample, heading), replace(source.rig, camera=None))
+    return Changed(source, each(ImuSample, turned))
+
+
+@pytest.mark.parametrize('offset_s', [0.0, 0.1])
+def test_a_heading_reference_calibrates(offset_s: float) -> None:
+    run = calibrate(by_heading(offset_s=offset_s), Config(), default_model())
+    assert_calibrated(run, percent=0.1)
+    assert [event.text for event in run.events] == (
+        ['the reference is stamped 100 ms too late; allowed for'] if offset_s else []
+    )
+
+
+@pytest.mark.parametrize('change', [{'scale': 0.3}, {'sign': -1.0}], ids=['slips', 'turns the other way'])
+def test_a_reference_that_does_not_fit_is_refused(change: dict[str, float]) -> None:
+    with pytest.raises(NotObservableError, match='times as far as the gyro'):
+        calibrate(by_heading(**change), Config(), default_model())
+
+
+# --- what is kept -------------------------------------------------------------------------------
+
+
+def test_a_calibration_is_kept_in_a_file(tmp_path: Path) -> None:
+    effects = (find_effect('scale_factor'), find_effect('bias_warmup'))
+    run = calibrate(recording(duration_s=20.0), Config(), SensorModel('warm', BiasModel(), effects, 2))
+    calibration, file = conclude(run), tmp_path / 'calibration.yaml'
+    save_calibration(calibration, Config(), file)
+    loaded = load_calibration(file)
+    for name in Calibration.__slots__:
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(calibration, name), err_msg=name)
+    tree = yaml.safe_load(file.read_text(encoding='utf-8'))
+    assert tree['scale_factor'] == calibration.scale_factor == 1.0 + calibration.values[1]
+    assert tree['scale_factor_volt'] == pytest.approx(146.4 * calibration.scale_factor)
+    assert tree['bias_deg_s'] == pytest.approx(math.degrees(calibration.values[0]))
+    assert tree['coefficients']['bias']['unit'] == 'rad/s'
+    assert tree['coefficients']['bias_warmup.time_constant']['std'] == pytest.approx(calibration.stds[3])
+    assert tree['settings']['camera']['pixel_noise_px'] == 0.4
+    assert tree['provenance']['source'] == 'cleaning-1'
+
+
+SPOILT: dict[str, Callable[[dict[str, Any]], Any]] = {
+    'another file': lambda tree: {'camera': {'pixel_noise_px': 0.4}},
+    'no model': lambda tree: tree.pop('model'),
+    'no list of effects': lambda tree: tree.update(model=[]),
+    'an unknown effect': lambda tree: tree['model'].update(effects=['scale_factr']),
+    'a model with more': lambda tree: tree['model']['effects'].append('scale_cubic'),
+    'a value that is a word': lambda tree: tree['coefficients']['bias'].update(value='small'),
+    'a value that is none': lambda tree: tree['coefficients']['bias'].update(value=math.nan),
+    'a list of coefficients': lambda tree: tree.update(coefficients=[1.0]),
+    'too small a covariance': lambda tree: tree.update(covariance=[[1.0]]),
+    'a ragged covariance': lambda tree: tree.update(covariance=[[1.0, 0.0], [0.0]]),
+    'a lopsided covariance': lambda tree: tree.update(covariance=[[1.0, 0.5], [0.0, 1.0]]),
+    'a negative variance': lambda tree: tree.update(covariance=[[1.0, 0.0], [0.0, -1.0]]),
+    'a correlation beyond one': lambda tree: tree.update(covariance=[[1.0, 2.0], [2.0, 1.0]]),
+    'an infinite end': lambda tree: tree['provenance'].update(end_ns=math.inf),
+    'no provenance': lambda tree: tree.update(provenance=None),
+    'a time that is a word': lambda tree: tree.update(convergence_time_s='soon'),
+}
+
+
+@pytest.mark.parametrize('how', SPOILT)
+def test_a_file_that_is_no_calibration_is_refused(how: str, tmp_path: Path) -> None:
+    file = tmp_path / 'calibration.yaml'
+    save_calibration(conclude(plain_run()), Config(), file)
+    tree = yaml.safe_load(file.read_text(encoding='utf-8'))
+    result = SPOILT[how](tree)
+    file.write_text(yaml.safe_dump(result if how == 'another file' else tree))
+    with pytest.raises(ConfigError, match='calibration.yaml'):
+        load_calibration(file)
+
+
+def test_a_calibration_to_start_from_saves_time(tmp_path: Path) -> None:
+    file = tmp_path / 'calibration.yaml'
+    save_calibration(conclude(plain_run()), Config(), file)
+    known = load_calibration(file)
+    source = recording(seed=2)
+    run = calibrate(source, Config(), default_model(), known.start())
+    assert_calibrated(run, percent=0.02)
+    cold, warm = conclude(plain_run(seed=2)), conclude(run)
+    assert cold.convergence_time_s is not None and cold.convergence_time_s > 10.0
+    assert warm.convergence_time_s == 0.0
+    assert warm.scale_factor_std < min(cold.scale_factor_std, known.scale_factor_std)
+    true_bias = source.truth.bias_rad_s[-1, 2]
+    assert abs(warm.values[0] - true_bias) < 4.0 * warm.stds[0], 'the bias of another day does not stick'
+
+
+# --- the filter, measurement by measurement -----------------------------------------------------
+
+
+def test_measurements_before_the_imu_and_at_one_moment_do_no_harm() -> None:
+    def doubled(measurements: Any) -> Any:
+        for item in measurements:
+            yield item
+            if isinstance(item, FeatureObservations | ImuSample | WheelSample):
+                yield item
+
+    late_imu = Changed(recording(), without(ImuSample, -1.0, 0.5))
+    assert_calibrated(calibrate(Changed(late_imu, doubled), Config(), default_model()))
+
+
+def test_an_image_without_features_is_no_measurement() -> None:
+    def nothing(sample: FeatureObservations) -> FeatureObservations:
+        if sample.t_ns % 7 < 3:
+            return sample
+        return FeatureObservations(sample.t_ns, sample.ids[:0], sample.pixels[:0])
+
+    run = calibrate(Changed(recording(), each(FeatureObservations, nothing)), Config(), default_model())
+    assert_calibrated(run)
+    assert isinstance(run.rig.camera, CameraIntrinsics)
+
+
+def test_a_stream_gives_its_steps_as_soon_as_wheels_allow() -> None:
+    from gyrocal_ros.calibrate import make_filter
+
+    source = recording()
+    slam = make_filter(default_model(), Config(), source.rig)
+    newest_ns = 0
+    items: list[Measurement] = [item for item in source.measurements() if item.t_ns < at(5.0)]
+    for item in items:
+        for step in slam.step(item):
+            assert step.t_ns <= item.t_ns
+            assert step.t_ns > newest_ns
+            newest_ns = step.t_ns
+        if isinstance(item, FeatureObservations):
+            assert newest_ns == 0 or item.t_ns - newest_ns < 0.15e9

@@ -36,6 +36,8 @@ class HiddenEffect:
         needed = len(self.effect.coefficients)
         if len(self.values) != needed:
             raise ConfigError(f'needs {needed} values, not {len(self.values)}', where=self.effect.name)
+        if isinstance(self.effect, GyroEffectOnReadings) and min(self.values) < 0.0:
+            raise ConfigError(f'cannot be {min(self.values):g}', where=self.effect.name, todo='give more')
 
 
 Hidden = tuple[HiddenEffect, ...]

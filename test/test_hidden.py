@@ -1,0 +1,203 @@
+"""Recordings that hide something: the draws, the sealed answer, and the commands about them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.cli.main import main
+from gyrocal_ros.effects import EFFECTS, find_effect
+from gyrocal_ros.errors import ConfigError, RecordingError
+from gyrocal_ros.sim.hidden import (
+    RANGES,
+    SCALE_ERROR,
+    STRANGE_RANGES,
+    Drawn,
+    draw_hidden,
+    draw_scale_factor,
+    draw_values,
+    hide,
+    usual_values,
+)
+from gyrocal_ros.sim.scenarios import SCENARIOS
+from gyrocal_ros.sim.sealed import answer_of, sealed_path, unseal
+from gyrocal_ros.sim.strangers import STRANGERS
+from gyrocal_ros.sim.world import SimSource
+
+SIZED = {**RANGES, **STRANGE_RANGES}
+
+
+def simulate(out: Path, *options: str) -> int:
+    return main(['simulate', str(out), '--duration', '5', *options])
+
+
+def digest(bag: Path) -> str:
+    return hashlib.sha256(b''.join(file.read_bytes() for file in sorted(bag.iterdir()))).hexdigest()
+
+
+# --- draws --------------------------------------------------------------------------------------
+
+
+def test_every_effect_can_be_drawn() -> None:
+    assert set(EFFECTS) - {'scale_factor'} <= set(RANGES)
+    assert set(STRANGE_RANGES) == set(STRANGERS)
+
+
+@pytest.mark.parametrize('name', SIZED)
+def test_sizes_run_from_just_visible_to_large(name: str) -> None:
+    rng = np.random.default_rng(0)
+    draws = np.array([draw_values(name, rng, 1.0).values for _ in range(200)])
+    assert draws.shape[1] == len(hide([Drawn(name, tuple(draws[0]))], find_effect)[0].values)
+    for values, item in zip(draws.T, SIZED[name], strict=True):
+        low, high = sorted((item.visible, item.large))
+        assert np.all((np.abs(values) >= low * 0.999) & (np.abs(values) <= high * 1.001))
+        assert np.median(np.abs(values)) == pytest.approx((low * high) ** 0.5, rel=0.35)
+        assert np.any(values < 0.0) == item.signed
+    usual = usual_values(name, 1.0).values
+    assert usual == pytest.approx([item.value(0.5) for item in SIZED[name]])
+    assert draw_values(name, rng, 1.0, size=1.0).values[0] in (
+        pytest.approx(SIZED[name][0].large),
+        pytest.approx(-SIZED[name][0].large),
+    )
+
+
+def test_draws_depend_on_the_seed_alone() -> None:
+    assert draw_hidden(5, 300.0) == draw_hidden(5, 300.0)
+    assert len({draw_hidden(seed, 300.0) for seed in range(40)}) > 25
+    assert draw_hidden(5, 300.0, ['gyro_lag']) != draw_hidden(6, 300.0, ['gyro_lag'])
+    assert abs(draw_scale_factor(5) - 1.0) <= SCALE_ERROR
+
+
+def test_nothing_one_two_and_strangers_come_up() -> None:
+    draws = [draw_hidden(seed, 300.0) for seed in range(1000)]
+    strange = sum(bool(drawn) and drawn[0].name in STRANGERS for drawn in draws)
+    counts = Counter(len(drawn) for drawn in draws)
+    assert [counts[0], counts[1] - strange, counts[2], strange] == pytest.approx([200, 450, 150, 200], abs=45)
+    assert {item.name for drawn in draws for item in drawn} == set(SIZED)
+    assert all(len({item.name for item in drawn}) == len(drawn) for drawn in draws)
+
+
+def test_a_knock_falls_into_the_recording() -> None:
+    rng = np.random.default_rng(0)
+    times = [draw_values('stranger_knock', rng, 200.0).values[1] for _ in range(50)]
+    assert min(times) >= 50.0
+    assert max(times) <= 150.0
+
+
+def test_an_effect_without_a_usual_size_is_refused() -> None:
+    with pytest.raises(ConfigError, match='scale_power_4=VALUE'):
+        usual_values('scale_power_4', 300.0)
+
+
+# --- commands -----------------------------------------------------------------------------------
+
+
+def test_the_answer_is_sealed_and_revealed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seed = next(seed for seed in range(99) if len(draw_hidden(seed, 5.0)) == 2)
+    bag = tmp_path / 'riddle'
+    assert simulate(bag, '--hidden', '--seed', str(seed)) == 0
+    told = capsys.readouterr().out
+    names = [item.name for item in draw_hidden(seed, 5.0)]
+    sealed = sealed_path(bag).read_text()
+    assert not any(name in text for name in names for text in (told, sealed))
+    assert main(['reveal', str(bag), '--json']) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert [item['effect'] for item in answer['effects']] == names
+    assert answer['scale_factor'] == draw_scale_factor(seed)
+    for item, drawn in zip(answer['effects'], draw_hidden(seed, 5.0), strict=True):
+        assert [value['value'] for value in item['coefficients'].values()] == list(drawn.values)
+    assert main(['reveal', str(next(bag.glob('*.mcap')))]) == 0
+    assert all(name in capsys.readouterr().out for name in names[:1])
+
+
+def test_the_bag_itself_says_no_more_than_one_whose_effects_are_told(tmp_path: Path) -> None:
+    assert simulate(tmp_path / 'a' / 'bag', '--hidden', '--seed', '3') == 0
+    told = [f'scale_factor={draw_scale_factor(3) - 1.0!r}']
+    told += [f'{item.name}={",".join(map(repr, item.values))}' for item in draw_hidden(3, 5.0)]
+    options = [part for text in told for part in ('--effect', text)]
+    assert simulate(tmp_path / 'b' / 'bag', '--seed', '3', *options) == 0
+    assert digest(tmp_path / 'a' / 'bag') == digest(tmp_path / 'b' / 'bag')
+    assert not sealed_path(tmp_path / 'b' / 'bag').exists()
+
+
+def test_effects_are_put_in_as_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ['--effect', 'bias_warmup=time_constant:100,amplitude:0.01', '--effect', 'gyro_lag']
+    assert simulate(tmp_path / 'bag', *options) == 0
+    told = capsys.readouterr().out
+    assert 'with bias_warmup: amplitude = 0.01 rad/s, time_constant = 100 s' in told
+    assert f'with gyro_lag: tau = {usual_values("gyro_lag", 5.0).values[0]:.4g} s' in told
+
+
+def test_nothing_hidden_is_an_answer_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seed = next(seed for seed in range(99) if not draw_hidden(seed, 5.0))
+    assert simulate(tmp_path / 'bag', '--hidden', '--seed', str(seed)) == 0
+    assert main(['reveal', str(tmp_path / 'bag')]) == 0
+    assert 'nothing' in capsys.readouterr().out
+
+
+def test_the_answer_holds_the_truth_of_the_source() -> None:
+    hidden = hide([Drawn('stranger_knock', (0.01, 2.0))], find_effect)
+    source = SimSource(SCENARIOS['demo'], 1, hidden=hidden)
+    answer = answer_of(source)
+    assert answer['scale_factor'] == source.truth.scale_factor
+    assert answer['bias']['start'] == source.truth.bias_rad_s[0, 2]
+    assert answer['effects'][0]['coefficients']['time'] == {'value': 2.0, 'unit': 's'}
+
+
+@pytest.mark.parametrize(
+    ('option', 'message'),
+    [
+        ('gyro_lagg=0.1', "did you mean 'gyro_lag'?"),
+        ('gyro_lag=0.1,0.2', 'needs 1 values, not 2'),
+        ('gyro_lag=tu:0.1', "no coefficient 'tu'; did you mean 'tau'?"),
+        ('gyro_lag=', 'not a list of numbers'),
+        ('gyro_lag=nan', 'not a list of numbers'),
+        ('scale_power_4', 'no usual size'),
+        ('covariate_bias:fan_sped.data=1e-6', "did you mean 'fan_speed.data'?"),
+    ],
+)
+def test_effects_that_cannot_be_put_in_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, message: str
+) -> None:
+    assert simulate(tmp_path / 'bag', '--effect', option) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count('\n') == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_answer_is_not_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sealed_path(tmp_path / 'bag').write_text('of an older bag')
+    assert simulate(tmp_path / 'bag', '--hidden') == 2
+    assert 'exists already' in capsys.readouterr().err
+    assert not (tmp_path / 'bag').exists()
+    assert simulate(tmp_path / 'bag', '--hidden', '--overwrite') == 0
+    assert unseal(tmp_path / 'bag')['scenario'] == 'cleaning'
+
+
+def test_what_cannot_be_revealed_is_one_clear_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / 'bag'
+    assert main(['reveal', str(bag)]) == 2
+    assert 'does not exist' in capsys.readouterr().err
+    assert simulate(bag) == 0
+    assert main(['reveal', str(bag)]) == 2
+    assert 'has no sealed answer' in capsys.readouterr().err
+    for content in ('', 'header\nnot packed\n', 'header\naGVsbG8=\n', 'header\n\xe4'):
+        sealed_path(bag).write_text(content, encoding='utf-8')
+        with pytest.raises(RecordingError, match='damaged'):
+            unseal(bag)
+
+
+def test_the_answer_of_another_bag_is_refused(tmp_path: Path) -> None:
+    bag = tmp_path / 'bag'
+    assert simulate(bag, '--hidden', '--seed', '1') == 0
+    assert simulate(bag, '--seed', '2', '--overwrite') == 0
+    with pytest.raises(RecordingError, match='another bag'):
+        unseal(bag)

@@ -133,6 +133,7 @@ def _run(
         truth=recorder.truth(),
         events=recorder.events,
         evidence=recorder.evidence(),
+        signal_names=recorder.signal_names,
     )
 
 

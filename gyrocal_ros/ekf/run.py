@@ -32,6 +32,8 @@ class History:
     nis: Array
     dof: Array
     """(s,) zero where nothing was measured."""
+    log_likelihood: Array
+    """(s,) of what was measured, standing still counted in, as it was expected before."""
     used: Array
     rejected: Array
     heading_innovation_rad: Array
@@ -53,6 +55,8 @@ class History:
     """(s,) 1 where the wheels stood still."""
     gap_s: Array
     """(s,) time for which no IMU sample vouches."""
+    signals: Array
+    """(s, q) the other recorded numbers at the end of each step, NaN before their first."""
 
     @property
     def coefficients(self) -> Array:
@@ -96,6 +100,12 @@ class Run:
     events: tuple[Event, ...]
     evidence: Evidence | None = None
     """Of effects that the model lacks, where some were on trial."""
+    signal_names: tuple[str, ...] = ()
+    """Of the q other recorded numbers of the history."""
+
+    def signal(self, name: str) -> Array:
+        """(s,) one of the other recorded numbers."""
+        return self.history.signals[:, self.signal_names.index(name)]
 
 
 class Recorder:
@@ -106,7 +116,8 @@ class Recorder:
         self._evidence = EvidenceRecorder(candidates) if candidates else None
         self._t_ns: list[int] = []
         self._times_ns: list[int] = []
-        self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 15))
+        self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 16))
+        self._signals: dict[str, list[float]] = {}
         self._truth_ns: list[int] = []
         self._truth: list[tuple[float, float, float, float]] = []
         self._events: list[Event] = []
@@ -130,6 +141,7 @@ class Recorder:
                 (
                     sighting.lesson.nis,
                     sighting.lesson.dof,
+                    sighting.lesson.log_likelihood + record.resting.log_likelihood,
                     sighting.used,
                     sighting.rejected,
                     sighting.heading_rad if measured else np.nan,
@@ -146,6 +158,10 @@ class Recorder:
                 ),
             ]
         )
+        for name, values in block.covariates.items():
+            column = self._signals.setdefault(name, [])
+            column.extend([np.nan] * (len(self._t_ns) - len(column)))
+            column.append(values[-1])
         self._t_ns.append(record.t_ns)
         self._times_ns.append(self.running_ns(record.t_ns))
         if record.event:
@@ -171,6 +187,11 @@ class Recorder:
         """What happened so far."""
         return tuple(self._events)
 
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """Of the other recorded numbers so far."""
+        return tuple(self._signals)
+
     def history(self) -> History:
         """All steps so far."""
         rows = self._rows[: len(self._times_ns)].copy()
@@ -185,19 +206,21 @@ class Recorder:
             columns=columns,
             nis=scalars[0],
             dof=scalars[1],
-            used=scalars[2],
-            rejected=scalars[3],
-            heading_innovation_rad=scalars[4],
-            heading_innovation_std_rad=scalars[5],
-            pixel_noise_px=scalars[6],
-            dt_s=scalars[7],
-            turn_rad=scalars[8],
-            correction_rad=scalars[9],
-            distance_m=scalars[10],
-            temperature_c=scalars[11],
-            forward_m_s2=scalars[12],
-            resting=scalars[13],
-            gap_s=scalars[14],
+            log_likelihood=scalars[2],
+            used=scalars[3],
+            rejected=scalars[4],
+            heading_innovation_rad=scalars[5],
+            heading_innovation_std_rad=scalars[6],
+            pixel_noise_px=scalars[7],
+            dt_s=scalars[8],
+            turn_rad=scalars[9],
+            correction_rad=scalars[10],
+            distance_m=scalars[11],
+            temperature_c=scalars[12],
+            forward_m_s2=scalars[13],
+            resting=scalars[14],
+            gap_s=scalars[15],
+            signals=np.array([_filled(column, len(rows)) for column in self._signals.values()]).T,
         )
 
     def evidence(self) -> Evidence | None:
@@ -216,3 +239,8 @@ class Recorder:
 def _since_first(times_ns: list[int], steps_ns: list[int]) -> Array:
     """Seconds since the first step."""
     return (np.array(times_ns, np.int64) - steps_ns[0]) / NS_PER_S if steps_ns else np.empty(0)
+
+
+def _filled(column: list[float], count: int) -> Array:
+    """A column that may have ended early, after a step of the clock."""
+    return np.array(column + [np.nan] * (count - len(column)))

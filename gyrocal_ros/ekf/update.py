@@ -56,10 +56,17 @@ class Lesson:
     nis: float = 0.0
     """`nu^T S^-1 nu`."""
     dof: int = 0
+    log_determinant: float = 0.0
+    """Of S."""
     information: Array | None = None
     """(c, c) `G^T S^-1 G`; None where no effects are on trial."""
     score: Array | None = None
     """(c,) `G^T S^-1 nu`."""
+
+    @property
+    def log_likelihood(self) -> float:
+        """How likely the measurement was before it was made, as a logarithm."""
+        return -0.5 * (self.nis + self.log_determinant + self.dof * math.log(2.0 * math.pi))
 
 
 def innovate(
@@ -216,10 +223,12 @@ def _correct(
     if not np.isfinite(mean).all():
         raise FilterDivergedError('the estimate is no longer finite', todo='check the noise settings')
     after = replace(state, mean=mean, covariance=state.covariance - gain.T @ gain)
+    log_determinant = 2.0 * float(np.log(np.diagonal(factor)).sum())
+    lesson = Lesson(float(score @ score), len(residual), log_determinant)
     if trial.shape[1] == 0:
-        return after, Lesson(float(score @ score), len(residual))
+        return after, lesson
     after = replace(after, sensitivity=state.sensitivity - gain.T @ trial)
-    return after, Lesson(float(score @ score), len(residual), trial.T @ trial, trial.T @ score)
+    return after, replace(lesson, information=trial.T @ trial, score=trial.T @ score)
 
 
 def _not_a_covariance() -> FilterDivergedError:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,9 +24,12 @@ CONVENTIONAL = Variant('conventional pixel', 'pixel')
 
 
 def in_parallel(function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
-    """Map over all cores, in order; each process keeps to one thread of linear algebra."""
+    """Map over all cores, in order; each process keeps to one thread of linear algebra.
+
+    The processes are spawned, for one that is forked has the threads of its parent.
+    """
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
+    with ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
         yield from pool.map(function, tasks)
 
 

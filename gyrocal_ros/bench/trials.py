@@ -10,9 +10,10 @@ import numpy as np
 from gyrocal_ros.calibrate import calibrate
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import NS_PER_S
+from gyrocal_ros.diagnose.drift import heading_rms_deg
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.scale import scale_power
-from gyrocal_ros.ekf.run import History, Run
+from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
@@ -105,7 +106,7 @@ def run_trial(
         final_error=float(scale[-1]) / true_scale - 1.0,
         final_std=float(run.history.std[-1, COEFFICIENTS_START]) / true_scale,
         nis_per_dof=nis_per_dof(run.history),
-        heading_rms_rad=_heading_rms_rad(source, run),
+        heading_rms_rad=math.radians(heading_rms_deg(run) or math.nan),
         bound_std=bound_std(scenario, seed) if with_bound else math.nan,
     )
 
@@ -144,12 +145,3 @@ def end_of_first_turn_s(source: SimSource) -> float:
 def nis_per_dof(history: History) -> float:
     """Normalised innovation squared by its degrees of freedom, over the whole run."""
     return float(history.nis.sum() / max(history.dof.sum(), 1.0))
-
-
-def _heading_rms_rad(source: SimSource, run: Run) -> float:
-    """Heading error of the filter, the true heading at the first step being zero by definition."""
-    time_s = (run.history.t_ns - START_NS) / NS_PER_S
-    yaw = run.history.mean[:, 5]
-    truth = source.truth.trajectory.motion(time_s).euler_rad[:, 2]
-    error = (yaw - yaw[0]) - (truth - truth[0])
-    return float(np.sqrt(np.mean(error**2)))

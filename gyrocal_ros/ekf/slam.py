@@ -70,7 +70,8 @@ class StepRecord:
     block: MotionBlock
     """The motion that led here."""
     correction_rad: float
-    """How far the coefficients corrected the turn in this block, the bias not counted."""
+    """How far the coefficients, as they are now, correct the turn in this block; to first order,
+    the bias not counted."""
     columns: Array
     """(k,) its derivative with respect to the coefficients, rad per unit."""
     pixel_noise_px: float
@@ -209,7 +210,8 @@ class EkfSlam:
             observations = self._track_features(seen) if isinstance(seen, Frame) else seen
             sighting = self._see(observations)
             event = self._watch(sighting)
-        r = self.state.robot_size
+        r, columns = self.state.robot_size, block.dt_s @ correction.by_values
+        learned = self.state.coefficients - before.coefficients
         return StepRecord(
             t_ns=t_ns,
             mean=self.state.mean[:r],
@@ -217,8 +219,8 @@ class EkfSlam:
             sighting=sighting,
             resting=resting,
             block=block,
-            correction_rad=float(block.dt_s @ correction.rate_rad_s),
-            columns=block.dt_s @ correction.by_values,
+            correction_rad=float(block.dt_s @ correction.rate_rad_s + columns @ learned),
+            columns=columns,
             pixel_noise_px=self.pixel_noise.std,
             event=event,
         )

@@ -1,0 +1,129 @@
+"""The benches: their arithmetic, and short trials."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.bench import accuracy, camera_off
+from gyrocal_ros.bench.accuracy import CONVENTIONAL, OURS, PAPER, accuracy_row, cases, in_parallel
+from gyrocal_ros.bench.speed import filter_alone
+from gyrocal_ros.bench.trials import Trial, Variant, bound_std, end_of_first_turn_s, run_trial
+from gyrocal_ros.config import Config
+from gyrocal_ros.sim.scenarios import Scenario, find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+SHORT = replace(find_scenario('lanes'), duration_s=40.0)
+
+
+@pytest.fixture(scope='module')
+def trial() -> Trial:
+    return run_trial(SHORT, 0, OURS, with_bound=True)
+
+
+def test_a_trial_tells_how_far_the_truth_is(trial: Trial) -> None:
+    assert not trial.diverged
+    assert abs(trial.early_error) < 1e-3 and abs(trial.settled_error) < 5e-4
+    assert trial.nees == pytest.approx((trial.final_error / trial.final_std) ** 2) and trial.nees < 9.0
+    assert trial.nis_per_dof == pytest.approx(1.0, abs=0.06)
+    assert 0.0 < trial.heading_rms_rad < math.radians(0.2)
+
+
+def test_the_bound_is_a_bound_and_is_nearly_reached(trial: Trial) -> None:
+    assert 0.9 < trial.final_std / trial.bound_std < 1.1
+    assert bound_std(replace(SHORT, duration_s=20.0), 0) > trial.bound_std, 'more time, more knowledge'
+
+
+def test_a_trial_that_diverges_says_so() -> None:
+    trial = run_trial(SHORT, 0, CONVENTIONAL)
+    assert trial.diverged and math.isnan(trial.final_error)
+
+
+def test_the_first_turn_ends_where_the_robot_has_turned() -> None:
+    source = SimSource(SHORT, 0)
+    time_s = end_of_first_turn_s(source)
+    yaw = source.truth.trajectory.motion(np.array([0.0, time_s])).euler_rad[:, 2]
+    rate = source.truth.trajectory.motion(np.array([time_s - 0.2, time_s + 0.2])).rate_rad_s[:, 2]
+    assert abs(yaw[1] - yaw[0]) > math.radians(45.0)
+    assert abs(rate[0]) > math.radians(2.0) > abs(rate[1])
+    standing = SimSource(replace(find_scenario('standing'), duration_s=10.0), 0)
+    assert end_of_first_turn_s(standing) == 10.0
+
+
+def test_a_variant_changes_what_it_is_named_for() -> None:
+    assert OURS.config(Config()) == Config() and OURS.model().bias.form == 'drift'
+    features = PAPER.config(Config()).features
+    assert (features.parametrisation, features.motion_gate_m) == ('camera_frame', 0.0)
+    assert PAPER.model().bias.form == 'settling'
+    assert Variant('small', map_size=5).config(Config()).features.map_size == 5
+
+
+def test_rows_sum_up_over_seeds() -> None:
+    trials = [
+        Trial(0, 1e-3, -2e-4, 3e-5, 1e-5, 0.98, math.radians(0.1), 1e-5),
+        Trial(1, -2e-3, 1e-4, -4e-5, 2e-5, 1.02, math.radians(0.1), 1.6e-5),
+        Trial(2, *(math.nan,) * 6, diverged=True),
+    ]
+    row = accuracy_row(cases(True)[0], trials)
+    assert (row['seeds'], row['diverged'], row['variant']) == (3, 1, 'inverse_depth')
+    expected = {
+        'early_max_percent': 0.2,
+        'settled_max_percent': 0.02,
+        'final_rms_percent': 100.0 * math.sqrt(12.5) * 1e-5,
+        'final_max_percent': 4e-3,
+        'nees': (9.0 + 4.0) / 2.0,
+        'inside_3_sigma': 0.5,
+        'nis_per_dof_min': 0.98,
+        'nis_per_dof_max': 1.02,
+        'std_by_bound_max': 1.25,
+        'heading_rms_deg': 0.1,
+    }
+    assert {name: row[name] for name in expected} == pytest.approx(expected)
+    nothing = accuracy_row(cases(True)[0], trials[2:])
+    assert nothing['final_rms_percent'] is None and nothing['nees'] is None
+
+
+def test_every_case_can_be_run() -> None:
+    for label, scenario, variant, _, _ in cases(quick=False):
+        assert label and isinstance(scenario, Scenario) and variant.model().effects
+        assert len(list(zip(SimSource(scenario, 0).measurements(), range(5), strict=False))) == 5
+
+
+def negative(value: int) -> int:
+    return -value
+
+
+def test_tasks_run_in_parallel_and_stay_in_order() -> None:
+    assert list(in_parallel(negative, range(5))) == [0, -1, -2, -3, -4]
+
+
+def test_the_filter_is_timed_on_what_lies_in_memory() -> None:
+    row = filter_alone(replace(SHORT, duration_s=5.0), repeats=1)
+    assert row['times_real_time'] == pytest.approx(5.0 / row['wall_s'])
+    assert '100 Hz' in row['case']
+
+
+def test_dead_reckoning_with_the_camera_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In small: 40 s with the camera, then spins; once per process is enough."""
+    short = replace(
+        find_scenario('blind_spins'),
+        stages=(('lanes', 40.0), ('spins', 0.0)),
+        duration_s=160.0,
+        camera_until_s=40.0,
+    )
+    monkeypatch.setattr(camera_off, 'find_scenario', lambda name: short)
+    calibrated, nominal = camera_off.ten_rotations(0)
+    assert calibrated.heading_rad.shape == nominal.heading_rad.shape == (2,)
+    assert np.degrees(np.abs(calibrated.heading_rad)).max() < 3.0
+    assert np.degrees(np.abs(nominal.heading_rad)).min() > 100.0, 'an eighth of ten rotations'
+
+
+def test_the_table_has_a_row_for_each_case(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(accuracy, 'in_parallel', map)
+    monkeypatch.setattr(accuracy, 'cases', lambda quick: [('short', SHORT, OURS, False, False)])
+    (row,) = accuracy.accuracy(seeds=2)
+    assert row['case'] == 'short' and row['seeds'] == 2 and row['diverged'] == 0
+    assert row['std_by_bound_max'] is None

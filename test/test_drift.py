@@ -1,0 +1,114 @@
+"""How far the gyro alone goes astray: against hand-made sums, and frames that do not matter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recordings import recording
+
+from gyrocal_ros.calibrate import calibrate
+from gyrocal_ros.config import Config
+from gyrocal_ros.diagnose.drift import (
+    Path,
+    blind_drift,
+    dead_reckoning,
+    heading_rms_deg,
+    slam_path,
+    truth_path,
+    turns,
+)
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import YAW, YAW_BIAS
+
+
+@pytest.fixture(scope='module')
+def run() -> Run:
+    return calibrate(recording('rest_and_go'), Config(), default_model())
+
+
+def test_turns_follow_the_coefficients(run: Run) -> None:
+    nominal = turns(run, np.zeros(1))
+    np.testing.assert_allclose(nominal, run.history.turn_rad, atol=1e-12)
+    np.testing.assert_allclose(turns(run, np.array([0.1])), 1.1 * nominal, atol=1e-12)
+
+
+def test_the_calibrated_gyro_finds_home_and_the_nominal_one_does_not(run: Run) -> None:
+    truth, bias = truth_path(run), float(run.history.mean[-1, YAW_BIAS])
+    assert truth is not None
+
+    def errors(coefficients: list[float]) -> tuple[float, float]:
+        path = dead_reckoning(run, np.array(coefficients), bias)
+        yaw = np.interp(truth.time_s, path.time_s, path.yaw_rad)
+        position = [np.interp(truth.time_s[-1], path.time_s, column) for column in path.position_m.T]
+        worst = float(np.degrees(np.abs(yaw - truth.yaw_rad).max()))
+        return worst, float(np.linalg.norm(position - truth.position_m[-1]))
+
+    heading_deg, position_m = errors([float(run.state.coefficients[0])])
+    assert heading_deg < 0.5 and position_m < 0.08
+    heading_deg, _ = errors([0.0])
+    assert heading_deg > 5.0
+
+
+def test_blind_drift_is_what_a_span_by_hand_gives(run: Run) -> None:
+    history, drift = run.history, blind_drift(run, span_s=20.0)
+    assert drift.reference == 'ground truth' and len(drift.start_s) >= 4
+    truth = truth_path(run)
+    assert truth is not None
+    for start_s, error in zip(drift.start_s, drift.error_rad, strict=True):
+        first = int(np.searchsorted(history.time_s, start_s))
+        last = int(np.searchsorted(history.time_s, start_s + 20.0))
+        turned = 0.0
+        for step in range(first + 1, last + 1):
+            if not history.resting[step]:
+                scale = 1.0 + history.coefficients[first, 0]
+                turned += scale * history.turn_rad[step]
+                turned += history.mean[first, YAW_BIAS] * history.dt_s[step]
+        truly = np.diff(np.interp(history.time_s[[first, last]], truth.time_s, truth.yaw_rad))[0]
+        assert error == pytest.approx(turned - truly, abs=1e-9)
+    settled = blind_drift(run, from_s=20.0, span_s=20.0)
+    assert settled.rms_deg <= settled.max_deg < 0.2
+
+
+def test_the_frame_of_the_truth_does_not_matter(run: Run) -> None:
+    assert run.truth is not None
+    turn = np.array(
+        [[math.cos(2.0), math.sin(2.0), 0.0], [-math.sin(2.0), math.cos(2.0), 0.0], [0.0, 0.0, 1.0]]
+    )
+    elsewhere = replace(
+        run.truth, position_m=run.truth.position_m @ turn + [5.0, -2.0, 1.0], yaw_rad=run.truth.yaw_rad + 2.0
+    )
+    moved, plain = truth_path(replace(run, truth=elsewhere)), truth_path(run)
+    assert moved is not None and plain is not None
+    np.testing.assert_allclose(moved.position_m, plain.position_m, atol=1e-9)
+    np.testing.assert_allclose(moved.yaw_rad, plain.yaw_rad, atol=1e-9)
+    slam = slam_path(run)
+    nearest = [np.interp(plain.time_s, slam.time_s, column) for column in slam.position_m.T]
+    assert np.abs(np.transpose(nearest) - plain.position_m).max() < 0.05
+
+
+def test_without_truth_the_filter_is_the_reference(run: Run) -> None:
+    alone = replace(run, truth=None)
+    assert truth_path(alone) is None and heading_rms_deg(alone) is None
+    drift = blind_drift(alone, span_s=20.0)
+    assert drift.reference == 'slam'
+    np.testing.assert_allclose(
+        drift.error_rad, blind_drift(run, span_s=20.0).error_rad, atol=math.radians(0.2)
+    )
+
+
+def test_another_reference_may_be_given(run: Run) -> None:
+    history = run.history
+    wrong = Path(history.time_s, history.mean[:, :2], history.mean[:, YAW] + 0.001 * history.time_s)
+    drift = blind_drift(run, (wrong, 'drifting'), span_s=20.0)
+    expected = blind_drift(replace(run, truth=None), span_s=20.0).error_rad - 0.001 * 20.0
+    assert drift.reference == 'drifting'
+    np.testing.assert_allclose(drift.error_rad, expected, atol=2e-4)
+
+
+def test_a_run_that_is_too_short_has_no_drift(run: Run) -> None:
+    drift = blind_drift(run, span_s=80.0)
+    assert len(drift.start_s) == 0 and math.isnan(drift.rms_deg) and math.isnan(drift.max_deg)

@@ -1,15 +1,11 @@
-"""The figures of a finished run, and the one place that knows plotly.
+"""The figures of a finished run.
 
-Colours are of the palette of Okabe and Ito; lines differ in their dashes as well, so that a figure
-can be read in grey, and none needs black or white, so that it can be read on light and on dark.
 Nothing is computed here; long series are thinned to what a screen can show.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -23,16 +19,27 @@ from gyrocal_ros.diagnose.drift import BlindDrift, Path
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.report import series
+from gyrocal_ros.report.drawing import (
+    BLUE,
+    GREEN,
+    GREY,
+    PURPLE,
+    TIME,
+    VERMILLION,
+    Place,
+    dress,
+    floor_plan,
+    line,
+    logarithmic,
+    panels,
+    show,
+    xy,
+)
 from gyrocal_ros.report.series import CeilingMap, HeadingError, Windows
 
-BLUE, VERMILLION, GREEN, PURPLE, GREY = '#0072B2', '#D55E00', '#009E73', '#CC79A7', '#808080'
-GRID, CLEAR = 'rgba(128,128,128,0.25)', 'rgba(0,0,0,0)'
 POINTS = 1500
 """A line is drawn through no more points than this."""
 SIGMAS = 3.0
-TIME = 'time since the first sample (s)'
-Place = tuple[int, int]
-"""Row and column of a panel."""
 
 
 def scale_factor(history: History, calibration: Calibration) -> go.Figure:
@@ -46,7 +53,7 @@ def scale_factor(history: History, calibration: Calibration) -> go.Figure:
         vertical_spacing=0.17,
         subplot_titles=['the beginning', 'the whole, magnified', 'how well it is known'],
     )
-    _dress(figure, 'Scale factor', 640)
+    dress(figure, 'Scale factor', 640)
     figure.update_layout(hovermode='x unified', margin_t=110, legend_y=1.06)
     figure.update_yaxes(title_text='true rate / nominal rate', row=1, col=1)
     figure.update_yaxes(title_text='% of the nominal, log scale', row=2, col=1)
@@ -59,16 +66,16 @@ def scale_factor(history: History, calibration: Calibration) -> go.Figure:
     for place, part in (((1, 1), early), ((1, 2), time_s >= 0.0)):
         _estimate(figure, time_s[part], value[part], reach[part], 'scale factor', '.5f', place)
     figure.data[-1].showlegend = False
-    _show(figure, (1, 1), np.append(value[early], [1.0, value[-1]]))
+    show(figure, (1, 1), np.append(value[early], [1.0, value[-1]]))
     dotted, note = {'color': GREY, 'dash': 'dot'}, {'text': f'nominal, {volt:g} deg/s/V', 'yanchor': 'top'}
     figure.add_hline(1.0, row=1, col=1, line=dotted, annotation=note)
 
     rows = _kept(value, reach)
     away = np.abs(value[rows] - value[-1])
     away[away == 0.0] = np.nan
-    _line(figure, time_s[rows], 100.0 * reach[rows], '3 sigma of the estimate', '.4f', (2, 1), BLUE, 'dash')
-    _line(figure, time_s[rows], 100.0 * away, 'distance from its final value', '.4f', (2, 1), VERMILLION)
-    _logarithmic(figure, (2, 1), 10.0 * reach[-1], 200.0 * reach.max())
+    line(figure, time_s[rows], 100.0 * reach[rows], '3 sigma of the estimate', '.4f', (2, 1), BLUE, 'dash')
+    line(figure, time_s[rows], 100.0 * away, 'distance from its final value', '.4f', (2, 1), VERMILLION)
+    logarithmic(figure, (2, 1), 10.0 * reach[-1], 200.0 * reach.max())
     if settled_s is not None:
         note = {'text': f'converged after {settled_s:.0f} s'}
         figure.add_vline(settled_s, row=2, col=1, line=dotted, annotation=note)
@@ -79,7 +86,7 @@ def coefficients(history: History, calibration: Calibration) -> go.Figure:
     """The other coefficients of the sensor model over time, one panel each."""
     names, units = calibration.names[2:], calibration.units[2:]
     titles = [f'{name.replace(".", "<br>")}<br>({unit})' for name, unit in zip(names, units, strict=True)]
-    figure = _panels('Other coefficients', titles)
+    figure = panels('Other coefficients', titles)
     for i, name in enumerate(names, start=1):
         value, reach = history.coefficients[:, i], SIGMAS * history.std[:, COEFFICIENTS_START + i]
         _estimate(figure, history.time_s, value, reach, name, '.4g', (i, 1))
@@ -90,21 +97,21 @@ def coefficients(history: History, calibration: Calibration) -> go.Figure:
 def bias(history: History) -> go.Figure:
     """The yaw bias over time, above the temperature where that was recorded."""
     has_temperature = bool(np.isfinite(history.temperature_c).any())
-    figure = _panels('Bias of the yaw gyro', ['bias (deg/s)', 'temperature (°C)'][: 1 + has_temperature])
+    figure = panels('Bias of the yaw gyro', ['bias (deg/s)', 'temperature (°C)'][: 1 + has_temperature])
     value, reach = np.degrees(history.mean[:, YAW_BIAS]), SIGMAS * np.degrees(history.std[:, YAW_BIAS])
     _estimate(figure, history.time_s, value, reach, 'bias', '.4f', (1, 1))
     if has_temperature:
         rows, warmth = _kept(history.temperature_c), history.temperature_c
-        _line(figure, history.time_s[rows], warmth[rows], 'temperature', '.2f', (2, 1), PURPLE)
+        line(figure, history.time_s[rows], warmth[rows], 'temperature', '.2f', (2, 1), PURPLE)
     return figure
 
 
 def heading(history: History, error: HeadingError | None) -> go.Figure:
     """The heading, and its error against the ground truth; without one, what the filter says of it."""
-    figure = _panels('Heading', ['heading (deg)', 'uncertainty (deg)' if error is None else 'error (deg)'])
+    figure = panels('Heading', ['heading (deg)', 'uncertainty (deg)' if error is None else 'error (deg)'])
     value = np.degrees(history.mean[:, YAW])
     rows = _kept(value)
-    _line(figure, history.time_s[rows], value[rows], 'heading by SLAM', '.1f', (1, 1), GREEN)
+    line(figure, history.time_s[rows], value[rows], 'heading by SLAM', '.1f', (1, 1), GREEN)
     if error is None:
         reach = SIGMAS * np.degrees(history.std[:, YAW])
         rows = _kept(reach)
@@ -113,7 +120,7 @@ def heading(history: History, error: HeadingError | None) -> go.Figure:
     value, reach = np.degrees(error.error_rad), SIGMAS * np.degrees(error.std_rad)
     rows = _kept(value, reach)
     _band(figure, error.time_s[rows], np.zeros(len(rows)), reach[rows], (2, 1))
-    _line(figure, error.time_s[rows], value[rows], 'SLAM less ground truth', '.3f', (2, 1))
+    line(figure, error.time_s[rows], value[rows], 'SLAM less ground truth', '.3f', (2, 1))
     return figure
 
 
@@ -122,11 +129,11 @@ def innovations(history: History, windows: Windows) -> go.Figure:
     has_features = bool(windows.used.any() or windows.rejected.any())
     has_heading = bool(np.isfinite(history.heading_innovation_std_rad).any())
     titles = ['NIS per dof', *['features'] * has_features, *['heading (deg)'] * has_heading]
-    figure = _panels('Innovations', titles, 190)
+    figure = panels('Innovations', titles, 190)
     for bound in (windows.low, windows.high):
-        _line(figure, windows.time_s, bound, '95 % bounds', '.2f', (1, 1), GREY, 'dash')
+        line(figure, windows.time_s, bound, '95 % bounds', '.2f', (1, 1), GREY, 'dash')
     figure.data[-1].showlegend = False
-    _line(figure, windows.time_s, windows.nis_per_dof, 'NIS per degree of freedom', '.2f', (1, 1), GREEN)
+    line(figure, windows.time_s, windows.nis_per_dof, 'NIS per degree of freedom', '.2f', (1, 1), GREEN)
     if has_features:
         _feature_counts(figure, windows, (2, 1))
     if has_heading:
@@ -149,12 +156,12 @@ def paths(tracks: Mapping[str, Path]) -> go.Figure:
     Args:
         tracks: by name; `PATH_STYLES` holds the known ones.
     """
-    figure = _floor_plan('Path')
+    figure = floor_plan('Path')
     for name, track in tracks.items():
         colour, dash, width = PATH_STYLES.get(name, (PURPLE, 'dashdot', 2))
         rows = _kept(*track.position_m.T)
         figure.add_scatter(
-            **_xy(*track.position_m[rows].T),
+            **xy(*track.position_m[rows].T),
             name=name,
             mode='lines',
             customdata=track.time_s[rows].astype(np.float32),
@@ -163,7 +170,7 @@ def paths(tracks: Mapping[str, Path]) -> go.Figure:
             hovertemplate='(%{x:.2f}, %{y:.2f}) m after %{customdata:.1f} s',
         )
         figure.add_scatter(
-            **_xy(*track.position_m[-1:].T),
+            **xy(*track.position_m[-1:].T),
             name=name,
             mode='markers',
             showlegend=False,
@@ -175,19 +182,19 @@ def paths(tracks: Mapping[str, Path]) -> go.Figure:
 
 def distances(time_s: Array, distances_m: Mapping[str, Array]) -> go.Figure:
     """How far each path of `paths` is from the ground truth."""
-    figure = _panels('Distance from the ground truth', ['distance (m), log scale'], 320)
+    figure = panels('Distance from the ground truth', ['distance (m), log scale'], 320)
     for name, distance in distances_m.items():
         rows = _kept(distance)
         colour, dash, _ = PATH_STYLES[name]
-        _line(figure, time_s[rows], distance[rows], name, '.3f', (1, 1), colour, dash)
+        line(figure, time_s[rows], distance[rows], name, '.3f', (1, 1), colour, dash)
     largest = max(float(distance.max()) for distance in distances_m.values())
-    _logarithmic(figure, (1, 1), 0.001, max(2.0 * largest, 0.01))
+    logarithmic(figure, (1, 1), 0.001, max(2.0 * largest, 0.01))
     return figure
 
 
 def ceiling_map(ceiling: CeilingMap, track: Path) -> go.Figure:
     """The features of the map from above with their 3-sigma ellipses, as in the paper's Fig. 7."""
-    figure = _floor_plan('Map of the ceiling')
+    figure = floor_plan('Map of the ceiling')
     outlines = ceiling.outlines(SIGMAS)
     ellipses = np.concatenate([outlines, np.full((len(outlines), 1, 2), np.nan)], axis=1).reshape(-1, 2)
     for name, points, colour, width in (
@@ -195,7 +202,7 @@ def ceiling_map(ceiling: CeilingMap, track: Path) -> go.Figure:
         ('3 sigma', ellipses, VERMILLION, 1.5),
     ):
         line = {'color': colour, 'width': width}
-        figure.add_scatter(**_xy(*points.T), name=name, mode='lines', line=line, hoverinfo='skip')
+        figure.add_scatter(**xy(*points.T), name=name, mode='lines', line=line, hoverinfo='skip')
     stds = np.sqrt(np.maximum(np.diagonal(ceiling.covariances_m2, axis1=1, axis2=2), 0.0))
     about = np.concatenate([ceiling.ids[:, None], ceiling.points_m[:, 2:], stds], axis=1)
     for name, rows, symbol in (
@@ -203,7 +210,7 @@ def ceiling_map(ceiling: CeilingMap, track: Path) -> go.Figure:
         ('remembered', ~ceiling.in_view, 'circle-open'),
     ):
         figure.add_scatter(
-            **_xy(*ceiling.points_m[rows, :2].T),
+            **xy(*ceiling.points_m[rows, :2].T),
             customdata=about[rows],
             name=name,
             mode='markers',
@@ -219,16 +226,16 @@ def ceiling_map(ceiling: CeilingMap, track: Path) -> go.Figure:
 
 def blind_drift(before: BlindDrift, after: BlindDrift) -> go.Figure:
     """Heading error after spans without the camera, all over the run."""
-    figure = _panels('Drift without the camera', [f'heading error after {after.span_s:.0f} s (deg)'], 320)
+    figure = panels('Drift without the camera', [f'heading error after {after.span_s:.0f} s (deg)'], 320)
     for drift, name, colour, symbol in (
         (before, 'nominal gyro', VERMILLION, 'x'),
         (after, 'calibrated gyro', GREEN, 'circle'),
     ):
         size_deg = np.abs(np.degrees(drift.error_rad))
-        _line(figure, drift.start_s, size_deg, name, '.3f', (1, 1), colour)
+        line(figure, drift.start_s, size_deg, name, '.3f', (1, 1), colour)
         figure.data[-1].update(mode='markers', marker={'symbol': symbol, 'size': 8, 'color': colour})
         ends_s, rms_deg = drift.start_s[[0, -1]], np.full(2, drift.rms_deg)
-        _line(figure, ends_s, rms_deg, f'its rms, {drift.rms_deg:.3g} deg', '.3f', (1, 1), colour, 'dash')
+        line(figure, ends_s, rms_deg, f'its rms, {drift.rms_deg:.3g} deg', '.3f', (1, 1), colour, 'dash')
     figure.update_yaxes(type='log', dtick=1)
     figure.update_xaxes(title_text='beginning of the span (s)')
     return figure
@@ -257,50 +264,11 @@ def library() -> str:
     return script
 
 
-def _panels(title: str, titles: list[str], row_px: int = 230) -> go.Figure:
-    """Panels one above the other over a common time axis."""
-    count = len(titles)
-    figure = make_subplots(rows=count, cols=1, shared_xaxes=True, vertical_spacing=0.12 / count)
-    _dress(figure, title, 130 + row_px * count)
-    figure.update_layout(hovermode='x unified')
-    figure.update_xaxes(title_text=TIME, row=count, col=1)
-    for row, text in enumerate(titles, start=1):
-        figure.update_yaxes(title_text=text, row=row, col=1)
-    return figure
-
-
-def _floor_plan(title: str) -> go.Figure:
-    """A view from above, to scale."""
-    figure = _dress(go.Figure(), title, 560)
-    figure.update_xaxes(title_text='x (m)')
-    figure.update_yaxes(title_text='y (m)', scaleanchor='x')
-    return figure
-
-
-def _dress(figure: go.Figure, title: str, height_px: int) -> go.Figure:
-    figure.update_layout(
-        template='none',
-        title={'text': title, 'x': 0.0, 'y': 1.0, 'yanchor': 'top', 'pad': {'t': 12}, 'font': {'size': 18}},
-        height=height_px,
-        margin={'l': 70, 'r': 15, 't': 80, 'b': 55},
-        font={'family': 'system-ui, sans-serif', 'size': 13, 'color': GREY},
-        paper_bgcolor=CLEAR,
-        plot_bgcolor=CLEAR,
-        legend={'orientation': 'h', 'x': 0.0, 'y': 1.0, 'yanchor': 'bottom', 'bgcolor': CLEAR},
-        hoverlabel={'bgcolor': '#22262e', 'font': {'color': '#f2f2f2'}},
-        modebar={'bgcolor': CLEAR, 'color': GREY, 'activecolor': BLUE},
-    )
-    axis = {'gridcolor': GRID, 'linecolor': GRID, 'zeroline': False, 'showline': True, 'automargin': True}
-    figure.update_xaxes(**axis, hoverformat='.1f', title_standoff=8)
-    figure.update_yaxes(**axis, exponentformat='none')
-    return figure
-
-
 def _feature_counts(figure: go.Figure, windows: Windows, place: Place) -> None:
     row, col = place
-    _line(figure, windows.time_s, windows.used, 'used, per image', '.1f', place, PURPLE)
+    line(figure, windows.time_s, windows.used, 'used, per image', '.1f', place, PURPLE)
     name, style = f'rejected in {windows.length_s:.0f} s', {'color': VERMILLION, 'line': {'width': 0}}
-    bars = _xy(windows.time_s, windows.rejected)
+    bars = xy(windows.time_s, windows.rejected)
     figure.add_bar(**bars, name=name, marker=style, hovertemplate='%{y:.0f}', row=row, col=col)
     figure.update_yaxes(rangemode='tozero', row=row, col=col)
 
@@ -312,9 +280,9 @@ def _heading_innovations(figure: go.Figure, history: History, place: Place) -> N
     rows = _kept(value, reach)
     time_s = history.time_s[measured[rows]]
     _band(figure, time_s, np.zeros(len(rows)), reach[rows], place)
-    _line(figure, time_s, value[rows], 'innovation as a heading', '.3f', place)
+    line(figure, time_s, value[rows], 'innovation as a heading', '.3f', place)
     figure.data[-1].update(mode='markers', marker={'size': 3, 'color': BLUE})
-    _show(figure, place, np.percentile(np.concatenate([value, reach, -reach]), [0.5, 99.5]), margin=0.3)
+    show(figure, place, np.percentile(np.concatenate([value, reach, -reach]), [0.5, 99.5]), margin=0.3)
 
 
 def _estimate(
@@ -323,11 +291,11 @@ def _estimate(
     """An estimate in the middle of its band, in a range that shows the end; a double click shows all."""
     rows = _kept(value, reach)
     _band(figure, time_s[rows], value[rows], reach[rows], place)
-    _line(figure, time_s[rows], value[rows], name, digits, place)
+    line(figure, time_s[rows], value[rows], name, digits, place)
     hover = f'%{{y:{digits}}} ± %{{customdata:{digits}}} (3 sigma)'
     figure.data[-1].update(customdata=reach[rows].astype(np.float32), hovertemplate=hover)
     late = slice(len(value) // 2, None)
-    _show(figure, place, np.concatenate([(value - reach)[late], (value + reach)[late]]), margin=0.4)
+    show(figure, place, np.concatenate([(value - reach)[late], (value + reach)[late]]), margin=0.4)
 
 
 def _band(figure: go.Figure, time_s: Array, middle: Array, reach: Array, place: Place) -> None:
@@ -341,7 +309,7 @@ def _band(figure: go.Figure, time_s: Array, middle: Array, reach: Array, place: 
         part for there, back in zip(upper, lower, strict=True) for part in (there, back[:, ::-1], apart)
     ]
     figure.add_scatter(
-        **_xy(*np.concatenate(outlines, axis=1)),
+        **xy(*np.concatenate(outlines, axis=1)),
         name='3 sigma',
         showlegend=all(trace.name != '3 sigma' for trace in figure.data),
         fill='toself',
@@ -353,42 +321,5 @@ def _band(figure: go.Figure, time_s: Array, middle: Array, reach: Array, place: 
     )
 
 
-def _line(
-    figure: go.Figure,
-    time_s: Array,
-    value: Array,
-    name: str,
-    digits: str,
-    place: Place,
-    colour: str = BLUE,
-    dash: str = 'solid',
-) -> None:
-    figure.add_scatter(
-        **_xy(time_s, value),
-        name=name,
-        mode='lines',
-        line={'color': colour, 'width': 2, 'dash': dash},
-        hovertemplate=f'%{{y:{digits}}}',
-        row=place[0],
-        col=place[1],
-    )
-
-
-def _show(figure: go.Figure, place: Place, values: Array, margin: float = 0.08) -> None:
-    low, high = float(values.min()), float(values.max())
-    pad = margin * (high - low) or 1e-9
-    figure.update_yaxes(range=[low - pad, high + pad], row=place[0], col=place[1])
-
-
-def _logarithmic(figure: go.Figure, place: Place, low: float, high: float) -> None:
-    bounds = [math.log10(low), math.log10(high)]
-    figure.update_yaxes(type='log', dtick=1, range=bounds, row=place[0], col=place[1])
-
-
 def _kept(*columns: Array) -> IntArray:
     return series.kept(np.stack(columns, axis=1), POINTS)
-
-
-def _xy(x: Array, y: Array) -> dict[str, Any]:
-    """Single precision: half the size of the page, and far finer than a screen."""
-    return {'x': x.astype(np.float32), 'y': y.astype(np.float32)}

@@ -89,7 +89,8 @@ def test_rows_sum_up_over_seeds() -> None:
 def test_every_case_can_be_run() -> None:
     for label, scenario, variant, _, _ in cases(quick=False):
         assert label and isinstance(scenario, Scenario) and variant.model().effects
-        assert len(list(zip(SimSource(scenario, 0).measurements(), range(5), strict=False))) == 5
+        source = SimSource(replace(scenario, duration_s=5.0), 0)
+        assert len(list(source.measurements())) > 5 * scenario.imu_hz
 
 
 def negative(value: int) -> int:

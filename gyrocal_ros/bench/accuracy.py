@@ -18,8 +18,8 @@ T = TypeVar('T')
 R = TypeVar('R')
 
 OURS = Variant('inverse_depth')
-PAPER = Variant('paper as written', 'camera_frame', motion_gate=False, settling_bias=True)
-PAPER_GATED = Variant('paper, motion gate, drift bias', 'camera_frame')
+PAPER = Variant('paper form, eq. (8) bias', 'camera_frame', motion_gate=False, settling_bias=True)
+PAPER_GATED = Variant('paper form, motion gate', 'camera_frame')
 CONVENTIONAL = Variant('conventional pixel', 'pixel')
 
 

@@ -11,7 +11,7 @@ image). `R_ab` turns coordinates in b into coordinates in a; `p_ab` is the origi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -265,3 +265,11 @@ class MotionBlock:
     def duration_s(self) -> float:
         """Length in seconds."""
         return seconds(self.end_ns - self.start_ns)
+
+    def part(self, chosen: slice) -> MotionBlock:
+        """Some of the intervals; all that concerns the whole block stays as it is."""
+        columns = {item.name: getattr(self, item.name) for item in fields(self)}
+        cut: dict[str, Any] = {
+            name: column[chosen] for name, column in columns.items() if isinstance(column, np.ndarray)
+        }
+        return replace(self, covariates={name: c[chosen] for name, c in self.covariates.items()}, **cut)

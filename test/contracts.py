@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import fields, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -223,15 +222,6 @@ def eventful_blocks() -> list[MotionBlock]:
     return blocks
 
 
-def part_of(block: MotionBlock, part: slice) -> MotionBlock:
-    """Some intervals of a block, as a block."""
-    columns = {item.name: getattr(block, item.name) for item in fields(block)}
-    cut: dict[str, Any] = {
-        name: column[part] for name, column in columns.items() if isinstance(column, np.ndarray)
-    }
-    return replace(block, covariates={name: c[part] for name, c in block.covariates.items()}, **cut)
-
-
 def draws(effect: Effect) -> list[Array]:
     """Coefficient values as they may come up: the prior mean, and half a sigma about it."""
     rng = np.random.default_rng(1)
@@ -326,7 +316,7 @@ class GyroEffectContract(EffectContract):
     def test_two_blocks_are_as_good_as_one(self, effect: GyroEffect) -> None:
         whole, values, memory, rates = eventful_block(), draws(effect)[1], None, []
         for part in (slice(0, 5), slice(5, 12)):
-            term = effect.contribute(part_of(whole, part), values, memory)
+            term = effect.contribute(whole.part(part), values, memory)
             memory = term.memory
             rates.append(term.rate_rad_s)
         at_once = effect.contribute(whole, values, None).rate_rad_s

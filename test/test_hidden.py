@@ -22,7 +22,6 @@ from gyrocal_ros.sim.hidden import (
     draw_scale_factor,
     draw_values,
     hide,
-    usual_values,
 )
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.sealed import answer_of, sealed_path, unseal
@@ -58,8 +57,6 @@ def test_sizes_run_from_just_visible_to_large(name: str) -> None:
         assert np.all((np.abs(values) >= low * 0.999) & (np.abs(values) <= high * 1.001))
         assert np.median(np.abs(values)) == pytest.approx((low * high) ** 0.5, rel=0.35)
         assert np.any(values < 0.0) == item.signed
-    usual = usual_values(name, 1.0).values
-    assert usual == pytest.approx([item.value(0.5) for item in SIZED[name]])
     assert draw_values(name, rng, 1.0, size=1.0).values[0] in (
         pytest.approx(SIZED[name][0].large),
         pytest.approx(-SIZED[name][0].large),
@@ -89,9 +86,9 @@ def test_a_knock_falls_into_the_recording() -> None:
     assert max(times) <= 150.0
 
 
-def test_an_effect_without_a_usual_size_is_refused() -> None:
-    with pytest.raises(ConfigError, match='scale_power_4=VALUE'):
-        usual_values('scale_power_4', 300.0)
+def test_an_effect_without_sizes_is_refused() -> None:
+    with pytest.raises(ConfigError, match="no sizes to draw from; did you mean 'scale_"):
+        draw_hidden(0, 300.0, ['scale_power_4'])
 
 
 # --- commands -----------------------------------------------------------------------------------
@@ -129,8 +126,8 @@ def test_effects_are_put_in_as_told(tmp_path: Path, capsys: pytest.CaptureFixtur
     options = ['--effect', 'bias_warmup=time_constant:100,amplitude:0.01', '--effect', 'gyro_lag']
     assert simulate(tmp_path / 'bag', *options) == 0
     told = capsys.readouterr().out
-    assert 'with bias_warmup: amplitude = 0.01 rad/s, time_constant = 100 s' in told
-    assert f'with gyro_lag: tau = {usual_values("gyro_lag", 5.0).values[0]:.4g} s' in told
+    assert 'with bias_warmup: amplitude = 0.01 rad/s (0.573 deg/s), time_constant = 100 s' in told
+    assert f'with gyro_lag: tau = {EFFECTS["gyro_lag"].about.example[0]:g} s' in told
 
 
 def test_nothing_hidden_is_an_answer_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -157,7 +154,8 @@ def test_the_answer_holds_the_truth_of_the_source() -> None:
         ('gyro_lag=tu:0.1', "no coefficient 'tu'; did you mean 'tau'?"),
         ('gyro_lag=', 'not a list of numbers'),
         ('gyro_lag=nan', 'not a list of numbers'),
-        ('scale_power_4', 'no usual size'),
+        ('stranger_knock', 'give it, as in stranger_knock=VALUE'),
+        ('covariate_bias:fan_speed.data', 'has no usual size'),
         ('covariate_bias:fan_sped.data=1e-6', "did you mean 'fan_speed.data'?"),
     ],
 )

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gyrocal_ros.cli.output import print_json
+from gyrocal_ros.effects.base import with_unit
 from gyrocal_ros.sim.sealed import unseal
 
 EXAMPLE = """gyrocal simulate my_bag --hidden --seed 7
@@ -47,7 +48,6 @@ def in_words(answer: Mapping[str, Any]) -> Iterator[str]:
     if not answer['effects']:
         yield 'hidden        nothing'
     for effect in answer['effects']:
-        values = ', '.join(
-            f'{name} = {item["value"]:.6g} {item["unit"]}' for name, item in effect['coefficients'].items()
-        )
-        yield f'hidden        {effect["effect"]}: {values}'
+        values = effect['coefficients'].items()
+        words = ', '.join(f'{name} = {with_unit(item["value"], item["unit"])}' for name, item in values)
+        yield f'hidden        {effect["effect"]}: {words}'

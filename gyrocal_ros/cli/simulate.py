@@ -19,9 +19,11 @@ from gyrocal_ros.cli.output import progress
 from gyrocal_ros.config import nearest
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects.base import LibraryEffect, with_unit
 from gyrocal_ros.errors import ConfigError, GyrocalError
+from gyrocal_ros.model.sensor import SignalEffect
 from gyrocal_ros.recording.write import new_bag
-from gyrocal_ros.sim.hidden import Drawn, draw_hidden, draw_scale_factor, hide, usual_values
+from gyrocal_ros.sim.hidden import Drawn, draw_hidden, draw_scale_factor, hide
 from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
 from gyrocal_ros.sim.sealed import answer_of, seal, sealed_path
 from gyrocal_ros.sim.strangers import STRANGERS
@@ -94,7 +96,8 @@ def run(args: argparse.Namespace) -> None:
         print(f'what it hides: gyrocal reveal {args.out}')
     for item in () if args.hidden else source.hidden:
         named = zip(item.effect.coefficients, item.values, strict=True)
-        print(f'with {item.effect.name}: ' + ', '.join(f'{c.name} = {v:.4g} {c.unit}' for c, v in named))
+        values = ', '.join(f'{about.name} = {with_unit(value, about.unit)}' for about, value in named)
+        print(f'with {item.effect.name}: {values}')
 
 
 def _source(args: argparse.Namespace) -> SimSource:
@@ -103,7 +106,7 @@ def _source(args: argparse.Namespace) -> SimSource:
     _check('--duration', duration_s, 1.0, MAX_DURATION_S, 's')
     _check('--seed', args.seed, 0, math.inf)
     _check('--jpeg-quality', args.jpeg_quality, 1, 100)
-    drawn = [parse_effect(text, duration_s) for text in args.effect]
+    drawn = [parse_effect(text) for text in args.effect]
     scale_factor = scenario.errors.scale_factor
     if args.hidden:
         drawn, scale_factor = [*draw_hidden(args.seed, duration_s)], draw_scale_factor(args.seed)
@@ -115,7 +118,7 @@ def _source(args: argparse.Namespace) -> SimSource:
     return SimSource(scenario, args.seed, images=args.images, hidden=hidden)
 
 
-def parse_effect(text: str, duration_s: float) -> Drawn:
+def parse_effect(text: str) -> Drawn:
     """Read `NAME`, `NAME=VALUE,VALUE` or `NAME=coefficient:value,...`.
 
     Raises:
@@ -124,7 +127,9 @@ def parse_effect(text: str, duration_s: float) -> Drawn:
     name, has_values, given = text.partition('=')
     effect = STRANGERS.get(name) or find_effect(name, '--effect')
     if not has_values:
-        return usual_values(name, duration_s)
+        if isinstance(effect, LibraryEffect) and not isinstance(effect, SignalEffect):
+            return Drawn(name, effect.about.example)
+        raise ConfigError('has no usual size', where=f'--effect {name}', todo=f'give it, as in {name}=VALUE')
     parts = given.split(',')
     if all(':' in part for part in parts):
         named = dict(part.split(':', 1) for part in parts)

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 from gyrocal_ros.config import nearest
+from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.bias_temperature import BiasTemperature
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.camera_position import CameraPosition
@@ -32,9 +34,9 @@ from gyrocal_ros.effects.vibration_rectification import VibrationRectification
 from gyrocal_ros.effects.wheel_scale import WheelScale
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.bias import BiasModel
-from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.model.sensor import SensorModel
 
-EFFECTS: dict[str, Effect] = {
+EFFECTS: dict[str, LibraryEffect] = {
     effect.name: effect
     for effect in (
         scale_power(1),
@@ -63,11 +65,14 @@ EFFECTS: dict[str, Effect] = {
     )
 }
 
-COVARIATE_EFFECTS = {'covariate_bias': covariate_bias, 'covariate_scale': covariate_scale}
+COVARIATE_EFFECTS: dict[str, Callable[[str], LibraryEffect]] = {
+    'covariate_bias': covariate_bias,
+    'covariate_scale': covariate_scale,
+}
 """Effects that are named with their signal, `covariate_bias:battery_state.current`."""
 
 
-def find_effect(name: str, where: str = '') -> Effect:
+def find_effect(name: str, where: str = '') -> LibraryEffect:
     """The effect of that name with its usual priors.
 
     Args:
@@ -78,6 +83,10 @@ def find_effect(name: str, where: str = '') -> Effect:
     Raises:
         ConfigError: there is no such effect.
     """
+    if name not in EFFECTS and ':' not in name:
+        from gyrocal_ros.effects.own import load_installed  # which imports this table
+
+        load_installed()
     if name in EFFECTS:
         return EFFECTS[name]
     power = re.fullmatch(r'scale_power_([4-9])', name)

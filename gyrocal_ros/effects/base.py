@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
+from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, Place
+
+Stimulus: TypeAlias = Literal[
+    'rate', 'turn', 'time', 'temperature', 'force', 'roll', 'vibration', 'distance', 'signal', 'image'
+]
+"""What brings an effect out: see `sketch`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +33,18 @@ class Explanation:
     needs: tuple[str, ...] = ()
     """Signals beside IMU, wheels and camera: `temperature`."""
     source: str = ''
+    example: tuple[float, ...] = ()
+    """Values of the coefficients, in their units, at which the effect can clearly be seen."""
+    shown_against: Stimulus = 'rate'
+    """What to vary to show it."""
+
+
+@runtime_checkable
+class LibraryEffect(Effect, Protocol):
+    """An effect that can explain itself."""
+
+    @property
+    def about(self) -> Explanation: ...
 
 
 class LinearGyroEffect(ABC):
@@ -54,3 +72,11 @@ def column(*signals: Array) -> Array:
 def recorded(signal: Array) -> Array:
     """A signal with zero for what was not recorded (NaN): the effect then has nothing to say."""
     return np.nan_to_num(signal)
+
+
+def with_unit(value: float, unit: str, digits: int = 4) -> str:
+    """A number as people read it: without the unit 1, and angles in degrees as well."""
+    text = f'{value:.{digits}g} {unit}'.removesuffix(' 1')
+    if unit.startswith('rad'):
+        text += f' ({math.degrees(value):.{digits}g} {unit.replace("rad", "deg", 1)})'
+    return text

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
 MIN_TIME_CONSTANT_S = 1.0
@@ -22,6 +23,20 @@ class BiasWarmup:
     Time counts from the first IMU sample.
     """
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='The part heats itself once it has power, and what it reads at rest creeps until it '
+        'is as warm as it gets. That takes minutes and goes fast at first, then ever slower. A robot '
+        'that takes its zero before the first drive carries the difference along as drift. The term '
+        'vanishes long after power-on, so that the bias keeps its meaning.',
+        equation='w = w_n - C exp(-t / tau), t since the first sample',
+        usual_size='0.05 to 2 deg/s, over 100 to 1000 s',
+        best_motion='rests spread over the first ten minutes after switching on',
+        twins=('bias_temperature', 'bias'),
+        source='Barshan and Durrant-Whyte 1995, Inertial navigation systems for mobile robots, IEEE '
+        'Transactions on Robotics and Automation 11(3); Lee et al. 2012, eq. (8)',
+        example=(math.radians(0.5), 300.0),
+        shown_against='time',
+    )
     acts_on: ClassVar[Place] = 'gyro'
     name: str = 'bias_warmup'
     coefficients: tuple[Coefficient, ...] = (

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
 
 
@@ -15,6 +16,18 @@ from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
 class CameraPosition:
     """Offset (x, y) of the mounting in body axes."""
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='The camera does not sit where its mounting says. When the robot turns on the spot, '
+        'the camera swings round a circle of another size or from another side than expected.',
+        equation='p_bc = p_bc,given + (x, y, 0)',
+        usual_size='5 to 20 mm',
+        best_motion='full turns on the spot, at several places',
+        twins=('principal_point', 'wheel_scale'),
+        source='Kelly and Sukhatme 2011, Visual-inertial sensor fusion: localization, mapping and '
+        'sensor-to-sensor self-calibration, International Journal of Robotics Research 30(1)',
+        example=(0.01, 0.01),
+        shown_against='image',
+    )
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'camera_position'
     coefficients: tuple[Coefficient, ...] = (

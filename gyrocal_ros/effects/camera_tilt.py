@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
 
@@ -20,6 +21,19 @@ class CameraTilt:
     Applied after the transform that is given, it makes the true mounting.
     """
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='The camera does not look quite where its mounting says: a bent bracket, a screw '
+        'tightened unevenly, a lens askew. When the robot turns on the spot, the ceiling then turns '
+        'about another point of the image than expected.',
+        equation='R_bc = R_bc,given R(tx, ty), small angles about the image axes',
+        usual_size='0.5 to 3 deg',
+        best_motion='full turns on the spot',
+        twins=('principal_point',),
+        source='Kelly and Sukhatme 2011, Visual-inertial sensor fusion: localization, mapping and '
+        'sensor-to-sensor self-calibration, International Journal of Robotics Research 30(1)',
+        example=(math.radians(1.0), math.radians(1.0)),
+        shown_against='image',
+    )
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'camera_tilt'
     coefficients: tuple[Coefficient, ...] = (

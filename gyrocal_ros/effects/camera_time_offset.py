@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, Place
 
 
@@ -15,6 +16,20 @@ class CameraTimeOffset:
     The filter looks at each image at its true time; the derivative is the motion of the pixels.
     """
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='The images carry a time that is not that of their exposure: the camera stamps them '
+        'when they have been read out or have arrived, or its clock stands otherwise. While the '
+        'robot turns, the heading seen then is one of a little earlier or later. At rest and between '
+        'turns nothing shows.',
+        equation='true time of exposure = stamp - offset',
+        usual_size='5 to 60 ms',
+        best_motion='turns that start and stop abruptly',
+        twins=('gyro_lag',),
+        source='Li and Mourikis 2014, Online temporal calibration for camera-IMU systems: theory and '
+        'algorithms, International Journal of Robotics Research 33(7)',
+        example=(0.02,),
+        shown_against='image',
+    )
     acts_on: ClassVar[Place] = 'time'
     name: str = 'camera_time_offset'
     coefficients: tuple[Coefficient, ...] = (Coefficient('offset', 's', prior_std=0.03),)

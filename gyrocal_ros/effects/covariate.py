@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
 from gyrocal_ros.model.sensor import Coefficient
 
 
@@ -16,6 +17,21 @@ from gyrocal_ros.model.sensor import Coefficient
 class CovariateBias(LinearGyroEffect):
     """`k (c - c0)`; named with its signal, `covariate_bias:battery_state.current`."""
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='Something else that is recorded goes together with what the sensor reads at rest: '
+        'the current of a motor nearby, the speed of a fan, the voltage of the battery. Magnetic '
+        'fields, heat, shaking or a supply that gives way may be behind it. Slow signals go together '
+        'with anything slow, so look for a reason before you trust it.',
+        equation='w = w_n + k (c - mean c)',
+        usual_size='as much as the signal varies, 0.01 to 0.2 deg/s',
+        best_motion='what makes the signal change, again and again: motors and fan on and off at rest',
+        twins=('bias_temperature', 'bias_warmup', 'vibration_rectification'),
+        needs=('the signal it is named with',),
+        source='Ljung 1999, System Identification: Theory for the User, chapter 16: residuals against '
+        'what was recorded',
+        example=(math.radians(0.1),),
+        shown_against='signal',
+    )
     signal: str
     name: str
     coefficients: tuple[Coefficient, ...]
@@ -35,6 +51,20 @@ class CovariateBias(LinearGyroEffect):
 class CovariateScale(LinearGyroEffect):
     """`k (c - c0) w`."""
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='Something else that is recorded goes together with how strongly the sensor answers '
+        'to turns, as the supply voltage does where the output is measured in parts of it. At rest '
+        'nothing shows.',
+        equation='w = w_n + k (c - mean c) w_n',
+        usual_size='as much as the signal varies, 0.1 to 1 %',
+        best_motion='turns with the signal high and low: a full and an empty battery, fan on and off',
+        twins=('scale_temperature', 'scale_factor'),
+        needs=('the signal it is named with',),
+        source='Ljung 1999, System Identification: Theory for the User, chapter 16: residuals against '
+        'what was recorded',
+        example=(0.005,),
+        shown_against='signal',
+    )
     signal: str
     name: str
     coefficients: tuple[Coefficient, ...]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
 from gyrocal_ros.model.sensor import Coefficient
 
 
@@ -13,6 +14,18 @@ from gyrocal_ros.model.sensor import Coefficient
 class CrossAxis(LinearGyroEffect):
     """`Mx wx + My wy`, the paper's neglected M."""
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='The axis that the sensor feels is not quite upright: the chip sits askew in its '
+        'housing, the housing on the board, the board in the robot. Rolling and pitching over '
+        'thresholds and bumps then reads as turning. On a smooth level floor nothing shows.',
+        equation='w = w_n + Mx wx + My wy',
+        usual_size='0.5 to 3 %',
+        best_motion='thresholds, bumps and ramps, crossed straight and askew',
+        source='Lee et al. 2012, eq. (5); Titterton and Weston 2004, Strapdown Inertial Navigation '
+        'Technology',
+        example=(0.02, 0.02),
+        shown_against='roll',
+    )
     name: str = 'cross_axis'
     coefficients: tuple[Coefficient, ...] = (
         Coefficient('mx', '1', prior_std=0.02),

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
 
 
@@ -15,6 +16,20 @@ from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
 class FocalLength:
     """True focal length = (1 + s) times camera_info's."""
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='The lens magnifies more or less than its calibration says: refocused, warmed up, or '
+        'calibrated at another distance. Everything seems nearer to or farther from the image centre '
+        'by the same part. A ceiling that is a little lower would look almost the same, so little '
+        'contradicts it.',
+        equation='f = (1 + s) f_camera_info',
+        usual_size='0.5 to 3 %',
+        best_motion='full turns on the spot and drives in between; corners at the border of the image',
+        twins=('wheel_scale', 'radial_distortion'),
+        source='Zhang 2000, A flexible new technique for camera calibration, IEEE Transactions on '
+        'Pattern Analysis and Machine Intelligence 22(11)',
+        example=(0.02,),
+        shown_against='image',
+    )
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'focal_length'
     coefficients: tuple[Coefficient, ...] = (Coefficient('s', '1', prior_std=0.02),)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
 from gyrocal_ros.model.sensor import Coefficient
 
 
@@ -14,6 +15,18 @@ from gyrocal_ros.model.sensor import Coefficient
 class GSensitivity(LinearGyroEffect):
     """`gx ax + gy ay`, the paper's neglected Bg."""
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='Acceleration pulls the vibrating mass to one side, and the sensor takes part of that '
+        'for rotation. Speeding up, braking, driving round a bend and standing on a slope each add a '
+        'little false turning for as long as they last.',
+        equation='w = w_n + gx ax + gy ay',
+        usual_size='0.005 to 0.02 deg/s/(m/s^2), worse parts 0.1',
+        best_motion='hard starts and stops, fast bends, a ramp stood on in several directions',
+        source='Weinberg 2011, Gyro mechanical performance: the most important parameter, Analog '
+        'Devices MS-2158',
+        example=(math.radians(0.05), math.radians(0.05)),
+        shown_against='force',
+    )
     name: str = 'g_sensitivity'
     coefficients: tuple[Coefficient, ...] = (
         Coefficient('gx', 'rad/s/(m/s^2)', prior_std=math.radians(0.02)),

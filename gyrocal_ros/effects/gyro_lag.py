@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
 from gyrocal_ros.model.sensor import Coefficient
 
 
@@ -15,6 +16,20 @@ from gyrocal_ros.model.sensor import Coefficient
 class GyroLag(LinearGyroEffect):
     """`tau dw/dt` undoes a first-order low-pass filter of time constant tau."""
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='A low-pass filter in the sensor keeps noise out and lets every change of the rate '
+        'through late. Where a turn begins the sensor reads too little, where it ends it still reads '
+        'some of what is over. Over a whole turn the two cancel; in between the heading hangs behind '
+        'by rate times delay.',
+        equation='w = w_n + tau dw_n/dt',
+        usual_size='5 to 60 ms',
+        best_motion='turns that start and stop abruptly',
+        twins=('camera_time_offset',),
+        source='InvenSense, MPU-6000 and MPU-6050 register map: delay of the gyro against the setting '
+        'of its digital low-pass filter',
+        example=(0.02,),
+        shown_against='turn',
+    )
     name: str = 'gyro_lag'
     coefficients: tuple[Coefficient, ...] = (Coefficient('tau', 's', prior_std=0.03),)
 

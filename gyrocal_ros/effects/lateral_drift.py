@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, Place
 
 
@@ -15,6 +16,17 @@ from gyrocal_ros.model.sensor import Coefficient, Place
 class LateralDrift:
     """`(lx, ly) |d|` in the world, per metre travelled."""
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='The pile of a carpet leans one way and carries the robot along a little with every '
+        'metre it travels, whatever its heading. The wheels do not notice, nor does the gyro.',
+        equation='p = p_odometry + (lx, ly) |d| in the world',
+        usual_size='1 to 3 %',
+        best_motion='lanes in at least two directions across the same carpet',
+        source='Carpet drift estimation using differential sensors or visual measurements, US patent '
+        '9,223,312 (iRobot)',
+        example=(0.02, 0.01),
+        shown_against='distance',
+    )
     acts_on: ClassVar[Place] = 'ground'
     name: str = 'lateral_drift'
     coefficients: tuple[Coefficient, ...] = (

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
 
 
@@ -15,6 +16,19 @@ from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
 class PrincipalPoint:
     """True principal point = camera_info's plus (u0, v0)."""
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='The optical axis meets the image elsewhere than the calibration says, because lens '
+        'and image sensor have moved against each other or images are cropped. The whole image seems '
+        'shifted by the same number of pixels, much as if the camera were tilted.',
+        equation='(u, v) = (u, v)_camera_info + (u0, v0)',
+        usual_size='1 to 10 px',
+        best_motion='full turns on the spot; corners at the border of the image tell it from a tilt',
+        twins=('camera_tilt', 'camera_position', 'wheel_scale'),
+        source='Zhang 2000, A flexible new technique for camera calibration, IEEE Transactions on '
+        'Pattern Analysis and Machine Intelligence 22(11)',
+        example=(5.0, 5.0),
+        shown_against='image',
+    )
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'principal_point'
     coefficients: tuple[Coefficient, ...] = (

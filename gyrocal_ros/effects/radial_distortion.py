@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
 
 
@@ -15,6 +16,18 @@ from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
 class RadialDistortion:
     """True k1, k2 of the plumb-bob model = camera_info's plus these."""
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='The lens bends straight lines outwards or inwards, and otherwise than its '
+        'calibration says. Corners near the middle of the image are where they should be, those near '
+        'the border are not.',
+        equation='(x, y) (1 + k1 r^2 + k2 r^4), on top of camera_info',
+        usual_size='k1 to 0.05, k2 to 0.01',
+        best_motion='turns and drives that carry corners from the middle of the image to its border',
+        twins=('focal_length',),
+        source='Brown 1971, Close-range camera calibration, Photogrammetric Engineering 37(8)',
+        example=(0.02, 0.005),
+        shown_against='image',
+    )
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'radial_distortion'
     coefficients: tuple[Coefficient, ...] = (

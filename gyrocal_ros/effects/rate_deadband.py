@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
 
@@ -18,6 +20,18 @@ class RateDeadband:
     As with saturation the width is found in the readings and not estimated.
     """
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='Small readings are set to zero, by friction in the sensing element, by coarse steps '
+        'of the converter or by firmware that wants a robot at rest to stand still. Slow turning and '
+        'slow drift then go unseen, and so does the bias itself.',
+        equation='w_n = 0 where |w_n| < width',
+        usual_size='0.05 to 0.5 deg/s',
+        best_motion='very slow turns and long gentle arcs to both sides',
+        twins=('bias',),
+        source='IEEE Std 528, Inertial Sensor Terminology: dead band',
+        example=(math.radians(0.3),),
+        shown_against='rate',
+    )
     acts_on: ClassVar[Place] = 'gyro'
     name: str = 'rate_deadband'
     coefficients: tuple[Coefficient, ...] = (Coefficient('width', 'rad/s', prior_std=0.0, prior_mean=0.0),)

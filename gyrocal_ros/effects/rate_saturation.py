@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
 AT_LIMIT = 0.995
@@ -25,6 +26,18 @@ class RateSaturation:
     smoothly.
     """
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='Beyond its range the sensor puts out its largest value and no more. However fast the '
+        'turn, the reading stands at the limit, and the part beyond is lost for good. For such '
+        'moments the wheels and the camera have to say how far the robot turned.',
+        equation='w_n = limit where |w_n| would be larger; w then by the wheels',
+        usual_size='60 to 300 deg/s',
+        best_motion='turns faster than the range of the sensor',
+        twins=('scale_cubic', 'scale_factor'),
+        source='IEEE Std 528, Inertial Sensor Terminology: input limits',
+        example=(math.radians(60.0),),
+        shown_against='rate',
+    )
     acts_on: ClassVar[Place] = 'gyro'
     name: str = 'rate_saturation'
     coefficients: tuple[Coefficient, ...] = (

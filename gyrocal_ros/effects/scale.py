@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
 from gyrocal_ros.model.sensor import Coefficient
 
 FULL_RATE_RAD_S = math.radians(100.0)
@@ -22,9 +22,62 @@ class ScalePower(LinearGyroEffect):
     name: str
     coefficients: tuple[Coefficient, ...]
 
+    @property
+    def about(self) -> Explanation:
+        """The words for this power."""
+        example = (0.05 if self.power == 1 else USUAL_NONLINEARITY / FULL_RATE_RAD_S ** (self.power - 1),)
+        twins = ('scale_quadratic', 'scale_cubic', 'rate_saturation')
+        return _WORDS.get(self.power) or Explanation(
+            physics='The reading bends away from a straight line against the rate, most of all towards the '
+            f'largest rates. This is what is left when lower powers than {self.power} have been allowed for.',
+            equation=f'w = w_n + a{self.power} w_n^{self.power}',
+            usual_size='to 1 % at 100 deg/s',
+            best_motion='turns at many speeds up to the fastest, both ways',
+            twins=twins,
+            source='Lee et al. 2012, eq. (7)',
+            example=example,
+        )
+
     def columns(self, block: MotionBlock) -> Array:
         """(N, 1)"""
         return column(block.rate_rad_s[:, 2] ** self.power)
+
+
+_WORDS = {
+    1: Explanation(
+        physics='Every sensor leaves the factory with a sensitivity of its own, some per cent off that of '
+        'the data sheet. Each turn is then read too long or too short by the same part: with 5 per cent, a '
+        'full turn comes out 18 degrees wrong. This is the first thing to calibrate, and in every model.',
+        equation='w = w_n + a1 w_n = (1 + a1) w_n',
+        usual_size='0.5 to 10 %',
+        best_motion='any turns; one full turn to each side is enough to begin with',
+        twins=('scale_cubic', 'rate_saturation'),
+        source='Lee et al. 2012, eqs. (6), (7); IEEE Std 528, Inertial Sensor Terminology: scale factor',
+        example=(0.05,),
+    ),
+    2: Explanation(
+        physics='The sensor answers more strongly the faster it turns to one side, and more weakly the '
+        'faster it turns to the other: its reading against the rate is part of a parabola. Turns to both '
+        'sides at one speed look like an asymmetry; only several speeds tell the two apart.',
+        equation='w = w_n + a2 w_n^2',
+        usual_size='to 0.5 % at 100 deg/s',
+        best_motion='turns at several speeds, both ways',
+        twins=('scale_asymmetry',),
+        source='Lee et al. 2012, eq. (7); IEEE Std 528, Inertial Sensor Terminology: nonlinearity',
+        example=(0.002,),
+    ),
+    3: Explanation(
+        physics='The sensor answers more weakly, or more strongly, the faster it turns, to both sides '
+        'alike, because springs stiffen and amplifiers near their ends. Turns at one speed hide it in the '
+        'scale factor, which then is wrong at every other speed.',
+        equation='w = w_n + a3 w_n^3',
+        usual_size='to 1 % at 100 deg/s',
+        best_motion='turns at several speeds: three each way at 30 and at 90 deg/s',
+        twins=('scale_factor', 'rate_saturation'),
+        source='Lee et al. 2012, eq. (7); IEEE Std 528, Inertial Sensor Terminology: nonlinearity',
+        example=(0.002,),
+    ),
+}
 
 
 def scale_power(power: int, prior_std: float | None = None) -> ScalePower:

@@ -9,6 +9,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
 MIN_TIME_CONSTANT_S = 0.5
@@ -23,6 +24,18 @@ class TurnHysteresis:
     The drive u is the nominal rate in rad/s, or only the side turned to.
     """
 
+    about: ClassVar[Explanation] = Explanation(
+        physics='After a turn the sensor does not come back to quite the same zero. What it reads at '
+        'rest stands off to one side, depending on where the robot turned to last, and fades away '
+        'over some seconds or minutes. Turns to alternate sides cancel, turns to one side add up.',
+        equation='w = w_n + k h, dh/dt = (u - h) / tau with u = w_n in rad/s or only its sign',
+        usual_size='0.01 to 0.2 deg/s after a turn, fading over 4 to 40 s',
+        best_motion='several turns to one side, then a long rest; the same to the other side',
+        twins=('bias',),
+        source='IEEE Std 528, Inertial Sensor Terminology: hysteresis error',
+        example=(math.radians(0.3), 20.0),
+        shown_against='turn',
+    )
     acts_on: ClassVar[Place] = 'gyro'
     name: str = 'turn_hysteresis'
     driven_by: Literal['rate', 'side'] = 'rate'

@@ -7,7 +7,7 @@ that need just that correction. This room knows effects by their protocols alone
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -184,8 +184,5 @@ def _with_yaw_rate(block: MotionBlock, yaw_rate_rad_s: Array) -> MotionBlock:
 
 def _parts(block: MotionBlock, count: int) -> Iterator[MotionBlock]:
     """Cut a block into blocks of `count` intervals."""
-    columns = [item.name for item in fields(block) if isinstance(getattr(block, item.name), np.ndarray)]
     for first in range(0, len(block.dt_s), count):
-        part = slice(first, first + count)
-        cut: dict[str, Any] = {name: getattr(block, name)[part] for name in columns}
-        yield replace(block, covariates={name: c[part] for name, c in block.covariates.items()}, **cut)
+        yield block.part(slice(first, first + count))

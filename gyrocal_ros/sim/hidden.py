@@ -129,15 +129,6 @@ def draw_values(name: str, rng: np.random.Generator, duration_s: float, size: fl
     return _in_time(name, values, duration_s)
 
 
-def usual_values(name: str, duration_s: float) -> Drawn:
-    """A clearly visible size of an effect, midway between just visible and large.
-
-    Raises:
-        ConfigError: there are no sizes for that effect.
-    """
-    return _in_time(name, [item.value(0.5) for item in _ranges(name)], duration_s)
-
-
 def draw_scale_factor(seed: int) -> float:
     """Draw the true scale factor of a recording that hides something."""
     return 1.0 + float(stream(seed, 'hidden scale').uniform(-SCALE_ERROR, SCALE_ERROR))
@@ -165,8 +156,7 @@ def _draw_names(rng: np.random.Generator) -> list[str]:
 def _ranges(name: str) -> tuple[Range, ...]:
     known = RANGES | STRANGE_RANGES
     if name not in known:
-        todo = f'give its values, as in {name}=VALUE; {nearest(name, list(known))}'
-        raise ConfigError('has no usual size', where=name, todo=todo)
+        raise ConfigError('has no sizes to draw from', where=name, todo=nearest(name, list(known)))
     return known[name]
 
 

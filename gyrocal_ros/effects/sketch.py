@@ -1,0 +1,192 @@
+"""A small picture of an effect: what it contributes, against what brings it out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, nanoseconds
+from gyrocal_ros.effects.base import LibraryEffect, with_unit
+from gyrocal_ros.model.camera import mount_from_yaw, project
+from gyrocal_ros.model.sensor import GyroEffectOnReadings, SignalEffect
+
+COUNT = 401
+TURNING_RAD_S = np.radians(60.0)
+"""Yaw rate at which effects on the scale factor are shown."""
+CAMERA = CameraIntrinsics(640, 480, 250.0, 250.0, 319.5, 239.5)
+MOUNT = mount_from_yaw(0.09, 0.0, 0.10, -90.0)
+CEILING_M = 2.4
+ROW_PX = 400.0
+"""The row of the image in which pixels are looked at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sketch:
+    """Some curves over one axis."""
+
+    x_label: str
+    y_label: str
+    x: Array
+    """(n,)"""
+    lines: dict[str, Array]
+    """Name to (n,)."""
+
+
+def sketch(effect: LibraryEffect) -> Sketch:
+    """Draw an effect at its example values, one curve for each coefficient that is a size."""
+    if effect.acts_on == 'camera':
+        return _shift_of_pixels(effect)
+    if effect.acts_on == 'time':
+        rate_deg_s = np.linspace(-100.0, 100.0, COUNT)
+        shift = 200.0 * np.radians(rate_deg_s) * effect.about.example[0]
+        label = 'shift of a pixel 200 px from the centre (px)'
+        return Sketch('yaw rate (deg/s)', label, rate_deg_s, {_named(effect, effect.about.example): shift})
+    x_label, x, block = _STIMULI[effect.about.shown_against](effect)
+    if isinstance(effect, GyroEffectOnReadings):
+        true = block.rate_rad_s[:, 2]
+        values = np.array(effect.about.example)
+        read = effect.readings(true, block.dt_s, values, 1.0)
+        lines = {'true': np.degrees(true), f'read, {_named(effect, effect.about.example)}': np.degrees(read)}
+        return Sketch(x_label, 'yaw rate (deg/s)', x, lines)
+    return Sketch(
+        x_label,
+        _Y_LABELS[effect.acts_on],
+        x,
+        {_named(effect, values): _added(effect, block, np.array(values)) for values in _examples(effect)},
+    )
+
+
+_Y_LABELS = {
+    'gyro': 'added to the yaw rate (deg/s)',
+    'wheels': 'added to the distance (mm)',
+    'ground': 'carried along (mm)',
+}
+
+
+def _examples(effect: LibraryEffect) -> Iterator[tuple[float, ...]]:
+    """The example values with one size after the other, the other sizes at zero."""
+    example = effect.about.example
+    sizes = [i for i, item in enumerate(effect.coefficients) if item.prior_mean == 0.0]
+    for size in sizes:
+        yield tuple(0.0 if i in sizes and i != size else value for i, value in enumerate(example))
+
+
+def _named(effect: LibraryEffect, values: tuple[float, ...]) -> str:
+    named = zip(effect.coefficients, values, strict=True)
+    return ', '.join(f'{item.name} = {with_unit(value, item.unit, 3)}' for item, value in named if value)
+
+
+def _added(effect: Any, block: MotionBlock, values: Array) -> Array:
+    if effect.acts_on == 'gyro':
+        return np.degrees(effect.contribute(block, values, None).rate_rad_s)
+    if effect.acts_on == 'wheels':
+        return 1e3 * effect.contribute(block, values)[0]
+    carried = [effect.contribute(block.part(slice(i, i + 1)), values)[0] for i in range(len(block.dt_s))]
+    return 1e3 * np.linalg.norm(carried, axis=1)
+
+
+def _shift_of_pixels(effect: Any) -> Sketch:
+    """How far pixels of one row move when the camera is what it is, not what it is believed to be."""
+    u = np.linspace(0.0, CAMERA.width_px - 1.0, COUNT)
+    across = np.array(
+        [(u - CAMERA.cx_px) / CAMERA.fx_px, np.full(COUNT, (ROW_PX - CAMERA.cy_px) / CAMERA.fy_px)]
+    )
+    points_b = CEILING_M * np.append(across, np.ones((1, COUNT)), axis=0).T @ MOUNT.R_bs.T + MOUNT.p_bs
+    lines = {}
+    for values in _examples(effect):
+        camera, mount = effect.corrected(CAMERA, MOUNT, np.array(values))
+        moved = project(camera, (points_b - mount.p_bs) @ mount.R_bs) - np.column_stack(
+            [u, np.full(COUNT, ROW_PX)]
+        )
+        lines[_named(effect, values)] = np.linalg.norm(moved, axis=1)
+    return Sketch(f'column of the image, in row {ROW_PX:.0f} (px)', 'shift of the pixel (px)', u, lines)
+
+
+# --- stimuli: label and values of what varies, and the motion in which it does -------------------
+
+
+def _rate(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    reach = 1.0 if effect.name == 'rate_deadband' else 100.0
+    x = np.linspace(-reach, reach, COUNT)
+    return 'yaw rate (deg/s)', x, _block(yaw_rate_rad_s=np.radians(x))
+
+
+def _turn(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    """A quarter turn to the left, as long as it takes to see what follows."""
+    duration_s = 3.0 if isinstance(effect, GyroEffectOnReadings) else 60.0
+    x = np.linspace(0.0, duration_s, 10 * COUNT)
+    rate = np.interp(x, [0.5, 0.7, 2.0, 2.2], [0.0, TURNING_RAD_S, TURNING_RAD_S, 0.0])
+    return 'time (s)', x, _block(yaw_rate_rad_s=rate, dt_s=np.gradient(x))
+
+
+def _time(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    x = np.linspace(0.0, 1200.0, COUNT)
+    return 'time since the first sample (s)', x, _block(time_s=x, dt_s=np.gradient(x))
+
+
+def _temperature(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    x = np.linspace(10.0, 50.0, COUNT)
+    return 'temperature (deg C), turning at 60 deg/s', x, _turning(temperature_c=x)
+
+
+def _force(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    x = np.linspace(-2.0, 2.0, COUNT)
+    return 'acceleration along the axis (m/s^2)', x, _block(specific_force_m_s2=np.column_stack([x, x, x]))
+
+
+def _roll(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    x = np.linspace(-20.0, 20.0, COUNT)
+    rates = np.column_stack([np.radians(x), np.radians(x), np.zeros(COUNT)])
+    return 'roll or pitch rate (deg/s)', x, _block(rate_rad_s=rates)
+
+
+def _vibration(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    x = np.linspace(0.0, 0.3, COUNT)
+    return 'variance of the specific force ((m/s^2)^2)', x, _block(vibration_m2_s4=x)
+
+
+def _distance(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    x = np.linspace(0.0, 10.0, COUNT)
+    return 'distance travelled (m)', x, _block(distance_m=x)
+
+
+def _signal(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    assert isinstance(effect, SignalEffect)
+    x = np.linspace(-2.0, 2.0, COUNT)
+    return f'{effect.signal} less its mean, turning at 60 deg/s', x, _turning(covariates={effect.signal: x})
+
+
+_STIMULI: dict[str, Callable[[LibraryEffect], tuple[str, Array, MotionBlock]]] = {
+    'rate': _rate,
+    'turn': _turn,
+    'time': _time,
+    'temperature': _temperature,
+    'force': _force,
+    'roll': _roll,
+    'vibration': _vibration,
+    'distance': _distance,
+    'signal': _signal,
+}
+
+
+def _turning(**columns: Any) -> MotionBlock:
+    return _block(yaw_rate_rad_s=np.full(COUNT, TURNING_RAD_S), **columns)
+
+
+def _block(*, yaw_rate_rad_s: Array | None = None, **columns: Any) -> MotionBlock:
+    """A block in which nothing happens but what is given; its intervals are one second long."""
+    given = [*(item for item in columns.values() if isinstance(item, np.ndarray)), yaw_rate_rad_s]
+    count = len(next(item for item in given if item is not None))
+    rest: dict[str, Any] = {
+        item.name: np.zeros(count) for item in fields(MotionBlock) if item.type == 'Array'
+    }
+    rates = np.zeros((count, 3))
+    if yaw_rate_rad_s is not None:
+        rates[:, 2] = yaw_rate_rad_s
+    rest |= {'dt_s': np.ones(count), 'rate_rad_s': rates, 'specific_force_m_s2': np.zeros((count, 3))}
+    block = MotionBlock(start_ns=0, end_ns=nanoseconds(count), **{**rest, **columns})
+    acceleration = np.gradient(block.rate_rad_s[:, 2]) / block.dt_s
+    return replace(block, yaw_acceleration_rad_s2=acceleration)

@@ -198,10 +198,10 @@ class TrackerConfig:
         0.001, '', 'Harris response of a corner against the best in the image', low=1e-6, high=1.0
     )
     min_correlation: float = setting(
-        0.75, '', 'normalised correlation below which a match is refused', low=-1.0, high=1.0
+        0.8, '', 'normalised correlation below which a match is refused', low=-1.0, high=1.0
     )
     max_reprojection_px: float = setting(
-        0.5, 'px', 'forward-backward error above which a match is refused', low=0.01, high=20.0
+        0.3, 'px', 'forward-backward error above which a match is refused', low=0.01, high=20.0
     )
     noise_px: float = setting(
         0.1, 'px', 'noise of a feature tracked here, the start of its estimation', low=0.005, high=20.0

@@ -38,7 +38,7 @@ setup(
         'opencv-python-headless>=4.9',
         'plotly>=5.20',
         'pyyaml>=6.0',
-        'rosbags>=0.11',
+        'rosbags>=0.11.6',
         'tqdm>=4.60',
     ],
     extras_require={

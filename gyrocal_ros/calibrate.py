@@ -27,7 +27,7 @@ from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
 from gyrocal_ros.errors import FilterDivergedError, NotObservableError, RecordingError
-from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.model.sensor import Effect, SensorModel, signals_of
 from gyrocal_ros.vision.tracker import Tracker
 
 MAX_MISFIT_DEG = 2.0
@@ -88,7 +88,7 @@ def calibrate(
     else:
         run = _run(source, source.measurements(), config, model, start, report, candidates)
     _require_observable(run)
-    return run
+    return replace(run, events=(*run.events, *_unrecorded_signals(run)))
 
 
 def _run(
@@ -135,6 +135,17 @@ def _run(
         evidence=recorder.evidence(),
         signal_names=recorder.signal_names,
     )
+
+
+def _unrecorded_signals(run: Run) -> Iterator[Event]:
+    """Effects of the model that follow what was not recorded, and so stay as they were."""
+    recorded = set(run.signal_names)
+    if np.isfinite(run.history.temperature_c).any():
+        recorded.add('temperature')
+    for signal, names in signals_of(run.model).items():
+        if signal not in recorded:
+            text = f'{signal} is not recorded: nothing can be learned of {", ".join(names)}'
+            yield Event(run.span.start_ns, text)
 
 
 def _calibrate_by_heading(

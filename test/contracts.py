@@ -17,8 +17,10 @@ from numpy.typing import ArrayLike
 
 from gyrocal_ros.config import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds, seconds
-from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, find_effect
+from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
+from gyrocal_ros.effects.sketch import sketch
 from gyrocal_ros.ekf.parts import first_sight_by_values, measurement_by_values, sort_effects, true_camera
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.camera import project, project_with_jacobian
@@ -247,6 +249,21 @@ class EffectContract:
     def test_name_can_stand_in_a_file(self, effect: Effect) -> None:
         assert re.fullmatch(r'[a-z][a-z0-9_]*(:[\w./]+)?', effect.name)
         assert find_effect(effect.name) == effect
+
+    def test_it_explains_itself(self, effect: LibraryEffect) -> None:
+        about = effect.about
+        assert len(about.physics) > 100
+        assert about.physics.endswith('.')
+        assert all((about.equation, about.usual_size, about.best_motion, about.source))
+        assert set(about.twins) <= {*EFFECTS, *COVARIATE_EFFECTS, 'bias'} - {effect.name}
+        assert len(about.example) == len(effect.coefficients)
+
+    def test_it_can_be_drawn(self, effect: LibraryEffect) -> None:
+        drawn = sketch(effect)
+        assert drawn.lines
+        for name, line in drawn.lines.items():
+            assert line.shape == drawn.x.shape
+            assert np.ptp(line) > 0.0 or effect.name in ('principal_point', 'camera_position'), name
 
     def test_coefficients_are_complete(self, effect: Effect) -> None:
         """A prior of no width is that of a number that is found in the readings, not estimated."""

@@ -29,6 +29,7 @@ COMMANDS = {
     'simulate': 'write a bag of a simulated robot',
     'check': 'say what is in a bag, and what is wrong with it',
     'replay': 'calibrate the gyro from a bag',
+    'effects': 'list the physical effects of the library, or explain one',
     'reveal': 'open the sealed answer of a simulated bag',
     'bench': 'measure speed and accuracy',
 }

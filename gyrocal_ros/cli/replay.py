@@ -13,14 +13,14 @@ from typing import Any
 
 from gyrocal_ros.calibrate import Progress, calibrate
 from gyrocal_ros.calibration import Calibration, conclude, load_calibration
+from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.options import BagOptions, add_bag_options, bag_options, read_config
 from gyrocal_ros.cli.output import print_json, progress, warn
 from gyrocal_ros.config import Config
-from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.files import new_folder
-from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.model.sensor import SensorModel, signals_of
 from gyrocal_ros.recording.bag import open_bag
 from gyrocal_ros.recording.check import check_bag
 from gyrocal_ros.recording.findings import Finding, one_a_kind, refuse_errors
@@ -34,7 +34,7 @@ gyrocal replay xsens.bag -r imu/data_raw:=/xsens/imu_data --heading-reference /s
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_bag_options(parser)
-    parser.add_argument('--model', type=Path, metavar='FILE', help='sensor model (model.yaml)')
+    add_model_options(parser)
     parser.add_argument(
         '--start-from', type=Path, metavar='FILE', help='calibration.yaml of an earlier run to begin with'
     )
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> None:
     summary = replay(
         args.bag,
         config,
-        load_model(args.model),
+        read_model(args),
         bag_options(args),
         start=start,
         out=args.out,
@@ -126,7 +126,7 @@ def verdict(summary: dict[str, Any]) -> str:
 def _calibrate(
     bag: Path, config: Config, model: SensorModel, options: BagOptions, start: Start | None
 ) -> Run:
-    source = open_bag(bag, config, **options)
+    source = open_bag(bag, config, with_covariates=bool(signals_of(model)), **options)
     with progress('calibrating', total=round(source.span.duration_s), unit='s') as bar:
 
         def report(state: Progress) -> None:

@@ -15,13 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
+from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
 from gyrocal_ros.cli.output import progress
 from gyrocal_ros.config import nearest
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import LibraryEffect, with_unit
 from gyrocal_ros.errors import ConfigError, GyrocalError
-from gyrocal_ros.model.sensor import SignalEffect
+from gyrocal_ros.model.sensor import RelativeEffect
 from gyrocal_ros.recording.write import new_bag
 from gyrocal_ros.sim.hidden import Drawn, draw_hidden, draw_scale_factor, hide
 from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
@@ -60,6 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     secret.add_argument(
         '--hidden', action='store_true', help='hide what the seed decides; `gyrocal reveal OUT` tells it'
     )
+    add_own_effects_option(parser)
     parser.add_argument(
         '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='kind of the file (%(default)s)'
     )
@@ -72,6 +74,7 @@ def run(args: argparse.Namespace) -> None:
     Raises:
         GyrocalError: an argument is out of bounds, or the bag cannot be written.
     """
+    load_own_effects(args)
     source = _source(args)
     sealed = sealed_path(args.out)
     if args.hidden and sealed.exists() and not args.overwrite:
@@ -127,7 +130,7 @@ def parse_effect(text: str) -> Drawn:
     name, has_values, given = text.partition('=')
     effect = STRANGERS.get(name) or find_effect(name, '--effect')
     if not has_values:
-        if isinstance(effect, LibraryEffect) and not isinstance(effect, SignalEffect):
+        if isinstance(effect, LibraryEffect) and not isinstance(effect, RelativeEffect):
             return Drawn(name, effect.about.example)
         raise ConfigError('has no usual size', where=f'--effect {name}', todo=f'give it, as in {name}=VALUE')
     parts = given.split(',')

@@ -31,6 +31,7 @@ class BiasTemperature(LinearGyroEffect):
         example=(math.radians(0.02),),
         shown_against='temperature',
     )
+    signal: ClassVar[str] = 'temperature'
     name: str = 'bias_temperature'
     coefficients: tuple[Coefficient, ...] = (Coefficient('k', 'rad/s/K', prior_std=math.radians(0.05)),)
 

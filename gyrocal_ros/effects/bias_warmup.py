@@ -28,8 +28,8 @@ class BiasWarmup:
         'is as warm as it gets. That takes minutes and goes fast at first, then ever slower. A robot '
         'that takes its zero before the first drive carries the difference along as drift. The term '
         'vanishes long after power-on, so that the bias keeps its meaning.',
-        equation='w = w_n - C exp(-t / tau), t since the first sample',
-        usual_size='0.05 to 2 deg/s, over 100 to 1000 s',
+        equation='w = w_n - amplitude exp(-t / time_constant)',
+        usual_size='0.05 to 2 deg/s, 100 to 1000 s',
         best_motion='rests spread over the first ten minutes after switching on',
         twins=('bias_temperature', 'bias'),
         source='Barshan and Durrant-Whyte 1995, Inertial navigation systems for mobile robots, IEEE '

@@ -25,7 +25,7 @@ class CameraTilt:
         physics='The camera does not look quite where its mounting says: a bent bracket, a screw '
         'tightened unevenly, a lens askew. When the robot turns on the spot, the ceiling then turns '
         'about another point of the image than expected.',
-        equation='R_bc = R_bc,given R(tx, ty), small angles about the image axes',
+        equation='R_bc = R_bc,given R(x, y)',
         usual_size='0.5 to 3 deg',
         best_motion='full turns on the spot',
         twins=('principal_point',),

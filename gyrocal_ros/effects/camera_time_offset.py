@@ -21,7 +21,7 @@ class CameraTimeOffset:
         'when they have been read out or have arrived, or its clock stands otherwise. While the '
         'robot turns, the heading seen then is one of a little earlier or later. At rest and between '
         'turns nothing shows.',
-        equation='true time of exposure = stamp - offset',
+        equation='exposure = stamp - offset',
         usual_size='5 to 60 ms',
         best_motion='turns that start and stop abruptly',
         twins=('gyro_lag',),

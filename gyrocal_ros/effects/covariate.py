@@ -23,7 +23,7 @@ class CovariateBias(LinearGyroEffect):
         'fields, heat, shaking or a supply that gives way may be behind it. Slow signals go together '
         'with anything slow, so look for a reason before you trust it.',
         equation='w = w_n + k (c - mean c)',
-        usual_size='as much as the signal varies, 0.01 to 0.2 deg/s',
+        usual_size='0.01 to 0.2 deg/s in all',
         best_motion='what makes the signal change, again and again: motors and fan on and off at rest',
         twins=('bias_temperature', 'bias_warmup', 'vibration_rectification'),
         needs=('the signal it is named with',),
@@ -56,7 +56,7 @@ class CovariateScale(LinearGyroEffect):
         'to turns, as the supply voltage does where the output is measured in parts of it. At rest '
         'nothing shows.',
         equation='w = w_n + k (c - mean c) w_n',
-        usual_size='as much as the signal varies, 0.1 to 1 %',
+        usual_size='0.1 to 1 % in all',
         best_motion='turns with the signal high and low: a full and an empty battery, fan on and off',
         twins=('scale_temperature', 'scale_factor'),
         needs=('the signal it is named with',),

@@ -23,7 +23,7 @@ class CrossAxis(LinearGyroEffect):
         best_motion='thresholds, bumps and ramps, crossed straight and askew',
         source='Lee et al. 2012, eq. (5); Titterton and Weston 2004, Strapdown Inertial Navigation '
         'Technology',
-        example=(0.02, 0.02),
+        example=(0.02, -0.02),
         shown_against='roll',
     )
     name: str = 'cross_axis'

@@ -20,11 +20,11 @@ class GSensitivity(LinearGyroEffect):
         'for rotation. Speeding up, braking, driving round a bend and standing on a slope each add a '
         'little false turning for as long as they last.',
         equation='w = w_n + gx ax + gy ay',
-        usual_size='0.005 to 0.02 deg/s/(m/s^2), worse parts 0.1',
+        usual_size='0.005 to 0.1 deg/s/(m/s^2)',
         best_motion='hard starts and stops, fast bends, a ramp stood on in several directions',
         source='Weinberg 2011, Gyro mechanical performance: the most important parameter, Analog '
         'Devices MS-2158',
-        example=(math.radians(0.05), math.radians(0.05)),
+        example=(math.radians(0.05), math.radians(-0.05)),
         shown_against='force',
     )
     name: str = 'g_sensitivity'

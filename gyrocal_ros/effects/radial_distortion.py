@@ -20,7 +20,7 @@ class RadialDistortion:
         physics='The lens bends straight lines outwards or inwards, and otherwise than its '
         'calibration says. Corners near the middle of the image are where they should be, those near '
         'the border are not.',
-        equation='(x, y) (1 + k1 r^2 + k2 r^4), on top of camera_info',
+        equation='(x, y) (1 + k1 r^2 + k2 r^4)',
         usual_size='k1 to 0.05, k2 to 0.01',
         best_motion='turns and drives that carry corners from the middle of the image to its border',
         twins=('focal_length',),

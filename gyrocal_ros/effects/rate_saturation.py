@@ -30,7 +30,7 @@ class RateSaturation:
         physics='Beyond its range the sensor puts out its largest value and no more. However fast the '
         'turn, the reading stands at the limit, and the part beyond is lost for good. For such '
         'moments the wheels and the camera have to say how far the robot turned.',
-        equation='w_n = limit where |w_n| would be larger; w then by the wheels',
+        equation='|w_n| <= limit; beyond it w by the wheels',
         usual_size='60 to 300 deg/s',
         best_motion='turns faster than the range of the sensor',
         twins=('scale_cubic', 'scale_factor'),

@@ -30,6 +30,7 @@ class ScaleTemperature(LinearGyroEffect):
         example=(5e-4,),
         shown_against='temperature',
     )
+    signal: ClassVar[str] = 'temperature'
     name: str = 'scale_temperature'
     coefficients: tuple[Coefficient, ...] = (Coefficient('k', '1/K', prior_std=0.001),)
 

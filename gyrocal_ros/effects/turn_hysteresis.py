@@ -28,8 +28,8 @@ class TurnHysteresis:
         physics='After a turn the sensor does not come back to quite the same zero. What it reads at '
         'rest stands off to one side, depending on where the robot turned to last, and fades away '
         'over some seconds or minutes. Turns to alternate sides cancel, turns to one side add up.',
-        equation='w = w_n + k h, dh/dt = (u - h) / tau with u = w_n in rad/s or only its sign',
-        usual_size='0.01 to 0.2 deg/s after a turn, fading over 4 to 40 s',
+        equation='w = w_n + k h, dh/dt = (w_n - h) / tau',
+        usual_size='0.01 to 0.2 deg/s after a turn',
         best_motion='several turns to one side, then a long rest; the same to the other side',
         twins=('bias',),
         source='IEEE Std 528, Inertial Sensor Terminology: hysteresis error',

@@ -21,7 +21,7 @@ class TurnSlip:
         'that was not travelled. It happens on polished floors and with wide or worn tyres, and only '
         'while turning.',
         equation='d = d_odometry - k |turn|',
-        usual_size='1 to 10 % of the distance in turns; some mm to cm per rad',
+        usual_size='some mm to cm per rad',
         best_motion='many turns, on the spot and in arcs, with straight lanes for comparison',
         source='Borenstein, Everett and Feng 1996, Where am I? Sensors and methods for mobile robot '
         'positioning, University of Michigan',

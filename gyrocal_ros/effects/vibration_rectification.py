@@ -20,7 +20,7 @@ class VibrationRectification(LinearGyroEffect):
         'both directions, a part of it is left over as a steady false rate that grows with the '
         'strength of the shaking. It comes and goes with the fan, the brush and the floor.',
         equation='w = w_n + k var(a)',
-        usual_size='depends on the mount; 0.01 to 0.1 deg/s in all',
+        usual_size='0.01 to 0.1 deg/s in all',
         best_motion='rests with fan and brush off, on, and at full power; rough and smooth floors',
         twins=('covariate_bias', 'scale_asymmetry'),
         source='Weinberg 2011, Gyro mechanical performance: the most important parameter, Analog '

@@ -92,11 +92,16 @@ class GyroEffectOnReadings(Protocol):
 
 @runtime_checkable
 class SignalEffect(Effect, Protocol):
-    """An effect that follows a recorded signal, counted from the signal's mean over the recording."""
+    """An effect that follows a recorded signal."""
 
     @property
     def signal(self) -> str:
-        """Name of the signal, as in `MotionBlock.covariates`."""
+        """`temperature`, or a name as in `MotionBlock.covariates`."""
+
+
+@runtime_checkable
+class RelativeEffect(SignalEffect, Protocol):
+    """An effect that counts from the mean of its signal over the recording."""
 
     def counted_from(self, reference: float) -> Effect:
         """The same effect with another reference."""
@@ -168,6 +173,15 @@ class SensorModel:
     def coefficient_names(self) -> tuple[str, ...]:
         """Names as reported: the effect's own, with the coefficient's behind it where it has several."""
         return tuple(name for effect in self.effects for name in coefficient_names(effect))
+
+
+def signals_of(model: SensorModel) -> dict[str, list[str]]:
+    """The recorded signals that effects of the model follow, each with the names of these effects."""
+    followers: dict[str, list[str]] = {}
+    for effect in model.effects:
+        if isinstance(effect, SignalEffect):
+            followers.setdefault(effect.signal, []).append(effect.name)
+    return followers
 
 
 def coefficient_names(effect: Effect) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from gyrocal_ros.config import nearest
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.model.sensor import Effect, GyroEffectOnReadings, Place, SignalEffect
+from gyrocal_ros.model.sensor import Effect, GyroEffectOnReadings, Place, RelativeEffect, SignalEffect
 from gyrocal_ros.sim.trajectory import Motion
 
 MAX_ROUNDS = 60
@@ -51,12 +51,12 @@ def referred(hidden: Hidden, means: Mapping[str, float]) -> Hidden:
     """
     found = []
     for item in hidden:
-        if isinstance(item.effect, SignalEffect):
-            signal = item.effect.signal
-            if signal not in means:
-                raise ConfigError(
-                    f'{signal!r} is not recorded', where=item.effect.name, todo=nearest(signal, list(means))
-                )
+        signal = item.effect.signal if isinstance(item.effect, SignalEffect) else 'temperature'
+        if signal != 'temperature' and signal not in means:
+            raise ConfigError(
+                f'{signal!r} is not recorded', where=item.effect.name, todo=nearest(signal, list(means))
+            )
+        if isinstance(item.effect, RelativeEffect):
             item = replace(item, effect=item.effect.counted_from(means[signal]))
         found.append(item)
     return tuple(found)

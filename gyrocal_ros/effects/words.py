@@ -1,0 +1,37 @@
+"""What there is to say of an effect, in lines for a person."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gyrocal_ros.effects.base import LibraryEffect, with_unit
+from gyrocal_ros.model.sensor import Coefficient
+
+PLACES = {
+    'gyro': 'in the gyro',
+    'wheels': 'in the wheels',
+    'ground': 'in the floor',
+    'camera': 'in the camera',
+    'time': 'in the stamps of the images',
+}
+UNTOLD = 'found in the readings, not estimated'
+
+
+def effect_rows(effect: LibraryEffect) -> Iterator[tuple[str, str]]:
+    """What there is to say of an effect beside its physics: names and texts."""
+    about = effect.about
+    yield 'equation', about.equation
+    yield 'usual size', about.usual_size
+    for item, example in zip(effect.coefficients, about.example, strict=True):
+        yield item.name, f'{prior_in_words(item)}; for example {with_unit(example, item.unit)}'
+    yield 'best motion', about.best_motion
+    yield 'easily taken for', ', '.join(about.twins) or 'nothing else in the library'
+    yield 'needs', ', '.join(('gyro, wheels, camera', *about.needs))
+    yield 'source', about.source
+
+
+def prior_in_words(item: Coefficient) -> str:
+    """What is known of a coefficient before any measurement."""
+    if item.prior_std == 0.0:
+        return UNTOLD
+    return f'{item.prior_mean:g} ± {with_unit(item.prior_std, item.unit)} before any measurement'

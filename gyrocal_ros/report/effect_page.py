@@ -1,0 +1,34 @@
+"""One page about one effect: its picture, and all that the library says of it."""
+
+from __future__ import annotations
+
+from html import escape
+
+from gyrocal_ros.effects.base import LibraryEffect
+from gyrocal_ros.effects.sketch import sketch
+from gyrocal_ros.effects.words import PLACES, effect_rows
+from gyrocal_ros.report import drawing, figures
+from gyrocal_ros.report.page import PAGE, STYLE
+
+
+def effect_page(effect: LibraryEffect) -> str:
+    """The page as HTML text, which needs nothing else."""
+    drawn = sketch(effect)
+    figure = drawing.curves('', drawn.x_label, drawn.y_label, drawn.x, drawn.lines)
+    rows = ''.join(
+        f'<tr><th scope="row">{escape(name)}</th><td>{escape(text)}</td></tr>'
+        for name, text in effect_rows(effect)
+    )
+    body = (
+        f'<p class="physics">{escape(effect.about.physics)}</p>'
+        f'<figure>{figures.fragment(figure, "effect")}</figure>'
+        f'<div class="wide"><table class="words"><tbody>{rows}</tbody></table></div>'
+    )
+    words = '.physics { max-width: 80ch; } table.words td { white-space: normal; }'
+    return PAGE.format(
+        title=escape(effect.name),
+        about=escape(PLACES[effect.acts_on]),
+        style=STYLE + words,
+        library=figures.library(),
+        body=body,
+    )

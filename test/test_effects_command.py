@@ -1,0 +1,65 @@
+"""`gyrocal effects`: the list, the lesson, the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gyrocal_ros.cli.main import main
+from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS
+
+Output = pytest.CaptureFixture[str]
+
+
+def test_the_list_has_a_line_for_every_effect(capsys: Output) -> None:
+    assert main(['effects']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0].split(':')[0] for line in lines[1:]] == [*EFFECTS, *COVARIATE_EFFECTS]
+    assert max(map(len, lines)) <= 110
+
+
+def test_the_list_for_other_programs(capsys: Output) -> None:
+    assert main(['effects', '--json']) == 0
+    listed = json.loads(capsys.readouterr().out)['effects']
+    lag = next(item for item in listed if item['name'] == 'gyro_lag')
+    assert lag['acts_on'] == 'gyro'
+    assert lag['twins'] == ['camera_time_offset']
+    assert lag['coefficients'][0] | {'example': None} == {
+        'name': 'tau', 'unit': 's', 'prior_mean': 0.0, 'prior_std': 0.03, 'walk': 0.0, 'example': None
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    'name', [*EFFECTS, *COVARIATE_EFFECTS, 'covariate_bias:fan_speed.data', 'scale_power_4']
+)
+def test_every_effect_is_explained(name: str, capsys: Output) -> None:
+    assert main(['effects', name]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith(name)
+    for word in ('equation', 'usual size', 'best motion', 'easily taken for', 'needs', 'source'):
+        assert f'\n{word} ' in told
+    assert max(map(len, told.splitlines())) <= 100
+
+
+def test_a_page_shows_the_effect(tmp_path: Path, capsys: Output) -> None:
+    page = tmp_path / 'lag.html'
+    assert main(['effects', 'gyro_lag', '-o', str(page)]) == 0
+    assert str(page) in capsys.readouterr().out
+    text = page.read_text(encoding='utf-8')
+    assert 'low-pass' in text
+    assert 'read, tau = 0.02 s' in text
+    assert main(['effects', 'gyro_lag', '-o', str(page)]) == 2
+    assert 'exists already' in capsys.readouterr().err
+    assert main(['effects', 'gyro_lag', '-o', str(page), '--overwrite', '--json']) == 0
+    assert json.loads(capsys.readouterr().out)['name'] == 'gyro_lag'
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [(['gyro_lagg'], "did you mean 'gyro_lag'?"), (['-o', 'page.html'], 'give its name')],
+)
+def test_bad_arguments_are_refused(arguments: list[str], message: str, capsys: Output) -> None:
+    assert main(['effects', *arguments]) == 2
+    assert message in capsys.readouterr().err

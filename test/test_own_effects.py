@@ -1,0 +1,175 @@
+"""Effects of the user's own: the example of the guide, and what is said of files that are not right."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import textwrap
+from collections.abc import Callable, Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from gyrocal_ros.cli.main import main
+from gyrocal_ros.effects import EFFECTS, find_effect, own
+from gyrocal_ros.effects.own import load_file
+from gyrocal_ros.errors import ConfigError
+
+GUIDE = Path(__file__).parent.parent / 'docs' / 'your_own_effect.md'
+
+EFFECT = """
+from dataclasses import dataclass
+from typing import ClassVar
+import numpy as np
+from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
+from gyrocal_ros.model.sensor import Coefficient, GyroTerm
+
+@dataclass(frozen=True)
+class Mine(LinearGyroEffect):
+    about: ClassVar[Explanation] = Explanation('It is.', 'w = w_n + k', 'small', 'none', example=(0.1,))
+    name: str = 'mine'
+    coefficients: tuple[Coefficient, ...] = (Coefficient('k', 'rad/s', 0.1),)
+
+    def columns(self, block):
+        return column(np.ones(len(block.dt_s)))
+"""
+
+Write = Callable[[str], Path]
+
+
+@pytest.fixture(autouse=True)
+def library() -> Iterator[None]:
+    """Leave the table of effects as it was."""
+    before = dict(EFFECTS)
+    yield
+    EFFECTS.clear()
+    EFFECTS.update(before)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def written(code: str) -> Path:
+        file = tmp_path / 'my_effects.py'
+        file.write_text(code)
+        return file
+
+    return written
+
+
+def blocks_of_the_guide(language: str) -> list[str]:
+    return re.findall(rf'```{language}\n(.*?)```', GUIDE.read_text(encoding='utf-8'), re.S)
+
+
+def test_the_example_of_the_guide_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (code,), (commands,), (model,) = (blocks_of_the_guide(kind) for kind in ('python', 'sh', 'yaml'))
+    Path('my_effects.py').write_text(code)
+    Path('model.yaml').write_text(model)
+    teach, simulate, replay = commands.strip().splitlines()
+    assert main(shlex.split(teach)[1:]) == 0
+    assert 'When the battery runs low' in capsys.readouterr().out
+    assert main(shlex.split(simulate)[1:]) == 0
+    assert 'with low_supply: k = 0.1 1/V' in capsys.readouterr().out
+    assert main([*shlex.split(replay)[1:], '--json']) == 0
+    found = json.loads(capsys.readouterr().out)['coefficients']['low_supply']
+    assert found['value'] == pytest.approx(0.1, abs=3.0 * found['std'])
+    assert found['std'] < 0.02
+
+
+def test_the_entry_point_of_the_guide_names_the_group() -> None:
+    (toml,) = blocks_of_the_guide('toml')
+    assert f"[project.entry-points.'{own.ENTRY_POINTS}']" in toml
+
+
+def test_a_file_is_loaded_once(write: Write) -> None:
+    file = write(EFFECT)
+    first = load_file(file)
+    assert [effect.name for effect in first] == ['mine']
+    assert load_file(file) == first
+    assert find_effect('mine') is first[0]
+
+
+def test_helpers_in_a_file_are_no_effects(write: Write) -> None:
+    code = EFFECT + textwrap.dedent("""
+        class _Hidden(Mine):
+            name: str = 'hidden'
+
+        class Other:
+            pass
+    """)
+    assert [effect.name for effect in load_file(write(code))] == ['mine']
+
+
+def changed(old: str, new: str) -> str:
+    assert old in EFFECT
+    return EFFECT.replace(old, new)
+
+
+WRONG = {
+    'empty': ('', 'defines no effect'),
+    'syntax': ('def', 'SyntaxError'),
+    'import': ('import not_there_at_all', 'ModuleNotFoundError'),
+    'taken': (changed("'mine'", "'gyro_lag'"), "there is an effect 'gyro_lag' already"),
+    'name': (changed("'mine'", "'My Effect'"), 'name is'),
+    'place': (changed('    name:', "    acts_on = 'engine'\n    name:"), "acts_on is 'engine'"),
+    'camera': (changed('    name:', "    acts_on = 'camera'\n    name:"), 'lacks corrected'),
+    'coefficients': (changed("(Coefficient('k', 'rad/s', 0.1),)", '()'), 'coefficients is no tuple'),
+    'twice': (changed("0.1),)", "0.1),) * 2"), 'two coefficients have the same name'),
+    'no dataclass': (changed('@dataclass(frozen=True)\n', ''), 'is no dataclass'),
+    'arguments': (changed("str = 'mine'", 'str'), 'cannot be made without arguments'),
+    'no words': (changed("'w = w_n + k'", "''"), 'about says nothing of equation'),
+    'about': (re.sub(r'= Explanation\(.*', "= 'It is.'", EFFECT), 'about is no Explanation'),
+    'example': (changed('(0.1,)', '(0.1, 0.2)'), 'about.example has 2 values for 1 coefficients'),
+    'shape': (changed('column(np.ones(len(block.dt_s)))', 'np.ones(len(block.dt_s))'), 'contribute'),
+    'signal': (changed('column(np.ones(len(block.dt_s)))', "column(block.covariates['x'])"), "KeyError: 'x'"),
+    'nan': (changed('np.ones(len(block.dt_s))', 'block.temperature_c'), 'where no temperature is recorded'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('case', WRONG)
+def test_what_is_wrong_with_a_file_is_said(
+    case: str, write: Write, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, message = WRONG[case]
+    file = write(code)
+    assert main(['effects', '--effects-from', str(file)]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert str(file) in error
+    assert error.count('\n') == 1
+    assert 'mine' not in EFFECTS
+    assert main(['effects', '--effects-from', str(file)]) == 2, 'and said again'
+
+
+def test_a_wrong_derivative_is_found(write: Write) -> None:
+    code = EFFECT + textwrap.dedent("""
+            def contribute(self, block, values, memory):
+                columns = self.columns(block)
+                return GyroTerm(values[0] ** 2 * columns[:, 0], columns)
+    """).replace('\n', '\n    ')
+    with pytest.raises(ConfigError, match='wrong derivative by k'):
+        load_file(write(code))
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match='is no Python file'):
+        load_file(tmp_path / 'none.py')
+
+
+def test_installed_effects_are_found(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(write(EFFECT).parent)
+    point = EntryPoint('mine', 'my_effects:Mine', own.ENTRY_POINTS)
+    monkeypatch.setattr(own, 'entry_points', lambda group: [point])
+    assert find_effect('mine').about.physics == 'It is.'
+    own.load_installed()
+
+
+def test_an_installed_effect_that_cannot_be_loaded_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint('mine', 'not_there_at_all:Mine', own.ENTRY_POINTS)
+    monkeypatch.setattr(own, 'entry_points', lambda group: [point])
+    with pytest.raises(ConfigError, match='entry point not_there_at_all:Mine: cannot be loaded'):
+        find_effect('mine')

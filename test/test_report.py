@@ -23,7 +23,8 @@ from gyrocal_ros.effects.model_file import load_model, model_from_dict
 from gyrocal_ros.ekf.run import Event, Run
 from gyrocal_ros.ekf.state import EULER, no_landmarks
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.model.rotation import rotation_from_euler, rotation_from_quaternion
+from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.recording.transforms import rotation_from_quaternion
 from gyrocal_ros.report import figures, page, series, write
 from gyrocal_ros.report.sections import sections
 from gyrocal_ros.report.summary import summarise

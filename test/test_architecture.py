@@ -137,7 +137,7 @@ def test_every_effect_stands_in_the_table_of_contents() -> None:
     modules = {module.stem for module in (PACKAGE / 'effects').glob('*.py')}
     contents = imported_modules(PACKAGE / 'effects' / '__init__.py')
     listed = {name.split('.')[2] for name in contents if name.startswith('gyrocal_ros.effects.')}
-    assert modules - listed == {'__init__', 'base', 'model_file', 'sketch', 'words'}
+    assert modules - listed == {'__init__', 'model_file', 'sketch', 'words'}
 
 
 def test_no_text_knows_the_machine_it_was_written_on() -> None:

@@ -126,7 +126,7 @@ class MotionBuffer:
         offsets_ns = np.array([t - start_ns for t in times_ns], float)
         middle_ns = 0.5 * (offsets_ns[1:] + offsets_ns[:-1])
         values = 0.5 * (nodes[1:] + nodes[:-1])
-        dt_s = np.diff(offsets_ns) / NS_PER_S
+        dt_s = (offsets_ns[1:] - offsets_ns[:-1]) / NS_PER_S
         distance_m = _increments(self._travelled, start_ns, offsets_ns)
         covariates = {name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()}
         covariates[SPEED_SIGNAL] = distance_m / dt_s
@@ -136,7 +136,7 @@ class MotionBuffer:
             time_s=self.running_s(start_ns) + middle_ns / NS_PER_S,
             dt_s=dt_s,
             rate_rad_s=values[:, :3],
-            yaw_acceleration_rad_s2=np.diff(nodes[:, 2]) / dt_s,
+            yaw_acceleration_rad_s2=(nodes[1:, 2] - nodes[:-1, 2]) / dt_s,
             specific_force_m_s2=values[:, 3:],
             vibration_m2_s4=np.full(len(dt_s), self._shaken(nodes[1:-1, 3:], seconds(end_ns - start_ns))),
             distance_m=distance_m,
@@ -168,7 +168,8 @@ class MotionBuffer:
     def _shaken(self, forces: Array, duration_s: float) -> float:
         """Half the mean square of the differences from sample to sample (n, 3), with a short memory."""
         if len(forces) > 1:
-            fresh = 0.5 * float(np.square(np.diff(forces, axis=0)).sum()) / (len(forces) - 1)
+            steps = forces[1:] - forces[:-1]
+            fresh = 0.5 * float(np.vdot(steps, steps)) / len(steps)
             kept = self._vibration_m2_s4 if self._vibration_m2_s4 is not None else fresh
             self._vibration_m2_s4 = fresh + math.exp(-duration_s / VIBRATION_S) * (kept - fresh)
         return self._vibration_m2_s4 or 0.0
@@ -211,4 +212,5 @@ def _increments(signal: _Signal, start_ns: int, offsets_ns: Array) -> Array:
     """What a running total gained between the given moments."""
     if len(signal.t_ns) < 2:
         return np.zeros(len(offsets_ns) - 1)
-    return np.diff(signal.at(start_ns, offsets_ns))
+    totals = signal.at(start_ns, offsets_ns)
+    return totals[1:] - totals[:-1]

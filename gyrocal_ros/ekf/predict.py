@@ -133,8 +133,8 @@ def _process_noise(
 
     gap_rad = math.radians(gyro.gap_rate_std_deg_s) * block.gap_s
     rate_std = math.radians(gyro.rate_noise_deg_s)
-    by_rate = motion.rate_gain / np.sqrt(block.dt_s)
-    noise[POSE, POSE] = rate_std**2 * np.tensordot(by_rate, by_rate, ((1, 2), (1, 2)))
+    by_rate = (motion.rate_gain * (rate_std / np.sqrt(block.dt_s))).reshape(6, -1)
+    noise[POSE, POSE] = by_rate @ by_rate.T
     noise[EULER, EULER] += gap_rad**2 * np.eye(3)
     noise[EULER, EULER][2, 2] += extra_yaw_walk**2 * duration_s
 

@@ -100,27 +100,28 @@ def see(state: State, eye: Eye, observations: FeatureObservations) -> tuple[Stat
     )
 
 
-def meet(state: State, eye: Eye, observations: FeatureObservations) -> tuple[State, int]:
-    """Add the features of an image that the map does not know; returns how many were added.
+def newcomers(state: State, observations: FeatureObservations, map_size: int) -> list[int]:
+    """Which of the features seen the map does not know and has room for.
 
     None that was just seen makes room for another: one known for longer is worth more.
     """
     known = set(state.landmarks.ids.tolist())
     fresh = [i for i, feature in enumerate(observations.ids.tolist()) if feature not in known]
     just_seen = int(np.count_nonzero(state.landmarks.last_seen_ns == state.t_ns))
+    return fresh[: max(map_size - just_seen, 0)]
+
+
+def meet(state: State, eye: Eye, observations: FeatureObservations, fresh: list[int]) -> State:
+    """Add new features of an image to the map, those at the places `fresh` of the observations."""
     features = eye.config.features
-    fresh = fresh[: max(features.map_size - just_seen, 0)]
-    count = len(fresh)
-    if count == 0:
-        return state, 0
-    state = make_room(state, count, features.map_size)
+    state = make_room(state, len(fresh), features.map_size)
     new = eye.form.initialise(eye.view, observations.pixels[fresh], eye.noise_px, features)
     by_values = by_candidates = None
     if eye.parts.act_on_images or eye.candidates.act_on_images:
         prediction = eye.form.predict(eye.view, new.parameters, new.anchors)
         by_values = _at_first_sight(prediction, eye.by_values(prediction, state.coefficients))
         by_candidates = _at_first_sight(prediction, eye.by_candidates(prediction))
-    return augment(state, observations.ids[fresh], new, by_values, by_candidates), count
+    return augment(state, observations.ids[fresh], new, by_values, by_candidates)
 
 
 def search_regions(state: State, view: View, form: Parametrisation, noise_px: float) -> SearchRegions:

@@ -34,7 +34,7 @@ from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.motion import MotionBuffer
 from gyrocal_ros.ekf.parts import sort_effects, true_camera
 from gyrocal_ros.ekf.predict import predict, predict_sensitivity
-from gyrocal_ros.ekf.sighting import Eye, Sighting, meet, search_regions, see
+from gyrocal_ros.ekf.sighting import Eye, Sighting, meet, newcomers, search_regions, see
 from gyrocal_ros.ekf.start import Start, initial_state, moved_unseen
 from gyrocal_ros.ekf.state import POSE, YAW, State
 from gyrocal_ros.ekf.update import Lesson, heading_update, zero_rate_update
@@ -257,10 +257,12 @@ class EkfSlam:
             return Sighting()
         self._updated_at = self.state.mean[POSE].copy()
         self.state, sighting = see(self.state, self._eye(), observations)
-        self.state, added = meet(self.state, self._eye(), observations)
+        fresh = newcomers(self.state, observations, self.config.features.map_size)
+        if fresh:
+            self.state = meet(self.state, self._eye(), observations, fresh)
         if self.config.camera.estimate_pixel_noise:
             self.pixel_noise.follow(sighting.noise_distances, 2)
-        return replace(sighting, added=added)
+        return replace(sighting, added=len(fresh))
 
     def _has_moved(self) -> bool:
         """The motion gate of the paper's parametrisation: some parallax or turn since the last update."""

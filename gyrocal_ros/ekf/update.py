@@ -217,7 +217,7 @@ def _correct(
     except np.linalg.LinAlgError as error:
         raise _not_a_covariance() from error
     n = len(state.mean)
-    whitened = np.linalg.solve(factor, np.column_stack([numerator, residual, sensitivity]))
+    whitened = np.linalg.solve(factor, np.concatenate([numerator, residual[:, None], sensitivity], axis=1))
     gain, score, trial = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
     mean = state.mean + gain.T @ score
     if not np.isfinite(mean).all():

@@ -47,6 +47,7 @@ class ArgumentParser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `gyrocal` and return its exit status: 0 done, 2 the user can mend it, 130 interrupted."""
     arguments = sys.argv[1:] if argv is None else list(argv)
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # the filter's matrices are too small to share
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that half-written results are removed
     try:
         _run(arguments)

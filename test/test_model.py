@@ -23,7 +23,7 @@ from gyrocal_ros.model.camera import (
 )
 from gyrocal_ros.model.gyro import Correction, body_rates, correct
 from gyrocal_ros.model.kinematics import Motion, integrate
-from gyrocal_ros.model.rotation import euler_rate_matrix, rotation_derivatives, rotation_from_euler
+from gyrocal_ros.model.rotation import euler_rate_matrices, rotation_derivatives, rotation_from_euler
 from gyrocal_ros.model.sensor import SensorModel, placed
 
 ATTITUDES = [np.array(euler) for euler in ([0, 0, 0], [0.1, -0.2, 3.0], [-0.7, 1.2, -2.0], [3.0, -1.4, 9.0])]
@@ -48,7 +48,8 @@ class TestRotation:
         def attitude(turn: Array) -> Array:
             return rotation_from_euler(euler) @ Rotation.from_rotvec(turn).as_matrix()
 
-        by_angles = differences(rotation_from_euler, euler) @ euler_rate_matrix(euler) @ rate
+        E_wb = euler_rate_matrices(euler[:, None])[:, :, 0]
+        by_angles = differences(rotation_from_euler, euler) @ E_wb @ rate
         np.testing.assert_allclose(by_angles, differences(attitude, np.zeros(3)) @ rate, atol=1e-8)
 
 

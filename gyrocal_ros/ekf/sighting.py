@@ -18,6 +18,8 @@ from gyrocal_ros.model.camera import project_with_jacobian
 from gyrocal_ros.model.features.base import Parametrisation, Prediction, View
 
 MIN_SIGHTING_DEPTH = 1e-3
+SEEN_NUMBERS = 2
+"""What one look at a feature tells, also where it is written as a point of unknown range."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,13 +84,14 @@ def see(state: State, eye: Eye, observations: FeatureObservations) -> tuple[Stat
     innovation = innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
 
     distances = mahalanobis(innovation)
-    good = inliers(distances, form.rows, features.outlier_probability)
+    good = inliers(distances, SEEN_NUMBERS, features.outlier_probability)
     good &= prediction.points_c[:, 2] > MIN_SIGHTING_DEPTH
     used = innovation if good.all() else innovation[np.flatnonzero(good)]
     heading_rad, heading_std_rad = _as_heading(used)
     lesson = Lesson()
     if good.any():
         state, lesson = update(state, used)
+        lesson = replace(lesson, dof=SEEN_NUMBERS * len(used.rows))
     state = note_sighting(state, rows[good], rows[~good], features.drop_after_rejections)
     return state, Sighting(
         used=int(good.sum()),

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.model.rotation import euler_rate_matrices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +81,7 @@ def integrate(
     transition[3:, 3:] += drift_total + squared / 2.0 + squared @ drift_total / 6.0
     transition[:3, 3:] = np.einsum('ijn,jkn->ik', step_by_euler, drift_before) + step_by_euler.sum(axis=2)
 
-    euler_gain = _euler_rate_matrices(trig) * dt_s
+    euler_gain = euler_rate_matrices(mid) * dt_s
     drift_after = drift_total[:, :, None] - drift_before
     steps_total = step_by_euler.sum(axis=2)
     steps_after = steps_total[:, :, None] - np.cumsum(step_by_euler, axis=2) + 0.5 * step_by_euler
@@ -118,17 +119,6 @@ def _euler_increments(euler: Array, turns: Array) -> Array:
     sr, cr, tp = np.sin(euler[0]), np.cos(euler[0]), np.tan(euler[1])
     level = sr * turns[1] + cr * turns[2]
     return np.array([turns[0] + tp * level, cr * turns[1] - sr * turns[2], level * np.sqrt(1.0 + tp * tp)])
-
-
-def _euler_rate_matrices(trig: _Trig) -> Array:
-    """`E_wb` of eq. (4) for N attitudes, (3, 3, N)."""
-    secant = 1.0 / trig.cp
-    matrices = np.zeros((3, 3, len(secant)))
-    matrices[0, 0] = 1.0
-    matrices[1, 1], matrices[1, 2] = trig.cr, -trig.sr
-    matrices[2, 1], matrices[2, 2] = trig.sr * secant, trig.cr * secant
-    matrices[0, 1:] = matrices[2, 1:] * trig.sp
-    return matrices
 
 
 def _increment_derivatives(trig: _Trig, turns: Array) -> Array:

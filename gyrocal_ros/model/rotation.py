@@ -60,12 +60,19 @@ def rotation_derivatives(euler: Array) -> Array:
     )
 
 
-def euler_rate_matrix(euler: Array) -> Array:
-    """Eq. (4): `E_wb`, from body rates to the rates of roll, pitch and yaw.
+def euler_rate_matrices(euler: Array) -> Array:
+    """Eq. (4): `E_wb`, from body rates to the rates of roll, pitch and yaw, for N attitudes.
+
+    Args:
+        euler: (3, N) rad.
 
     Returns:
-        (3, 3); singular at a pitch of 90 deg, which a robot on a floor does not reach.
+        (3, 3, N); singular at a pitch of 90 deg, which a robot on a floor does not reach.
     """
-    cr, sr = math.cos(euler[0]), math.sin(euler[0])
-    cp, tp = math.cos(euler[1]), math.tan(euler[1])
-    return np.array([[1.0, sr * tp, cr * tp], [0.0, cr, -sr], [0.0, sr / cp, cr / cp]])
+    sr, cr, secant = np.sin(euler[0]), np.cos(euler[0]), 1.0 / np.cos(euler[1])
+    matrices = np.zeros((3, *euler.shape))
+    matrices[0, 0] = 1.0
+    matrices[1, 1], matrices[1, 2] = cr, -sr
+    matrices[2, 1], matrices[2, 2] = sr * secant, cr * secant
+    matrices[0, 1:] = matrices[2, 1:] * np.sin(euler[1])
+    return matrices

@@ -237,7 +237,7 @@ class ConvergenceConfig:
         0.5, '', 'smallest NIS per degree of freedom of a healthy filter', low=0.0, high=1.0
     )
     nis_high: float = setting(
-        2.0, '', 'largest NIS per degree of freedom of a healthy filter', low=1.0, high=100.0
+        3.0, '', 'largest NIS per degree of freedom of a healthy filter', low=1.0, high=100.0
     )
 
 

@@ -48,8 +48,6 @@ MAX_BLOCK_NS = 250_000_000
 LOST_FRAMES = 15
 """Images in a row that contradict the map before it is given up and begun anew."""
 MAX_RESTARTS = 10
-MOST_WAITING = 100
-"""Images that wait for the IMU; where it has stopped, the oldest are given up."""
 LOWEST_PIXEL_NOISE_PX, HIGHEST_PIXEL_NOISE_PX = 0.02, 5.0
 """What the noise of the pixels is followed within; no tracker is so bad, the images fit nothing."""
 CHECK_THE_CAMERA = 'check the camera calibration, its mounting and the time stamps with `gyrocal check`'
@@ -123,7 +121,7 @@ class EkfSlam:
         self._track = track
         self._tracks_images = False
         self._buffer = MotionBuffer()
-        self._waiting: deque[Sight] = deque(maxlen=MOST_WAITING)
+        self._waiting: deque[Sight] = deque()
         self._pose_rate: Array = np.zeros(6)
         self._resting_since_ns: int | None = None
         self._updated_at: Array | None = None

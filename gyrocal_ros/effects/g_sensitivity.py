@@ -29,8 +29,8 @@ class GSensitivity(LinearGyroEffect):
     )
     name: str = 'g_sensitivity'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('gx', 'rad/s/(m/s^2)', prior_std=math.radians(0.02)),
-        Coefficient('gy', 'rad/s/(m/s^2)', prior_std=math.radians(0.02)),
+        Coefficient('gx', 'rad/s/(m/s^2)', prior_std=math.radians(0.1)),
+        Coefficient('gy', 'rad/s/(m/s^2)', prior_std=math.radians(0.1)),
     )
 
     def columns(self, block: MotionBlock) -> Array:

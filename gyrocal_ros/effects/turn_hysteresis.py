@@ -40,7 +40,7 @@ class TurnHysteresis:
     name: str = 'turn_hysteresis'
     driven_by: Literal['rate', 'side'] = 'rate'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('k', 'rad/s', prior_std=math.radians(0.3)),
+        Coefficient('k', 'rad/s', prior_std=math.radians(1.0)),
         Coefficient('time_constant', 's', prior_std=20.0, prior_mean=20.0),
     )
 

@@ -30,7 +30,7 @@ class VibrationRectification(LinearGyroEffect):
     )
     name: str = 'vibration_rectification'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('k', 'rad/s/(m/s^2)^2', prior_std=math.radians(0.5)),
+        Coefficient('k', 'rad/s/(m/s^2)^2', prior_std=math.radians(1.0)),
     )
 
     def columns(self, block: MotionBlock) -> Array:

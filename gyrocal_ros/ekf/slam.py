@@ -144,6 +144,8 @@ class EkfSlam:
                 return []
             case _:
                 self._buffer.add(measurement)
+                if not self._waiting and measurement.t_ns - self.state.t_ns <= MAX_BLOCK_NS:
+                    return []  # most samples: nothing to do until the next image
         return self._catch_up(self._buffer.covered_until_ns())
 
     def finish(self) -> list[StepRecord]:

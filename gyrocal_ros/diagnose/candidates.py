@@ -4,79 +4,143 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
-from gyrocal_ros.data import IntArray
+from gyrocal_ros.data import Array, IntArray, Rig
+from gyrocal_ros.diagnose.banks import Hystereses, Warmups
+from gyrocal_ros.diagnose.recorded import Recorded, Signal
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
+from gyrocal_ros.ekf.evidence import Evidence
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
 WARMUP_TIMES_S = (60.0, 180.0, 600.0)
 HYSTERESIS_TIMES_S = (4.0, 12.0, 40.0)
-NOT_LINEAR = ('rate_saturation', 'rate_deadband')
+E = TypeVar('E', bound=Effect)
+
+LIMITS = ('rate_saturation', 'rate_deadband')
 """Effects that enter by a limit: told by the readings, not by sensitivities."""
-
-NEEDS_A_RUN = ('wheel_scale', 'focal_length')
-"""Effects so weakly observed that the change of the filter's gain with them must not be neglected:
-the sensitivity is no guide there, only a run of the filter with the effect in the model is."""
+MIN_LEVER_M = 0.01
+"""A camera nearer to the turning centre than this says nothing of lengths."""
 
 
-@dataclass(frozen=True, slots=True)
-class Signal:
-    """A recorded signal that something may follow."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """One effect on trial, as a mixture of what the filter carries."""
 
-    name: str
-    mean: float
-    spread: float
-    """Standard deviation; a signal that does not vary is no signal."""
+    effect: Effect
+    """As it would join the model."""
+    carried: Effect
+    weights: Array
+    """(c, k) how much of each of the c columns of `carried` one unit of each coefficient is."""
 
 
-def candidates_for(
-    model: SensorModel, signals: Sequence[Signal], has_temperature: bool
-) -> tuple[Effect, ...]:
-    """Every effect to try beside a model; one with a time constant is tried at several values of it.
+@dataclass(frozen=True, slots=True, eq=False)
+class Docket:
+    """All effects on trial."""
 
-    Args:
-        model: its own effects are left out.
-        signals: recorded signals other than temperature.
-        has_temperature: effects of temperature are left out without it.
-    """
+    trials: tuple[Trial, ...]
+
+    @property
+    def carried(self) -> tuple[Effect, ...]:
+        """What the filter has to carry along for them, each once."""
+        return tuple({id(trial.carried): trial.carried for trial in self.trials}.values())
+
+    def judged(self, evidence: Evidence) -> Evidence:
+        """The evidence of what was carried, as evidence of the effects on trial."""
+        carried = zip(evidence.candidates, columns_of(evidence.candidates), strict=True)
+        places = {id(effect): columns for effect, columns in carried}
+        mixing = np.zeros((evidence.score.shape[1], sum(trial.weights.shape[1] for trial in self.trials)))
+        effects = tuple(trial.effect for trial in self.trials)
+        for trial, columns in zip(self.trials, columns_of(effects), strict=True):
+            mixing[np.ix_(places[id(trial.carried)], columns)] = trial.weights
+        information = mixing.T @ evidence.information @ mixing
+        return Evidence(effects, evidence.start_s, information, evidence.score @ mixing)
+
+
+def docket(model: SensorModel, recorded: Recorded) -> Docket:
+    """Every effect to try beside a model; one with a time constant is tried at several values of it."""
     present = {effect.name for effect in model.effects}
-    found: list[Effect] = []
+    trials: list[Trial] = []
     for name, effect in EFFECTS.items():
-        if name in present or name in NOT_LINEAR or ('temperature' in name and not has_temperature):
+        if name in present or name in LIMITS or not set(needs(effect)) <= recorded.extras:
             continue
-        found.extend(_variants(effect))
-    for signal in signals:
-        for make in (covariate_bias, covariate_scale):
-            effect = make(signal.name, signal.mean, signal.spread)
-            if effect.name not in present:
-                found.append(effect)
-    return tuple(found)
+        if isinstance(effect, BiasWarmup):
+            trials.extend(_warmups(effect))
+        elif isinstance(effect, TurnHysteresis):
+            trials.extend(_hystereses(effect))
+        elif name != 'wheel_scale':
+            trials.append(_plain(effect))
+    trials.extend(_wheel_scale(trials, recorded.rig) if 'wheel_scale' not in present else ())
+    trials.extend(_plain(effect) for effect in _of_signals(recorded.signals) if effect.name not in present)
+    return Docket(tuple(trials))
 
 
-def _variants(effect: Effect) -> list[Effect]:
-    if isinstance(effect, BiasWarmup):
-        return [_with_time_constant(effect, time_s) for time_s in WARMUP_TIMES_S]
-    if isinstance(effect, TurnHysteresis):
-        forms = (TurnHysteresis(driven_by='rate'), TurnHysteresis(driven_by='side'))
-        return [_with_time_constant(form, time_s) for form in forms for time_s in HYSTERESIS_TIMES_S]
-    return [effect]
+def columns_of(effects: Sequence[Effect]) -> list[IntArray]:
+    """Where the coefficients of each effect stand among all, as index arrays."""
+    ends = np.cumsum([0, *(len(effect.coefficients) for effect in effects)])
+    return [np.arange(start, end) for start, end in zip(ends, ends[1:], strict=False)]
 
 
-def _with_time_constant(effect: BiasWarmup | TurnHysteresis, time_s: float) -> Effect:
-    amplitude, time_constant = effect.coefficients
-    return replace(effect, coefficients=(amplitude, replace(time_constant, prior_mean=time_s)))
+def needs(effect: Effect) -> tuple[str, ...]:
+    """What an effect needs beside IMU, wheels and camera."""
+    about = getattr(effect, 'about', None)
+    return about.needs if about is not None else ()
 
 
-def columns_of(candidates: Sequence[Effect]) -> list[IntArray]:
-    """Where the coefficients of each candidate stand among all, as index arrays."""
-    columns: list[IntArray] = []
-    start = 0
-    for effect in candidates:
-        columns.append(np.arange(start, start + len(effect.coefficients)))
-        start += len(effect.coefficients)
-    return columns
+def _plain(effect: Effect) -> Trial:
+    return Trial(effect, effect, np.eye(len(effect.coefficients)))
+
+
+def _warmups(effect: BiasWarmup) -> list[Trial]:
+    bank = Warmups(WARMUP_TIMES_S)
+    return [
+        Trial(with_means(effect, (0.0, time_s)), bank, _one_of(row, len(WARMUP_TIMES_S)))
+        for row, time_s in enumerate(WARMUP_TIMES_S)
+    ]
+
+
+def _hystereses(effect: TurnHysteresis) -> list[Trial]:
+    forms = (replace(effect, driven_by='rate'), replace(effect, driven_by='side'))
+    variants = tuple(with_means(form, (0.0, time_s)) for form in forms for time_s in HYSTERESIS_TIMES_S)
+    bank = Hystereses(variants)
+    return [Trial(variant, bank, _one_of(row, len(variants))) for row, variant in enumerate(variants)]
+
+
+def _one_of(row: int, count: int) -> Array:
+    """(count, 2): the amplitude is column `row` of a bank; nothing depends on the time constant yet."""
+    weights = np.zeros((count, 2))
+    weights[row, 0] = 1.0
+    return weights
+
+
+def _wheel_scale(trials: Sequence[Trial], rig: Rig) -> list[Trial]:
+    """Wheels that count 1 % too little make a map 1 % too small, and nothing in it tells.
+
+    But for the camera's lever arm, of which 1 % is missing then: to the filter it is as if the camera
+    sat elsewhere. The filter's own sensitivity to the scale of its map is hardly one at all.
+    """
+    lever_m = rig.camera_mount.p_bs[:2]
+    position = next((trial for trial in trials if trial.effect.name == 'camera_position'), None)
+    if position is None or np.hypot(*lever_m) < MIN_LEVER_M:
+        return []
+    return [Trial(EFFECTS['wheel_scale'], position.carried, -lever_m[:, None])]
+
+
+def _of_signals(signals: Sequence[Signal]) -> list[Effect]:
+    return [
+        make(signal.name, signal.mean, signal.spread)
+        for signal in signals
+        for make in (covariate_bias, covariate_scale)
+    ]
+
+
+def with_means(effect: E, values: Sequence[float]) -> E:
+    """The effect, its coefficients expected at other values; the doubts stay."""
+    items = zip(effect.coefficients, values, strict=True)
+    moved = tuple(replace(item, prior_mean=float(value)) for item, value in items)
+    return replace(effect, coefficients=moved)  # type: ignore[type-var,no-any-return]

@@ -103,7 +103,7 @@ def turns(run: Run, coefficients: Array) -> Array:
 def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Path:
     """The path by gyro and wheels alone, with fixed coefficients and bias."""
     history = run.history
-    increments = turns(run, coefficients) + bias_rad_s * history.dt_s
+    increments = turns(run, coefficients) + bias_rad_s * history.told_s
     yaw = history.mean[0, YAW] + np.cumsum(increments) - increments[0]
     heading = yaw - 0.5 * increments
     steps = np.stack([np.cos(heading), np.sin(heading)], axis=1) * history.distance_m[:, None]
@@ -133,7 +133,7 @@ def blind_drift(
     without = without - np.einsum('sk,sk->s', history.columns, history.coefficients)
     turned = np.cumsum(np.where(moving, without, 0.0))
     columns = np.cumsum(np.where(moving[:, None], history.columns, 0.0), axis=0)
-    moving_s = np.cumsum(np.where(moving, history.dt_s, 0.0))
+    told_s = np.cumsum(np.where(moving, history.told_s, 0.0))
     latest = min(time_s[-1], path.time_s[-1]) - span_s
     start_s = np.arange(from_s, max(latest, from_s - 1.0), STRIDE_S)
     first, last = np.searchsorted(time_s, start_s), np.searchsorted(time_s, start_s + span_s)
@@ -142,6 +142,6 @@ def blind_drift(
     start_s, first, last = start_s[whole], first[whole], last[whole]
     by_gyro = turned[last] - turned[first]
     by_gyro += np.einsum('nk,nk->n', columns[last] - columns[first], history.coefficients[first])
-    by_gyro += history.mean[first, YAW_BIAS] * (moving_s[last] - moving_s[first])
+    by_gyro += history.mean[first, YAW_BIAS] * (told_s[last] - told_s[first])
     heading = np.interp(time_s, path.time_s, path.yaw_rad)
     return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name)

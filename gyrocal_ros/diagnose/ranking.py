@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
 from gyrocal_ros.data import IntArray
-from gyrocal_ros.diagnose.candidates import columns_of
+from gyrocal_ros.diagnose.candidates import columns_of, with_means
 from gyrocal_ros.diagnose.evidence import Fit, correlation, fit, preference
 from gyrocal_ros.ekf.evidence import Evidence
 from gyrocal_ros.model.sensor import Effect
@@ -29,6 +29,11 @@ class Suspect:
     fit: Fit
 
     @property
+    def places(self) -> IntArray:
+        """(q,) which coefficients of the effect were fitted; a time constant is not at first."""
+        return self.fit.columns - self.columns[0]
+
+    @property
     def merit(self) -> float:
         """Log-likelihood gain less a price of one for each coefficient (Akaike 1974)."""
         return self.fit.gain - len(self.fit.values)
@@ -37,6 +42,12 @@ class Suspect:
     def is_significant(self) -> bool:
         """Whether chance is no explanation."""
         return self.fit.sigma >= SIGNIFICANT_SIGMA and self.merit > 0.0
+
+    @property
+    def could_show(self) -> bool:
+        """Whether an effect as strong as its prior allows would be significant here."""
+        usual = np.array([self.effect.coefficients[place].prior_std for place in self.places])
+        return bool(np.any(usual > SIGNIFICANT_SIGMA * np.sqrt(np.diagonal(self.fit.covariance))))
 
 
 def rank(evidence: Evidence) -> list[Suspect]:
@@ -71,18 +82,9 @@ def twins(suspect: Suspect, others: Iterable[Suspect], evidence: Evidence) -> li
 
 def with_estimate(suspect: Suspect) -> Effect:
     """The effect, its prior means moved to what the evidence says; the prior doubts stay."""
-    items = list(suspect.effect.coefficients)
-    first = int(suspect.columns[0])
-    for column, value in zip(suspect.fit.columns, suspect.fit.values, strict=True):
-        place = int(column) - first
-        items[place] = replace(items[place], prior_mean=items[place].prior_mean + float(value))
-    return replace(suspect.effect, coefficients=tuple(items))  # type: ignore[type-var]
-
-
-def unexcited(evidence: Evidence, ranked: Sequence[Suspect]) -> list[str]:
-    """Names of the candidates that this recording cannot judge at all."""
-    judged = {suspect.effect.name for suspect in ranked}
-    return sorted({effect.name for effect in evidence.candidates} - judged)
+    values = np.array([item.prior_mean for item in suspect.effect.coefficients])
+    values[suspect.places] += suspect.fit.values
+    return with_means(suspect.effect, values.tolist())
 
 
 def _order(suspect: Suspect) -> tuple[bool, float]:

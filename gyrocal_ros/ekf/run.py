@@ -47,6 +47,10 @@ class History:
     """(s,) what the coefficients of that moment added to it, the bias not counted."""
     columns: Array
     """(s, k) derivative of that with respect to the coefficients."""
+    told_s: Array
+    """(s,) how long the gyro was not blind: only there the bias counts."""
+    lost_rad: Array
+    """(s,) standard deviation of the turn that an effect could not tell."""
     distance_m: Array
     temperature_c: Array
     forward_m_s2: Array
@@ -116,7 +120,7 @@ class Recorder:
         self._evidence = EvidenceRecorder(candidates) if candidates else None
         self._t_ns: list[int] = []
         self._times_ns: list[int] = []
-        self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 16))
+        self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 18))
         self._signals: dict[str, list[float]] = {}
         self._truth_ns: list[int] = []
         self._truth: list[tuple[float, float, float, float]] = []
@@ -150,6 +154,8 @@ class Recorder:
                     block.duration_s,
                     block.rate_rad_s[:, 2] @ block.dt_s,
                     record.correction_rad,
+                    record.told_s,
+                    record.lost_rad,
                     block.distance_m.sum(),
                     block.temperature_c[-1],
                     block.specific_force_m_s2[:, 0] @ block.dt_s / block.duration_s,
@@ -215,11 +221,13 @@ class Recorder:
             dt_s=scalars[8],
             turn_rad=scalars[9],
             correction_rad=scalars[10],
-            distance_m=scalars[11],
-            temperature_c=scalars[12],
-            forward_m_s2=scalars[13],
-            resting=scalars[14],
-            gap_s=scalars[15],
+            told_s=scalars[11],
+            lost_rad=scalars[12],
+            distance_m=scalars[13],
+            temperature_c=scalars[14],
+            forward_m_s2=scalars[15],
+            resting=scalars[16],
+            gap_s=scalars[17],
             signals=np.array([_filled(column, len(rows)) for column in self._signals.values()]).T,
         )
 

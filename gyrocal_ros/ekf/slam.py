@@ -74,6 +74,10 @@ class StepRecord:
     the bias not counted."""
     columns: Array
     """(k,) its derivative with respect to the coefficients, rad per unit."""
+    told_s: float
+    """How long the gyro was not blind in this block: only there the bias counts."""
+    lost_rad: float
+    """Standard deviation of the turn that an effect could not tell, as beyond the range of the gyro."""
     pixel_noise_px: float
     """Present estimate."""
     event: str = ''
@@ -223,6 +227,8 @@ class EkfSlam:
             block=block,
             correction_rad=float(block.dt_s @ correction.rate_rad_s + columns @ learned),
             columns=columns,
+            told_s=float(np.sum(block.dt_s * correction.sees)),
+            lost_rad=float(np.sum(block.dt_s * correction.noise_rad_s)),
             pixel_noise_px=self.pixel_noise.std,
             event=event,
         )

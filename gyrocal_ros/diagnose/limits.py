@@ -1,0 +1,137 @@
+"""Effects that enter by a limit: proposed by the readings, to be judged by a run of the filter.
+
+Nothing depends smoothly on a limit, so there is no sensitivity to it. But readings pile up at the
+largest one, or are one and the same number where a gyro should be noisy; and the heading tells whether
+the turns were larger than that, or smaller.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from gyrocal_ros.data import NS_PER_S, Array
+from gyrocal_ros.diagnose.candidates import with_means
+from gyrocal_ros.diagnose.evidence import Fit, fit
+from gyrocal_ros.diagnose.heading import Headings, heading_evidence
+from gyrocal_ros.diagnose.recorded import Recorded
+from gyrocal_ros.effects import EFFECTS
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.model.sensor import Effect
+
+AT_THE_TOP = 0.99
+"""Readings beyond this part of the largest one count as the pile."""
+MIN_PILE_S = 0.5
+"""How long readings have to stand at the largest one, all in all."""
+STRAYS = 20
+"""Largest readings that do not count: noise on top of a limit."""
+BANDS_DEG_S = (0.1, 0.2, 0.3, 0.4, 0.5)
+"""Dead bands that are tried where noise hides the edge."""
+MIN_GAIN = 40.0
+"""Log-likelihood by the headings alone that makes a limit worth a run of the filter. A robot that
+drives straight gains some by a dead band: it takes away the noise."""
+ODD_PART = 0.4
+NEARLY = 0.97
+"""The widest band that explains nearly as much as the best: noise blurs its edge inwards."""
+STUCK = 0.05
+"""Share of the slow readings that are one and the same number where a band is dead."""
+SLOW_RAD_S = math.radians(2.0)
+GAP_STEPS = 3.0
+"""A dead band ends where the next readings are so many times their usual distance away."""
+
+
+def pile(recorded: Recorded) -> float | None:
+    """Rate (rad/s) at which the largest readings pile up, if they do: a limit, or a habit."""
+    size = np.abs(recorded.rate_rad_s)
+    if len(size) <= STRAYS:
+        return None
+    top = AT_THE_TOP * float(np.partition(size, -STRAYS)[-STRAYS])
+    rate_hz = NS_PER_S / float(np.median(np.diff(recorded.rate_t_ns)))
+    at_the_top = size[size > top]
+    return float(np.median(at_the_top)) if len(at_the_top) > MIN_PILE_S * rate_hz else None
+
+
+def stuck(recorded: Recorded) -> float | None:
+    """Width (rad/s) of the band around one value that is read again and again, where there is one.
+
+    The readings of a coarse converter repeat too, but stand as far from each other everywhere.
+    """
+    slow = recorded.rate_rad_s[np.abs(recorded.rate_rad_s) < SLOW_RAD_S]
+    values, counts = np.unique(slow, return_counts=True)
+    if len(values) < 4:
+        return None
+    place = int(np.argmax(counts))
+    if not 0 < place < len(values) - 1 or counts[place] < STUCK * counts.sum():
+        return None
+    gaps = np.diff(values)
+    width = float(min(gaps[place - 1], gaps[place]))
+    usual = float(np.median(np.delete(gaps, [place - 1, place])))
+    return width if width > GAP_STEPS * usual else None
+
+
+def proposals(run: Run, seen: Headings, recorded: Recorded, odd_gain: float) -> Iterator[Effect]:
+    """Limits that the readings suggest and the headings do not contradict.
+
+    Args:
+        run: of the filter without them.
+        seen: its headings.
+        recorded: the readings.
+        odd_gain: what a free function of something recorded gains; a dead band whose edge is hidden
+            by noise is proposed only where it explains a good part of that.
+    """
+    present = {effect.name for effect in run.model.effects}
+    if 'rate_saturation' not in present:
+        limit = pile(recorded)
+        if limit is not None and _turned_more(run, seen, recorded, limit):
+            yield with_limit('rate_saturation', limit)
+    if 'rate_deadband' not in present:
+        width = stuck(recorded)
+        if width is None and odd_gain > 0.0:
+            width = _band(run, seen, recorded, max(MIN_GAIN, ODD_PART * odd_gain))
+        if width is not None:
+            yield with_limit('rate_deadband', width)
+
+
+def with_limit(name: str, value: float) -> Effect:
+    """The effect of that name, its limit known."""
+    return with_means(EFFECTS[name], (value,))
+
+
+def _turned_more(run: Run, seen: Headings, recorded: Recorded, limit: float) -> bool:
+    """Whether the robot turned further than the readings at the limit say."""
+    side = np.where(np.abs(recorded.rate_rad_s) >= AT_THE_TOP * limit, np.sign(recorded.rate_rad_s), 0.0)
+    fitted = _beside_scale(run, seen, _over_steps(run, recorded, side))
+    return fitted is not None and float(fitted.values[0]) > 0.0 and fitted.gain > MIN_GAIN
+
+
+def _band(run: Run, seen: Headings, recorded: Recorded, least_gain: float) -> float | None:
+    """Width of the band inside which the headings see neither bias nor turning, where that gains enough."""
+    gains = {}
+    for width in np.radians(BANDS_DEG_S).tolist():
+        inside = (np.abs(recorded.rate_rad_s) < width).astype(float)
+        scale = 1.0 + run.state.coefficients[0]
+        by_bias = run.history.mean[:, YAW_BIAS] * _over_steps(run, recorded, inside)
+        gone = -(scale * _over_steps(run, recorded, inside * recorded.rate_rad_s) + by_bias)
+        fitted = _beside_scale(run, seen, gone)
+        gains[width] = fitted.gain if fitted is not None else 0.0
+    most = max(gains.values())
+    return max(width for width in gains if gains[width] >= NEARLY * most) if most > least_gain else None
+
+
+def _beside_scale(run: Run, seen: Headings, error_rad_s: Array) -> Fit | None:
+    """Fit an error of the rate (s,), with the scale free to give way."""
+    rate = run.history.turn_rad / run.history.dt_s
+    evidence = heading_evidence(seen, np.stack([error_rad_s, rate], axis=1))
+    return fit(evidence, np.array([0]), given=np.array([1]))
+
+
+def _over_steps(run: Run, recorded: Recorded, values: Array) -> Array:
+    """Mean (s,) over each step of the filter of something known at every reading."""
+    t_ns = recorded.rate_t_ns
+    t_s = (t_ns - t_ns[0]) / NS_PER_S
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t_s))])
+    end_s = (run.history.t_ns - t_ns[0]) / NS_PER_S
+    return (np.interp(end_s, t_s, total) - np.interp(end_s - run.history.dt_s, t_s, total)) / run.history.dt_s

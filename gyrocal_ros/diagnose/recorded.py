@@ -1,0 +1,113 @@
+"""What a recording offers as explanations, and its raw readings of the yaw rate."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.data import (
+    Array,
+    CovariateSample,
+    Frame,
+    ImuSample,
+    IntArray,
+    Measurement,
+    Rig,
+    Source,
+    Span,
+    TemperatureSample,
+    WheelSample,
+)
+from gyrocal_ros.ekf.motion import SPEED_SIGNAL
+
+MAX_SIGNALS = 12
+"""No more recorded signals are put on trial than these, those that vary most by their own mean."""
+MAX_HELD_S = 1800.0
+"""Recordings up to this long are held in memory, so that they need not be read again for each pass."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A recorded signal that something may follow."""
+
+    name: str
+    mean: float
+    spread: float
+    """Standard deviation; a signal that does not vary is no signal."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """What a recording offers."""
+
+    rig: Rig
+    signals: tuple[Signal, ...]
+    left_out: tuple[str, ...]
+    """Signals beyond `MAX_SIGNALS`."""
+    has_temperature: bool
+    duration_s: float
+    rate_t_ns: IntArray
+    rate_rad_s: Array
+    """(n,) the readings of the yaw rate."""
+
+    @property
+    def extras(self) -> set[str]:
+        """What effects may need beside IMU, wheels and camera."""
+        return {'temperature'} if self.has_temperature else set()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """A source whose measurements are in memory."""
+
+    name: str
+    rig: Rig
+    span: Span
+    held: tuple[Measurement, ...]
+
+    def measurements(self) -> Iterator[Measurement]:
+        """Yield them."""
+        return iter(self.held)
+
+
+def hold(source: Source) -> Source:
+    """The same source, read once for several passes; one with images or of great length as it is."""
+    if source.span.duration_s > MAX_HELD_S:
+        return source
+    held: list[Measurement] = []
+    for sample in source.measurements():
+        if isinstance(sample, Frame):
+            return source
+        held.append(sample)
+    return Held(source.name, source.rig, source.span, tuple(held))
+
+
+def look_at(source: Source) -> Recorded:
+    """See which signals a recording offers."""
+    values: dict[str, list[float]] = defaultdict(list)
+    rates: list[tuple[int, float]] = []
+    has_temperature = False
+    for sample in source.measurements():
+        if isinstance(sample, ImuSample):
+            rates.append((sample.t_ns, sample.rate_rad_s[2]))
+        elif isinstance(sample, CovariateSample):
+            values[sample.name].append(sample.value)
+        elif isinstance(sample, WheelSample):
+            values[SPEED_SIGNAL].append(sample.speed_m_s)
+        elif isinstance(sample, TemperatureSample):
+            has_temperature = True
+    signals = [Signal(name, float(np.mean(column)), float(np.std(column))) for name, column in values.items()]
+    varying = [signal for signal in signals if signal.spread > 1e-6 * abs(signal.mean)]
+    t_ns, rate = zip(*rates, strict=True) if rates else ((), ())
+    return Recorded(
+        rig=source.rig,
+        signals=tuple(varying[:MAX_SIGNALS]),
+        left_out=tuple(signal.name for signal in varying[MAX_SIGNALS:]),
+        has_temperature=has_temperature,
+        duration_s=source.span.duration_s,
+        rate_t_ns=np.array(t_ns, np.int64),
+        rate_rad_s=np.array(rate),
+    )

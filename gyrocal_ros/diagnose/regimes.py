@@ -1,0 +1,148 @@
+"""Where a model fails: stretches of time, and regimes of everything recorded, in plain words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.evidence import fit
+from gyrocal_ros.diagnose.heading import Headings, heading_evidence
+from gyrocal_ros.ekf.evidence import BLOCK_S
+from gyrocal_ros.ekf.run import Run
+
+SIGNIFICANT_SIGMA = 4.5
+"""Below this a failure counts as chance: many places are looked at."""
+TURNING_RAD_S = math.radians(5.0)
+RATE_EDGES_DEG_S = (5.0, 20.0, 40.0, 60.0, 80.0, math.inf)
+SPEEDING_UP_M_S2 = 0.15
+SINCE_TURN_S = (0.0, 2.0, 5.0, 10.0, 20.0, math.inf)
+SINCE_TURN_M = (0.0, 0.3, 1.0, 2.0, math.inf)
+PARTS = 4
+"""A signal's range is cut into so many parts, each as long in time."""
+MIN_LENGTH_S = 5.0
+"""A regime that lasts no longer in all is no regime."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """One place where the model is off by more than chance."""
+
+    what: str
+    """In plain words, with the size of the error."""
+    sigma: float
+    from_s: float | None = None
+    to_s: float | None = None
+    """The stretch of time, where it is one."""
+    regime: str | None = None
+    """The regime, where it is one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regime:
+    """Some steps of a run, and the kind of error that is looked for in them."""
+
+    name: str
+    column: np.ndarray
+    """(s,) rate error per unit: 1 for a false rate (rad/s), the rate itself for a false scale."""
+    of_scale: bool = False
+
+
+def failures(run: Run, seen: Headings) -> list[Failure]:
+    """Where the turns by the gyro differ from what the camera saw by more than chance, worst first.
+
+    Errors are those of the gyro with the final coefficients, against a bias that wanders as slowly as
+    the settings say. Their doubt comes from the scatter between blocks of time.
+    """
+    every = [regime for regime in regimes(run) if _length_s(regime, seen) > MIN_LENGTH_S]
+    found = [*_in_regimes(every, seen), *_in_time(seen)]
+    return sorted(found, key=lambda failure: failure.sigma, reverse=True)
+
+
+def regimes(run: Run) -> Iterator[Regime]:
+    """Every regime that the recording tells of."""
+    history = run.history
+    rate = history.turn_rad / history.dt_s
+    yield from _of_rate(np.degrees(rate))
+    turning = np.abs(rate) > TURNING_RAD_S
+    straight = ~turning & (history.resting == 0)
+    force = history.forward_m_s2 - np.median(history.forward_m_s2)
+    yield Regime('speeding up', straight & (force > SPEEDING_UP_M_S2))
+    yield Regime('braking', straight & (force < -SPEEDING_UP_M_S2))
+    last = np.maximum.accumulate(np.where(turning, np.arange(len(rate)), -1))
+    after = ~turning & (last >= 0)
+    travelled_m = np.cumsum(np.abs(history.distance_m))
+    for unit, axis, edges in (('s', history.time_s, SINCE_TURN_S), ('m', travelled_m, SINCE_TURN_M)):
+        since = axis - axis[last]
+        for low, high in pairwise(edges):
+            span = f'{low:g} to {high:g} {unit}' if high < math.inf else f'{low:g} {unit} and more'
+            yield Regime(f'{span} after a turn', after & (since >= low) & (since < high))
+    axes = {'time since the start (s)': history.time_s, 'temperature (deg C)': history.temperature_c}
+    axes |= {name: history.signals[:, place] for place, name in enumerate(run.signal_names)}
+    for name, values in axes.items():
+        yield from _of_signal(name, values, rate)
+
+
+def _of_rate(rate_deg_s: Array) -> Iterator[Regime]:
+    yield Regime('not turning', np.abs(rate_deg_s) <= RATE_EDGES_DEG_S[0])
+    for side, sign in (('left', 1.0), ('right', -1.0)):
+        yield Regime(f'turning {side}', sign * rate_deg_s > RATE_EDGES_DEG_S[0])
+        for low, high in pairwise(RATE_EDGES_DEG_S):
+            speed = f'at {low:g} to {high:g} deg/s' if high < math.inf else f'faster than {low:g} deg/s'
+            yield Regime(f'turning {side} {speed}', (sign * rate_deg_s > low) & (sign * rate_deg_s <= high))
+
+
+def _of_signal(name: str, values: Array, rate_rad_s: Array) -> Iterator[Regime]:
+    known = values[np.isfinite(values)]
+    if len(known) < 2 * PARTS or np.ptp(known) == 0.0:
+        return
+    edges = np.unique(np.quantile(known, np.linspace(0.0, 1.0, PARTS + 1)))
+    for low, high in pairwise(edges.tolist()):
+        inside = (values >= low) & ((values < high) | (values == edges[-1]))
+        yield Regime(f'{name} {low:.4g} to {high:.4g}', inside)
+        yield Regime(f'{name} {low:.4g} to {high:.4g}', inside * rate_rad_s, of_scale=True)
+
+
+def _in_regimes(regimes: list[Regime], seen: Headings) -> Iterator[Failure]:
+    evidence = heading_evidence(seen, np.stack([regime.column for regime in regimes], axis=1).astype(float))
+    for place, regime in enumerate(regimes):
+        fitted = fit(evidence, np.array([place]))
+        if fitted is None or fitted.sigma < SIGNIFICANT_SIGMA:
+            continue
+        value = float(fitted.values[0])
+        if regime.of_scale:
+            error = f'the scale is off by {100.0 * value:+.3f} %'
+        else:
+            error = f'the gyro is off by {math.degrees(value):+.3f} deg/s'
+        yield Failure(f'{regime.name}: {error}', fitted.sigma, regime=regime.name)
+
+
+def _in_time(seen: Headings) -> Iterator[Failure]:
+    """Stretches in which the rate is off; blocks that follow each other are one."""
+    block = (seen.time_s / BLOCK_S).astype(int)
+    columns = (block[:, None] == np.arange(block[-1] + 1)).astype(float)
+    evidence = heading_evidence(seen, columns)
+    # Each block by what it says of itself: a jump is then where it happened, not wherever it lasts.
+    information = np.einsum('bbb->b', evidence.information)
+    score = np.einsum('bb->b', evidence.score)
+    known = information > 0.0
+    information = np.where(known, information, 1.0)
+    z = score / np.sqrt(information)
+    # The filter's own idea of chance may be wrong: the usual block's is the least to expect.
+    sigma = np.abs(z) / max(1.0, 1.4826 * float(np.median(np.abs(z[known]))))
+    off = np.flatnonzero(sigma > SIGNIFICANT_SIGMA)
+    for blocks in np.split(off, np.flatnonzero(np.diff(off) > 1) + 1):
+        if len(blocks):
+            worst = blocks[np.argmax(sigma[blocks])]
+            from_s, to_s = BLOCK_S * blocks[0], min(BLOCK_S * (blocks[-1] + 1), float(seen.time_s[-1]))
+            error = f'the gyro is off by up to {math.degrees(score[worst] / information[worst]):+.3f} deg/s'
+            what = f'{from_s:.0f} to {to_s:.0f} s: {error}'
+            yield Failure(what, float(sigma[worst]), from_s=float(from_s), to_s=to_s)
+
+
+def _length_s(regime: Regime, seen: Headings) -> float:
+    return float(seen.dt_s[regime.column != 0.0].sum())

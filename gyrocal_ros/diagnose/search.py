@@ -1,0 +1,190 @@
+"""The search for what a model lacks: look, add the best explanation, look again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.candidates import docket
+from gyrocal_ros.diagnose.evidence import chi_square_tail, sigma_of
+from gyrocal_ros.diagnose.foresight import foreseen
+from gyrocal_ros.diagnose.heading import Headings, headings
+from gyrocal_ros.diagnose.limits import pile, proposals, with_limit
+from gyrocal_ros.diagnose.ranking import Suspect, rank, twins, with_estimate
+from gyrocal_ros.diagnose.recorded import Recorded
+from gyrocal_ros.diagnose.shapes import INFLATION, Oddity, oddity
+from gyrocal_ros.ekf.evidence import Evidence
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.sensor import Effect, SensorModel
+
+Calibrate = Callable[[SensorModel, tuple[Effect, ...]], Run]
+"""Runs the filter with a model and with candidates on trial."""
+
+ODD_PART = 1.25
+"""Something unknown has to explain so many times what the best effect of the library explains."""
+MIN_FORESEEN = 3.0
+"""Log-likelihood by which a recording has to be foreseen better for an effect to be kept: odds of 20."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """One model on a recording, and what the recording says that it lacks."""
+
+    model: SensorModel
+    run: Run
+    evidence: Evidence
+    suspects: tuple[Suspect, ...]
+    """The best first."""
+    seen: Headings
+    oddity: Oddity | None
+    """What is left over as a function of something recorded, where it is more than chance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """An effect that was put into the model."""
+
+    effect: Effect
+    """Its prior means are what the evidence said of it before it was put in."""
+    before: Stage | None
+    """None where the filter could not run without it."""
+    after: Stage
+    gain: float
+    """Log-likelihood that the evidence promised; for a limit, what the run gained."""
+    sigma: float
+    p_value: float
+    stds: Array
+    """(k,) of the coefficients by the scatter over the recording, zero where none was estimated."""
+    confused_with: tuple[str, ...]
+
+    @property
+    def foreseen(self) -> float:
+        """Log-likelihood of each measurement, given those before it, that the effect gained."""
+        return math.inf if self.before is None else float(foreseen(self.before.run, self.after.run).sum())
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the recording was foreseen better with the effect than without."""
+        return self.foreseen > MIN_FORESEEN
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Search:
+    """A finished search."""
+
+    first: Stage
+    changes: tuple[Change, ...]
+    """Kept and rejected ones, in the order in which they were tried."""
+
+    @property
+    def kept(self) -> tuple[Change, ...]:
+        """Those that helped."""
+        return tuple(change for change in self.changes if change.is_kept)
+
+    @property
+    def last(self) -> Stage:
+        """With all that helped."""
+        return self.kept[-1].after if self.kept else self.first
+
+
+def search(model: SensorModel, recorded: Recorded, calibrate: Calibrate, most: int = 3) -> Search:
+    """Find what a model lacks.
+
+    Args:
+        model: the present sensor model.
+        recorded: what the recording offers.
+        calibrate: runs the filter.
+        most: effects to try; one run of the filter each, and one before.
+
+    Raises:
+        FilterDivergedError: the filter cannot run with this model.
+    """
+    changes: list[Change] = []
+    try:
+        first = stage = examine(model, recorded, calibrate)
+    except FilterDivergedError:
+        rescued = _rescued(model, recorded, calibrate)
+        if rescued is None:
+            raise
+        changes.append(rescued)
+        first = stage = rescued.after
+    while len(changes) < most:
+        tried = {change.effect.name for change in changes}
+        change = _next_change(stage, recorded, calibrate, tried)
+        if change is None:
+            break
+        changes.append(change)
+        if change.is_kept:
+            stage = change.after
+    return Search(first, tuple(changes))
+
+
+def examine(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Stage:
+    """Run the filter with a model, everything else on trial."""
+    trials = docket(model, recorded)
+    run = calibrate(model, trials.carried)
+    assert run.evidence is not None
+    evidence, seen = trials.judged(run.evidence), headings(run)
+    return Stage(model, run, evidence, tuple(rank(evidence)), seen, oddity(run, seen))
+
+
+def with_effect(model: SensorModel, effect: Effect) -> SensorModel:
+    """The model with one more effect."""
+    return replace(model, effects=(*model.effects, effect))
+
+
+def _next_change(stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: set[str]) -> Change | None:
+    """Put the best explanation into the model, unless nothing is missing or nothing known explains it."""
+    significant = [item for item in stage.suspects if item.is_significant and item.effect.name not in tried]
+    best = significant[0] if significant else None
+    rival_gain = best.fit.gain if best is not None else 0.0
+    odd_gain = stage.oddity.gain if stage.oddity is not None else 0.0
+    for limit in proposals(stage.run, stage.seen, recorded, odd_gain):
+        if limit.name not in tried:
+            change = _limited(stage, limit, recorded, calibrate)
+            if change is not None and change.gain > max(rival_gain, odd_gain, MIN_FORESEEN):
+                return change
+    if best is None or odd_gain > ODD_PART * rival_gain:
+        return None
+    effect = with_estimate(best)
+    stds = np.zeros(len(effect.coefficients))
+    stds[best.places] = np.sqrt(np.diagonal(best.fit.covariance))
+    return Change(
+        effect=effect,
+        before=stage,
+        after=examine(with_effect(stage.model, effect), recorded, calibrate),
+        gain=best.fit.gain,
+        sigma=best.fit.sigma,
+        p_value=best.fit.p_value,
+        stds=stds,
+        confused_with=tuple(twins(best, stage.suspects, stage.evidence)),
+    )
+
+
+def _limited(stage: Stage, limit: Effect, recorded: Recorded, calibrate: Calibrate) -> Change | None:
+    """Judge a limit by a run; None where the filter cannot run with it."""
+    try:
+        after = examine(with_effect(stage.model, limit), recorded, calibrate)
+    except FilterDivergedError:
+        return None
+    gain = float(foreseen(stage.run, after.run).sum())
+    p_value = chi_square_tail(2.0 * max(gain, 0.0) / INFLATION, 1)
+    return Change(limit, stage, after, gain, sigma_of(p_value), p_value, np.zeros(1), ())
+
+
+def _rescued(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Change | None:
+    """Where the filter cannot run, a limit of the rate may be why; None where it is not."""
+    limit = pile(recorded)
+    if limit is None or any(effect.name == 'rate_saturation' for effect in model.effects):
+        return None
+    effect = with_limit('rate_saturation', limit)
+    try:
+        after = examine(with_effect(model, effect), recorded, calibrate)
+    except FilterDivergedError:
+        return None
+    return Change(effect, None, after, math.inf, math.inf, 0.0, np.zeros(1), ())

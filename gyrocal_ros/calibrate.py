@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -11,10 +11,14 @@ import numpy as np
 
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import (
+    Array,
     ClockStep,
+    FeatureObservations,
+    Frame,
     HeadingSample,
     Measurement,
     Rig,
+    SearchRegions,
     Source,
     Span,
     Tracking,
@@ -34,6 +38,8 @@ MAX_MISFIT_DEG = 2.0
 """A heading reference that differs more than this from the best fit of the gyro is no good."""
 MIN_TURN_RAD = math.radians(45.0)
 """Less turning than this, to and fro, tells nothing of a scale factor."""
+MAX_HELD_S = 1800.0
+"""Recordings up to this long are held in memory for those who run the filter several times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +48,20 @@ class Progress:
 
     done_s: float
     total_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """A source whose measurements are in memory."""
+
+    name: str
+    rig: Rig
+    span: Span
+    held: Sequence[Measurement]
+
+    def measurements(self) -> Iterator[Measurement]:
+        """Yield them."""
+        return iter(self.held)
 
 
 def make_filter(
@@ -89,6 +109,74 @@ def calibrate(
         run = _run(source, source.measurements(), config, model, start, report, candidates)
     _require_observable(run)
     return replace(run, events=(*run.events, *_unrecorded_signals(run)))
+
+
+def hold(
+    source: Source,
+    config: Config,
+    model: SensorModel,
+    report: Callable[[Progress], None] | None = None,
+) -> tuple[Source, Config]:
+    """The source, read and its images followed once, however often the filter then runs over it.
+
+    Args:
+        source: a recording; one of great length stays where it is.
+        config: settings.
+        model: the sensor model that helps to follow the images.
+        report: told of the progress about once a second of recorded time.
+
+    Returns:
+        The same recording with features in place of images, and settings that know their noise.
+
+    Raises:
+        FilterDivergedError: the images contradict the model beyond repair.
+    """
+    if source.span.duration_s > MAX_HELD_S:
+        return source, config
+    held: list[Measurement] = []
+    followed: list[Measurement] = []
+    slam: EkfSlam | None = None
+    for measurement in _telling(source, report):
+        if isinstance(measurement, Frame) and slam is None:
+            slam = _following(model, config, source.rig, followed)
+            for earlier in held:
+                slam.step(earlier)
+        if slam is not None:
+            slam.step(measurement)
+        if not isinstance(measurement, Frame):
+            held.append(measurement)
+    if slam is None:
+        return Held(source.name, source.rig, source.span, held), config
+    if any(isinstance(measurement, ClockStep) for measurement in held):
+        return source, config
+    slam.finish()
+    merged = sorted([*held, *followed], key=attrgetter('t_ns'))
+    noise = replace(config.camera, pixel_noise_px=config.tracker.noise_px)
+    return Held(source.name, source.rig, source.span, merged), replace(config, camera=noise)
+
+
+def _following(model: SensorModel, config: Config, rig: Rig, followed: list[Measurement]) -> EkfSlam:
+    """A filter that keeps what its tracker sees."""
+    assert rig.camera is not None
+    tracker = Tracker(rig.camera, config.tracker)
+
+    def track(frame: Frame, R_wc: Array, regions: SearchRegions) -> FeatureObservations:
+        seen = tracker.track(frame, R_wc, regions)
+        followed.append(seen)
+        return seen
+
+    return EkfSlam(model, config, rig, track)
+
+
+def _telling(source: Source, report: Callable[[Progress], None] | None) -> Iterator[Measurement]:
+    """Yield the measurements and tell about once a second how far they are."""
+    told_s = 0.0
+    for measurement in source.measurements():
+        yield measurement
+        done_s = seconds(measurement.t_ns - source.span.start_ns)
+        if report is not None and done_s - told_s >= 1.0:
+            told_s = done_s
+            report(Progress(done_s, source.span.duration_s))
 
 
 def _run(

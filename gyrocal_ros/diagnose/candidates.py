@@ -18,8 +18,9 @@ from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
 from gyrocal_ros.ekf.evidence import Evidence
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
-WARMUP_TIMES_S = (60.0, 180.0, 600.0)
-HYSTERESIS_TIMES_S = (4.0, 12.0, 40.0)
+WARMUP_TIMES_S = (40.0, 65.0, 105.0, 170.0, 275.0, 445.0, 720.0, 1160.0)
+HYSTERESIS_TIMES_S = (2.5, 4.0, 6.5, 10.5, 17.0, 27.5, 44.5)
+"""Geometric series."""
 E = TypeVar('E', bound=Effect)
 
 LIMITS = ('rate_saturation', 'rate_deadband')

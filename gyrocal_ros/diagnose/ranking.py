@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.data import IntArray
+from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.candidates import columns_of, with_means
 from gyrocal_ros.diagnose.evidence import Fit, correlation, fit, preference
+from gyrocal_ros.diagnose.profile import Profile, profile
 from gyrocal_ros.ekf.evidence import Evidence
 from gyrocal_ros.model.sensor import Effect
 
@@ -20,6 +21,10 @@ TWIN_SIGMA = 3.0
 TWIN_CORRELATION = 0.9
 
 
+NEARBY = 0.4
+"""Part of a time constant by which the filter may still move it: further out it goes astray."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
     """One candidate effect as the recording sees it."""
@@ -27,6 +32,8 @@ class Suspect:
     effect: Effect
     columns: IntArray
     fit: Fit
+    profile: Profile | None = None
+    """Of the time constant, where the effect has one."""
 
     @property
     def places(self) -> IntArray:
@@ -56,16 +63,12 @@ def rank(evidence: Evidence) -> list[Suspect]:
     The significant ones come before all others; among them counts how much they explain, for what
     is most certain need not explain most.
     """
-    best: dict[str, Suspect] = {}
+    variants: dict[str, list[Suspect]] = {}
     for effect, columns in zip(evidence.candidates, columns_of(evidence.candidates), strict=True):
         fitted = fit(evidence, columns)
-        if fitted is None:
-            continue
-        suspect = Suspect(effect, columns, fitted)
-        rival = best.get(effect.name)
-        if rival is None or _order(suspect) > _order(rival):
-            best[effect.name] = suspect
-    return sorted(best.values(), key=_order, reverse=True)
+        if fitted is not None:
+            variants.setdefault(effect.name, []).append(Suspect(effect, columns, fitted))
+    return sorted(map(_best_of, variants.values()), key=_order, reverse=True)
 
 
 def twins(suspect: Suspect, others: Iterable[Suspect], evidence: Evidence) -> list[str]:
@@ -81,10 +84,40 @@ def twins(suspect: Suspect, others: Iterable[Suspect], evidence: Evidence) -> li
 
 
 def with_estimate(suspect: Suspect) -> Effect:
-    """The effect, its prior means moved to what the evidence says; the prior doubts stay."""
-    values = np.array([item.prior_mean for item in suspect.effect.coefficients])
-    values[suspect.places] += suspect.fit.values
-    return with_means(suspect.effect, values.tolist())
+    """The effect, its prior means moved to what the evidence says.
+
+    The prior doubts stay, but for an effect with a time constant: there the filter has to begin near.
+    """
+    if suspect.profile is None:
+        values = np.array([item.prior_mean for item in suspect.effect.coefficients])
+        values[suspect.places] += suspect.fit.values
+        return with_means(suspect.effect, values.tolist())
+    told = suspect.profile
+    effect = with_means(suspect.effect, (told.amplitude, told.value))
+    stds = (max(abs(told.amplitude), told.amplitude_std), NEARBY * told.value)
+    items = zip(effect.coefficients, stds, strict=True)
+    coefficients = tuple(replace(item, prior_std=std) for item, std in items)
+    return replace(effect, coefficients=coefficients)  # type: ignore[type-var]
+
+
+def doubts(suspect: Suspect) -> Array:
+    """Standard deviations (k,) of the coefficients by the evidence; zero for one that was not fitted."""
+    if suspect.profile is not None:
+        return np.array([suspect.profile.amplitude_std, suspect.profile.std])
+    stds = np.zeros(len(suspect.effect.coefficients))
+    stds[suspect.places] = np.sqrt(np.diagonal(suspect.fit.covariance))
+    return stds
+
+
+def _best_of(variants: list[Suspect]) -> Suspect:
+    """The best variant of an effect; of one with a time constant, with what the others say of that."""
+    best = max(variants, key=_order)
+    if len(variants) == 1:
+        return best
+    form = with_means(best.effect, (0.0, 0.0))
+    series = [item for item in variants if with_means(item.effect, (0.0, 0.0)) == form]
+    times_s = [item.effect.coefficients[1].prior_mean for item in series]
+    return replace(best, profile=profile(times_s, [item.fit for item in series]))
 
 
 def _order(suspect: Suspect) -> tuple[bool, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,13 +10,10 @@ import numpy as np
 from gyrocal_ros.data import (
     Array,
     CovariateSample,
-    Frame,
     ImuSample,
     IntArray,
-    Measurement,
     Rig,
     Source,
-    Span,
     TemperatureSample,
     WheelSample,
 )
@@ -25,8 +21,6 @@ from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 
 MAX_SIGNALS = 12
 """No more recorded signals are put on trial than these, those that vary most by their own mean."""
-MAX_HELD_S = 1800.0
-"""Recordings up to this long are held in memory, so that they need not be read again for each pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,32 +51,6 @@ class Recorded:
     def extras(self) -> set[str]:
         """What effects may need beside IMU, wheels and camera."""
         return {'temperature'} if self.has_temperature else set()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Held:
-    """A source whose measurements are in memory."""
-
-    name: str
-    rig: Rig
-    span: Span
-    held: tuple[Measurement, ...]
-
-    def measurements(self) -> Iterator[Measurement]:
-        """Yield them."""
-        return iter(self.held)
-
-
-def hold(source: Source) -> Source:
-    """The same source, read once for several passes; one with images or of great length as it is."""
-    if source.span.duration_s > MAX_HELD_S:
-        return source
-    held: list[Measurement] = []
-    for sample in source.measurements():
-        if isinstance(sample, Frame):
-            return source
-        held.append(sample)
-    return Held(source.name, source.rig, source.span, tuple(held))
 
 
 def look_at(source: Source) -> Recorded:

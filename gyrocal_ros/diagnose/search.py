@@ -14,7 +14,7 @@ from gyrocal_ros.diagnose.evidence import chi_square_tail, sigma_of
 from gyrocal_ros.diagnose.foresight import foreseen
 from gyrocal_ros.diagnose.heading import Headings, headings
 from gyrocal_ros.diagnose.limits import pile, proposals, with_limit
-from gyrocal_ros.diagnose.ranking import Suspect, rank, twins, with_estimate
+from gyrocal_ros.diagnose.ranking import Suspect, doubts, rank, twins, with_estimate
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.shapes import INFLATION, Oddity, oddity
 from gyrocal_ros.ekf.evidence import Evidence
@@ -27,6 +27,8 @@ Calibrate = Callable[[SensorModel, tuple[Effect, ...]], Run]
 
 ODD_PART = 1.25
 """Something unknown has to explain so many times what the best effect of the library explains."""
+LIMIT_PART = 1.05
+"""A limit, which makes the filter doubt its gyro, has to explain more than any other effect by this."""
 MIN_FORESEEN = 3.0
 """Log-likelihood by which a recording has to be foreseen better for an effect to be kept: odds of 20."""
 
@@ -146,14 +148,12 @@ def _next_change(stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: 
     odd_gain = stage.oddity.gain if stage.oddity is not None else 0.0
     for limit in proposals(stage.run, stage.seen, recorded, odd_gain):
         if limit.name not in tried:
-            change = _limited(stage, limit, recorded, calibrate)
-            if change is not None and change.gain > max(rival_gain, odd_gain, MIN_FORESEEN):
+            change = _limited(stage, limit, recorded, calibrate, max(rival_gain, odd_gain))
+            if change is not None:
                 return change
     if best is None or odd_gain > ODD_PART * rival_gain:
         return None
     effect = with_estimate(best)
-    stds = np.zeros(len(effect.coefficients))
-    stds[best.places] = np.sqrt(np.diagonal(best.fit.covariance))
     return Change(
         effect=effect,
         before=stage,
@@ -161,19 +161,24 @@ def _next_change(stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: 
         gain=best.fit.gain,
         sigma=best.fit.sigma,
         p_value=best.fit.p_value,
-        stds=stds,
+        stds=doubts(best),
         confused_with=tuple(twins(best, stage.suspects, stage.evidence)),
     )
 
 
-def _limited(stage: Stage, limit: Effect, recorded: Recorded, calibrate: Calibrate) -> Change | None:
-    """Judge a limit by a run; None where the filter cannot run with it."""
+def _limited(
+    stage: Stage, limit: Effect, recorded: Recorded, calibrate: Calibrate, rival_gain: float
+) -> Change | None:
+    """Put a limit into the model, if a run with it foresees the recording better than any rival."""
+    model = with_effect(stage.model, limit)
     try:
-        after = examine(with_effect(stage.model, limit), recorded, calibrate)
+        gain = float(foreseen(stage.run, calibrate(model, ())).sum())
+        if gain < max(LIMIT_PART * rival_gain, MIN_FORESEEN):
+            return None
+        after = examine(model, recorded, calibrate)
     except FilterDivergedError:
         return None
-    gain = float(foreseen(stage.run, after.run).sum())
-    p_value = chi_square_tail(2.0 * max(gain, 0.0) / INFLATION, 1)
+    p_value = chi_square_tail(2.0 * gain / INFLATION, 1)
     return Change(limit, stage, after, gain, sigma_of(p_value), p_value, np.zeros(1), ())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
@@ -14,6 +15,8 @@ SPAN_S = 60.0
 STRIDE_S = 5.0
 SETTLING_S = 10.0
 """Spans begin no earlier than this: until then the gyro is hardly known."""
+WITHIN = NormalDist().inv_cdf(0.95)
+"""Intervals hold in 90 of 100 recordings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +40,22 @@ class BlindDrift:
     def max_deg(self) -> float:
         """Largest magnitude, NaN where there is no span."""
         return float(np.degrees(np.abs(self.error_rad).max())) if len(self.error_rad) else float('nan')
+
+    @property
+    def independent(self) -> float:
+        """How many spans that do not overlap would tell as much of the rms (Satterthwaite 1946)."""
+        apart_s = np.abs(self.start_s[:, None] - self.start_s)
+        shared = np.maximum(1.0 - apart_s / self.span_s, 0.0)
+        return float(len(self.start_s) ** 2 / np.sum(shared**2)) if len(self.start_s) else 0.0
+
+    @property
+    def interval_deg(self) -> tuple[float, float]:
+        """Where the rms of very many such spans would lie, in 90 of 100 recordings."""
+        if not len(self.error_rad):
+            return float('nan'), float('nan')
+        width = 2.0 / (9.0 * self.independent)  # the chi-square quantile of Wilson and Hilferty (1931)
+        low, high = (max(1.0 - width + side * WITHIN * width**0.5, 0.0) ** 1.5 for side in (1.0, -1.0))
+        return self.rms_deg / low, self.rms_deg / high if high > 0.0 else float('inf')
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +130,11 @@ def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Path:
 
 
 def blind_drift(
-    run: Run, reference: tuple[Path, str] | None = None, from_s: float = SETTLING_S, span_s: float = SPAN_S
+    run: Run,
+    reference: tuple[Path, str] | None = None,
+    from_s: float = SETTLING_S,
+    span_s: float = SPAN_S,
+    fitted: bool = False,
 ) -> BlindDrift:
     """Heading error after spans without the camera, all over the run.
 
@@ -124,6 +147,7 @@ def blind_drift(
         reference: headings to compare with, and what they are called; the run's own where None.
         from_s: when the first span may begin.
         span_s: length of a span.
+        fitted: begin each span with the final coefficients instead, which were fitted on it too.
     """
     history = run.history
     time_s, moving = history.time_s, history.resting == 0
@@ -140,8 +164,25 @@ def blind_drift(
     gap_s = np.cumsum(history.gap_s)
     whole = gap_s[last] == gap_s[first]
     start_s, first, last = start_s[whole], first[whole], last[whole]
+    known = history.coefficients[np.full_like(first, -1) if fitted else first]
     by_gyro = turned[last] - turned[first]
-    by_gyro += np.einsum('nk,nk->n', columns[last] - columns[first], history.coefficients[first])
+    by_gyro += np.einsum('nk,nk->n', columns[last] - columns[first], known)
     by_gyro += history.mean[first, YAW_BIAS] * (told_s[last] - told_s[first])
     heading = np.interp(time_s, path.time_s, path.yaw_rad)
     return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name)
+
+
+def held_out_from_s(run: Run) -> float:
+    """When the spans begin on which models are judged: in the second half, or earlier in a short run."""
+    end_s = float(run.history.time_s[-1])
+    return max(SETTLING_S, min(0.5 * end_s, end_s - 1.5 * SPAN_S))
+
+
+def better_sigma(before: BlindDrift, after: BlindDrift) -> float:
+    """By how many sigma the squared errors of the same spans became smaller; NaN where that is not known."""
+    _, first, second = np.intersect1d(before.start_s, after.start_s, return_indices=True)
+    if len(first) < 2:
+        return float('nan')
+    gained = before.error_rad[first] ** 2 - after.error_rad[second] ** 2
+    scatter = float(gained.std(ddof=1)) / min(before.independent, after.independent) ** 0.5
+    return float(gained.mean()) / scatter if scatter > 0.0 else 0.0

@@ -1,0 +1,135 @@
+"""The error falling, revision by revision: what a search has tried, with its figures of merit."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from gyrocal_ros.diagnose.drift import (
+    BlindDrift,
+    Path,
+    better_sigma,
+    blind_drift,
+    held_out_from_s,
+    reference_path,
+)
+from gyrocal_ros.diagnose.foresight import certainty, foreseen
+from gyrocal_ros.diagnose.search import Change, Search, Stage
+from gyrocal_ros.model.sensor import Effect
+
+CHANCE_SIGMA = 2.0
+"""A held-out drift that differs by less than this differs by chance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Revision:
+    """One model that was tried."""
+
+    label: str
+    """`0_default`, `1_scale_asymmetry`: the name of its folder."""
+    effect: Effect | None
+    """What was added to the revision that it builds on; None for the model as it was."""
+    stage: Stage
+    is_kept: bool
+    held_out: BlindDrift
+    """Each span begins with what was known by then."""
+    fitted: BlindDrift
+    """The same spans with the final coefficients."""
+    gain: float
+    """Log-likelihood by which it foresees the recording better than what it builds on; 0 for the first."""
+    gain_sigma: float
+    """By how many sigma that is more than chance."""
+    drift_sigma: float
+    """By how many sigma its held-out drift is smaller than that of what it builds on; NaN where not known."""
+    why: str
+    """In one sentence, why it was kept or not."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Improvement:
+    """All revisions in the order in which they were tried."""
+
+    revisions: tuple[Revision, ...]
+    drift_reference: str
+    """What headings were compared with for the drift: `ground truth`, or `slam` by the final model."""
+
+    @property
+    def kept(self) -> tuple[Revision, ...]:
+        """The revisions that make up the final model, the model as it was among them."""
+        return tuple(revision for revision in self.revisions if revision.is_kept)
+
+    @property
+    def final(self) -> Revision:
+        """The last one that was kept."""
+        return self.kept[-1]
+
+
+def improvement(searched: Search) -> Improvement:
+    """Take a finished search apart into revisions."""
+    reference = reference_path(searched.last.run)
+    revisions: list[Revision] = []
+    if not searched.changes or searched.changes[0].before is not None:
+        model = searched.first.model
+        revisions.append(_first(searched.first, f'0_{_plain(model.name)}', reference))
+    for number, change in enumerate(searched.changes, start=1):
+        revisions.append(_revision(change, f'{number}_{_plain(change.effect.name)}', reference))
+    return Improvement(tuple(revisions), reference[1])
+
+
+def _first(stage: Stage, label: str, reference: tuple[Path, str]) -> Revision:
+    held_out, fitted = _drifts(stage, reference)
+    return Revision(
+        label, None, stage, True, held_out, fitted, 0.0, 0.0, 0.0, 'the model as it was'
+    )  # fmt: skip
+
+
+def _revision(change: Change, label: str, reference: tuple[Path, str]) -> Revision:
+    held_out, fitted = _drifts(change.after, reference)
+    gain_sigma = drift_sigma = float('nan')
+    if change.before is not None:
+        gain_sigma = certainty(foreseen(change.before.run, change.after.run))
+        drift_sigma = better_sigma(_drifts(change.before, reference)[0], held_out)
+    return Revision(
+        label=label,
+        effect=change.effect,
+        stage=change.after,
+        is_kept=change.is_kept,
+        held_out=held_out,
+        fitted=fitted,
+        gain=change.foreseen,
+        gain_sigma=gain_sigma,
+        drift_sigma=drift_sigma,
+        why=f'{_why(change)}; {_drift_in_words(drift_sigma)}',
+    )
+
+
+def _why(change: Change) -> str:
+    if change.before is None:
+        return 'kept: without it the filter loses the measurements'
+    size = f'{abs(change.foreseen):.1f}'
+    if change.is_kept:
+        return f'kept: what follows is foreseen better (log-likelihood +{size})'
+    if change.foreseen < 0.0:
+        return f'left out: what follows is foreseen worse (log-likelihood -{size})'
+    return f'left out: what follows is foreseen hardly better (log-likelihood +{size})'
+
+
+def _drift_in_words(sigma: float) -> str:
+    if math.isnan(sigma):
+        return 'its drift cannot be compared'
+    if abs(sigma) < CHANCE_SIGMA:
+        return 'the held-out drift differs by no more than chance'
+    return f'the held-out drift {"fell" if sigma > 0.0 else "rose"}'
+
+
+def _drifts(stage: Stage, reference: tuple[Path, str]) -> tuple[BlindDrift, BlindDrift]:
+    """Held out and fitted, of the same spans."""
+    from_s = held_out_from_s(stage.run)
+    held_out, fitted = (blind_drift(stage.run, reference, from_s, fitted=end) for end in (False, True))
+    return held_out, fitted
+
+
+def _plain(name: str) -> str:
+    """A name that every file system takes."""
+    return re.sub(r'[^\w.]+', '_', name)

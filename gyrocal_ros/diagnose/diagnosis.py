@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidates import LIMITS, needs, with_means
-from gyrocal_ros.diagnose.drift import blind_drift, reference_path
+from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
 from gyrocal_ros.diagnose.ranking import Suspect
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.regimes import Failure, failures
@@ -88,10 +88,10 @@ def diagnose(searched: Search, recorded: Recorded) -> Diagnosis:
 def _findings(searched: Search) -> Iterator[Finding]:
     run = searched.last.run
     reference = reference_path(run)
-    middle_s = 0.5 * float(run.history.time_s[-1])
+    from_s = held_out_from_s(run)
 
     def drift_deg(stage: Stage) -> float:
-        return blind_drift(stage.run, reference, middle_s).rms_deg
+        return blind_drift(stage.run, reference, from_s).rms_deg
 
     start = len(searched.last.model.coefficients)
     for change in reversed(searched.kept):

@@ -136,8 +136,8 @@ def examine(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Sta
 
 
 def with_effect(model: SensorModel, effect: Effect) -> SensorModel:
-    """The model with one more effect."""
-    return replace(model, effects=(*model.effects, effect))
+    """The next version of the model, with one more effect."""
+    return replace(model, effects=(*model.effects, effect), version=model.version + 1)
 
 
 def _next_change(stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: set[str]) -> Change | None:

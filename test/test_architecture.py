@@ -35,7 +35,7 @@ EVERYWHERE = {'numpy', 'yaml'} | sys.stdlib_module_names
 LIBRARY_HOMES = {
     'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'recording/images.py'),
     'dash': ('studio',),
-    'plotly': ('report/drawing.py', 'report/figures.py'),
+    'plotly': ('report/figures',),
     'rclpy': ('nodes',),
     'rosbags': ('recording',),
     'serial': ('board/link.py',),

@@ -25,7 +25,9 @@ from gyrocal_ros.ekf.state import EULER, no_landmarks
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.recording.transforms import rotation_from_quaternion
-from gyrocal_ros.report import figures, page, series, write
+from gyrocal_ros.report import page, series, write
+from gyrocal_ros.report.figures import calibration as figures
+from gyrocal_ros.report.figures import drawing
 from gyrocal_ros.report.sections import sections
 from gyrocal_ros.report.summary import summarise
 from gyrocal_ros.report.tables import coefficient_rows, verdict, with_std
@@ -157,7 +159,7 @@ class TestFolder:
 class TestPage:
     def test_needs_no_other_file_and_no_network(self, folder: Path) -> None:
         text = (folder / 'report.html').read_text(encoding='utf-8')
-        library = figures.library()
+        library = drawing.library()
         assert text.count(library) == 1
         own = text.replace(library, '')
         assert re.findall(r'(?:src|href)\s*=|@import|url\(|https?://', own) == []
@@ -215,7 +217,7 @@ class TestSections:
         assert len(hour.history.t_ns) > 40_000
         for section in sections(hour, conclude(hour), blind_drift(hour), blind_drift(hour)):
             for trace in section.figure.data:
-                assert len(trace.x) == len(trace.y) < 2.2 * figures.POINTS, (section.name, trace.name)
+                assert len(trace.x) == len(trace.y) < 2.2 * drawing.POINTS, (section.name, trace.name)
 
     def test_axes_have_titles_and_lines_have_names(self, run: Run, calibration: Calibration) -> None:
         drift = blind_drift(run)

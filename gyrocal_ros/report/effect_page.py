@@ -7,8 +7,8 @@ from html import escape
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.sketch import sketch
 from gyrocal_ros.effects.words import PLACES, effect_rows
-from gyrocal_ros.report import drawing, figures
-from gyrocal_ros.report.page import PAGE, STYLE
+from gyrocal_ros.report.figures import drawing
+from gyrocal_ros.report.html import document
 
 
 def effect_page(effect: LibraryEffect) -> str:
@@ -19,16 +19,12 @@ def effect_page(effect: LibraryEffect) -> str:
         f'<tr><th scope="row">{escape(name)}</th><td>{escape(text)}</td></tr>'
         for name, text in effect_rows(effect)
     )
-    body = (
-        f'<p class="physics">{escape(effect.about.physics)}</p>'
-        f'<figure>{figures.fragment(figure, "effect")}</figure>'
-        f'<div class="wide"><table class="words"><tbody>{rows}</tbody></table></div>'
-    )
-    words = '.physics { max-width: 80ch; } table.words td { white-space: normal; }'
-    return PAGE.format(
-        title=escape(effect.name),
-        about=escape(PLACES[effect.acts_on]),
-        style=STYLE + words,
-        library=figures.library(),
-        body=body,
+    return document(
+        effect.name,
+        PLACES[effect.acts_on],
+        [
+            f'<p class="physics">{escape(effect.about.physics)}</p>',
+            f'<figure>{drawing.fragment(figure, "effect")}</figure>',
+            f'<div class="wide"><table class="words"><tbody>{rows}</tbody></table></div>',
+        ],
     )

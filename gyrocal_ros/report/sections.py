@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 from gyrocal_ros.calibration import Calibration
 from gyrocal_ros.diagnose.drift import BlindDrift, Path, dead_reckoning, slam_path, truth_path
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.report import figures, series
+from gyrocal_ros.report import series
+from gyrocal_ros.report.figures import calibration as figures
+from gyrocal_ros.report.figures.drawing import SIGMAS
+from gyrocal_ros.report.html import Section
 
 CAPTIONS = {
     'scale_factor': """The estimate with its band of three standard deviations, which should hold the true
@@ -41,17 +43,6 @@ CAPTIONS = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Section:
-    """A figure and how to read it."""
-
-    name: str
-    figure: Any
-    caption: str
-    half: bool = False
-    """Two of them stand side by side where the screen is wide."""
-
-
 def sections(run: Run, calibration: Calibration, before: BlindDrift, after: BlindDrift) -> Iterator[Section]:
     """Yield the figures that this run has the data for.
 
@@ -71,7 +62,7 @@ def sections(run: Run, calibration: Calibration, before: BlindDrift, after: Blin
     yield _section('path', figures.paths(compared), half=True)
     ceiling = series.ceiling_map(run)
     if len(ceiling.ids):
-        reach_mm = 1000.0 * figures.SIGMAS * ceiling.median_std_m
+        reach_mm = 1000.0 * SIGMAS * ceiling.median_std_m
         yield _section('map', figures.ceiling_map(ceiling, tracks['SLAM']), half=True, reach_mm=reach_mm)
     if truth is not None:
         yield _section('distance', figures.distances(*series.distances_m(tracks, truth)))

@@ -12,13 +12,19 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from plotly.io import to_html
+from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.report import series
 
 BLUE, VERMILLION, GREEN, PURPLE, GREY = '#0072B2', '#D55E00', '#009E73', '#CC79A7', '#808080'
 GRID, CLEAR = 'rgba(128,128,128,0.25)', 'rgba(0,0,0,0)'
 TIME = 'time since the first sample (s)'
+POINTS = 1500
+"""A line is drawn through no more points than this."""
+SIGMAS = 3.0
 Place = tuple[int, int]
 """Row and column of a panel."""
 
@@ -111,3 +117,54 @@ def logarithmic(figure: go.Figure, place: Place, low: float, high: float) -> Non
 def xy(x: Array, y: Array) -> dict[str, Any]:
     """Single precision: half the size of the page, and far finer than a screen."""
     return {'x': x.astype(np.float32), 'y': y.astype(np.float32)}
+
+
+def band(figure: go.Figure, time_s: Array, middle: Array, reach: Array, place: Place) -> None:
+    """A band around `middle`, broken where nothing is told for a while."""
+    gaps = np.flatnonzero(np.diff(time_s) > 0.01 * time_s[-1]) + 1
+    upper, lower = (
+        np.split(np.stack([time_s, edge]), gaps, axis=1) for edge in (middle + reach, middle - reach)
+    )
+    apart = np.full((2, 1), np.nan)
+    outlines = [
+        part for there, back in zip(upper, lower, strict=True) for part in (there, back[:, ::-1], apart)
+    ]
+    figure.add_scatter(
+        **xy(*np.concatenate(outlines, axis=1)),
+        name='3 sigma',
+        showlegend=all(trace.name != '3 sigma' for trace in figure.data),
+        fill='toself',
+        fillcolor='rgba(0,114,178,0.18)',
+        line={'color': 'rgba(0,114,178,0.45)', 'width': 1},
+        hoverinfo='skip',
+        row=place[0],
+        col=place[1],
+    )
+
+
+def kept(*columns: Array) -> IntArray:
+    """Which rows to draw of columns (n,) that are longer than a screen is wide."""
+    return series.kept(np.stack(columns, axis=1), POINTS)
+
+
+def fragment(figure: go.Figure, name: str) -> str:
+    """The figure as a piece of HTML; the page must hold `library()` once before it.
+
+    Nothing in it reaches for the network: plotly's button that uploads a figure is left out.
+    """
+    config = {
+        'responsive': True,
+        'displaylogo': False,
+        'showSendToCloud': False,
+        'plotlyServerURL': '',
+        'modeBarButtonsToRemove': ['select2d', 'lasso2d'],
+        'toImageButtonOptions': {'filename': name},
+    }
+    html: str = to_html(figure, full_html=False, include_plotlyjs=False, div_id=name, config=config)
+    return html
+
+
+def library() -> str:
+    """The source of plotly.js, to stand inside a page that needs no internet."""
+    script: str = get_plotlyjs()
+    return script

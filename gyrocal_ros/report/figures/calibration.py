@@ -9,26 +9,26 @@ from collections.abc import Mapping
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.io import to_html
-from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.calibration import Calibration
-from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import BlindDrift, Path
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
-from gyrocal_ros.report import series
-from gyrocal_ros.report.drawing import (
+from gyrocal_ros.report.figures.drawing import (
     BLUE,
     GREEN,
     GREY,
     PURPLE,
+    SIGMAS,
     TIME,
     VERMILLION,
     Place,
+    band,
     dress,
     floor_plan,
+    kept,
     line,
     logarithmic,
     panels,
@@ -36,10 +36,6 @@ from gyrocal_ros.report.drawing import (
     xy,
 )
 from gyrocal_ros.report.series import CeilingMap, HeadingError, Windows
-
-POINTS = 1500
-"""A line is drawn through no more points than this."""
-SIGMAS = 3.0
 
 
 def scale_factor(history: History, calibration: Calibration) -> go.Figure:
@@ -70,7 +66,7 @@ def scale_factor(history: History, calibration: Calibration) -> go.Figure:
     dotted, note = {'color': GREY, 'dash': 'dot'}, {'text': f'nominal, {volt:g} deg/s/V', 'yanchor': 'top'}
     figure.add_hline(1.0, row=1, col=1, line=dotted, annotation=note)
 
-    rows = _kept(value, reach)
+    rows = kept(value, reach)
     away = np.abs(value[rows] - value[-1])
     away[away == 0.0] = np.nan
     line(figure, time_s[rows], 100.0 * reach[rows], '3 sigma of the estimate', '.4f', (2, 1), BLUE, 'dash')
@@ -101,7 +97,7 @@ def bias(history: History) -> go.Figure:
     value, reach = np.degrees(history.mean[:, YAW_BIAS]), SIGMAS * np.degrees(history.std[:, YAW_BIAS])
     _estimate(figure, history.time_s, value, reach, 'bias', '.4f', (1, 1))
     if has_temperature:
-        rows, warmth = _kept(history.temperature_c), history.temperature_c
+        rows, warmth = kept(history.temperature_c), history.temperature_c
         line(figure, history.time_s[rows], warmth[rows], 'temperature', '.2f', (2, 1), PURPLE)
     return figure
 
@@ -110,16 +106,16 @@ def heading(history: History, error: HeadingError | None) -> go.Figure:
     """The heading, and its error against the ground truth; without one, what the filter says of it."""
     figure = panels('Heading', ['heading (deg)', 'uncertainty (deg)' if error is None else 'error (deg)'])
     value = np.degrees(history.mean[:, YAW])
-    rows = _kept(value)
+    rows = kept(value)
     line(figure, history.time_s[rows], value[rows], 'heading by SLAM', '.1f', (1, 1), GREEN)
     if error is None:
         reach = SIGMAS * np.degrees(history.std[:, YAW])
-        rows = _kept(reach)
-        _band(figure, history.time_s[rows], np.zeros(len(rows)), reach[rows], (2, 1))
+        rows = kept(reach)
+        band(figure, history.time_s[rows], np.zeros(len(rows)), reach[rows], (2, 1))
         return figure
     value, reach = np.degrees(error.error_rad), SIGMAS * np.degrees(error.std_rad)
-    rows = _kept(value, reach)
-    _band(figure, error.time_s[rows], np.zeros(len(rows)), reach[rows], (2, 1))
+    rows = kept(value, reach)
+    band(figure, error.time_s[rows], np.zeros(len(rows)), reach[rows], (2, 1))
     line(figure, error.time_s[rows], value[rows], 'SLAM less ground truth', '.3f', (2, 1))
     return figure
 
@@ -159,7 +155,7 @@ def paths(tracks: Mapping[str, Path]) -> go.Figure:
     figure = floor_plan('Path')
     for name, track in tracks.items():
         colour, dash, width = PATH_STYLES.get(name, (PURPLE, 'dashdot', 2))
-        rows = _kept(*track.position_m.T)
+        rows = kept(*track.position_m.T)
         figure.add_scatter(
             **xy(*track.position_m[rows].T),
             name=name,
@@ -184,7 +180,7 @@ def distances(time_s: Array, distances_m: Mapping[str, Array]) -> go.Figure:
     """How far each path of `paths` is from the ground truth."""
     figure = panels('Distance from the ground truth', ['distance (m), log scale'], 320)
     for name, distance in distances_m.items():
-        rows = _kept(distance)
+        rows = kept(distance)
         colour, dash, _ = PATH_STYLES[name]
         line(figure, time_s[rows], distance[rows], name, '.3f', (1, 1), colour, dash)
     largest = max(float(distance.max()) for distance in distances_m.values())
@@ -198,7 +194,7 @@ def ceiling_map(ceiling: CeilingMap, track: Path) -> go.Figure:
     outlines = ceiling.outlines(SIGMAS)
     ellipses = np.concatenate([outlines, np.full((len(outlines), 1, 2), np.nan)], axis=1).reshape(-1, 2)
     for name, points, colour, width in (
-        ('path', track.position_m[_kept(*track.position_m.T)], GREY, 1.0),
+        ('path', track.position_m[kept(*track.position_m.T)], GREY, 1.0),
         ('3 sigma', ellipses, VERMILLION, 1.5),
     ):
         line = {'color': colour, 'width': width}
@@ -241,29 +237,6 @@ def blind_drift(before: BlindDrift, after: BlindDrift) -> go.Figure:
     return figure
 
 
-def fragment(figure: go.Figure, name: str) -> str:
-    """The figure as a piece of HTML; the page must hold `library()` once before it.
-
-    Nothing in it reaches for the network: plotly's button that uploads a figure is left out.
-    """
-    config = {
-        'responsive': True,
-        'displaylogo': False,
-        'showSendToCloud': False,
-        'plotlyServerURL': '',
-        'modeBarButtonsToRemove': ['select2d', 'lasso2d'],
-        'toImageButtonOptions': {'filename': name},
-    }
-    html: str = to_html(figure, full_html=False, include_plotlyjs=False, div_id=name, config=config)
-    return html
-
-
-def library() -> str:
-    """The source of plotly.js, to stand inside a page that needs no internet."""
-    script: str = get_plotlyjs()
-    return script
-
-
 def _feature_counts(figure: go.Figure, windows: Windows, place: Place) -> None:
     row, col = place
     line(figure, windows.time_s, windows.used, 'used, per image', '.1f', place, PURPLE)
@@ -277,9 +250,9 @@ def _heading_innovations(figure: go.Figure, history: History, place: Place) -> N
     measured = np.flatnonzero(np.isfinite(history.heading_innovation_std_rad))
     value = np.degrees(history.heading_innovation_rad[measured])
     reach = SIGMAS * np.degrees(history.heading_innovation_std_rad[measured])
-    rows = _kept(value, reach)
+    rows = kept(value, reach)
     time_s = history.time_s[measured[rows]]
-    _band(figure, time_s, np.zeros(len(rows)), reach[rows], place)
+    band(figure, time_s, np.zeros(len(rows)), reach[rows], place)
     line(figure, time_s, value[rows], 'innovation as a heading', '.3f', place)
     figure.data[-1].update(mode='markers', marker={'size': 3, 'color': BLUE})
     show(figure, place, np.percentile(np.concatenate([value, reach, -reach]), [0.5, 99.5]), margin=0.3)
@@ -289,37 +262,10 @@ def _estimate(
     figure: go.Figure, time_s: Array, value: Array, reach: Array, name: str, digits: str, place: Place
 ) -> None:
     """An estimate in the middle of its band, in a range that shows the end; a double click shows all."""
-    rows = _kept(value, reach)
-    _band(figure, time_s[rows], value[rows], reach[rows], place)
+    rows = kept(value, reach)
+    band(figure, time_s[rows], value[rows], reach[rows], place)
     line(figure, time_s[rows], value[rows], name, digits, place)
     hover = f'%{{y:{digits}}} ± %{{customdata:{digits}}} (3 sigma)'
     figure.data[-1].update(customdata=reach[rows].astype(np.float32), hovertemplate=hover)
     late = slice(len(value) // 2, None)
     show(figure, place, np.concatenate([(value - reach)[late], (value + reach)[late]]), margin=0.4)
-
-
-def _band(figure: go.Figure, time_s: Array, middle: Array, reach: Array, place: Place) -> None:
-    """A band around `middle`, broken where nothing is told for a while."""
-    gaps = np.flatnonzero(np.diff(time_s) > 0.01 * time_s[-1]) + 1
-    upper, lower = (
-        np.split(np.stack([time_s, edge]), gaps, axis=1) for edge in (middle + reach, middle - reach)
-    )
-    apart = np.full((2, 1), np.nan)
-    outlines = [
-        part for there, back in zip(upper, lower, strict=True) for part in (there, back[:, ::-1], apart)
-    ]
-    figure.add_scatter(
-        **xy(*np.concatenate(outlines, axis=1)),
-        name='3 sigma',
-        showlegend=all(trace.name != '3 sigma' for trace in figure.data),
-        fill='toself',
-        fillcolor='rgba(0,114,178,0.18)',
-        line={'color': 'rgba(0,114,178,0.45)', 'width': 1},
-        hoverinfo='skip',
-        row=place[0],
-        col=place[1],
-    )
-
-
-def _kept(*columns: Array) -> IntArray:
-    return series.kept(np.stack(columns, axis=1), POINTS)

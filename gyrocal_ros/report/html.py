@@ -1,0 +1,137 @@
+"""What all pages are made of: one HTML file that needs nothing else, on light and on dark."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+from gyrocal_ros.report.figures.drawing import fragment, library
+from gyrocal_ros.report.tables import Verdict
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """A figure and how to read it."""
+
+    name: str
+    figure: Any
+    caption: str
+    half: bool = False
+    """Two of them stand side by side where the screen is wide."""
+
+
+def document(title: str, about: str, parts: Iterable[str]) -> str:
+    """A whole page as HTML text.
+
+    Args:
+        title: its heading, plain text.
+        about: one line below it, plain text.
+        parts: pieces of HTML in their order.
+    """
+    body = '\n'.join(part for part in parts if part)
+    return PAGE.format(title=escape(title), about=escape(about), style=STYLE, library=library(), body=body)
+
+
+def verdict_box(words: Verdict) -> str:
+    """What a person wants to know first."""
+    kind = 'good' if words.good else 'bad'
+    sign = '✓' if words.good else '✗'
+    sentences = ''.join(f'<p>{escape(sentence)}</p>' for sentence in words.sentences)
+    return f'<section class="verdict {kind}"><h2>{sign} {escape(words.headline)}</h2>{sentences}</section>'
+
+
+def warnings(findings: Iterable[tuple[str, str]]) -> str:
+    """What is odd: severities and texts."""
+    items = ''.join(f'<li><b>{escape(severity)}</b> {escape(text)}</li>' for severity, text in findings)
+    return f'<h2>Warnings and notes</h2><ul>{items}</ul>' if items else '<p>No warnings.</p>'
+
+
+def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note: str = '') -> str:
+    """A table under a heading; the first cell of each row is its name."""
+    lines = ''.join(
+        f'<tr><th scope="row">{escape(row[0])}</th>'
+        + ''.join(f'<td>{escape(cell)}</td>' for cell in row[1:])
+        + '</tr>'
+        for row in rows
+    )
+    top = ''.join(f'<th scope="col">{escape(head)}</th>' for head in heads)
+    below = f'<p class="note">{escape(note)}</p>' if note else ''
+    return (
+        f'<h2>{escape(title)}</h2><div class="wide"><table>'
+        f'<thead><tr>{top}</tr></thead><tbody>{lines}</tbody></table></div>{below}'
+    )
+
+
+def gallery(sections: Iterable[Section]) -> str:
+    """Figures with their captions, and how to handle them."""
+    drawn = '\n'.join(
+        f'<figure class="{"half" if part.half else "full"}">{fragment(part.figure, part.name)}'
+        f'<figcaption>{escape(part.caption)}</figcaption></figure>'
+        for part in sections
+    )
+    hint = 'In the figures: drag to zoom in, double-click to see all, click a name to hide it.'
+    return f'<p class="note">{hint}</p><div class="figures">{drawn}</div>'
+
+
+def details(title: str, text: str) -> str:
+    """Text that is folded away at first."""
+    return f'<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>'
+
+
+STYLE = """
+:root { color-scheme: light dark; --paper: #ffffff; --card: #f4f6f8; --ink: #1d2127; --faint: #59616b;
+  --rule: #d5dae0; --good: #00795a; --bad: #b84a00; }
+@media (prefers-color-scheme: dark) {
+  :root { --paper: #14171b; --card: #1e2329; --ink: #e8eaed; --faint: #a3abb5;
+    --rule: #39414a; --good: #2fc49a; --bad: #ff9a52; }
+  .scatterlayer, .legend .layers { filter: brightness(1.4); }
+}
+* { box-sizing: border-box; }
+body { margin: 0 auto; padding: 1.5rem clamp(1rem, 3vw, 2.5rem) 4rem; max-width: 1280px;
+  background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, sans-serif; }
+h1 { font-size: 1.6rem; margin: 0; overflow-wrap: anywhere; }
+h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; }
+.about, .note, figcaption { color: var(--faint); font-size: .9rem; }
+.about { margin: .2rem 0 1.2rem; }
+.verdict { background: var(--card); border-left: 6px solid; padding: 1rem 1.3rem; border-radius: 6px; }
+.verdict h2 { margin: 0 0 .4rem; font-size: 1.25rem; }
+.verdict p { margin: .3rem 0; max-width: 80ch; }
+.good, .good h2 { border-color: var(--good); } .good h2 { color: var(--good); }
+.bad, .bad h2 { border-color: var(--bad); } .bad h2 { color: var(--bad); }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { text-align: left; padding: .35rem 1.2rem .35rem 0; border-bottom: 1px solid var(--rule); }
+td:not(:last-child) { white-space: nowrap; }
+table.words td { white-space: normal; }
+.physics { max-width: 80ch; }
+thead th { color: var(--faint); font-weight: 500; }
+tbody th { font-weight: 600; }
+.figures { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 2rem 2.5rem;
+  margin: 1rem 0 2.5rem; }
+figure { margin: 0; grid-column: 1 / -1; min-width: 0; }
+@media (min-width: 1000px) { figure.half { grid-column: auto; } }
+figcaption { max-width: 95ch; margin-top: .4rem; }
+details { border-top: 1px solid var(--rule); padding: .6rem 0; }
+summary { cursor: pointer; }
+pre { overflow-x: auto; font-size: .85rem; }
+.infolayer text, .cartesianlayer text { fill: var(--ink) !important; }
+"""
+
+PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>{style}</style>
+<script>{library}</script>
+</head>
+<body>
+<h1>{title}</h1>
+<p class="about">{about}</p>
+{body}
+</body>
+</html>
+"""

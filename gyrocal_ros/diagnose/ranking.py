@@ -42,8 +42,8 @@ class Suspect:
 
     @property
     def merit(self) -> float:
-        """Log-likelihood gain less a price of one for each coefficient (Akaike 1974)."""
-        return self.fit.gain - len(self.fit.values)
+        """Log-likelihood gain less a price of one for each coefficient, a time constant too (Akaike 1974)."""
+        return self.fit.gain - len(self.fit.values) - (self.profile is not None)
 
     @property
     def is_significant(self) -> bool:

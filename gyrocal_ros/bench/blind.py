@@ -1,0 +1,280 @@
+"""Blind trials: effects are hidden in recordings, and what the diagnosis says is held against the truth."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from gyrocal_ros.bench.accuracy import in_parallel
+from gyrocal_ros.calibrate import calibrate, hold
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.candidates import with_means
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.drift import blind_drift
+from gyrocal_ros.diagnose.recorded import look_at
+from gyrocal_ros.diagnose.search import Search, search, with_effect
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.motion import SPEED_SIGNAL
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.hidden import RANGES, STRANGE_RANGES, draw_hidden, draw_scale_factor, hide
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.sensors import stream
+from gyrocal_ros.sim.strangers import VOLTAGE
+from gyrocal_ros.sim.world import SimSource
+
+COSTLY_DRIFT_DEG = 0.5
+COSTLY_SCALE = 2e-4
+"""An effect that costs neither so much blind drift nor so much of the scale factor may be missed."""
+WRONG_NOISE = 2.0
+PAIRS = 20
+"""Cases of two effects at once."""
+MOMENT_S = 5.0
+"""A jump has to be told within this."""
+
+MET_BY = {
+    'stranger_speed_bias': (f'covariate_bias:{SPEED_SIGNAL}', SPEED_SIGNAL),
+    'stranger_supply_kink': (f'covariate_scale:{VOLTAGE}', VOLTAGE),
+}
+"""What is right to say of effects that the library does not have: an effect, or what the rest follows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is hidden, and how wrong the filter's idea of its noise is."""
+
+    label: str
+    names: tuple[str, ...] = ()
+    noise: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class BlindTrial:
+    """What one recording shows."""
+
+    case: Case
+    seed: int
+    hidden: tuple[tuple[str, tuple[float, ...]], ...]
+    """Names and true values."""
+    is_costly: bool
+    """Whether leaving any one of them out of the model costs more than may be overlooked."""
+    drift_known_deg: float
+    """With the true sensor model."""
+    verdict: str = 'diverged'
+    named: tuple[str, ...] = ()
+    """What is said to be missing, the one that explains most first."""
+    excuses: tuple[str, ...] = ()
+    """What else may be meant, for this recording cannot tell it apart."""
+    left: str = ''
+    """What no effect explains, in words."""
+    is_right: bool = False
+    is_excused: bool = False
+    """Not right, but all that is hidden is named or among the excuses."""
+    errors_sigma: tuple[float, ...] = ()
+    """Of the coefficients of those effects that were found."""
+    drift_before_deg: float = math.nan
+    drift_after_deg: float = math.nan
+
+
+def cases(only: Sequence[str] = ()) -> list[Case]:
+    """The whole matrix, or the cases with these labels.
+
+    One of each effect, of nothing, of nothing with the filter's noise settings wrong, of what the
+    library does not have, and of two effects at once.
+    """
+    rng = stream(0, 'pairs of effects')
+    pairs = [rng.choice(list(RANGES), 2, replace=False).tolist() for _ in range(PAIRS)]
+    every = [
+        Case('none'),
+        Case('none, noise set too high', noise=WRONG_NOISE),
+        Case('none, noise set too low', noise=1.0 / WRONG_NOISE),
+        *(Case(name, (name,)) for name in (*RANGES, *STRANGE_RANGES)),
+        *(Case(' + '.join(pair), tuple(pair)) for pair in pairs),
+    ]
+    return [case for case in every if not only or case.label in only]
+
+
+def blind(seeds: int, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
+    """Yield a row a case as they become ready, and one of the sums."""
+    tasks = [(case, seed) for case in cases(only) for seed in range(seeds)]
+    every = []
+    for _, group in groupby(in_parallel(_trial, tasks), key=lambda trial: trial.case):
+        trials = list(group)
+        every += trials
+        yield row(trials[0].case.label, trials)
+    yield row('all', every)
+
+
+def row(label: str, trials: Sequence[BlindTrial]) -> dict[str, Any]:
+    """The figures of some recordings."""
+    costly = [trial for trial in trials if trial.is_costly] if trials[0].case.names else list(trials)
+    errors = np.abs([error for trial in trials for error in trial.errors_sigma])
+    firsts = Counter(_said(trial) for trial in trials)
+    return {
+        'hidden': label,
+        'bags': len(trials),
+        'costly': len(costly),
+        'right': _share([trial.is_right for trial in costly]),
+        'or_twin': _share([trial.is_right or trial.is_excused for trial in costly]),
+        'wrong': _share([_is_confident(trial) and not trial.is_right for trial in trials]),
+        'in_3_sigma': _share((errors < 3.0).tolist()),
+        'max_sigma': float(errors.max()) if len(errors) else None,
+        'before_deg': _mean([trial.drift_before_deg for trial in trials]),
+        'after_deg': _mean([trial.drift_after_deg for trial in trials]),
+        'known_deg': _mean([trial.drift_known_deg for trial in trials]),
+        'named': ', '.join(f'{name} {count}' for name, count in firsts.most_common()),
+    }
+
+
+def run_trial(case: Case, seed: int) -> BlindTrial:
+    """Hide, simulate, diagnose, compare."""
+    scenario, config = find_scenario('cleaning'), _with_noise(Config(), case.noise)
+    drawn = draw_hidden(seed, scenario.duration_s, case.names)
+    scale_factor = draw_scale_factor(seed)
+    scenario = replace(scenario, errors=replace(scenario.errors, scale_factor=scale_factor))
+    simulated = SimSource(scenario, seed, hidden=hide(drawn, find_effect))
+    source, config = hold(simulated, config, default_model())
+    run, hidden = partial(calibrate, source, config), simulated.hidden
+    known = _merit(run, hidden, scale_factor)
+    others = [_merit(run, hidden[:i] + hidden[i + 1 :], scale_factor) for i in range(len(hidden))]
+    trial = BlindTrial(
+        case=case,
+        seed=seed,
+        hidden=tuple((item.effect.name, item.values) for item in hidden),
+        is_costly=all(other.costs_more_than(known) for other in others),
+        drift_known_deg=known.drift_deg,
+    )
+    recorded = look_at(source)
+    try:
+        searched = search(
+            default_model(), recorded, lambda model, candidates: run(model, candidates=candidates)
+        )
+    except FilterDivergedError:
+        return trial
+    return _judged(trial, hidden, searched, diagnose(searched, recorded))
+
+
+@dataclass(frozen=True, slots=True)
+class _Merit:
+    """How good a sensor model is on a recording whose truth is known."""
+
+    drift_deg: float
+    scale_error: float
+
+    def costs_more_than(self, other: _Merit) -> bool:
+        """Whether a model is worse by more than may be overlooked; one that diverges is (NaN)."""
+        cost_deg = math.sqrt(max(self.drift_deg**2 - other.drift_deg**2, 0.0))
+        return not (cost_deg <= COSTLY_DRIFT_DEG and self.scale_error <= COSTLY_SCALE)
+
+
+def _merit(run: Callable[[SensorModel], Run], hidden: Sequence[HiddenEffect], scale_factor: float) -> _Merit:
+    """That of the model with these effects, their coefficients expected where they are."""
+    model = default_model()
+    for item in hidden:
+        model = with_effect(model, with_means(item.effect, item.values))
+    try:
+        finished = run(model)
+    except FilterDivergedError:
+        return _Merit(math.nan, math.nan)
+    scale_error = abs((1.0 + float(finished.state.coefficients[0])) / scale_factor - 1.0)
+    return _Merit(_drift_deg(finished), scale_error)
+
+
+def _judged(
+    trial: BlindTrial, hidden: Sequence[HiddenEffect], searched: Search, found: Diagnosis
+) -> BlindTrial:
+    excuses = {finding.effect.name: finding.confused_with for finding in found.missing}
+    is_right = _is_right(trial.case, hidden, found)
+    said = {*excuses, *(name for names in excuses.values() for name in names)}
+    return replace(
+        trial,
+        verdict=found.verdict,
+        named=tuple(excuses),
+        excuses=tuple(sorted(said - set(excuses))),
+        left=found.unexplained.what if found.unexplained is not None else '',
+        is_right=is_right,
+        is_excused=not is_right and bool(hidden) and said.issuperset(trial.case.names),
+        errors_sigma=tuple(_errors_sigma(hidden, found)),
+        drift_before_deg=_drift_deg(searched.first.run),
+        drift_after_deg=_drift_deg(searched.last.run),
+    )
+
+
+def _is_right(case: Case, hidden: Sequence[HiddenEffect], found: Diagnosis) -> bool:
+    named = [finding.effect.name for finding in found.missing]
+    if not hidden:
+        return found.verdict == 'nothing_missing'
+    if case.names[0] not in STRANGE_RANGES:
+        return set(named) == set(case.names) if len(hidden) > 1 else named[:1] == list(case.names)
+    left = found.unexplained
+    if case.names[0] == 'stranger_knock':
+        moment_s = hidden[0].values[1]
+        return left is not None and left.at_s is not None and abs(left.at_s - moment_s) < MOMENT_S
+    effect, signal = MET_BY[case.names[0]]
+    return named[:1] == [effect] or (left is not None and left.shape.signal == signal)
+
+
+def _errors_sigma(hidden: Sequence[HiddenEffect], found: Diagnosis) -> Iterator[float]:
+    for finding in found.missing:
+        for item in hidden:
+            if item.effect.name == finding.effect.name:
+                for value, std, truth in zip(finding.values, finding.stds, item.values, strict=True):
+                    yield float((value - truth) / std) if std > 0.0 else 0.0
+
+
+def _with_noise(config: Config, factor: float) -> Config:
+    gyro, wheels, camera = config.gyro, config.wheels, config.camera
+    return replace(
+        config,
+        gyro=replace(
+            gyro,
+            rate_noise_deg_s=factor * gyro.rate_noise_deg_s,
+            bias_walk_deg_s=factor * gyro.bias_walk_deg_s,
+        ),
+        wheels=replace(
+            wheels,
+            distance_noise_m=factor * wheels.distance_noise_m,
+            lateral_noise_m=factor * wheels.lateral_noise_m,
+            turn_noise_m=factor * wheels.turn_noise_m,
+        ),
+        camera=replace(camera, pixel_noise_px=factor * camera.pixel_noise_px),
+    )
+
+
+def _drift_deg(run: Run) -> float:
+    """Held out: in the second half, each span begins with what was known by then."""
+    return blind_drift(run, from_s=0.5 * float(run.history.time_s[-1])).rms_deg
+
+
+def _is_confident(trial: BlindTrial) -> bool:
+    return trial.verdict == 'effect_found'
+
+
+def _said(trial: BlindTrial) -> str:
+    """In a word: what was named first, or what else was said."""
+    if trial.verdict == 'unexplained':
+        return f'unexplained ({trial.left})'
+    return ' + '.join(trial.named) or trial.verdict
+
+
+def _share(cases: Sequence[bool]) -> float | None:
+    return sum(cases) / len(cases) if cases else None
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    known: Array = np.array([value for value in values if math.isfinite(value)])
+    return float(known.mean()) if len(known) else None
+
+
+def _trial(task: tuple[Case, int]) -> BlindTrial:
+    return run_trial(*task)

@@ -338,11 +338,11 @@ def _estimator_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
     return nested
 
 
-class _Loader(yaml.SafeLoader):
+class YamlLoader(yaml.SafeLoader):
     """Takes `1e-3` for a number, as ROS does; PyYAML insists on `1.0e-3`."""
 
 
-_Loader.add_implicit_resolver(
+YamlLoader.add_implicit_resolver(
     'tag:yaml.org,2002:float', re.compile(r'[-+]?\d+[eE][-+]?\d+$'), list('-+0123456789')
 )
 
@@ -354,7 +354,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ConfigError: there is no such file, or it is not YAML, or holds something else.
     """
     try:
-        tree = yaml.load(path.read_text(encoding='utf-8'), _Loader)
+        tree = yaml.load(path.read_text(encoding='utf-8'), YamlLoader)
     except OSError as error:
         raise ConfigError(
             f'cannot be read ({error.strerror})', where=str(path), todo='check the path'

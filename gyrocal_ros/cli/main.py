@@ -29,7 +29,11 @@ COMMANDS = {
     'simulate': 'write a bag of a simulated robot',
     'check': 'say what is in a bag, and what is wrong with it',
     'replay': 'calibrate the gyro from a bag',
+    'diagnose': 'say which physical effect the sensor model lacks',
+    'compare': 'hold sensor models against a bag: errors, and where each fails',
     'effects': 'list the physical effects of the library, or explain one',
+    'add': 'put an effect into a sensor model',
+    'improve': 'add what is missing while the held-out error falls',
     'reveal': 'open the sealed answer of a simulated bag',
     'bench': 'measure speed and accuracy',
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from tqdm import tqdm
@@ -57,6 +57,18 @@ def print_row(row: Mapping[str, Any], header: bool) -> None:
         print('  '.join(name.ljust(width) for name, width in zip(row, widths, strict=True)).rstrip())
     cells = [_cell(value).ljust(width) for value, width in zip(row.values(), widths, strict=True)]
     print('  '.join(cells).rstrip(), flush=True)
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield the lines of a table, its columns as wide as they need to be."""
+    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    for row in (header, *rows):
+        yield '  '.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+def tell(message: str) -> None:
+    """Say on standard error how far the work has come."""
+    print(f'gyrocal: {message}', file=sys.stderr, flush=True)
 
 
 def _cell(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Several runs of the filter over one bag, for the commands that compare models."""
+"""Several runs of the filter over one bag, for the commands that compare models, and their options."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from gyrocal_ros.calibrate import Progress, calibrate, hold
-from gyrocal_ros.cli.options import bag_options, read_config
+from gyrocal_ros.cli.options import add_bag_options, bag_options, read_config
 from gyrocal_ros.cli.output import progress, warn
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import Source
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.recording.bag import open_bag
 from gyrocal_ros.recording.check import check_bag
@@ -25,6 +27,8 @@ class Passes:
 
     source: Source
     config: Config
+    findings: tuple[tuple[str, str], ...]
+    """Severity and text of what is odd about the recording."""
 
     def calibrate(self, model: SensorModel, candidates: tuple[Effect, ...] = ()) -> Run:
         """Run the filter once.
@@ -32,8 +36,35 @@ class Passes:
         Raises:
             GyrocalError: it cannot be done with this bag or this model.
         """
-        with _bar(f'run with {model.effects[-1].name}', self.source) as report:
+        with _bar(f'running with {model.effects[-1].name}', self.source) as report:
             return calibrate(self.source, self.config, model, report=report, candidates=candidates)
+
+
+def add_pass_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the bag, and where and how the results are wanted."""
+    add_bag_options(parser)
+    parser.add_argument(
+        '--from-images', action='store_true', help='track the images even if there are features'
+    )
+    parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the page and the results')
+    parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
+    parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
+
+
+@contextmanager
+def result_folder(args: argparse.Namespace) -> Iterator[Path | None]:
+    """The folder for the results, complete when the block ends well; None where none is wanted.
+
+    Enter it before the work starts.
+
+    Raises:
+        GyrocalError: the folder holds files and may not be written, or cannot be made.
+    """
+    if args.out is None:
+        yield None
+    else:
+        with new_folder(args.out, overwrite=args.overwrite) as folder:
+            yield folder
 
 
 def open_passes(args: argparse.Namespace, model: SensorModel) -> Passes:
@@ -51,10 +82,15 @@ def open_passes(args: argparse.Namespace, model: SensorModel) -> Passes:
         warn(str(finding))
     source = open_bag(args.bag, config, with_covariates=True, **options)
     with _bar('reading', source) as report:
-        return Passes(*hold(source, config, model, report))
+        held, config = hold(source, config, model, report)
+    return Passes(held, config, tuple((finding.severity, str(finding)) for finding in findings))
 
 
 @contextmanager
 def _bar(label: str, source: Source) -> Iterator[Callable[[Progress], None]]:
     with progress(label, total=round(source.span.duration_s), unit='s') as bar:
-        yield lambda state: bar.update(round(state.done_s) - bar.n)
+
+        def report(state: Progress) -> None:
+            bar.update(round(state.done_s) - bar.n)
+
+        yield report

@@ -15,6 +15,7 @@ SPAN_S = 60.0
 STRIDE_S = 5.0
 SETTLING_S = 10.0
 """Spans begin no earlier than this: until then the gyro is hardly known."""
+MIN_INDEPENDENT = 2.0
 WITHIN = NormalDist().inv_cdf(0.95)
 """Intervals hold in 90 of 100 recordings."""
 
@@ -50,12 +51,16 @@ class BlindDrift:
 
     @property
     def interval_deg(self) -> tuple[float, float]:
-        """Where the rms of very many such spans would lie, in 90 of 100 recordings."""
+        """Where the rms of very many such spans would lie, in 90 of 100 recordings.
+
+        Its upper end is infinite where all spans together are hardly more than one.
+        """
         if not len(self.error_rad):
             return float('nan'), float('nan')
         width = 2.0 / (9.0 * self.independent)  # the chi-square quantile of Wilson and Hilferty (1931)
-        low, high = (max(1.0 - width + side * WITHIN * width**0.5, 0.0) ** 1.5 for side in (1.0, -1.0))
-        return self.rms_deg / low, self.rms_deg / high if high > 0.0 else float('inf')
+        most, least = (1.0 - width + side * WITHIN * width**0.5 for side in (1.0, -1.0))
+        high = self.rms_deg / least**1.5 if self.independent >= MIN_INDEPENDENT else float('inf')
+        return self.rms_deg / most**1.5, high
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +180,7 @@ def blind_drift(
 def held_out_from_s(run: Run) -> float:
     """When the spans begin on which models are judged: in the second half, or earlier in a short run."""
     end_s = float(run.history.time_s[-1])
-    return max(SETTLING_S, min(0.5 * end_s, end_s - 1.5 * SPAN_S))
+    return max(SETTLING_S, min(0.5 * end_s, end_s - SPAN_S - 3.0 * STRIDE_S))
 
 
 def better_sigma(before: BlindDrift, after: BlindDrift) -> float:

@@ -126,6 +126,21 @@ def search(model: SensorModel, recorded: Recorded, calibrate: Calibrate, most: i
     return Search(first, tuple(changes))
 
 
+def trial(model: SensorModel, recorded: Recorded, calibrate: Calibrate, effect: Effect) -> Search:
+    """Try one effect, whatever the recording says of it.
+
+    Raises:
+        FilterDivergedError: the filter cannot run with this model, or not with the effect.
+    """
+    first = examine(model, recorded, calibrate)
+    suspect = next((item for item in first.suspects if item.effect.name == effect.name), None)
+    if suspect is not None:
+        return Search(first, (_put_in(suspect, first, recorded, calibrate),))
+    after = examine(with_effect(model, effect), recorded, calibrate)
+    stds = np.zeros(len(effect.coefficients))
+    return Search(first, (Change(effect, first, after, 0.0, 0.0, 1.0, stds, ()),))
+
+
 def examine(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Stage:
     """Run the filter with a model, everything else on trial."""
     trials = docket(model, recorded)
@@ -153,16 +168,21 @@ def _next_change(stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: 
                 return change
     if best is None or odd_gain > ODD_PART * rival_gain:
         return None
-    effect = with_estimate(best)
+    return _put_in(best, stage, recorded, calibrate)
+
+
+def _put_in(suspect: Suspect, stage: Stage, recorded: Recorded, calibrate: Calibrate) -> Change:
+    """Put a suspect into the model."""
+    effect = with_estimate(suspect)
     return Change(
         effect=effect,
         before=stage,
         after=examine(with_effect(stage.model, effect), recorded, calibrate),
-        gain=best.fit.gain,
-        sigma=best.fit.sigma,
-        p_value=best.fit.p_value,
-        stds=doubts(best),
-        confused_with=tuple(twins(best, stage.suspects, stage.evidence)),
+        gain=suspect.fit.gain,
+        sigma=suspect.fit.sigma,
+        p_value=suspect.fit.p_value,
+        stds=doubts(suspect),
+        confused_with=tuple(twins(suspect, stage.suspects, stage.evidence)),
     )
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import yaml
 
-from gyrocal_ros.config import nearest, read_yaml
+from gyrocal_ros.config import YamlLoader, nearest, read_yaml
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.bias import BiasModel
@@ -77,7 +77,7 @@ def model_to_dict(model: SensorModel) -> dict[str, Any]:
             'prior_std': {item.name: item.prior_std for item in effect.coefficients},
             'walk': {item.name: item.walk for item in effect.coefficients},
         }
-        | _options(effect)
+        | options_of(effect)
         for effect in model.effects
     ]
     return {'name': model.name, 'version': model.version, 'bias': bias, 'effects': effects}
@@ -88,13 +88,61 @@ def model_to_yaml(model: SensorModel) -> str:
     return yaml.safe_dump(model_to_dict(model), sort_keys=False)
 
 
+def with_entry(text: str, entry: str | Mapping[str, Any], where: str) -> str:
+    """The text of a `model.yaml` with one more effect and its version counted on; all else stays as it is.
+
+    Args:
+        text: a valid `model.yaml`.
+        entry: as in its list of effects.
+        where: the file.
+
+    Raises:
+        ConfigError: the model cannot have that effect, or the text is written in a way that cannot be
+            added to.
+    """
+    tree = yaml.load(text, YamlLoader)
+    tree['effects'].append(entry)
+    if 'version' in tree:
+        tree['version'] += 1
+    wanted = model_from_dict(tree, where)
+    line = entry if isinstance(entry, str) else yaml.safe_dump(entry, default_flow_style=True, width=1000)
+    added = _after_last(text, _nodes(text)['effects'], line.strip())
+    if 'version' in tree:
+        place = _nodes(added)['version']
+        start, end = place.start_mark.index, place.end_mark.index
+        added = f'{added[:start]}{tree["version"]}{added[end:]}'
+    if model_from_dict(yaml.load(added, YamlLoader), where) != wanted:
+        todo = f'add `- {line.strip()}` under effects by hand'
+        raise ConfigError('is written in a way that cannot be added to', where=where, todo=todo)
+    return added
+
+
+def _nodes(text: str) -> dict[str, Any]:
+    """The values at the top of a YAML text, with their places in it."""
+    node: Any = yaml.compose(text, yaml.SafeLoader)
+    return {key.value: value for key, value in node.value}
+
+
+def _after_last(text: str, effects: Any, entry: str) -> str:
+    """The text with an entry behind the last one of its list of effects."""
+    if effects.flow_style:
+        place = effects.end_mark.index - 1
+        return f'{text[:place].rstrip()}, {entry}{text[place:]}'
+    leaf = effects.value[-1]
+    while isinstance(leaf, yaml.MappingNode | yaml.SequenceNode) and not leaf.flow_style:
+        leaf = leaf.value[-1][1] if isinstance(leaf, yaml.MappingNode) else leaf.value[-1]
+    lines = text.splitlines()
+    lines.insert(leaf.end_mark.line + 1, f'{effects.start_mark.column * " "}- {entry}')
+    return '\n'.join(lines) + '\n'
+
+
 def _effect(entry: Any, where: str) -> Effect:
     if isinstance(entry, str):
         return find_effect(entry, where)
     if not isinstance(entry, Mapping) or 'name' not in entry:
         raise ConfigError(f'{entry!r} is not an effect', where=where, todo='give its name')
     effect = find_effect(str(entry['name']), where)
-    options = _options(effect)
+    options = options_of(effect)
     _only(entry, ('name', 'prior_mean', 'prior_std', 'walk', *options), where)
     coefficients = {item.name: item for item in effect.coefficients}
     for field, low in (('prior_mean', -math.inf), ('prior_std', 0.0), ('walk', 0.0)):
@@ -108,7 +156,7 @@ def _effect(entry: Any, where: str) -> Effect:
     return replace(effect, coefficients=tuple(coefficients.values()), **given)  # type: ignore[type-var]
 
 
-def _options(effect: Effect) -> dict[str, Any]:
+def options_of(effect: Effect) -> dict[str, Any]:
     """What else can be said of an effect in `model.yaml`, beside its coefficients, with its value."""
     fixed = ('name', 'coefficients', 'signal', 'power')
     names = [item.name for item in fields(effect) if item.name not in fixed]  # type: ignore[arg-type]

@@ -1,0 +1,123 @@
+"""Say which physical effect the sensor model lacks, how sure that is, and what to do about it.
+
+The filter runs over the bag with every effect of the library on trial, then once more with each that
+it finds. An effect counts as missing when the recording is foreseen better with it than without:
+each measurement is judged by what was known before it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+
+from gyrocal_ros.cli.model_options import add_model_options, read_model
+from gyrocal_ros.cli.output import print_json, table
+from gyrocal_ros.cli.passes import add_pass_options, open_passes, result_folder
+from gyrocal_ros.diagnose.advice import advice, grouped, join
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.recorded import look_at
+from gyrocal_ros.diagnose.search import search
+from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects.model_file import options_of
+from gyrocal_ros.files import json_text, write_text_atomic
+from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.report.summary import summarise_diagnosis
+from gyrocal_ros.report.words import (
+    coefficients_in_words,
+    diagnosis_headline,
+    failures_in_words,
+    reference_in_words,
+)
+
+EXAMPLE = """gyrocal diagnose my_bag
+gyrocal diagnose my_bag --model model.yaml -o diagnosis
+gyrocal diagnose my_bag --json"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_pass_options(parser)
+    add_model_options(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Search for what is missing, and say it."""
+    began_s = time.perf_counter()
+    model = read_model(args)
+    with result_folder(args) as folder:
+        passes = open_passes(args, model)
+        recorded = look_at(passes.source)
+        searched = search(model, recorded, passes.calibrate)
+        diagnosis = diagnose(searched, recorded)
+        summary = summarise_diagnosis(searched, diagnosis)
+        if folder is not None:
+            write_text_atomic(folder / 'diagnosis.json', json_text(summary))
+    if args.json:
+        print_json(summary | {'wall_s': time.perf_counter() - began_s})
+    else:
+        print('\n'.join([*in_words(diagnosis), *_next_steps(diagnosis, args)]))
+
+
+def in_words(diagnosis: Diagnosis) -> Iterator[str]:
+    """The diagnosis in lines for a person, the verdict first."""
+    yield diagnosis_headline(diagnosis)
+    yield ''
+    yield from _evidence(diagnosis)
+    if diagnosis.fails_where:
+        yield ''
+        yield 'Where the model fails, worst first:'
+        yield from failures_in_words(diagnosis.fails_where)
+    if diagnosis.not_judged:
+        yield ''
+        yield 'Not judged:'
+        for why, names in grouped(diagnosis.not_judged).items():
+            yield f'  {join(names)}: {why}'
+
+
+def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
+    if diagnosis.missing:
+        yield from table(
+            ('missing', 'coefficients', 'sigma', 'log-likelihood', 'drift in 60 s, held out', 'or else'),
+            [
+                (
+                    finding.effect.name,
+                    coefficients_in_words(finding.effect, finding.values, finding.stds),
+                    f'{finding.sigma:.1f}',
+                    f'+{finding.gain:.0f}',
+                    f'{finding.drift_before_deg:.2f} -> {finding.drift_after_deg:.2f} deg',
+                    ', '.join(finding.confused_with) or '-',
+                )
+                for finding in diagnosis.missing
+            ],
+        )
+        yield f'(drift against {reference_in_words(diagnosis.drift_reference)})'
+    elif diagnosis.ranked:
+        best = diagnosis.ranked[0]
+        yield f'The strongest suspicion was {best.effect.name}, at {best.fit.sigma:.1f} sigma.'
+
+
+def _next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
+    """What to do, with the very commands."""
+    steps = advice(diagnosis)
+    if diagnosis.missing:
+        first, model = _as_arguments(diagnosis.missing[0].effect), args.model or 'model.yaml'
+        steps = [
+            f'Put it into the model: gyrocal add {first} --model {model}',
+            f'Or have that done and measured: gyrocal improve {args.bag} -o improved',
+            *steps,
+        ]
+    if steps:
+        yield ''
+        yield 'Next:'
+        yield from (f'  {step}' for step in steps)
+
+
+def _as_arguments(effect: Effect) -> str:
+    """An effect as `gyrocal add` takes it, with what has to be known of it beforehand."""
+    usual, special = find_effect(effect.name), options_of(effect)
+    settings = {name: value for name, value in special.items() if value != options_of(usual)[name]}
+    for item, before in zip(effect.coefficients, usual.coefficients, strict=True):
+        if item.prior_std == 0.0 or item.prior_std != before.prior_std:
+            settings[item.name] = f'{item.prior_mean:.4g}'
+    return ' '.join([effect.name, *(f'--set {name}={value}' for name, value in settings.items())])

@@ -1,0 +1,118 @@
+"""Add what is missing to the sensor model, effect by effect, while the recording is foreseen better.
+
+Each revision is judged on what was not used yet: every measurement by what was known before it, and
+the drift over spans that begin with what was known by then. What does not help there is left out and
+said so. With -o the history is kept: a folder a revision with its model, calibration and figures of
+merit, and the final model.yaml and calibration.yaml for the robot.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from itertools import count
+
+from gyrocal_ros.calibration import conclude
+from gyrocal_ros.cli.model_options import add_model_options, read_model
+from gyrocal_ros.cli.output import print_json, table, tell
+from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
+from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
+from gyrocal_ros.diagnose.recorded import look_at
+from gyrocal_ros.diagnose.search import Calibrate, search, trial
+from gyrocal_ros.effects import find_effect
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.report.history import fill_history
+from gyrocal_ros.report.summary import nis_per_dof, summarise_improvement
+from gyrocal_ros.report.tables import with_std
+from gyrocal_ros.report.words import drift_in_words, improvement_headline, reference_in_words
+
+EXAMPLE = """gyrocal improve my_bag -o improved
+gyrocal improve my_bag --model model.yaml -o improved
+gyrocal improve my_bag --effect gyro_lag
+gyrocal replay another_bag --model improved/model.yaml"""
+
+MOST = 6
+"""Effects that are tried."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_pass_options(parser)
+    add_model_options(parser)
+    parser.add_argument(
+        '--effect', metavar='NAME', help='try this effect alone, whatever the recording says of it'
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    """Search, keep what helps, and write the history.
+
+    Raises:
+        GyrocalError: the bag, the model or the effect cannot be used, or OUT cannot be written.
+    """
+    began_s = time.perf_counter()
+    model = read_model(args)
+    effect = _asked_for(args.effect, model)
+    with result_folder(args) as folder:
+        passes = open_passes(args, model)
+        recorded, calibrate = look_at(passes.source), _telling(passes)
+        if effect is None:
+            searched = search(model, recorded, calibrate, MOST)
+        else:
+            searched = trial(model, recorded, calibrate, effect)
+        improved = improvement(searched)
+        if folder is not None:
+            fill_history(folder, improved)
+    if args.json:
+        print_json(summarise_improvement(improved) | {'wall_s': time.perf_counter() - began_s})
+    else:
+        print('\n'.join(in_words(improved)))
+        if args.out:
+            print(f'\nThe final model and its calibration: {args.out / "model.yaml"}, calibration.yaml')
+
+
+def _asked_for(name: str | None, model: SensorModel) -> Effect | None:
+    if name is not None and any(effect.name == name for effect in model.effects):
+        raise ConfigError('is in the model already', where=f'--effect {name}', todo='name another effect')
+    return None if name is None else find_effect(name, '--effect')
+
+
+def _telling(passes: Passes) -> Calibrate:
+    """A run of the filter that is announced."""
+    numbers = count(1)
+
+    def calibrate(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
+        tell(f'run {next(numbers)}: {", ".join(effect.name for effect in model.effects)}')
+        return passes.calibrate(model, candidates)
+
+    return calibrate
+
+
+def in_words(improved: Improvement) -> Iterator[str]:
+    """The improvement in lines for a person: the error falling, revision by revision."""
+    yield improvement_headline(improved)
+    yield ''
+    yield from table(
+        ('revision', '', 'held-out drift (deg)', 'fitted', 'foreseen', 'NIS/dof', 'scale factor'),
+        [_row(revision) for revision in improved.revisions],
+    )
+    reference = reference_in_words(improved.drift_reference)
+    yield f'(drift in 60 s, rms and interval, against {reference})'
+    yield ''
+    yield from (f'{revision.label}: {revision.why}' for revision in improved.revisions)
+
+
+def _row(revision: Revision) -> tuple[str, ...]:
+    scale = conclude(revision.stage.run)
+    return (
+        revision.label,
+        'kept' if revision.is_kept else 'left out',
+        drift_in_words(revision.held_out),
+        drift_in_words(revision.fitted),
+        f'{revision.gain:+.1f}' if revision.effect is not None else '-',
+        f'{nis_per_dof(revision.stage.run):.2f}',
+        with_std(scale.scale_factor, scale.scale_factor_std),
+    )

@@ -1,0 +1,77 @@
+"""What to do next: motions that tell effects apart, signals to record, what is left to look for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
+from gyrocal_ros.diagnose.shapes import TIME, Oddity
+from gyrocal_ros.effects import find_effect
+
+NOT_RECORDED = 'not recorded: '
+CAUTION = (
+    'A signal that changes slowly goes together with anything that changes slowly: '
+    'find a reason, or make it change often, before you trust this.'
+)
+
+
+def advice(diagnosis: Diagnosis) -> list[str]:
+    """Sentences for a person, the most urgent first."""
+    sentences = [sentence for finding in diagnosis.missing for sentence in _tell_apart(finding)]
+    if diagnosis.unexplained is not None:
+        sentences += _of_unexplained(diagnosis.unexplained)
+    sentences += _to_record(diagnosis.not_judged)
+    if diagnosis.verdict == 'cannot_tell' and not diagnosis.missing:
+        sentences.append(
+            'Record at least two minutes with turns to both sides at several speeds, straight lanes '
+            'and short rests, while the camera sees the ceiling.'
+        )
+    return sentences
+
+
+def grouped(not_judged: dict[str, str]) -> dict[str, list[str]]:
+    """Reasons why something could not be judged, each with the effects it holds for."""
+    reasons: dict[str, list[str]] = {}
+    for name, why in not_judged.items():
+        reasons.setdefault(why, []).append(name)
+    return reasons
+
+
+def join(names: list[str], word: str = 'and') -> str:
+    """`a, b and c`"""
+    return f' {word} '.join([', '.join(names[:-1]), names[-1]]) if len(names) > 1 else ''.join(names)
+
+
+def _tell_apart(finding: Finding) -> Iterator[str]:
+    name = finding.effect.name
+    for other in finding.confused_with:
+        yield f'To tell {name} from {other}, record {_best_motion(name)}; and {_best_motion(other)}.'
+
+
+def _best_motion(name: str) -> str:
+    return find_effect(name).about.best_motion
+
+
+def _of_unexplained(odd: Oddity) -> Iterator[str]:
+    if odd.at_s is not None:
+        yield f'Find out what happened at {odd.at_s:.0f} s: a knock, a bump, a motor or a fan switched on.'
+        return
+    signal = odd.shape.signal
+    if signal == TIME:
+        yield (
+            'Something changes with time that is not recorded: record temperatures, supply voltage, '
+            'motor currents and fan speeds, and diagnose again.'
+        )
+    else:
+        kind = 'scale' if odd.shape.of_scale else 'bias'
+        yield (
+            f'Look for what links the {kind} of the gyro to {signal}. If you know a law, write it as '
+            'an effect of your own (docs/your_own_effect.md) and give it with --effects-from.'
+        )
+    yield CAUTION
+
+
+def _to_record(not_judged: dict[str, str]) -> Iterator[str]:
+    for why, names in grouped(not_judged).items():
+        if why.startswith(NOT_RECORDED):
+            yield f'Record {why.removeprefix(NOT_RECORDED)} to judge {join(names)}.'

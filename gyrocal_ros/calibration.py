@@ -191,6 +191,23 @@ def _to_dict(calibration: Calibration, config: Config) -> dict[str, Any]:
     }
 
 
+def announcement(calibration: Calibration) -> dict[str, bool | float | str | list[str] | list[float]]:
+    """The parameters of `/gyro_calibration`, by name; effects that were added stand among the coefficients."""
+    model, stds = calibration.model, calibration.stds
+    return {
+        'gyro.scale_factor': calibration.scale_factor,
+        'gyro.scale_factor_std': calibration.scale_factor_std,
+        'gyro.scale_factor_volt': calibration.scale_factor_volt,
+        'gyro.bias': float(calibration.values[0]),
+        'gyro.bias_std': float(stds[0]),
+        'gyro.converged': calibration.converged,
+        'gyro.model': f'{model.name} {model.version}',
+        'gyro.coefficient_names': list(model.coefficient_names),
+        'gyro.coefficients': calibration.values[1:].tolist(),
+        'gyro.coefficient_stds': stds[1:].tolist(),
+    }
+
+
 def coefficient_table(calibration: Calibration) -> dict[str, dict[str, Any]]:
     """Name to value, standard deviation and unit, as files and JSON output give them."""
     columns = (calibration.names, calibration.values, calibration.stds, calibration.units)

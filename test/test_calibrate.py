@@ -25,7 +25,13 @@ from recordings import (
 )
 
 from gyrocal_ros.calibrate import Progress, calibrate
-from gyrocal_ros.calibration import Calibration, conclude, load_calibration, save_calibration
+from gyrocal_ros.calibration import (
+    Calibration,
+    announcement,
+    conclude,
+    load_calibration,
+    save_calibration,
+)
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import (
     CameraIntrinsics,
@@ -408,6 +414,19 @@ def test_a_calibration_is_kept_in_a_file(tmp_path: Path) -> None:
     assert tree['coefficients']['bias_warmup.time_constant']['std'] == pytest.approx(calibration.stds[3])
     assert tree['settings']['camera']['pixel_noise_px'] == 0.4
     assert tree['provenance']['source'] == 'cleaning-1'
+
+
+def test_an_added_effect_is_announced() -> None:
+    effects = (find_effect('scale_factor'), find_effect('bias_warmup'), find_effect('scale_cubic'))
+    run = calibrate(recording(duration_s=20.0), Config(), SensorModel('mine', BiasModel(), effects, 3))
+    told = announcement(conclude(run))
+    assert told['gyro.model'] == 'mine 3'
+    names = ['scale_factor', 'bias_warmup.amplitude', 'bias_warmup.time_constant', 'scale_cubic']
+    assert told['gyro.coefficient_names'] == names
+    assert told['gyro.coefficients'] == run.state.coefficients.tolist()
+    assert told['gyro.coefficient_stds'] == pytest.approx(run.history.std[-1, COEFFICIENTS_START:])
+    assert told['gyro.scale_factor'] == 1.0 + run.state.coefficients[0]
+    assert told['gyro.bias'] == run.history.mean[-1, YAW_BIAS]
 
 
 SPOILT: dict[str, Callable[[dict[str, Any]], Any]] = {

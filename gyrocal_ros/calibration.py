@@ -192,7 +192,7 @@ def _to_dict(calibration: Calibration, config: Config) -> dict[str, Any]:
 
 
 def announcement(calibration: Calibration) -> dict[str, bool | float | str | list[str] | list[float]]:
-    """The parameters of `/gyro_calibration`, by name; effects that were added stand among the coefficients."""
+    """The parameters of `/gyro_calibration`, by name; added effects are among the coefficients."""
     model, stds = calibration.model, calibration.stds
     return {
         'gyro.scale_factor': calibration.scale_factor,

@@ -104,17 +104,18 @@ def with_entry(text: str, entry: str | Mapping[str, Any], where: str) -> str:
     tree['effects'].append(entry)
     if 'version' in tree:
         tree['version'] += 1
+        old = _nodes(text)['version']
+        text = f'{text[: old.start_mark.index]}{tree["version"]}{text[old.end_mark.index :]}'
     wanted = model_from_dict(tree, where)
     line = entry if isinstance(entry, str) else yaml.safe_dump(entry, default_flow_style=True, width=1000)
     added = _after_last(text, _nodes(text)['effects'], line.strip())
-    if 'version' in tree:
-        place = _nodes(added)['version']
-        start, end = place.start_mark.index, place.end_mark.index
-        added = f'{added[:start]}{tree["version"]}{added[end:]}'
-    if model_from_dict(yaml.load(added, YamlLoader), where) != wanted:
-        todo = f'add `- {line.strip()}` under effects by hand'
-        raise ConfigError('is written in a way that cannot be added to', where=where, todo=todo)
-    return added
+    try:
+        if model_from_dict(yaml.load(added, YamlLoader), where) == wanted:
+            return added
+    except yaml.YAMLError:
+        pass
+    todo = f'add `- {line.strip()}` under effects by hand'
+    raise ConfigError('is written in a way that cannot be added to', where=where, todo=todo)
 
 
 def _nodes(text: str) -> dict[str, Any]:
@@ -125,14 +126,16 @@ def _nodes(text: str) -> dict[str, Any]:
 
 def _after_last(text: str, effects: Any, entry: str) -> str:
     """The text with an entry behind the last one of its list of effects."""
+    last = leaf = effects.value[-1]
     if effects.flow_style:
-        place = effects.end_mark.index - 1
-        return f'{text[:place].rstrip()}, {entry}{text[place:]}'
-    leaf = effects.value[-1]
+        place = last.end_mark.index
+        return f'{text[:place]}, {entry}{text[place:]}'
     while isinstance(leaf, yaml.MappingNode | yaml.SequenceNode) and not leaf.flow_style:
         leaf = leaf.value[-1][1] if isinstance(leaf, yaml.MappingNode) else leaf.value[-1]
     lines = text.splitlines()
-    lines.insert(leaf.end_mark.line + 1, f'{effects.start_mark.column * " "}- {entry}')
+    beside = lines[last.start_mark.line]
+    indent = beside[: len(beside) - len(beside.lstrip())]
+    lines.insert(leaf.end_mark.line + 1, f'{indent}- {entry}')
     return '\n'.join(lines) + '\n'
 
 

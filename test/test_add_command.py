@@ -1,0 +1,136 @@
+"""`gyrocal add`: the effect goes in, and nothing that a person wrote is lost."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import pytest
+
+from gyrocal_ros.cli.main import main
+from gyrocal_ros.effects.model_file import load_model
+
+Output = pytest.CaptureFixture[str]
+
+TEXTS = {
+    'block': """# mine
+name: kitchen  # the small one
+effects:
+- scale_factor
+# - gyro_lag, perhaps
+version: 7
+""",
+    'nested': """version: 7
+effects:
+    - scale_factor
+    - name: scale_cubic
+      prior_std:
+        a3: 1e-3  # wide
+
+# end
+""",
+    'flow': """effects: [scale_factor, {name: scale_cubic, prior_std: 1e-3}]  # short
+version: 7
+""",
+    'lines': """version: 7
+effects: [
+  scale_factor,
+  scale_cubic  # bends
+]
+""",
+    'no end of line': """version: 7
+bias: {form: settling, time_constant_s: 300}
+effects:
+  - scale_factor""",
+}
+
+
+def names_of(path: Path) -> list[str]:
+    return [effect.name for effect in load_model(path).effects]
+
+
+def test_a_new_model_begins_as_the_default_one(tmp_path: Path, capsys: Output) -> None:
+    path = tmp_path / 'model.yaml'
+    assert main(['add', 'gyro_lag', '--model', str(path)]) == 0
+    assert capsys.readouterr().out == f'{path}: scale_factor, gyro_lag\n'
+    assert names_of(path) == ['scale_factor', 'gyro_lag']
+    assert path.read_text(encoding='utf-8').startswith('# The sensor model that a robot starts with.')
+
+
+@pytest.mark.parametrize('effect', ['gyro_lag', 'covariate_bias:battery_state.current'])
+@pytest.mark.parametrize('case', TEXTS)
+def test_all_that_stood_there_stays(tmp_path: Path, case: str, effect: str) -> None:
+    path, text = tmp_path / 'model.yaml', TEXTS[case]
+    path.write_text(text, encoding='utf-8')
+    before = load_model(path)
+    assert main(['add', effect, '--model', str(path)]) == 0
+    after = load_model(path)
+    assert after.effects[:-1] == before.effects and after.effects[-1].name == effect
+    assert (after.name, after.bias, after.version) == (before.name, before.bias, 8)
+    left = path.read_text(encoding='utf-8').replace('version: 8', 'version: 7').rstrip()
+    start = len(os.path.commonprefix([left, text.rstrip()]))
+    end = start + len(left) - len(text.rstrip())
+    assert left[:start] + left[end:] == text.rstrip()
+
+
+def test_an_effect_that_is_there_is_said_to_be_there(tmp_path: Path, capsys: Output) -> None:
+    path = tmp_path / 'model.yaml'
+    path.write_text(TEXTS['nested'], encoding='utf-8')
+    assert main(['add', 'scale_cubic', '--model', str(path)]) == 0
+    assert 'has scale_cubic already' in capsys.readouterr().out
+    assert path.read_text(encoding='utf-8') == TEXTS['nested']
+
+
+def test_what_is_expected_may_be_set(tmp_path: Path) -> None:
+    path = tmp_path / 'model.yaml'
+    assert main(['add', 'rate_saturation', '--set', 'limit=1.05', '--model', str(path)]) == 0
+    hysteresis = ['turn_hysteresis', '--set', 'driven_by=side', '--set', 'time_constant=8']
+    assert main(['add', *hysteresis, '--model', str(path)]) == 0
+    _, saturation, hysteresis_effect = load_model(path).effects
+    assert saturation.coefficients[0].prior_mean == 1.05
+    assert getattr(hysteresis_effect, 'driven_by') == 'side'  # noqa: B009
+    assert hysteresis_effect.coefficients[1].prior_mean == 8.0
+    assert hysteresis_effect.coefficients[0].prior_std == math.radians(1.0)
+
+
+def test_another_file_may_be_written_and_none_is_written_over(tmp_path: Path, capsys: Output) -> None:
+    first, second = tmp_path / 'model.yaml', tmp_path / 'new.yaml'
+    first.write_text(TEXTS['block'], encoding='utf-8')
+    arguments = ['add', 'gyro_lag', '--model', str(first), '-o', str(second)]
+    assert main(arguments) == 0
+    assert first.read_text(encoding='utf-8') == TEXTS['block']
+    assert names_of(second) == ['scale_factor', 'gyro_lag']
+    second.write_text('mine', encoding='utf-8')
+    assert main(arguments) == 2
+    assert 'exists already' in capsys.readouterr().err
+    assert second.read_text(encoding='utf-8') == 'mine'
+    assert main([*arguments, '--overwrite']) == 0
+    assert names_of(second) == ['scale_factor', 'gyro_lag']
+
+
+@pytest.mark.parametrize(
+    ('text', 'arguments', 'message'),
+    [
+        (TEXTS['block'], ['gyro_lagg'], "did you mean 'gyro_lag'?"),
+        (TEXTS['block'], ['gyro_lag', '--set', 'tau'], 'write it as NAME=VALUE'),
+        (TEXTS['block'], ['gyro_lag', '--set', 'tua=1'], "'tua' is not known"),
+        (TEXTS['block'], ['gyro_lag', '--set', 'tau=long'], "tau is 'long'"),
+        ('effects: [gyro_lag]', ['scale_cubic'], 'the first effect must be scale_factor'),
+        ('usual: &usual\n- scale_factor\neffects: *usual\n', ['scale_cubic'], 'is not known'),
+        (
+            'effects:\n- scale_factor\n- |-\n  gyro_lag\nversion: 7\n',
+            ['scale_cubic'],
+            'under effects by hand',
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_said_and_nothing_is_written(
+    tmp_path: Path, capsys: Output, text: str, arguments: list[str], message: str
+) -> None:
+    path = tmp_path / 'model.yaml'
+    path.write_text(text, encoding='utf-8')
+    assert main(['add', *arguments, '--model', str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+    assert path.read_text(encoding='utf-8') == text

@@ -27,6 +27,7 @@ INFLATION = 2.0
 ODD_SIGMA = 6.0
 """Below this an oddity counts as chance: shapes are many and bend freely."""
 TIME = 'time since the start (s)'
+RATE = 'rate (deg/s)'
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def shapes(run: Run, seen: Headings) -> list[Shape]:
         for name, values in _axes(run)
         for knots, hats in _hats(values, name)
         for of_scale in (False, True)
-        if not (of_scale and name == 'rate (deg/s)')
+        if not (of_scale and name == RATE)
     ]
     evidence = heading_evidence(seen, np.concatenate([rate[:, None], *(item[3] for item in asked)], axis=1))
     found, start = [], 1
@@ -143,7 +144,7 @@ def _axes(run: Run) -> Iterator[tuple[str, Array]]:
     """What is recorded (s,), by name."""
     history = run.history
     yield TIME, history.time_s
-    yield 'rate (deg/s)', np.degrees(history.turn_rad / history.dt_s)
+    yield RATE, np.degrees(history.turn_rad / history.dt_s)
     yield 'temperature (deg C)', history.temperature_c
     yield 'acceleration (m/s^2)', history.forward_m_s2
     for place, name in enumerate(run.signal_names):

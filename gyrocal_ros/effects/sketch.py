@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -35,27 +35,37 @@ class Sketch:
     """Name to (n,)."""
 
 
-def sketch(effect: LibraryEffect) -> Sketch:
-    """Draw an effect at its example values, one curve for each coefficient that is a size."""
+def sketch(effect: LibraryEffect, shown: Sequence[tuple[float, ...]] | None = None) -> Sketch:
+    """Draw an effect, one curve for each set of values of its coefficients.
+
+    Args:
+        effect: of the library, or a user's own.
+        shown: sets of values; where None, each coefficient that is a size has its example value in
+            turn.
+    """
+    every = list(_examples(effect)) if shown is None else list(shown)
     if effect.acts_on == 'camera':
-        return _shift_of_pixels(effect)
+        return _shift_of_pixels(effect, every)
     if effect.acts_on == 'time':
         rate_deg_s = np.linspace(-100.0, 100.0, COUNT)
-        shift = 200.0 * np.radians(rate_deg_s) * effect.about.example[0]
         label = 'shift of a pixel 200 px from the centre (px)'
-        return Sketch('yaw rate (deg/s)', label, rate_deg_s, {_named(effect, effect.about.example): shift})
+        lines = {_named(effect, values): 200.0 * np.radians(rate_deg_s) * values[0] for values in every}
+        return Sketch('yaw rate (deg/s)', label, rate_deg_s, lines)
     x_label, x, block = _STIMULI[effect.about.shown_against](effect)
     if isinstance(effect, GyroEffectOnReadings):
         true = block.rate_rad_s[:, 2]
-        values = np.array(effect.about.example)
-        read = effect.readings(true, block.dt_s, values, 1.0)
-        lines = {'true': np.degrees(true), f'read, {_named(effect, effect.about.example)}': np.degrees(read)}
+        lines = {'true': np.degrees(true)} | {
+            f'read, {_named(effect, values)}': np.degrees(
+                effect.readings(true, block.dt_s, np.array(values), 1.0)
+            )
+            for values in every
+        }
         return Sketch(x_label, 'yaw rate (deg/s)', x, lines)
     return Sketch(
         x_label,
         _Y_LABELS[effect.acts_on],
         x,
-        {_named(effect, values): _added(effect, block, np.array(values)) for values in _examples(effect)},
+        {_named(effect, values): _added(effect, block, np.array(values)) for values in every},
     )
 
 
@@ -88,7 +98,7 @@ def _added(effect: Any, block: MotionBlock, values: Array) -> Array:
     return 1e3 * np.linalg.norm(carried, axis=1)
 
 
-def _shift_of_pixels(effect: Any) -> Sketch:
+def _shift_of_pixels(effect: Any, every: Sequence[tuple[float, ...]]) -> Sketch:
     """How far pixels of one row move when the camera is what it is, not what it is believed to be."""
     u = np.linspace(0.0, CAMERA.width_px - 1.0, COUNT)
     across = np.array(
@@ -96,7 +106,7 @@ def _shift_of_pixels(effect: Any) -> Sketch:
     )
     points_b = CEILING_M * np.append(across, np.ones((1, COUNT)), axis=0).T @ MOUNT.R_bs.T + MOUNT.p_bs
     lines = {}
-    for values in _examples(effect):
+    for values in every:
         camera, mount = effect.corrected(CAMERA, MOUNT, np.array(values))
         moved = project(camera, (points_b - mount.p_bs) @ mount.R_bs) - np.column_stack(
             [u, np.full(COUNT, ROW_PX)]

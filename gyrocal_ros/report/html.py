@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import groupby
 from typing import Any
 
 from gyrocal_ros.report.figures.drawing import fragment, library
@@ -22,6 +24,9 @@ class Section:
     """Two of them stand side by side where the screen is wide."""
 
 
+SIGNS = {'good': '✓', 'found': '→', 'bad': '✗'}
+
+
 def document(title: str, about: str, parts: Iterable[str]) -> str:
     """A whole page as HTML text.
 
@@ -36,10 +41,18 @@ def document(title: str, about: str, parts: Iterable[str]) -> str:
 
 def verdict_box(words: Verdict) -> str:
     """What a person wants to know first."""
-    kind = 'good' if words.good else 'bad'
-    sign = '✓' if words.good else '✗'
-    sentences = ''.join(f'<p>{escape(sentence)}</p>' for sentence in words.sentences)
-    return f'<section class="verdict {kind}"><h2>{sign} {escape(words.headline)}</h2>{sentences}</section>'
+    sentences = ''.join(f'<p>{text(sentence)}</p>' for sentence in words.sentences)
+    todo = ''.join(f'<li>{text(sentence)}</li>' for sentence in words.todo)
+    next_steps = f'<p><b>What to do next</b></p><ul>{todo}</ul>' if todo else ''
+    return (
+        f'<section class="verdict {words.kind}"><h2>{SIGNS[words.kind]} {text(words.headline)}</h2>'
+        f'{sentences}{next_steps}</section>'
+    )
+
+
+def text(words: str) -> str:
+    """Plain words as HTML; what stands between backticks as code."""
+    return re.sub(r'`([^`]+)`', r'<code>\1</code>', escape(words))
 
 
 def warnings(findings: Iterable[tuple[str, str]]) -> str:
@@ -64,15 +77,39 @@ def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note:
     )
 
 
+def meter_table(title: str, heads: tuple[str, str], rows: Sequence[tuple[str, float]], note: str) -> str:
+    """A table of names and sizes, each size drawn as a bar behind its number."""
+    most = max(size for _, size in rows)
+    lines = ''.join(
+        f'<tr><th scope="row">{escape(name)}</th><td class="meter">'
+        f'<span style="width:{100.0 * size / most:.0f}%"></span>{size:.1f}</td></tr>'
+        for name, size in rows
+    )
+    return (
+        f'<h2>{escape(title)}</h2><div class="wide"><table><thead><tr><th scope="col">{escape(heads[0])}</th>'
+        f'<th scope="col">{escape(heads[1])}</th></tr></thead><tbody>{lines}</tbody></table></div>'
+        f'<p class="note">{escape(note)}</p>'
+    )
+
+
 def gallery(sections: Iterable[Section]) -> str:
     """Figures with their captions, and how to handle them."""
     drawn = '\n'.join(
-        f'<figure class="{"half" if part.half else "full"}">{fragment(part.figure, part.name)}'
+        f'<figure class="{width}">{fragment(part.figure, part.name)}'
         f'<figcaption>{escape(part.caption)}</figcaption></figure>'
-        for part in sections
+        for part, width in _widths(list(sections))
     )
     hint = 'In the figures: drag to zoom in, double-click to see all, click a name to hide it.'
     return f'<p class="note">{hint}</p><div class="figures">{drawn}</div>'
+
+
+def _widths(sections: list[Section]) -> Iterator[tuple[Section, str]]:
+    """Halves stand in pairs; one that is left alone takes the whole width."""
+    for is_half, group in groupby(sections, key=lambda part: part.half):
+        parts = list(group)
+        for place, part in enumerate(parts):
+            alone = place == len(parts) - 1 and len(parts) % 2 == 1
+            yield part, 'half' if is_half and not alone else 'full'
 
 
 def details(title: str, text: str) -> str:
@@ -82,10 +119,10 @@ def details(title: str, text: str) -> str:
 
 STYLE = """
 :root { color-scheme: light dark; --paper: #ffffff; --card: #f4f6f8; --ink: #1d2127; --faint: #59616b;
-  --rule: #d5dae0; --good: #00795a; --bad: #b84a00; }
+  --rule: #d5dae0; --good: #00795a; --found: #00619b; --bad: #b84a00; }
 @media (prefers-color-scheme: dark) {
   :root { --paper: #14171b; --card: #1e2329; --ink: #e8eaed; --faint: #a3abb5;
-    --rule: #39414a; --good: #2fc49a; --bad: #ff9a52; }
+    --rule: #39414a; --good: #2fc49a; --found: #6bbcf0; --bad: #ff9a52; }
   .scatterlayer, .legend .layers { filter: brightness(1.4); }
 }
 * { box-sizing: border-box; }
@@ -97,13 +134,17 @@ h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; }
 .about { margin: .2rem 0 1.2rem; }
 .verdict { background: var(--card); border-left: 6px solid; padding: 1rem 1.3rem; border-radius: 6px; }
 .verdict h2 { margin: 0 0 .4rem; font-size: 1.25rem; }
+.verdict ul { margin: .3rem 0; max-width: 80ch; }
 .verdict p { margin: .3rem 0; max-width: 80ch; }
 .good, .good h2 { border-color: var(--good); } .good h2 { color: var(--good); }
+.found, .found h2 { border-color: var(--found); } .found h2 { color: var(--found); }
 .bad, .bad h2 { border-color: var(--bad); } .bad h2 { color: var(--bad); }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: .35rem 1.2rem .35rem 0; border-bottom: 1px solid var(--rule); }
 td:not(:last-child) { white-space: nowrap; }
+.meter { position: relative; min-width: 14rem; padding-left: .4rem; }
+.meter span { position: absolute; inset: .25rem auto .25rem 0; background: var(--rule); z-index: -1; }
 table.words td { white-space: normal; }
 .physics { max-width: 80ch; }
 thead th { color: var(--faint); font-weight: 500; }
@@ -112,6 +153,7 @@ tbody th { font-weight: 600; }
   margin: 1rem 0 2.5rem; }
 figure { margin: 0; grid-column: 1 / -1; min-width: 0; }
 @media (min-width: 1000px) { figure.half { grid-column: auto; } }
+code { font-size: .92em; background: var(--paper); padding: .05em .3em; border-radius: 3px; }
 figcaption { max-width: 95ch; margin-top: .4rem; }
 details { border-top: 1px solid var(--rule); padding: .6rem 0; }
 summary { cursor: pointer; }

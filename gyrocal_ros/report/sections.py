@@ -11,6 +11,7 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.report import series
 from gyrocal_ros.report.figures import calibration as figures
 from gyrocal_ros.report.figures.drawing import SIGMAS
+from gyrocal_ros.report.figures.models import drift_by_span
 from gyrocal_ros.report.html import Section
 
 CAPTIONS = {
@@ -69,7 +70,7 @@ def sections(run: Run, calibration: Calibration, before: BlindDrift, after: Blin
 
     if len(after.error_rad) > 2:
         reference = 'the ground truth' if after.reference == 'ground truth' else 'the heading by SLAM'
-        drift = figures.blind_drift(before, after)
+        drift = drift_by_span({'nominal gyro': before, 'calibrated gyro': after})
         yield _section('blind_drift', drift, span_s=after.span_s, reference=reference)
     error = series.heading_error(run)
     yield _section('heading' if error else 'heading_alone', figures.heading(history, error))

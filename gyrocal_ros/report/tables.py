@@ -3,22 +3,37 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 from gyrocal_ros.calibration import Calibration
 from gyrocal_ros.config import Config
+from gyrocal_ros.diagnose.diagnosis import Finding
 from gyrocal_ros.diagnose.drift import BlindDrift
+from gyrocal_ros.effects.base import with_unit
+from gyrocal_ros.effects.words import UNTOLD
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.state import YAW_BIAS
+
+Kind: TypeAlias = Literal['good', 'found', 'bad']
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What a technician wants to know first."""
 
-    good: bool
+    kind: Kind
+    """All is well; something was found that wants doing; not to be relied on."""
     headline: str
     sentences: tuple[str, ...]
+    todo: tuple[str, ...] = ()
+    """What to do next."""
+
+    @property
+    def good(self) -> bool:
+        """Whether all is well."""
+        return self.kind == 'good'
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +67,7 @@ def verdict(calibration: Calibration, config: Config, before: BlindDrift, after:
             f'(rms against {reference}; worst {after.max_deg:.3g} deg). '
             f'With the nominal scale factor it was {before.rms_deg:.3g} deg.'
         )
-    return Verdict(good, headline, tuple(sentences))
+    return Verdict('good' if good else 'bad', headline, tuple(sentences))
 
 
 def coefficient_rows(calibration: Calibration, history: History) -> list[Row]:
@@ -60,9 +75,19 @@ def coefficient_rows(calibration: Calibration, history: History) -> list[Row]:
     before = zip(history.mean[0, YAW_BIAS:], history.std[0, YAW_BIAS:], strict=True)
     after = zip(calibration.names, calibration.values, calibration.stds, calibration.units, strict=True)
     return [
-        Row(name, with_std(value, std), unit, with_std(*prior), _meaning(name, value, std, unit))
+        Row(name, with_std(value, std), unit, with_std(*prior), meaning(name, value, std, unit))
         for (name, value, std, unit), prior in zip(after, before, strict=True)
     ]
+
+
+def estimate_rows(finding: Finding) -> Iterator[tuple[str, str, str, str]]:
+    """Name, value and unit of each coefficient of an effect that was found, and what that means."""
+    items = zip(finding.effect.coefficients, finding.names, finding.values, finding.stds, strict=True)
+    for item, name, value, std in items:
+        if std == 0.0:
+            yield name, f'{value:.4g}', item.unit, f'{with_unit(float(value), item.unit)}, {UNTOLD}'
+        else:
+            yield name, with_std(value, std), item.unit, meaning(name, value, std, item.unit)
 
 
 def with_std(value: float, std: float) -> str:
@@ -74,6 +99,13 @@ def with_std(value: float, std: float) -> str:
         return f'{value:.4g} ± {std:.2g}'
     shown = max(decimals, 0)
     return f'{round(value, decimals):.{shown}f} ± {round(std, decimals):.{shown}f}'
+
+
+def with_gain(gain: float, sigma: float) -> str:
+    """A gain of log-likelihood, and by how many sigma it is more than chance where that is known."""
+    if not math.isfinite(gain):
+        return 'runs at all'
+    return f'{gain:+.1f} ({sigma:.1f} sigma)' if math.isfinite(sigma) else f'{gain:+.1f}'
 
 
 def _headline(calibration: Calibration, config: Config) -> tuple[bool, str]:
@@ -112,7 +144,8 @@ def _bias_sentence(calibration: Calibration) -> str:
     return f'The bias at the end is {bias} deg/s, to be added to the scaled rate.'
 
 
-def _meaning(name: str, value: float, std: float, unit: str) -> str:
+def meaning(name: str, value: float, std: float, unit: str) -> str:
+    """A coefficient as people are used to it; empty where it is that already."""
     if name == 'scale_factor':
         return f'true rate = ({with_std(1.0 + value, std)}) times the nominal rate'
     if unit.startswith('rad'):

@@ -10,14 +10,26 @@ import numpy as np
 from gyrocal_ros.calibration import Calibration, save_calibration
 from gyrocal_ros.config import to_yaml
 from gyrocal_ros.data import NS_PER_S, Array, IntArray
+from gyrocal_ros.diagnose.compare import Comparison
+from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.drift import dead_reckoning
+from gyrocal_ros.diagnose.improvement import Improvement
+from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import EULER, POSITION
 from gyrocal_ros.files import json_text, new_folder, write_text_atomic
+from gyrocal_ros.report.comparison_page import comparison_page
+from gyrocal_ros.report.diagnosis_page import diagnosis_page
+from gyrocal_ros.report.history import fill_history
+from gyrocal_ros.report.improvement_page import improvement_page
 from gyrocal_ros.report.page import report_page
 from gyrocal_ros.report.series import quaternions
-from gyrocal_ros.report.summary import summarise
+from gyrocal_ros.report.summary import (
+    summarise,
+    summarise_comparison,
+    summarise_diagnosis,
+)
 
 
 def write_report(
@@ -56,6 +68,34 @@ def fill(folder: Path, run: Run, calibration: Calibration, findings: Sequence[tu
     }
     for name, text in texts.items():
         write_text_atomic(folder / name, text)
+
+
+def fill_diagnosis(
+    folder: Path, searched: Search, diagnosis: Diagnosis, findings: Sequence[tuple[str, str]] = ()
+) -> None:
+    """Write what a diagnosis has found into an empty folder: the page, and the same for programs."""
+    texts = {
+        'diagnosis.json': json_text(summarise_diagnosis(searched, diagnosis)),
+        'report.html': diagnosis_page(searched, diagnosis, findings),
+    }
+    for name, text in texts.items():
+        write_text_atomic(folder / name, text)
+
+
+def fill_comparison(folder: Path, comparison: Comparison, findings: Sequence[tuple[str, str]] = ()) -> None:
+    """Write how models compare into an empty folder: the page, and the same for programs."""
+    texts = {
+        'comparison.json': json_text(summarise_comparison(comparison)),
+        'report.html': comparison_page(comparison, findings),
+    }
+    for name, text in texts.items():
+        write_text_atomic(folder / name, text)
+
+
+def fill_improvement(folder: Path, improved: Improvement, findings: Sequence[tuple[str, str]] = ()) -> None:
+    """Write the history of an improvement into an empty folder, and the page."""
+    fill_history(folder, improved)
+    write_text_atomic(folder / 'report.html', improvement_page(improved, findings))
 
 
 def slam_trajectory(run: Run) -> str:

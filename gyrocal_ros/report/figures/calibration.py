@@ -13,7 +13,7 @@ from plotly.subplots import make_subplots
 
 from gyrocal_ros.calibration import Calibration
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.drift import BlindDrift, Path
+from gyrocal_ros.diagnose.drift import Path
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.report.figures.drawing import (
@@ -217,23 +217,6 @@ def ceiling_map(ceiling: CeilingMap, track: Path) -> go.Figure:
     well_known = np.concatenate([track.position_m, ceiling.points_m[stds[:, :2].max(axis=1) < 1.0, :2]])
     low, high = well_known.min(axis=0) - 0.3, well_known.max(axis=0) + 0.3
     figure.update_layout(xaxis_range=[low[0], high[0]], yaxis_range=[low[1], high[1]])
-    return figure
-
-
-def blind_drift(before: BlindDrift, after: BlindDrift) -> go.Figure:
-    """Heading error after spans without the camera, all over the run."""
-    figure = panels('Drift without the camera', [f'heading error after {after.span_s:.0f} s (deg)'], 320)
-    for drift, name, colour, symbol in (
-        (before, 'nominal gyro', VERMILLION, 'x'),
-        (after, 'calibrated gyro', GREEN, 'circle'),
-    ):
-        size_deg = np.abs(np.degrees(drift.error_rad))
-        line(figure, drift.start_s, size_deg, name, '.3f', (1, 1), colour)
-        figure.data[-1].update(mode='markers', marker={'symbol': symbol, 'size': 8, 'color': colour})
-        ends_s, rms_deg = drift.start_s[[0, -1]], np.full(2, drift.rms_deg)
-        line(figure, ends_s, rms_deg, f'its rms, {drift.rms_deg:.3g} deg', '.3f', (1, 1), colour, 'dash')
-    figure.update_yaxes(type='log', dtick=1)
-    figure.update_xaxes(title_text='beginning of the span (s)')
     return figure
 
 

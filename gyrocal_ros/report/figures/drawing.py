@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,27 @@ POINTS = 1500
 SIGMAS = 3.0
 Place = tuple[int, int]
 """Row and column of a panel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How one of several things that are compared is drawn everywhere."""
+
+    colour: str
+    symbol: str
+    dash: str
+
+
+BEFORE, AFTER = Look(VERMILLION, 'x', 'dot'), Look(GREEN, 'circle', 'solid')
+LOOKS = (
+    BEFORE,
+    AFTER,
+    Look(BLUE, 'square', 'dash'),
+    Look(PURPLE, 'diamond', 'dashdot'),
+    Look('#E69F00', 'triangle-up', 'longdash'),
+    Look('#56B4E9', 'star', 'longdashdot'),
+)
+"""For several models side by side; a seventh looks like the first."""
 
 
 def curves(title: str, x_label: str, y_label: str, x: Array, lines: Mapping[str, Array]) -> go.Figure:
@@ -93,6 +115,7 @@ def line(
     figure.add_scatter(
         **xy(time_s, value),
         name=name,
+        legendgroup=name,
         mode='lines',
         line={'color': colour, 'width': 2, 'dash': dash},
         hovertemplate=f'%{{y:{digits}}}',
@@ -119,7 +142,9 @@ def xy(x: Array, y: Array) -> dict[str, Any]:
     return {'x': x.astype(np.float32), 'y': y.astype(np.float32)}
 
 
-def band(figure: go.Figure, time_s: Array, middle: Array, reach: Array, place: Place) -> None:
+def band(
+    figure: go.Figure, time_s: Array, middle: Array, reach: Array, place: Place, name: str = '3 sigma'
+) -> None:
     """A band around `middle`, broken where nothing is told for a while."""
     gaps = np.flatnonzero(np.diff(time_s) > 0.01 * time_s[-1]) + 1
     upper, lower = (
@@ -131,8 +156,9 @@ def band(figure: go.Figure, time_s: Array, middle: Array, reach: Array, place: P
     ]
     figure.add_scatter(
         **xy(*np.concatenate(outlines, axis=1)),
-        name='3 sigma',
-        showlegend=all(trace.name != '3 sigma' for trace in figure.data),
+        name=name,
+        legendgroup=name,
+        showlegend=all(trace.name != name for trace in figure.data),
         fill='toself',
         fillcolor='rgba(0,114,178,0.18)',
         line={'color': 'rgba(0,114,178,0.45)', 'width': 1},
@@ -168,3 +194,51 @@ def library() -> str:
     """The source of plotly.js, to stand inside a page that needs no internet."""
     script: str = get_plotlyjs()
     return script
+
+
+def points(
+    figure: go.Figure,
+    x: Array,
+    y: Array,
+    reach: Array,
+    name: str,
+    digits: str,
+    place: Place,
+    look: Look,
+    joined: bool = False,
+) -> None:
+    """Add points with their error bars to a panel.
+
+    Args:
+        figure: to add to.
+        x: (n,)
+        y: (n,)
+        reach: (n,) to both sides, or (2, n) down and up.
+        name: in the legend, once however many panels it stands in.
+        digits: how to write a value.
+        place: the panel.
+        look: colour and symbol.
+        joined: draw a line through the points.
+    """
+    down, up = np.broadcast_to(reach, (2, len(y))).astype(np.float32)
+    figure.add_scatter(
+        **xy(x, y),
+        name=name,
+        legendgroup=name,
+        showlegend=all(trace.name != name for trace in figure.data),
+        mode='lines+markers' if joined else 'markers',
+        line={'color': look.colour, 'width': 1.5, 'dash': look.dash},
+        marker={'symbol': look.symbol, 'size': 8, 'color': look.colour},
+        error_y={
+            'type': 'data',
+            'array': up,
+            'arrayminus': down,
+            'color': look.colour,
+            'thickness': 1.3,
+            'width': 4,
+        },
+        customdata=np.stack([y - down, y + up], axis=1).astype(np.float32),
+        hovertemplate=f'%{{y:{digits}}} (%{{customdata[0]:{digits}}} to %{{customdata[1]:{digits}}})',
+        row=place[0],
+        col=place[1],
+    )

@@ -10,7 +10,7 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidates import LIMITS, needs, with_means
 from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
-from gyrocal_ros.diagnose.ranking import Suspect
+from gyrocal_ros.diagnose.ranking import Suspect, twins
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.search import Search, Stage
@@ -93,6 +93,7 @@ def _findings(searched: Search) -> Iterator[Finding]:
     def drift_deg(stage: Stage) -> float:
         return blind_drift(stage.run, reference, from_s).rms_deg
 
+    confused = _confused(searched)
     start = len(searched.last.model.coefficients)
     for change in reversed(searched.kept):
         start -= len(change.effect.coefficients)
@@ -108,8 +109,25 @@ def _findings(searched: Search) -> Iterator[Finding]:
             p_value=change.p_value,
             drift_before_deg=drift_deg(change.before) if change.before is not None else float('nan'),
             drift_after_deg=drift_deg(change.after),
-            confused_with=change.confused_with,
+            confused_with=confused.get(change.effect.name, ()),
         )
+
+
+def _confused(searched: Search) -> dict[str, tuple[str, ...]]:
+    """What each effect that was found may be confused with, the others found being there.
+
+    Asked of the evidence that knows of no effect yet; a limit is not among it.
+    """
+    first = searched.first
+    names = {change.effect.name for change in searched.kept}
+    found = {item.effect.name: item for item in first.suspects if item.effect.name in names}
+    others = [item for item in first.suspects if item.effect.name not in names]
+    confused = {}
+    for name, suspect in found.items():
+        rest = [item.fit.columns for item in found.values() if item is not suspect]
+        beside = np.concatenate(rest) if rest else np.empty(0, np.int64)
+        confused[name] = tuple(twins(suspect, others, first.evidence, beside))
+    return confused
 
 
 def _verdict(findings: list[Finding], left: Oddity | None, not_judged: dict[str, str]) -> str:

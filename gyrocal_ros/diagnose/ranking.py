@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.candidates import columns_of, with_means
-from gyrocal_ros.diagnose.evidence import Fit, correlation, fit, preference
+from gyrocal_ros.diagnose.evidence import Fit, fit, preference
 from gyrocal_ros.diagnose.profile import Profile, profile
 from gyrocal_ros.ekf.evidence import Evidence
 from gyrocal_ros.model.sensor import Effect
@@ -18,7 +18,8 @@ SIGNIFICANT_SIGMA = 4.5
 """Below this a candidate counts as chance: many are tried at once."""
 TWIN_SIGMA = 3.0
 """A candidate that explains the recording so nearly as well may be meant instead."""
-TWIN_CORRELATION = 0.9
+TWIN_CORRELATION = 0.87
+"""From here on two effects look alike: of what is due to one, the other explains this part, squared."""
 
 
 NEARBY = 0.4
@@ -71,15 +72,69 @@ def rank(evidence: Evidence) -> list[Suspect]:
     return sorted(map(_best_of, variants.values()), key=_order, reverse=True)
 
 
-def twins(suspect: Suspect, others: Iterable[Suspect], evidence: Evidence) -> list[str]:
-    """Names of the candidates that explain this recording nearly as well, for they look alike."""
+def best_explanation(
+    suspects: Sequence[Suspect], evidence: Evidence, tried: Collection[str]
+) -> Suspect | None:
+    """The effect that explains most; None where nothing is significant.
+
+    Two effects at once may look like a third. So where two together explain more than chance beyond
+    what the best alone does, it is the stronger one of them.
+
+    Args:
+        suspects: the best first.
+        evidence: what they were ranked by.
+        tried: names that are out of the question.
+    """
+    open_to_choice = [suspect for suspect in suspects if suspect.effect.name not in tried]
+    alone = [suspect for suspect in open_to_choice if suspect.is_significant]
+    if not alone:
+        return None
+    best, most = alone[0], alone[0].merit + 0.5 * SIGNIFICANT_SIGMA**2
+    for first in alone:
+        for second in open_to_choice:
+            both = _beside(first, second, evidence) if second is not first else None
+            if both is not None and both.merit > most:
+                best, most = both.stronger, both.merit
+    return best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pair:
+    """Two effects that explain a recording together."""
+
+    stronger: Suspect
+    merit: float
+
+
+def _beside(first: Suspect, second: Suspect, evidence: Evidence) -> _Pair | None:
+    """Both together; None where one of them is chance beside the other."""
+    a, b = first.fit.columns, second.fit.columns
+    joint, more, less = fit(evidence, np.concatenate([a, b])), fit(evidence, a, b), fit(evidence, b, a)
+    if joint is None or more is None or less is None or min(more.sigma, less.sigma) < SIGNIFICANT_SIGMA:
+        return None
+    price = first.fit.gain - first.merit + second.fit.gain - second.merit
+    return _Pair(first if more.gain >= less.gain else second, joint.gain - price)
+
+
+def twins(suspect: Suspect, others: Iterable[Suspect], evidence: Evidence, beside: IntArray) -> list[str]:
+    """Names of the effects that could stand in place of one, and would explain nearly as much.
+
+    Args:
+        suspect: the one that was found.
+        others: those that were not.
+        evidence: of all of them.
+        beside: (q,) columns of the effects that were found as well.
+    """
+    found = fit(evidence, suspect.fit.columns, beside)
+    if found is None:
+        return []
+    instead = {other.effect.name: fit(evidence, other.fit.columns, beside) for other in others}
     return [
-        other.effect.name
-        for other in others
-        if other.effect.name != suspect.effect.name
-        and other.is_significant
-        and preference(suspect.fit, other.fit) < TWIN_SIGMA
-        and correlation(evidence, suspect.columns, other.columns) > TWIN_CORRELATION
+        name
+        for name, other in instead.items()
+        if other is not None
+        and other.gain >= TWIN_CORRELATION**2 * found.gain
+        and preference(found, other) < TWIN_SIGMA
     ]
 
 

@@ -14,7 +14,7 @@ from gyrocal_ros.diagnose.evidence import chi_square_tail, sigma_of
 from gyrocal_ros.diagnose.foresight import foreseen
 from gyrocal_ros.diagnose.heading import Headings, headings
 from gyrocal_ros.diagnose.limits import pile, proposals, with_limit
-from gyrocal_ros.diagnose.ranking import Suspect, doubts, rank, twins, with_estimate
+from gyrocal_ros.diagnose.ranking import Suspect, best_explanation, doubts, rank, with_estimate
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.shapes import INFLATION, Oddity, oddity
 from gyrocal_ros.ekf.evidence import Evidence
@@ -62,7 +62,6 @@ class Change:
     p_value: float
     stds: Array
     """(k,) of the coefficients by the scatter over the recording, zero where none was estimated."""
-    confused_with: tuple[str, ...]
 
     @property
     def foreseen(self) -> float:
@@ -138,7 +137,7 @@ def trial(model: SensorModel, recorded: Recorded, calibrate: Calibrate, effect: 
         return Search(first, (_put_in(suspect, first, recorded, calibrate),))
     after = examine(with_effect(model, effect), recorded, calibrate)
     stds = np.zeros(len(effect.coefficients))
-    return Search(first, (Change(effect, first, after, 0.0, 0.0, 1.0, stds, ()),))
+    return Search(first, (Change(effect, first, after, 0.0, 0.0, 1.0, stds),))
 
 
 def examine(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Stage:
@@ -157,8 +156,7 @@ def with_effect(model: SensorModel, effect: Effect) -> SensorModel:
 
 def _next_change(stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: set[str]) -> Change | None:
     """Put the best explanation into the model, unless nothing is missing or nothing known explains it."""
-    significant = [item for item in stage.suspects if item.is_significant and item.effect.name not in tried]
-    best = significant[0] if significant else None
+    best = best_explanation(stage.suspects, stage.evidence, tried)
     rival_gain = best.fit.gain if best is not None else 0.0
     odd_gain = stage.oddity.gain if stage.oddity is not None else 0.0
     for limit in proposals(stage.run, stage.seen, recorded, odd_gain):
@@ -182,7 +180,6 @@ def _put_in(suspect: Suspect, stage: Stage, recorded: Recorded, calibrate: Calib
         sigma=suspect.fit.sigma,
         p_value=suspect.fit.p_value,
         stds=doubts(suspect),
-        confused_with=tuple(twins(suspect, stage.suspects, stage.evidence)),
     )
 
 
@@ -199,7 +196,7 @@ def _limited(
     except FilterDivergedError:
         return None
     p_value = chi_square_tail(2.0 * gain / INFLATION, 1)
-    return Change(limit, stage, after, gain, sigma_of(p_value), p_value, np.zeros(1), ())
+    return Change(limit, stage, after, gain, sigma_of(p_value), p_value, np.zeros(1))
 
 
 def _rescued(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Change | None:
@@ -212,4 +209,4 @@ def _rescued(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Ch
         after = examine(with_effect(model, effect), recorded, calibrate)
     except FilterDivergedError:
         return None
-    return Change(effect, None, after, math.inf, math.inf, 0.0, np.zeros(1), ())
+    return Change(effect, None, after, math.inf, math.inf, 0.0, np.zeros(1))

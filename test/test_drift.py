@@ -12,10 +12,14 @@ from recordings import recording
 from gyrocal_ros.calibrate import calibrate
 from gyrocal_ros.config import Config
 from gyrocal_ros.diagnose.drift import (
+    STRIDE_S,
+    BlindDrift,
     Path,
+    better_sigma,
     blind_drift,
     dead_reckoning,
     heading_rms_deg,
+    held_out_from_s,
     slam_path,
     truth_path,
     turns,
@@ -112,3 +116,55 @@ def test_another_reference_may_be_given(run: Run) -> None:
 def test_a_run_that_is_too_short_has_no_drift(run: Run) -> None:
     drift = blind_drift(run, span_s=80.0)
     assert len(drift.start_s) == 0 and math.isnan(drift.rms_deg) and math.isnan(drift.max_deg)
+
+
+def random_drift(rng: np.random.Generator, length_s: float, size_deg: float) -> BlindDrift:
+    """Spans of 60 s over a heading that the gyro's white noise carries away."""
+    steps = int(length_s / STRIDE_S) + 12
+    walk = np.cumsum(rng.normal(0.0, math.radians(size_deg) / math.sqrt(12.0), steps + 1))
+    error = walk[12:] - walk[:-12]
+    return BlindDrift(60.0, STRIDE_S * np.arange(len(error)), error, 'slam')
+
+
+def test_the_interval_of_the_drift_holds_in_nine_of_ten_recordings() -> None:
+    rng = np.random.default_rng(1)
+    drifts = [random_drift(rng, 240.0, 0.5) for _ in range(1000)]
+    inside = np.mean([low < 0.5 < high for low, high in (drift.interval_deg for drift in drifts)])
+    assert drifts[0].independent == pytest.approx(240.0 / 40.0, rel=0.2)
+    assert 0.86 < inside < 0.94
+    short = random_drift(rng, 10.0, 0.5)
+    assert 1.0 < short.independent < 2.0 and short.interval_deg[1] == math.inf
+    assert short.interval_deg[0] < short.rms_deg
+
+
+def test_a_drift_is_smaller_by_more_than_chance_or_not() -> None:
+    rng = np.random.default_rng(2)
+    pairs = [[random_drift(rng, 120.0, 0.5) for _ in range(2)] for _ in range(500)]
+    sigmas = np.array([better_sigma(*pair) for pair in pairs])
+    assert np.mean(np.abs(sigmas) > 2.0) < 0.08 and abs(sigmas.mean()) < 0.15
+    much = replace(pairs[0][0], error_rad=20.0 * pairs[0][0].error_rad)
+    assert better_sigma(much, pairs[0][0]) == -better_sigma(pairs[0][0], much) > 3.0
+    none = replace(much, start_s=np.empty(0), error_rad=np.empty(0))
+    assert math.isnan(better_sigma(none, much)) and math.isnan(none.interval_deg[0])
+
+
+def test_the_final_coefficients_fit_best(run: Run) -> None:
+    held_out, fitted = (blind_drift(run, from_s=3.0, span_s=20.0, fitted=final) for final in (False, True))
+    np.testing.assert_array_equal(held_out.start_s, fitted.start_s)
+    assert fitted.rms_deg < held_out.rms_deg
+    known = replace(run.history, mean=run.history.mean.copy())
+    known.mean[:, YAW_BIAS + 1 :] = known.mean[-1, YAW_BIAS + 1 :]
+    np.testing.assert_array_equal(
+        blind_drift(replace(run, history=known), from_s=3.0, span_s=20.0).error_rad,
+        blind_drift(replace(run, history=known), from_s=3.0, span_s=20.0, fitted=True).error_rad,
+    )
+
+
+def test_models_are_judged_in_the_second_half_or_by_the_last_spans(run: Run) -> None:
+    def from_s(end_s: float) -> float:
+        stretched = run.history.time_s * end_s / run.history.time_s[-1]
+        return held_out_from_s(replace(run, history=replace(run.history, time_s=stretched)))
+
+    assert from_s(300.0) == pytest.approx(150.0)
+    assert from_s(100.0) == pytest.approx(25.0)
+    assert from_s(60.0) == 10.0

@@ -87,9 +87,12 @@ def _first(stage: Stage, label: str, reference: tuple[Path, str]) -> Revision:
 def _revision(change: Change, label: str, reference: tuple[Path, str]) -> Revision:
     held_out, fitted = _drifts(change.after, reference)
     gain_sigma = drift_sigma = float('nan')
+    why = _why(change)
     if change.before is not None:
+        before = _drifts(change.before, reference)[0]
         gain_sigma = certainty(foreseen(change.before.run, change.after.run))
-        drift_sigma = better_sigma(_drifts(change.before, reference)[0], held_out)
+        drift_sigma = better_sigma(before, held_out)
+        why = f'{why}; {_drift_in_words(before, held_out)}'
     return Revision(
         label=label,
         effect=change.effect,
@@ -100,7 +103,7 @@ def _revision(change: Change, label: str, reference: tuple[Path, str]) -> Revisi
         gain=change.foreseen,
         gain_sigma=gain_sigma,
         drift_sigma=drift_sigma,
-        why=f'{_why(change)}; {_drift_in_words(drift_sigma)}',
+        why=why,
     )
 
 
@@ -115,12 +118,12 @@ def _why(change: Change) -> str:
     return f'left out: what follows is foreseen hardly better (log-likelihood +{size})'
 
 
-def _drift_in_words(sigma: float) -> str:
+def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:
+    sigma = better_sigma(before, after)
     if math.isnan(sigma):
-        return 'its drift cannot be compared'
-    if abs(sigma) < CHANCE_SIGMA:
-        return 'the held-out drift differs by no more than chance'
-    return f'the held-out drift {"fell" if sigma > 0.0 else "rose"}'
+        return 'no span is long enough to tell the drift'
+    went = f'the held-out drift went from {before.rms_deg:.2f} to {after.rms_deg:.2f} deg'
+    return went if abs(sigma) >= CHANCE_SIGMA else f'{went}, which may be chance'
 
 
 def _drifts(stage: Stage, reference: tuple[Path, str]) -> tuple[BlindDrift, BlindDrift]:

@@ -1,0 +1,284 @@
+"""The commands about missing physics: `diagnose`, `compare`, `improve`, on short simulated bags."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from recordings import recording
+
+from gyrocal_ros.calibrate import calibrate, hold
+from gyrocal_ros.calibration import load_calibration
+from gyrocal_ros.cli import improve
+from gyrocal_ros.cli.diagnose import in_words
+from gyrocal_ros.cli.main import main
+from gyrocal_ros.cli.passes import Passes
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import TruthSample
+from gyrocal_ros.diagnose.advice import advice
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.recorded import look_at
+from gyrocal_ros.diagnose.search import Search, search
+from gyrocal_ros.diagnose.shapes import Oddity, shapes
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.effects.model_file import load_model
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.files import json_text
+from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.recording.write import new_bag
+from gyrocal_ros.report.summary import summarise_diagnosis
+from gyrocal_ros.report.words import diagnosis_headline
+from gyrocal_ros.sim.hidden import Drawn, hide
+
+Output = pytest.CaptureFixture[str]
+ASYMMETRY = 0.01
+DURATION_S = 100.0
+
+
+def bag_of(path: Path, *drawn: Drawn, with_truth: bool = True) -> Path:
+    """A short bag that hides something."""
+    source = recording('cleaning', 3, DURATION_S, hide(drawn, find_effect))
+    with new_bag(path) as bag:
+        bag.write_rig(source.rig, source.span.start_ns, R_bi=np.eye(3))
+        for measurement in source.measurements():
+            if with_truth or not isinstance(measurement, TruthSample):
+                bag.write(measurement)
+    return path
+
+
+@pytest.fixture(scope='module')
+def skewed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag whose gyro reads turns to one side larger."""
+    return bag_of(tmp_path_factory.mktemp('bags') / 'skewed', Drawn('scale_asymmetry', (ASYMMETRY,)))
+
+
+@pytest.fixture(scope='module')
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag that hides nothing and holds no ground truth."""
+    return bag_of(tmp_path_factory.mktemp('bags') / 'plain', with_truth=False)
+
+
+def read_json(capsys: Output) -> dict[str, Any]:
+    """What a command has printed; NaN and infinity are no JSON."""
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f'{word} in JSON')
+
+    found: dict[str, Any] = json.loads(capsys.readouterr().out, parse_constant=refuse)
+    return found
+
+
+@pytest.fixture(scope='module')
+def searched() -> tuple[Search, Diagnosis]:
+    """The same as the bag `skewed`, by the library."""
+    source = recording('cleaning', 3, DURATION_S, hide([Drawn('scale_asymmetry', (ASYMMETRY,))], find_effect))
+    held, config = hold(source, Config(), default_model())
+    recorded = look_at(held)
+    found = search(
+        default_model(), recorded, lambda model, trials: calibrate(held, config, model, candidates=trials)
+    )
+    return found, diagnose(found, recorded)
+
+
+class TestDiagnose:
+    def test_what_scripts_rely_on(self, skewed: Path, tmp_path: Path, capsys: Output) -> None:
+        out = tmp_path / 'out'
+        assert main(['diagnose', str(skewed), '--json', '-o', str(out)]) == 0
+        found = read_json(capsys)
+        assert found['verdict'] == 'effect_found' and found['unexplained'] is None
+        (missing,) = found['missing']
+        assert missing['effect'] == 'scale_asymmetry' and missing['confused_with'] == []
+        (value,) = missing['coefficients'].values()
+        assert value['unit'] == '1' and abs(value['value'] - ASYMMETRY) < 4.0 * value['std'] < 1e-3
+        assert missing['log_likelihood_gain'] > 100.0 and missing['significance_sigma'] > 4.5
+        assert 0.0 <= missing['p_value'] < 1e-5
+        assert missing['held_out_drift_after_deg'] < 0.5 * missing['held_out_drift_before_deg']
+        assert found['fails_where']
+        for failure in found['fails_where']:
+            assert failure['what'] and failure['sigma'] > 4.5
+            assert ('regime' in failure) != ('from_s' in failure and 'to_s' in failure)
+        assert found['ranked'][0]['effect'] == 'scale_asymmetry'
+        assert found['drift_reference'] == 'ground truth'
+        assert found['duration_s'] == pytest.approx(DURATION_S, abs=1.0) and found['wall_s'] > 0.0
+        assert isinstance(found['advice'], list) and isinstance(found['not_judged'], dict)
+        assert (out / 'diagnosis.json').is_file()
+
+    def test_on_a_bag_that_hides_nothing(self, plain: Path, capsys: Output) -> None:
+        assert main(['diagnose', str(plain)]) == 0
+        told = capsys.readouterr().out
+        assert told.startswith('Nothing is missing')
+        assert 'The strongest suspicion was' in told and 'gyrocal add' not in told
+
+    def test_in_words(self, searched: tuple[Search, Diagnosis]) -> None:
+        lines = list(in_words(searched[1]))
+        assert lines[0] == 'The model lacks scale_asymmetry.'
+        assert any('c = 0.01' in line and '->' in line for line in lines)
+        assert 'Where the model fails, worst first:' in lines
+
+    def test_twins_are_named_with_the_motion_that_tells_them_apart(
+        self, searched: tuple[Search, Diagnosis]
+    ) -> None:
+        finding = replace(searched[1].missing[0], confused_with=('scale_quadratic',))
+        unsure = replace(searched[1], verdict='cannot_tell', missing=(finding,))
+        told = '\n'.join(in_words(unsure))
+        assert 'most likely scale_asymmetry; but it may as well be scale_quadratic' in told
+        assert any('scale_asymmetry' in text and 'scale_quadratic' in text for text in advice(unsure))
+
+    def test_what_no_effect_explains(self, searched: tuple[Search, Diagnosis]) -> None:
+        search_, diagnosis = searched
+        shape = shapes(search_.last.run, search_.last.seen)[0]
+        jump = Oddity('the bias jumped by +0.2 deg/s at 40 s', 80.0, 9.0, shape, at_s=40.0)
+        strange = replace(diagnosis, verdict='unexplained', missing=(), unexplained=jump)
+        assert 'something that no effect explains' not in diagnosis_headline(strange)
+        assert 'no effect of the library explains: the bias jumped' in diagnosis_headline(strange)
+        assert any('at 40 s' in text for text in advice(strange))
+        both = replace(strange, missing=diagnosis.missing)
+        assert 'lacks scale_asymmetry, and something' in diagnosis_headline(both)
+        shown = json.loads(json_text(summarise_diagnosis(search_, strange)))['unexplained']
+        assert shown['at_s'] == 40.0 and shown['significance_sigma'] == 9.0 and shown['caution']
+        assert len(shown['knots']) == len(shown['values']) == len(shown['stds'])
+        assert shown['of'] in ('bias', 'scale') and shown['signal'] == shape.signal
+
+    def test_what_to_record_for_what_could_not_be_judged(self, searched: tuple[Search, Diagnosis]) -> None:
+        why = dict.fromkeys(('bias_temperature', 'scale_temperature'), 'not recorded: temperature')
+        unsure = replace(searched[1], missing=(), verdict='cannot_tell', not_judged=why)
+        sentences = advice(unsure)
+        assert 'Record temperature to judge bias_temperature and scale_temperature.' in sentences
+        assert any('turns to both sides' in text for text in sentences)
+        told = '\n'.join(in_words(unsure))
+        assert told.startswith('This recording cannot tell')
+        assert 'bias_temperature and scale_temperature: not recorded: temperature' in told
+
+
+class TestCompare:
+    def test_what_scripts_rely_on(self, skewed: Path, tmp_path: Path, capsys: Output) -> None:
+        models = [tmp_path / 'default.yaml', tmp_path / 'better.yaml']
+        assert main(['add', 'scale_factor', '--model', str(models[0])]) == 0
+        assert main(['add', 'scale_asymmetry', '--model', str(models[1])]) == 0
+        capsys.readouterr()
+        named = [argument for path in models for argument in ('--model', str(path))]
+        assert main(['compare', str(skewed), *named, '--json']) == 0
+        found = read_json(capsys)
+        first, second = found['models']
+        assert [first['model'], second['model']] == [str(path) for path in models]
+        assert found['best'] == second['model'] and found['diverged'] == []
+        assert first['log_likelihood_gain'] == 0.0 and second['log_likelihood_gain'] > 100.0
+        assert second['log_likelihood_gain_sigma'] > 2.0
+        for model in (first, second):
+            drift = model['blind_drift_deg']
+            assert drift['spans'] > 0 and drift['low'] < drift['rms'] <= drift['max']
+            assert drift['high'] is None or drift['rms'] < drift['high']
+            assert model['heading_rms_deg'] < 1.0 and model['nis_per_dof'] > 0.0
+        assert second['nis_per_dof'] < 1.2 < first['nis_per_dof']
+        assert set(second['coefficients']) == {'bias', 'scale_factor', 'scale_asymmetry'}
+        assert first['fails_by_truth'] and not second['fails_by_truth']
+        assert found['drift_reference'] == 'ground truth' and found['wall_s'] > 0.0
+
+    def test_without_a_model_and_without_truth(self, plain: Path, tmp_path: Path, capsys: Output) -> None:
+        out = tmp_path / 'out'
+        assert main(['compare', str(plain), '-o', str(out)]) == 0
+        told = capsys.readouterr().out
+        assert 'default' in told and 'against the heading by SLAM' in told
+        assert 'nowhere by more than chance' in told and 'ground truth' not in told
+        (model,) = json.loads((out / 'comparison.json').read_text(encoding='utf-8'))['models']
+        assert model['heading_rms_deg'] is None and model['fails_by_truth'] is None
+
+    def test_a_model_that_the_filter_cannot_run_with_is_said(
+        self, plain: Path, tmp_path: Path, capsys: Output, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        model = tmp_path / 'broken.yaml'
+        assert main(['add', 'gyro_lag', '--model', str(model)]) == 0
+        runs = Passes.calibrate
+
+        def run(self: Passes, model: SensorModel, candidates: tuple[Effect, ...] = ()) -> Run:
+            if len(model.effects) > 1:
+                raise FilterDivergedError('lost the measurements', where='bag')
+            return runs(self, model, candidates)
+
+        monkeypatch.setattr(Passes, 'calibrate', run)
+        default = tmp_path / 'default.yaml'
+        assert main(['add', 'scale_factor', '--model', str(default)]) == 0
+        capsys.readouterr()
+        assert main(['compare', str(plain), '--model', str(model), '--model', str(default)]) == 0
+        assert f'{model}: the filter cannot run with it: bag: lost' in capsys.readouterr().out
+        assert main(['compare', str(plain), '--model', str(model)]) == 2
+        assert 'lost the measurements' in capsys.readouterr().err
+
+
+class TestImprove:
+    def test_the_history_shows_the_error_falling(self, skewed: Path, tmp_path: Path, capsys: Output) -> None:
+        out = tmp_path / 'improved'
+        assert main(['improve', str(skewed), '-o', str(out)]) == 0
+        captured = capsys.readouterr()
+        assert captured.out.startswith('Added scale_asymmetry: the held-out drift went from')
+        assert str(out / 'model.yaml') in captured.out
+        assert captured.err.startswith('gyrocal: run 1: scale_factor\n')
+        assert {'0_default', '1_scale_asymmetry'} <= {item.name for item in out.iterdir() if item.is_dir()}
+        before, after = (
+            json.loads((out / name / 'merit.json').read_text(encoding='utf-8'))
+            for name in ('0_default', '1_scale_asymmetry')
+        )
+        for kind in ('held_out_drift_deg', 'fitted_drift_deg'):
+            assert after[kind]['rms'] < 0.5 * before[kind]['rms']
+        assert after['log_likelihood_gain'] > 100.0 and after['log_likelihood'] > before['log_likelihood']
+        assert after['kept'] and after['why'].startswith('kept: what follows is foreseen better')
+        assert after['nis_per_dof'] < before['nis_per_dof'] and after['effect'] == 'scale_asymmetry'
+        for folder in (out, out / '1_scale_asymmetry'):
+            assert [effect.name for effect in load_model(folder / 'model.yaml').effects] == [
+                'scale_factor',
+                'scale_asymmetry',
+            ]
+            known = load_calibration(folder / 'calibration.yaml')
+            assert known.model.version == 2
+            assert abs(known.values[2] - ASYMMETRY) < 4.0 * known.stds[2]
+        assert [item.name for item in tmp_path.iterdir()] == ['improved']
+        assert main(['improve', str(skewed), '-o', str(out)]) == 2
+        assert 'is not empty' in capsys.readouterr().err
+
+    def test_an_effect_that_is_not_there_is_left_out_and_said(self, plain: Path, capsys: Output) -> None:
+        assert main(['improve', str(plain), '--effect', 'scale_cubic', '--json']) == 0
+        found = read_json(capsys)
+        assert found['effects'] == ['scale_factor']
+        before, after = found['revisions']
+        assert not after['kept'] and after['why'].startswith('left out: what follows is foreseen')
+        assert after['why'].endswith('deg, which may be chance')
+        assert abs(after['held_out_drift_fell_sigma']) < 2.0 and before['kept']
+
+    def test_an_interruption_leaves_nothing(
+        self, plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def interrupt(*args: Any) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(improve, 'open_passes', interrupt)
+        assert main(['improve', str(plain), '-o', str(tmp_path / 'out')]) == 130
+        assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('command', ['diagnose', 'compare', 'improve'])
+class TestBadInput:
+    def test_a_bag_that_is_not_there(self, tmp_path: Path, capsys: Output, command: str) -> None:
+        assert main([command, str(tmp_path / 'no_bag'), '-o', str(tmp_path / 'out')]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert 'no_bag' in line and list(tmp_path.iterdir()) == []
+
+    def test_a_model_that_cannot_be_used(
+        self, plain: Path, tmp_path: Path, capsys: Output, command: str
+    ) -> None:
+        model = tmp_path / 'model.yaml'
+        model.write_text('effects: [scale_factor, gyro_lagg]', encoding='utf-8')
+        assert main([command, str(plain), '--model', str(model)]) == 2
+        assert "did you mean 'gyro_lag'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('name', 'message'), [('gyro_lagg', "did you mean 'gyro_lag'?"), ('scale_factor', 'in the model already')]
+)
+def test_an_effect_that_cannot_be_tried(plain: Path, capsys: Output, name: str, message: str) -> None:
+    assert main(['improve', str(plain), '--effect', name]) == 2
+    assert message in capsys.readouterr().err

@@ -20,7 +20,6 @@ from gyrocal_ros.diagnose.compare import Comparison, Rival, compare
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
-from gyrocal_ros.files import json_text, write_text_atomic
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.report.summary import nis_per_dof, summarise_comparison
 from gyrocal_ros.report.tables import with_std
@@ -57,13 +56,16 @@ def run(args: argparse.Namespace) -> None:
     with result_folder(args) as folder:
         passes = open_passes(args, next(iter(models.values())))
         comparison = _compare(passes, models)
-        summary = summarise_comparison(comparison)
         if folder is not None:
-            write_text_atomic(folder / 'comparison.json', json_text(summary))
+            from gyrocal_ros.report.write import fill_comparison  # only a page needs the plotting library
+
+            fill_comparison(folder, comparison, passes.findings)
     if args.json:
-        print_json(summary | {'wall_s': time.perf_counter() - began_s})
+        print_json(summarise_comparison(comparison) | {'wall_s': time.perf_counter() - began_s})
     else:
         print('\n'.join(in_words(comparison)))
+        if args.out:
+            print(f'\nReport: {args.out / "report.html"}')
 
 
 def _compare(passes: Passes, models: dict[str, SensorModel]) -> Comparison:

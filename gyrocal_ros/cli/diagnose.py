@@ -20,7 +20,6 @@ from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.model_file import options_of
-from gyrocal_ros.files import json_text, write_text_atomic
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.report.summary import summarise_diagnosis
 from gyrocal_ros.report.words import (
@@ -50,13 +49,16 @@ def run(args: argparse.Namespace) -> None:
         recorded = look_at(passes.source)
         searched = search(model, recorded, passes.calibrate)
         diagnosis = diagnose(searched, recorded)
-        summary = summarise_diagnosis(searched, diagnosis)
         if folder is not None:
-            write_text_atomic(folder / 'diagnosis.json', json_text(summary))
+            from gyrocal_ros.report.write import fill_diagnosis  # only a page needs the plotting library
+
+            fill_diagnosis(folder, searched, diagnosis, passes.findings)
     if args.json:
-        print_json(summary | {'wall_s': time.perf_counter() - began_s})
+        print_json(summarise_diagnosis(searched, diagnosis) | {'wall_s': time.perf_counter() - began_s})
     else:
         print('\n'.join([*in_words(diagnosis), *_next_steps(diagnosis, args)]))
+        if args.out:
+            print(f'\nReport: {args.out / "report.html"}')
 
 
 def in_words(diagnosis: Diagnosis) -> Iterator[str]:

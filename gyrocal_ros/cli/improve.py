@@ -24,7 +24,6 @@ from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.report.history import fill_history
 from gyrocal_ros.report.summary import nis_per_dof, summarise_improvement
 from gyrocal_ros.report.tables import with_std
 from gyrocal_ros.report.words import drift_in_words, improvement_headline, reference_in_words
@@ -65,13 +64,15 @@ def run(args: argparse.Namespace) -> None:
             searched = trial(model, recorded, calibrate, effect)
         improved = improvement(searched)
         if folder is not None:
-            fill_history(folder, improved)
+            from gyrocal_ros.report.write import fill_improvement  # only a page needs the plotting library
+
+            fill_improvement(folder, improved, passes.findings)
     if args.json:
         print_json(summarise_improvement(improved) | {'wall_s': time.perf_counter() - began_s})
     else:
         print('\n'.join(in_words(improved)))
         if args.out:
-            print(f'\nThe final model and its calibration: {args.out / "model.yaml"}, calibration.yaml')
+            print(f'\nModel: {args.out / "model.yaml"}\nReport: {args.out / "report.html"}')
 
 
 def _asked_for(name: str | None, model: SensorModel) -> Effect | None:
@@ -103,6 +104,9 @@ def in_words(improved: Improvement) -> Iterator[str]:
     yield f'(drift in 60 s, rms and interval, against {reference})'
     yield ''
     yield from (f'{revision.label}: {revision.why}' for revision in improved.revisions)
+    odd = improved.final.stage.oddity
+    if odd is not None:
+        yield f'still there, and no effect explains it: {odd.what} ({odd.sigma:.0f} sigma)'
 
 
 def _row(revision: Revision) -> tuple[str, ...]:

@@ -122,8 +122,9 @@ def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:
     sigma = better_sigma(before, after)
     if math.isnan(sigma):
         return 'no span is long enough to tell the drift'
-    went = f'the held-out drift went from {before.rms_deg:.2f} to {after.rms_deg:.2f} deg'
-    return went if abs(sigma) >= CHANCE_SIGMA else f'{went}, which may be chance'
+    word = 'fell' if sigma > 0.0 else 'rose'
+    change = f'from {before.rms_deg:.2f} to {after.rms_deg:.2f} deg'
+    return f'the held-out drift {word} {change} ({abs(sigma):.1f} sigma)'
 
 
 def _drifts(stage: Stage, reference: tuple[Path, str]) -> tuple[BlindDrift, BlindDrift]:

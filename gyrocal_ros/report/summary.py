@@ -53,7 +53,7 @@ def summarise_diagnosis(searched: Search, diagnosis: Diagnosis) -> dict[str, Any
         'verdict': diagnosis.verdict,
         'missing': [_finding(finding) for finding in diagnosis.missing],
         'fails_where': [_failure(failure) for failure in diagnosis.fails_where],
-        'unexplained': None if diagnosis.unexplained is None else _oddity(diagnosis.unexplained),
+        'unexplained': _oddity(diagnosis.unexplained),
         'advice': advice(diagnosis),
         'not_judged': diagnosis.not_judged,
         'ranked': [_suspect(suspect) for suspect in diagnosis.ranked],
@@ -83,6 +83,7 @@ def summarise_improvement(improved: Improvement) -> dict[str, Any]:
         'effects': [effect.name for effect in run.model.effects],
         'coefficients': coefficient_table(conclude(run)),
         'revisions': [merit(revision) for revision in improved.revisions],
+        'unexplained': _oddity(improved.final.stage.oddity),
         'drift_reference': improved.drift_reference,
         'duration_s': run.span.duration_s,
     }
@@ -154,7 +155,9 @@ def _failure(failure: Failure) -> dict[str, Any]:
     return {'what': failure.what, **place, 'sigma': failure.sigma}
 
 
-def _oddity(odd: Oddity) -> dict[str, Any]:
+def _oddity(odd: Oddity | None) -> dict[str, Any] | None:
+    if odd is None:
+        return None
     shape = odd.shape
     return {
         'what': odd.what,

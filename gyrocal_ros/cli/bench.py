@@ -10,17 +10,23 @@ from typing import Any
 
 from gyrocal_ros import __version__
 from gyrocal_ros.bench.accuracy import accuracy
+from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.camera_off import camera_off
+from gyrocal_ros.bench.motions import motions
 from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.tracker import tracker_accuracy
 from gyrocal_ros.cli.output import print_json, print_row, progress
 
-EXAMPLE = 'gyrocal bench accuracy --seeds 20\ngyrocal bench speed'
+EXAMPLE = """gyrocal bench accuracy --seeds 20
+gyrocal bench blind --seeds 10 --only none scale_cubic
+gyrocal bench speed"""
 
 BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'accuracy': lambda args: accuracy(args.seeds, args.quick),
+    'blind': lambda args: blind(args.seeds, args.only),
     'camera_off': lambda args: camera_off(args.seeds),
     'tracker': lambda args: tracker_accuracy(args.seeds),
+    'motions': lambda args: motions(),
     'speed': lambda args: speed(args.quick),
 }
 
@@ -30,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('what', choices=BENCHES, help='what to measure')
     parser.add_argument('--seeds', type=int, default=20, help='recordings a case (default 20)')
     parser.add_argument('--quick', action='store_true', help='the first case only')
+    parser.add_argument('--only', nargs='+', default=[], metavar='CASE', help='of `blind`: these cases only')
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the tables')
 
 

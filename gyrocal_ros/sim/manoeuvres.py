@@ -210,3 +210,9 @@ def plan_legs(
             if time_s >= end_s:
                 break
     return [*legs, Leg(1.0)], start
+
+
+def round_legs(legs: tuple[Leg, ...], standing_s: float, duration_s: float) -> tuple[list[Leg], Pose]:
+    """Return a rest, a round as often as a recording needs it, and the pose they start from."""
+    rounds = math.ceil(max(duration_s - standing_s, 0.0) / sum(leg.duration_s for leg in legs))
+    return [Leg(standing_s), *legs * rounds], (0.0, 0.0, 0.0)

@@ -9,7 +9,8 @@ from gyrocal_ros.data import CameraIntrinsics
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.sim.manoeuvres import Habits
 from gyrocal_ros.sim.scene import Furniture
-from gyrocal_ros.sim.sensors import SensorErrors
+from gyrocal_ros.sim.sensors import Climate, Fan, SensorErrors
+from gyrocal_ros.sim.trajectory import Leg
 
 CAMERA = CameraIntrinsics(
     width_px=640,
@@ -31,6 +32,8 @@ class Scenario:
     stages: tuple[tuple[str, float], ...] = (('cleaning', 0.0),)
     """Name of a plan of `manoeuvres` and the time (s) until which it is followed; the last one
     goes on to the end."""
+    legs: tuple[Leg, ...] = ()
+    """A round that is driven over and over in place of the stages."""
     duration_s: float = 300.0
     standing_s: float = 3.0
     """Rest before the first motion."""
@@ -50,6 +53,9 @@ class Scenario:
     """The camera is switched off at this time."""
     habits: Habits = Habits()
     errors: SensorErrors = SensorErrors()
+    climate: Climate | None = None
+    fan: Fan | None = None
+    """Climate and fan are drawn where they are not given."""
     room_m: tuple[float, float] = (6.0, 5.0)
     furniture: tuple[Furniture, ...] = ()
     floor_tilt_deg: float = 0.15

@@ -40,7 +40,7 @@ from gyrocal_ros.sim.forward import (
     stamp_error_s,
     true_camera,
 )
-from gyrocal_ros.sim.manoeuvres import plan_legs
+from gyrocal_ros.sim.manoeuvres import plan_legs, round_legs
 from gyrocal_ros.sim.scenarios import Scenario
 from gyrocal_ros.sim.scene import Scene, draw_scene, track, view
 from gyrocal_ros.sim.sensors import (
@@ -154,7 +154,7 @@ class SimSource:
             scene=draw_scene(
                 stream(self.seed, 'scene'), scenario.room_m, scenario.mount_xyz_m[2], scenario.furniture
             ),
-            climate=draw_climate(stream(self.seed, 'climate')),
+            climate=scenario.climate or draw_climate(stream(self.seed, 'climate')),
             fan=self._fan,
             scale_factor=scenario.errors.scale_factor,
             camera=camera,
@@ -168,16 +168,20 @@ class SimSource:
     def _trajectory(self) -> Trajectory:
         scenario = self.scenario
         rng = stream(self.seed, 'trajectory')
-        legs, start = plan_legs(
-            scenario.stages, scenario.standing_s, scenario.duration_s, scenario.habits, rng
-        )
+        if scenario.legs:
+            legs, start = round_legs(scenario.legs, scenario.standing_s, scenario.duration_s)
+        else:
+            legs, start = plan_legs(
+                scenario.stages, scenario.standing_s, scenario.duration_s, scenario.habits, rng
+            )
         path_m = scenario.duration_s * scenario.habits.speed_m_s / 2.0
         floor = rough_floor(stream(self.seed, 'floor'), scenario.floor_tilt_deg, scenario.bumps, path_m)
         return Trajectory(legs, floor, start)
 
     @cached_property
     def _fan(self) -> Fan:
-        return draw_fan(stream(self.seed, 'fan'), self.scenario.standing_s, self.scenario.duration_s)
+        scenario = self.scenario
+        return scenario.fan or draw_fan(stream(self.seed, 'fan'), scenario.standing_s, scenario.duration_s)
 
     def measurements(self) -> Iterator[Measurement]:
         """Yield the measurements in the order of their stamps."""

@@ -68,7 +68,9 @@ def _findings(diagnosis: Diagnosis) -> Iterator[str]:
     for finding in diagnosis.missing:
         name = finding.effect.name
         about, _, _ = find_effect(name).about.physics.partition('. ')
-        sure = f'log-likelihood +{finding.gain:.0f}, {_sigmas(finding.sigma)}'
+        sure = 'without it the filter loses the measurements'
+        if math.isfinite(finding.gain):
+            sure = f'log-likelihood +{finding.gain:.0f}, {_sigmas(finding.sigma)}'
         yield f'{name}: {about.rstrip(".")} ({sure}).'
         if math.isfinite(finding.drift_before_deg) and math.isfinite(finding.drift_after_deg):
             against = f'rms on held-out spans against {reference_in_words(diagnosis.drift_reference)}'

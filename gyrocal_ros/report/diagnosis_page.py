@@ -42,11 +42,13 @@ CAPTIONS = {
     'contribution': """By the values that were found, with three standard deviations of doubt.""",
     'drift_by_span': """Each mark is a span of {span_s:.0f} s in the later part of the recording, with what
         was known at its beginning, compared with {reference}; the lines are the rms.""",
-    'bends': """What the gyro's bias and scale would have to be, as free functions of all that was recorded,
-        the most telling first; each is told less its mean (by the rate: less a straight line, which is the
-        scale factor), with three standard deviations. Where nothing
-        is missing, all bars reach zero. Beware: a signal that changes slowly fits anything that does.""",
 }
+LEFT_OVER = (
+    "What the gyro's bias and scale would have to be, as free functions of all that was recorded, the most "
+    'telling first; told less the mean (by the rate: less a straight line, which is the scale factor), with '
+    'three standard deviations. Where nothing is missing, the bars reach zero. Beware: a signal that changes '
+    'slowly fits anything that does.'
+)
 DIAMONDS_SAY = (
     'The diamonds say what is left of that once the missing is in the model: '
     'to the left of the dashed line, nothing.'
@@ -70,6 +72,7 @@ def diagnosis_page(searched: Search, diagnosis: Diagnosis, findings: Sequence[tu
             warnings([*findings, *events(run)]),
             *(_card(finding) for finding in diagnosis.missing),
             gallery(_sections(searched, diagnosis)),
+            gallery(_left_over(searched), 'What is left over', LEFT_OVER),
             _failures(diagnosis.fails_where),
             _not_judged(diagnosis),
             details('Sensor model with what was found (model.yaml)', model_to_yaml(searched.last.model)),
@@ -104,7 +107,11 @@ def _sections(searched: Search, diagnosis: Diagnosis) -> Iterator[Section]:
             drawn_figure = figures.contribution(finding.effect.name, drawn)
             yield Section(f'contribution_{number}', drawn_figure, CAPTIONS['contribution'], half=True)
     yield from _drift_sections(series.held_out_drifts(searched), diagnosis.drift_reference)
-    yield _section('bends', figures.bends(series.bends(searched)))
+
+
+def _left_over(searched: Search) -> Iterator[Section]:
+    for number, asked in enumerate(series.bends(searched), start=1):
+        yield Section(f'left_over_{number}', figures.bend(asked), '', half=True)
 
 
 def _drift_sections(drifts: Mapping[str, BlindDrift], reference: str) -> Iterator[Section]:
@@ -124,7 +131,8 @@ def _section(name: str, figure: object, half: bool = False, **facts: float | str
 
 def _failures(failures: Sequence[Failure]) -> str:
     if not failures:
-        return '<h2>Where the model fails</h2><p>Nowhere by more than chance.</p>'
+        nowhere = 'Nowhere by more than chance and a slowly wandering bias explain.'
+        return f'<h2>Where the model fails</h2><p>{nowhere}</p>'
     shown = [(failure.what, failure.sigma) for failure in failures[:FAILURES]]
     more = ''
     if len(failures) > FAILURES:

@@ -129,7 +129,7 @@ def candidates(searched: Search, diagnosis: Diagnosis) -> list[Candidate]:
     table += [
         Candidate(finding.effect.name, 'found', finding.gain, finding.sigma, math.nan)
         for finding in diagnosis.missing
-        if finding.effect.name not in tried
+        if finding.effect.name not in tried and math.isfinite(finding.gain)
     ]
     table.sort(key=lambda row: row.gain, reverse=True)
     room = max(MOST_CANDIDATES - sum(row.role != 'chance' for row in table), 0)

@@ -24,6 +24,7 @@ class Section:
     """Two of them stand side by side where the screen is wide."""
 
 
+HANDLING = 'In the figures: drag to zoom in, double-click to see all, click a name to hide it.'
 SIGNS = {'good': '✓', 'found': '→', 'bad': '✗'}
 
 
@@ -92,15 +93,15 @@ def meter_table(title: str, heads: tuple[str, str], rows: Sequence[tuple[str, fl
     )
 
 
-def gallery(sections: Iterable[Section]) -> str:
-    """Figures with their captions, and how to handle them."""
+def gallery(sections: Iterable[Section], title: str = '', note: str = HANDLING) -> str:
+    """Figures with their captions, under a heading and a note."""
     drawn = '\n'.join(
         f'<figure class="{width}">{fragment(part.figure, part.name)}'
         f'<figcaption>{escape(part.caption)}</figcaption></figure>'
         for part, width in _widths(list(sections))
     )
-    hint = 'In the figures: drag to zoom in, double-click to see all, click a name to hide it.'
-    return f'<p class="note">{hint}</p><div class="figures">{drawn}</div>'
+    heading = f'<h2>{escape(title)}</h2>' if title else ''
+    return f'{heading}<p class="note">{escape(note)}</p><div class="figures">{drawn}</div>' if drawn else ''
 
 
 def _widths(sections: list[Section]) -> Iterator[tuple[Section, str]]:
@@ -123,13 +124,14 @@ STYLE = """
 @media (prefers-color-scheme: dark) {
   :root { --paper: #14171b; --card: #1e2329; --ink: #e8eaed; --faint: #a3abb5;
     --rule: #39414a; --good: #2fc49a; --found: #6bbcf0; --bad: #ff9a52; }
-  .scatterlayer, .legend .layers { filter: brightness(1.4); }
+  .scatterlayer, .barlayer, .legend .layers { filter: brightness(1.4); }
 }
 * { box-sizing: border-box; }
 body { margin: 0 auto; padding: 1.5rem clamp(1rem, 3vw, 2.5rem) 4rem; max-width: 1280px;
   background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, sans-serif; }
 h1 { font-size: 1.6rem; margin: 0; overflow-wrap: anywhere; }
 h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; }
+.note { max-width: 110ch; }
 .about, .note, figcaption { color: var(--faint); font-size: .9rem; }
 .about { margin: .2rem 0 1.2rem; }
 .verdict { background: var(--card); border-left: 6px solid; padding: 1rem 1.3rem; border-radius: 6px; }

@@ -86,6 +86,8 @@ def estimate_rows(finding: Finding) -> Iterator[tuple[str, str, str, str]]:
     for item, name, value, std in items:
         if std == 0.0:
             yield name, f'{value:.4g}', item.unit, f'{with_unit(float(value), item.unit)}, {UNTOLD}'
+        elif item.unit == '1' and finding.effect.acts_on == 'gyro':
+            yield name, with_std(value, std), '1', f'{with_std(100.0 * value, 100.0 * std)} % of the rate'
         else:
             yield name, with_std(value, std), item.unit, meaning(name, value, std, item.unit)
 

@@ -91,7 +91,7 @@ def where_it_fails(
 def evidence(table: Sequence[Candidate]) -> go.Figure:
     """What every candidate would explain, and how far beyond chance that is."""
     figure = make_subplots(rows=1, cols=2, shared_yaxes=True, horizontal_spacing=0.04)
-    dress(figure, 'What would explain it', 150 + 30 * len(table))
+    dress(figure, 'What would explain it', 150 + 36 * len(table))
     names = [row.name.replace(':', ':<br>') for row in table]
     for role, (label, fill, edge, pattern) in ROLES.items():
         chosen = [place for place, row in enumerate(table) if row.role == role]
@@ -160,28 +160,23 @@ def contribution(name: str, drawn: Contribution) -> go.Figure:
     return figure
 
 
-def bends(asked: Sequence[Bend]) -> go.Figure:
-    """The error of bias and scale as functions of what was recorded, before and after."""
-    rows = (len(asked) + 1) // 2
-    figure = make_subplots(rows=rows, cols=2, horizontal_spacing=0.11, vertical_spacing=0.32 / rows)
-    dress(figure, 'What is left over, by what was recorded', 120 + 250 * rows)
-    for place, bend in enumerate(asked):
-        panel = (place // 2 + 1, place % 2 + 1)
-        unit = 100.0 if bend.of_scale else np.degrees(1.0)
-        ranges = []
-        for name, curve, look in (
-            ('the model as it was', bend.before, BEFORE),
-            ('with the missing added', bend.after, AFTER),
-        ):
-            if curve is not None:
-                value, reach = unit * curve.values, SIGMAS * unit * curve.stds
-                points(figure, curve.knots, value, reach, name, '.3g', panel, look, joined=True)
-                ranges += [value, value + 0.6 * reach, value - 0.6 * reach]
-        label = 'error of the scale (%)' if bend.of_scale else 'error of the bias (deg/s)'
-        figure.update_yaxes(title_text=label, row=panel[0], col=panel[1])
-        figure.update_xaxes(title_text=bend.signal, hoverformat='.4g', row=panel[0], col=panel[1])
-        figure.add_hline(0.0, row=panel[0], col=panel[1], line={'color': GREY, 'width': 1})
-        show(figure, panel, np.concatenate(ranges), margin=0.1)
+def bend(asked: Bend) -> go.Figure:
+    """The error of the bias or the scale as a function of what was recorded, before and after."""
+    kind, unit = ('scale', '%') if asked.of_scale else ('bias', 'deg/s')
+    size = 100.0 if asked.of_scale else np.degrees(1.0)
+    figure = panels(f'{kind.capitalize()} by {asked.signal}', [f'error of the {kind} ({unit})'], 190)
+    ranges = []
+    for name, curve, look in (
+        ('the model as it was', asked.before, BEFORE),
+        ('with the missing added', asked.after, AFTER),
+    ):
+        if curve is not None:
+            value, reach = size * curve.values, SIGMAS * size * curve.stds
+            points(figure, curve.knots, value, reach, name, '.3g', (1, 1), look, joined=True)
+            ranges += [value, value + 0.6 * reach, value - 0.6 * reach]
+    figure.add_hline(0.0, line={'color': GREY, 'width': 1})
+    figure.update_xaxes(title_text=asked.signal, hoverformat='.4g')
+    show(figure, (1, 1), np.concatenate(ranges), margin=0.1)
     return figure
 
 

@@ -1,0 +1,423 @@
+"""The pages about a diagnosis, a comparison and an improvement."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.calibrate import calibrate, hold
+from gyrocal_ros.config import Config, with_settings
+from gyrocal_ros.diagnose.compare import Comparison, compare
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.evidence import Fit
+from gyrocal_ros.diagnose.heading import Headings
+from gyrocal_ros.diagnose.improvement import Improvement, improvement
+from gyrocal_ros.diagnose.recorded import look_at
+from gyrocal_ros.diagnose.regimes import Failure
+from gyrocal_ros.diagnose.search import Search, search
+from gyrocal_ros.diagnose.shapes import RATE, TIME, Oddity, Shape, shapes
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.report import conclusions, model_series, write
+from gyrocal_ros.report import diagnosis_series as series
+from gyrocal_ros.report.comparison_page import comparison_page
+from gyrocal_ros.report.diagnosis_page import diagnosis_page
+from gyrocal_ros.report.figures import diagnosis as figures
+from gyrocal_ros.report.figures import drawing, models
+from gyrocal_ros.report.figures.models import Mark
+from gyrocal_ros.report.html import Section, gallery, text
+from gyrocal_ros.report.improvement_page import improvement_page
+from gyrocal_ros.report.summary import summarise_comparison, summarise_diagnosis, summarise_improvement
+from gyrocal_ros.report.tables import estimate_rows, with_gain
+from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+ASYMMETRY = 0.008
+
+
+@pytest.fixture(scope='module')
+def searched_and_diagnosed() -> tuple[Search, Diagnosis]:
+    scenario = replace(find_scenario('cleaning'), duration_s=90.0)
+    hidden = (HiddenEffect(find_effect('scale_asymmetry'), (ASYMMETRY,)),)
+    config = with_settings(Config(), {'tracker': {'features': 12}})
+    source, config = hold(SimSource(scenario, 3, hidden=hidden), config, default_model())
+    recorded = look_at(source)
+    searched = search(
+        default_model(),
+        recorded,
+        lambda model, candidates: calibrate(source, config, model, candidates=candidates),
+        most=1,
+    )
+    return searched, diagnose(searched, recorded)
+
+
+@pytest.fixture(scope='module')
+def searched(searched_and_diagnosed: tuple[Search, Diagnosis]) -> Search:
+    return searched_and_diagnosed[0]
+
+
+@pytest.fixture(scope='module')
+def diagnosis(searched_and_diagnosed: tuple[Search, Diagnosis]) -> Diagnosis:
+    found = searched_and_diagnosed[1]
+    assert [finding.effect.name for finding in found.missing] == ['scale_asymmetry']
+    return found
+
+
+@pytest.fixture(scope='module')
+def improved(searched: Search) -> Improvement:
+    return improvement(searched)
+
+
+@pytest.fixture(scope='module')
+def comparison(searched: Search) -> Comparison:
+    return compare({'<old>.yaml': searched.first.run, 'new.yaml': searched.last.run}, {'bad.yaml': 'lost'})
+
+
+def noisy(seed: int, bias_rad_s: float = 0.0) -> Headings:
+    """Two minutes of a gyro and a camera that are as noisy as they say."""
+    rng, count, dt_s = np.random.default_rng(seed), 1200, 0.1
+    time_s = dt_s * np.arange(count)
+    rate_noise, std = math.radians(0.03), math.radians(0.05)
+    wander = rate_noise * math.sqrt(dt_s) * rng.normal(size=count)
+    seen = 0.3 * time_s + std * rng.normal(size=count)
+    return Headings(
+        time_s=time_s,
+        dt_s=np.full(count, dt_s),
+        told_s=np.full(count, dt_s),
+        lost_rad=np.zeros(count),
+        turn_rad=0.3 * dt_s + bias_rad_s * dt_s + wander,
+        seen_rad=np.where(np.arange(count) % 2, seen, np.nan),
+        std_rad=np.full(count, std),
+        rate_noise_rad_s=rate_noise,
+        bias_walk_rad_s=0.0,
+    )
+
+
+def shape(signal: str, knots: list[float], values: list[float], stds: list[float]) -> Shape:
+    fitted = Fit(
+        np.arange(len(knots) - 1), np.array(values[1:]), np.diag(np.square(stds[1:])), 10.0, np.ones(9)
+    )
+    return Shape(signal, False, np.array(knots), np.array(values), np.array(stds), fitted)
+
+
+def check_page(page: str, names: list[str]) -> None:
+    """Needs nothing else, and shows each figure once."""
+    own = page.replace(drawing.library(), '')
+    assert re.findall(r'(?:src|href)\s*=|@import|url\(|https?://', own) == []
+    assert re.findall(r'<div id="(\w+)" class="plotly-graph-div"', own) == names
+    assert len(page) < 6_500_000
+
+
+class TestWander:
+    def test_noise_stays_within_what_noise_lets_expect(self) -> None:
+        found = [series.wander(noisy(seed)) for seed in range(8)]
+        for error, std in (('error_rad', 'std_rad'), ('gained_rad', 'gained_std_rad')):
+            z = np.concatenate([getattr(item, error) / getattr(item, std) for item in found])
+            assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2, error
+
+    def test_a_bias_is_taken_out_and_a_jump_of_it_is_not(self) -> None:
+        plain, biased = series.wander(noisy(0)), series.wander(noisy(0, bias_rad_s=0.01))
+        np.testing.assert_allclose(biased.error_rad, plain.error_rad, atol=1e-9)
+        seen = noisy(0)
+        jumped = replace(seen, turn_rad=seen.turn_rad + 0.0005 * (seen.time_s > 60.0))
+        error = series.wander(jumped)
+        assert (np.abs(error.error_rad) > 5.0 * error.std_rad).mean() > 0.5
+
+    def test_windows_add_up_to_the_whole(self) -> None:
+        found = series.wander(noisy(1))
+        assert len(found.gained_s) == 11
+        assert len(found.time_s) <= series.MOMENTS
+        start = found.gained_s[0] - 0.5 * (found.gained_s[1] - found.gained_s[0])
+        ends = np.interp([start, start + 110.0], found.time_s, found.error_rad)
+        assert found.gained_rad.sum() == pytest.approx(ends[1] - ends[0], abs=math.radians(0.2))
+
+
+class TestSeries:
+    def test_a_shape_is_told_less_its_mean(self) -> None:
+        curve = series.centred(
+            shape('temperature (deg C)', [20.0, 25.0, 30.0], [0.0, 1.0, 2.0], [0.0, 0.1, 0.2])
+        )
+        np.testing.assert_allclose(curve.values, [-1.0, 0.0, 1.0], atol=1e-12)
+        np.testing.assert_allclose(curve.stds[0], math.hypot(0.1, 0.2) / 3.0)
+
+    def test_by_the_rate_it_is_told_less_a_straight_line(self) -> None:
+        curve = series.centred(shape(RATE, [-50.0, 0.0, 50.0], [0.0, 2.0, 2.0], [0.0, 0.1, 0.1]))
+        np.testing.assert_allclose(curve.values, [-1.0 / 3.0, 2.0 / 3.0, -1.0 / 3.0], atol=1e-12)
+
+    def test_knots_that_nothing_was_told_of_are_left_out(self) -> None:
+        part = shape(TIME, [0.0, 30.0, 60.0], [0.0, 1.0, math.nan], [0.0, 0.1, math.nan])
+        fitted = replace(part.fit, values=part.fit.values[:1], covariance=part.fit.covariance[:1, :1])
+        curve = series.centred(replace(part, fit=fitted))
+        np.testing.assert_allclose(curve.values, [-0.5, 0.5])
+
+    def test_what_was_left_over_is_flat_once_the_missing_is_added(self, searched: Search) -> None:
+        by_rate = next(item for item in series.bends(searched) if item.signal == RATE)
+        assert by_rate.after is not None
+        before, after = (np.abs(curve.values).max() for curve in (by_rate.before, by_rate.after))
+        assert after < 0.2 * before
+        questions = [(item.signal, item.of_scale) for item in series.bends(searched)]
+        assert len(set(questions)) == len(questions) <= series.MOST_SHAPES
+
+    def test_nothing_is_compared_where_nothing_was_added(self, searched: Search) -> None:
+        alone = replace(searched, changes=())
+        assert all(item.after is None for item in series.bends(alone))
+        assert list(series.held_out_drifts(alone)) == ['the model as it was']
+
+    def test_the_first_shape_of_a_question_is_the_most_telling(self, searched: Search) -> None:
+        every = shapes(searched.first.run, searched.first.seen)
+        first: dict[tuple[str, bool], Shape] = {}
+        for item in every:
+            first.setdefault((item.signal, item.of_scale), item)
+        shown = series.bends(searched)
+        assert [(item.signal, item.of_scale) for item in shown] == list(first)[: len(shown)]
+        np.testing.assert_array_equal(shown[0].before.knots, every[0].knots)
+
+    def test_candidates_have_their_roles(self, searched: Search, diagnosis: Diagnosis) -> None:
+        finding = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
+        table = series.candidates(searched, replace(diagnosis, missing=(finding,)))
+        roles = {row.name: row.role for row in table}
+        assert roles['scale_asymmetry'] == 'found'
+        assert roles['scale_quadratic'] == 'twin'
+        assert 'chance' in roles.values()
+        assert [row.gain for row in table] == sorted((row.gain for row in table), reverse=True)
+        left = {row.name: row.sigma_left for row in table}
+        assert math.isnan(left['scale_asymmetry'])
+        assert left['scale_quadratic'] < 4.5
+
+    def test_a_limit_that_was_not_on_trial_is_shown_too(self, searched: Search, diagnosis: Diagnosis) -> None:
+        limit = replace(diagnosis.missing[0], effect=find_effect('rate_saturation'), gain=900.0)
+        names = [row.name for row in series.candidates(searched, replace(diagnosis, missing=(limit,)))]
+        assert 'rate_saturation' in names
+        rescue = replace(limit, gain=math.inf, sigma=math.inf)
+        rescued = replace(diagnosis, missing=(rescue,))
+        assert all(math.isfinite(row.gain) for row in series.candidates(searched, rescued))
+        assert 'without it the filter loses' in conclusions.of_diagnosis(rescued).sentences[0]
+
+    def test_a_contribution_is_that_of_the_found_values(self, diagnosis: Diagnosis) -> None:
+        finding = diagnosis.missing[0]
+        drawn = series.contribution(finding)
+        assert drawn is not None
+        np.testing.assert_allclose(drawn.y[-1], finding.values[0] * 100.0)
+        np.testing.assert_allclose(drawn.std[0], finding.stds[0] * 100.0)
+        followed = find_effect('covariate_bias:battery_state.current')
+        assert series.contribution(replace(finding, effect=followed)) is None
+
+    def test_coefficients_are_told_in_degrees(self, searched: Search) -> None:
+        run = searched.last.run
+        told = model_series.coefficients([('a', run, True)])
+        assert list(told) == ['bias (deg/s)', 'scale_factor (1)', 'scale_asymmetry (1)']
+        assert told['bias (deg/s)'][0].value == pytest.approx(math.degrees(run.state.bias_rad_s[2]))
+
+    def test_the_worst_places_of_any_model_are_compared(self, comparison: Comparison) -> None:
+        places = [Failure(f'{place}: off', 5.0 + place, regime=f'{place}') for place in range(20)]
+        rivals = [replace(rival, fails_where=tuple(places)) for rival in comparison.rivals]
+        in_time = Failure('10 to 20 s: off', 99.0, from_s=10.0, to_s=20.0)
+        rivals[1] = replace(rivals[1], fails_where=(in_time,))
+        found = model_series.failures_by_model(rivals)
+        assert found['new.yaml'] == {'10 to 20 s': 99.0}
+        assert list(found['<old>.yaml'])[:2] == ['19', '18']
+        assert len(found['<old>.yaml']) == model_series.MOST_PLACES - 1
+
+
+class TestFigures:
+    def test_axes_have_titles_and_traces_names(
+        self, searched: Search, diagnosis: Diagnosis, improved: Improvement, comparison: Comparison
+    ) -> None:
+        revision, run = improved.final, searched.last.run
+        drawn = series.contribution(diagnosis.missing[0])
+        assert drawn is not None
+        history, wander = run.history, series.wander(searched.first.seen)
+        every = [
+            figures.evidence(series.candidates(searched, diagnosis)),
+            figures.contribution('it', drawn),
+            *map(figures.bend, series.bends(searched)),
+            figures.where_it_fails('it', {'a': wander}, history.time_s, history.dt_s),
+            models.drift_by_model('it', [Mark('a', 'held out', revision.held_out)]),
+            models.drift_by_span({'a': revision.held_out}),
+            models.coefficients_by_model(model_series.coefficients([('a', run, True)]), ['a']),
+            models.heading_errors('it', model_series.slam_errors_deg(comparison.rivals)),
+        ]
+        for figure in every:
+            assert figure.layout.title.text
+            assert all(trace.name for trace in figure.data)
+            axes = [*figure.select_xaxes(), *figure.select_yaxes()]
+            assert sum(bool(axis.title.text) for axis in axes) >= 1
+            assert all(len(trace.x) < 2.2 * drawing.POINTS for trace in figure.data)
+
+    def test_estimates_come_with_their_doubt(self, improved: Improvement) -> None:
+        drift = improved.final.held_out
+        figure = models.drift_by_model('it', [Mark('a', 'held out', drift)])
+        (trace,) = figure.data
+        low, high = drift.interval_deg
+        assert trace.y[0] - trace.error_y.arrayminus[0] == pytest.approx(low, rel=1e-5)
+        assert trace.y[0] + trace.error_y.array[0] == pytest.approx(high, rel=1e-5)
+
+    def test_trials_that_were_left_out_are_hollow(self, improved: Improvement) -> None:
+        drift = improved.final.held_out
+        figure = models.drift_by_model('it', [Mark('a', 'x', drift), Mark('b', 'x', drift, is_kept=False)])
+        kept, left_out = figure.data
+        assert left_out.marker.symbol.endswith('-open')
+        assert not kept.marker.symbol.endswith('-open')
+        assert 'left out' in left_out.name
+        assert 'lines' not in left_out.mode
+
+    def test_stretches_and_the_jump_are_marked(self, searched: Search) -> None:
+        history = searched.first.run.history
+        figure = figures.where_it_fails(
+            'it',
+            {'a': series.wander(searched.first.seen)},
+            history.time_s,
+            history.turn_rad,
+            [Failure('', 9.0, from_s=10.0, to_s=20.0), Failure('', 8.0, from_s=40.0, to_s=50.0)],
+            jump_s=33.0,
+        )
+        words = [note.text for note in figure.layout.annotations]
+        assert words == ['<b>1</b>', '<b>2</b>', 'the bias jumped at 33 s ']
+        assert {shape.x0 for shape in figure.layout.shapes} == {10.0, 40.0, 33.0}
+
+
+class TestPages:
+    def test_diagnosis(self, searched: Search, diagnosis: Diagnosis) -> None:
+        page = diagnosis_page(searched, diagnosis, [('warning', 'gaps in the <imu>')])
+        names = ['heading', 'evidence', 'contribution_1', 'drift', 'drift_by_span']
+        names += [f'left_over_{number}' for number in range(1, 7)]
+        check_page(page, names)
+        assert 'gaps in the &lt;imu&gt;' in page
+        assert '<code>gyrocal add scale_asymmetry</code>' in page
+        assert diagnosis.fails_where[0].what in page
+        assert page == diagnosis_page(searched, diagnosis, [('warning', 'gaps in the <imu>')])
+
+    def test_diagnosis_that_found_nothing(self, searched: Search, diagnosis: Diagnosis) -> None:
+        nothing = replace(diagnosis, verdict='nothing_missing', missing=(), fails_where=())
+        blind = replace(nothing, not_judged={'scale_temperature': 'not recorded: temperature'})
+        page = diagnosis_page(replace(searched, changes=()), blind)
+        names = ['heading', 'evidence', 'drift_by_span', *(f'left_over_{number}' for number in range(1, 7))]
+        check_page(page, names)
+        assert 'Nowhere by more than chance' in page
+        assert 'not recorded: temperature' in page
+
+    def test_improvement(self, improved: Improvement) -> None:
+        rejected = replace(improved.final, label='2_gyro_lag', is_kept=False, effect=find_effect('gyro_lag'))
+        tried = replace(improved, revisions=(*improved.revisions, rejected))
+        page = improvement_page(tried)
+        check_page(page, ['drift', 'heading', 'drift_by_span', 'coefficients'])
+        assert '2_gyro_lag' in page
+        assert 'gyro_lag was tried and' in page
+
+    def test_comparison(self, comparison: Comparison) -> None:
+        page = comparison_page(comparison)
+        names = ['drift', 'drift_by_span', 'heading', 'failures', 'truth', 'coefficients', 'innovations']
+        check_page(page, names)
+        assert 'With bad.yaml the filter cannot run: lost' in page
+        assert '&lt;old&gt;.yaml' in page
+        assert '<old>' not in page.replace(drawing.library(), '')
+
+    def test_pages_of_short_recordings_do_without_drift(
+        self, comparison: Comparison, improved: Improvement
+    ) -> None:
+        drift = comparison.rivals[0].drift
+        empty = replace(drift, start_s=drift.start_s[:0], error_rad=drift.error_rad[:0])
+        short = replace(comparison, rivals=tuple(replace(rival, drift=empty) for rival in comparison.rivals))
+        assert '<div id="drift' not in comparison_page(short)
+        revisions = tuple(replace(item, held_out=empty, fitted=empty) for item in improved.revisions)
+        assert '<div id="drift' not in improvement_page(replace(improved, revisions=revisions))
+
+    def test_halves_stand_in_pairs(self, improved: Improvement) -> None:
+        figure = models.drift_by_span({'a': improved.final.held_out})
+        html = gallery([Section(str(number), figure, '', half=True) for number in range(3)])
+        assert re.findall(r'<figure class="(\w+)"', html) == ['half', 'half', 'full']
+
+    def test_code_in_words(self) -> None:
+        assert text('a < b: run `gyrocal`') == 'a &lt; b: run <code>gyrocal</code>'
+
+
+class TestConclusions:
+    def test_each_verdict_has_its_kind(self, diagnosis: Diagnosis) -> None:
+        odd = Oddity(
+            'the bias jumped', 50.0, 9.0, shape(TIME, [0.0, 30.0], [0.0, 1.0], [0.0, 0.1]), at_s=12.0
+        )
+        twin = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
+        for verdict, missing, left, kind in (
+            ('nothing_missing', (), None, 'good'),
+            ('effect_found', diagnosis.missing, None, 'found'),
+            ('cannot_tell', (twin,), None, 'found'),
+            ('cannot_tell', (), None, 'bad'),
+            ('unexplained', (), odd, 'bad'),
+        ):
+            case = replace(diagnosis, verdict=verdict, missing=missing, unexplained=left)
+            words = conclusions.of_diagnosis(case)
+            assert words.kind == kind
+            assert words.good == (verdict == 'nothing_missing')
+            assert bool(words.todo) == (verdict != 'nothing_missing')
+
+    def test_drift_before_and_after_is_said(self, diagnosis: Diagnosis) -> None:
+        finding = replace(diagnosis.missing[0], drift_before_deg=2.0, drift_after_deg=0.25)
+        words = conclusions.of_diagnosis(replace(diagnosis, missing=(finding,)))
+        assert 'drifts 2.00 deg without it and 0.25 deg with it' in ' '.join(words.sentences)
+
+    def test_comparison_says_whether_it_is_chance(self, comparison: Comparison) -> None:
+        old, new = comparison.rivals
+        sure = replace(comparison, rivals=(old, replace(new, gain=50.0, gain_sigma=6.0)))
+        assert 'new.yaml foresees the recording better than' in conclusions.of_comparison(sure).headline
+        by_chance = replace(comparison, rivals=(old, replace(new, gain=0.5, gain_sigma=0.4)))
+        assert 'hardly better' in conclusions.of_comparison(by_chance).headline
+        worse = replace(comparison, rivals=(old, replace(new, gain=-5.0)))
+        assert conclusions.of_comparison(worse).headline.startswith('No other model is better')
+
+    def test_one_model_alone(self, comparison: Comparison) -> None:
+        old = comparison.rivals[0]
+        words = conclusions.of_comparison(replace(comparison, rivals=(old,)))
+        assert not words.good
+        assert 'diagnose' in words.todo[0]
+        fine = replace(comparison, rivals=(replace(old, fails_where=()),))
+        assert conclusions.of_comparison(fine).good
+
+    def test_improvement_says_how_far_it_fell(self, improved: Improvement) -> None:
+        words = conclusions.of_improvement(improved)
+        assert words.headline.startswith('Added scale_asymmetry')
+        alone = replace(improved, revisions=improved.revisions[:1])
+        assert conclusions.of_improvement(alone).todo == ()
+
+    def test_estimates_are_told_with_their_meaning(self, diagnosis: Diagnosis) -> None:
+        finding = diagnosis.missing[0]
+        ((name, value, unit, means),) = estimate_rows(
+            replace(finding, values=np.array([0.008]), stds=np.array([1e-4]))
+        )
+        assert (name, value, unit, means) == (
+            'scale_asymmetry', '0.00800 ± 0.00010', '1', '0.800 ± 0.010 % of the rate',
+        )  # fmt: skip
+        limit = replace(finding, effect=find_effect('rate_saturation'), stds=np.zeros(1))
+        ((_, _, _, means),) = estimate_rows(limit)
+        assert 'not estimated' in means
+
+    def test_gains_that_are_not_numbers(self) -> None:
+        assert with_gain(12.34, 3.21) == '+12.3 (3.2 sigma)'
+        assert with_gain(-1.0, math.nan) == '-1.0'
+        assert with_gain(math.inf, math.nan) == 'runs at all'
+
+
+class TestFolders:
+    def test_hold_the_page_and_the_same_for_programs(
+        self,
+        searched: Search,
+        diagnosis: Diagnosis,
+        comparison: Comparison,
+        improved: Improvement,
+        tmp_path: Path,
+    ) -> None:
+        write.fill_diagnosis(tmp_path / 'a', searched, diagnosis)
+        write.fill_comparison(tmp_path / 'b', comparison)
+        write.fill_improvement(tmp_path / 'c', improved)
+        for name, summary in (
+            ('a/diagnosis.json', summarise_diagnosis(searched, diagnosis)),
+            ('b/comparison.json', summarise_comparison(comparison)),
+            ('c/history.json', summarise_improvement(improved)),
+        ):
+            assert json.loads((tmp_path / name).read_text()).keys() == summary.keys()
+        assert all((tmp_path / name / 'report.html').is_file() for name in 'abc')

@@ -26,6 +26,7 @@ from gyrocal_ros.report.words import (
     coefficients_in_words,
     diagnosis_headline,
     failures_in_words,
+    figure,
     reference_in_words,
 )
 
@@ -85,9 +86,9 @@ def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
                 (
                     finding.effect.name,
                     coefficients_in_words(finding.effect, finding.values, finding.stds),
-                    f'{finding.sigma:.1f}',
-                    f'+{finding.gain:.0f}',
-                    f'{finding.drift_before_deg:.2f} -> {finding.drift_after_deg:.2f} deg',
+                    figure(finding.sigma, '.1f'),
+                    figure(finding.gain, '+.0f'),
+                    f'{figure(finding.drift_before_deg)} -> {figure(finding.drift_after_deg)} deg',
                     ', '.join(finding.confused_with) or '-',
                 )
                 for finding in diagnosis.missing

@@ -19,7 +19,7 @@ from gyrocal_ros.diagnose.search import Change, Search, Stage
 from gyrocal_ros.model.sensor import Effect
 
 CHANCE_SIGMA = 2.0
-"""A held-out drift that differs by less than this differs by chance."""
+"""A difference of less than this may be chance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

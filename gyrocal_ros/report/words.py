@@ -64,6 +64,11 @@ def drift_in_words(drift: BlindDrift) -> str:
     return f'{drift.rms_deg:.2f} ({low:.2f} {above})'
 
 
+def figure(value: float, form: str = '.2f') -> str:
+    """A number, or a dash where there is none: a filter that cannot run without an effect has no drift."""
+    return f'{value:{form}}' if math.isfinite(value) else '-'
+
+
 def failures_in_words(failures: Sequence[Failure], most: int = 5) -> Iterator[str]:
     """A line for each of the worst, or that there is none."""
     if not failures:

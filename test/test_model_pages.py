@@ -190,6 +190,14 @@ class TestSeries:
         assert math.isnan(left['scale_asymmetry'])
         assert left['scale_quadratic'] < 4.5
 
+    def test_a_model_that_could_not_run_is_not_shown(self, searched: Search) -> None:
+        assert list(series.stages(searched)) == ['the model as it was', 'with scale_asymmetry']
+        rescue = replace(searched.changes[0], before=None)
+        rescued = Search(rescue.after, (rescue,))
+        assert (
+            list(series.stages(rescued)) == list(series.held_out_drifts(rescued)) == ['with scale_asymmetry']
+        )
+
     def test_a_limit_that_was_not_on_trial_is_shown_too(self, searched: Search, diagnosis: Diagnosis) -> None:
         limit = replace(diagnosis.missing[0], effect=find_effect('rate_saturation'), gain=900.0)
         names = [row.name for row in series.candidates(searched, replace(diagnosis, missing=(limit,)))]
@@ -236,7 +244,7 @@ class TestFigures:
         every = [
             figures.evidence(series.candidates(searched, diagnosis)),
             figures.contribution('it', drawn),
-            *map(figures.bend, series.bends(searched)),
+            *(figures.bend(asked, ('before', 'after')) for asked in series.bends(searched)),
             figures.where_it_fails('it', {'a': wander}, history.time_s, history.dt_s),
             models.drift_by_model('it', [Mark('a', 'held out', revision.held_out)]),
             models.drift_by_span({'a': revision.held_out}),
@@ -251,12 +259,21 @@ class TestFigures:
             assert all(len(trace.x) < 2.2 * drawing.POINTS for trace in figure.data)
 
     def test_estimates_come_with_their_doubt(self, improved: Improvement) -> None:
-        drift = improved.final.held_out
+        start_s = 5.0 * np.arange(100)
+        drift = replace(improved.final.held_out, start_s=start_s, error_rad=0.01 * np.sin(start_s))
         figure = models.drift_by_model('it', [Mark('a', 'held out', drift)])
         (trace,) = figure.data
         low, high = drift.interval_deg
         assert trace.y[0] - trace.error_y.arrayminus[0] == pytest.approx(low, rel=1e-5)
         assert trace.y[0] + trace.error_y.array[0] == pytest.approx(high, rel=1e-5)
+
+    def test_an_interval_without_end_leaves_the_panel(self, improved: Improvement) -> None:
+        drift = improved.final.held_out
+        few = replace(drift, start_s=drift.start_s[:1], error_rad=drift.error_rad[:1])
+        assert math.isinf(few.interval_deg[1])
+        figure = models.drift_by_model('it', [Mark('a', 'held out', few)])
+        (trace,) = figure.data
+        assert trace.y[0] + trace.error_y.array[0] > figure.layout.yaxis.range[1] > trace.y[0]
 
     def test_trials_that_were_left_out_are_hollow(self, improved: Improvement) -> None:
         drift = improved.final.held_out

@@ -10,7 +10,7 @@ from gyrocal_ros.diagnose.advice import grouped
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
 from gyrocal_ros.diagnose.drift import BlindDrift
 from gyrocal_ros.diagnose.regimes import Failure
-from gyrocal_ros.diagnose.search import Search
+from gyrocal_ros.diagnose.search import Search, Stage
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.report import diagnosis_series as series
@@ -91,16 +91,15 @@ def _card(finding: Finding) -> str:
 
 
 def _sections(searched: Search, diagnosis: Diagnosis) -> Iterator[Section]:
-    first, last = searched.first, searched.last
-    seen = {'the model as it was': first.seen}
-    if last is not first:
-        seen['with the missing added'] = last.seen
+    first = searched.first
+    seen = {name: stage.seen for name, stage in _first_and_last(searched).items()}
     stretches = [failure for failure in diagnosis.fails_where if failure.from_s is not None][:STRETCHES]
     odd = diagnosis.unexplained
     jump_s = None if odd is None else odd.at_s
     yield heading_section('Where the model fails', seen, first.run.history, stretches, jump_s)
-    figure = figures.evidence(series.candidates(searched, diagnosis))
-    yield _section('evidence', figure, diamonds=DIAMONDS_SAY if diagnosis.missing else '')
+    candidates = series.candidates(searched, diagnosis)
+    has_diamonds = any(row.role == 'found' for row in candidates)
+    yield _section('evidence', figures.evidence(candidates), diamonds=DIAMONDS_SAY if has_diamonds else '')
     for number, finding in enumerate(diagnosis.missing, start=1):
         drawn = series.contribution(finding)
         if drawn is not None:
@@ -109,9 +108,17 @@ def _sections(searched: Search, diagnosis: Diagnosis) -> Iterator[Section]:
     yield from _drift_sections(series.held_out_drifts(searched), diagnosis.drift_reference)
 
 
+def _first_and_last(searched: Search) -> dict[str, Stage]:
+    """The model as it was, where it ran at all, and that with all that was found."""
+    (name, first), *more = series.stages(searched).items()
+    return {name: first, 'with all that was found': searched.last} if more else {name: first}
+
+
 def _left_over(searched: Search) -> Iterator[Section]:
+    name, *_ = _first_and_last(searched)
     for number, asked in enumerate(series.bends(searched), start=1):
-        yield Section(f'left_over_{number}', figures.bend(asked), '', half=True)
+        figure = figures.bend(asked, (name, 'with all that was found'))
+        yield Section(f'left_over_{number}', figure, '', half=True)
 
 
 def _drift_sections(drifts: Mapping[str, BlindDrift], reference: str) -> Iterator[Section]:

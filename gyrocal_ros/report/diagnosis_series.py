@@ -11,7 +11,7 @@ from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s, reference_path
 from gyrocal_ros.diagnose.heading import MAP_WALK_DEG, Headings
-from gyrocal_ros.diagnose.search import Search
+from gyrocal_ros.diagnose.search import Search, Stage
 from gyrocal_ros.diagnose.shapes import RATE, Shape, shapes
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.sketch import sketch
@@ -181,13 +181,23 @@ def _question(shape: Shape) -> tuple[str, bool]:
     return shape.signal, shape.of_scale
 
 
+def stages(searched: Search) -> dict[str, Stage]:
+    """The models that were run with success, by name: as it was, and with each effect that was kept.
+
+    The model as it was is not among them where the filter could not run with it.
+    """
+    named = {'the model as it was': searched.first}
+    named |= {f'with {change.effect.name}': change.after for change in searched.kept}
+    lost = any(change.before is None for change in searched.changes)
+    return {name: stage for name, stage in named.items() if name != 'the model as it was' or not lost}
+
+
 def held_out_drifts(searched: Search) -> dict[str, BlindDrift]:
-    """Drift on held-out spans by name: of the model as it was, and of that with what was found."""
+    """Drift on held-out spans by name of the model."""
     reference = reference_path(searched.last.run)
-    stages = {'the model as it was': searched.first}
-    stages |= {f'with {change.effect.name}': change.after for change in searched.kept}
     return {
-        name: blind_drift(stage.run, reference, held_out_from_s(stage.run)) for name, stage in stages.items()
+        name: blind_drift(stage.run, reference, held_out_from_s(stage.run))
+        for name, stage in stages(searched).items()
     }
 
 

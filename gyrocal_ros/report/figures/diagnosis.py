@@ -160,16 +160,18 @@ def contribution(name: str, drawn: Contribution) -> go.Figure:
     return figure
 
 
-def bend(asked: Bend) -> go.Figure:
-    """The error of the bias or the scale as a function of what was recorded, before and after."""
+def bend(asked: Bend, names: tuple[str, str]) -> go.Figure:
+    """The error of the bias or the scale as a function of what was recorded, before and after.
+
+    Args:
+        asked: what was asked of the recording.
+        names: of the model before and after.
+    """
     kind, unit = ('scale', '%') if asked.of_scale else ('bias', 'deg/s')
     size = 100.0 if asked.of_scale else np.degrees(1.0)
     figure = panels(f'{kind.capitalize()} by {asked.signal}', [f'error of the {kind} ({unit})'], 190)
     ranges = []
-    for name, curve, look in (
-        ('the model as it was', asked.before, BEFORE),
-        ('with the missing added', asked.after, AFTER),
-    ):
+    for name, curve, look in zip(names, (asked.before, asked.after), (BEFORE, AFTER), strict=True):
         if curve is not None:
             value, reach = size * curve.values, SIGMAS * size * curve.stds
             points(figure, curve.knots, value, reach, name, '.3g', (1, 1), look, joined=True)

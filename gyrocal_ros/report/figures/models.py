@@ -28,6 +28,8 @@ from gyrocal_ros.report.series import Windows
 
 LOG_FROM = 8.0
 """Where the largest is so many times the smallest, the axis is logarithmic."""
+BEYOND = 10.0
+"""An interval without end leaves the panel: it is drawn so many times as long as its value."""
 
 
 def drift_by_span(drifts: Mapping[str, BlindDrift], looks: Sequence[Look] = LOOKS) -> go.Figure:
@@ -45,7 +47,8 @@ def drift_by_span(drifts: Mapping[str, BlindDrift], looks: Sequence[Look] = LOOK
         ends_s, rms_deg = drift.start_s[[0, -1]], np.full(2, drift.rms_deg)
         line(figure, ends_s, rms_deg, label, '.3f', (1, 1), look.colour, look.dash)
         figure.data[-1].update(showlegend=False, hoverinfo='skip', hovertemplate=None)
-    figure.update_yaxes(type='log', dtick=1)
+    every = np.concatenate([np.abs(np.degrees(drift.error_rad)) for drift in drifts.values()])
+    figure.update_yaxes(type='log', dtick=_log_ticks(every))
     figure.update_xaxes(title_text='beginning of the span (s)')
     rows_px = 20 * len(drifts)
     figure.update_layout(legend_orientation='v', margin_t=60 + rows_px, height=390 + rows_px)
@@ -74,11 +77,7 @@ def drift_by_model(title: str, marks: Sequence[Mark], joined: bool = True) -> go
             chosen = [mark for mark in marks if mark.series == name and mark.is_kept == is_kept]
             if chosen:
                 _add_series(figure, models, chosen, name, look, aside, joined)
-    rms_deg = [mark.drift.rms_deg for mark in marks]
-    if max(rms_deg) > LOG_FROM * min(rms_deg):
-        figure.update_yaxes(type='log', minor={'dtick': 'D1'}, dtick=1)
-    else:
-        figure.update_yaxes(rangemode='tozero')
+    _show_drifts(figure, np.array([(mark.drift.rms_deg, *mark.drift.interval_deg) for mark in marks]))
     figure.update_layout(hovermode='closest')
     _name_models(figure, models)
     return figure
@@ -165,11 +164,29 @@ def _add_series(
     low, high = np.array([mark.drift.interval_deg for mark in marks]).T
     shown = look if is_kept else replace(look, symbol=f'{look.symbol}-open')
     label = name if is_kept else f'{name}, left out'
+    high = np.where(np.isfinite(high), high, BEYOND * rms)
     points(figure, x, rms, np.stack([rms - low, high - rms]), label, '.3g', (1, 1), shown, is_line)
     mode = 'lines+markers+text' if is_line else 'markers+text'
-    words = [f' {value:.2g}' for value in rms]
+    words = [f' {value:.3g} ' for value in rms]
     side = 'middle left' if aside < 0.0 else 'middle right'
     figure.data[-1].update(mode=mode, text=words, textposition=side, textfont={'color': look.colour})
+
+
+def _show_drifts(figure: go.Figure, told: Array) -> None:
+    """Let the panel show all values with their intervals (n, 3); those without end leave it."""
+    rms, low, high = told.T
+    top = 1.1 * float(np.where(np.isfinite(high), high, 2.0 * rms).max())
+    if rms.max() > LOG_FROM * rms.min():
+        bounds = np.log10([0.8 * low.min(), top])
+        figure.update_yaxes(type='log', dtick=_log_ticks(rms), range=bounds)
+    else:
+        figure.update_yaxes(range=[0.0, top])
+
+
+def _log_ticks(values: Array) -> int | str:
+    """One label a decade, or more of them where there are few decades."""
+    positive = values[values > 0.0]
+    return 1 if not len(positive) or positive.max() > 100.0 * positive.min() else 'D2'
 
 
 def _name_models(figure: go.Figure, models: Sequence[str]) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,17 +16,19 @@ from recordings import recording
 from gyrocal_ros.calibrate import calibrate, hold
 from gyrocal_ros.calibration import load_calibration
 from gyrocal_ros.cli import improve
-from gyrocal_ros.cli.diagnose import in_words
+from gyrocal_ros.cli.diagnose import add_arguments, in_words, next_steps
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.cli.passes import Passes
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import TruthSample
 from gyrocal_ros.diagnose.advice import advice
+from gyrocal_ros.diagnose.candidates import with_means
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import Search, search
 from gyrocal_ros.diagnose.shapes import Oddity, shapes
 from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.effects.covariate import covariate_bias
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
@@ -119,6 +123,24 @@ class TestDiagnose:
         assert lines[0] == 'The model lacks scale_asymmetry.'
         assert any('c = 0.01' in line and '->' in line for line in lines)
         assert 'Where the model fails, worst first:' in lines
+
+    def test_the_next_command_can_be_copied(self, searched: tuple[Search, Diagnosis], tmp_path: Path) -> None:
+        model = tmp_path / 'my model.yaml'
+        parser = argparse.ArgumentParser()
+        add_arguments(parser)
+        args = parser.parse_args(['my bag', '-r', 'imu/data_raw:=/imu', '--model', str(model)])
+        finding = searched[1].missing[0]
+        saturation = with_means(find_effect('rate_saturation'), (1.0472,))
+        current = covariate_bias('battery_state.current', reference=-1.61605, spread=0.5)
+        several = tuple(replace(finding, effect=effect) for effect in (finding.effect, saturation, current))
+        lines = list(next_steps(replace(searched[1], missing=several), args))
+        assert f"gyrocal improve 'my bag' -r imu/data_raw:=/imu --model '{model}' -o improved" in lines[5]
+        for line in lines[2:5]:
+            assert main(shlex.split(line.partition(': ')[2])[1:]) == 0
+        _, asymmetry, limit, bias = load_model(model).effects
+        assert asymmetry == find_effect('scale_asymmetry')
+        assert limit.coefficients[0].prior_mean == 1.047
+        assert getattr(bias, 'reference') == -1.616  # noqa: B009
 
     def test_twins_are_named_with_the_motion_that_tells_them_apart(
         self, searched: tuple[Search, Diagnosis]

@@ -8,12 +8,13 @@ each measurement is judged by what was known before it.
 from __future__ import annotations
 
 import argparse
+import shlex
 import time
 from collections.abc import Iterator
 
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table
-from gyrocal_ros.cli.passes import add_pass_options, open_passes, result_folder
+from gyrocal_ros.cli.passes import add_pass_options, open_passes, result_folder, same_bag
 from gyrocal_ros.diagnose.advice import advice, grouped, join
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.recorded import look_at
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print_json(summarise_diagnosis(searched, diagnosis) | {'wall_s': time.perf_counter() - began_s})
     else:
-        print('\n'.join([*in_words(diagnosis), *_next_steps(diagnosis, args)]))
+        print('\n'.join([*in_words(diagnosis), *next_steps(diagnosis, args)]))
         if args.out:
             print(f'\nReport: {args.out / "report.html"}')
 
@@ -100,14 +101,14 @@ def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
         yield f'The strongest suspicion was {best.effect.name}, at {best.fit.sigma:.1f} sigma.'
 
 
-def _next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
+def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
     """What to do, with the very commands."""
     steps = advice(diagnosis)
     if diagnosis.missing:
-        first, model = _as_arguments(diagnosis.missing[0].effect), args.model or 'model.yaml'
+        improve = shlex.join(['gyrocal', 'improve', *same_bag(args), *_same_model(args), '-o', 'improved'])
         steps = [
-            f'Put it into the model: gyrocal add {first} --model {model}',
-            f'Or have that done and measured: gyrocal improve {args.bag} -o improved',
+            *(f'Put it into the model: {add_command(item.effect, args)}' for item in diagnosis.missing),
+            f'Or have that done and measured: {improve}',
             *steps,
         ]
     if steps:
@@ -116,11 +117,25 @@ def _next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]
         yield from (f'  {step}' for step in steps)
 
 
-def _as_arguments(effect: Effect) -> str:
-    """An effect as `gyrocal add` takes it, with what has to be known of it beforehand."""
-    usual, special = find_effect(effect.name), options_of(effect)
-    settings = {name: value for name, value in special.items() if value != options_of(usual)[name]}
-    for item, before in zip(effect.coefficients, usual.coefficients, strict=True):
-        if item.prior_std == 0.0 or item.prior_std != before.prior_std:
-            settings[item.name] = f'{item.prior_mean:.4g}'
-    return ' '.join([effect.name, *(f'--set {name}={value}' for name, value in settings.items())])
+def add_command(effect: Effect, args: argparse.Namespace) -> str:
+    """How to add an effect, with what has to be known of it beforehand."""
+    usual = find_effect(effect.name)
+    before = options_of(usual)
+    settings = {name: value for name, value in options_of(effect).items() if value != before[name]}
+    for item, known in zip(effect.coefficients, usual.coefficients, strict=True):
+        if item.prior_std == 0.0 or item.prior_std != known.prior_std:
+            settings[item.name] = item.prior_mean
+    texts = [
+        f'{name}={value:.4g}' if isinstance(value, float) else f'{name}={value}'
+        for name, value in settings.items()
+    ]
+    model = _same_model(args) if args.model else ['--model', 'model.yaml', *_same_model(args)]
+    return shlex.join(
+        ['gyrocal', 'add', effect.name, *(word for text in texts for word in ('--set', text)), *model]
+    )
+
+
+def _same_model(args: argparse.Namespace) -> list[str]:
+    """The model and the effects of the user's own, as they were given."""
+    named = (('--model', args.model), ('--effects-from', args.effects_from))
+    return [word for option, value in named if value for word in (option, str(value))]

@@ -51,6 +51,18 @@ def add_pass_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
 
 
+def same_bag(args: argparse.Namespace) -> list[str]:
+    """The bag and how to read it, as arguments for another command."""
+    options = [
+        *(('-r', text) for text in args.remap),
+        ('--namespace', args.namespace),
+        ('--heading-reference', args.heading_reference),
+        ('--config', args.config),
+    ]
+    words = [word for option, value in options if value for word in (option, str(value))]
+    return [str(args.bag), *words, *(['--from-images'] if args.from_images else [])]
+
+
 @contextmanager
 def result_folder(args: argparse.Namespace) -> Iterator[Path | None]:
     """The folder for the results, complete when the block ends well; None where none is wanted.

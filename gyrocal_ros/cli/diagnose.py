@@ -8,6 +8,7 @@ each measurement is judged by what was known before it.
 from __future__ import annotations
 
 import argparse
+import math
 import shlex
 import time
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.cli.passes import add_pass_options, open_passes, result_folder, same_bag
 from gyrocal_ros.diagnose.advice import advice, grouped, join
-from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding, diagnose
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.effects import find_effect
@@ -89,7 +90,7 @@ def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
                     coefficients_in_words(finding.effect, finding.values, finding.stds),
                     figure(finding.sigma, '.1f'),
                     figure(finding.gain, '+.0f'),
-                    f'{figure(finding.drift_before_deg)} -> {figure(finding.drift_after_deg)} deg',
+                    _drift_change(finding),
                     ', '.join(finding.confused_with) or '-',
                 )
                 for finding in diagnosis.missing
@@ -99,6 +100,12 @@ def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
     elif diagnosis.ranked:
         best = diagnosis.ranked[0]
         yield f'The strongest suspicion was {best.effect.name}, at {best.fit.sigma:.1f} sigma.'
+
+
+def _drift_change(finding: Finding) -> str:
+    if not math.isfinite(finding.drift_after_deg):
+        return '-'
+    return f'{figure(finding.drift_before_deg)} -> {finding.drift_after_deg:.2f} deg'
 
 
 def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:

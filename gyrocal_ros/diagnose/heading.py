@@ -24,6 +24,9 @@ MAP_WALK_DEG = 0.005
 UNBELIEVABLE = 3.0
 """Innovations beyond so many sigma count the less, the larger they are: few features, a new map."""
 
+TURNING_RAD_S = math.radians(5.0)
+"""From here on the robot counts as turning; on a straight line the rate is noise."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Headings:

@@ -11,13 +11,12 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.evidence import fit
-from gyrocal_ros.diagnose.heading import Headings, heading_evidence
+from gyrocal_ros.diagnose.heading import TURNING_RAD_S, Headings, heading_evidence
 from gyrocal_ros.ekf.evidence import BLOCK_S
 from gyrocal_ros.ekf.run import Run
 
 SIGNIFICANT_SIGMA = 4.5
 """Below this a failure counts as chance: many places are looked at."""
-TURNING_RAD_S = math.radians(5.0)
 RATE_EDGES_DEG_S = (5.0, 20.0, 40.0, 60.0, 80.0, math.inf)
 SPEEDING_UP_M_S2 = 0.15
 SINCE_TURN_S = (0.0, 2.0, 5.0, 10.0, 20.0, math.inf)
@@ -84,7 +83,7 @@ def regimes(run: Run) -> Iterator[Regime]:
     axes = {'time since the start (s)': history.time_s, 'temperature (deg C)': history.temperature_c}
     axes |= {name: history.signals[:, place] for place, name in enumerate(run.signal_names)}
     for name, values in axes.items():
-        yield from _of_signal(name, values, rate)
+        yield from _of_signal(name, values, np.where(turning, rate, 0.0))
 
 
 def _of_rate(rate_deg_s: Array) -> Iterator[Regime]:
@@ -96,7 +95,7 @@ def _of_rate(rate_deg_s: Array) -> Iterator[Regime]:
             yield Regime(f'turning {side} {speed}', (sign * rate_deg_s > low) & (sign * rate_deg_s <= high))
 
 
-def _of_signal(name: str, values: Array, rate_rad_s: Array) -> Iterator[Regime]:
+def _of_signal(name: str, values: Array, turning_rad_s: Array) -> Iterator[Regime]:
     known = values[np.isfinite(values)]
     if len(known) < 2 * PARTS or np.ptp(known) == 0.0:
         return
@@ -104,7 +103,7 @@ def _of_signal(name: str, values: Array, rate_rad_s: Array) -> Iterator[Regime]:
     for low, high in pairwise(edges.tolist()):
         inside = (values >= low) & ((values < high) | (values == edges[-1]))
         yield Regime(f'{name} {low:.4g} to {high:.4g}', inside)
-        yield Regime(f'{name} {low:.4g} to {high:.4g}', inside * rate_rad_s, of_scale=True)
+        yield Regime(f'{name} {low:.4g} to {high:.4g}', inside * turning_rad_s, of_scale=True)
 
 
 def _in_regimes(regimes: list[Regime], seen: Headings) -> Iterator[Failure]:

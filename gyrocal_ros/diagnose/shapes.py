@@ -13,8 +13,9 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.diagnose.evidence import Fit, chi_square_tail, fit, sigma_of
-from gyrocal_ros.diagnose.heading import Headings, heading_evidence
+from gyrocal_ros.diagnose.heading import TURNING_RAD_S, Headings, heading_evidence
 from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.ekf.evidence import BLOCK_S
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Coefficient
 
@@ -23,7 +24,7 @@ TIME_KNOT_S = 30.0
 STEP_S = 2.0
 """How finely the moment of a jump is told."""
 INFLATION = 2.0
-"""The filter's own idea of chance may be too narrow by this, as a variance: a bias wanders by itself."""
+"""The filter's own idea of chance is too narrow by this at least, as a variance: a bias wanders by itself."""
 ODD_SIGMA = 6.0
 """Below this an oddity counts as chance: shapes are many and bend freely."""
 TIME = 'time since the start (s)'
@@ -60,6 +61,8 @@ class Shape:
     values: Array
     stds: Array
     """(k,) at the knots less that at the first one, which has none."""
+    columns: Array
+    """(s, q) rate error of each step per unit of what was fitted, a false scale factor among it."""
     fit: Fit
 
 
@@ -86,13 +89,14 @@ def oddity(run: Run, seen: Headings) -> Oddity | None:
     jumped = jump(seen)
     if jumped is not None and jumped[1].gain - 2.0 > shape.fit.gain - len(shape.fit.values):
         at_s, fitted = jumped
-        sigma = min(fitted.sigma, _sigma(fitted.gain, 2))
+        columns = (seen.time_s >= at_s).astype(float)[:, None]
+        sigma = min(fitted.sigma, _sigma(seen, fitted, columns, 2))
         size = f'{math.degrees(float(fitted.values[0])):+.3f} deg/s'
         shape = next(item for item in found if item.signal == TIME and not item.of_scale)
         odd = Oddity(f'the bias jumped by {size} at {at_s:.0f} s', fitted.gain, sigma, shape, at_s)
     else:
         kind = 'scale' if shape.of_scale else 'bias'
-        sigma = _sigma(shape.fit.gain, len(shape.fit.values))
+        sigma = _sigma(seen, shape.fit, shape.columns, len(shape.fit.values))
         odd = Oddity(f'the {kind} goes with {shape.signal}', shape.fit.gain, sigma, shape)
     return odd if odd.sigma > ODD_SIGMA else None
 
@@ -103,8 +107,10 @@ def shapes(run: Run, seen: Headings) -> list[Shape]:
     A signal that wanders slowly fits anything that wanders slowly.
     """
     rate = run.history.turn_rad / run.history.dt_s
+    # On a straight line the rate is noise, and to take noise away would pass for a false scale.
+    turning = np.where(np.abs(rate) > TURNING_RAD_S, rate, 0.0)
     asked = [
-        (name, of_scale, knots, hats * rate[:, None] if of_scale else hats)
+        (name, of_scale, knots, hats * turning[:, None] if of_scale else hats)
         for name, values in _axes(run)
         for knots, hats in _hats(values, name)
         for of_scale in (False, True)
@@ -120,7 +126,8 @@ def shapes(run: Run, seen: Headings) -> list[Shape]:
             values[0] = stds[0] = 0.0
             places = fitted.columns - start + 1
             values[places], stds[places] = fitted.values, np.sqrt(np.diagonal(fitted.covariance))
-            found.append(Shape(name, of_scale, knots, values, stds, fitted))
+            bent = np.concatenate([rate[:, None], columns[:, fitted.columns - start]], axis=1)
+            found.append(Shape(name, of_scale, knots, values, stds, bent, fitted))
         start = end
     return sorted(found, key=lambda shape: shape.fit.gain - len(shape.fit.values), reverse=True)
 
@@ -136,8 +143,28 @@ def jump(seen: Headings) -> tuple[float, Fit] | None:
     return max(told, key=lambda item: item[1].gain) if told else None
 
 
-def _sigma(gain: float, dof: int) -> float:
-    return sigma_of(chi_square_tail(2.0 * gain / INFLATION, dof))
+def _sigma(seen: Headings, fitted: Fit, columns: Array, dof: int) -> float:
+    """Significance of a fit, by the scatter that it leaves where that is more than the filter expects."""
+    return sigma_of(chi_square_tail(2.0 * fitted.gain / _inflation(seen, columns), dof))
+
+
+def _inflation(seen: Headings, columns: Array) -> float:
+    """Variance of what a fit of columns (s, q) leaves over in each block, by that which the settings promise.
+
+    The images come so often that noise of the gyro hardly shows in a single innovation; over a block
+    it does. The median over the blocks, so that a few that are off for a reason do not hide it.
+    """
+    block = (seen.time_s / BLOCK_S).astype(int)
+    blocks = (block[:, None] == np.arange(block[-1] + 1)).astype(float)
+    evidence = heading_evidence(seen, np.concatenate([blocks, columns], axis=1))
+    own, count = np.arange(blocks.shape[1]), blocks.shape[1]
+    score, information = evidence.score.sum(axis=0), evidence.information.sum(axis=0)
+    values = np.linalg.lstsq(information[count:, count:], score[count:])[0]
+    score = evidence.score[own, own] - evidence.information[own, own, count:] @ values
+    information = evidence.information[own, own, own]
+    known = information > 0.0
+    scatter = 1.4826 * float(np.median(np.abs(score[known]) / np.sqrt(information[known])))
+    return max(INFLATION, scatter**2)
 
 
 def _axes(run: Run) -> Iterator[tuple[str, Array]]:

@@ -70,6 +70,11 @@ def diagnosis(searched_and_diagnosed: tuple[Search, Diagnosis]) -> Diagnosis:
 
 
 @pytest.fixture(scope='module')
+def some_shape(searched: Search) -> Shape:
+    return shapes(searched.first.run, searched.first.seen)[0]
+
+
+@pytest.fixture(scope='module')
 def improved(searched: Search) -> Improvement:
     return improvement(searched)
 
@@ -99,11 +104,13 @@ def noisy(seed: int, bias_rad_s: float = 0.0) -> Headings:
     )
 
 
-def shape(signal: str, knots: list[float], values: list[float], stds: list[float]) -> Shape:
-    fitted = Fit(
-        np.arange(len(knots) - 1), np.array(values[1:]), np.diag(np.square(stds[1:])), 10.0, np.ones(9)
-    )
-    return Shape(signal, False, np.array(knots), np.array(values), np.array(stds), fitted)
+def shape(like: Shape, signal: str, values: list[float], stds: list[float]) -> Shape:
+    """A shape with knots at -50, 0, 50 and so on."""
+    covariance = np.diag(np.square(stds[1:]))
+    fitted = Fit(np.arange(len(values) - 1), np.array(values[1:]), covariance, 10.0, np.ones(9))
+    knots = 50.0 * np.arange(-1, len(values) - 1)
+    told = replace(like, knots=knots, values=np.array(values), stds=np.array(stds), fit=fitted)
+    return replace(told, signal=signal, of_scale=False)
 
 
 def check_page(page: str, names: list[str]) -> None:
@@ -123,11 +130,18 @@ class TestWander:
 
     def test_a_bias_is_taken_out_and_a_jump_of_it_is_not(self) -> None:
         plain, biased = series.wander(noisy(0)), series.wander(noisy(0, bias_rad_s=0.01))
-        np.testing.assert_allclose(biased.error_rad, plain.error_rad, atol=1e-9)
+        np.testing.assert_allclose(biased.error_rad, plain.error_rad, atol=math.radians(0.2))
         seen = noisy(0)
         jumped = replace(seen, turn_rad=seen.turn_rad + 0.0005 * (seen.time_s > 60.0))
         error = series.wander(jumped)
         assert (np.abs(error.error_rad) > 5.0 * error.std_rad).mean() > 0.5
+
+    def test_one_image_that_errs_by_far_is_passed_over(self) -> None:
+        seen = noisy(0)
+        astray = seen.seen_rad.copy()
+        astray[601] += 0.1
+        found = series.wander(replace(seen, seen_rad=astray))
+        assert np.abs(found.error_rad).max() < 0.02
 
     def test_windows_add_up_to_the_whole(self) -> None:
         found = series.wander(noisy(1))
@@ -139,19 +153,17 @@ class TestWander:
 
 
 class TestSeries:
-    def test_a_shape_is_told_less_its_mean(self) -> None:
-        curve = series.centred(
-            shape('temperature (deg C)', [20.0, 25.0, 30.0], [0.0, 1.0, 2.0], [0.0, 0.1, 0.2])
-        )
+    def test_a_shape_is_told_less_its_mean(self, some_shape: Shape) -> None:
+        curve = series.centred(shape(some_shape, TIME, [0.0, 1.0, 2.0], [0.0, 0.1, 0.2]))
         np.testing.assert_allclose(curve.values, [-1.0, 0.0, 1.0], atol=1e-12)
         np.testing.assert_allclose(curve.stds[0], math.hypot(0.1, 0.2) / 3.0)
 
-    def test_by_the_rate_it_is_told_less_a_straight_line(self) -> None:
-        curve = series.centred(shape(RATE, [-50.0, 0.0, 50.0], [0.0, 2.0, 2.0], [0.0, 0.1, 0.1]))
+    def test_by_the_rate_it_is_told_less_a_straight_line(self, some_shape: Shape) -> None:
+        curve = series.centred(shape(some_shape, RATE, [0.0, 2.0, 2.0], [0.0, 0.1, 0.1]))
         np.testing.assert_allclose(curve.values, [-1.0 / 3.0, 2.0 / 3.0, -1.0 / 3.0], atol=1e-12)
 
-    def test_knots_that_nothing_was_told_of_are_left_out(self) -> None:
-        part = shape(TIME, [0.0, 30.0, 60.0], [0.0, 1.0, math.nan], [0.0, 0.1, math.nan])
+    def test_knots_that_nothing_was_told_of_are_left_out(self, some_shape: Shape) -> None:
+        part = shape(some_shape, TIME, [0.0, 1.0, math.nan], [0.0, 0.1, math.nan])
         fitted = replace(part.fit, values=part.fit.values[:1], covariance=part.fit.covariance[:1, :1])
         curve = series.centred(replace(part, fit=fitted))
         np.testing.assert_allclose(curve.values, [-0.5, 0.5])
@@ -355,10 +367,8 @@ class TestPages:
 
 
 class TestConclusions:
-    def test_each_verdict_has_its_kind(self, diagnosis: Diagnosis) -> None:
-        odd = Oddity(
-            'the bias jumped', 50.0, 9.0, shape(TIME, [0.0, 30.0], [0.0, 1.0], [0.0, 0.1]), at_s=12.0
-        )
+    def test_each_verdict_has_its_kind(self, diagnosis: Diagnosis, some_shape: Shape) -> None:
+        odd = Oddity('the bias jumped', 50.0, 9.0, some_shape, at_s=12.0)
         twin = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
         for verdict, missing, left, kind in (
             ('nothing_missing', (), None, 'good'),

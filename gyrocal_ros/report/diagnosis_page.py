@@ -96,7 +96,8 @@ def _sections(searched: Search, diagnosis: Diagnosis) -> Iterator[Section]:
     stretches = [failure for failure in diagnosis.fails_where if failure.from_s is not None][:STRETCHES]
     odd = diagnosis.unexplained
     jump_s = None if odd is None else odd.at_s
-    yield heading_section('Where the model fails', seen, first.run.history, stretches, jump_s)
+    title = 'Heading by the gyro alone' if diagnosis.verdict == 'nothing_missing' else 'Where the model fails'
+    yield heading_section(title, seen, first.run.history, stretches, jump_s)
     candidates = series.candidates(searched, diagnosis)
     has_diamonds = any(row.role == 'found' for row in candidates)
     yield _section('evidence', figures.evidence(candidates), diamonds=DIAMONDS_SAY if has_diamonds else '')

@@ -80,8 +80,10 @@ def wander(seen: Headings) -> Wander:
     fits best is taken out of the error, and out of what noise lets expect likewise.
     """
     told = np.flatnonzero(np.isfinite(seen.seen_rad) & np.isfinite(seen.std_rad))
-    rows = told[np.unique(np.linspace(0, len(told) - 1, MOMENTS).astype(int))]
-    time_s, error = seen.time_s[rows], np.cumsum(seen.turn_rad)[rows] - seen.seen_rad[rows]
+    chosen = np.unique(np.linspace(0, len(told) - 1, MOMENTS).astype(int))
+    rows = told[chosen]
+    away = np.cumsum(seen.turn_rad)[told] - seen.seen_rad[told]
+    time_s, error = seen.time_s[rows], _without_strays(away)[chosen]
     covariance = _wander_covariance(seen, rows)
     basis = np.stack([np.ones(len(rows)), np.cumsum(seen.told_s)[rows]], axis=1)
     without = np.eye(len(rows)) - basis @ np.linalg.pinv(basis)
@@ -98,6 +100,13 @@ def wander(seen: Headings) -> Wander:
         gained_rad=jump @ left,
         gained_std_rad=np.sqrt(np.einsum('wm,mn,wn->w', jump, spread, jump)),
     )
+
+
+def _without_strays(values: Array) -> Array:
+    """Each value (n,), or the one of its neighbours that lies between: one image alone may err by far."""
+    padded = np.concatenate([values[:1], values, values[-1:]])
+    middle: Array = np.median([padded[:-2], values, padded[2:]], axis=0)
+    return middle
 
 
 def _wander_covariance(seen: Headings, rows: IntArray) -> Array:

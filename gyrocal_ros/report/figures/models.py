@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -48,7 +49,7 @@ def drift_by_span(drifts: Mapping[str, BlindDrift], looks: Sequence[Look] = LOOK
         line(figure, ends_s, rms_deg, label, '.3f', (1, 1), look.colour, look.dash)
         figure.data[-1].update(showlegend=False, hoverinfo='skip', hovertemplate=None)
     every = np.concatenate([np.abs(np.degrees(drift.error_rad)) for drift in drifts.values()])
-    figure.update_yaxes(type='log', dtick=_log_ticks(every))
+    figure.update_yaxes(type='log', tickvals=_log_ticks(every))
     figure.update_xaxes(title_text='beginning of the span (s)')
     rows_px = 20 * len(drifts)
     figure.update_layout(legend_orientation='v', margin_t=60 + rows_px, height=390 + rows_px)
@@ -178,15 +179,19 @@ def _show_drifts(figure: go.Figure, told: Array) -> None:
     top = 1.1 * float(np.where(np.isfinite(high), high, 2.0 * rms).max())
     if rms.max() > LOG_FROM * rms.min():
         bounds = np.log10([0.8 * low.min(), top])
-        figure.update_yaxes(type='log', dtick=_log_ticks(rms), range=bounds)
+        figure.update_yaxes(type='log', tickvals=_log_ticks(told), range=bounds)
     else:
         figure.update_yaxes(range=[0.0, top])
 
 
-def _log_ticks(values: Array) -> int | str:
-    """One label a decade, or more of them where there are few decades."""
-    positive = values[values > 0.0]
-    return 1 if not len(positive) or positive.max() > 100.0 * positive.min() else 'D2'
+def _log_ticks(values: Array) -> list[float]:
+    """Powers of ten, and twice and five times these where there are few."""
+    known = values[(values > 0.0) & np.isfinite(values)]
+    if not len(known):
+        return []
+    first, last = (math.floor(math.log10(value)) for value in (known.min(), known.max()))
+    steps = (1.0, 2.0, 5.0) if last - first <= 2 else (1.0,)
+    return [step * 10.0**power for power in range(first, last + 2) for step in steps]
 
 
 def _name_models(figure: go.Figure, models: Sequence[str]) -> None:

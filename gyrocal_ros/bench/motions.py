@@ -20,22 +20,22 @@ from gyrocal_ros.config import Config
 from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.diagnose.candidates import LIMITS, Docket, Trial, columns_of, docket
 from gyrocal_ros.diagnose.evidence import correlation
-from gyrocal_ros.diagnose.motions import kind_of
-from gyrocal_ros.diagnose.ranking import SIGNIFICANT_SIGMA, TWIN_CORRELATION
+from gyrocal_ros.diagnose.motions import ALIKE, DRIVES, kind_of
+from gyrocal_ros.diagnose.ranking import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.recorded import Signal, look_at
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS
 from gyrocal_ros.effects.base import LinearGyroEffect, column
 from gyrocal_ros.ekf.evidence import Evidence
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Coefficient, Effect, GyroEffectOnReadings, SensorModel
-from gyrocal_ros.sim.drives import CONTROLS, EVERYDAY, TEST_DRIVES
+from gyrocal_ros.sim.drives import CONTROLS
 from gyrocal_ros.sim.scenarios import Scenario
 from gyrocal_ros.sim.world import SimSource
 
 BARE = SensorModel('bare', BiasModel(), ())
 """Without a scale factor, so that the likeness of other effects to it can be told."""
-DRIVES: dict[str, Scenario] = {EVERYDAY.name: EVERYDAY, **TEST_DRIVES, **CONTROLS}
-"""The columns of the table."""
+COLUMNS: dict[str, Scenario] = {**DRIVES, **CONTROLS}
+"""Of the table."""
 SIGNAL = Signal('fan_speed.data', mean=10000.0, spread=3200.0)
 """Stands for any recorded signal; the spread is that of a robot that cleans."""
 
@@ -79,20 +79,20 @@ def figures(drive: str) -> Figures:
     for effect, columns in zip(evidence.candidates, columns_of(evidence.candidates), strict=True):
         variants.setdefault(kind_of(effect.name), []).append((effect, columns))
     usual = {name: min(found, key=_unusual) for name, found in variants.items()}
-    scale = usual['scale_factor'][1]
-    free = _given(evidence, scale)
-    shows = {
-        name: _sigma(evidence if name == 'scale_factor' else free, variant) for name, variant in usual.items()
-    }
+    scale_free = _given(evidence, usual['scale_factor'][1])
+    at_all = {name: _sigma(evidence, variant) for name, variant in usual.items()}
+    beside_scale = {name: _sigma(scale_free, variant) for name, variant in usual.items()}
     alike = {}
-    for first, second in combinations(sorted(name for name in shows if shows[name] > SIGNIFICANT_SIGMA), 2):
-        information = evidence if 'scale_factor' in (first, second) else free
-        alike[first, second] = max(
-            correlation(information, usual[one][1], columns)
-            for one, other in ((first, second), (second, first))
-            for _, columns in variants[other]
-        )
-    return Figures(shows, alike)
+    for first, second in combinations(sorted(usual), 2):
+        with_scale = 'scale_factor' in (first, second)
+        information, shows = (evidence, at_all) if with_scale else (scale_free, beside_scale)
+        if min(shows[first], shows[second]) > SIGNIFICANT_SIGMA:
+            alike[first, second] = max(
+                correlation(information, usual[one][1], columns)
+                for one, other in ((first, second), (second, first))
+                for _, columns in variants[other]
+            )
+    return Figures(beside_scale | {'scale_factor': at_all['scale_factor']}, alike)
 
 
 def motions() -> Iterator[dict[str, Any]]:
@@ -102,7 +102,7 @@ def motions() -> Iterator[dict[str, Any]]:
     Two effects have a row where they are known as twins or where some drive finds them alike; nothing
     stands in it for drives in which one of them does not show.
     """
-    every: dict[str, Figures] = dict(zip(DRIVES, in_parallel(figures, DRIVES), strict=True))
+    every: dict[str, Figures] = dict(zip(COLUMNS, in_parallel(figures, COLUMNS), strict=True))
     for effect in (*EFFECTS, *COVARIATE_EFFECTS):
         sigmas = {name: float(f'{found.shows.get(effect, 0.0):.4g}') for name, found in every.items()}
         yield sigmas | {'effect': effect}
@@ -114,7 +114,7 @@ def motions() -> Iterator[dict[str, Any]]:
 
 def _evidence(drive: str) -> Evidence:
     """Of every effect, from a robot whose scale factor is right."""
-    scenario = DRIVES[drive]
+    scenario = COLUMNS[drive]
     source = SimSource(replace(scenario, errors=replace(scenario.errors, scale_factor=1.0)), seed=0)
     trials = docket(BARE, replace(look_at(source), signals=(SIGNAL,))).trials
     lost = [Lost(EFFECTS[name], EFFECTS[name].about.example, name) for name in LIMITS]  # type: ignore[arg-type]
@@ -161,6 +161,4 @@ def _declared_twins() -> set[tuple[str, str]]:
 
 
 def _found_twins(every: dict[str, Figures]) -> set[tuple[str, str]]:
-    return {
-        pair for drive in DRIVES for pair, value in every[drive].alike.items() if value > TWIN_CORRELATION
-    }
+    return {pair for drive in DRIVES for pair, value in every[drive].alike.items() if value > ALIKE}

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
+from gyrocal_ros.diagnose.diagnosis import Diagnosis
+from gyrocal_ros.diagnose.motions import kind_of, table, to_tell_apart
+from gyrocal_ros.diagnose.ranking import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.shapes import TIME, Oddity
-from gyrocal_ros.effects import find_effect
+from gyrocal_ros.sim.drives import TEST_DRIVES
 
 NOT_RECORDED = 'not recorded: '
 CAUTION = (
@@ -17,10 +19,16 @@ CAUTION = (
 
 def advice(diagnosis: Diagnosis) -> list[str]:
     """Sentences for a person, the most urgent first."""
-    sentences = [sentence for finding in diagnosis.missing for sentence in _tell_apart(finding)]
+    sentences = [
+        sentence
+        for finding in diagnosis.missing
+        for sentence in to_tell_apart(finding.effect.name, finding.confused_with)
+    ]
     if diagnosis.unexplained is not None:
         sentences += _of_unexplained(diagnosis.unexplained)
     sentences += _to_record(diagnosis.not_judged)
+    if diagnosis.unexplained is None:  # which hides what else could have been seen
+        sentences += _to_drive(diagnosis.not_judged)
     if diagnosis.verdict == 'cannot_tell' and not diagnosis.missing:
         sentences.append(
             'Record at least two minutes with turns to both sides at several speeds, straight lanes '
@@ -42,16 +50,6 @@ def join(names: list[str], word: str = 'and') -> str:
     return f' {word} '.join([', '.join(names[:-1]), names[-1]]) if len(names) > 1 else ''.join(names)
 
 
-def _tell_apart(finding: Finding) -> Iterator[str]:
-    name = finding.effect.name
-    for other in finding.confused_with:
-        yield f'To tell {name} from {other}, record {_best_motion(name)}; and {_best_motion(other)}.'
-
-
-def _best_motion(name: str) -> str:
-    return find_effect(name).about.best_motion
-
-
 def _of_unexplained(odd: Oddity) -> Iterator[str]:
     if odd.at_s is not None:
         yield f'Find out what happened at {odd.at_s:.0f} s: a knock, a bump, a motor or a fan switched on.'
@@ -68,10 +66,22 @@ def _of_unexplained(odd: Oddity) -> Iterator[str]:
             f'Look for what links the {kind} of the gyro to {signal}. If you know a law, write it as '
             'an effect of your own (docs/your_own_effect.md) and give it with --effects-from.'
         )
-    yield CAUTION
+        yield CAUTION
 
 
 def _to_record(not_judged: dict[str, str]) -> Iterator[str]:
     for why, names in grouped(not_judged).items():
         if why.startswith(NOT_RECORDED):
             yield f'Record {why.removeprefix(NOT_RECORDED)} to judge {join(names)}.'
+
+
+def _to_drive(not_judged: dict[str, str]) -> Iterator[str]:
+    """Drives that bring out what was recorded but not excited."""
+    drives: dict[str, list[str]] = {}
+    for name, why in not_judged.items():
+        shows = table().shows.get(kind_of(name), {})
+        best = max(shows, key=lambda drive: shows[drive], default=None)
+        if best in TEST_DRIVES and shows[best] > SIGNIFICANT_SIGMA and not why.startswith(NOT_RECORDED):
+            drives.setdefault(best, []).append(name)
+    for drive, names in drives.items():
+        yield f'To judge {join(names)}, record five minutes of this: {TEST_DRIVES[drive].about}.'

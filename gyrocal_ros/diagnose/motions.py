@@ -13,11 +13,14 @@ from functools import cache
 from importlib.resources import files
 
 from gyrocal_ros.config import nearest
-from gyrocal_ros.diagnose.ranking import TWIN_CORRELATION, TWIN_SIGMA
+from gyrocal_ros.diagnose.ranking import TWIN_SIGMA
 from gyrocal_ros.effects import COVARIATE_EFFECTS, find_effect
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.sim.drives import EVERYDAY, TEST_DRIVES
 
+ALIKE = 0.85
+"""Pairs whose correlation no drive brings above this have no row of their own."""
+DRIVES = {EVERYDAY.name: EVERYDAY, **TEST_DRIVES}
 MIN_APART = 2.0 * TWIN_SIGMA
 """With d sigma between two effects the right one gains d^2 / 2 more, give or take d: it is preferred by
 d / 2 sigma."""
@@ -30,7 +33,7 @@ class Advice:
     first: str
     second: str
     drive: str
-    """Name of a test drive (`sim.drives`)."""
+    """Name of a test drive (`sim.drives`), or of everyday use where that is best."""
     correlation: float
     """Of the two in that drive."""
     sigma: float
@@ -58,7 +61,7 @@ class Table:
     def correlation(self, first: str, second: str, drive: str) -> float | None:
         """Of two effects in a drive; of a pair that no drive finds alike, the most that it may be."""
         row = self.alike.get(frozenset((first, second)))
-        return TWIN_CORRELATION if row is None else row[drive]
+        return ALIKE if row is None else row[drive]
 
     def apart(self, first: str, second: str, drive: str) -> float:
         """Sigma between two effects in a drive."""
@@ -90,7 +93,7 @@ def tell_apart(first: str, second: str) -> Advice:
     for name in (one, other):
         if name not in known.shows:
             raise ConfigError('has no figures', where=name, todo=nearest(name, list(known.shows)))
-    best = max(TEST_DRIVES, key=lambda drive: known.apart(one, other, drive))
+    best = max(DRIVES, key=lambda drive: known.apart(one, other, drive))
     return Advice(
         first=first,
         second=second,
@@ -102,7 +105,7 @@ def tell_apart(first: str, second: str) -> Advice:
     )
 
 
-def advice(effect_name: str, twin_names: Sequence[str]) -> list[str]:
+def to_tell_apart(effect_name: str, twin_names: Sequence[str]) -> list[str]:
     """What to record next, a sentence for each twin.
 
     Args:
@@ -127,13 +130,12 @@ def _sentence(name: str, twin: str) -> str:
     found = tell_apart(name, twin)
     if not found.helps:
         return f'{to_tell}, measure one of them from outside: no motion tells them apart.'
+    anyway = '' if found.drive == EVERYDAY.name else f', {found.everyday_sigma:.0f} in everyday use'
     return (
-        f'{to_tell}, record five minutes of this: {TEST_DRIVES[found.drive].about}. '
-        f'{found.sigma:.0f} sigma then lie between them at their usual size, '
-        f'{found.everyday_sigma:.0f} in everyday use.'
+        f'{to_tell}, record five minutes of this: {DRIVES[found.drive].about}. '
+        f'{found.sigma:.0f} sigma then lie between them at their usual size{anyway}.'
     )
 
 
 def _best_motion(name: str) -> str:
-    about = getattr(find_effect(name), 'about', None)
-    return about.best_motion if about is not None else f'what brings {name} out'
+    return find_effect(name).about.best_motion

@@ -37,8 +37,8 @@ STRETCHES = 5
 FAILURES = 12
 CAPTIONS = {
     'evidence': """Left, how much better the recording would be foreseen with each effect in the model; right,
-        how far that is beyond chance, whatever the noise settings are. Many effects look significant as long
-        as the missing one is missing, because they resemble it. {diamonds}""",
+        how far that is beyond chance, whatever the noise settings are. Long to the left and short to the
+        right: it fits only a part of the recording. {diamonds}""",
     'contribution': """By the values that were found, with three standard deviations of doubt.""",
     'drift_by_span': """Each mark is a span of {span_s:.0f} s in the later part of the recording, with what
         was known at its beginning, compared with {reference}; the lines are the rms.""",
@@ -50,8 +50,8 @@ LEFT_OVER = (
     'slowly fits anything that does.'
 )
 DIAMONDS_SAY = (
-    'The diamonds say what is left of that once the missing is in the model: '
-    'to the left of the dashed line, nothing.'
+    'Several effects may look significant as long as another is missing, which they resemble. The diamonds '
+    'say what is left of that once it is in the model: to the left of the dashed line, nothing.'
 )
 
 

@@ -168,9 +168,11 @@ class TestDiagnose:
 
     def test_what_to_record_for_what_could_not_be_judged(self, searched: tuple[Search, Diagnosis]) -> None:
         why = dict.fromkeys(('bias_temperature', 'scale_temperature'), 'not recorded: temperature')
+        why['cross_axis'] = 'nothing in this recording depends on it'
         unsure = replace(searched[1], missing=(), verdict='cannot_tell', not_judged=why)
         sentences = advice(unsure)
         assert 'Record temperature to judge bias_temperature and scale_temperature.' in sentences
+        assert any(text.startswith('To judge cross_axis, record five minutes') for text in sentences)
         assert any('turns to both sides' in text for text in sentences)
         told = '\n'.join(in_words(unsure))
         assert told.startswith('This recording cannot tell')

@@ -17,6 +17,7 @@ from gyrocal_ros.ekf.evidence import Evidence
 LAGS = 2
 """Blocks whose scores may depend on each other: what wanders slowly outlasts a block."""
 NOT_EXCITED = 1e-12
+SINGULAR = 1e-12
 MAX_LEVERAGE = 0.98
 """A block that alone decides an estimate leaves no scatter to judge it by."""
 
@@ -117,8 +118,14 @@ def _covariance(information: Array, score: Array, values: Array, inverse: Array)
         cross = corrected[lag:].T @ corrected[:-lag]
         neighbours += (1.0 - lag / (LAGS + 1.0)) * (cross + cross.T)
     views = [inverse, inverse @ alone @ inverse, inverse @ neighbours @ inverse]
-    sound = [view for view in views if np.linalg.eigvalsh(view).min() > 0.0]
+    sound = [view for view in views if _is_sound(view)]
     return min(sound, key=lambda view: float(values @ np.linalg.solve(view, values)))
+
+
+def _is_sound(covariance: Array) -> bool:
+    """Whether a covariance is positive definite by more than rounding: few blocks give fewer directions."""
+    spread = np.linalg.eigvalsh(covariance)
+    return bool(spread[0] > SINGULAR * spread[-1])
 
 
 def correlation(evidence: Evidence, first: IntArray, second: IntArray) -> float:

@@ -122,9 +122,11 @@ def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:
     sigma = better_sigma(before, after)
     if math.isnan(sigma):
         return 'no span is long enough to tell the drift'
+    old, new = f'{before.rms_deg:.2f}', f'{after.rms_deg:.2f}'
+    if old == new:
+        return f'the held-out drift stayed at {new} deg'
     word = 'fell' if sigma > 0.0 else 'rose'
-    change = f'from {before.rms_deg:.2f} to {after.rms_deg:.2f} deg'
-    return f'the held-out drift {word} {change} ({abs(sigma):.1f} sigma)'
+    return f'the held-out drift {word} from {old} to {new} deg ({abs(sigma):.1f} sigma)'
 
 
 def _drifts(stage: Stage, reference: tuple[Path, str]) -> tuple[BlindDrift, BlindDrift]:

@@ -16,6 +16,9 @@ from gyrocal_ros.model.sensor import Effect
 
 SIGNIFICANT_SIGMA = 4.5
 """Below this a candidate counts as chance: many are tried at once."""
+PRICE = 4.0
+"""Log-likelihood that a coefficient has to gain to be worth it: half the logarithm of the number of images
+in some minutes (Schwarz 1978)."""
 TWIN_SIGMA = 3.0
 """A candidate that explains the recording so nearly as well may be meant instead."""
 TWIN_CORRELATION = 0.87
@@ -43,8 +46,8 @@ class Suspect:
 
     @property
     def merit(self) -> float:
-        """Log-likelihood gain less a price of one for each coefficient, a time constant too (Akaike 1974)."""
-        return self.fit.gain - len(self.fit.values) - (self.profile is not None)
+        """Log-likelihood gain less the price of the coefficients, a time constant too."""
+        return self.fit.gain - PRICE * (len(self.fit.values) + (self.profile is not None))
 
     @property
     def is_significant(self) -> bool:

@@ -18,6 +18,7 @@ from gyrocal_ros.ekf.run import Run
 SIGNIFICANT_SIGMA = 4.5
 """Below this a failure counts as chance: many places are looked at."""
 RATE_EDGES_DEG_S = (5.0, 20.0, 40.0, 60.0, 80.0, math.inf)
+GAINING_RAD_S2 = math.radians(30.0)
 SPEEDING_UP_M_S2 = 0.15
 SINCE_TURN_S = (0.0, 2.0, 5.0, 10.0, 20.0, math.inf)
 SINCE_TURN_M = (0.0, 0.3, 1.0, 2.0, math.inf)
@@ -67,6 +68,8 @@ def regimes(run: Run) -> Iterator[Regime]:
     history = run.history
     rate = history.turn_rad / history.dt_s
     yield from _of_rate(np.degrees(rate))
+    gaining = np.gradient(rate, history.time_s) if len(rate) > 1 else np.zeros_like(rate)
+    yield Regime('turns beginning (+) and ending (-)', np.sign(gaining) * (np.abs(gaining) > GAINING_RAD_S2))
     turning = np.abs(rate) > TURNING_RAD_S
     straight = ~turning & (history.resting == 0)
     force = history.forward_m_s2 - np.median(history.forward_m_s2)
@@ -131,8 +134,9 @@ def _in_time(seen: Headings) -> Iterator[Failure]:
     known = information > 0.0
     information = np.where(known, information, 1.0)
     z = score / np.sqrt(information)
-    # The filter's own idea of chance may be wrong: the usual block's is the least to expect.
-    sigma = np.abs(z) / max(1.0, 1.4826 * float(np.median(np.abs(z[known]))))
+    # The filter's own idea of chance may be wrong: so is what differs from one block to the next.
+    chance = 1.4826 * float(np.median(np.abs(np.diff(z[known])))) / math.sqrt(2.0) if known.sum() > 1 else 1.0
+    sigma = np.abs(z) / max(1.0, chance)
     off = np.flatnonzero(sigma > SIGNIFICANT_SIGMA)
     for blocks in np.split(off, np.flatnonzero(np.diff(off) > 1) + 1):
         if len(blocks):

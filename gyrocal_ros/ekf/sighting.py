@@ -163,14 +163,16 @@ def _noise_dominates(innovation: Innovation) -> np.ndarray:
 
 
 def _as_heading(innovation: Innovation) -> tuple[float, float]:
-    """The innovation as a heading error, least squares over the image, and its standard deviation.
+    """The innovation as a heading error, least squares over the image, and what pixel noise makes of it.
 
-    Every pixel has the same noise, so it drops out of the estimate. Not told (NaN) where something
-    else than pixels is measured.
+    A feature counts by its own covariance: one just met, of unknown depth, tells little of the heading.
+    Not told (NaN) where something else than pixels is measured.
     """
     if len(innovation.rows) == 0 or innovation.noise.shape[1] != 2:
         return 0.0, float('nan')
     by_yaw = innovation.prediction.by_pose[:, :, YAW]
-    information = float(np.vdot(by_yaw, by_yaw))
-    heading_rad = float(np.vdot(by_yaw, innovation.residual)) / information
-    return heading_rad, math.sqrt(float(innovation.noise[0, 0, 0]) / information)
+    weighted = np.linalg.solve(innovation.own_covariances(), by_yaw[:, :, None])[:, :, 0]
+    information = float(np.vdot(weighted, by_yaw))
+    heading_rad = float(np.vdot(weighted, innovation.residual)) / information
+    variance = float(np.vdot(weighted, (innovation.noise @ weighted[:, :, None])[:, :, 0]))
+    return heading_rad, math.sqrt(variance) / information

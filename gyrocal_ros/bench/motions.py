@@ -19,9 +19,8 @@ from gyrocal_ros.calibrate import calibrate
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.diagnose.candidates import LIMITS, Docket, Trial, columns_of, docket
-from gyrocal_ros.diagnose.evidence import correlation
+from gyrocal_ros.diagnose.evidence import SIGNIFICANT_SIGMA, correlation
 from gyrocal_ros.diagnose.motions import ALIKE, DRIVES, kind_of
-from gyrocal_ros.diagnose.ranking import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.recorded import Signal, look_at
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS
 from gyrocal_ros.effects.base import LinearGyroEffect, column

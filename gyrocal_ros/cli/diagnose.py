@@ -30,6 +30,7 @@ from gyrocal_ros.report.words import (
     failures_in_words,
     figure,
     reference_in_words,
+    sigma_in_words,
 )
 
 EXAMPLE = """gyrocal diagnose my_bag
@@ -88,7 +89,7 @@ def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
                 (
                     finding.effect.name,
                     coefficients_in_words(finding.effect, finding.values, finding.stds),
-                    figure(finding.sigma, '.1f'),
+                    sigma_in_words(finding.sigma),
                     figure(finding.gain, '+.0f'),
                     _drift_change(finding),
                     ', '.join(finding.confused_with) or '-',
@@ -125,7 +126,7 @@ def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
 
 
 def add_command(effect: Effect, args: argparse.Namespace) -> str:
-    """How to add an effect, with what has to be known of it beforehand."""
+    """How to add an effect, with what was found of it."""
     usual = find_effect(effect.name)
     before = options_of(usual)
     settings = {name: value for name, value in options_of(effect).items() if value != before[name]}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
+from gyrocal_ros.diagnose.evidence import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.motions import kind_of, table, to_tell_apart
-from gyrocal_ros.diagnose.ranking import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.shapes import TIME, Oddity
 from gyrocal_ros.sim.drives import TEST_DRIVES
 

@@ -16,6 +16,8 @@ from gyrocal_ros.ekf.evidence import Evidence
 
 LAGS = 2
 """Blocks whose scores may depend on each other: what wanders slowly outlasts a block."""
+SIGNIFICANT_SIGMA = 4.0
+"""Below this an estimate counts as chance: many are looked at."""
 NOT_EXCITED = 1e-12
 SINGULAR = 1e-12
 MAX_LEVERAGE = 0.98
@@ -39,7 +41,7 @@ class Fit:
 
     @property
     def wald(self) -> float:
-        """Squared distance of the estimate from zero by its covariance, chi-square with q."""
+        """Squared distance of the estimate from zero by its covariance."""
         return float(self.values @ np.linalg.solve(self.covariance, self.values))
 
     @property
@@ -49,8 +51,13 @@ class Fit:
 
     @property
     def p_value(self) -> float:
-        """Chance of so large an estimate where there is nothing."""
-        return chi_square_tail(self.wald, len(self.values))
+        """Chance of so large an estimate where there is nothing.
+
+        A doubt that comes from the scatter of few blocks is itself in doubt: Student's t, here and for
+        several coefficients by the logarithm, which for two is Hotelling's test exactly.
+        """
+        dof = max(len(self.block_gains) - len(self.values), 1)
+        return chi_square_tail(dof * math.log1p(self.wald / dof), len(self.values))
 
 
 def fit(evidence: Evidence, columns: IntArray, given: IntArray | None = None) -> Fit | None:

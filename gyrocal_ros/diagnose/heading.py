@@ -91,6 +91,25 @@ def heading_evidence(seen: Headings, columns: Array) -> Evidence:
     )
 
 
+def misfits(seen: Headings, columns: Array) -> Array:
+    """What each block of time still says of the rate when columns (s, q) are fitted, (B,) in its own sigma.
+
+    That a gyro is noisier than its settings hardly shows in a single innovation, for images come
+    often; over a block it does. Blocks that say nothing are left out.
+    """
+    block = (seen.time_s / BLOCK_S).astype(int)
+    blocks = (block[:, None] == np.arange(block[-1] + 1)).astype(float)
+    evidence = heading_evidence(seen, np.concatenate([blocks, columns], axis=1))
+    own, count = np.arange(blocks.shape[1]), blocks.shape[1]
+    score, information = evidence.score.sum(axis=0), evidence.information.sum(axis=0)
+    values = np.linalg.lstsq(information[count:, count:], score[count:])[0]
+    score = evidence.score[own, own] - evidence.information[own, own, count:] @ values
+    information = evidence.information[own, own, own]
+    known = information > 0.0
+    left: Array = score[known] / np.sqrt(information[known])
+    return left
+
+
 def _innovations(seen: Headings, added_rad: Array) -> tuple[Array, Array, Array]:
     """Sensitivity (s, c), innovation (s,) and its variance (s,); zero, zero, one where nothing is seen.
 

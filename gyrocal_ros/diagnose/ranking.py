@@ -9,13 +9,11 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.candidates import columns_of, with_means
-from gyrocal_ros.diagnose.evidence import Fit, fit, preference
+from gyrocal_ros.diagnose.evidence import SIGNIFICANT_SIGMA, Fit, fit, preference
 from gyrocal_ros.diagnose.profile import Profile, profile
 from gyrocal_ros.ekf.evidence import Evidence
 from gyrocal_ros.model.sensor import Effect
 
-SIGNIFICANT_SIGMA = 4.5
-"""Below this a candidate counts as chance: many are tried at once."""
 PRICE = 4.0
 """Log-likelihood that a coefficient has to gain to be worth it: half the logarithm of the number of images
 in some minutes (Schwarz 1978)."""
@@ -23,8 +21,8 @@ TWIN_SIGMA = 3.0
 """A candidate that explains the recording so nearly as well may be meant instead."""
 TWIN_CORRELATION = 0.87
 """From here on two effects look alike: of what is due to one, the other explains this part, squared."""
-
-
+AT_LEAST_SIGMA, AT_LEAST_PART = 3.0, 0.2
+"""A coefficient may still move by so many of its standard deviations, and by this part of it."""
 NEARBY = 0.4
 """Part of a time constant by which the filter may still move it: further out it goes astray."""
 
@@ -141,21 +139,43 @@ def twins(suspect: Suspect, others: Iterable[Suspect], evidence: Evidence, besid
     ]
 
 
-def with_estimate(suspect: Suspect) -> Effect:
-    """The effect, its prior means moved to what the evidence says.
+def with_estimate(suspect: Suspect, evidence: Evidence) -> Effect:
+    """The effect, expected where the first half of the recording puts it, so that the rest tests it.
 
-    The prior doubts stay, but for an effect with a time constant: there the filter has to begin near.
+    The filter has to begin near: where an effect is doubtful by its usual size, some steps about the wrong
+    place can lead it astray. How near is told by both halves. A time constant is told by the whole.
     """
-    if suspect.profile is None:
-        values = np.array([item.prior_mean for item in suspect.effect.coefficients])
-        values[suspect.places] += suspect.fit.values
-        return with_means(suspect.effect, values.tolist())
-    told = suspect.profile
-    effect = with_means(suspect.effect, (told.amplitude, told.value))
-    stds = (max(abs(told.amplitude), told.amplitude_std), NEARBY * told.value)
-    items = zip(effect.coefficients, stds, strict=True)
+    if suspect.profile is not None:
+        told = suspect.profile
+        near = (max(abs(told.amplitude), told.amplitude_std), NEARBY * told.value)
+        return _expected(suspect.effect, estimate(suspect), np.array(near))
+    values = np.array([item.prior_mean for item in suspect.effect.coefficients])
+    stds = np.array([item.prior_std for item in suspect.effect.coefficients])
+    half, whole, places = fit(evidence.first_half(), suspect.fit.columns), suspect.fit, suspect.places
+    if half is not None and len(half.values) == len(whole.values):
+        values[places] += half.values
+        at_least = [
+            AT_LEAST_SIGMA * np.sqrt(np.diagonal(half.covariance)),
+            np.abs(half.values - whole.values),
+            AT_LEAST_PART * np.abs(whole.values),
+        ]
+        stds[places] = np.minimum(stds[places], np.max(at_least, axis=0))
+    return _expected(suspect.effect, values, stds)
+
+
+def _expected(effect: Effect, values: Array, stds: Array) -> Effect:
+    items = zip(with_means(effect, values.tolist()).coefficients, stds.tolist(), strict=True)
     coefficients = tuple(replace(item, prior_std=std) for item, std in items)
     return replace(effect, coefficients=coefficients)  # type: ignore[type-var]
+
+
+def estimate(suspect: Suspect) -> Array:
+    """Coefficients (k,) by the evidence of the whole recording."""
+    if suspect.profile is not None:
+        return np.array([suspect.profile.amplitude, suspect.profile.value])
+    values = np.array([item.prior_mean for item in suspect.effect.coefficients])
+    values[suspect.places] += suspect.fit.values
+    return values
 
 
 def doubts(suspect: Suspect) -> Array:

@@ -10,14 +10,14 @@ from itertools import pairwise
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.evidence import fit
-from gyrocal_ros.diagnose.heading import TURNING_RAD_S, Headings, heading_evidence
+from gyrocal_ros.diagnose.heading import TURNING_RAD_S, Headings, heading_evidence, misfits
 from gyrocal_ros.ekf.evidence import BLOCK_S
 from gyrocal_ros.ekf.run import Run
 
-SIGNIFICANT_SIGMA = 4.5
+FAILURE_SIGMA = 4.5
 """Below this a failure counts as chance: many places are looked at."""
 RATE_EDGES_DEG_S = (5.0, 20.0, 40.0, 60.0, 80.0, math.inf)
+SIDES = {'left': 1.0, 'right': -1.0}
 GAINING_RAD_S2 = math.radians(30.0)
 SPEEDING_UP_M_S2 = 0.15
 SINCE_TURN_S = (0.0, 2.0, 5.0, 10.0, 20.0, math.inf)
@@ -50,16 +50,21 @@ class Regime:
     column: np.ndarray
     """(s,) rate error per unit: 1 for a false rate (rad/s), the rate itself for a false scale."""
     of_scale: bool = False
+    is_motion: bool = True
+    """How the robot moves just then; else something that changes slowly."""
 
 
 def failures(run: Run, seen: Headings) -> list[Failure]:
     """Where the turns by the gyro differ from what the camera saw by more than chance, worst first.
 
     Errors are those of the gyro with the final coefficients, against a bias that wanders as slowly as
-    the settings say. Their doubt comes from the scatter between blocks of time.
+    the settings say. What is chance is told by how much neighbouring blocks of time differ when all that
+    motion explains is fitted.
     """
     every = [regime for regime in regimes(run) if _length_s(regime, seen) > MIN_LENGTH_S]
-    found = [*_in_regimes(every, seen), *_in_time(seen)]
+    by_motion = np.stack([regime.column for regime in every if regime.is_motion], axis=1).astype(float)
+    chance = max(1.0, _usual(np.diff(misfits(seen, by_motion))) / math.sqrt(2.0))
+    found = [*_in_regimes(every, seen, chance), *_in_time(seen, chance)]
     return sorted(found, key=lambda failure: failure.sigma, reverse=True)
 
 
@@ -82,7 +87,9 @@ def regimes(run: Run) -> Iterator[Regime]:
         since = axis - axis[last]
         for low, high in pairwise(edges):
             span = f'{low:g} to {high:g} {unit}' if high < math.inf else f'{low:g} {unit} and more'
-            yield Regime(f'{span} after a turn', after & (since >= low) & (since < high))
+            inside = after & (since >= low) & (since < high)
+            for side, sign in SIDES.items():
+                yield Regime(f'{span} after a turn to the {side}', inside & (sign * rate[last] > 0.0))
     axes = {'time since the start (s)': history.time_s, 'temperature (deg C)': history.temperature_c}
     axes |= {name: history.signals[:, place] for place, name in enumerate(run.signal_names)}
     for name, values in axes.items():
@@ -91,7 +98,7 @@ def regimes(run: Run) -> Iterator[Regime]:
 
 def _of_rate(rate_deg_s: Array) -> Iterator[Regime]:
     yield Regime('not turning', np.abs(rate_deg_s) <= RATE_EDGES_DEG_S[0])
-    for side, sign in (('left', 1.0), ('right', -1.0)):
+    for side, sign in SIDES.items():
         yield Regime(f'turning {side}', sign * rate_deg_s > RATE_EDGES_DEG_S[0])
         for low, high in pairwise(RATE_EDGES_DEG_S):
             speed = f'at {low:g} to {high:g} deg/s' if high < math.inf else f'faster than {low:g} deg/s'
@@ -105,25 +112,27 @@ def _of_signal(name: str, values: Array, turning_rad_s: Array) -> Iterator[Regim
     edges = np.unique(np.quantile(known, np.linspace(0.0, 1.0, PARTS + 1)))
     for low, high in pairwise(edges.tolist()):
         inside = (values >= low) & ((values < high) | (values == edges[-1]))
-        yield Regime(f'{name} {low:.4g} to {high:.4g}', inside)
-        yield Regime(f'{name} {low:.4g} to {high:.4g}', inside * turning_rad_s, of_scale=True)
+        yield Regime(f'{name} {low:.4g} to {high:.4g}', inside, is_motion=False)
+        yield Regime(f'{name} {low:.4g} to {high:.4g}', inside * turning_rad_s, True, False)
 
 
-def _in_regimes(regimes: list[Regime], seen: Headings) -> Iterator[Failure]:
-    evidence = heading_evidence(seen, np.stack([regime.column for regime in regimes], axis=1).astype(float))
-    for place, regime in enumerate(regimes):
-        fitted = fit(evidence, np.array([place]))
-        if fitted is None or fitted.sigma < SIGNIFICANT_SIGMA:
+def _in_regimes(regimes: list[Regime], seen: Headings, chance: float) -> Iterator[Failure]:
+    columns = np.stack([regime.column for regime in regimes], axis=1).astype(float)
+    total = heading_evidence(seen, columns)
+    information, score = np.einsum('bcc->c', total.information), total.score.sum(axis=0)
+    for place in np.flatnonzero(information > 0.0):
+        regime, value = regimes[place], float(score[place] / information[place])
+        sigma = abs(value) * math.sqrt(information[place]) / chance
+        if sigma < FAILURE_SIGMA:
             continue
-        value = float(fitted.values[0])
         if regime.of_scale:
             error = f'the scale is off by {100.0 * value:+.3f} %'
         else:
             error = f'the gyro is off by {math.degrees(value):+.3f} deg/s'
-        yield Failure(f'{regime.name}: {error}', fitted.sigma, regime=regime.name)
+        yield Failure(f'{regime.name}: {error}', sigma, regime=regime.name)
 
 
-def _in_time(seen: Headings) -> Iterator[Failure]:
+def _in_time(seen: Headings, chance: float) -> Iterator[Failure]:
     """Stretches in which the rate is off; blocks that follow each other are one."""
     block = (seen.time_s / BLOCK_S).astype(int)
     columns = (block[:, None] == np.arange(block[-1] + 1)).astype(float)
@@ -131,13 +140,9 @@ def _in_time(seen: Headings) -> Iterator[Failure]:
     # Each block by what it says of itself: a jump is then where it happened, not wherever it lasts.
     information = np.einsum('bbb->b', evidence.information)
     score = np.einsum('bb->b', evidence.score)
-    known = information > 0.0
-    information = np.where(known, information, 1.0)
-    z = score / np.sqrt(information)
-    # The filter's own idea of chance may be wrong: so is what differs from one block to the next.
-    chance = 1.4826 * float(np.median(np.abs(np.diff(z[known])))) / math.sqrt(2.0) if known.sum() > 1 else 1.0
-    sigma = np.abs(z) / max(1.0, chance)
-    off = np.flatnonzero(sigma > SIGNIFICANT_SIGMA)
+    information = np.where(information > 0.0, information, 1.0)
+    sigma = np.abs(score) / np.sqrt(information) / chance
+    off = np.flatnonzero(sigma > FAILURE_SIGMA)
     for blocks in np.split(off, np.flatnonzero(np.diff(off) > 1) + 1):
         if len(blocks):
             worst = blocks[np.argmax(sigma[blocks])]
@@ -145,6 +150,11 @@ def _in_time(seen: Headings) -> Iterator[Failure]:
             error = f'the gyro is off by up to {math.degrees(score[worst] / information[worst]):+.3f} deg/s'
             what = f'{from_s:.0f} to {to_s:.0f} s: {error}'
             yield Failure(what, float(sigma[worst]), from_s=float(from_s), to_s=to_s)
+
+
+def _usual(values: Array) -> float:
+    """Standard deviation by the median, zero of none."""
+    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
 def _length_s(regime: Regime, seen: Headings) -> float:

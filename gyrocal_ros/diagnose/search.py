@@ -171,7 +171,7 @@ def _next_change(stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: 
 
 def _put_in(suspect: Suspect, stage: Stage, recorded: Recorded, calibrate: Calibrate) -> Change:
     """Put a suspect into the model."""
-    effect = with_estimate(suspect)
+    effect = with_estimate(suspect, stage.evidence)
     return Change(
         effect=effect,
         before=stage,

@@ -13,9 +13,8 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.diagnose.evidence import Fit, chi_square_tail, fit, sigma_of
-from gyrocal_ros.diagnose.heading import TURNING_RAD_S, Headings, heading_evidence
+from gyrocal_ros.diagnose.heading import TURNING_RAD_S, Headings, heading_evidence, misfits
 from gyrocal_ros.effects.base import LinearGyroEffect, column
-from gyrocal_ros.ekf.evidence import BLOCK_S
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Coefficient
 
@@ -90,7 +89,7 @@ def oddity(run: Run, seen: Headings) -> Oddity | None:
     if jumped is not None and jumped[1].gain - 2.0 > shape.fit.gain - len(shape.fit.values):
         at_s, fitted = jumped
         columns = (seen.time_s >= at_s).astype(float)[:, None]
-        sigma = min(fitted.sigma, _sigma(seen, fitted, columns, 2))
+        sigma = _sigma(seen, fitted, columns, 2)
         size = f'{math.degrees(float(fitted.values[0])):+.3f} deg/s'
         shape = next(item for item in found if item.signal == TIME and not item.of_scale)
         odd = Oddity(f'the bias jumped by {size} at {at_s:.0f} s', fitted.gain, sigma, shape, at_s)
@@ -144,27 +143,12 @@ def jump(seen: Headings) -> tuple[float, Fit] | None:
 
 
 def _sigma(seen: Headings, fitted: Fit, columns: Array, dof: int) -> float:
-    """Significance of a fit, by the scatter that it leaves where that is more than the filter expects."""
-    return sigma_of(chi_square_tail(2.0 * fitted.gain / _inflation(seen, columns), dof))
+    """Significance of a fit, by the scatter that it leaves where that is more than the filter expects.
 
-
-def _inflation(seen: Headings, columns: Array) -> float:
-    """Variance of what a fit of columns (s, q) leaves over in each block, by that which the settings promise.
-
-    The images come so often that noise of the gyro hardly shows in a single innovation; over a block
-    it does. The median over the blocks, so that a few that are off for a reason do not hide it.
+    The median over the blocks of time, so that a few that are off for a reason do not hide it.
     """
-    block = (seen.time_s / BLOCK_S).astype(int)
-    blocks = (block[:, None] == np.arange(block[-1] + 1)).astype(float)
-    evidence = heading_evidence(seen, np.concatenate([blocks, columns], axis=1))
-    own, count = np.arange(blocks.shape[1]), blocks.shape[1]
-    score, information = evidence.score.sum(axis=0), evidence.information.sum(axis=0)
-    values = np.linalg.lstsq(information[count:, count:], score[count:])[0]
-    score = evidence.score[own, own] - evidence.information[own, own, count:] @ values
-    information = evidence.information[own, own, own]
-    known = information > 0.0
-    scatter = 1.4826 * float(np.median(np.abs(score[known]) / np.sqrt(information[known])))
-    return max(INFLATION, scatter**2)
+    scatter = 1.4826 * float(np.median(np.abs(misfits(seen, columns))))
+    return sigma_of(chi_square_tail(2.0 * fitted.gain / max(INFLATION, scatter**2), dof))
 
 
 def _axes(run: Run) -> Iterator[tuple[str, Array]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -10,8 +10,9 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, nanoseconds
 from gyrocal_ros.effects.base import LibraryEffect, with_unit
+from gyrocal_ros.effects.words import place_of
 from gyrocal_ros.model.camera import mount_from_yaw, project
-from gyrocal_ros.model.sensor import GyroEffectOnReadings, SignalEffect
+from gyrocal_ros.model.sensor import CameraEffectOnOdometry, GyroEffectOnReadings, SignalEffect
 
 COUNT = 401
 TURNING_RAD_S = np.radians(60.0)
@@ -31,7 +32,7 @@ class Sketch:
     y_label: str
     x: Array
     """(n,)"""
-    lines: dict[str, Array]
+    lines: Mapping[str, Array]
     """Name to (n,)."""
 
 
@@ -44,7 +45,7 @@ def sketch(effect: LibraryEffect, shown: Sequence[tuple[float, ...]] | None = No
             turn.
     """
     every = list(_examples(effect)) if shown is None else list(shown)
-    if effect.acts_on == 'camera':
+    if place_of(effect) == 'camera':
         return _shift_of_pixels(effect, every)
     if effect.acts_on == 'time':
         rate_deg_s = np.linspace(-100.0, 100.0, COUNT)
@@ -63,7 +64,7 @@ def sketch(effect: LibraryEffect, shown: Sequence[tuple[float, ...]] | None = No
         return Sketch(x_label, 'yaw rate (deg/s)', x, lines)
     return Sketch(
         x_label,
-        _Y_LABELS[effect.acts_on],
+        _Y_LABELS[place_of(effect)],
         x,
         {_named(effect, values): _added(effect, block, np.array(values)) for values in every},
     )
@@ -92,6 +93,8 @@ def _named(effect: LibraryEffect, values: tuple[float, ...]) -> str:
 def _added(effect: Any, block: MotionBlock, values: Array) -> Array:
     if effect.acts_on == 'gyro':
         return np.degrees(effect.contribute(block, values, None).rate_rad_s)
+    if isinstance(effect, CameraEffectOnOdometry):
+        return 1e3 * (block.distance_m - effect.odometry(block.distance_m, values))
     if effect.acts_on == 'wheels':
         return 1e3 * effect.contribute(block, values)[0]
     carried = [effect.contribute(block.part(slice(i, i + 1)), values)[0] for i in range(len(block.dt_s))]

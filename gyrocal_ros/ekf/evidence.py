@@ -31,6 +31,11 @@ class Evidence:
     score: Array
     """(B, c) b of each block."""
 
+    def first_half(self) -> Evidence:
+        """That of the first half of the blocks."""
+        half = (len(self.start_s) + 1) // 2
+        return Evidence(self.candidates, self.start_s[:half], self.information[:half], self.score[:half])
+
 
 class EvidenceRecorder:
     """Adds up lessons, block by block."""

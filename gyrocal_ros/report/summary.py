@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from gyrocal_ros.calibration import Calibration, coefficient_table, conclude
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.advice import CAUTION, advice
 from gyrocal_ros.diagnose.compare import Comparison, Rival
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
-from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, heading_rms_deg
+from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, heading_rms_deg, held_out_from_s
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
-from gyrocal_ros.diagnose.ranking import Suspect, doubts, with_estimate
+from gyrocal_ros.diagnose.ranking import Suspect, doubts, estimate
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.diagnose.shapes import Oddity
@@ -39,7 +37,7 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
     }
     heading_rms = heading_rms_deg(run)
     if heading_rms is not None:
-        drift = blind_drift(run)
+        drift = blind_drift(run, from_s=held_out_from_s(run))
         summary['heading_rms_deg'] = heading_rms
         summary['blind_drift_deg'] = {'rms': drift.rms_deg, 'max': drift.max_deg}
     return summary
@@ -130,11 +128,9 @@ def _finding(finding: Finding) -> dict[str, Any]:
 
 
 def _suspect(suspect: Suspect) -> dict[str, Any]:
-    effect = with_estimate(suspect)
-    values = np.array([item.prior_mean for item in effect.coefficients])
     return {
-        'effect': effect.name,
-        'coefficients': _coefficients(effect, values, doubts(suspect)),
+        'effect': suspect.effect.name,
+        'coefficients': _coefficients(suspect.effect, estimate(suspect), doubts(suspect)),
         'log_likelihood_gain': suspect.fit.gain,
         'significance_sigma': suspect.fit.sigma,
         'p_value': suspect.fit.p_value,

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.ranking import SIGNIFICANT_SIGMA
+from gyrocal_ros.diagnose.evidence import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.report.diagnosis_series import Bend, Candidate, Contribution, Wander
 from gyrocal_ros.report.figures.drawing import (

@@ -17,6 +17,7 @@ from gyrocal_ros.calibrate import calibrate
 from gyrocal_ros.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.config import Config, load_config, with_settings
 from gyrocal_ros.data import seconds
+from gyrocal_ros.diagnose.compare import compare
 from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
@@ -31,6 +32,7 @@ from gyrocal_ros.report.figures import drawing
 from gyrocal_ros.report.sections import sections
 from gyrocal_ros.report.summary import summarise
 from gyrocal_ros.report.tables import coefficient_rows, verdict, with_std
+from gyrocal_ros.report.words import sigma_in_words
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -324,6 +326,16 @@ class TestWords:
         turned = replace(calibration, values=np.array([0.0, -1.99]))
         words = verdict(turned, run.config, blind_drift(run), blind_drift(run))
         assert 'reports 1.01 % too much, and turns the wrong way round' in words.sentences[0]
+
+
+def test_a_calibration_and_a_comparison_tell_the_same_drift(run: Run) -> None:
+    drift = compare({'default': run}).rivals[0].drift
+    assert summarise(run, conclude(run))['blind_drift_deg'] == {'rms': drift.rms_deg, 'max': drift.max_deg}
+
+
+@pytest.mark.parametrize(('sigma', 'said'), [(7.46, '7.5'), (30.0, '30.0'), (37.0, '> 30'), (math.nan, '-')])
+def test_sigmas_beyond_doubt_are_not_counted(sigma: float, said: str) -> None:
+    assert sigma_in_words(sigma) == said
 
 
 def test_figures_of_merit_come_without_plotly() -> None:

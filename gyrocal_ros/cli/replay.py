@@ -25,6 +25,8 @@ from gyrocal_ros.recording.bag import open_bag
 from gyrocal_ros.recording.check import check_bag
 from gyrocal_ros.recording.findings import Finding, one_a_kind, refuse_errors
 from gyrocal_ros.report.summary import summarise
+from gyrocal_ros.report.tables import with_std
+from gyrocal_ros.report.words import quantity
 
 EXAMPLE = """gyrocal replay my_bag -o result
 gyrocal replay my_bag --json
@@ -98,29 +100,27 @@ def replay(
 
 def verdict(summary: dict[str, Any]) -> str:
     """The result in a few lines for a person."""
-    lines = [
-        'scale factor  {:.6f} +- {:.6f}   ({:.3f} deg/s/V)'.format(
-            summary['scale_factor'], summary['scale_factor_std'], summary['scale_factor_volt']
+    scale = with_std(summary['scale_factor'], summary['scale_factor_std'])
+    rows = [
+        ('scale factor', f'{scale}   ({summary["scale_factor_volt"]:.3f} deg/s/V)'),
+        *(
+            (name, quantity(entry['value'], entry['std'], entry['unit']))
+            for name, entry in summary['coefficients'].items()
+            if name != 'scale_factor'
         ),
-        'bias          {:+.4f} +- {:.4f} deg/s'.format(
-            math.degrees(summary['bias']), math.degrees(summary['bias_std'])
-        ),
+        ('converged', 'no: see the warnings, and record more turns both ways'),
     ]
-    for name, entry in list(summary['coefficients'].items())[2:]:
-        lines.append(f'{name}  {entry["value"]:.6g} +- {entry["std"]:.2g} {entry["unit"]}')
     if summary['converged']:
-        lines.append(
-            f'converged     after {summary["convergence_time_s"]:.1f} s of {summary["duration_s"]:.0f} s'
-        )
-    else:
-        lines.append('converged     no: see the warnings, and record more turns both ways')
+        converged_s, duration_s = summary['convergence_time_s'], summary['duration_s']
+        rows[-1] = ('converged', f'after {converged_s:.1f} s of {duration_s:.0f} s')
     if 'blind_drift_deg' in summary:
         drift = summary['blind_drift_deg']
-        lines.append(f'heading       {summary["heading_rms_deg"]:.3f} deg rms against the ground truth')
+        rows.append(('heading', f'{summary["heading_rms_deg"]:.3f} deg rms against the ground truth'))
         if math.isfinite(drift['rms']):
-            worst = f'{drift["max"]:.2f} deg at worst'
-            lines.append(f'blind drift   {drift["rms"]:.2f} deg rms, {worst}, after 60 s without the camera')
-    return '\n'.join(lines)
+            after = 'after 60 s without the camera, held out'
+            rows.append(('blind drift', f'{drift["rms"]:.2f} deg rms, {drift["max"]:.2f} at worst, {after}'))
+    width = max(len(label) for label, _ in rows)
+    return '\n'.join(f'{label:{width}}  {text}' for label, text in rows)
 
 
 def _calibrate(

@@ -13,14 +13,13 @@ from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement, Revision
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.report.tables import Kind, Verdict
 from gyrocal_ros.report.words import (
+    BEYOND_DOUBT,
     diagnosis_headline,
     drift_in_words,
     improvement_headline,
     reference_in_words,
 )
 
-BEYOND_DOUBT = 30.0
-"""It does not matter by how many sigma more."""
 COVERED = f'With the camera covered for {SPAN_S:.0f} s the heading drifts'
 
 

@@ -8,7 +8,7 @@ from gyrocal_ros import __version__
 from gyrocal_ros.calibration import Calibration
 from gyrocal_ros.config import to_yaml
 from gyrocal_ros.data import NS_PER_S
-from gyrocal_ros.diagnose.drift import blind_drift
+from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.report import series
@@ -25,7 +25,8 @@ def report_page(run: Run, calibration: Calibration, findings: Sequence[tuple[str
         calibration: what it has found.
         findings: severity and text of what is odd about the recording.
     """
-    before, after = blind_drift(series.uncorrected(run)), blind_drift(run)
+    from_s = held_out_from_s(run)
+    before, after = (blind_drift(one, from_s=from_s) for one in (series.uncorrected(run), run))
     return document(
         f'Gyro calibration of {run.source}',
         f'{calibration.duration_s:.0f} s recorded, model {run.model.name}, gyrocal {__version__}',

@@ -27,9 +27,9 @@ CAPTIONS = {
         is a feature whose distance is not known yet.""",
     'distance': """The paths of the figure above against the ground truth, which is aligned in position and
         heading at the first moment.""",
-    'blind_drift': """Each mark is a span of {span_s:.0f} s in which the gyro is left alone, from the heading
-        and bias that the filter had at its beginning, compared with {reference}. The coefficients are those
-        of this very recording: another recording would be the stricter test.""",
+    'blind_drift': """Each mark is a span of {span_s:.0f} s in the later part of the recording, in which the
+        gyro is left alone with the heading, bias and coefficients that the filter had at its beginning,
+        compared with {reference}: nothing was fitted on what follows.""",
     'heading': """The error should stay inside the band, which is three standard deviations of the heading by
         SLAM.""",
     'heading_alone': """Without ground truth only the filter's own doubt can be shown: three standard

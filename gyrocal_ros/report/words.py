@@ -14,6 +14,9 @@ from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.report.tables import with_std
 
+BEYOND_DOUBT = 30.0
+"""It does not matter by how many sigma more."""
+
 
 def diagnosis_headline(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
@@ -52,7 +55,7 @@ def improvement_headline(improved: Improvement) -> str:
 def coefficients_in_words(effect: Effect, values: Array, stds: Array) -> str:
     """`c = 0.0101 ± 0.0002`, several behind each other; angles in degrees."""
     items = zip(effect.coefficients, values.tolist(), stds.tolist(), strict=True)
-    return ', '.join(f'{item.name} = {_quantity(value, std, item.unit)}' for item, value, std in items)
+    return ', '.join(f'{item.name} = {quantity(value, std, item.unit)}' for item, value, std in items)
 
 
 def drift_in_words(drift: BlindDrift) -> str:
@@ -67,6 +70,11 @@ def drift_in_words(drift: BlindDrift) -> str:
 def figure(value: float, form: str = '.2f') -> str:
     """A number, or a dash where there is none: a filter that cannot run without an effect has no drift."""
     return f'{value:{form}}' if math.isfinite(value) else '-'
+
+
+def sigma_in_words(sigma: float) -> str:
+    """`7.5`, `> 30` where more does not matter, or a dash where there is none."""
+    return figure(sigma, '.1f') if not sigma > BEYOND_DOUBT else f'> {BEYOND_DOUBT:.0f}'
 
 
 def failures_in_words(failures: Sequence[Failure], most: int = 5) -> Iterator[str]:
@@ -84,7 +92,8 @@ def reference_in_words(reference: str) -> str:
     return 'the ground truth' if reference == 'ground truth' else 'the heading by SLAM'
 
 
-def _quantity(value: float, std: float, unit: str) -> str:
+def quantity(value: float, std: float, unit: str) -> str:
+    """`0.0101 ± 0.0002 1/K`, angles in degrees; without the deviation where there is none."""
     if unit.startswith('rad'):
         value, std, unit = math.degrees(value), math.degrees(std), unit.replace('rad', 'deg', 1)
     number = with_std(value, std) if std > 0.0 else f'{value:.4g}'

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,14 @@ from gyrocal_ros.model.features.base import (
     view_from_pose,
 )
 from gyrocal_ros.model.rotation import rotation_from_euler
-from gyrocal_ros.model.sensor import Effect, GroundEffect, GyroEffect, Memory, SensorModel, WheelEffect
+from gyrocal_ros.model.sensor import (
+    Effect,
+    GroundEffect,
+    GyroEffect,
+    Memory,
+    SensorModel,
+    WheelEffect,
+)
 
 CAMERA = CameraIntrinsics(640, 480, 250.0, 260.0, 310.0, 245.0, (-0.05, 0.01, 1e-3, -2e-3, 0.001))
 MOUNT = Mount(rotation_from_euler(np.array([0.03, -0.02, -1.2])), np.array([0.09, -0.03, 0.1]))
@@ -426,3 +434,17 @@ class ImageEffectContract(EffectContract):
         by_values = self.by_values(effect, form, draws(effect)[1])
         moved = prediction.by_feature @ first_sight_by_values(prediction, by_values)
         np.testing.assert_allclose(moved, -by_values, atol=1e-7 * np.abs(by_values).max())
+
+
+class OdometryContract:
+    """Where the odometer's metre is wrong, both sides of the effect say the same of it."""
+
+    def test_the_camera_sits_as_far_as_the_odometer_counts(self, effect: Any) -> None:
+        for values in draws(effect):
+            camera, mount = effect.corrected(CAMERA, MOUNT, values)
+            assert camera == CAMERA and np.array_equal(mount.R_bs, MOUNT.R_bs)
+            np.testing.assert_allclose(mount.p_bs[:2], effect.odometry(MOUNT.p_bs[:2], values), rtol=1e-12)
+            assert mount.p_bs[2] == MOUNT.p_bs[2], 'heights are free'
+
+    def test_nothing_is_counted_at_rest(self, effect: Any) -> None:
+        assert not np.any(effect.odometry(np.zeros(3), draws(effect)[1]))

@@ -16,6 +16,7 @@ from contracts import (
     GroundEffectContract,
     GyroEffectContract,
     ImageEffectContract,
+    OdometryContract,
     WheelEffectContract,
     eventful_block,
     eventful_blocks,
@@ -28,7 +29,15 @@ from gyrocal_ros.effects.model_file import load_model, model_from_dict, model_to
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import shipped
 from gyrocal_ros.model.gyro import correct
-from gyrocal_ros.model.sensor import Effect, GyroEffect, GyroTerm, Memory, coefficient_names, placed
+from gyrocal_ros.model.sensor import (
+    CameraEffectOnOdometry,
+    Effect,
+    GyroEffect,
+    GyroTerm,
+    Memory,
+    coefficient_names,
+    placed,
+)
 
 FURTHER = ('scale_power_4', 'scale_power_9', f'covariate_bias:{SIGNAL}', f'covariate_scale:{SIGNAL}')
 ALL = [*EFFECTS.values(), *map(find_effect, FURTHER)]
@@ -64,6 +73,13 @@ class TestEachGroundEffect(GroundEffectContract):
 
 @acting_on('camera', 'time')
 class TestEachEffectOnImages(ImageEffectContract):
+    pass
+
+
+@pytest.mark.parametrize(
+    'effect', [effect for effect in ALL if isinstance(effect, CameraEffectOnOdometry)], ids=lambda e: e.name
+)
+class TestEachEffectOnOdometry(OdometryContract):
     pass
 
 

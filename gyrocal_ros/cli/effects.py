@@ -16,7 +16,7 @@ from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effec
 from gyrocal_ros.cli.output import print_json
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, find_effect
 from gyrocal_ros.effects.base import LibraryEffect
-from gyrocal_ros.effects.words import PLACES, effect_rows
+from gyrocal_ros.effects.words import PLACES, effect_rows, place_of
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import write_text_atomic
 
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> None:
 def table(effects: list[LibraryEffect]) -> Iterator[str]:
     """One line an effect."""
     rows = [('name', 'acts on', 'correction', 'usual size')]
-    rows += [(item.name, item.acts_on, item.about.equation, item.about.usual_size) for item in effects]
+    rows += [(item.name, place_of(item), item.about.equation, item.about.usual_size) for item in effects]
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     for row in rows:
         cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
@@ -78,7 +78,7 @@ def table(effects: list[LibraryEffect]) -> Iterator[str]:
 
 def explained(effect: LibraryEffect) -> Iterator[str]:
     """All that the library says of one effect."""
-    yield f'{effect.name}, {PLACES[effect.acts_on]}'
+    yield f'{effect.name}, {PLACES[place_of(effect)]}'
     yield ''
     yield from textwrap.wrap(effect.about.physics, WIDTH)
     yield ''
@@ -91,7 +91,7 @@ def as_dict(effect: LibraryEffect) -> dict[str, Any]:
     about = effect.about
     return {
         'name': effect.name,
-        'acts_on': effect.acts_on,
+        'acts_on': place_of(effect),
         'physics': about.physics,
         'equation': about.equation,
         'usual_size': about.usual_size,

@@ -26,7 +26,7 @@ E = TypeVar('E', bound=Effect)
 LIMITS = ('rate_saturation', 'rate_deadband')
 """Effects that enter by a limit: told by the readings, not by sensitivities."""
 MIN_LEVER_M = 0.01
-"""A camera nearer to the turning centre than this says nothing of lengths."""
+"""A distance from the turning centre that is shorter is not known well enough to measure others by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +70,14 @@ def docket(model: SensorModel, recorded: Recorded) -> Docket:
     for name, effect in EFFECTS.items():
         if name in present or name in LIMITS or not set(needs(effect)) <= recorded.extras:
             continue
+        if name == 'wheel_scale' and not has_lever(recorded.rig):
+            continue
         if isinstance(effect, BiasWarmup):
             trials.extend(_warmups(effect))
         elif isinstance(effect, TurnHysteresis):
             trials.extend(_hystereses(effect))
-        elif name != 'wheel_scale':
+        else:
             trials.append(_plain(effect))
-    trials.extend(_wheel_scale(trials, recorded.rig) if 'wheel_scale' not in present else ())
     trials.extend(_plain(effect) for effect in _of_signals(recorded.signals) if effect.name not in present)
     return Docket(tuple(trials))
 
@@ -91,6 +92,11 @@ def needs(effect: Effect) -> tuple[str, ...]:
     """What an effect needs beside IMU, wheels and camera."""
     about = getattr(effect, 'about', None)
     return about.needs if about is not None else ()
+
+
+def has_lever(rig: Rig) -> bool:
+    """Whether a camera is far enough from the turning centre to show how long the odometer's metre is."""
+    return rig.camera is not None and bool(np.hypot(*rig.camera_mount.p_bs[:2]) >= MIN_LEVER_M)
 
 
 def _plain(effect: Effect) -> Trial:
@@ -117,19 +123,6 @@ def _one_of(row: int, count: int) -> Array:
     weights = np.zeros((count, 2))
     weights[row, 0] = 1.0
     return weights
-
-
-def _wheel_scale(trials: Sequence[Trial], rig: Rig) -> list[Trial]:
-    """Wheels that count 1 % too little make a map 1 % too small, and nothing in it tells.
-
-    But for the camera's lever arm, of which 1 % is missing then: to the filter it is as if the camera
-    sat elsewhere. The filter's own sensitivity to the scale of its map is hardly one at all.
-    """
-    lever_m = rig.camera_mount.p_bs[:2]
-    position = next((trial for trial in trials if trial.effect.name == 'camera_position'), None)
-    if position is None or np.hypot(*lever_m) < MIN_LEVER_M:
-        return []
-    return [Trial(EFFECTS['wheel_scale'], position.carried, -lever_m[:, None])]
 
 
 def _of_signals(signals: Sequence[Signal]) -> list[Effect]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.candidates import LIMITS, needs, with_means
+from gyrocal_ros.diagnose.candidates import LIMITS, has_lever, needs, with_means
 from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
 from gyrocal_ros.diagnose.ranking import Suspect, twins
 from gyrocal_ros.diagnose.recorded import Recorded
@@ -148,8 +148,8 @@ def _not_judged(stage: Stage, recorded: Recorded) -> Iterator[tuple[str, str]]:
         lacking = set(needs(effect)) - recorded.extras
         if lacking:
             yield name, f'not recorded: {", ".join(sorted(lacking))}'
-        elif name == 'wheel_scale' and name not in judged:
-            yield name, "only the camera's distance from the turning centre shows it, and that is not known"
+        elif name == 'wheel_scale' and not has_lever(recorded.rig):
+            yield name, 'only a camera at a distance from the turning centre shows it'
         elif name not in judged:
             yield name, 'nothing in this recording depends on it'
         elif not (judged[name].could_show or judged[name].is_significant):

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from gyrocal_ros.data import Array, MotionBlock
+import numpy as np
+
+from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, Place
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
 
 
 @dataclass(frozen=True)
 class WheelScale:
-    """True distance = (1 + s) times odometry."""
+    """True distance = (1 + s) times odometry.
+
+    No measurement tells the size of the map, so the filter keeps path and map in the odometer's metres;
+    a state that stretched them would grow sure of it by linearisation alone. In these metres the camera,
+    whose place is known in true ones, sits 1 + s times nearer to the turning centre. That is all that s
+    changes, and all that shows it.
+    """
 
     about: ClassVar[Explanation] = Explanation(
         physics='The wheels are larger or smaller than believed, by wear, tyre pressure, load or '
-        'carpet that they sink into. Every distance by odometry is off by the same part. As the size '
-        'of everything that the camera maps comes from the wheels, the map shrinks or grows along, '
-        'and little contradicts it.',
+        'carpet that they sink into. Every distance by odometry is off by the same part, and so is '
+        'the size of everything that the camera maps. Nothing in the map contradicts it. Only in turns '
+        'does the camera swing through a circle whose true size is known, and which then looks too '
+        'large or too small beside the rest. Path and map stay in metres of the odometer: multiply '
+        'them by 1 + s for true ones.',
         equation='d = (1 + s) d_odometry',
         usual_size='1 to 5 %',
         best_motion='full turns on the spot, which swing the camera through a circle of known size, '
@@ -29,10 +39,22 @@ class WheelScale:
         example=(0.03,),
         shown_against='distance',
     )
-    acts_on: ClassVar[Place] = 'wheels'
+    acts_on: ClassVar[Place] = 'camera'
     name: str = 'wheel_scale'
     coefficients: tuple[Coefficient, ...] = (Coefficient('s', '1', prior_std=0.03),)
 
-    def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
-        """`s d`."""
-        return values[0] * block.distance_m, block.distance_m[:, None]
+    def corrected(
+        self, camera: CameraIntrinsics, mount: Mount, values: Array
+    ) -> tuple[CameraIntrinsics, Mount]:
+        """The mounting in the odometer's metres; its height stays, for that of the map is free anyway."""
+        x, y, z = mount.p_bs
+        return camera, replace(mount, p_bs=np.array([x / (1.0 + values[0]), y / (1.0 + values[0]), z]))
+
+    def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
+        """Points shift against the camera as it comes nearer, in its axes and in the points' scale."""
+        nearer = seen.R_bc.T[:, :2] @ seen.p_bc[:2] / (1.0 + values[0])
+        return seen.by_point @ (seen.scale[:, None] * nearer)[:, :, None]
+
+    def odometry(self, distance_m: Array, values: Array) -> Array:
+        """What the wheels count."""
+        return distance_m / (1.0 + values[0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gyrocal_ros.effects.base import LibraryEffect, with_unit
-from gyrocal_ros.model.sensor import Coefficient
+from gyrocal_ros.model.sensor import CameraEffectOnOdometry, Coefficient, Effect, Place
 
 PLACES = {
     'gyro': 'in the gyro',
@@ -15,6 +15,11 @@ PLACES = {
     'time': 'in the stamps of the images',
 }
 UNTOLD = 'found in the readings, not estimated'
+
+
+def place_of(effect: Effect) -> Place:
+    """Where the physics is: not always where the filter is corrected."""
+    return 'wheels' if isinstance(effect, CameraEffectOnOdometry) else effect.acts_on
 
 
 def effect_rows(effect: LibraryEffect) -> Iterator[tuple[str, str]]:

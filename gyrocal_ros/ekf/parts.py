@@ -143,6 +143,7 @@ def measurement_by_values(
     seen = SeenPoints(
         view.camera,
         view.R_bc,
+        view.p_bc,
         prediction.points_c,
         prediction.scale,
         prediction.expected,

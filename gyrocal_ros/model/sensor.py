@@ -139,12 +139,26 @@ class CameraEffect(Effect, Protocol):
         """Derivative (m, 2, k) of predicted pixels with respect to the coefficients."""
 
 
+@runtime_checkable
+class CameraEffectOnOdometry(Protocol):
+    """What a camera effect has besides where the camera is right and the odometer's metre is wrong.
+
+    The filter counts all lengths in the odometer's metres, so to it the camera sits elsewhere. To the
+    simulator it sits where it should, and the wheels report other distances.
+    """
+
+    def odometry(self, distance_m: Array, values: Array) -> Array:
+        """Distances (n,) by a right odometer, as they are reported at the coefficient values (k,)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenPoints:
     """What the derivative of a pixel by the camera's own parameters needs."""
 
     camera: CameraIntrinsics
     R_bc: Array
+    p_bc: Array
+    """Where the camera sits, corrected by all effects."""
     points_c: Array
     """(m, 3) in the optical frame, times `scale`."""
     scale: Array

@@ -6,7 +6,7 @@ from html import escape
 
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.sketch import sketch
-from gyrocal_ros.effects.words import PLACES, effect_rows
+from gyrocal_ros.effects.words import PLACES, effect_rows, place_of
 from gyrocal_ros.report.figures import drawing
 from gyrocal_ros.report.html import document
 
@@ -21,7 +21,7 @@ def effect_page(effect: LibraryEffect) -> str:
     )
     return document(
         effect.name,
-        PLACES[effect.acts_on],
+        PLACES[place_of(effect)],
         [
             f'<p class="physics">{escape(effect.about.physics)}</p>',
             f'<figure>{drawing.fragment(figure, "effect")}</figure>',

@@ -15,7 +15,14 @@ import numpy as np
 from gyrocal_ros.config import nearest
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.model.sensor import Effect, GyroEffectOnReadings, Place, RelativeEffect, SignalEffect
+from gyrocal_ros.model.sensor import (
+    CameraEffectOnOdometry,
+    Effect,
+    GyroEffectOnReadings,
+    Place,
+    RelativeEffect,
+    SignalEffect,
+)
 from gyrocal_ros.sim.trajectory import Motion
 
 MAX_ROUNDS = 60
@@ -95,16 +102,23 @@ def nominal_yaw_rate(true_rad_s: Array, scale_factor: float, block: MotionBlock,
 def slip(block: MotionBlock, hidden: Hidden) -> Array:
     """Solve `true = odometry + contributions(odometry)`: how far true is ahead of odometry, (n + 1,).
 
+    Where the odometer's metre is wrong, `true` and the contributions are in metres of its own, as they
+    are to the filter.
+
     Args:
         block: n true steps; the result is for the moments before the first and after each of them.
-        hidden: effects; those that do not act on the wheels are passed by.
+        hidden: effects; those that do not change the odometry are passed by.
     """
     wheels = _acting_on(hidden, 'wheels')
+    own_m = block.distance_m
+    for effect, values in _acting_on(hidden, 'camera'):
+        if isinstance(effect, CameraEffectOnOdometry):
+            own_m = effect.odometry(own_m, values)
     ahead = np.zeros(len(block.dt_s))
     for _ in range(MAX_ROUNDS if wheels else 0):
-        counted = replace(block, distance_m=block.distance_m - ahead)
+        counted = replace(block, distance_m=own_m - ahead)
         ahead = np.sum([effect.contribute(counted, values)[0] for effect, values in wheels], axis=0)
-    return np.concatenate([[0.0], np.cumsum(ahead)])
+    return np.concatenate([[0.0], np.cumsum(block.distance_m - own_m + ahead)])
 
 
 def carried(block: MotionBlock, hidden: Hidden) -> Array:
@@ -119,7 +133,8 @@ def carried(block: MotionBlock, hidden: Hidden) -> Array:
 def true_camera(camera: CameraIntrinsics, mount: Mount, hidden: Hidden) -> tuple[CameraIntrinsics, Mount]:
     """The camera and its mounting as they are, from what is believed of them."""
     for effect, values in _acting_on(hidden, 'camera'):
-        camera, mount = effect.corrected(camera, mount, values)
+        if not isinstance(effect, CameraEffectOnOdometry):
+            camera, mount = effect.corrected(camera, mount, values)
     return camera, mount
 
 

@@ -1,0 +1,131 @@
+"""Wheels of another size: the path stays in the odometer's metres, and only the camera's lever arm tells."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from recordings import recording
+
+from gyrocal_ros.calibrate import calibrate
+from gyrocal_ros.cli.main import main
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import Array, WheelSample
+from gyrocal_ros.diagnose.diagnosis import diagnose
+from gyrocal_ros.diagnose.evidence import correlation
+from gyrocal_ros.diagnose.recorded import look_at
+from gyrocal_ros.diagnose.search import Search, Stage, examine
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION
+from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.sensors import SensorErrors, without_noise
+from gyrocal_ros.sim.world import SimSource
+
+SCALE, SLIP_M = 0.05, 0.02
+WHEELS = HiddenEffect(find_effect('wheel_scale'), (SCALE,))
+SLIP = HiddenEffect(find_effect('turn_slip'), (SLIP_M,))
+
+
+def larger_wheels(*more: HiddenEffect) -> SimSource:
+    """A drive by wheels that are larger than believed."""
+    return recording('cleaning', 2, 100.0, (WHEELS, *more))
+
+
+def model_with(*names: str) -> SensorModel:
+    base = default_model()
+    return replace(base, effects=(*base.effects, *map(find_effect, names)))
+
+
+@cache
+def refit(*names: str) -> Run:
+    """The drive, run with effects whose values are to be found."""
+    return calibrate(larger_wheels(), Config(), model_with(*names))
+
+
+def estimate(run: Run, name: str) -> tuple[float, float]:
+    """Value and standard deviation of a coefficient at the end of a run."""
+    place = COEFFICIENTS_START + run.model.coefficient_names.index(name)
+    return float(run.history.mean[-1, place]), float(run.history.std[-1, place])
+
+
+def looked_at(source: SimSource) -> tuple[Stage, dict[str, str]]:
+    """What everything on trial explains, and what is not judged."""
+    recorded = look_at(source)
+    stage = examine(
+        default_model(), recorded, lambda model, trials: calibrate(source, Config(), model, candidates=trials)
+    )
+    return stage, diagnose(Search(stage, ()), recorded).not_judged
+
+
+def counted_m(*hidden: HiddenEffect) -> Array:
+    """What noiseless wheels report of every interval."""
+    errors = without_noise(SensorErrors())
+    source = recording('cleaning', 2, 20.0, hidden, errors=errors)
+    speeds = [item.speed_m_s for item in source.measurements() if isinstance(item, WheelSample)]
+    return np.array(speeds) / source.scenario.wheel_hz
+
+
+def test_true_distance_is_odometry_times_one_plus_s() -> None:
+    np.testing.assert_allclose((1.0 + SCALE) * counted_m(WHEELS), counted_m(), atol=1e-12)
+
+
+def test_the_wheels_slip_in_metres_of_the_odometer() -> None:
+    slipped = counted_m(SLIP) - counted_m()
+    assert slipped.max() > 1e-4
+    np.testing.assert_allclose(counted_m(WHEELS, SLIP) - counted_m(WHEELS), slipped, atol=1e-12)
+    np.testing.assert_array_equal(counted_m(WHEELS, SLIP), counted_m(SLIP, WHEELS))
+
+
+def test_the_camera_is_where_it_should_be() -> None:
+    source = larger_wheels()
+    np.testing.assert_array_equal(source.truth.camera_mount.p_bs, source.rig.camera_mount.p_bs)
+
+
+def test_the_estimate_is_as_good_as_it_says() -> None:
+    value, std = estimate(refit('wheel_scale'), 'wheel_scale')
+    assert abs(value - SCALE) < 3.0 * std
+    assert 0.002 < std < 0.01, 'half a millimetre of the lever arm of 9 cm'
+
+
+def test_the_path_stays_in_metres_of_the_odometer() -> None:
+    source, run = larger_wheels(), refit('wheel_scale')
+    true = source.truth.position(run.history.time_s)
+    reach_m = np.linalg.norm(np.ptp(true[:, :2], axis=0))
+    found_m = np.linalg.norm(np.ptp(run.history.mean[:, POSITION][:, :2], axis=0))
+    assert reach_m > 1.0
+    assert found_m * (1.0 + SCALE) == pytest.approx(reach_m, rel=0.015)
+
+
+def test_beside_the_place_of_the_camera_nothing_is_learnt() -> None:
+    run = refit('wheel_scale', 'camera_position')
+    value, std = estimate(run, 'wheel_scale')
+    assert std > 0.9 * find_effect('wheel_scale').coefficients[0].prior_std
+    assert abs(value - SCALE) < 3.0 * std
+
+
+def test_to_the_evidence_it_is_the_camera_along_its_lever_arm() -> None:
+    stage, not_judged = looked_at(larger_wheels())
+    found = {suspect.effect.name: suspect for suspect in stage.suspects}
+    wheels, camera = found['wheel_scale'], found['camera_position']
+    assert correlation(stage.evidence, wheels.columns, camera.columns) == pytest.approx(1.0, abs=1e-6)
+    assert abs(wheels.fit.values[0] - SCALE) < 4.0 * np.sqrt(wheels.fit.covariance[0, 0])
+    assert 'wheel_scale' not in not_judged
+
+
+@pytest.mark.parametrize('at_m', [0.0, 0.005])
+def test_without_a_lever_arm_it_is_not_judged(at_m: float) -> None:
+    centred = recording('cleaning', 2, 20.0, (WHEELS,), mount_xyz_m=(0.0, at_m, 0.1))
+    stage, not_judged = looked_at(centred)
+    assert 'wheel_scale' not in {suspect.effect.name for suspect in stage.suspects}
+    assert 'distance from the turning centre' in not_judged['wheel_scale']
+
+
+def test_people_find_it_in_the_wheels(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['effects', 'wheel_scale', '--json']) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told['acts_on'] == 'wheels' and 'metres of the odometer' in told['physics']

@@ -84,6 +84,8 @@ def regimes(run: Run) -> Iterator[Regime]:
     after = ~turning & (last >= 0)
     travelled_m = np.cumsum(np.abs(history.distance_m))
     for unit, axis, edges in (('s', history.time_s, SINCE_TURN_S), ('m', travelled_m, SINCE_TURN_M)):
+        if axis[-1] == axis[0]:
+            continue  # without odometry nobody knows how far the robot went
         since = axis - axis[last]
         for low, high in pairwise(edges):
             span = f'{low:g} to {high:g} {unit}' if high < math.inf else f'{low:g} {unit} and more'

@@ -68,8 +68,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _run(arguments: list[str]) -> None:
-    name = _overview().parse_args(arguments[:1]).command
+def parser_of(name: str) -> ArgumentParser:
+    """The parser of one command.
+
+    Args:
+        name: one of `COMMANDS`.
+    """
     module = importlib.import_module(f'gyrocal_ros.cli.{name}')
     parser = ArgumentParser(
         prog=f'gyrocal {name}',
@@ -78,7 +82,13 @@ def _run(arguments: list[str]) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     module.add_arguments(parser)
-    module.run(parser.parse_args(arguments[1:]))
+    return parser
+
+
+def _run(arguments: list[str]) -> None:
+    name = _overview().parse_args(arguments[:1]).command
+    args = parser_of(name).parse_args(arguments[1:])
+    importlib.import_module(f'gyrocal_ros.cli.{name}').run(args)
 
 
 def _overview() -> ArgumentParser:

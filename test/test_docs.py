@@ -1,0 +1,78 @@
+"""The pages say what is true: their commands can be given, their links and pictures are there."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gyrocal_ros.cli.main import COMMANDS, parser_of
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([*ROOT.glob('*.md'), *ROOT.glob('docs/*.md'), *ROOT.glob('bags/*.md')])
+CODE = re.compile(r'^```\w*\n(.*?)^```|^ {4}(\S.*)$|`([^`\n]+)`', re.DOTALL | re.MULTILINE)
+"""A fenced block, an indented line, words between backticks."""
+COMMAND = re.compile(r'\bgyrocal ([a-z][^`\n]*)')
+LINK = re.compile(r'\]\(([^)\s]+)\)')
+MOST_BYTES = 150_000
+
+
+def commands(text: str) -> Iterator[str]:
+    """Every command line of a page, without the word `gyrocal`."""
+    for match in CODE.finditer(text):
+        code = next(part for part in match.groups() if part is not None)
+        yield from COMMAND.findall(code.replace('\\\n', ' '))
+
+
+def links(page: Path) -> list[str]:
+    """What a page links to in this repository."""
+    targets = [target.partition('#')[0] for target in LINK.findall(page.read_text(encoding='utf-8'))]
+    return [target for target in targets if target and '://' not in target]
+
+
+def check(command: str) -> None:
+    """Parse a command line; its name alone may stand for it."""
+    name, *arguments = shlex.split(command, comments=True)
+    assert name in COMMANDS, command
+    if arguments and '--help' not in arguments:
+        parser_of(name).parse_args(arguments)
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_every_command_can_be_given(page: Path) -> None:
+    for command in commands(page.read_text(encoding='utf-8')):
+        check(command)
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_every_example_can_be_given(name: str) -> None:
+    example: str = importlib.import_module(f'gyrocal_ros.cli.{name}').EXAMPLE
+    for line in example.splitlines():
+        assert line.startswith('gyrocal ')
+        check(line.removeprefix('gyrocal '))
+
+
+def test_commands_are_found_wherever_they_stand() -> None:
+    page = 'Say `gyrocal demo`:\n\n    gyrocal check bag  # why\n\n```\nNext: gyrocal add \\\n  gyro_lag\n```\n'
+    assert [shlex.split(found, comments=True) for found in commands(page)] == [
+        ['demo'],
+        ['check', 'bag'],
+        ['add', 'gyro_lag'],
+    ]
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    missing = [target for target in links(page) if not (page.parent / target).exists()]
+    assert not missing
+
+
+def test_pictures_are_small_and_shown() -> None:
+    shown = {(page.parent / target).resolve() for page in PAGES for target in links(page)}
+    for picture in (ROOT / 'docs/images').iterdir():
+        assert picture in shown, f'no page shows {picture.name}'
+        assert picture.stat().st_size < MOST_BYTES, picture.name

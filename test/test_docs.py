@@ -57,7 +57,7 @@ def test_every_example_can_be_given(name: str) -> None:
 
 
 def test_commands_are_found_wherever_they_stand() -> None:
-    page = 'Say `gyrocal demo`:\n\n    gyrocal check bag  # why\n\n```\nNext: gyrocal add \\\n  gyro_lag\n```\n'
+    page = 'Say `gyrocal demo`.\n\n    gyrocal check bag  # why\n\n```\nDo: gyrocal add \\\n  gyro_lag\n```\n'
     assert [shlex.split(found, comments=True) for found in commands(page)] == [
         ['demo'],
         ['check', 'bag'],

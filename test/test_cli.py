@@ -162,6 +162,16 @@ def test_demo_finds_the_true_scale_factor(
     assert [folder.name for folder in tmp_path.iterdir()] == ['gyrocal_demo']
 
 
+def test_a_calibration_brings_its_model_along(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag, model, out = (str(tmp_path / name) for name in ('bag', 'model.yaml', 'out'))
+    assert main(['simulate', bag, '--scenario', 'demo', '--duration', '20']) == 0
+    assert main(['add', 'gyro_lag', '--model', model]) == 0
+    assert main(['replay', bag, '--model', model, '-o', out]) == 0
+    capsys.readouterr()
+    assert main(['replay', bag, '--start-from', f'{out}/calibration.yaml', '--json']) == 0
+    assert 'gyro_lag' in json.loads(capsys.readouterr().out)['coefficients']
+
+
 def test_a_result_folder_in_use_is_refused_before_the_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,10 +13,11 @@ from typing import Any
 
 from gyrocal_ros.calibrate import Progress, calibrate
 from gyrocal_ros.calibration import Calibration, conclude, load_calibration
-from gyrocal_ros.cli.model_options import add_model_options, read_model
+from gyrocal_ros.cli.model_options import add_model_options, load_own_effects
 from gyrocal_ros.cli.options import BagOptions, add_bag_options, bag_options, read_config
 from gyrocal_ros.cli.output import print_json, progress, warn
 from gyrocal_ros.config import Config
+from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.files import new_folder
@@ -38,7 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bag_options(parser)
     add_model_options(parser)
     parser.add_argument(
-        '--start-from', type=Path, metavar='FILE', help='calibration.yaml of an earlier run to begin with'
+        '--start-from',
+        type=Path,
+        metavar='FILE',
+        help='calibration.yaml of an earlier run to begin with, and its model, if none is given',
     )
     parser.add_argument(
         '--from-images', action='store_true', help='track the images even if there are features'
@@ -53,13 +57,15 @@ def run(args: argparse.Namespace) -> None:
     config = read_config(args)
     if args.from_images:
         config = replace(config, recording=replace(config.recording, use_images=True))
-    start = load_calibration(args.start_from).start() if args.start_from else None
+    load_own_effects(args)
+    known = load_calibration(args.start_from) if args.start_from else None
+    model = load_model(args.model) if known is None or args.model else known.model
     summary = replay(
         args.bag,
         config,
-        read_model(args),
+        model,
         bag_options(args),
-        start=start,
+        start=None if known is None else known.start(),
         out=args.out,
         overwrite=args.overwrite,
     )

@@ -145,23 +145,23 @@ def run_trial(case: Case, seed: int) -> BlindTrial:
     simulated = SimSource(scenario, seed, hidden=hide(drawn, find_effect))
     source, config = hold(simulated, config, default_model())
     run, hidden = partial(calibrate, source, config), simulated.hidden
+    recorded = look_at(source)
+    try:
+        searched = search(default_model(), recorded, lambda model, tried: run(model, candidates=tried))
+    except FilterDivergedError:
+        searched = None
     known = _merit(run, hidden, scale_factor)
-    others = [_merit(run, hidden[:i] + hidden[i + 1 :], scale_factor) for i in range(len(hidden))]
     trial = BlindTrial(
         case=case,
         seed=seed,
         hidden=tuple((item.effect.name, item.values) for item in hidden),
-        is_costly=all(other.costs_more_than(known) for other in others),
+        is_costly=all(
+            _merit(run, hidden[:i] + hidden[i + 1 :], scale_factor).costs_more_than(known)
+            for i in range(len(hidden))
+        ),
         drift_known_deg=known.drift_deg,
     )
-    recorded = look_at(source)
-    try:
-        searched = search(
-            default_model(), recorded, lambda model, candidates: run(model, candidates=candidates)
-        )
-    except FilterDivergedError:
-        return trial
-    return _judged(trial, hidden, searched, diagnose(searched, recorded))
+    return trial if searched is None else _judged(trial, hidden, searched, diagnose(searched, recorded))
 
 
 @dataclass(frozen=True, slots=True)

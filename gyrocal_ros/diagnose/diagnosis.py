@@ -134,7 +134,7 @@ def _verdict(findings: list[Finding], left: Oddity | None, not_judged: dict[str,
     if left is not None and left.gain > BY_THE_WAY * sum(finding.gain for finding in findings):
         return 'unexplained'
     if findings:
-        return 'cannot_tell' if findings[0].confused_with else 'effect_found'
+        return 'cannot_tell' if any(finding.confused_with for finding in findings) else 'effect_found'
     blind_to = sum(name in not_judged for name in ALWAYS_JUDGED)
     return 'nothing_missing' if blind_to <= len(ALWAYS_JUDGED) // 2 else 'cannot_tell'
 

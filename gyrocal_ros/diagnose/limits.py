@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,7 +73,16 @@ def stuck(recorded: Recorded) -> float | None:
     return width if width > GAP_STEPS * usual else None
 
 
-def proposals(run: Run, seen: Headings, recorded: Recorded, odd_gain: float) -> Iterator[Effect]:
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A limit to judge by a run of the filter."""
+
+    effect: Effect
+    is_read: bool = False
+    """Whether the readings themselves show it, so that no rival has to be beaten."""
+
+
+def proposals(run: Run, seen: Headings, recorded: Recorded, odd_gain: float) -> Iterator[Proposal]:
     """Limits that the readings suggest and the headings do not contradict.
 
     Args:
@@ -86,13 +96,14 @@ def proposals(run: Run, seen: Headings, recorded: Recorded, odd_gain: float) -> 
     if 'rate_saturation' not in present:
         limit = pile(recorded)
         if limit is not None and _turned_more(run, seen, recorded, limit):
-            yield with_limit('rate_saturation', limit)
+            yield Proposal(with_limit('rate_saturation', limit))
     if 'rate_deadband' not in present:
         width = stuck(recorded)
+        is_read = width is not None
         if width is None and odd_gain > 0.0:
             width = _band(run, seen, recorded, max(MIN_GAIN, ODD_PART * odd_gain))
         if width is not None:
-            yield with_limit('rate_deadband', width)
+            yield Proposal(with_limit('rate_deadband', width), is_read)
 
 
 def with_limit(name: str, value: float) -> Effect:

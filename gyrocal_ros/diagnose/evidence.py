@@ -22,6 +22,8 @@ NOT_EXCITED = 1e-12
 SINGULAR = 1e-12
 MAX_LEVERAGE = 0.98
 """A block that alone decides an estimate leaves no scatter to judge it by."""
+SMALLEST = 1e-300
+"""Chance, as far as numbers reach."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +169,5 @@ def chi_square_tail(value: float, dof: int) -> float:
 
 
 def sigma_of(p_value: float) -> float:
-    """Two-sided normal quantile; where p is too small for a number, its leading behaviour."""
-    if p_value > 1e-300:
-        return -NormalDist().inv_cdf(min(p_value / 2.0, 0.5))
-    return 37.0
+    """Two-sided normal quantile; chances too small for a number count as the smallest one."""
+    return -NormalDist().inv_cdf(min(max(p_value, SMALLEST) / 2.0, 0.5))

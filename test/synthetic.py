@@ -1,0 +1,141 @@
+"""Evidence, headings and runs made of numbers, for tests that need no simulated recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import NS_PER_S, Array, IntArray, Mount, Rig, Span
+from gyrocal_ros.diagnose.heading import Headings
+from gyrocal_ros.diagnose.recorded import Recorded
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.evidence import BLOCK_S, Evidence
+from gyrocal_ros.ekf.run import History, Run
+from gyrocal_ros.ekf.state import State, no_landmarks
+from gyrocal_ros.model.sensor import Effect
+
+DT_S = 0.1
+GYRO_NOISE_DEG_S = 0.0075
+HEADING_STD_RAD = math.radians(0.05)
+TOP_DEG_S = 90.0
+RIG = Rig(None, Mount(np.eye(3), np.zeros(3)))
+
+
+def evidence_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()) -> Evidence:
+    """Evidence of B blocks of n measurements of noise 1: columns (B, n, c) and what was seen (B, n)."""
+    return Evidence(
+        candidates=candidates,
+        start_s=BLOCK_S * np.arange(len(seen)),
+        information=np.einsum('bni,bnj->bij', columns, columns),
+        score=np.einsum('bni,bn->bi', columns, seen),
+    )
+
+
+def turning_rad_s(duration_s: float) -> Array:
+    """(s,) rate of a drive that turns four seconds in ten, to either side at speeds up to the top."""
+    time_s = DT_S * np.arange(1, round(duration_s / DT_S) + 1)
+    speeds = np.radians([30.0, -45.0, 60.0, -75.0, TOP_DEG_S, -30.0, 45.0, -60.0, 75.0, -TOP_DEG_S])
+    turning = (time_s % 10.0 > 3.0) & (time_s % 10.0 < 7.0)
+    return np.where(turning, speeds[(time_s // 10.0).astype(int) % 10], 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """What is left of a drive after the filter: the run, and gyro and camera apart."""
+
+    run: Run
+    seen: Headings
+
+
+def drive(
+    error_rad_s: Array | float = 0.0,
+    *,
+    duration_s: float = 300.0,
+    gyro_noise: float = 1.0,
+    seed: int = 0,
+    signals: Mapping[str, Array] | None = None,
+    read_rad_s: Array | None = None,
+) -> Drive:
+    """A drive whose gyro is off.
+
+    Args:
+        error_rad_s: (s,) what has to be added to the rate by the gyro for the true one.
+        duration_s: how long it takes.
+        gyro_noise: how many times noisier than it is said to be the gyro is.
+        seed: of the noise.
+        signals: (s,) other recorded numbers by name.
+        read_rad_s: (s,) what the gyro reads but for noise and error, where it is not the true rate.
+    """
+    rng = np.random.default_rng(seed)
+    true = turning_rad_s(duration_s)
+    count, time_s = len(true), DT_S * np.arange(1, len(true) + 1)
+    noise = gyro_noise * math.radians(GYRO_NOISE_DEG_S) / math.sqrt(DT_S) * rng.normal(size=count)
+    rate = (true if read_rad_s is None else read_rad_s) - error_rad_s + noise
+    seen_rad = np.cumsum(true) * DT_S + HEADING_STD_RAD * rng.normal(size=count)
+    zeros, model = np.zeros(count), default_model()
+    mean = np.zeros((count, 10))
+    history = History(
+        t_ns=_ns(time_s),
+        time_s=time_s - DT_S,
+        mean=mean,
+        std=np.zeros_like(mean),
+        nis=zeros,
+        dof=np.ones(count),
+        log_likelihood=zeros,
+        used=np.ones(count),
+        rejected=zeros,
+        heading_innovation_rad=zeros,
+        heading_innovation_std_rad=np.full(count, HEADING_STD_RAD),
+        pixel_noise_px=np.ones(count),
+        dt_s=np.full(count, DT_S),
+        turn_rad=rate * DT_S,
+        correction_rad=zeros,
+        columns=(rate * DT_S)[:, None],
+        told_s=np.full(count, DT_S),
+        lost_rad=zeros,
+        distance_m=np.where(np.abs(true) > 0.0, 0.0, 0.3 * DT_S),
+        temperature_c=np.full(count, np.nan),
+        forward_m_s2=zeros,
+        resting=zeros,
+        gap_s=zeros,
+        signals=np.array(list(signals.values())).T if signals else np.empty((count, 0)),
+    )
+    run = Run(
+        source='synthetic',
+        span=Span(0, int(history.t_ns[-1])),
+        rig=RIG,
+        config=Config(),
+        model=model,
+        history=history,
+        state=State(int(history.t_ns[-1]), mean[-1], np.eye(10), 1, no_landmarks(), np.zeros((10, 0))),
+        truth=None,
+        events=(),
+        signal_names=tuple(signals or ()),
+    )
+    seen = Headings(
+        time_s=history.time_s,
+        dt_s=history.dt_s,
+        told_s=history.told_s,
+        lost_rad=zeros,
+        turn_rad=history.turn_rad,
+        seen_rad=seen_rad,
+        std_rad=history.heading_innovation_std_rad,
+        rate_noise_rad_s=math.radians(GYRO_NOISE_DEG_S),
+        bias_walk_rad_s=math.radians(Config().gyro.bias_walk_deg_s),
+    )
+    return Drive(run, seen)
+
+
+def readings(rate_rad_s: Array, hz: float = 1.0 / DT_S, *, start_s: float = 0.0) -> Recorded:
+    """A recording of nothing but readings (n,) of the yaw rate."""
+    time_s = start_s + np.arange(len(rate_rad_s)) / hz
+    duration_s = len(rate_rad_s) / hz
+    return Recorded(RIG, (), (), False, duration_s, _ns(time_s), rate_rad_s)
+
+
+def _ns(time_s: Array) -> IntArray:
+    return np.round(time_s * NS_PER_S).astype(np.int64)

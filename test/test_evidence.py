@@ -1,0 +1,248 @@
+"""Fits to evidence: least squares, a doubt that is honest when the noise is not what it is said to be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from synthetic import evidence_of
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.evidence import (
+    LAGS,
+    MAX_LEVERAGE,
+    NOT_EXCITED,
+    Fit,
+    chi_square_tail,
+    correlation,
+    fit,
+    preference,
+    sigma_of,
+)
+from gyrocal_ros.ekf.evidence import Evidence
+
+BLOCKS, EACH = 30, 20
+TRUE = np.array([3.0, -1.0, 0.5])
+
+
+def drawn(seed: int, noise: float = 1.0, blocks: int = BLOCKS) -> tuple[Array, Array]:
+    """Columns (B, n, 3) that are not independent, and what is seen (B, n) when `TRUE` holds."""
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(blocks, EACH, 3)) @ [[1.0, 0.4, 0.0], [0.0, 1.0, 0.0], [0.2, 0.0, 1.0]]
+    return columns, columns @ TRUE + noise * rng.normal(size=(blocks, EACH))
+
+
+def fitted(evidence: Evidence, *columns: int, given: tuple[int, ...] | None = None) -> Fit:
+    found = fit(evidence, np.array(columns), None if given is None else np.array(given))
+    assert found is not None
+    return found
+
+
+def made(values: list[float], covariance: Array, block_gains: Array) -> Fit:
+    return Fit(np.arange(len(values)), np.array(values), covariance, float(block_gains.sum()), block_gains)
+
+
+class TestFit:
+    def test_it_is_least_squares(self) -> None:
+        columns, seen = drawn(0)
+        found = fitted(evidence_of(columns, seen), 0, 1, 2)
+        flat = columns.reshape(-1, 3)
+        expected, rest = np.linalg.lstsq(flat, seen.ravel())[:2]
+        np.testing.assert_allclose(found.values, expected, rtol=1e-10)
+        assert found.gain == pytest.approx(0.5 * (np.sum(seen**2) - rest[0]), rel=1e-10)
+        left = seen - columns @ expected
+        np.testing.assert_allclose(found.block_gains, 0.5 * (seen**2 - left**2).sum(axis=1), atol=1e-9)
+
+    def test_columns_of_other_size_change_nothing_but_their_units(self) -> None:
+        columns, seen = drawn(0)
+        units = np.array([1e-4, 1.0, 1e3])
+        plain, other = (fitted(evidence_of(columns * unit, seen), 0, 1, 2) for unit in (np.ones(3), units))
+        np.testing.assert_allclose(other.values * units, plain.values, rtol=1e-9)
+        np.testing.assert_allclose(other.covariance * np.outer(units, units), plain.covariance, rtol=1e-9)
+        assert other.sigma == pytest.approx(plain.sigma) and other.gain == pytest.approx(plain.gain)
+
+    def test_beside_what_is_given_only_the_rest_counts(self) -> None:
+        evidence = evidence_of(*drawn(1))
+        every, alone = fitted(evidence, 0, 1, 2), fitted(evidence, 2)
+        beside = fitted(evidence, 0, 1, given=(2,))
+        np.testing.assert_allclose(beside.values, every.values[:2], rtol=1e-10)
+        np.testing.assert_allclose(beside.covariance, every.covariance[:2, :2], rtol=1e-10)
+        assert beside.gain == pytest.approx(every.gain - alone.gain)
+        np.testing.assert_allclose(beside.block_gains, every.block_gains - alone.block_gains, atol=1e-9)
+
+    def test_what_a_given_column_explains_is_not_explained_again(self) -> None:
+        rng = np.random.default_rng(2)
+        cause = rng.normal(size=(BLOCKS, EACH))
+        columns = np.stack([cause, cause + 0.3 * rng.normal(size=cause.shape)], axis=2)
+        evidence = evidence_of(columns, 2.0 * cause + rng.normal(size=cause.shape))
+        assert fitted(evidence, 1).sigma > 10.0
+        assert fitted(evidence, 1, given=(0,)).sigma < 3.0 and fitted(evidence, 0, given=(1,)).sigma > 5.0
+
+    def test_what_is_not_excited_is_left_out(self) -> None:
+        columns, seen = drawn(3)
+        columns[:, :, 1] = 0.0
+        evidence = evidence_of(columns, seen)
+        found, rest = fitted(evidence, 0, 1, 2), fitted(evidence, 0, 2)
+        assert found.columns.tolist() == [0, 2]
+        np.testing.assert_allclose(found.values, rest.values)
+        np.testing.assert_allclose(found.covariance, rest.covariance)
+        assert fit(evidence, np.array([1])) is None
+        assert fitted(evidence, 0, given=(1,)).gain == pytest.approx(fitted(evidence, 0).gain)
+
+    def test_hardly_excited_is_not_excited(self) -> None:
+        columns, seen = drawn(3)
+        size = math.sqrt(float(np.sum(columns[:, :, 0] ** 2)))
+        for part, is_fitted in ((10.0, True), (0.1, False)):
+            columns[:, :, 0] *= math.sqrt(part * NOT_EXCITED) / size
+            size = math.sqrt(part * NOT_EXCITED)
+            assert (fit(evidence_of(columns, seen), np.array([0])) is not None) == is_fitted
+
+    def test_the_same_column_twice_cannot_be_fitted(self) -> None:
+        columns, seen = drawn(4)
+        columns[:, :, 1] = -2.0 * columns[:, :, 0]
+        evidence = evidence_of(columns, seen)
+        assert fit(evidence, np.array([0, 1])) is None
+        assert fit(evidence, np.array([0]), given=np.array([1])) is None
+
+    def test_the_first_half_is_that_of_the_blocks(self) -> None:
+        columns, seen = drawn(5, blocks=7)
+        half = evidence_of(columns, seen).first_half()
+        np.testing.assert_allclose(
+            fitted(half, 0, 1, 2).values, fitted(evidence_of(columns[:4], seen[:4]), 0, 1, 2).values
+        )
+
+
+class TestCovariance:
+    @pytest.mark.parametrize('blocks', [5, 30])
+    def test_it_is_the_most_cautious_of_three_views(self, blocks: int) -> None:
+        """Of one coefficient, by hand: the filter's own, HC3, and HC3 with its neighbours."""
+        cautious = set()
+        for seed in range(20):
+            columns, seen = drawn(seed, blocks=blocks)
+            found = fitted(evidence_of(columns, seen), 0)
+            x, total = columns[:, :, 0], float(np.sum(columns[:, :, 0] ** 2))
+            share = (x**2).sum(axis=1) / total
+            scores = (x * (seen - x * found.values[0])).sum(axis=1) / (1.0 - MAX_LEVERAGE * share)
+            pairs = [
+                2.0 * (1.0 - lag / (LAGS + 1)) * float(scores[lag:] @ scores[:-lag])
+                for lag in range(1, LAGS + 1)
+            ]
+            alone = float(scores @ scores)
+            views = [1.0 / total, alone / total**2, (alone + sum(pairs)) / total**2]
+            assert found.covariance[0, 0] == pytest.approx(max(views), rel=1e-9)
+            cautious.add(int(np.argmax(views)))
+        assert len(cautious) > 1, 'views differ'
+
+    @pytest.mark.parametrize('noise', [1.0, 3.0])
+    def test_it_holds_when_the_noise_is_larger_than_said(self, noise: float) -> None:
+        off = []
+        for seed in range(150):
+            found = fitted(evidence_of(*drawn(seed, noise)), 0, 1, 2)
+            off.append((found.values - TRUE) / np.sqrt(np.diagonal(found.covariance)))
+        assert 0.6 < float(np.sqrt(np.mean(np.square(off)))) < 1.15
+
+    def test_blocks_that_depend_on_each_other_count_for_fewer(self) -> None:
+        """Where a level wanders slowly, as a bias does, the same blocks shuffled would look too sure."""
+        rng, wider = np.random.default_rng(0), []
+        for _ in range(50):
+            column, level = (np.convolve(rng.normal(size=BLOCKS + 2), np.ones(3), 'valid') for _ in range(2))
+            order = rng.permutation(BLOCKS)
+            in_time, shuffled = (
+                fitted(evidence_of(column[o, None, None], 5.0 * level[o, None]), 0).covariance[0, 0]
+                for o in (np.arange(BLOCKS), order)
+            )
+            wider.append(math.sqrt(in_time / shuffled))
+        assert float(np.median(wider)) > 1.15
+
+    def test_what_shows_in_one_block_alone_is_as_sure_as_the_filter_says(self) -> None:
+        rng = np.random.default_rng(0)
+        for _ in range(50):
+            columns = rng.normal(size=(5, 40, 2))
+            columns[np.arange(5) != 2, :, 0] = 0.0
+            evidence = evidence_of(columns, columns @ [3.0, -1.0] + rng.normal(size=(5, 40)))
+            found = fitted(evidence, 0, 1)
+            assert np.isfinite(found.sigma)
+            np.testing.assert_allclose(found.values, [3.0, -1.0], atol=0.6)
+            own = np.linalg.inv(evidence.information.sum(axis=0))
+            np.testing.assert_allclose(found.covariance, own, rtol=1e-6)
+
+
+class TestSignificance:
+    @pytest.mark.parametrize(
+        ('t', 'dof', 'p_value'),
+        [(2.228, 10, 0.05), (3.169, 10, 0.01), (2.045, 29, 0.05), (2.756, 29, 0.01), (3.659, 29, 0.001)],
+    )
+    def test_one_coefficient_is_judged_by_students_t(self, t: float, dof: int, p_value: float) -> None:
+        """Two-sided quantiles from a table."""
+        found = made([2.0 * t], np.array([[4.0]]), np.zeros(dof + 1))
+        assert found.wald == pytest.approx(t**2)
+        assert found.sigma == pytest.approx(sigma_of(p_value), abs=0.1)
+
+    @pytest.mark.parametrize(
+        ('f', 'dof', 'p_value'), [(4.103, 10, 0.05), (7.559, 10, 0.01), (3.328, 29, 0.05)]
+    )
+    def test_two_are_judged_by_hotellings_test(self, f: float, dof: int, p_value: float) -> None:
+        """Quantiles of F with 2 and `dof` degrees of freedom from a table."""
+        covariance = np.array([[2.0, 0.5], [0.5, 1.0]])
+        direction = np.array([1.0, -2.0])
+        length = math.sqrt(2.0 * f / float(direction @ np.linalg.solve(covariance, direction)))
+        found = made((length * direction).tolist(), covariance, np.zeros(dof + 2))
+        assert found.p_value == pytest.approx(p_value, rel=2e-3)
+
+    def test_few_blocks_make_it_doubtful(self) -> None:
+        few, many = (made([5.0], np.eye(1), np.zeros(blocks)) for blocks in (4, 4000))
+        assert few.sigma < 3.0 and many.sigma == pytest.approx(5.0, abs=0.02)
+
+    @pytest.mark.parametrize('noise', [1.0, 3.0])
+    def test_chance_comes_up_as_often_as_it_says(self, noise: float) -> None:
+        rng, p_values = np.random.default_rng(7), []
+        for _ in range(400):
+            columns = rng.normal(size=(BLOCKS, EACH, 2))
+            p_values.append(
+                fitted(evidence_of(columns, noise * rng.normal(size=(BLOCKS, EACH))), 0, 1).p_value
+            )
+        assert 0.01 < np.mean(np.array(p_values) < 0.1) < 0.15
+
+    @pytest.mark.parametrize(
+        ('value', 'dof', 'tail', 'within'),
+        [
+            (3.841, 1, 0.05, 1e-3),
+            (10.828, 1, 0.001, 1e-3),
+            (5.991, 2, 0.05, 1e-3),
+            (13.816, 2, 0.001, 1e-3),
+            (7.815, 3, 0.05, 0.02),
+            (11.070, 5, 0.05, 0.02),
+            (20.515, 5, 0.001, 0.15),
+        ],
+    )
+    def test_chi_square_from_a_table(self, value: float, dof: int, tail: float, within: float) -> None:
+        assert chi_square_tail(value, dof) == pytest.approx(tail, rel=within)
+
+    def test_chance_in_sigma(self) -> None:
+        for sigma in (0.5, 1.0, 4.0, 8.0):
+            assert sigma_of(math.erfc(sigma / math.sqrt(2.0))) == pytest.approx(sigma, rel=1e-6)
+        assert sigma_of(1.0) == 0.0 and math.inf > sigma_of(0.0) > sigma_of(1e-299) > 36.0
+
+    def test_how_alike_two_effects_are(self) -> None:
+        """The largest canonical correlation: of one column each, the cosine between them."""
+        columns, seen = drawn(8)
+        evidence = evidence_of(columns, seen)
+        first, second, third = columns.reshape(-1, 3).T
+        cosine = abs(first @ second) / math.sqrt((first @ first) * (second @ second))
+        assert correlation(evidence, np.array([0]), np.array([1])) == pytest.approx(cosine)
+        explained = np.linalg.lstsq(np.stack([second, third], axis=1), first)[1][0] / (first @ first)
+        assert correlation(evidence, np.array([0]), np.array([1, 2])) == pytest.approx(
+            math.sqrt(1.0 - explained)
+        )
+        assert correlation(evidence, np.array([1, 2]), np.array([2])) == pytest.approx(1.0)
+        columns[:, :, 1] = 0.0
+        assert correlation(evidence_of(columns, seen), np.array([0]), np.array([1])) == 0.0
+
+    def test_one_explanation_is_preferred_by_mean_over_scatter(self) -> None:
+        gains = np.array([1.0, 3.0, 2.0, 2.0])
+        better, worse = made([1.0], np.eye(1), gains), made([1.0], np.eye(1), np.zeros(4))
+        expected = 8.0 / (math.sqrt(2.0 / 3.0) * 2.0)
+        assert preference(better, worse) == pytest.approx(expected)
+        assert preference(worse, better) == pytest.approx(-expected)
+        assert preference(better, better) == 0.0

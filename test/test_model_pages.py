@@ -383,6 +383,15 @@ class TestConclusions:
             assert words.good == (verdict == 'nothing_missing')
             assert bool(words.todo) == (verdict != 'nothing_missing')
 
+    def test_effects_without_a_twin_are_told_from_those_with_one(self, diagnosis: Diagnosis) -> None:
+        sure = diagnosis.missing[0]
+        doubtful = replace(sure, effect=find_effect('bias_temperature'), confused_with=('bias_warmup',))
+        case = replace(diagnosis, verdict='cannot_tell', missing=(sure, doubtful))
+        assert conclusions.of_diagnosis(case).headline == (
+            'The model lacks scale_asymmetry, and something more, most likely bias_temperature; '
+            'but it may as well be bias_warmup.'
+        )
+
     def test_drift_before_and_after_is_said(self, diagnosis: Diagnosis) -> None:
         finding = replace(diagnosis.missing[0], drift_before_deg=2.0, drift_after_deg=0.25)
         words = conclusions.of_diagnosis(replace(diagnosis, missing=(finding,)))

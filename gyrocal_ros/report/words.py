@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.advice import join
-from gyrocal_ros.diagnose.diagnosis import Diagnosis
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
 from gyrocal_ros.diagnose.drift import BlindDrift
 from gyrocal_ros.diagnose.improvement import Improvement
 from gyrocal_ros.diagnose.regimes import Failure
@@ -31,11 +31,17 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
         return 'Nothing is missing: gyro, wheels and camera agree with the model within chance.'
     if not names:
         return 'This recording cannot tell whether something is missing: too little in it would show it.'
-    finding = diagnosis.missing[0]
-    if diagnosis.verdict == 'cannot_tell':
-        others = join([*finding.confused_with], 'or')
-        return f'The model lacks something, most likely {names[0]}; but it may as well be {others}.'
-    return f'The model lacks {join(names)}.'
+    doubtful = [finding for finding in diagnosis.missing if finding.confused_with]
+    if diagnosis.verdict != 'cannot_tell' or not doubtful:
+        return f'The model lacks {join(names)}.'
+    sure = [finding.effect.name for finding in diagnosis.missing if not finding.confused_with]
+    lacks = f'{join(sure)}, and something more' if sure else 'something'
+    return f'The model lacks {lacks}, {"; ".join(map(_either, doubtful))}.'
+
+
+def _either(finding: Finding) -> str:
+    others = join([*finding.confused_with], 'or')
+    return f'most likely {finding.effect.name}; but it may as well be {others}'
 
 
 def improvement_headline(improved: Improvement) -> str:

@@ -33,7 +33,7 @@ class Failure:
     """One place where the model is off by more than chance."""
 
     what: str
-    """In plain words, with the size of the error."""
+    """In plain words, with what would have to be added to the gyro."""
     sigma: float
     from_s: float | None = None
     to_s: float | None = None
@@ -128,9 +128,9 @@ def _in_regimes(regimes: list[Regime], seen: Headings, chance: float) -> Iterato
         if sigma < FAILURE_SIGMA:
             continue
         if regime.of_scale:
-            error = f'the scale is off by {100.0 * value:+.3f} %'
+            error = f'the scale needs {100.0 * value:+.3f} %'
         else:
-            error = f'the gyro is off by {math.degrees(value):+.3f} deg/s'
+            error = f'the gyro needs {math.degrees(value):+.3f} deg/s'
         yield Failure(f'{regime.name}: {error}', sigma, regime=regime.name)
 
 
@@ -149,7 +149,7 @@ def _in_time(seen: Headings, chance: float) -> Iterator[Failure]:
         if len(blocks):
             worst = blocks[np.argmax(sigma[blocks])]
             from_s, to_s = BLOCK_S * blocks[0], min(BLOCK_S * (blocks[-1] + 1), float(seen.time_s[-1]))
-            error = f'the gyro is off by up to {math.degrees(score[worst] / information[worst]):+.3f} deg/s'
+            error = f'the gyro needs up to {math.degrees(score[worst] / information[worst]):+.3f} deg/s'
             what = f'{from_s:.0f} to {to_s:.0f} s: {error}'
             yield Failure(what, float(sigma[worst]), from_s=float(from_s), to_s=to_s)
 

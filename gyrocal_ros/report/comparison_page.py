@@ -114,7 +114,7 @@ def _sections(comparison: Comparison) -> Iterator[Section]:
 
 def _failures(rival: Rival) -> str:
     """Where a model fails, against the camera and against the ground truth."""
-    heads = ('place and error', 'sigma')
+    heads = ('place, and what would have to be added', 'sigma')
     sets = [(f'Where {rival.label} fails against the camera', rival.fails_where)]
     if rival.fails_by_truth is not None:
         sets.append((f'Where {rival.label} fails against the ground truth', rival.fails_by_truth))

@@ -149,7 +149,7 @@ def _failures(failures: Sequence[Failure]) -> str:
     note = """Worst first. Each place is judged by itself, so one cause shows in many places: the first
         says most."""
     return (
-        meter_table('Where the model fails', ('place and error', 'sigma'), shown, ' '.join(note.split()))
+        meter_table('Where the model fails', ('place, and what would have to be added', 'sigma'), shown, ' '.join(note.split()))
         + more
     )
 

@@ -148,10 +148,8 @@ def _failures(failures: Sequence[Failure]) -> str:
         more = details(f'{len(failures) - FAILURES} more', rest)
     note = """Worst first. Each place is judged by itself, so one cause shows in many places: the first
         says most."""
-    return (
-        meter_table('Where the model fails', ('place, and what would have to be added', 'sigma'), shown, ' '.join(note.split()))
-        + more
-    )
+    heads = ('place, and what would have to be added', 'sigma')
+    return meter_table('Where the model fails', heads, shown, ' '.join(note.split())) + more
 
 
 def _not_judged(diagnosis: Diagnosis) -> str:

@@ -1,0 +1,313 @@
+"""Gyro against camera, headings alone: errors of the rate are found, and where, with an honest doubt."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from contracts import eventful_block
+from recordings import recording
+from synthetic import DT_S, TOP_DEG_S, Drive, drive, turning_rad_s
+
+from gyrocal_ros.calibrate import calibrate
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.drift import truth_path
+from gyrocal_ros.diagnose.evidence import fit
+from gyrocal_ros.diagnose.heading import UNBELIEVABLE, heading_evidence, headings, misfits
+from gyrocal_ros.diagnose.regimes import FAILURE_SIGMA, Failure, failures
+from gyrocal_ros.diagnose.shapes import ODD_SIGMA, RATE, STEP_S, TIME, Oddity, bias_step, jump, oddity, shapes
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.evidence import BLOCK_S
+from gyrocal_ros.ekf.run import Run
+
+SIGNAL = 'motor.current'
+KNOCK_S = 163.0
+
+
+def deg(value: float) -> float:
+    return math.radians(value)
+
+
+def times_s(duration_s: float = 300.0) -> Array:
+    return DT_S * np.arange(1, round(duration_s / DT_S) + 1)
+
+
+def switched(duration_s: float = 300.0) -> Array:
+    """A motor's current that goes up and down every 25 s, and its noise."""
+    rng = np.random.default_rng(9)
+    return np.sin(2.0 * np.pi * times_s(duration_s) / 50.0) + 0.05 * rng.normal(size=round(duration_s / DT_S))
+
+
+def size_of(failure: Failure) -> float:
+    """The size of the error as it is told, in deg/s or per cent."""
+    return float(re.findall(r'[+-]\d+\.\d+', failure.what)[-1])
+
+
+@cache
+def clean(seed: int = 0) -> Drive:
+    return drive(seed=seed, signals={SIGNAL: switched()})
+
+
+@cache
+def knocked() -> Drive:
+    return drive(deg(0.2) * (times_s() > KNOCK_S), signals={SIGNAL: switched()})
+
+
+class TestEvidence:
+    """What headings say of errors of the rate."""
+
+    def columns(self) -> tuple[Array, Array]:
+        rate = turning_rad_s(300.0)
+        return rate, np.abs(rate)
+
+    @pytest.mark.parametrize('errors', [(0.01, 0.0), (0.0, 0.01), (-0.005, 0.01)])
+    def test_errors_are_found_with_the_right_sign(self, errors: tuple[float, float]) -> None:
+        columns = np.stack(self.columns(), axis=1)
+        found = fit(heading_evidence(drive(columns @ errors).seen, columns), np.arange(2))
+        assert found is not None
+        std = np.sqrt(np.diagonal(found.covariance))
+        np.testing.assert_array_less(np.abs(found.values - errors), 4.0 * std)
+        assert np.all(std < 5e-4)
+
+    def test_the_doubt_is_honest(self) -> None:
+        rate, size = self.columns()
+        off = []
+        for seed in range(25):
+            found = fit(heading_evidence(drive(0.001 * size, seed=seed).seen, size[:, None]), np.array([0]))
+            assert found is not None
+            off.append((found.values[0] - 0.001) / math.sqrt(found.covariance[0, 0]))
+        assert 0.5 < float(np.sqrt(np.mean(np.square(off)))) < 1.4
+
+    def test_a_lasting_bias_is_no_news(self) -> None:
+        """The bias is what the filter finds anyway."""
+        plain, off = drive(), drive(deg(0.3))
+        size = self.columns()[1][:, None]
+        values = []
+        for seen in (plain.seen, off.seen):
+            found = fit(heading_evidence(seen, size), np.array([0]))
+            assert found is not None
+            values.append(found.values[0])
+        assert values[1] == pytest.approx(values[0], abs=2e-4)
+
+    def test_headings_that_nobody_can_believe_count_little(self) -> None:
+        made = drive(0.01 * self.columns()[1])
+        wrong = made.seen.seen_rad.copy()
+        wrong[1000::300] += 1000.0 * UNBELIEVABLE * made.seen.std_rad[1000::300]
+        found = fit(
+            heading_evidence(replace(made.seen, seen_rad=wrong), self.columns()[1][:, None]), np.array([0])
+        )
+        assert found is not None and found.values[0] == pytest.approx(
+            0.01, abs=5.0 * np.sqrt(found.covariance[0, 0])
+        )
+        assert abs(found.values[0] - 0.01) < 0.005
+
+    def test_blocks_of_time_add_up(self) -> None:
+        size = self.columns()[1][:, None]
+        evidence = heading_evidence(clean().seen, size)
+        np.testing.assert_array_equal(evidence.start_s, BLOCK_S * np.arange(30))
+        assert evidence.information.shape == (30, 1, 1) and np.all(evidence.information[1:] > 0.0)
+
+    def test_without_a_camera_nothing_is_said(self) -> None:
+        made = drive(0.05 * self.columns()[1])
+        blind = replace(made.seen, seen_rad=np.full(len(made.seen.time_s), np.nan))
+        evidence = heading_evidence(blind, self.columns()[1][:, None])
+        assert not np.any(evidence.information) and not np.any(evidence.score)
+        assert fit(evidence, np.array([0])) is None
+
+    def test_a_turn_that_nobody_can_tell_tells_nothing(self) -> None:
+        """Where the gyro is lost in every turn, no turn shows an error."""
+        rate, size = self.columns()
+        made = drive(0.01 * size)
+        lost = replace(made.seen, lost_rad=np.where(size > 0.0, 1.0, 0.0))
+        sure, unsure = (heading_evidence(seen, size[:, None]).information.sum() for seen in (made.seen, lost))
+        assert unsure < 0.01 * sure
+
+
+class TestMisfits:
+    def test_they_are_of_size_one_where_the_noise_is_as_said(self) -> None:
+        left = np.concatenate([misfits(clean(seed).seen, np.zeros((3000, 1))) for seed in range(5)])
+        assert len(left) > 100
+        assert 0.7 < float(np.sqrt(np.mean(left**2))) < 1.3
+
+    def test_they_grow_with_noise_that_nobody_told(self) -> None:
+        quiet, noisy = (misfits(drive(gyro_noise=factor).seen, np.zeros((3000, 1))) for factor in (1.0, 5.0))
+        assert np.std(noisy) > 3.0 * np.std(quiet)
+
+    def test_what_is_fitted_is_no_misfit(self) -> None:
+        size = np.abs(turning_rad_s(300.0))[:, None]
+        seen = drive(0.01 * size[:, 0]).seen
+        assert np.std(misfits(seen, size)) < 1.3 < 3.0 < np.std(misfits(seen, np.zeros_like(size)))
+
+
+@pytest.fixture(scope='module')
+def run() -> Run:
+    """A short run of the whole filter."""
+    return calibrate(recording(), Config(), default_model())
+
+
+class TestOfARun:
+    def test_the_camera_sees_the_true_heading(self, run: Run) -> None:
+        seen, truth = headings(run), truth_path(run)
+        assert truth is not None
+        true = np.interp(seen.time_s, truth.time_s, truth.yaw_rad)
+        off = seen.seen_rad - true
+        known = np.isfinite(off)
+        assert 0.5 < known.mean() < 1.0
+        assert np.degrees(np.std(off[known])) < 0.3
+
+    def test_the_gyro_tells_its_turns_by_the_final_coefficients(self, run: Run) -> None:
+        seen, history = headings(run), run.history
+        expected = (1.0 + run.state.coefficients[0]) * history.turn_rad
+        np.testing.assert_allclose(seen.turn_rad, expected, atol=1e-12)
+        np.testing.assert_array_equal(seen.time_s, history.time_s)
+
+    def test_nothing_is_left_over_of_a_clean_run(self, run: Run) -> None:
+        seen = headings(run)
+        assert oddity(run, seen) is None and failures(run, seen) == []
+
+
+class TestShapes:
+    def test_a_clean_drive_has_none(self) -> None:
+        for seed in range(4):
+            assert oddity(clean(seed).run, clean(seed).seen) is None
+
+    def test_a_jump_is_found_where_it_is(self) -> None:
+        found = jump(knocked().seen)
+        assert found is not None
+        at_s, fitted = found
+        assert at_s == pytest.approx(KNOCK_S, abs=2.0 * STEP_S)
+        assert fitted.values[0] == pytest.approx(deg(0.2), rel=0.15)
+        odd = oddity(knocked().run, knocked().seen)
+        assert odd is not None and odd.at_s == at_s and odd.sigma > ODD_SIGMA
+        assert odd.what.startswith('the bias jumped by +0.') and odd.what.endswith(f'at {at_s:.0f} s')
+
+    def test_a_jump_is_an_effect_of_its_own(self) -> None:
+        block = eventful_block(12, 0, 30.0)
+        effect = bias_step(float(block.time_s[5]))
+        assert effect.columns(block)[:, 0].tolist() == [0.0] * 5 + [1.0] * 7
+        assert effect.name == f'bias_step:{block.time_s[5]:.0f}'
+
+    def test_a_drive_too_short_for_a_jump(self) -> None:
+        assert jump(drive(duration_s=4.0 * STEP_S - 1.0).seen) is None
+
+    def odd(self, made: Drive) -> Oddity:
+        found = oddity(made.run, made.seen)
+        assert found is not None
+        return found
+
+    def test_a_bias_that_follows_a_signal(self) -> None:
+        current = switched()
+        odd = self.odd(drive(deg(0.1) * current, signals={'battery.voltage': times_s(), SIGNAL: current}))
+        assert odd.what == f'the bias goes with {SIGNAL}' and odd.at_s is None
+        assert odd.shape.signal == SIGNAL and not odd.shape.of_scale
+        slope = np.polyfit(odd.shape.knots, odd.shape.values, 1)[0]
+        assert slope == pytest.approx(deg(0.1), rel=0.15)
+        assert odd.gain > 100.0
+
+    def test_a_scale_that_follows_a_signal(self) -> None:
+        rng = np.random.default_rng(3)
+        load = np.repeat(rng.uniform(0.0, 1.0, 30), 100)
+        odd = self.odd(drive(0.02 * load * turning_rad_s(300.0), signals={SIGNAL: load}))
+        assert odd.what == f'the scale goes with {SIGNAL}' and odd.shape.of_scale
+        slope = np.polyfit(odd.shape.knots, odd.shape.values, 1)[0]
+        assert slope == pytest.approx(0.02, rel=0.2)
+
+    def test_what_goes_with_the_rate(self) -> None:
+        """Fast turns to the left read too small: the rest of the rate has nothing to do with it."""
+        odd = self.odd(drive(0.01 * np.maximum(turning_rad_s(300.0) - deg(45.0), 0.0)))
+        assert odd.what == f'the bias goes with {RATE}' and not odd.shape.of_scale
+        *others, fastest = np.degrees(odd.shape.values).tolist()
+        assert fastest == pytest.approx(0.45, rel=0.2) and np.ptp(others) < 0.1
+
+    def test_a_gyro_too_noisy_is_no_oddity(self) -> None:
+        for seed in range(3):
+            made = drive(gyro_noise=4.0, seed=seed, signals={SIGNAL: switched()})
+            assert oddity(made.run, made.seen) is None
+
+    def test_signals_that_do_not_vary_or_are_unknown_have_no_shape(self) -> None:
+        count = len(times_s())
+        gappy = np.where(times_s() < 100.0, np.nan, switched())
+        still, unknown = np.full(count, 7.0), np.full(count, np.nan)
+        made = drive(signals={'still': still, 'unknown': unknown, 'gappy': gappy})
+        found = {shape.signal for shape in shapes(made.run, made.seen)}
+        assert found == {TIME, RATE, 'gappy'}
+
+    def test_the_best_shape_comes_first_and_starts_at_zero(self) -> None:
+        found = shapes(knocked().run, knocked().seen)
+        merits = [shape.fit.gain - len(shape.fit.values) for shape in found]
+        assert merits == sorted(merits, reverse=True)
+        assert all(shape.values[0] == shape.stds[0] == 0.0 for shape in found)
+        assert (RATE, True) not in {(shape.signal, shape.of_scale) for shape in found}
+
+
+class TestFailures:
+    def places(self, made: Drive) -> list[Failure]:
+        found = failures(made.run, made.seen)
+        assert [failure.sigma for failure in found] == sorted((item.sigma for item in found), reverse=True)
+        assert all(failure.sigma >= FAILURE_SIGMA for failure in found)
+        return found
+
+    def worst_regime(self, made: Drive) -> Failure:
+        return next(failure for failure in self.places(made) if failure.regime is not None)
+
+    def in_regime(self, made: Drive, regime: str) -> Failure:
+        return next(failure for failure in self.places(made) if failure.regime == regime)
+
+    def test_a_clean_drive_fails_nowhere(self) -> None:
+        for seed in range(4):
+            assert self.places(clean(seed)) == []
+
+    def test_a_gyro_too_noisy_fails_nowhere(self) -> None:
+        for seed in range(3):
+            assert self.places(drive(gyro_noise=4.0, seed=seed)) == []
+
+    @pytest.mark.parametrize(('side', 'sign'), [('left', 1.0), ('right', -1.0)])
+    @pytest.mark.parametrize('error_deg_s', [0.3, -0.3])
+    def test_turns_to_one_side(self, side: str, sign: float, error_deg_s: float) -> None:
+        made = drive(deg(error_deg_s) * (sign * turning_rad_s(300.0) > 0.0))
+        assert size_of(self.in_regime(made, f'turning {side}')) == pytest.approx(error_deg_s, rel=0.35)
+        assert (self.worst_regime(made).regime or '').startswith(f'turning {side}')
+
+    def test_fast_turns_alone(self) -> None:
+        rate = turning_rad_s(300.0)
+        made = drive(deg(1.0) * (rate > deg(TOP_DEG_S - 5.0)))
+        assert self.worst_regime(made).regime == 'turning left faster than 80 deg/s'
+
+    def test_for_a_while_after_a_turn(self) -> None:
+        rate, error = turning_rad_s(300.0), np.zeros(3000)
+        ends = np.flatnonzero((rate[:-1] > 0.0) & (rate[1:] == 0.0)) + 1
+        for end in ends:
+            error[end : end + 20] = deg(0.5)
+        worst = self.worst_regime(drive(error))
+        assert worst.regime == '0 to 2 s after a turn to the left'
+        assert size_of(worst) == pytest.approx(0.5, rel=0.35)
+
+    def test_over_time(self) -> None:
+        """A knock shows where it happened, not all along after it."""
+        stretches = [failure for failure in self.places(knocked()) if failure.from_s is not None]
+        assert stretches
+        worst = stretches[0]
+        assert worst.from_s is not None and worst.to_s is not None and worst.regime is None
+        assert worst.from_s == BLOCK_S * (KNOCK_S // BLOCK_S) < worst.to_s <= knocked().seen.time_s[-1]
+        assert worst.what.startswith(f'{worst.from_s:.0f} to {worst.to_s:.0f} s: ') and size_of(worst) > 0.15
+
+    def test_a_signal_that_the_scale_goes_with(self) -> None:
+        load = np.repeat(np.random.default_rng(3).uniform(0.0, 1.0, 30), 100)
+        made = drive(0.03 * (load - 0.5) * turning_rad_s(300.0), signals={SIGNAL: load})
+        by_signal = [item for item in self.places(made) if (item.regime or '').startswith(SIGNAL)]
+        scales = [size_of(item) for item in by_signal if item.what.endswith(' %')]
+        assert -1.5 < min(scales) < -0.5 and 0.5 < max(scales) < 1.5
+
+    def test_without_odometry_nothing_is_said_of_distance(self) -> None:
+        rate, error = turning_rad_s(300.0), np.zeros(3000)
+        for end in np.flatnonzero((rate[:-1] != 0.0) & (rate[1:] == 0.0)) + 1:
+            error[end : end + 20] = deg(0.5)
+        made = drive(error)
+        still = replace(made.run, history=replace(made.run.history, distance_m=np.zeros(3000)))
+        assert any(' m after a turn' in failure.what for failure in failures(made.run, made.seen))
+        assert not any(' m after a turn' in failure.what for failure in failures(still, made.seen))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from contracts import eventful_blocks
+from contracts import SIGNAL, eventful_blocks
 from synthetic import RIG, evidence_of, readings
 
-from gyrocal_ros.data import Mount
+from gyrocal_ros.data import Array, Mount
 from gyrocal_ros.diagnose.banks import Hystereses, Warmups
 from gyrocal_ros.diagnose.candidates import (
     HYSTERESIS_TIMES_S,
@@ -30,7 +31,21 @@ from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.sim.scenarios import CAMERA
 
 MEAN, SPREAD = 15.0, 0.5
+SIGNALS = (SIGNAL, 'fan.data')
 SOME = tuple(map(find_effect, ('scale_asymmetry', 'scale_quadratic', 'gyro_lag')))
+
+
+def contributed(effect: Any) -> Array:
+    """(3, 12, k) derivatives of a gyro effect over some blocks, its coefficients as expected."""
+    parts, memory = [], None
+    for block in eventful_blocks():
+        other = np.linspace(0.0, 5000.0, 12) + block.time_s[0]
+        block = replace(block, covariates={**block.covariates, SIGNALS[1]: other})
+        values = np.array([item.prior_mean for item in effect.coefficients])
+        term = effect.contribute(block, values, memory)
+        memory = term.memory
+        parts.append(term.by_values)
+    return np.array(parts)
 
 
 class TestDocket:
@@ -70,10 +85,9 @@ class TestDocket:
         assert ('wheel_scale' in {trial.effect.name for trial in trials}) == is_tried
 
     def test_every_signal_is_tried_on_bias_and_scale(self) -> None:
-        trials = docket(default_model(), self.offering('battery.voltage', 'fan.data')).trials
+        trials = docket(default_model(), self.offering(*SIGNALS)).trials
         about = {trial.effect.name: trial.effect for trial in trials if ':' in trial.effect.name}
-        signals = ('battery.voltage', 'fan.data')
-        assert set(about) == {f'covariate_{of}:{signal}' for of in ('bias', 'scale') for signal in signals}
+        assert set(about) == {f'covariate_{of}:{signal}' for of in ('bias', 'scale') for signal in SIGNALS}
         assert about['covariate_bias:fan.data'] == covariate_bias('fan.data', MEAN, SPREAD)
         present = replace(default_model(), effects=(find_effect('covariate_bias:fan.data'),))
         left = {trial.effect.name for trial in docket(present, self.offering('fan.data')).trials}
@@ -89,28 +103,25 @@ class TestDocket:
         assert len(hystereses) == 2 * len(HYSTERESIS_TIMES_S)
 
     def test_evidence_of_what_is_carried_is_evidence_of_what_is_tried(self) -> None:
-        every = docket(default_model(), self.offering('fan.data'))
-        count = sum(len(effect.coefficients) for effect in every.carried)
+        every = docket(default_model(), self.offering(*SIGNALS))
+        assert len(every.carried) < len(every.trials)
         rng = np.random.default_rng(0)
-        columns, noise = rng.normal(size=(4, 20, count)), rng.normal(size=(4, 20))
-        carried = dict(zip((effect.name for effect in every.carried), columns_of(every.carried), strict=True))
-        judged = every.judged(evidence_of(columns, noise, every.carried))
-        assert judged.candidates == tuple(trial.effect for trial in every.trials)
-        sums, squares = (
-            evidence_of(columns, noise).score.sum(axis=0),
-            np.einsum('bni,bni->i', columns, columns),
-        )
-        score, information = judged.score.sum(axis=0), judged.information.sum(axis=0)
-        rows: dict[str, int] = {}
-        for trial, places in zip(every.trials, columns_of(judged.candidates), strict=True):
-            own = carried[trial.carried.name]
-            if trial.carried is not trial.effect:
-                row = rows.get(trial.carried.name, 0)
-                rows[trial.carried.name] = row + 1
-                own, places = own[row : row + 1], places[:1]
-            np.testing.assert_allclose(score[places], sums[own])
-            np.testing.assert_allclose(np.diagonal(information)[places], squares[own])
-        assert rows == {'warmups': len(WARMUP_TIMES_S), 'hystereses': 2 * len(HYSTERESIS_TIMES_S)}
+        others = {name: rng.normal(size=(3, 12, 4)) for name in EFFECTS}
+
+        def columns(effects: tuple[Effect, ...]) -> Array:
+            """(3, 12, c) those of gyro effects by their own words, any others."""
+            parts = [
+                contributed(effect) if effect.acts_on == 'gyro' else others[effect.name] for effect in effects
+            ]
+            counts = [len(effect.coefficients) for effect in effects]
+            return np.concatenate([part[:, :, :k] for part, k in zip(parts, counts, strict=True)], axis=2)
+
+        tried, seen = tuple(trial.effect for trial in every.trials), rng.normal(size=(3, 12))
+        judged = every.judged(evidence_of(columns(every.carried), seen, every.carried))
+        expected = evidence_of(columns(tried), seen, tried)
+        assert judged.candidates == tried and np.array_equal(judged.start_s, expected.start_s)
+        np.testing.assert_allclose(judged.score, expected.score, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(judged.information, expected.information, rtol=1e-9, atol=1e-12)
 
     def test_places_of_coefficients(self) -> None:
         effects: tuple[Effect, ...] = (SOME[0], find_effect('cross_axis'), SOME[1])

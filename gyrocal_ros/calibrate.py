@@ -11,6 +11,7 @@ import numpy as np
 
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import (
+    NS_PER_S,
     Array,
     ClockStep,
     FeatureObservations,
@@ -191,8 +192,7 @@ def _run(
     """One pass of the filter."""
     slam = make_filter(model, config, source.rig, start, candidates)
     recorder = Recorder(len(model.coefficients), candidates)
-    span = source.span
-    told_s = 0.0
+    span, told_ns = source.span, source.span.start_ns
     try:
         for measurement in measurements:
             if isinstance(measurement, TruthSample):
@@ -202,10 +202,9 @@ def _run(
                 recorder.add(record)
             if isinstance(measurement, ClockStep):
                 recorder.add_clock_step(measurement)
-            done_s = seconds(recorder.running_ns(measurement.t_ns) - span.start_ns)
-            if report is not None and done_s - told_s >= 1.0:
-                told_s = done_s
-                report(Progress(done_s, span.duration_s))
+            if report is not None and recorder.running_ns(measurement.t_ns) - told_ns >= NS_PER_S:
+                told_ns = recorder.running_ns(measurement.t_ns)
+                report(Progress(seconds(told_ns - span.start_ns), span.duration_s))
         for record in slam.finish():
             recorder.add(record)
     except FilterDivergedError as error:

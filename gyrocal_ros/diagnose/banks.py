@@ -14,6 +14,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import LinearGyroEffect
+from gyrocal_ros.effects.covariate import deviation
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
@@ -37,6 +38,25 @@ class Warmups(LinearGyroEffect):
     def columns(self, block: MotionBlock) -> Array:
         """(N, q)"""
         return -np.exp(-block.time_s[:, None] / np.array(self.times_s))
+
+
+@dataclass(frozen=True)
+class Followers(LinearGyroEffect):
+    """`covariate_bias` of several signals, then `covariate_scale` of the same."""
+
+    references: tuple[tuple[str, float], ...]
+    """Name of each signal, and what it is counted from."""
+    name: str = 'followers'
+
+    @property
+    def coefficients(self) -> tuple[Coefficient, ...]:  # type: ignore[override]
+        """One for each signal and kind."""
+        return _amplitudes(2 * len(self.references))
+
+    def columns(self, block: MotionBlock) -> Array:
+        """(N, 2 q)"""
+        deviations = np.stack([deviation(block, *reference) for reference in self.references], axis=1)
+        return np.concatenate([deviations, deviations * block.rate_rad_s[:, 2:]], axis=1)
 
 
 @dataclass(frozen=True)

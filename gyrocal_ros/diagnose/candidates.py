@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, Rig
-from gyrocal_ros.diagnose.banks import Hystereses, Warmups
+from gyrocal_ros.diagnose.banks import Followers, Hystereses, Warmups
 from gyrocal_ros.diagnose.recorded import Recorded, Signal
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
@@ -78,7 +78,7 @@ def docket(model: SensorModel, recorded: Recorded) -> Docket:
             trials.extend(_hystereses(effect))
         else:
             trials.append(_plain(effect))
-    trials.extend(_plain(effect) for effect in _of_signals(recorded.signals) if effect.name not in present)
+    trials.extend(trial for trial in _followers(recorded.signals) if trial.effect.name not in present)
     return Docket(tuple(trials))
 
 
@@ -106,7 +106,7 @@ def _plain(effect: Effect) -> Trial:
 def _warmups(effect: BiasWarmup) -> list[Trial]:
     bank = Warmups(WARMUP_TIMES_S)
     return [
-        Trial(with_means(effect, (0.0, time_s)), bank, _one_of(row, len(WARMUP_TIMES_S)))
+        Trial(with_means(effect, (0.0, time_s)), bank, _one_of(row, len(WARMUP_TIMES_S), 2))
         for row, time_s in enumerate(WARMUP_TIMES_S)
     ]
 
@@ -115,22 +115,24 @@ def _hystereses(effect: TurnHysteresis) -> list[Trial]:
     forms = (replace(effect, driven_by='rate'), replace(effect, driven_by='side'))
     variants = tuple(with_means(form, (0.0, time_s)) for form in forms for time_s in HYSTERESIS_TIMES_S)
     bank = Hystereses(variants)
-    return [Trial(variant, bank, _one_of(row, len(variants))) for row, variant in enumerate(variants)]
+    return [Trial(variant, bank, _one_of(row, len(variants), 2)) for row, variant in enumerate(variants)]
 
 
-def _one_of(row: int, count: int) -> Array:
-    """(count, 2): the amplitude is column `row` of a bank; nothing depends on the time constant yet."""
-    weights = np.zeros((count, 2))
+def _one_of(row: int, count: int, coefficients: int) -> Array:
+    """(count, coefficients): the first is column `row` of a bank; nothing depends on a time constant yet."""
+    weights = np.zeros((count, coefficients))
     weights[row, 0] = 1.0
     return weights
 
 
-def _of_signals(signals: Sequence[Signal]) -> list[Effect]:
-    return [
+def _followers(signals: Sequence[Signal]) -> list[Trial]:
+    bank = Followers(tuple((signal.name, signal.mean) for signal in signals))
+    effects = [
         make(signal.name, signal.mean, signal.spread)
-        for signal in signals
         for make in (covariate_bias, covariate_scale)
+        for signal in signals
     ]
+    return [Trial(effect, bank, _one_of(row, len(effects), 1)) for row, effect in enumerate(effects)]
 
 
 def with_means(effect: E, values: Sequence[float]) -> E:

@@ -34,7 +34,8 @@ BANDS_DEG_S = (0.1, 0.2, 0.3, 0.4, 0.5)
 MIN_GAIN = 40.0
 """Log-likelihood by the headings alone that makes a limit worth a run of the filter. A robot that
 drives straight gains some by a dead band: it takes away the noise."""
-ODD_PART = 0.4
+ODD_PART, SATURATED_PART = 0.4, 0.5
+"""Parts of what else explains the recording that a limit has to explain by the headings alone."""
 NEARLY = 0.97
 """The widest band that explains nearly as much as the best: noise blurs its edge inwards."""
 STUCK = 0.05
@@ -82,7 +83,9 @@ class Proposal:
     """Whether the readings themselves show it, so that no rival has to be beaten."""
 
 
-def proposals(run: Run, seen: Headings, recorded: Recorded, odd_gain: float) -> Iterator[Proposal]:
+def proposals(
+    run: Run, seen: Headings, recorded: Recorded, odd_gain: float, rival_gain: float
+) -> Iterator[Proposal]:
     """Limits that the readings suggest and the headings do not contradict.
 
     Args:
@@ -91,11 +94,12 @@ def proposals(run: Run, seen: Headings, recorded: Recorded, odd_gain: float) -> 
         recorded: the readings.
         odd_gain: what a free function of something recorded gains; a dead band whose edge is hidden
             by noise is proposed only where it explains a good part of that.
+        rival_gain: what the best effect of another kind explains, zero where none is significant.
     """
     present = {effect.name for effect in run.model.effects}
     if 'rate_saturation' not in present:
         limit = pile(recorded)
-        if limit is not None and _turned_more(run, seen, recorded, limit):
+        if limit is not None and _may_saturate(run, seen, recorded, limit, odd_gain, rival_gain):
             yield Proposal(with_limit('rate_saturation', limit))
     if 'rate_deadband' not in present:
         width = stuck(recorded)
@@ -111,11 +115,21 @@ def with_limit(name: str, value: float) -> Effect:
     return with_means(EFFECTS[name], (value,))
 
 
-def _turned_more(run: Run, seen: Headings, recorded: Recorded, limit: float) -> bool:
-    """Whether the robot turned further than the readings at the limit say."""
+def _may_saturate(
+    run: Run, seen: Headings, recorded: Recorded, limit: float, odd_gain: float, rival_gain: float
+) -> bool:
+    """Whether a pile may be a limit: the robot turned further than its readings say.
+
+    Beyond a limit the map itself goes astray, and the headings with it; then much is odd and nothing
+    else explains it.
+    """
+    if rival_gain == 0.0 and odd_gain > 0.0:
+        return True
     side = np.where(np.abs(recorded.rate_rad_s) >= AT_THE_TOP * limit, np.sign(recorded.rate_rad_s), 0.0)
     fitted = _beside_scale(run, seen, _over_steps(run, recorded, side))
-    return fitted is not None and float(fitted.values[0]) > 0.0 and fitted.gain > MIN_GAIN
+    if fitted is None or float(fitted.values[0]) <= 0.0:
+        return False
+    return fitted.gain > max(MIN_GAIN, SATURATED_PART * rival_gain)
 
 
 def _band(run: Run, seen: Headings, recorded: Recorded, least_gain: float) -> float | None:

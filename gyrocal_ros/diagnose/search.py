@@ -159,7 +159,7 @@ def _next_change(stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: 
     best = best_explanation(stage.suspects, stage.evidence, tried)
     rival_gain = best.fit.gain if best is not None else 0.0
     odd_gain = stage.oddity.gain if stage.oddity is not None else 0.0
-    for limit in proposals(stage.run, stage.seen, recorded, odd_gain):
+    for limit in proposals(stage.run, stage.seen, recorded, odd_gain, rival_gain):
         if limit.effect.name not in tried:
             rival = 0.0 if limit.is_read else max(rival_gain, odd_gain)
             change = _limited(stage, limit.effect, recorded, calibrate, rival)

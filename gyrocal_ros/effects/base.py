@@ -71,7 +71,7 @@ def column(*signals: Array) -> Array:
 
 def recorded(signal: Array) -> Array:
     """A signal with zero for what was not recorded (NaN): the effect then has nothing to say."""
-    return np.nan_to_num(signal)
+    return np.where(np.isnan(signal), 0.0, signal)
 
 
 def with_unit(value: float, unit: str, digits: int = 4) -> str:

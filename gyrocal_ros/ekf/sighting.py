@@ -13,7 +13,7 @@ from gyrocal_ros.ekf.gate import inliers
 from gyrocal_ros.ekf.landmarks import augment, make_room, note_sighting
 from gyrocal_ros.ekf.parts import Parts, first_sight_by_values, measurement_by_values
 from gyrocal_ros.ekf.state import YAW, State
-from gyrocal_ros.ekf.update import Innovation, Lesson, innovate, mahalanobis, update
+from gyrocal_ros.ekf.update import Innovation, Lesson, innovate, mahalanobis, own_precisions, update
 from gyrocal_ros.model.camera import project_with_jacobian
 from gyrocal_ros.model.features.base import Parametrisation, Prediction, View
 
@@ -83,11 +83,12 @@ def see(state: State, eye: Eye, observations: FeatureObservations) -> tuple[Stat
     by_values, by_candidates = eye.by_values(prediction, state.coefficients), eye.by_candidates(prediction)
     innovation = innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
 
-    distances = mahalanobis(innovation)
+    precisions = own_precisions(innovation)
+    distances = mahalanobis(innovation.residual, precisions)
     good = inliers(distances, SEEN_NUMBERS, features.outlier_probability)
     good &= prediction.points_c[:, 2] > MIN_SIGHTING_DEPTH
     used = innovation if good.all() else innovation[np.flatnonzero(good)]
-    heading_rad, heading_std_rad = _as_heading(used)
+    heading_rad, heading_std_rad = _as_heading(used, precisions[good])
     lesson = Lesson()
     if good.any():
         state, lesson = update(state, used)
@@ -162,7 +163,7 @@ def _noise_dominates(innovation: Innovation) -> np.ndarray:
     return np.einsum('mii->m', innovation.noise) > total * 2.0 / 3.0
 
 
-def _as_heading(innovation: Innovation) -> tuple[float, float]:
+def _as_heading(innovation: Innovation, precisions: Array) -> tuple[float, float]:
     """The innovation as a heading error, least squares over the image, and what pixel noise makes of it.
 
     A feature counts by its own covariance: one just met, of unknown depth, tells little of the heading.
@@ -171,7 +172,7 @@ def _as_heading(innovation: Innovation) -> tuple[float, float]:
     if len(innovation.rows) == 0 or innovation.noise.shape[1] != 2:
         return 0.0, float('nan')
     by_yaw = innovation.prediction.by_pose[:, :, YAW]
-    weighted = np.linalg.solve(innovation.own_covariances(), by_yaw[:, :, None])[:, :, 0]
+    weighted = (precisions @ by_yaw[:, :, None])[:, :, 0]
     information = float(np.vdot(weighted, by_yaw))
     heading_rad = float(np.vdot(weighted, innovation.residual)) / information
     variance = float(np.vdot(weighted, (innovation.noise @ weighted[:, :, None])[:, :, 0]))

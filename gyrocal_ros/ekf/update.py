@@ -113,17 +113,22 @@ def innovate(
     return Innovation(rows, residual, prediction, numerator, covariance, noise, sensitivity)
 
 
-def mahalanobis(innovation: Innovation) -> Array:
-    """Squared distance (m,) of each feature's innovation from zero, by its own covariance.
+def own_precisions(innovation: Innovation) -> Array:
+    """Inverse (m, r, r) of each feature's own covariance.
 
     Raises:
-        FilterDivergedError: a covariance is singular.
+        FilterDivergedError: one is singular.
     """
     try:
-        whitened = np.linalg.solve(innovation.own_covariances(), innovation.residual[:, :, None])[:, :, 0]
+        return np.linalg.inv(innovation.own_covariances())
     except np.linalg.LinAlgError as error:
         raise _not_a_covariance() from error
-    return np.einsum('mr,mr->m', innovation.residual, whitened)
+
+
+def mahalanobis(residual: Array, precisions: Array) -> Array:
+    """Squared distance (m,) of each innovation (m, r) from zero by its precision (m, r, r)."""
+    distances: Array = np.sum((residual[:, None, :] @ precisions)[:, 0] * residual, axis=1)
+    return distances
 
 
 def update(state: State, innovation: Innovation) -> tuple[State, Lesson]:

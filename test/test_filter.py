@@ -34,6 +34,7 @@ from gyrocal_ros.ekf.update import (
     heading_update,
     innovate,
     mahalanobis,
+    own_precisions,
     update,
     zero_rate_update,
 )
@@ -339,7 +340,8 @@ class TestStackedUpdate:
         for i, residual in enumerate(innovation.residual):
             own = whole[i * width : (i + 1) * width, i * width : (i + 1) * width]
             np.testing.assert_allclose(innovation.own_covariances()[i], own, rtol=1e-9)
-            assert mahalanobis(innovation)[i] == pytest.approx(residual @ np.linalg.solve(own, residual))
+            distance = mahalanobis(innovation.residual, own_precisions(innovation))[i]
+            assert distance == pytest.approx(residual @ np.linalg.solve(own, residual))
 
     def test_choosing_is_seeing_fewer(self, form: Parametrisation, rows: IntArray) -> None:
         state, innovation = seen(form, rows)

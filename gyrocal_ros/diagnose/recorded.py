@@ -19,7 +19,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 
-MAX_SIGNALS = 12
+MAX_SIGNALS = 24
 """No more recorded signals are put on trial than these, those that vary most by their own mean."""
 
 
@@ -69,6 +69,8 @@ def look_at(source: Source) -> Recorded:
             has_temperature = True
     signals = [Signal(name, float(np.mean(column)), float(np.std(column))) for name, column in values.items()]
     varying = [signal for signal in signals if signal.spread > 1e-6 * abs(signal.mean)]
+    if len(varying) > MAX_SIGNALS:
+        varying.sort(key=lambda signal: abs(signal.mean) / signal.spread)
     t_ns, rate = zip(*rates, strict=True) if rates else ((), ())
     return Recorded(
         rig=source.rig,

@@ -10,16 +10,15 @@ import numpy as np
 
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import NS_PER_S, Array, IntArray, Mount, Rig, Span
-from gyrocal_ros.diagnose.heading import Headings
+from gyrocal_ros.diagnose.heading import Headings, headings
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.evidence import BLOCK_S, Evidence
 from gyrocal_ros.ekf.run import History, Run
-from gyrocal_ros.ekf.state import State, no_landmarks
+from gyrocal_ros.ekf.state import YAW, State, no_landmarks
 from gyrocal_ros.model.sensor import Effect
 
 DT_S = 0.1
-GYRO_NOISE_DEG_S = 0.0075
 HEADING_STD_RAD = math.radians(0.05)
 TOP_DEG_S = 90.0
 RIG = Rig(None, Mount(np.eye(3), np.zeros(3)))
@@ -73,11 +72,14 @@ def drive(
     rng = np.random.default_rng(seed)
     true = turning_rad_s(duration_s)
     count, time_s = len(true), DT_S * np.arange(1, len(true) + 1)
-    noise = gyro_noise * math.radians(GYRO_NOISE_DEG_S) / math.sqrt(DT_S) * rng.normal(size=count)
+    density = gyro_noise * math.radians(Config().gyro.rate_noise_deg_s)
+    noise = density / math.sqrt(DT_S) * rng.normal(size=count)
     rate = (true if read_rad_s is None else read_rad_s) - error_rad_s + noise
     seen_rad = np.cumsum(true) * DT_S + HEADING_STD_RAD * rng.normal(size=count)
     zeros, model = np.zeros(count), default_model()
     mean = np.zeros((count, 10))
+    mean[:, YAW] = seen_rad
+    expected = np.concatenate([seen_rad[:1], seen_rad[:-1]]) + rate * DT_S
     history = History(
         t_ns=_ns(time_s),
         time_s=time_s - DT_S,
@@ -88,7 +90,7 @@ def drive(
         log_likelihood=zeros,
         used=np.ones(count),
         rejected=zeros,
-        heading_innovation_rad=zeros,
+        heading_innovation_rad=seen_rad - expected,
         heading_innovation_std_rad=np.full(count, HEADING_STD_RAD),
         pixel_noise_px=np.ones(count),
         dt_s=np.full(count, DT_S),
@@ -116,18 +118,7 @@ def drive(
         events=(),
         signal_names=tuple(signals or ()),
     )
-    seen = Headings(
-        time_s=history.time_s,
-        dt_s=history.dt_s,
-        told_s=history.told_s,
-        lost_rad=zeros,
-        turn_rad=history.turn_rad,
-        seen_rad=seen_rad,
-        std_rad=history.heading_innovation_std_rad,
-        rate_noise_rad_s=math.radians(GYRO_NOISE_DEG_S),
-        bias_walk_rad_s=math.radians(Config().gyro.bias_walk_deg_s),
-    )
-    return Drive(run, seen)
+    return Drive(run, headings(run))
 
 
 def readings(rate_rad_s: Array, hz: float = 1.0 / DT_S, *, start_s: float = 0.0) -> Recorded:

@@ -1,0 +1,298 @@
+"""The search for what is missing, on a filter that is made of numbers; and what it looks at first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from recordings import recording
+from synthetic import DT_S, RIG, Drive, drive, evidence_of, readings, turning_rad_s
+
+from gyrocal_ros.calibrate import Held
+from gyrocal_ros.data import (
+    Array,
+    CovariateSample,
+    ImuSample,
+    Measurement,
+    Span,
+    TemperatureSample,
+    WheelSample,
+    nanoseconds,
+)
+from gyrocal_ros.diagnose.candidates import docket
+from gyrocal_ros.diagnose.foresight import certainty, foreseen
+from gyrocal_ros.diagnose.limits import with_limit
+from gyrocal_ros.diagnose.ranking import PRICE
+from gyrocal_ros.diagnose.recorded import MAX_SIGNALS, Recorded, look_at
+from gyrocal_ros.diagnose.search import MIN_FORESEEN, search, trial, with_effect
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.evidence import BLOCK_S, Evidence
+from gyrocal_ros.ekf.motion import SPEED_SIGNAL
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.sensor import Effect, SensorModel
+
+DURATION_S = 100.0
+LIMIT_RAD_S = math.radians(85.0)
+
+
+@dataclass
+class Robot:
+    """Stands in for the filter: tells of each hidden effect that the model lacks, and what it foresees."""
+
+    hidden: dict[str, float]
+    """How strong, in sigma of a block."""
+    foresees: dict[str, float]
+    """Log-likelihood that an effect of the model gains."""
+    made: Drive = field(default_factory=lambda: drive(duration_s=DURATION_S))
+    diverges_without: str = ''
+    models: list[tuple[str, ...]] = field(default_factory=list)
+
+    def __call__(self, model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
+        names = tuple(effect.name for effect in model.effects)
+        self.models.append(names)
+        if self.diverges_without and self.diverges_without not in names:
+            raise FilterDivergedError('lost the measurements')
+        history = self.made.run.history
+        gained = sum(self.foresees.get(name, 0.0) for name in names)
+        told = replace(history, log_likelihood=np.full(len(history.time_s), gained / len(history.time_s)))
+        evidence = self.evidence(names, candidates) if candidates else None
+        return replace(self.made.run, model=model, history=told, evidence=evidence)
+
+    def evidence(self, names: Sequence[str], candidates: tuple[Effect, ...]) -> Evidence:
+        """Every effect has its own columns, whatever else is on trial."""
+        blocks, each = round(DURATION_S / BLOCK_S), 20
+        noise = np.random.default_rng(0).normal(size=(blocks, each))
+
+        def columns(effect: Effect) -> Array:
+            rng = np.random.default_rng(sum(map(ord, effect.name)))
+            return rng.normal(size=(blocks, each, len(effect.coefficients)))
+
+        lacking = {name: size for name, size in self.hidden.items() if name not in names}
+        seen = noise + sum(size * columns(find_effect(name))[:, :, 0] for name, size in lacking.items())
+        return evidence_of(np.concatenate([columns(item) for item in candidates], axis=2), seen, candidates)
+
+
+NOTHING_READ = readings(np.zeros(1000))
+
+
+class TestSearch:
+    def test_what_is_missing_is_put_in_and_nothing_more(self) -> None:
+        robot = Robot({'gyro_lag': 2.0}, {'gyro_lag': 400.0})
+        found = search(default_model(), NOTHING_READ, robot)
+        (change,) = found.changes
+        assert change.effect.name == 'gyro_lag' and change.is_kept and found.kept == found.changes
+        assert change.foreseen == pytest.approx(400.0) and change.gain > 100.0 and change.sigma > 4.0
+        assert change.before is found.first and change.after is found.last
+        assert [effect.name for effect in found.last.model.effects] == ['scale_factor', 'gyro_lag']
+        assert robot.models == [('scale_factor',), ('scale_factor', 'gyro_lag')]
+
+    def test_two_are_found_one_after_the_other(self) -> None:
+        sizes = {'gyro_lag': 1.0, 'scale_cubic': 2.0}
+        found = search(default_model(), NOTHING_READ, Robot(sizes, {'gyro_lag': 90.0, 'scale_cubic': 300.0}))
+        assert [change.effect.name for change in found.kept] == ['scale_cubic', 'gyro_lag']
+        assert found.last.model.version == default_model().version + 2
+        assert found.changes[1].before is found.changes[0].after
+
+    def test_nothing_is_made_of_chance(self) -> None:
+        found = search(default_model(), NOTHING_READ, Robot({}, {}))
+        assert found.changes == () and found.last is found.first and found.first.oddity is None
+
+    @pytest.mark.parametrize('gained', [-50.0, 0.0, 0.9 * MIN_FORESEEN])
+    def test_what_does_not_help_is_not_kept_and_is_said(self, gained: float) -> None:
+        found = search(default_model(), NOTHING_READ, Robot({'gyro_lag': 2.0}, {'gyro_lag': gained}))
+        (change,) = found.changes
+        assert change.effect.name == 'gyro_lag' and not change.is_kept
+        assert change.foreseen == pytest.approx(gained) and change.gain > PRICE
+        assert found.kept == () and found.last is found.first
+
+    def test_after_a_rejected_one_the_next_is_tried_without_it(self) -> None:
+        robot = Robot({'gyro_lag': 2.0, 'scale_cubic': 1.0}, {'gyro_lag': -9.0, 'scale_cubic': 90.0})
+        found = search(default_model(), NOTHING_READ, robot)
+        assert [(change.effect.name, change.is_kept) for change in found.changes] == [
+            ('gyro_lag', False),
+            ('scale_cubic', True),
+        ]
+        assert [effect.name for effect in found.last.model.effects] == ['scale_factor', 'scale_cubic']
+        assert robot.models.count(('scale_factor', 'gyro_lag')) == 1
+
+    def test_it_ends_after_so_many(self) -> None:
+        sizes = dict.fromkeys(('gyro_lag', 'scale_cubic', 'turn_slip', 'focal_length'), 2.0)
+        robot = Robot(sizes, dict.fromkeys(sizes, 100.0))
+        assert len(search(default_model(), NOTHING_READ, robot, most=2).changes) == 2
+        assert len(robot.models) == 3
+
+    def test_an_effect_begins_where_the_evidence_puts_it(self) -> None:
+        found = search(default_model(), NOTHING_READ, Robot({'gyro_lag': 2.0}, {'gyro_lag': 400.0}))
+        (item,) = found.changes[0].effect.coefficients
+        assert item.prior_mean == pytest.approx(2.0, abs=0.3)
+        assert found.changes[0].stds[0] == pytest.approx(1.0 / math.sqrt(200.0), rel=0.5)
+
+    def test_something_unknown_that_explains_more_is_not_forced_into_an_effect(self) -> None:
+        knocked = drive(
+            math.radians(0.3) * (DT_S * np.arange(1000) > 0.5 * DURATION_S), duration_s=DURATION_S
+        )
+        found = search(default_model(), NOTHING_READ, Robot({'gyro_lag': 0.5}, {'gyro_lag': 40.0}, knocked))
+        assert found.changes == ()
+        assert found.first.oddity is not None and found.first.oddity.at_s is not None
+        assert found.first.suspects[0].effect.name == 'gyro_lag' and found.first.suspects[0].is_significant
+
+    def test_a_filter_that_cannot_run_is_an_error(self) -> None:
+        robot = Robot({}, {}, diverges_without='scale_cubic')
+        with pytest.raises(FilterDivergedError):
+            search(default_model(), NOTHING_READ, robot)
+
+
+def saturated() -> Drive:
+    """A gyro that reads no more than its limit, on a robot that turns faster."""
+    read = np.clip(turning_rad_s(DURATION_S), -LIMIT_RAD_S, LIMIT_RAD_S)
+    return drive(duration_s=DURATION_S, read_rad_s=read)
+
+
+def read_by(made: Drive) -> Recorded:
+    """The readings that a drive was run on."""
+    history = made.run.history
+    return readings(history.turn_rad / history.dt_s, start_s=0.5 * DT_S)
+
+
+class TestLimits:
+    def test_a_filter_that_cannot_run_is_rescued_by_a_limit(self) -> None:
+        made = saturated()
+        robot = Robot({'gyro_lag': 2.0}, {'gyro_lag': 100.0}, made, diverges_without='rate_saturation')
+        found = search(default_model(), read_by(made), robot)
+        rescue, lag = found.changes
+        assert rescue.effect.name == 'rate_saturation' and rescue.before is None and rescue.is_kept
+        assert rescue.gain == rescue.foreseen == math.inf and rescue.p_value == 0.0
+        assert rescue.effect.coefficients[0].prior_mean == pytest.approx(LIMIT_RAD_S, rel=0.01)
+        assert found.first is rescue.after and lag.before is found.first
+        assert [effect.name for effect in found.last.model.effects] == [
+            'scale_factor',
+            'rate_saturation',
+            'gyro_lag',
+        ]
+
+    def test_no_limit_rescues_what_has_no_pile_or_has_it_already(self) -> None:
+        robot = Robot({}, {}, diverges_without='scale_cubic')
+        scattered = readings(np.random.default_rng(0).normal(size=5000), hz=100.0)
+        for model, recorded in (
+            (default_model(), scattered),
+            (default_model(), read_by(saturated())),
+            (with_effect(default_model(), with_limit('rate_saturation', 1.0)), read_by(saturated())),
+        ):
+            with pytest.raises(FilterDivergedError):
+                search(model, recorded, robot)
+        with_it = ('scale_factor', 'rate_saturation')
+        assert robot.models == [('scale_factor',), ('scale_factor',), with_it, with_it]
+
+    @pytest.mark.parametrize(('gained', 'is_in'), [(1e6, True), (1.0, False)])
+    def test_a_limit_has_to_foresee_more_than_any_rival(self, gained: float, is_in: bool) -> None:
+        made = saturated()
+        robot = Robot({}, {'rate_saturation': gained}, made)
+        found = search(default_model(), read_by(made), robot)
+        assert ('scale_factor', 'rate_saturation') in robot.models
+        assert [change.effect.name for change in found.kept] == ['rate_saturation'] * is_in
+        if is_in:
+            assert found.changes[0].gain == pytest.approx(gained)
+
+
+class TestTrial:
+    def test_one_effect_is_tried_whatever_is_said_of_it(self) -> None:
+        robot = Robot({'gyro_lag': 2.0}, {'scale_cubic': -3.0})
+        found = trial(default_model(), NOTHING_READ, robot, find_effect('scale_cubic'))
+        (change,) = found.changes
+        assert change.effect.name == 'scale_cubic' and not change.is_kept and change.sigma < 4.0
+        assert found.last is found.first and len(robot.models) == 2
+
+    def test_one_that_has_no_evidence_is_tried_as_it_is(self) -> None:
+        limit = with_limit('rate_deadband', 0.01)
+        (change,) = trial(default_model(), NOTHING_READ, Robot({}, {'rate_deadband': 20.0}), limit).changes
+        assert change.effect == limit and change.is_kept
+        assert (change.gain, change.sigma, change.p_value) == (0.0, 0.0, 1.0) and not change.stds.any()
+
+
+class TestForesight:
+    def gained(self, log_likelihood: Array | float, dof: Array | float = 1.0) -> Run:
+        made = drive(duration_s=DURATION_S).run
+        full = np.ones(len(made.history.time_s))
+        return replace(
+            made, history=replace(made.history, log_likelihood=log_likelihood * full, dof=dof * full)
+        )
+
+    def test_it_is_the_difference_of_log_likelihoods_by_blocks(self) -> None:
+        ramp = np.linspace(0.0, 1.0, round(DURATION_S / DT_S))
+        gains = foreseen(self.gained(1.0), self.gained(1.0 + ramp))
+        each = round(BLOCK_S / DT_S)
+        np.testing.assert_allclose(gains, ramp.reshape(-1, each).sum(axis=1))
+        np.testing.assert_allclose(
+            foreseen(self.gained(1.0 + ramp), self.gained(1.0)).sum(), -ramp.sum(), rtol=0.01
+        )
+
+    def test_to_have_used_more_features_is_no_gain(self) -> None:
+        """Twice as many, each foreseen as well as before."""
+        np.testing.assert_allclose(foreseen(self.gained(-2.0, 4.0), self.gained(-4.0, 8.0)), 0.0, atol=1e-9)
+        assert foreseen(self.gained(-2.0, 4.0), self.gained(-3.0, 8.0)).sum() == pytest.approx(1000.0)
+
+    def test_a_run_that_ended_earlier_gains_nothing_later(self) -> None:
+        short = self.gained(3.0)
+        half = {
+            name: getattr(short.history, name)[:500] for name in ('time_s', 'log_likelihood', 'dof', 't_ns')
+        }
+        gains = foreseen(self.gained(1.0), replace(short, history=replace(short.history, **half)))
+        assert len(gains) == round(DURATION_S / BLOCK_S)
+        assert np.all(gains[:5] > 0.0)
+
+    def test_certainty_is_mean_over_scatter(self) -> None:
+        gains = np.array([1.0, 3.0, 2.0, 2.0])
+        assert certainty(gains) == pytest.approx(8.0 / (2.0 * math.sqrt(2.0 / 3.0)))
+        assert certainty(-gains) == -certainty(gains)
+        assert certainty(gains[:1]) == certainty(np.ones(5)) == 0.0
+
+
+class TestLookAt:
+    def source(self, *measurements: Measurement) -> Held:
+        return Held('made', RIG, Span(0, nanoseconds(10.0)), measurements)
+
+    def signal(self, name: str, *values: float) -> list[Measurement]:
+        return [CovariateSample(place, name, value) for place, value in enumerate(values)]
+
+    def test_signals_and_readings(self) -> None:
+        recorded = look_at(
+            self.source(
+                *(ImuSample(t_ns, (9.0, 9.0, 0.1 * t_ns), (0.0, 0.0, 9.8)) for t_ns in range(3)),
+                *self.signal('fan', 1.0, 3.0),
+                *self.signal('still', 7.0, 7.0),
+                WheelSample(1, 0.2, 0.0),
+                WheelSample(2, 0.4, 0.0),
+                TemperatureSample(3, 25.0),
+            )
+        )
+        assert recorded.rate_t_ns.tolist() == [0, 1, 2]
+        np.testing.assert_allclose(recorded.rate_rad_s, [0.0, 0.1, 0.2])
+        about = {signal.name: (signal.mean, signal.spread) for signal in recorded.signals}
+        assert about == {'fan': (2.0, 1.0), SPEED_SIGNAL: (pytest.approx(0.3), pytest.approx(0.1))}
+        assert recorded.has_temperature and recorded.extras == {'temperature'}
+        assert recorded.duration_s == 10.0 and recorded.left_out == () and recorded.rig is RIG
+
+    def test_of_too_many_signals_those_that_vary_most_are_tried(self) -> None:
+        few = [f'steady{place}' for place in range(3)]
+        many = [f'lively{place}' for place in range(MAX_SIGNALS)]
+        measurements = [item for name in few for item in self.signal(name, 10.0, 10.1)]
+        measurements += [item for name in many for item in self.signal(name, 1.0, -1.0)]
+        recorded = look_at(self.source(*measurements))
+        assert {signal.name for signal in recorded.signals} == set(many)
+        assert sorted(recorded.left_out) == few
+
+    def test_nothing_but_what_is_there(self) -> None:
+        recorded = look_at(self.source())
+        assert recorded.signals == () and recorded.extras == set() and len(recorded.rate_rad_s) == 0
+
+    def test_a_recording_offers_its_covariates(self) -> None:
+        recorded = look_at(recording('cleaning', 1, 20.0))
+        names = {signal.name for signal in recorded.signals}
+        assert {SPEED_SIGNAL, 'battery_state.current'} <= names
+        tried = {item.effect.name for item in docket(default_model(), recorded).trials}
+        assert f'covariate_bias:{SPEED_SIGNAL}' in tried
+        assert len(recorded.rate_rad_s) == pytest.approx(2000, abs=5)

@@ -194,7 +194,7 @@ def _judged(
     trial: BlindTrial, hidden: Sequence[HiddenEffect], searched: Search, found: Diagnosis
 ) -> BlindTrial:
     excuses = {finding.effect.name: finding.confused_with for finding in found.missing}
-    is_right = _is_right(trial.case, hidden, found)
+    right = is_right(trial.case, hidden, found)
     said = {*excuses, *(name for names in excuses.values() for name in names)}
     return replace(
         trial,
@@ -202,15 +202,16 @@ def _judged(
         named=tuple(excuses),
         excuses=tuple(sorted(said - set(excuses))),
         left=found.unexplained.what if found.unexplained is not None else '',
-        is_right=is_right,
-        is_excused=not is_right and bool(hidden) and said.issuperset(trial.case.names),
+        is_right=right,
+        is_excused=not right and bool(hidden) and said.issuperset(trial.case.names),
         errors_sigma=tuple(_errors_sigma(hidden, found)),
         drift_before_deg=_drift_deg(searched.first.run),
         drift_after_deg=_drift_deg(searched.last.run),
     )
 
 
-def _is_right(case: Case, hidden: Sequence[HiddenEffect], found: Diagnosis) -> bool:
+def is_right(case: Case, hidden: Sequence[HiddenEffect], found: Diagnosis) -> bool:
+    """Whether what is hidden is named first, or all of it; of a stranger, when or what it goes with."""
     named = [finding.effect.name for finding in found.missing]
     if not hidden:
         return found.verdict == 'nothing_missing'

@@ -1,0 +1,220 @@
+"""Blind trials: the matrix, what counts as right, the arithmetic of the rows; and one very short trial."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from synthetic import drive
+
+from gyrocal_ros.bench import blind as bench
+from gyrocal_ros.bench.blind import (
+    MET_BY,
+    MOMENT_S,
+    PAIRS,
+    WRONG_NOISE,
+    BlindTrial,
+    Case,
+    blind,
+    cases,
+    is_right,
+    row,
+    run_trial,
+)
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
+from gyrocal_ros.diagnose.shapes import Oddity, shapes
+from gyrocal_ros.effects import EFFECTS, find_effect
+from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.hidden import RANGES, STRANGE_RANGES
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.strangers import STRANGERS
+
+
+class TestCases:
+    def test_the_matrix_holds_every_effect_pairs_strangers_and_nothing(self) -> None:
+        every = cases()
+        assert [case.label for case in every if not case.names and case.noise == 1.0] == ['none']
+        assert sorted(case.noise for case in every if case.noise != 1.0) == [1.0 / WRONG_NOISE, WRONG_NOISE]
+        assert {case.names[0] for case in every if len(case.names) == 1} == {*RANGES, *STRANGE_RANGES}
+        pairs = [case.names for case in every if len(case.names) == 2]
+        assert len(pairs) == PAIRS and all(first != second for first, second in pairs)
+        assert {name for pair in pairs for name in pair} <= set(RANGES)
+        assert len({case.label for case in every}) == len(every)
+        assert cases() == every, 'the same each time'
+
+    def test_some_of_them(self) -> None:
+        assert [case.label for case in cases(['gyro_lag', 'none'])] == ['none', 'gyro_lag']
+        assert cases(['no such case']) == []
+
+    def test_every_effect_of_the_library_can_be_hidden(self) -> None:
+        assert {name for name in RANGES if ':' not in name} == set(EFFECTS) - {'scale_factor'}
+
+
+def finding(effect: Effect, *confused_with: str, **changes: Any) -> Finding:
+    count = len(effect.coefficients)
+    found = Finding(effect, np.zeros(count), np.ones(count), 9.0, 5.0, 1e-6, 1.0, 0.5, confused_with)
+    return replace(found, **changes)
+
+
+def said(*names: str, verdict: str = 'effect_found', left: Oddity | None = None) -> Diagnosis:
+    missing = tuple(finding(find_effect(name)) for name in names)
+    return Diagnosis(verdict, missing, (), {}, left, (), 'ground truth')
+
+
+def hidden(*names: str) -> tuple[Case, list[HiddenEffect]]:
+    effects = [STRANGERS.get(name) or find_effect(name) for name in names]
+    items = [HiddenEffect(effect, (1.0,) * len(effect.coefficients)) for effect in effects]
+    return Case(' + '.join(names), names), items
+
+
+@cache
+def odd(signal: str, at_s: float | None = None) -> Oddity:
+    """Something left over that goes with a signal."""
+    made = drive(duration_s=60.0, signals={signal: np.linspace(0.0, 1.0, 600)})
+    shape = next(item for item in shapes(made.run, made.seen) if item.signal == signal)
+    return Oddity('odd', 50.0, 9.0, shape, at_s)
+
+
+class TestIsRight:
+    def test_nothing(self) -> None:
+        assert is_right(Case('none'), [], said(verdict='nothing_missing'))
+        assert not is_right(Case('none'), [], said('gyro_lag'))
+        assert not is_right(Case('none'), [], said(verdict='cannot_tell'))
+
+    def test_one_has_to_be_named_first(self) -> None:
+        one = hidden('gyro_lag')
+        assert is_right(*one, said('gyro_lag')) and is_right(*one, said('gyro_lag', 'scale_cubic'))
+        assert not is_right(*one, said('scale_cubic', 'gyro_lag'))
+        assert not is_right(*one, said(verdict='nothing_missing'))
+
+    def test_of_two_both_and_no_third(self) -> None:
+        two = hidden('gyro_lag', 'scale_cubic')
+        assert is_right(*two, said('scale_cubic', 'gyro_lag'))
+        assert not is_right(*two, said('gyro_lag'))
+        assert not is_right(*two, said('gyro_lag', 'scale_cubic', 'turn_slip'))
+
+    @pytest.mark.parametrize(('late_s', 'right'), [(0.9 * MOMENT_S, True), (1.1 * MOMENT_S, False)])
+    def test_a_knock_has_to_be_told_when(self, late_s: float, right: bool) -> None:
+        case, (knock,) = hidden('stranger_knock')
+        knock = replace(knock, values=(0.01, 150.0))
+        unknown = odd('time since the start (s)', 150.0 + late_s)
+        assert is_right(case, [knock], said(verdict='unexplained', left=unknown)) == right
+        assert not is_right(case, [knock], said(verdict='unexplained', left=replace(unknown, at_s=None)))
+        assert not is_right(case, [knock], said('bias_temperature'))
+
+    @pytest.mark.parametrize('name', MET_BY)
+    def test_of_other_strangers_an_effect_or_the_signal(self, name: str) -> None:
+        stranger, (effect, signal) = hidden(name), MET_BY[name]
+        assert is_right(*stranger, said(effect))
+        assert is_right(*stranger, said(verdict='unexplained', left=odd(signal)))
+        assert not is_right(*stranger, said(verdict='unexplained', left=odd('another')))
+        assert not is_right(*stranger, said('gyro_lag', effect))
+        assert not is_right(*stranger, said(verdict='nothing_missing'))
+
+    def test_every_stranger_can_be_met(self) -> None:
+        assert {'stranger_knock', *MET_BY} == set(STRANGE_RANGES)
+
+
+LAG = Case('gyro_lag', ('gyro_lag',))
+RIGHT = BlindTrial(
+    LAG,
+    0,
+    (('gyro_lag', (0.02,)),),
+    is_costly=True,
+    drift_known_deg=0.1,
+    verdict='effect_found',
+    named=('gyro_lag',),
+    is_right=True,
+    errors_sigma=(0.5, -2.0),
+    drift_before_deg=2.0,
+    drift_after_deg=0.2,
+)
+TWIN = replace(
+    RIGHT,
+    verdict='cannot_tell',
+    named=('camera_time_offset',),
+    is_right=False,
+    is_excused=True,
+    errors_sigma=(),
+)
+WRONG = replace(RIGHT, named=('scale_cubic', 'turn_slip'), is_right=False, errors_sigma=(-4.0,))
+MISSED = replace(
+    WRONG, is_costly=False, verdict='nothing_missing', named=(), errors_sigma=(), drift_after_deg=2.0
+)
+DIVERGED = BlindTrial(LAG, 9, RIGHT.hidden, is_costly=True, drift_known_deg=0.3)
+
+
+class TestRow:
+    def test_shares_of_what_is_costly_and_means_over_all(self) -> None:
+        found = row('gyro_lag', [RIGHT, TWIN, WRONG, MISSED])
+        assert (found['hidden'], found['bags'], found['costly']) == ('gyro_lag', 4, 3)
+        assert found['right'] == pytest.approx(1 / 3) and found['or_twin'] == pytest.approx(2 / 3)
+        assert found['wrong'] == pytest.approx(1 / 4), 'confident, and not right'
+        assert found['in_3_sigma'] == pytest.approx(2 / 3) and found['max_sigma'] == 4.0
+        assert found['before_deg'] == pytest.approx(2.0) and found['known_deg'] == pytest.approx(0.1)
+        assert found['after_deg'] == pytest.approx((0.2 + 0.2 + 0.2 + 2.0) / 4)
+
+    def test_what_was_named(self) -> None:
+        left = replace(MISSED, verdict='unexplained', left='the bias jumped')
+        told = row('x', [RIGHT, RIGHT, WRONG, MISSED, left, DIVERGED])['named']
+        assert told.split(', ') == [
+            'gyro_lag 2',
+            'scale_cubic + turn_slip 1',
+            'nothing_missing 1',
+            'unexplained (the bias jumped) 1',
+            'diverged 1',
+        ]
+
+    def test_what_cannot_be_told_is_empty(self) -> None:
+        found = row('gyro_lag', [replace(MISSED, is_right=False)])
+        assert found['right'] is found['or_twin'] is found['in_3_sigma'] is found['max_sigma'] is None
+        assert found['wrong'] == 0.0
+
+    def test_a_filter_that_diverged_counts_against_us(self) -> None:
+        found = row('gyro_lag', [RIGHT, DIVERGED])
+        assert found['right'] == 0.5 and found['wrong'] == 0.0
+        assert found['before_deg'] == 2.0 and found['known_deg'] == pytest.approx(0.2)
+
+    def test_where_nothing_is_hidden_every_recording_counts(self) -> None:
+        quiet = replace(MISSED, case=Case('none'), hidden=(), is_right=True)
+        alarm = replace(WRONG, case=Case('none'), hidden=(), is_costly=False)
+        found = row('none', [quiet, quiet, quiet, alarm])
+        assert found['costly'] == 4 and found['right'] == 0.75 and found['wrong'] == 0.25
+
+    def test_a_row_a_case_and_one_of_all(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        trials = {'none': replace(MISSED, case=Case('none'), is_right=True), 'gyro_lag': RIGHT}
+
+        def in_order(function: object, tasks: list[tuple[Case, int]]) -> Any:
+            return (replace(trials[case.label], case=case, seed=seed) for case, seed in tasks)
+
+        monkeypatch.setattr(bench, 'in_parallel', in_order)
+        rows = list(blind(2, ['none', 'gyro_lag']))
+        assert [(found['hidden'], found['bags']) for found in rows] == [
+            ('none', 2),
+            ('gyro_lag', 2),
+            ('all', 4),
+        ]
+
+
+@pytest.fixture(scope='module')
+def short() -> BlindTrial:
+    """Two minutes that hide an effect: just long enough for a blind minute in the second half."""
+    scenario = replace(find_scenario('cleaning'), duration_s=124.0, imu_hz=100, camera_hz=10)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, 'find_scenario', lambda name: scenario)
+        return run_trial(LAG, 2)
+
+
+def test_a_trial_knows_what_was_hidden_and_what_was_said(short: BlindTrial) -> None:
+    ((name, (lag_s,)),) = short.hidden
+    assert name == 'gyro_lag' and RANGES[name][0].visible <= lag_s <= RANGES[name][0].large
+    assert short.named[0] == 'gyro_lag' and short.is_right and not short.is_excused
+    assert len(short.errors_sigma) == 1 and abs(short.errors_sigma[0]) < 4.0
+    drifts = [short.drift_known_deg, short.drift_before_deg, short.drift_after_deg]
+    assert all(math.isfinite(drift) for drift in drifts) and short.is_costly
+    assert short.drift_after_deg < short.drift_before_deg

@@ -1,0 +1,117 @@
+"""A recording held in memory: read once, its images followed once, and the same to the filter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from recordings import Changed, recording, with_clock_step
+
+from gyrocal_ros.calibrate import MAX_HELD_S, Held, Progress, calibrate, hold
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import FeatureObservations, Frame, Measurement, Rig, Source, Span, nanoseconds
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+FILMED_S, IMAGES_HZ = 14.0, 5
+
+
+@dataclass
+class Counted:
+    """A source that counts how often it is read, and how many images."""
+
+    source: Source
+    passes: int = 0
+    images: list[int] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        return self.source.name
+
+    @property
+    def rig(self) -> Rig:
+        return self.source.rig
+
+    @property
+    def span(self) -> Span:
+        return self.source.span
+
+    def measurements(self) -> Iterator[Measurement]:
+        self.passes += 1
+        for item in self.source.measurements():
+            if isinstance(item, Frame):
+                self.images.append(item.t_ns)
+            yield item
+
+
+def assert_same(one: Run, other: Run) -> None:
+    """Every bit of two runs."""
+    for name in ('t_ns', 'mean', 'std', 'log_likelihood', 'heading_innovation_rad', 'signals'):
+        np.testing.assert_array_equal(getattr(one.history, name), getattr(other.history, name), err_msg=name)
+    np.testing.assert_array_equal(one.state.covariance, other.state.covariance)
+
+
+class TestFeatures:
+    def test_the_filter_does_not_notice(self) -> None:
+        source = Counted(recording('cleaning', 1, 30.0))
+        held, config = hold(source, Config(), default_model())
+        assert config == Config() and (held.name, held.span) == (source.name, source.span)
+        runs = [calibrate(held, config, default_model()) for _ in range(2)]
+        assert source.passes == 1, 'however often the filter runs'
+        assert_same(runs[0], calibrate(source, Config(), default_model()))
+        assert_same(*runs)
+        assert runs[0].truth is not None, 'ground truth comes along'
+
+    def test_the_progress_is_told(self) -> None:
+        told: list[Progress] = []
+        hold(recording('cleaning', 1, 30.0), Config(), default_model(), told.append)
+        done_s = [progress.done_s for progress in told]
+        assert len(done_s) == pytest.approx(30, abs=2) and done_s == sorted(done_s)
+        assert all(progress.total_s == told[0].total_s for progress in told)
+
+    def test_one_of_great_length_stays_where_it_is(self) -> None:
+        short = recording('cleaning', 1, 30.0)
+        long = Counted(Held('long', short.rig, Span(0, nanoseconds(MAX_HELD_S + 1.0)), []))
+        assert hold(long, Config(), default_model()) == (long, Config())
+        assert long.passes == 0
+
+
+@pytest.fixture(scope='module')
+def filmed() -> Source:
+    """A short drive with images, made once."""
+    scenario = replace(
+        find_scenario('spins'), duration_s=FILMED_S, imu_hz=100, camera_hz=IMAGES_HZ, standing_s=1.0
+    )
+    source = SimSource(scenario, 1, images=True)
+    return Held(source.name, source.rig, source.span, list(source.measurements()))
+
+
+class TestImages:
+    def test_they_are_followed_once_and_calibrate_as_well(self, filmed: Source) -> None:
+        source = Counted(filmed)
+        held, config = hold(source, Config(), default_model())
+        measurements = list(held.measurements())
+        assert source.passes == 1
+        assert not any(isinstance(item, Frame) for item in measurements)
+        seen = [item for item in measurements if isinstance(item, FeatureObservations)]
+        assert [item.t_ns for item in seen] == source.images
+        assert np.mean([len(item.ids) for item in seen]) > 5.0
+        stamps = [item.t_ns for item in measurements]
+        assert stamps == sorted(stamps)
+        assert config == replace(
+            Config(), camera=replace(Config().camera, pixel_noise_px=Config().tracker.noise_px)
+        ), 'features of our own tracker have its noise'
+
+        direct = calibrate(filmed, Config(), default_model())
+        again = calibrate(held, config, default_model())
+        np.testing.assert_array_equal(again.history.t_ns, direct.history.t_ns)
+        off = abs(float(again.state.coefficients[0] - direct.state.coefficients[0]))
+        assert off < 0.1 * direct.history.std[-1, 9]
+
+    def test_where_the_clock_steps_they_stay_images(self, filmed: Source) -> None:
+        stepped = Changed(filmed, with_clock_step(30.0, 0.5 * FILMED_S))
+        assert hold(stepped, Config(), default_model()) == (stepped, Config())

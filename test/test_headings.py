@@ -97,7 +97,7 @@ class TestEvidence:
     def test_headings_that_nobody_can_believe_count_little(self) -> None:
         made = drive(0.01 * self.columns()[1])
         wrong = made.seen.seen_rad.copy()
-        wrong[1000::300] += 1000.0 * UNBELIEVABLE * made.seen.std_rad[1000::300]
+        wrong[1000::97] += 1000.0 * UNBELIEVABLE * made.seen.std_rad[1000::97]
         found = fit(
             heading_evidence(replace(made.seen, seen_rad=wrong), self.columns()[1][:, None]), np.array([0])
         )

@@ -111,6 +111,15 @@ class TestProposals:
         assert proposal.effect.name == 'rate_saturation' and not proposal.is_read
         assert proposal.effect.coefficients[0].prior_mean == pytest.approx(TOP, rel=1e-3)
 
+    def test_not_where_something_else_explains_far_more(self) -> None:
+        assert proposed(self.saturated(), rival_gain=1e9) == []
+
+    def test_where_headings_go_astray_and_nothing_explains_it_a_pile_may_be_a_limit(self) -> None:
+        made = drive()
+        assert proposed(made) == []
+        (proposal,) = proposed(made, odd_gain=100.0)
+        assert proposal.effect.name == 'rate_saturation' and not proposal.is_read
+
     def test_a_robot_that_likes_one_turn_rate_is_not_saturated(self) -> None:
         made = drive()
         assert pile(read_by(made)) is not None

@@ -32,11 +32,14 @@ from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.evidence import BLOCK_S, Evidence
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
 DURATION_S = 100.0
 LIMIT_RAD_S = math.radians(85.0)
+STD = 0.01
+"""Of every coefficient in the end."""
 
 
 @dataclass
@@ -57,10 +60,23 @@ class Robot:
         if self.diverges_without and self.diverges_without not in names:
             raise FilterDivergedError('lost the measurements')
         history = self.made.run.history
-        gained = sum(self.foresees.get(name, 0.0) for name in names)
-        told = replace(history, log_likelihood=np.full(len(history.time_s), gained / len(history.time_s)))
+        steps, values = len(history.time_s), self.estimates(model)
         evidence = self.evidence(names, candidates) if candidates else None
-        return replace(self.made.run, model=model, history=told, evidence=evidence)
+        coefficients = np.tile(values, (steps, 1))
+        told = replace(
+            history,
+            mean=np.hstack([history.mean[:, :COEFFICIENTS_START], coefficients]),
+            std=np.full((steps, COEFFICIENTS_START + len(values)), STD),
+            columns=np.hstack([history.columns, np.zeros((steps, len(values) - 1))]),
+            log_likelihood=np.full(steps, sum(self.foresees.get(name, 0.0) for name in names) / steps),
+        )
+        state = replace(self.made.run.state, mean=told.mean[-1], coefficient_count=len(values))
+        return replace(self.made.run, model=model, history=told, state=state, evidence=evidence)
+
+    def estimates(self, model: SensorModel) -> Array:
+        """The first coefficient of each effect is as strong as it is hidden."""
+        firsts = ((self.hidden.get(effect.name, 0.0), effect) for effect in model.effects)
+        return np.concatenate([[first, *[0.0] * (len(effect.coefficients) - 1)] for first, effect in firsts])
 
     def evidence(self, names: Sequence[str], candidates: tuple[Effect, ...]) -> Evidence:
         """Every effect has its own columns, whatever else is on trial."""

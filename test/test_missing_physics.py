@@ -269,7 +269,7 @@ class TestImprove:
         found = read_json(capsys)
         assert found['effects'] == ['scale_factor']
         before, after = found['revisions']
-        assert not after['kept'] and after['why'].startswith('left out: what follows is foreseen')
+        assert not after['kept'] and after['why'].startswith('left out: ')
         assert 'the held-out drift' in after['why'] and after['why'].endswith('sigma)')
         assert abs(after['held_out_drift_fell_sigma']) < 2.0 and before['kept']
 

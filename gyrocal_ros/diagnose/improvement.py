@@ -113,6 +113,8 @@ def _why(change: Change) -> str:
     size = f'{abs(change.foreseen):.1f}'
     if change.is_kept:
         return f'kept: what follows is foreseen better (log-likelihood +{size})'
+    if not change.stands_out:
+        return 'left out: beside the other coefficients it cannot be told from zero'
     if change.foreseen < 0.0:
         return f'left out: what follows is foreseen worse (log-likelihood -{size})'
     return f'left out: what follows is foreseen hardly better (log-likelihood +{size})'

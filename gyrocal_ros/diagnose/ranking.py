@@ -34,18 +34,20 @@ class Suspect:
     effect: Effect
     columns: IntArray
     fit: Fit
+    """Of an effect with a time constant: at the best one tried together with its neighbour, for the
+    true one lies between."""
     profile: Profile | None = None
     """Of the time constant, where the effect has one."""
 
     @property
     def places(self) -> IntArray:
         """(q,) which coefficients of the effect were fitted; a time constant is not at first."""
-        return self.fit.columns - self.columns[0]
+        return self.fit.columns - self.columns[0] if self.profile is None else np.zeros(1, np.int64)
 
     @property
     def merit(self) -> float:
         """Log-likelihood gain less the price of the coefficients, a time constant too."""
-        return self.fit.gain - PRICE * (len(self.fit.values) + (self.profile is not None))
+        return self.fit.gain - PRICE * len(self.fit.values)
 
     @property
     def is_significant(self) -> bool:
@@ -55,8 +57,9 @@ class Suspect:
     @property
     def could_show(self) -> bool:
         """Whether an effect as strong as its prior allows would be significant here."""
-        usual = np.array([self.effect.coefficients[place].prior_std for place in self.places])
-        return bool(np.any(usual > SIGNIFICANT_SIGMA * np.sqrt(np.diagonal(self.fit.covariance))))
+        usual = np.array([item.prior_std for item in self.effect.coefficients])
+        stds = doubts(self)
+        return bool(np.any((usual > SIGNIFICANT_SIGMA * stds)[self.places]))
 
 
 def rank(evidence: Evidence) -> list[Suspect]:
@@ -70,7 +73,8 @@ def rank(evidence: Evidence) -> list[Suspect]:
         fitted = fit(evidence, columns)
         if fitted is not None:
             variants.setdefault(effect.name, []).append(Suspect(effect, columns, fitted))
-    return sorted(map(_best_of, variants.values()), key=_order, reverse=True)
+    best = [_best_of(items, evidence) for items in variants.values()]
+    return sorted(best, key=_order, reverse=True)
 
 
 def best_explanation(
@@ -187,15 +191,18 @@ def doubts(suspect: Suspect) -> Array:
     return stds
 
 
-def _best_of(variants: list[Suspect]) -> Suspect:
+def _best_of(variants: list[Suspect], evidence: Evidence) -> Suspect:
     """The best variant of an effect; of one with a time constant, with what the others say of that."""
     best = max(variants, key=_order)
     if len(variants) == 1:
         return best
     form = with_means(best.effect, (0.0, 0.0))
     series = [item for item in variants if with_means(item.effect, (0.0, 0.0)) == form]
+    place = series.index(best)
+    neighbour = max(series[max(place - 1, 0) : place] + series[place + 1 : place + 2], key=_order)
+    between = fit(evidence, np.concatenate([best.fit.columns, neighbour.fit.columns]))
     times_s = [item.effect.coefficients[1].prior_mean for item in series]
-    return replace(best, profile=profile(times_s, [item.fit for item in series]))
+    return replace(best, fit=between or best.fit, profile=profile(times_s, [item.fit for item in series]))
 
 
 def _order(suspect: Suspect) -> tuple[bool, float]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.candidates import docket
 from gyrocal_ros.diagnose.evidence import chi_square_tail, sigma_of
 from gyrocal_ros.diagnose.foresight import foreseen
@@ -22,6 +22,7 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
+NONE: IntArray = np.empty(0, np.int64)
 Calibrate = Callable[[SensorModel, tuple[Effect, ...]], Run]
 """Runs the filter with a model and with candidates on trial."""
 
@@ -29,6 +30,10 @@ ODD_PART = 1.25
 """Something unknown has to explain so many times what the best effect of the library explains."""
 LIMIT_PART = 1.05
 """A limit, which makes the filter doubt its gyro, has to explain more than any other effect by this."""
+STANDS_OUT = 3.0
+"""Standard deviations that a coefficient has to be away from zero in the end."""
+BESIDES = 0.004
+"""What explains less than this part of what was found before is due to that not being exact."""
 MIN_FORESEEN = 3.0
 """Log-likelihood by which a recording has to be foreseen better for an effect to be kept: odds of 20."""
 
@@ -62,6 +67,8 @@ class Change:
     p_value: float
     stds: Array
     """(k,) of the coefficients by the scatter over the recording, zero where none was estimated."""
+    strengths: IntArray
+    """(q,) which coefficients say how strong it is; a limit or a time constant does not."""
 
     @property
     def foreseen(self) -> float:
@@ -69,9 +76,19 @@ class Change:
         return math.inf if self.before is None else float(foreseen(self.before.run, self.after.run).sum())
 
     @property
+    def stands_out(self) -> bool:
+        """Whether any of its coefficients is clear of zero once all others are estimated beside it."""
+        if not len(self.strengths):
+            return True
+        places = self.strengths - len(self.effect.coefficients)
+        values, stds = self.after.run.state.coefficients, self.after.run.history.std[-1]
+        doubt = np.maximum(stds[places], self.stds[self.strengths])
+        return bool(np.any(np.abs(values[places]) > STANDS_OUT * doubt))
+
+    @property
     def is_kept(self) -> bool:
-        """Whether the recording was foreseen better with the effect than without."""
-        return self.foreseen > MIN_FORESEEN
+        """Whether the recording was foreseen better with the effect than without, and it is there at all."""
+        return self.foreseen > MIN_FORESEEN and self.stands_out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +133,8 @@ def search(model: SensorModel, recorded: Recorded, calibrate: Calibrate, most: i
         first = stage = rescued.after
     while len(changes) < most:
         tried = {change.effect.name for change in changes}
-        change = _next_change(stage, recorded, calibrate, tried)
+        least_gain = BESIDES * sum(item.gain for item in changes if item.is_kept and math.isfinite(item.gain))
+        change = _next_change(stage, recorded, calibrate, tried, least_gain)
         if change is None:
             break
         changes.append(change)
@@ -137,7 +155,7 @@ def trial(model: SensorModel, recorded: Recorded, calibrate: Calibrate, effect: 
         return Search(first, (_put_in(suspect, first, recorded, calibrate),))
     after = examine(with_effect(model, effect), recorded, calibrate)
     stds = np.zeros(len(effect.coefficients))
-    return Search(first, (Change(effect, first, after, 0.0, 0.0, 1.0, stds),))
+    return Search(first, (Change(effect, first, after, 0.0, 0.0, 1.0, stds, NONE),))
 
 
 def examine(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Stage:
@@ -154,9 +172,13 @@ def with_effect(model: SensorModel, effect: Effect) -> SensorModel:
     return replace(model, effects=(*model.effects, effect), version=model.version + 1)
 
 
-def _next_change(stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: set[str]) -> Change | None:
+def _next_change(
+    stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: set[str], least_gain: float
+) -> Change | None:
     """Put the best explanation into the model, unless nothing is missing or nothing known explains it."""
     best = best_explanation(stage.suspects, stage.evidence, tried)
+    if best is not None and best.fit.gain < least_gain:
+        best = None
     rival_gain = best.fit.gain if best is not None else 0.0
     odd_gain = stage.oddity.gain if stage.oddity is not None else 0.0
     for limit in proposals(stage.run, stage.seen, recorded, odd_gain, rival_gain):
@@ -181,6 +203,7 @@ def _put_in(suspect: Suspect, stage: Stage, recorded: Recorded, calibrate: Calib
         sigma=suspect.fit.sigma,
         p_value=suspect.fit.p_value,
         stds=doubts(suspect),
+        strengths=suspect.places,
     )
 
 
@@ -197,7 +220,7 @@ def _limited(
     except FilterDivergedError:
         return None
     p_value = chi_square_tail(2.0 * gain / INFLATION, 1)
-    return Change(limit, stage, after, gain, sigma_of(p_value), p_value, np.zeros(1))
+    return Change(limit, stage, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
 
 
 def _rescued(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Change | None:
@@ -210,4 +233,4 @@ def _rescued(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Ch
         after = examine(with_effect(model, effect), recorded, calibrate)
     except FilterDivergedError:
         return None
-    return Change(effect, None, after, math.inf, math.inf, 0.0, np.zeros(1))
+    return Change(effect, None, after, math.inf, math.inf, 0.0, np.zeros(1), NONE)

@@ -27,7 +27,7 @@ from gyrocal_ros.diagnose.foresight import certainty, foreseen
 from gyrocal_ros.diagnose.limits import with_limit
 from gyrocal_ros.diagnose.ranking import PRICE
 from gyrocal_ros.diagnose.recorded import MAX_SIGNALS, Recorded, look_at
-from gyrocal_ros.diagnose.search import MIN_FORESEEN, search, trial, with_effect
+from gyrocal_ros.diagnose.search import BESIDES, MIN_FORESEEN, STANDS_OUT, search, trial, with_effect
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.evidence import BLOCK_S, Evidence
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
@@ -52,6 +52,8 @@ class Robot:
     """Log-likelihood that an effect of the model gains."""
     made: Drive = field(default_factory=lambda: drive(duration_s=DURATION_S))
     diverges_without: str = ''
+    ends: dict[str, float] = field(default_factory=dict)
+    """Where the estimate of an effect ends, if elsewhere than where it is hidden."""
     models: list[tuple[str, ...]] = field(default_factory=list)
 
     def __call__(self, model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
@@ -75,7 +77,8 @@ class Robot:
 
     def estimates(self, model: SensorModel) -> Array:
         """The first coefficient of each effect is as strong as it is hidden."""
-        firsts = ((self.hidden.get(effect.name, 0.0), effect) for effect in model.effects)
+        known = {**self.hidden, **self.ends}
+        firsts = ((known.get(effect.name, 0.0), effect) for effect in model.effects)
         return np.concatenate([[first, *[0.0] * (len(effect.coefficients) - 1)] for first, effect in firsts])
 
     def evidence(self, names: Sequence[str], candidates: tuple[Effect, ...]) -> Evidence:
@@ -124,6 +127,27 @@ class TestSearch:
         assert change.effect.name == 'gyro_lag' and not change.is_kept
         assert change.foreseen == pytest.approx(gained) and change.gain > PRICE
         assert found.kept == () and found.last is found.first
+
+    @pytest.mark.parametrize(('part', 'is_kept'), [(0.9, False), (-0.9, False), (1.1, True), (-1.1, True)])
+    def test_what_ends_at_zero_is_not_there(self, part: float, is_kept: bool) -> None:
+        """However much better the recording is foreseen: other coefficients have taken its place."""
+        doubt = search(default_model(), NOTHING_READ, Robot({'gyro_lag': 2.0}, {})).changes[0].stds[0]
+        ends = {'gyro_lag': part * STANDS_OUT * max(doubt, STD)}
+        robot = Robot({'gyro_lag': 2.0}, {'gyro_lag': 400.0}, ends=ends)
+        (change,) = search(default_model(), NOTHING_READ, robot).changes
+        assert change.foreseen == pytest.approx(400.0) and change.is_kept == change.stands_out == is_kept
+
+    @pytest.mark.parametrize(('part', 'tried'), [(0.5, False), (2.0, True)])
+    def test_what_hardly_adds_to_what_was_found_is_not_tried(self, part: float, tried: bool) -> None:
+        """What was found is not quite exact, and something always goes with the rest."""
+        weak = 1.0
+        robot = Robot({'gyro_lag': weak}, {'gyro_lag': 50.0})
+        (alone,) = search(default_model(), NOTHING_READ, robot).changes
+        strong = math.sqrt(2.0 * alone.gain / (part * BESIDES) / 200.0)
+        sizes = {'scale_cubic': strong, 'gyro_lag': weak}
+        found = search(default_model(), NOTHING_READ, Robot(sizes, {'scale_cubic': 1e4, 'gyro_lag': 50.0}))
+        names = [change.effect.name for change in found.changes]
+        assert names[0] == 'scale_cubic' and ('gyro_lag' in names) == tried
 
     def test_after_a_rejected_one_the_next_is_tried_without_it(self) -> None:
         robot = Robot({'gyro_lag': 2.0, 'scale_cubic': 1.0}, {'gyro_lag': -9.0, 'scale_cubic': 90.0})

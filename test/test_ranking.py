@@ -102,13 +102,16 @@ class TestRank:
         columns[:, :, ::2] = -np.exp(-moments[:, :, None] / np.array(times_s))
         seen = -8.0 * np.exp(-moments / true_s) + rng.normal(size=moments.shape)
         effects = tuple(with_means(BiasWarmup(), (0.0, time_s)) for time_s in times_s)
-        (found,) = rank(evidence_of(columns, seen, effects))
+        evidence = evidence_of(columns, seen, effects)
+        (found,) = rank(evidence)
         assert found.effect.coefficients[1].prior_mean == 160.0 and found.profile is not None
         amplitude, time_s = estimate(found)
         amplitude_std, time_std = doubts(found)
         assert abs(amplitude - 8.0) < 3.0 * amplitude_std < 4.0
         assert abs(time_s - true_s) < 3.0 * time_std < 200.0
         assert found.merit == pytest.approx(found.fit.gain - 2.0 * PRICE), 'its time constant costs as well'
+        alone = fit(evidence, found.columns[:1])
+        assert alone is not None and found.fit.gain > alone.gain, 'the true one lies between two tried'
         assert found.places.tolist() == [0]
 
 

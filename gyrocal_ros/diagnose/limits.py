@@ -53,7 +53,7 @@ def pile(recorded: Recorded) -> float | None:
     top = AT_THE_TOP * float(np.partition(size, -STRAYS)[-STRAYS])
     rate_hz = NS_PER_S / float(np.median(np.diff(recorded.rate_t_ns)))
     at_the_top = size[size > top]
-    return float(np.median(at_the_top)) if len(at_the_top) > MIN_PILE_S * rate_hz else None
+    return float(np.median(at_the_top)) if len(at_the_top) > STRAYS + MIN_PILE_S * rate_hz else None
 
 
 def stuck(recorded: Recorded) -> float | None:

@@ -172,18 +172,25 @@ class TestSearch:
         assert found.changes[0].stds[0] == pytest.approx(1.0 / math.sqrt(200.0), rel=0.5)
 
     def test_something_unknown_that_explains_more_is_not_forced_into_an_effect(self) -> None:
-        knocked = drive(
-            math.radians(0.3) * (DT_S * np.arange(1000) > 0.5 * DURATION_S), duration_s=DURATION_S
-        )
-        found = search(default_model(), NOTHING_READ, Robot({'gyro_lag': 0.5}, {'gyro_lag': 40.0}, knocked))
+        robot = Robot({'gyro_lag': 0.8}, {'gyro_lag': 40.0}, knocked())
+        found = search(default_model(), NOTHING_READ, robot)
         assert found.changes == ()
         assert found.first.oddity is not None and found.first.oddity.at_s is not None
         assert found.first.suspects[0].effect.name == 'gyro_lag' and found.first.suspects[0].is_significant
+
+    def test_what_the_headings_alone_see_is_not_believed(self) -> None:
+        found = search(default_model(), NOTHING_READ, Robot({}, {}, knocked()))
+        assert found.changes == () and found.first.oddity is None
 
     def test_a_filter_that_cannot_run_is_an_error(self) -> None:
         robot = Robot({}, {}, diverges_without='scale_cubic')
         with pytest.raises(FilterDivergedError):
             search(default_model(), NOTHING_READ, robot)
+
+
+def knocked() -> Drive:
+    """A gyro whose bias jumps half way."""
+    return drive(math.radians(0.3) * (DT_S * np.arange(1000) > 0.5 * DURATION_S), duration_s=DURATION_S)
 
 
 def saturated() -> Drive:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,8 @@ Calibrate = Callable[[SensorModel, tuple[Effect, ...]], Run]
 
 ODD_PART = 1.25
 """Something unknown has to explain so many times what the best effect of the library explains."""
+SHOWN_PART, SHOWN_GAIN = 0.1, 40.0
+"""So much of something unknown, or as much log-likelihood, has to show in some effect of the library."""
 LIMIT_PART = 1.05
 """A limit, which makes the filter doubt its gyro, has to explain more than any other effect by this."""
 STANDS_OUT = 3.0
@@ -164,7 +166,19 @@ def examine(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Sta
     run = calibrate(model, trials.carried)
     assert run.evidence is not None
     evidence, seen = trials.judged(run.evidence), headings(run)
-    return Stage(model, run, evidence, tuple(rank(evidence)), seen, oddity(run, seen))
+    suspects = tuple(rank(evidence))
+    return Stage(model, run, evidence, suspects, seen, _shown(oddity(run, seen), suspects))
+
+
+def _shown(odd: Oddity | None, suspects: Sequence[Suspect]) -> Oddity | None:
+    """An oddity that the whole filter sees too: some effect or other then explains a part of it.
+
+    The headings alone know nothing of the map's own errors, which come and go with its features.
+    """
+    if odd is None:
+        return None
+    most = max((suspect.fit.gain for suspect in suspects), default=0.0)
+    return odd if most >= min(SHOWN_PART * odd.gain, SHOWN_GAIN) else None
 
 
 def with_effect(model: SensorModel, effect: Effect) -> SensorModel:

@@ -17,13 +17,14 @@ from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effec
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
 from gyrocal_ros.diagnose.compare import Comparison, Rival, compare
+from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.report.summary import nis_per_dof, summarise_comparison
 from gyrocal_ros.report.tables import with_std
-from gyrocal_ros.report.words import drift_in_words, failures_in_words, reference_in_words
+from gyrocal_ros.report.words import drift_in_words, failures_in_words
 
 EXAMPLE = """gyrocal compare my_bag
 gyrocal compare my_bag --model default.yaml --model model.yaml
@@ -87,7 +88,7 @@ def in_words(comparison: Comparison) -> Iterator[str]:
         ('model', 'drift in 60 s (deg)', 'heading (deg rms)', 'foreseen', 'NIS/dof', 'scale factor'),
         [_row(rival) for rival in comparison.rivals],
     )
-    yield f'(drift rms and interval, held out, against {reference_in_words(comparison.drift_reference)})'
+    yield f'(drift rms and interval, held out, against {REFERENCES[comparison.drift_reference]})'
     for label, why in comparison.diverged.items():
         yield f'{label}: the filter cannot run with it: {why}'
     for rival in comparison.rivals:

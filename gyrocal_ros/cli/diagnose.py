@@ -18,6 +18,7 @@ from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.cli.passes import add_pass_options, open_passes, result_folder, same_bag
 from gyrocal_ros.diagnose.advice import advice, grouped, join
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding, diagnose
+from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.effects import find_effect
@@ -29,7 +30,6 @@ from gyrocal_ros.report.words import (
     diagnosis_headline,
     failures_in_words,
     figure,
-    reference_in_words,
     sigma_in_words,
 )
 
@@ -97,7 +97,7 @@ def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
                 for finding in diagnosis.missing
             ],
         )
-        yield f'(drift against {reference_in_words(diagnosis.drift_reference)})'
+        yield f'(drift against {REFERENCES[diagnosis.drift_reference]})'
     elif diagnosis.ranked:
         best = diagnosis.ranked[0]
         yield f'The strongest suspicion was {best.effect.name}, at {best.fit.sigma:.1f} sigma.'

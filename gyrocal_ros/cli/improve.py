@@ -17,6 +17,7 @@ from gyrocal_ros.calibration import conclude
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table, tell
 from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
+from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import Calibrate, search, trial
@@ -26,7 +27,7 @@ from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.report.summary import nis_per_dof, summarise_improvement
 from gyrocal_ros.report.tables import with_std
-from gyrocal_ros.report.words import drift_in_words, improvement_headline, reference_in_words
+from gyrocal_ros.report.words import drift_in_words, improvement_headline
 
 EXAMPLE = """gyrocal improve my_bag -o improved
 gyrocal improve my_bag --model model.yaml -o improved
@@ -100,7 +101,7 @@ def in_words(improved: Improvement) -> Iterator[str]:
         ('revision', '', 'held-out drift (deg)', 'fitted', 'foreseen', 'NIS/dof', 'scale factor'),
         [_row(revision) for revision in improved.revisions],
     )
-    reference = reference_in_words(improved.drift_reference)
+    reference = REFERENCES[improved.drift_reference]
     yield f'(drift in 60 s, rms and interval, against {reference})'
     yield ''
     yield from (f'{revision.label}: {revision.why}' for revision in improved.revisions)

@@ -20,6 +20,7 @@ from gyrocal_ros.config import Config
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import SensorModel, signals_of
 from gyrocal_ros.recording.bag import open_bag
@@ -95,7 +96,13 @@ def replay(
         refuse_errors(findings, str(bag))
         for finding in one_a_kind(findings):
             warn(str(finding))
-        finished = _calibrate(bag, config, model, options, start)
+        try:
+            finished = _calibrate(bag, config, model, options, start)
+        except FilterDivergedError as error:
+            if start is None:
+                raise
+            todo = 'try without --start-from: the calibration may be that of another gyro'
+            raise FilterDivergedError(error.what, where=error.where, todo=todo) from error
         calibration = conclude(finished)
         for event in finished.events:
             warn(event.text)

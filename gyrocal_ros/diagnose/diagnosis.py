@@ -146,6 +146,8 @@ def _not_judged(stage: Stage, recorded: Recorded) -> Iterator[tuple[str, str]]:
         if name in present or name in LIMITS:
             continue
         lacking = set(needs(effect)) - recorded.extras
+        if effect.acts_on == 'camera' and recorded.rig.camera is None:
+            lacking.add('images of the ceiling')
         if lacking:
             yield name, f'not recorded: {", ".join(sorted(lacking))}'
         elif name == 'wheel_scale' and not has_lever(recorded.rig):

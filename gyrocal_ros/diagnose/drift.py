@@ -11,6 +11,12 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS
 
+REFERENCES = {
+    'ground truth': 'the ground truth',
+    'slam': 'the heading by SLAM',
+    'heading reference': 'the filtered heading reference',
+}
+"""What headings are compared with, and in words."""
 SPAN_S = 60.0
 STRIDE_S = 5.0
 SETTLING_S = 10.0
@@ -30,7 +36,7 @@ class BlindDrift:
     error_rad: Array
     """(n,) heading by the gyro less heading by the reference, at the end of each span."""
     reference: str
-    """`ground truth` or `slam`."""
+    """One of `REFERENCES`."""
 
     @property
     def rms_deg(self) -> float:
@@ -100,7 +106,9 @@ def truth_path(run: Run) -> Path | None:
 def reference_path(run: Run) -> tuple[Path, str]:
     """What headings are compared with, and what it is called."""
     truth = truth_path(run)
-    return (truth, 'ground truth') if truth is not None else (slam_path(run), 'slam')
+    if truth is not None:
+        return truth, 'ground truth'
+    return slam_path(run), 'slam' if run.rig.camera is not None else 'heading reference'
 
 
 def heading_rms_deg(run: Run) -> float | None:
@@ -121,7 +129,7 @@ def turns(run: Run, coefficients: Array) -> Array:
     """
     history = run.history
     changed = np.einsum('sk,sk->s', history.columns, coefficients - history.coefficients)
-    return history.turn_rad + history.correction_rad + changed
+    return history.turn_rad + history.correction_rad + history.tilt_rad + changed
 
 
 def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Path:
@@ -158,7 +166,7 @@ def blind_drift(
     time_s, moving = history.time_s, history.resting == 0
     path, name = reference if reference is not None else reference_path(run)
     # The turn of a step is (without coefficients) + columns @ coefficients, summed up over spans.
-    without = history.turn_rad + history.correction_rad
+    without = history.turn_rad + history.correction_rad + history.tilt_rad
     without = without - np.einsum('sk,sk->s', history.columns, history.coefficients)
     turned = np.cumsum(np.where(moving, without, 0.0))
     columns = np.cumsum(np.where(moving[:, None], history.columns, 0.0), axis=0)

@@ -45,8 +45,10 @@ class History:
     """(s,) turn of the step by the nominal gyro, bias and coefficients not applied."""
     correction_rad: Array
     """(s,) what the coefficients of that moment added to it, the bias not counted."""
+    tilt_rad: Array
+    """(s,) what rolling and pitching added: the heading turns by more than a gyro that leans feels."""
     columns: Array
-    """(s, k) derivative of that with respect to the coefficients."""
+    """(s, k) derivative of the correction with respect to the coefficients."""
     told_s: Array
     """(s,) how long the gyro was not blind: only there the bias counts."""
     lost_rad: Array
@@ -120,7 +122,7 @@ class Recorder:
         self._evidence = EvidenceRecorder(candidates) if candidates else None
         self._t_ns: list[int] = []
         self._times_ns: list[int] = []
-        self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 18))
+        self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 19))
         self._signals: dict[str, list[float]] = {}
         self._truth_ns: list[int] = []
         self._truth: list[tuple[float, float, float, float]] = []
@@ -154,6 +156,7 @@ class Recorder:
                     block.duration_s,
                     block.rate_rad_s[:, 2] @ block.dt_s,
                     record.correction_rad,
+                    record.tilt_rad,
                     record.told_s,
                     record.lost_rad,
                     block.distance_m.sum(),
@@ -221,13 +224,14 @@ class Recorder:
             dt_s=scalars[8],
             turn_rad=scalars[9],
             correction_rad=scalars[10],
-            told_s=scalars[11],
-            lost_rad=scalars[12],
-            distance_m=scalars[13],
-            temperature_c=scalars[14],
-            forward_m_s2=scalars[15],
-            resting=scalars[16],
-            gap_s=scalars[17],
+            tilt_rad=scalars[11],
+            told_s=scalars[12],
+            lost_rad=scalars[13],
+            distance_m=scalars[14],
+            temperature_c=scalars[15],
+            forward_m_s2=scalars[16],
+            resting=scalars[17],
+            gap_s=scalars[18],
             signals=np.array([_filled(column, len(rows)) for column in self._signals.values()]).T,
         )
 

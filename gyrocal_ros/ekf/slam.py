@@ -72,6 +72,8 @@ class StepRecord:
     correction_rad: float
     """How far the coefficients, as they are now, correct the turn in this block; to first order,
     the bias not counted."""
+    tilt_rad: float
+    """By how much more the heading turned than the body about its own z axis, which is not upright."""
     columns: Array
     """(k,) its derivative with respect to the coefficients, rad per unit."""
     told_s: float
@@ -226,6 +228,7 @@ class EkfSlam:
             resting=resting,
             block=block,
             correction_rad=float(block.dt_s @ correction.rate_rad_s + columns @ learned),
+            tilt_rad=_by_tilt(before, transition, block),
             columns=columns,
             told_s=float(np.sum(block.dt_s * correction.sees)),
             lost_rad=float(np.sum(block.dt_s * correction.noise_rad_s)),

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from gyrocal_ros.diagnose.advice import advice
 from gyrocal_ros.diagnose.compare import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
-from gyrocal_ros.diagnose.drift import SPAN_S
+from gyrocal_ros.diagnose.drift import REFERENCES, SPAN_S
 from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement, Revision
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.report.tables import Kind, Verdict
@@ -17,7 +17,6 @@ from gyrocal_ros.report.words import (
     diagnosis_headline,
     drift_in_words,
     improvement_headline,
-    reference_in_words,
 )
 
 COVERED = f'With the camera covered for {SPAN_S:.0f} s the heading drifts'
@@ -35,7 +34,7 @@ def of_diagnosis(diagnosis: Diagnosis) -> Verdict:
 
 def of_comparison(comparison: Comparison) -> Verdict:
     """Which model is best, and whether that is more than chance."""
-    reference = reference_in_words(comparison.drift_reference)
+    reference = REFERENCES[comparison.drift_reference]
     sentences = [
         f'{rival.label}: {COVERED[0].lower()}{COVERED[1:]} {drift_in_words(rival.drift)} deg '
         f'(rms against {reference}).'
@@ -52,7 +51,7 @@ def of_improvement(improved: Improvement) -> Verdict:
     """What was added, and how far the error fell."""
     first, final = improved.kept[0], improved.final
     before, after = drift_in_words(first.held_out), drift_in_words(final.held_out)
-    against = f'rms on held-out spans against {reference_in_words(improved.drift_reference)}'
+    against = f'rms on held-out spans against {REFERENCES[improved.drift_reference]}'
     tried = [_rejection(revision) for revision in improved.revisions if not revision.is_kept]
     if final is first:
         return Verdict(
@@ -72,7 +71,7 @@ def _findings(diagnosis: Diagnosis) -> Iterator[str]:
             sure = f'log-likelihood +{finding.gain:.0f}, {_sigmas(finding.sigma)}'
         yield f'{name}: {about.rstrip(".")} ({sure}).'
         if math.isfinite(finding.drift_before_deg) and math.isfinite(finding.drift_after_deg):
-            against = f'rms on held-out spans against {reference_in_words(diagnosis.drift_reference)}'
+            against = f'rms on held-out spans against {REFERENCES[diagnosis.drift_reference]}'
             without = f'{finding.drift_before_deg:.2f} deg without it'
             yield f'{COVERED} {without} and {finding.drift_after_deg:.2f} deg with it ({against}).'
 

@@ -8,7 +8,7 @@ from html import escape
 from gyrocal_ros import __version__
 from gyrocal_ros.diagnose.advice import grouped
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
-from gyrocal_ros.diagnose.drift import BlindDrift
+from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search, Stage
 from gyrocal_ros.effects import find_effect
@@ -30,7 +30,6 @@ from gyrocal_ros.report.html import (
 from gyrocal_ros.report.model_sections import drift_section, heading_section
 from gyrocal_ros.report.page import events
 from gyrocal_ros.report.tables import estimate_rows
-from gyrocal_ros.report.words import reference_in_words
 
 STRETCHES = 5
 """No more stretches of time are marked than these, the worst ones."""
@@ -129,7 +128,7 @@ def _drift_sections(drifts: Mapping[str, BlindDrift], reference: str) -> Iterato
         marks = [Mark(name, 'held out', drift) for name, drift in drifts.items()]
         yield drift_section('Drift without the camera', marks, half=True)
     span_s = next(iter(drifts.values())).span_s
-    facts: dict[str, float | str] = {'span_s': span_s, 'reference': reference_in_words(reference)}
+    facts: dict[str, float | str] = {'span_s': span_s, 'reference': REFERENCES[reference]}
     yield _section('drift_by_span', drift_by_span(drifts), half=True, **facts)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.heading import Headings
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.ekf.run import History
@@ -13,7 +14,6 @@ from gyrocal_ros.report.diagnosis_series import wander
 from gyrocal_ros.report.figures.diagnosis import where_it_fails
 from gyrocal_ros.report.figures.models import Mark, drift_by_model
 from gyrocal_ros.report.html import Section
-from gyrocal_ros.report.words import reference_in_words
 
 HEADING = """Above, the heading by the gyro alone, from the beginning to the end, less the heading that was
     seen; the bias that fits best is taken out. Inside the band, noise is explanation enough. In the middle,
@@ -60,5 +60,5 @@ def drift_section(
         more: to be said below it.
     """
     drift = marks[0].drift
-    caption = DRIFT.format(span_s=drift.span_s, reference=reference_in_words(drift.reference))
+    caption = DRIFT.format(span_s=drift.span_s, reference=REFERENCES[drift.reference])
     return Section('drift', drift_by_model(title, marks, joined), caption + more, half)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from gyrocal_ros.calibration import Calibration
-from gyrocal_ros.diagnose.drift import BlindDrift, Path, dead_reckoning, slam_path, truth_path
+from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift, Path, dead_reckoning, slam_path, truth_path
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.report import series
 from gyrocal_ros.report.figures import calibration as figures
@@ -69,7 +69,7 @@ def sections(run: Run, calibration: Calibration, before: BlindDrift, after: Blin
         yield _section('distance', figures.distances(*series.distances_m(tracks, truth)))
 
     if len(after.error_rad) > 2:
-        reference = 'the ground truth' if after.reference == 'ground truth' else 'the heading by SLAM'
+        reference = REFERENCES[after.reference]
         drift = drift_by_span({'nominal gyro': before, 'calibrated gyro': after})
         yield _section('blind_drift', drift, span_s=after.span_s, reference=reference)
     error = series.heading_error(run)

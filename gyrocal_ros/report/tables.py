@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 from gyrocal_ros.calibration import Calibration
 from gyrocal_ros.config import Config
 from gyrocal_ros.diagnose.diagnosis import Finding
-from gyrocal_ros.diagnose.drift import BlindDrift
+from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift
 from gyrocal_ros.effects.base import with_unit
 from gyrocal_ros.effects.words import UNTOLD
 from gyrocal_ros.ekf.run import History
@@ -61,7 +61,7 @@ def verdict(calibration: Calibration, config: Config, before: BlindDrift, after:
     good, headline = _headline(calibration, config)
     sentences = [_scale_sentence(calibration), _bias_sentence(calibration)]
     if len(after.error_rad):
-        reference = 'the ground truth' if after.reference == 'ground truth' else 'the heading by SLAM'
+        reference = REFERENCES[after.reference]
         sentences.append(
             f'With the camera covered, the heading drifts {after.rms_deg:.3g} deg in {after.span_s:.0f} s '
             f'(rms against {reference}; worst {after.max_deg:.3g} deg). '

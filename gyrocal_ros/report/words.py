@@ -93,11 +93,6 @@ def failures_in_words(failures: Sequence[Failure], most: int = 5) -> Iterator[st
         yield f'  and {len(failures) - most} more'
 
 
-def reference_in_words(reference: str) -> str:
-    """What headings were compared with."""
-    return 'the ground truth' if reference == 'ground truth' else 'the heading by SLAM'
-
-
 def quantity(value: float, std: float, unit: str) -> str:
     """`0.0101 ± 0.0002 1/K`, angles in degrees; without the deviation where there is none."""
     if unit.startswith('rad'):

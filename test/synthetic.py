@@ -96,6 +96,7 @@ def drive(
         dt_s=np.full(count, DT_S),
         turn_rad=rate * DT_S,
         correction_rad=zeros,
+        tilt_rad=zeros,
         columns=(rate * DT_S)[:, None],
         told_s=np.full(count, DT_S),
         lost_rad=zeros,

@@ -36,8 +36,9 @@ def run() -> Run:
 
 def test_turns_follow_the_coefficients(run: Run) -> None:
     nominal = turns(run, np.zeros(1))
-    np.testing.assert_allclose(nominal, run.history.turn_rad, atol=1e-12)
-    np.testing.assert_allclose(turns(run, np.array([0.1])), 1.1 * nominal, atol=1e-12)
+    np.testing.assert_allclose(nominal, run.history.turn_rad + run.history.tilt_rad, atol=1e-12)
+    more = turns(run, np.array([0.1])) - nominal
+    np.testing.assert_allclose(more, 0.1 * run.history.turn_rad, atol=1e-12)
 
 
 def test_the_calibrated_gyro_finds_home_and_the_nominal_one_does_not(run: Run) -> None:
@@ -69,7 +70,7 @@ def test_blind_drift_is_what_a_span_by_hand_gives(run: Run) -> None:
         for step in range(first + 1, last + 1):
             if not history.resting[step]:
                 scale = 1.0 + history.coefficients[first, 0]
-                turned += scale * history.turn_rad[step]
+                turned += scale * history.turn_rad[step] + history.tilt_rad[step]
                 turned += history.mean[first, YAW_BIAS] * history.dt_s[step]
         truly = np.diff(np.interp(history.time_s[[first, last]], truth.time_s, truth.yaw_rad))[0]
         assert error == pytest.approx(turned - truly, abs=1e-9)

@@ -24,6 +24,7 @@ from gyrocal_ros.diagnose.shapes import ODD_SIGMA, RATE, STEP_S, TIME, Oddity, b
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.evidence import BLOCK_S
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import YAW_BIAS
 
 SIGNAL = 'motor.current'
 KNOCK_S = 163.0
@@ -162,9 +163,18 @@ class TestOfARun:
 
     def test_the_gyro_tells_its_turns_by_the_final_coefficients(self, run: Run) -> None:
         seen, history = headings(run), run.history
-        expected = (1.0 + run.state.coefficients[0]) * history.turn_rad
+        expected = (1.0 + run.state.coefficients[0]) * history.turn_rad + history.tilt_rad
         np.testing.assert_allclose(seen.turn_rad, expected, atol=1e-12)
         np.testing.assert_array_equal(seen.time_s, history.time_s)
+
+    def test_a_rough_floor_is_not_laid_to_the_gyro(self) -> None:
+        rough = calibrate(recording(bumps=40, floor_tilt_deg=1.5), Config(), default_model())
+        seen, truth = headings(rough), truth_path(rough)
+        assert truth is not None
+        turned = np.cumsum(seen.turn_rad + float(rough.history.mean[-1, YAW_BIAS]) * seen.told_s)
+        off = turned - np.interp(seen.time_s, truth.time_s, truth.yaw_rad)
+        tilted = np.cumsum(rough.history.tilt_rad)
+        assert np.std(off) < 0.5 * np.std(off - tilted)
 
     def test_nothing_is_left_over_of_a_clean_run(self, run: Run) -> None:
         seen = headings(run)

@@ -262,7 +262,8 @@ class TestSeries:
         history = run.history
         track = dead_reckoning(series.uncorrected(run), run.state.coefficients, 0.0)
         turned = track.yaw_rad - track.yaw_rad[0]
-        np.testing.assert_allclose(turned, np.cumsum(history.turn_rad) - history.turn_rad[0], atol=1e-9)
+        sampled = np.cumsum(history.turn_rad + history.tilt_rad)
+        np.testing.assert_allclose(turned, sampled - sampled[0], atol=1e-9)
 
     def test_heading_error_is_what_the_filter_says(self, run: Run) -> None:
         error = series.heading_error(run)

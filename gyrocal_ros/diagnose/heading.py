@@ -53,8 +53,8 @@ def headings(run: Run) -> Headings:
     history, gyro = run.history, run.config.gyro
     earlier = np.concatenate([history.mean[:1], history.mean[:-1]])
     learned = np.einsum('sk,sk->s', history.columns, (history.mean - earlier)[:, COEFFICIENTS_START:])
-    turned = history.turn_rad + history.correction_rad - learned + earlier[:, YAW_BIAS] * history.told_s
-    expected = earlier[:, YAW] + np.where(history.resting > 0, 0.0, turned)
+    by_gyro = history.turn_rad + history.correction_rad - learned + earlier[:, YAW_BIAS] * history.told_s
+    expected = earlier[:, YAW] + np.where(history.resting > 0, 0.0, by_gyro + history.tilt_rad)
     return Headings(
         time_s=history.time_s,
         dt_s=history.dt_s,

@@ -33,7 +33,7 @@ from gyrocal_ros.ekf.gate import NoiseFollower, chi_square_quantile
 from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.motion import MotionBuffer
 from gyrocal_ros.ekf.parts import sort_effects, true_camera
-from gyrocal_ros.ekf.predict import predict, predict_sensitivity
+from gyrocal_ros.ekf.predict import Transition, predict, predict_sensitivity
 from gyrocal_ros.ekf.sighting import Eye, Sighting, meet, newcomers, search_regions, see
 from gyrocal_ros.ekf.start import Start, initial_state, moved_unseen
 from gyrocal_ros.ekf.state import POSE, YAW, State
@@ -228,7 +228,7 @@ class EkfSlam:
             resting=resting,
             block=block,
             correction_rad=float(block.dt_s @ correction.rate_rad_s + columns @ learned),
-            tilt_rad=_by_tilt(before, transition, block),
+            tilt_rad=_turned_by_tilt(before, transition, block),
             columns=columns,
             told_s=float(np.sum(block.dt_s * correction.sees)),
             lost_rad=float(np.sum(block.dt_s * correction.noise_rad_s)),
@@ -335,6 +335,11 @@ class EkfSlam:
         self.state = moved_unseen(forget_all(self.state), step.t_ns)
         self.has_started = False
         return records
+
+
+def _turned_by_tilt(before: State, transition: Transition, block: MotionBlock) -> float:
+    turned_rad = transition.motion.euler_rad[2] - before.mean[YAW]
+    return float(turned_rad - block.dt_s @ transition.rate_rad_s[:, 2])
 
 
 def _pixel_noise(start_px: float) -> NoiseFollower:

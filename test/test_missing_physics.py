@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from recordings import recording
 
-from gyrocal_ros.calibrate import calibrate, hold
+from gyrocal_ros.calibrate import Held, calibrate, hold
 from gyrocal_ros.calibration import load_calibration
 from gyrocal_ros.cli import improve
 from gyrocal_ros.cli.diagnose import add_arguments, in_words, next_steps
@@ -123,6 +123,13 @@ class TestDiagnose:
         assert lines[0] == 'The model lacks scale_asymmetry.'
         assert any('c = 0.01' in line and '->' in line for line in lines)
         assert 'Where the model fails, worst first:' in lines
+
+    def test_without_a_camera_its_faults_cannot_be_judged(self, searched: tuple[Search, Diagnosis]) -> None:
+        source = recording('cleaning', 3, 5.0)
+        recorded = look_at(Held(source.name, replace(source.rig, camera=None), source.span, ()))
+        not_judged = diagnose(searched[0], recorded).not_judged
+        assert not_judged['camera_tilt'] == 'not recorded: images of the ceiling'
+        assert 'gyro_lag' not in not_judged
 
     def test_the_next_command_can_be_copied(self, searched: tuple[Search, Diagnosis], tmp_path: Path) -> None:
         model = tmp_path / 'my model.yaml'

@@ -20,7 +20,19 @@ from gyrocal_ros.diagnose.drift import truth_path
 from gyrocal_ros.diagnose.evidence import fit
 from gyrocal_ros.diagnose.heading import UNBELIEVABLE, heading_evidence, headings, misfits
 from gyrocal_ros.diagnose.regimes import FAILURE_SIGMA, Failure, failures
-from gyrocal_ros.diagnose.shapes import ODD_SIGMA, RATE, STEP_S, TIME, Oddity, bias_step, jump, oddity, shapes
+from gyrocal_ros.diagnose.shapes import (
+    HEADING,
+    ODD_SIGMA,
+    RATE,
+    STEP_S,
+    TIME,
+    Oddity,
+    bias_step,
+    jump,
+    oddity,
+    shapes,
+    swing,
+)
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.evidence import BLOCK_S
 from gyrocal_ros.ekf.run import Run
@@ -202,8 +214,13 @@ class TestShapes:
         assert effect.columns(block)[:, 0].tolist() == [0.0] * 5 + [1.0] * 7
         assert effect.name == f'bias_step:{block.time_s[5]:.0f}'
 
-    def test_a_drive_too_short_for_a_jump(self) -> None:
-        assert jump(drive(duration_s=4.0 * STEP_S - 1.0).seen) is None
+    def test_a_jump_in_a_long_drive(self) -> None:
+        found = jump(drive(deg(0.1) * (times_s(1200.0) > 777.0), duration_s=1200.0).seen)
+        assert found is not None and found[0] == pytest.approx(777.0, abs=2.0 * STEP_S)
+
+    def test_a_drive_too_short_for_a_jump_or_a_swing(self) -> None:
+        short = drive(duration_s=4.0 * STEP_S - 1.0).seen
+        assert jump(short) is None and swing(short) is None
 
     def odd(self, made: Drive) -> Oddity:
         found = oddity(made.run, made.seen)
@@ -218,6 +235,21 @@ class TestShapes:
         slope = np.polyfit(odd.shape.knots, odd.shape.values, 1)[0]
         assert slope == pytest.approx(deg(0.1), rel=0.15)
         assert odd.gain > 100.0
+
+    @pytest.mark.parametrize('period_s', [13.3, 31.0, 55.0])
+    def test_a_bias_that_swings(self, period_s: float) -> None:
+        odd = self.odd(drive(deg(0.1) * np.sin(2.0 * np.pi * times_s() / period_s)))
+        told = re.fullmatch(r'the bias swings by (\S+) deg/s to either side, once in (\S+) s', odd.what)
+        assert told is not None
+        assert [float(text) for text in told.groups()] == pytest.approx([0.1, period_s], rel=0.15)
+        assert odd.at_s is None and odd.shape.signal == TIME
+
+    @pytest.mark.parametrize('phase_deg', [0.0, 77.0, 200.0])
+    def test_a_bias_that_goes_with_the_heading(self, phase_deg: float) -> None:
+        heading_rad = np.cumsum(turning_rad_s(300.0)) * DT_S
+        odd = self.odd(drive(deg(0.1) * np.cos(heading_rad - deg(phase_deg))))
+        assert odd.what == f'the bias goes with {HEADING}' and not odd.shape.of_scale
+        assert np.degrees(np.ptp(odd.shape.values)) == pytest.approx(0.2, rel=0.3)
 
     def test_a_scale_that_follows_a_signal(self) -> None:
         rng = np.random.default_rng(3)
@@ -245,14 +277,14 @@ class TestShapes:
         still, unknown = np.full(count, 7.0), np.full(count, np.nan)
         made = drive(signals={'still': still, 'unknown': unknown, 'gappy': gappy})
         found = {shape.signal for shape in shapes(made.run, made.seen)}
-        assert found == {TIME, RATE, 'gappy'}
+        assert found == {TIME, RATE, HEADING, 'gappy'}
 
     def test_the_best_shape_comes_first_and_starts_at_zero(self) -> None:
         found = shapes(knocked().run, knocked().seen)
         merits = [shape.fit.gain - len(shape.fit.values) for shape in found]
         assert merits == sorted(merits, reverse=True)
         assert all(shape.values[0] == shape.stds[0] == 0.0 for shape in found)
-        assert (RATE, True) not in {(shape.signal, shape.of_scale) for shape in found}
+        assert not any(shape.of_scale for shape in found if shape.signal in (RATE, HEADING))
 
 
 class TestFailures:

@@ -1,6 +1,7 @@
 """Shapes that are no physics: how something outside the library shows itself.
 
-Bias or scale as a free function of anything recorded, straight between knots; the bias as a jump.
+Bias or scale as a free function of anything recorded, straight between knots; the bias as a jump, or
+swinging to and fro.
 """
 
 from __future__ import annotations
@@ -16,18 +17,27 @@ from gyrocal_ros.diagnose.evidence import Fit, chi_square_tail, fit, sigma_of
 from gyrocal_ros.diagnose.heading import TURNING_RAD_S, Headings, heading_evidence, misfits
 from gyrocal_ros.effects.base import LinearGyroEffect, column
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import YAW
 from gyrocal_ros.model.sensor import Coefficient
 
 KNOTS = 5
 TIME_KNOT_S = 30.0
 STEP_S = 2.0
 """How finely the moment of a jump is told."""
+MOST_MOMENTS = 150
+"""Asked at a time: what they say together takes memory as their square. A long recording is asked twice."""
+SWING_S = (10.0, 60.0)
+"""Periods with which the bias may swing; slower ones show as a function of time."""
+SWING_PART = 0.8
+"""What is recorded and explains so much of what a swing does is believed before it."""
 INFLATION = 2.0
 """The filter's own idea of chance is too narrow by this at least, as a variance: a bias wanders by itself."""
 ODD_SIGMA = 6.0
 """Below this an oddity counts as chance: shapes are many and bend freely."""
 TIME = 'time since the start (s)'
 RATE = 'rate (deg/s)'
+HEADING = 'heading in the map (deg)'
+HEADING_KNOTS_DEG = np.arange(-180.0, 180.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -81,23 +91,35 @@ class Oddity:
 
 def oddity(run: Run, seen: Headings) -> Oddity | None:
     """The shape that explains most of what is left over, where it is more than chance."""
-    found = shapes(run, seen)
-    if not found:
-        return None
-    shape = found[0]
-    jumped = jump(seen)
-    if jumped is not None and jumped[1].gain - 2.0 > shape.fit.gain - len(shape.fit.values):
+    odd = max(_oddities(seen, shapes(run, seen)), key=lambda item: item[0], default=(0.0, None))[1]
+    return odd if odd is not None and odd.sigma > ODD_SIGMA else None
+
+
+def _oddities(seen: Headings, found: list[Shape]) -> Iterator[tuple[float, Oddity]]:
+    """What may be odd, with its merit: what it gains, less one for every number that it takes."""
+    for shape in found[:1]:
+        kind, numbers = 'scale' if shape.of_scale else 'bias', len(shape.fit.values)
+        sigma = _sigma(seen, shape.fit, shape.columns, numbers)
+        what = f'the {kind} goes with {shape.signal}'
+        yield shape.fit.gain - numbers, Oddity(what, shape.fit.gain, sigma, shape)
+    for shape in found:
+        if shape.signal == TIME and not shape.of_scale:
+            yield from _over_time(seen, shape)
+
+
+def _over_time(seen: Headings, shape: Shape) -> Iterator[tuple[float, Oddity]]:
+    jumped, swung = jump(seen), swing(seen)
+    if jumped is not None:
         at_s, fitted = jumped
-        columns = (seen.time_s >= at_s).astype(float)[:, None]
-        sigma = _sigma(seen, fitted, columns, 2)
-        size = f'{math.degrees(float(fitted.values[0])):+.3f} deg/s'
-        shape = next(item for item in found if item.signal == TIME and not item.of_scale)
-        odd = Oddity(f'the bias jumped by {size} at {at_s:.0f} s', fitted.gain, sigma, shape, at_s)
-    else:
-        kind = 'scale' if shape.of_scale else 'bias'
-        sigma = _sigma(seen, shape.fit, shape.columns, len(shape.fit.values))
-        odd = Oddity(f'the {kind} goes with {shape.signal}', shape.fit.gain, sigma, shape)
-    return odd if odd.sigma > ODD_SIGMA else None
+        sigma = _sigma(seen, fitted, _after(seen, np.array([at_s])), 2)
+        what = f'the bias jumped by {math.degrees(float(fitted.values[0])):+.3f} deg/s at {at_s:.0f} s'
+        yield fitted.gain - 2.0, Oddity(what, fitted.gain, sigma, shape, at_s)
+    if swung is not None:
+        period_s, fitted = swung
+        sigma = _sigma(seen, fitted, _waves(seen, np.array([1.0 / period_s])), 3)
+        size = f'{math.degrees(float(np.hypot(*fitted.values))):.3f} deg/s'
+        what = f'the bias swings by {size} to either side, once in {period_s:.1f} s'
+        yield SWING_PART * fitted.gain - 3.0, Oddity(what, fitted.gain, sigma, shape)
 
 
 def shapes(run: Run, seen: Headings) -> list[Shape]:
@@ -113,7 +135,7 @@ def shapes(run: Run, seen: Headings) -> list[Shape]:
         for name, values in _axes(run)
         for knots, hats in _hats(values, name)
         for of_scale in (False, True)
-        if not (of_scale and name == RATE)
+        if not (of_scale and name in (RATE, HEADING))
     ]
     evidence = heading_evidence(seen, np.concatenate([rate[:, None], *(item[3] for item in asked)], axis=1))
     found, start = [], 1
@@ -133,13 +155,53 @@ def shapes(run: Run, seen: Headings) -> list[Shape]:
 
 def jump(seen: Headings) -> tuple[float, Fit] | None:
     """The moment at which a jump of the bias explains most, and what it explains."""
-    moments = np.arange(2.0 * STEP_S, seen.time_s[-1] - 2.0 * STEP_S, STEP_S)
-    if not len(moments):
+    first_s, last_s = 2.0 * STEP_S, float(seen.time_s[-1]) - 2.0 * STEP_S
+    apart_s = max(STEP_S, (last_s - first_s) / MOST_MOMENTS)
+    found = _best_jump(seen, np.arange(first_s, last_s, apart_s))
+    if found is None or apart_s == STEP_S:
+        return found
+    return _best_jump(seen, np.arange(max(found[0] - apart_s, first_s), found[0] + apart_s, STEP_S))
+
+
+def swing(seen: Headings) -> tuple[float, Fit] | None:
+    """The period (s) with which a swinging bias explains most, and what it explains: sine and cosine."""
+    fastest_hz, slowest_hz = (1.0 / period_s for period_s in SWING_S)
+    apart_hz = 0.5 / float(seen.time_s[-1])
+    found = _best_swing(seen, np.arange(max(slowest_hz, 4.0 * apart_hz), fastest_hz, apart_hz))
+    if found is None:
         return None
-    evidence = heading_evidence(seen, (seen.time_s[:, None] >= moments).astype(float))
-    fits = [(at_s, fit(evidence, np.array([place]))) for place, at_s in enumerate(moments.tolist())]
-    told = [(at_s, fitted) for at_s, fitted in fits if fitted is not None]
-    return max(told, key=lambda item: item[1].gain) if told else None
+    return _best_swing(seen, 1.0 / found[0] + apart_hz * np.linspace(-1.0, 1.0, 21))
+
+
+def _best_jump(seen: Headings, at_s: Array) -> tuple[float, Fit] | None:
+    return _best(seen, at_s.tolist(), _after(seen, at_s)) if len(at_s) else None
+
+
+def _best_swing(seen: Headings, hz: Array) -> tuple[float, Fit] | None:
+    parts = np.array_split(hz, max(math.ceil(2 * len(hz) / MOST_MOMENTS), 1))
+    found = [_best(seen, (1.0 / part).tolist(), _waves(seen, part)) for part in parts if len(part)]
+    told = [item for item in found if item is not None]
+    return max(told, key=lambda item: item[1].gain, default=None)
+
+
+def _best(seen: Headings, names: list[float], columns: Array) -> tuple[float, Fit] | None:
+    """The best of several questions; columns (s, n q), one of each question, then the next of each."""
+    evidence, count = heading_evidence(seen, columns), len(names)
+    places = [np.arange(place, columns.shape[1], count) for place in range(count)]
+    fits = [(name, fit(evidence, place)) for name, place in zip(names, places, strict=True)]
+    told = [(name, fitted) for name, fitted in fits if fitted is not None]
+    return max(told, key=lambda item: item[1].gain, default=None)
+
+
+def _after(seen: Headings, at_s: Array) -> Array:
+    """(s, n): zero before each moment, one after."""
+    return (seen.time_s[:, None] >= at_s).astype(float)
+
+
+def _waves(seen: Headings, hz: Array) -> Array:
+    """(s, 2 n): the sines, then the cosines."""
+    phase = 2.0 * np.pi * seen.time_s[:, None] * hz
+    return np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
 
 
 def _sigma(seen: Headings, fitted: Fit, columns: Array, dof: int) -> float:
@@ -156,6 +218,7 @@ def _axes(run: Run) -> Iterator[tuple[str, Array]]:
     history = run.history
     yield TIME, history.time_s
     yield RATE, np.degrees(history.turn_rad / history.dt_s)
+    yield HEADING, np.degrees(history.mean[:, YAW])
     yield 'temperature (deg C)', history.temperature_c
     yield 'acceleration (m/s^2)', history.forward_m_s2
     for place, name in enumerate(run.signal_names):
@@ -164,6 +227,11 @@ def _axes(run: Run) -> Iterator[tuple[str, Array]]:
 
 def _hats(values: Array, name: str) -> Iterator[tuple[Array, Array]]:
     """Knots (k,) and hat functions (s, k - 1) of a signal; nothing for one that does not vary."""
+    if name == HEADING:
+        rows = np.eye(len(HEADING_KNOTS_DEG))[1:]
+        hats = [np.interp(values, HEADING_KNOTS_DEG, row, period=360.0) for row in rows]
+        yield HEADING_KNOTS_DEG, np.stack(hats, axis=1)
+        return
     known = values[np.isfinite(values)]
     if len(known) == 0:
         return

@@ -27,7 +27,15 @@ from gyrocal_ros.diagnose.foresight import certainty, foreseen
 from gyrocal_ros.diagnose.limits import with_limit
 from gyrocal_ros.diagnose.ranking import PRICE
 from gyrocal_ros.diagnose.recorded import MAX_SIGNALS, Recorded, look_at
-from gyrocal_ros.diagnose.search import BESIDES, MIN_FORESEEN, STANDS_OUT, search, trial, with_effect
+from gyrocal_ros.diagnose.search import (
+    BESIDES,
+    MIN_FORESEEN,
+    RESCUERS,
+    STANDS_OUT,
+    search,
+    trial,
+    with_effect,
+)
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.evidence import BLOCK_S, Evidence
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
@@ -232,7 +240,15 @@ class TestLimits:
             with pytest.raises(FilterDivergedError):
                 search(model, recorded, robot)
         with_it = ('scale_factor', 'rate_saturation')
-        assert robot.models == [('scale_factor',), ('scale_factor',), with_it, with_it]
+        without_rescuers = [names for names in robot.models if names[-1] not in RESCUERS]
+        assert without_rescuers == [('scale_factor',), ('scale_factor',), with_it, with_it]
+
+    def test_an_effect_so_large_that_the_filter_cannot_run_is_found(self) -> None:
+        robot = Robot({'camera_tilt': 5.0}, {}, diverges_without='camera_tilt')
+        found = search(default_model(), NOTHING_READ, robot)
+        (change,) = found.kept
+        assert change.effect.name == 'camera_tilt' and change.before is None and found.first is change.after
+        assert {names[-1] for names in robot.models} >= set(RESCUERS)
 
     @pytest.mark.parametrize(('gained', 'is_in'), [(1e6, True), (1.0, False)])
     def test_a_limit_has_to_foresee_more_than_any_rival(self, gained: float, is_in: bool) -> None:

@@ -105,7 +105,7 @@ def proposals(
         width = stuck(recorded)
         is_read = width is not None
         if width is None and odd_gain > 0.0:
-            width = _band(run, seen, recorded, max(MIN_GAIN, ODD_PART * odd_gain))
+            width = _band(run, seen, recorded, max(MIN_GAIN, ODD_PART * max(odd_gain, rival_gain)))
         if width is not None:
             yield Proposal(with_limit('rate_deadband', width), is_read)
 

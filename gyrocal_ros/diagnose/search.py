@@ -17,6 +17,7 @@ from gyrocal_ros.diagnose.limits import pile, proposals, with_limit
 from gyrocal_ros.diagnose.ranking import Suspect, best_explanation, doubts, rank, with_estimate
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.shapes import INFLATION, Oddity, oddity
+from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.ekf.evidence import Evidence
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
@@ -26,6 +27,15 @@ NONE: IntArray = np.empty(0, np.int64)
 Calibrate = Callable[[SensorModel, tuple[Effect, ...]], Run]
 """Runs the filter with a model and with candidates on trial."""
 
+RESCUERS = (
+    'camera_tilt',
+    'camera_time_offset',
+    'principal_point',
+    'focal_length',
+    'radial_distortion',
+    'gyro_lag',
+)
+"""Effects that may be so large that the filter cannot run without them."""
 ODD_PART = 1.25
 """Something unknown has to explain so many times what the best effect of the library explains."""
 SHOWN_PART, SHOWN_GAIN = 0.1, 40.0
@@ -195,15 +205,21 @@ def _next_change(
         best = None
     rival_gain = best.fit.gain if best is not None else 0.0
     odd_gain = stage.oddity.gain if stage.oddity is not None else 0.0
-    for limit in proposals(stage.run, stage.seen, recorded, odd_gain, rival_gain):
-        if limit.effect.name not in tried:
-            rival = 0.0 if limit.is_read else max(rival_gain, odd_gain)
-            change = _limited(stage, limit.effect, recorded, calibrate, rival)
-            if change is not None:
-                return change
-    if best is None or odd_gain > ODD_PART * rival_gain:
-        return None
-    return _put_in(best, stage, recorded, calibrate)
+    proposed = list(proposals(stage.run, stage.seen, recorded, odd_gain, rival_gain))
+    limits = [limit for limit in proposed if limit.effect.name not in tried]
+    for limit in (limit for limit in limits if limit.is_read):
+        change = _limited(stage, limit.effect, recorded, calibrate, MIN_FORESEEN)
+        if change is not None:
+            return change
+    is_known = best is not None and odd_gain <= ODD_PART * rival_gain
+    rival = _put_in(best, stage, recorded, calibrate) if best is not None and is_known else None
+    # A limit makes the filter doubt its gyro, which helps against anything: it has to beat a run, too.
+    at_least = max(LIMIT_PART * (odd_gain if rival is None else rival.foreseen), MIN_FORESEEN)
+    for limit in (limit for limit in limits if not limit.is_read):
+        change = _limited(stage, limit.effect, recorded, calibrate, at_least)
+        if change is not None:
+            return change
+    return rival
 
 
 def _put_in(suspect: Suspect, stage: Stage, recorded: Recorded, calibrate: Calibrate) -> Change:
@@ -222,13 +238,13 @@ def _put_in(suspect: Suspect, stage: Stage, recorded: Recorded, calibrate: Calib
 
 
 def _limited(
-    stage: Stage, limit: Effect, recorded: Recorded, calibrate: Calibrate, rival_gain: float
+    stage: Stage, limit: Effect, recorded: Recorded, calibrate: Calibrate, least_gain: float
 ) -> Change | None:
-    """Put a limit into the model, if a run with it foresees the recording better than any rival."""
+    """Put a limit into the model, if a run with it foresees the recording so much better."""
     model = with_effect(stage.model, limit)
     try:
         gain = float(foreseen(stage.run, calibrate(model, ())).sum())
-        if gain < max(LIMIT_PART * rival_gain, MIN_FORESEEN):
+        if gain < least_gain:
             return None
         after = examine(model, recorded, calibrate)
     except FilterDivergedError:
@@ -238,13 +254,22 @@ def _limited(
 
 
 def _rescued(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Change | None:
-    """Where the filter cannot run, a limit of the rate may be why; None where it is not."""
+    """Where the filter cannot run, one effect may be why: that with which it runs best."""
+    present = {effect.name for effect in model.effects}
     limit = pile(recorded)
-    if limit is None or any(effect.name == 'rate_saturation' for effect in model.effects):
+    limits = [] if limit is None else [with_limit('rate_saturation', limit)]
+    rescuers: list[Effect] = [*limits, *(EFFECTS[name] for name in RESCUERS)]
+    likelihoods: dict[float, Effect] = {}
+    for effect in (effect for effect in rescuers if effect.name not in present):
+        try:
+            history = calibrate(with_effect(model, effect), ()).history
+        except FilterDivergedError:
+            continue
+        likelihoods[float(history.log_likelihood.sum() / history.dof.sum())] = effect
+    if not likelihoods:
         return None
-    effect = with_limit('rate_saturation', limit)
-    try:
-        after = examine(with_effect(model, effect), recorded, calibrate)
-    except FilterDivergedError:
-        return None
-    return Change(effect, None, after, math.inf, math.inf, 0.0, np.zeros(1), NONE)
+    effect = likelihoods[max(likelihoods)]
+    after = examine(with_effect(model, effect), recorded, calibrate)
+    count = len(effect.coefficients)
+    strengths = NONE if effect in limits else np.arange(count)
+    return Change(effect, None, after, math.inf, math.inf, 0.0, np.zeros(count), strengths)

@@ -4,6 +4,7 @@ The rooms, in the order in which the data flow:
 
     errors, data, config, files   what everybody uses: errors, the values that travel, settings, writing
     recording                     bags and their check: messages become measurements
+    board                         the IMU and encoder board: its bytes become measurements
     sim                           the simulator: the same measurements, with the truth beside them
     vision                        the tracker: images become feature observations
     model                         the paper: rotations, kinematics, gyro, camera, feature parametrisations

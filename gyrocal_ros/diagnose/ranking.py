@@ -21,6 +21,8 @@ TWIN_SIGMA = 3.0
 """A candidate that explains the recording so nearly as well may be meant instead."""
 TWIN_CORRELATION = 0.87
 """From here on two effects look alike: of what is due to one, the other explains this part, squared."""
+PAIR_PART = 0.02
+"""Two have to explain so much more than one alone: what is strong is not told exactly."""
 AT_LEAST_SIGMA, AT_LEAST_PART = 3.0, 0.2
 """A coefficient may still move by so many of its standard deviations, and by this part of it."""
 NEARBY = 0.4
@@ -94,7 +96,8 @@ def best_explanation(
     alone = [suspect for suspect in open_to_choice if suspect.is_significant]
     if not alone:
         return None
-    best, most = alone[0], alone[0].merit + 0.5 * SIGNIFICANT_SIGMA**2
+    best = alone[0]
+    most = (1.0 + PAIR_PART) * best.merit + 0.5 * SIGNIFICANT_SIGMA**2
     for first in alone:
         for second in open_to_choice:
             both = _beside(first, second, evidence) if second is not first else None

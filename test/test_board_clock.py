@@ -194,6 +194,7 @@ def test_a_backlog_is_stamped_when_it_was_measured() -> None:
     came = line(30.0)
     stalled = (came.true_ns >= START_NS + 10 * NS_PER_S) & (came.true_ns < START_NS + 16 * NS_PER_S)
     arrival_ns = np.where(stalled, START_NS + 16 * NS_PER_S, came.arrival_ns)
+    arrival_ns[np.argmax(stalled) - 1] += 100 * MS  # the stall announces itself
     clock = Clock()
     errors = errors_ms(clock, Line(came.true_ns, came.time_us, np.maximum.accumulate(arrival_ns)))
     assert np.abs(errors[settled(came)]).max() < 1.0

@@ -29,6 +29,8 @@ LATE_NS = NS_PER_S // 20
 """Arrivals later than this are a backlog, or, when they stay so, a step of the arrivals' clock."""
 PATIENCE_NS = 2 * NS_PER_S
 """How long they may stay so."""
+PAUSE_NS = NS_PER_S
+"""After so long without arrivals a backlog is to be expected, and patience begins anew."""
 
 NS_PER_US = 1000
 US_WRAP = 1 << 32
@@ -126,7 +128,8 @@ class Clock:
     """Stamps the measurements of a board that runs by itself.
 
     Of 200 arrivals a second that are spread evenly over 20 ms, the stamps are within 1 ms ten seconds
-    after a time base began, and soon within half of that. Where fast arrivals are rarer it takes longer.
+    after a time base began and within half of that after a minute. Where fast arrivals are rarer it
+    takes longer.
 
     The stamps of one time base always rise. A wild board time is passed over; when the next one
     agrees with it, the board was started anew: a new time base begins, and stamps go on to rise. A
@@ -161,9 +164,13 @@ class Clock:
             time_us: board time of the measurement, 32 bits.
             arrival_ns: when its frame arrived, by the clock that the stamps are to follow.
         """
-        if self._was_set_back(arrival_ns):
+        since_last_ns = 0 if self._arrival_ns is None else arrival_ns - self._arrival_ns
+        self._arrival_ns = arrival_ns
+        if since_last_ns < -SLACK_NS:
             self._stamp_ns = None
             self._begin_anew(Restart.ARRIVALS)
+        elif since_last_ns > PAUSE_NS:
+            self._late_since_ns = None
         envelope, point = self._placed(time_us, arrival_ns)
         if self._is_odd(envelope, point):
             if not self._is_confirmed(time_us, arrival_ns):
@@ -197,10 +204,6 @@ class Clock:
         expected_us = self._envelope.board_ns(arrival_ns) // NS_PER_US
         board_ns = (expected_us + _difference_us(time_us, expected_us)) * NS_PER_US
         return self._envelope, (board_ns, arrival_ns - board_ns)
-
-    def _was_set_back(self, arrival_ns: int) -> bool:
-        before_ns, self._arrival_ns = self._arrival_ns, arrival_ns
-        return before_ns is not None and arrival_ns < before_ns - SLACK_NS
 
     def _is_odd(self, envelope: Envelope, point: Point) -> bool:
         """Whether a board time runs back or ahead of its arrival, as none of this time base can."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -25,6 +26,9 @@ from gyrocal_ros.data import NS_PER_S, CovariateSample, TemperatureSample
 T_NS = 1_700_000_000_000_000_000
 LEVEL = Imu((0, 0, 0), (0, 0, 8192), 0)
 MOST_TICKS = 2**31 - 1
+
+
+PAGE = Path(__file__).resolve().parent.parent / 'docs/board_protocol.md'
 
 
 def reading(time_us: int, left: int, right: int, base: int = 0) -> WheelReading:
@@ -112,3 +116,14 @@ def test_the_way_is_kept_where_a_frame_is_lost() -> None:
     )
     assert decoder.counts.lost == 1
     assert way_m == pytest.approx(500 * config.tick_m)
+
+
+def test_the_page_for_the_firmware_engineer_has_the_nominal_counts() -> None:
+    config = BoardConfig()
+    [gyro_scale] = set(config.gyro_scale_factor_volt)
+    [force_scale] = set(config.accelerometer_scale)
+    assert force_scale == 4.0 * STANDARD_GRAVITY_M_S2 / 32768
+    assert (
+        f'Nominally a gyro count is {config.gyro_volt * 1e6:g} µV at {gyro_scale} deg/s/V, '
+        f'an accelerometer count 4 g / 32768 and a temperature count {config.temperature_scale} deg C'
+    ) in ' '.join(PAGE.read_text(encoding='utf-8').split())

@@ -167,6 +167,15 @@ class TestProposals:
         assert proposal.effect.coefficients[0].prior_mean in np.radians(BANDS_DEG_S)
         assert proposed(made, odd_gain=1e9, rival_gain=1.0) == [], 'it has to explain a good part of that'
 
+    @pytest.mark.parametrize(('swing_deg_s', 'count'), [(0.005, 1), (0.05, 0)])
+    def test_readings_that_follow_something_are_not_dead(self, swing_deg_s: float, count: int) -> None:
+        made, _ = self.banded()
+        history = made.run.history
+        swing_rad = deg(swing_deg_s) * np.sin(history.time_s / 5.0) * history.dt_s
+        followed = replace(history, turn_rad=history.turn_rad + swing_rad)
+        made = replace(made, run=replace(made.run, history=followed))
+        assert len(proposed(made, odd_gain=100.0, rival_gain=1.0)) == count
+
     def test_a_clean_drive_has_no_dead_band(self) -> None:
         assert [item.effect.name for item in proposed(drive(), odd_gain=100.0, rival_gain=1.0)] == []
 

@@ -40,6 +40,10 @@ NEARLY = 0.97
 """The widest band that explains nearly as much as the best: noise blurs its edge inwards."""
 STUCK = 0.05
 """Share of the slow readings that are one and the same number where a band is dead."""
+MAX_WANDER = 3.0
+"""Readings that are dead vary from second to second no more than their noise, as a variance, lets expect."""
+SHORT_S, SHORTS, FEW = 0.1, 10, 10
+"""What noise is, is told by so short means, so many of which make a second; of few seconds nothing is."""
 SLOW_RAD_S = math.radians(2.0)
 GAP_STEPS = 3.0
 """A dead band ends where the next readings are so many times their usual distance away."""
@@ -143,7 +147,20 @@ def _band(run: Run, seen: Headings, recorded: Recorded, least_gain: float) -> fl
         fitted = _beside_scale(run, seen, gone)
         gains[width] = fitted.gain if fitted is not None else 0.0
     most = max(gains.values())
-    return max(width for width in gains if gains[width] >= NEARLY * most) if most > least_gain else None
+    widest = max(width for width in gains if gains[width] >= NEARLY * most)
+    return widest if most > least_gain and _is_dead(recorded, widest) else None
+
+
+def _is_dead(recorded: Recorded, width: float) -> bool:
+    """Whether the readings inside a band follow nothing: neither a bias that changes nor slow turns."""
+    count = max(round(SHORT_S * NS_PER_S / float(np.median(np.diff(recorded.rate_t_ns)))), 1)
+    readings = recorded.rate_rad_s[: len(recorded.rate_rad_s) // (SHORTS * count) * SHORTS * count]
+    seconds = readings.reshape(-1, SHORTS, count)
+    inside = seconds[np.all(np.abs(seconds) < width, axis=(1, 2))].mean(axis=2)
+    if len(inside) < FEW:
+        return True
+    noise = 0.5 * float(np.mean(np.diff(inside, axis=1) ** 2)) / SHORTS
+    return float(np.var(inside.mean(axis=1))) <= MAX_WANDER * noise
 
 
 def _beside_scale(run: Run, seen: Headings, error_rad_s: Array) -> Fit | None:

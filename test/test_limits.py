@@ -38,8 +38,10 @@ def read_by(made: Drive) -> Recorded:
     return readings(history.turn_rad / history.dt_s, start_s=0.5 * DT_S)
 
 
-def proposed(made: Drive, odd_gain: float = 0.0, rival_gain: float = 0.0) -> list[Proposal]:
-    return list(proposals(made.run, made.seen, read_by(made), odd_gain=odd_gain, rival_gain=rival_gain))
+def proposed(
+    made: Drive, odd_gain: float = 0.0, rival_gain: float = 0.0, has_jumped: bool = False
+) -> list[Proposal]:
+    return list(proposals(made.run, made.seen, read_by(made), odd_gain, rival_gain, has_jumped))
 
 
 def noise(count: int, std_deg_s: float, seed: int = 0) -> Array:
@@ -166,6 +168,9 @@ class TestProposals:
         assert proposal.effect.name == 'rate_deadband' and not proposal.is_read
         assert proposal.effect.coefficients[0].prior_mean in np.radians(BANDS_DEG_S)
         assert proposed(made, odd_gain=1e9, rival_gain=1.0) == [], 'it has to explain a good part of that'
+        assert proposed(made, odd_gain=100.0, rival_gain=1.0, has_jumped=True) == [], (
+            'no dead band makes the bias jump'
+        )
 
     @pytest.mark.parametrize(('swing_deg_s', 'count'), [(0.005, 1), (0.05, 0)])
     def test_readings_that_follow_something_are_not_dead(self, swing_deg_s: float, count: int) -> None:

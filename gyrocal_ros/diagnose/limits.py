@@ -88,7 +88,12 @@ class Proposal:
 
 
 def proposals(
-    run: Run, seen: Headings, recorded: Recorded, odd_gain: float, rival_gain: float
+    run: Run,
+    seen: Headings,
+    recorded: Recorded,
+    odd_gain: float,
+    rival_gain: float,
+    has_jumped: bool = False,
 ) -> Iterator[Proposal]:
     """Limits that the readings suggest and the headings do not contradict.
 
@@ -99,6 +104,7 @@ def proposals(
         odd_gain: what a free function of something recorded gains; a dead band whose edge is hidden
             by noise is proposed only where it explains a good part of that.
         rival_gain: what the best effect of another kind explains, zero where none is significant.
+        has_jumped: whether what is odd is a jump of the bias, which no dead band makes.
     """
     present = {effect.name for effect in run.model.effects}
     if 'rate_saturation' not in present:
@@ -108,7 +114,7 @@ def proposals(
     if 'rate_deadband' not in present:
         width = stuck(recorded)
         is_read = width is not None
-        if width is None and odd_gain > 0.0:
+        if width is None and odd_gain > 0.0 and not has_jumped:
             width = _band(run, seen, recorded, max(MIN_GAIN, ODD_PART * max(odd_gain, rival_gain)))
         if width is not None:
             yield Proposal(with_limit('rate_deadband', width), is_read)

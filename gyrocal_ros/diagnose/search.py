@@ -205,7 +205,8 @@ def _next_change(
         best = None
     rival_gain = best.fit.gain if best is not None else 0.0
     odd_gain = stage.oddity.gain if stage.oddity is not None else 0.0
-    proposed = list(proposals(stage.run, stage.seen, recorded, odd_gain, rival_gain))
+    has_jumped = stage.oddity is not None and stage.oddity.at_s is not None
+    proposed = list(proposals(stage.run, stage.seen, recorded, odd_gain, rival_gain, has_jumped))
     limits = [limit for limit in proposed if limit.effect.name not in tried]
     for limit in (limit for limit in limits if limit.is_read):
         change = _limited(stage, limit.effect, recorded, calibrate, MIN_FORESEEN)

@@ -9,7 +9,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from contracts import eventful_block
 from recordings import recording
 from synthetic import DT_S, TOP_DEG_S, Drive, drive, turning_rad_s
 
@@ -27,7 +26,6 @@ from gyrocal_ros.diagnose.shapes import (
     STEP_S,
     TIME,
     Oddity,
-    bias_step,
     jump,
     oddity,
     shapes,
@@ -207,12 +205,6 @@ class TestShapes:
         odd = oddity(knocked().run, knocked().seen)
         assert odd is not None and odd.at_s == at_s and odd.sigma > ODD_SIGMA
         assert odd.what.startswith('the bias jumped by +0.') and odd.what.endswith(f'at {at_s:.0f} s')
-
-    def test_a_jump_is_an_effect_of_its_own(self) -> None:
-        block = eventful_block(12, 0, 30.0)
-        effect = bias_step(float(block.time_s[5]))
-        assert effect.columns(block)[:, 0].tolist() == [0.0] * 5 + [1.0] * 7
-        assert effect.name == f'bias_step:{block.time_s[5]:.0f}'
 
     def test_a_jump_in_a_long_drive(self) -> None:
         found = jump(drive(deg(0.1) * (times_s(1200.0) > 777.0), duration_s=1200.0).seen)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
 
@@ -43,13 +44,23 @@ def add_config_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--config', type=Path, metavar='FILE', help='settings, a ROS 2 parameter file')
 
 
+def add_images_option(parser: argparse.ArgumentParser) -> None:
+    """Declare that images are wanted even where a tracker was recorded."""
+    parser.add_argument(
+        '--from-images', action='store_true', help='track the images even if there are features'
+    )
+
+
 def read_config(args: argparse.Namespace) -> Config:
-    """Read the settings file, if one is given.
+    """Read the settings file, if one is given; `--from-images`, where it is declared, goes before it.
 
     Raises:
         ConfigError: it cannot be read, or a setting in it is unknown or out of bounds.
     """
-    return load_config(args.config)
+    config = load_config(args.config)
+    if vars(args).get('from_images'):
+        return replace(config, recording=replace(config.recording, use_images=True))
+    return config
 
 
 def bag_options(args: argparse.Namespace) -> BagOptions:

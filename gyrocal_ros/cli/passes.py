@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from gyrocal_ros.calibrate import Progress, calibrate, hold
-from gyrocal_ros.cli.options import add_bag_options, bag_options, read_config
+from gyrocal_ros.cli.options import add_bag_options, add_images_option, bag_options, read_config
 from gyrocal_ros.cli.output import progress, warn
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import Source
@@ -43,9 +43,7 @@ class Passes:
 def add_pass_options(parser: argparse.ArgumentParser) -> None:
     """Declare the bag, and where and how the results are wanted."""
     add_bag_options(parser)
-    parser.add_argument(
-        '--from-images', action='store_true', help='track the images even if there are features'
-    )
+    add_images_option(parser)
     parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the page and the results')
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
@@ -86,8 +84,6 @@ def open_passes(args: argparse.Namespace, model: SensorModel) -> Passes:
         GyrocalError: it cannot be calibrated from.
     """
     config, options = read_config(args), bag_options(args)
-    if args.from_images:
-        config = replace(config, recording=replace(config.recording, use_images=True))
     findings = check_bag(args.bag, config, **options).findings
     refuse_errors(findings, str(args.bag))
     for finding in one_a_kind(findings):

@@ -7,14 +7,19 @@ import math
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gyrocal_ros.calibrate import Progress, calibrate
 from gyrocal_ros.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.cli.model_options import add_model_options, load_own_effects
-from gyrocal_ros.cli.options import BagOptions, add_bag_options, bag_options, read_config
+from gyrocal_ros.cli.options import (
+    BagOptions,
+    add_bag_options,
+    add_images_option,
+    bag_options,
+    read_config,
+)
 from gyrocal_ros.cli.output import print_json, progress, warn
 from gyrocal_ros.config import Config
 from gyrocal_ros.effects.model_file import load_model
@@ -45,9 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='FILE',
         help='calibration.yaml of an earlier run to begin with, and its model, if none is given',
     )
-    parser.add_argument(
-        '--from-images', action='store_true', help='track the images even if there are features'
-    )
+    add_images_option(parser)
     parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the report and the results')
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
@@ -56,8 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Calibrate, print the result, and write the report where one is wanted."""
     config = read_config(args)
-    if args.from_images:
-        config = replace(config, recording=replace(config.recording, use_images=True))
     load_own_effects(args)
     known = load_calibration(args.start_from) if args.start_from else None
     model = load_model(args.model) if known is None or args.model else known.model

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -213,7 +214,10 @@ def _next_change(
         if change is not None:
             return change
     is_known = best is not None and odd_gain <= ODD_PART * rival_gain
-    rival = _put_in(best, stage, recorded, calibrate) if best is not None and is_known else None
+    rival = None
+    if best is not None and is_known:
+        with suppress(FilterDivergedError):
+            rival = _put_in(best, stage, recorded, calibrate)
     # A limit makes the filter doubt its gyro, which helps against anything: it has to beat a run, too.
     at_least = max(LIMIT_PART * (odd_gain if rival is None else rival.foreseen), MIN_FORESEEN)
     for limit in (limit for limit in limits if not limit.is_read):

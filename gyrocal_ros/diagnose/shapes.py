@@ -12,13 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.evidence import Fit, chi_square_tail, fit, sigma_of
 from gyrocal_ros.diagnose.heading import TURNING_RAD_S, Headings, heading_evidence, misfits
-from gyrocal_ros.effects.base import LinearGyroEffect, column
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW
-from gyrocal_ros.model.sensor import Coefficient
 
 KNOTS = 5
 TIME_KNOT_S = 30.0
@@ -38,24 +36,6 @@ TIME = 'time since the start (s)'
 RATE = 'rate (deg/s)'
 HEADING = 'heading in the map (deg)'
 HEADING_KNOTS_DEG = np.arange(-180.0, 180.0, 60.0)
-
-
-@dataclass(frozen=True)
-class BiasStep(LinearGyroEffect):
-    """The bias jumps at a moment, as after a knock."""
-
-    at_s: float
-    name: str
-    coefficients: tuple[Coefficient, ...]
-
-    def columns(self, block: MotionBlock) -> Array:
-        """(N, 1): zero before, one after."""
-        return column((block.time_s >= self.at_s).astype(float))
-
-
-def bias_step(at_s: float) -> BiasStep:
-    """A jump of the bias at `at_s` after the first IMU sample."""
-    return BiasStep(at_s, f'bias_step:{at_s:.0f}', (Coefficient('k', 'rad/s', math.radians(0.1)),))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

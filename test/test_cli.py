@@ -17,6 +17,7 @@ import pytest
 from gyrocal_ros import __version__
 from gyrocal_ros.cli.main import COMMANDS, main
 from gyrocal_ros.cli.output import print_json
+from gyrocal_ros.cli.replay import verdict
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import shipped
 
@@ -160,6 +161,15 @@ def test_demo_finds_the_true_scale_factor(
     report = tmp_path / 'gyrocal_demo'
     assert {'calibration.yaml', 'report.html'} <= {file.name for file in report.iterdir()}
     assert [folder.name for folder in tmp_path.iterdir()] == ['gyrocal_demo']
+
+
+@pytest.mark.parametrize(
+    ('worst', 'said'), [(0.2, '0.20 deg in one span'), (0.3, '0.20 deg rms, 0.30 at worst')]
+)
+def test_the_drift_of_one_span_is_not_given_out_for_many(worst: float, said: str) -> None:
+    names = ('scale_factor', 'scale_factor_std', 'scale_factor_volt', 'bias', 'bias_std', 'heading_rms_deg')
+    summary = dict.fromkeys(names, 0.1) | {'coefficients': {}, 'converged': False}
+    assert said in verdict(summary | {'blind_drift_deg': {'rms': 0.2, 'max': worst}})
 
 
 def test_a_calibration_brings_its_model_along(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -61,10 +61,10 @@ def verdict(calibration: Calibration, config: Config, before: BlindDrift, after:
     good, headline = _headline(calibration, config)
     sentences = [_scale_sentence(calibration), _bias_sentence(calibration)]
     if len(after.error_rad):
-        reference = REFERENCES[after.reference]
+        spread = 'rms' if len(after.error_rad) > 1 else 'in the one span that there is room for,'
         sentences.append(
             f'With the camera covered, the heading drifts {after.rms_deg:.3g} deg in {after.span_s:.0f} s '
-            f'(rms against {reference}; worst {after.max_deg:.3g} deg). '
+            f'({spread} against {REFERENCES[after.reference]}; worst {after.max_deg:.3g} deg). '
             f'With the nominal scale factor it was {before.rms_deg:.3g} deg.'
         )
     return Verdict('good' if good else 'bad', headline, tuple(sentences))

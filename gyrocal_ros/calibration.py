@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from gyrocal_ros import __version__
-from gyrocal_ros.config import Config, read_yaml, to_dict
+from gyrocal_ros.config import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.ekf.run import History, Run
@@ -21,6 +21,7 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import write_text_atomic
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.settings import read_yaml, to_dict
 
 CONSISTENCY_STEPS = 300
 """The filter's consistency is judged by the NIS of so many last steps."""

@@ -1,50 +1,21 @@
-"""Settings, declared once: default, unit, bounds and meaning stand beside each other.
+"""All settings, declared once: default, unit, bounds and meaning stand beside each other.
 
-The YAML files, the ROS parameters and the dump that goes with every result all derive from the
-dataclasses below. A settings file is a ROS 2 parameter file, so one file serves the nodes and
-the command line.
+A settings file is a ROS 2 parameter file, so one file serves the nodes and the command line.
 """
 
 from __future__ import annotations
 
-import difflib
-import math
-import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
-
-import yaml
+from typing import Any, TypeAlias
 
 from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.settings import read_yaml, setting, with_settings
 
-T = TypeVar('T')
+Three: TypeAlias = tuple[float, float, float]
 
-
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """What is known of one setting beside its value."""
-
-    unit: str
-    help: str
-    low: float | None = None
-    high: float | None = None
-    choices: tuple[str, ...] = ()
-
-
-def setting(
-    default: T,
-    unit: str,
-    help: str,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    choices: tuple[str, ...] = (),
-) -> T:
-    """Declare a dataclass field together with its unit, its bounds and what it means."""
-    metadata = {'setting': Setting(unit, help, low, high, choices)}
-    return field(default=default, metadata=metadata)  # type: ignore[return-value]
+STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +29,7 @@ class GyroConfig:
         1.0, 'deg/s', 'how large the bias of each axis may be at the start (1 sigma)', low=1e-6, high=50.0
     )
     rate_noise_deg_s: float = setting(
-        0.0075, 'deg/s/sqrt(Hz)', 'white noise of the rate, as a density', low=1e-5, high=1.0
+        0.0075, 'deg/s/sqrt(Hz)', 'white noise of the rate, as a density', low=1e-5, high=1.0, live=True
     )
     bias_walk_deg_s: float = setting(
         2.5e-4,
@@ -66,6 +37,7 @@ class GyroConfig:
         'random walk of the bias; set ten times too large it swallows warm-up and temperature',
         low=0.0,
         high=1.0,
+        live=True,
     )
     gap_rate_std_deg_s: float = setting(
         40.0,
@@ -73,6 +45,7 @@ class GyroConfig:
         'how fast the robot may turn, unseen, while IMU samples are missing',
         low=0.0,
         high=1000.0,
+        live=True,
     )
 
 
@@ -81,16 +54,21 @@ class WheelConfig:
     """How far the wheel encoders are trusted."""
 
     distance_noise_m: float = setting(
-        0.005, 'm/sqrt(m)', 'random error of the distance travelled', low=1e-5, high=0.5
+        0.005, 'm/sqrt(m)', 'random error of the distance travelled', low=1e-5, high=0.5, live=True
     )
     lateral_noise_m: float = setting(
-        0.005, 'm/sqrt(m)', 'random sideways motion while travelling', low=1e-5, high=0.5
+        0.005, 'm/sqrt(m)', 'random sideways motion while travelling', low=1e-5, high=0.5, live=True
     )
     vertical_noise_m: float = setting(
-        0.001, 'm/sqrt(m)', 'random vertical motion while travelling', low=1e-6, high=0.5
+        0.001, 'm/sqrt(m)', 'random vertical motion while travelling', low=1e-6, high=0.5, live=True
     )
     turn_noise_m: float = setting(
-        0.002, 'm/sqrt(rad)', 'random motion of the turning centre while turning', low=0.0, high=0.5
+        0.002,
+        'm/sqrt(rad)',
+        'random motion of the turning centre while turning',
+        low=0.0,
+        high=0.5,
+        live=True,
     )
 
 
@@ -115,7 +93,9 @@ class CameraConfig:
         low=0.005,
         high=20.0,
     )
-    estimate_pixel_noise: bool = setting(True, '', 'follow the true pixel noise by the median innovation')
+    estimate_pixel_noise: bool = setting(
+        True, '', 'follow the true pixel noise by the median innovation', live=True
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,15 +125,17 @@ class FeatureConfig:
         0.0, 'px', 'e_cal of eq. (21): error of the camera calibration (camera_frame)', low=0.0, high=50.0
     )
     motion_gate_m: float = setting(
-        0.03, 'm', 'camera_frame: no updates until the robot has moved so far', low=0.0, high=10.0
+        0.03, 'm', 'camera_frame: no updates until the robot has moved so far', low=0.0, high=10.0, live=True
     )
-    motion_gate_deg: float = setting(5.0, 'deg', 'camera_frame: or has turned so far', low=0.0, high=180.0)
-    map_size: int = setting(30, '', 'features kept in the map, seen and unseen', low=3, high=1000)
+    motion_gate_deg: float = setting(
+        5.0, 'deg', 'camera_frame: or has turned so far', low=0.0, high=180.0, live=True
+    )
+    map_size: int = setting(30, '', 'features kept in the map, seen and unseen', low=3, high=1000, live=True)
     outlier_probability: float = setting(
-        1e-4, '', 'chance that a good observation is thrown away as an outlier', low=1e-9, high=0.2
+        1e-4, '', 'chance that a good observation is thrown away as an outlier', low=1e-9, high=0.2, live=True
     )
     drop_after_rejections: int = setting(
-        8, '', 'rejections in a row after which a feature is forgotten', low=1, high=1000
+        8, '', 'rejections in a row after which a feature is forgotten', low=1, high=1000, live=True
     )
 
 
@@ -162,10 +144,20 @@ class RestConfig:
     """When the robot counts as standing still, and how still that is."""
 
     settle_s: float = setting(
-        0.3, 's', 'wheels quiet for so long before the zero-rate update is used', low=0.0, high=60.0
+        0.3,
+        's',
+        'wheels quiet for so long before the zero-rate update is used',
+        low=0.0,
+        high=60.0,
+        live=True,
     )
     rotation_noise_deg: float = setting(
-        0.005, 'deg', 'rotation between two frames that still counts as none (1 sigma)', low=1e-6, high=5.0
+        0.005,
+        'deg',
+        'rotation between two frames that still counts as none (1 sigma)',
+        low=1e-6,
+        high=5.0,
+        live=True,
     )
 
 
@@ -177,7 +169,7 @@ class ReferenceConfig:
         0.5, 'deg', 'white noise of the reference heading', low=1e-4, high=90.0
     )
     heading_walk_deg: float = setting(
-        0.02, 'deg/sqrt(s)', 'slow drift of the reference heading', low=0.0, high=10.0
+        0.02, 'deg/sqrt(s)', 'slow drift of the reference heading', low=0.0, high=10.0, live=True
     )
 
 
@@ -185,29 +177,46 @@ class ReferenceConfig:
 class TrackerConfig:
     """The feature tracker."""
 
-    features: int = setting(15, '', 'features tracked at a time; the paper uses 5', low=1, high=500)
+    features: int = setting(
+        15, '', 'features tracked at a time; the paper uses 5', low=1, high=500, live=True
+    )
     patch_px: int = setting(15, 'px', 'side of a patch, odd', low=7, high=61)
     min_distance_px: float = setting(
-        40.0, 'px', 'distance between features, so that they spread over the image', low=2.0, high=500.0
+        40.0,
+        'px',
+        'distance between features, so that they spread over the image',
+        low=2.0,
+        high=500.0,
+        live=True,
     )
     border_px: int = setting(14, 'px', 'no features closer to the edge of the image', low=2, high=200)
     detect_interval: int = setting(
-        10, 'frames', 'look for new corners every so many frames, or when few are left', low=1, high=1000
+        10,
+        'frames',
+        'look for new corners every so many frames, or when few are left',
+        low=1,
+        high=1000,
+        live=True,
     )
     corner_quality: float = setting(
-        0.001, '', 'Harris response of a corner against the best in the image', low=1e-6, high=1.0
+        0.001, '', 'Harris response of a corner against the best in the image', low=1e-6, high=1.0, live=True
     )
     min_correlation: float = setting(
-        0.8, '', 'normalised correlation below which a match is refused', low=-1.0, high=1.0
+        0.8, '', 'normalised correlation below which a match is refused', low=-1.0, high=1.0, live=True
     )
     max_reprojection_px: float = setting(
-        0.3, 'px', 'forward-backward error above which a match is refused', low=0.01, high=20.0
+        0.3, 'px', 'forward-backward error above which a match is refused', low=0.01, high=20.0, live=True
     )
     noise_px: float = setting(
         0.1, 'px', 'noise of a feature tracked here, the start of its estimation', low=0.005, high=20.0
     )
     reacquire_s: float = setting(
-        20.0, 's', 'a lost feature is looked for so long before its id is dropped', low=0.0, high=3600.0
+        20.0,
+        's',
+        'a lost feature is looked for so long before its id is dropped',
+        low=0.0,
+        high=3600.0,
+        live=True,
     )
 
 
@@ -231,13 +240,18 @@ class ConvergenceConfig:
     """When the calibration counts as done."""
 
     scale_std: float = setting(
-        5e-4, '1', 'standard deviation of the scale factor below which it has converged', low=1e-7, high=1.0
+        5e-4,
+        '1',
+        'standard deviation of the scale factor below which it has converged',
+        low=1e-7,
+        high=1.0,
+        live=True,
     )
     nis_low: float = setting(
-        0.5, '', 'smallest NIS per degree of freedom of a healthy filter', low=0.0, high=1.0
+        0.5, '', 'smallest NIS per degree of freedom of a healthy filter', low=0.0, high=1.0, live=True
     )
     nis_high: float = setting(
-        3.0, '', 'largest NIS per degree of freedom of a healthy filter', low=1.0, high=100.0
+        3.0, '', 'largest NIS per degree of freedom of a healthy filter', low=1.0, high=100.0, live=True
     )
 
 
@@ -256,59 +270,80 @@ class Config:
     convergence: ConvergenceConfig = ConvergenceConfig()
 
 
-def flat_settings(config: Config) -> Iterator[tuple[str, Any, Setting]]:
-    """Yield name (`section.setting`), value and description of every setting, in order."""
-    for section in fields(config):
-        values = getattr(config, section.name)
-        for item in fields(values):
-            yield f'{section.name}.{item.name}', getattr(values, item.name), item.metadata['setting']
+@dataclass(frozen=True, slots=True)
+class BoardConfig:
+    """What one count of each converter means."""
+
+    gyro_volt: float = setting(
+        1e-5, 'V/count', 'gyro voltage that one count stands for', low=1e-12, high=10.0
+    )
+    gyro_scale_factor_volt: Three = setting(
+        (GyroConfig().nominal_scale_factor_volt,) * 3,
+        'deg/s/V',
+        'scale factor by the data sheet, about x, y and z; negative where an axis is mounted in reverse',
+        low=-1e6,
+        high=1e6,
+    )
+    gyro_zero: Three = setting(
+        (0.0, 0.0, 0.0), 'count', 'nominal bias: counts of the gyros at rest', low=-(2.0**31), high=2.0**31
+    )
+    accelerometer_scale: Three = setting(
+        (4.0 * STANDARD_GRAVITY_M_S2 / 2**15,) * 3,
+        'm/s^2/count',
+        'specific force that one count stands for, along x, y and z; 16 bits over 4 g to either side',
+        low=-100.0,
+        high=100.0,
+    )
+    accelerometer_zero: Three = setting(
+        (0.0, 0.0, 0.0), 'count', 'counts of the accelerometers without force', low=-(2.0**15), high=2.0**15
+    )
+    temperature_scale: float = setting(
+        0.01, 'deg C/count', 'one count of temperature', low=-100.0, high=100.0
+    )
+    temperature_zero_c: float = setting(0.0, 'deg C', 'temperature at 0 counts', low=-273.15, high=1000.0)
+    tick_m: float = setting(3e-4, 'm', 'way of a wheel from one tick to the next', low=1e-7, high=1.0)
+    track_m: float = setting(0.23, 'm', 'distance between the wheels', low=0.01, high=10.0)
 
 
-def to_dict(config: Config) -> dict[str, dict[str, Any]]:
-    """Return the settings as nested plain values, as they are written beside every result."""
-    return {
-        section.name: {item.name: getattr(values, item.name) for item in fields(values)}
-        for section in fields(config)
-        for values in [getattr(config, section.name)]
-    }
+@dataclass(frozen=True, slots=True)
+class DriverConfig:
+    """The line to the board."""
+
+    port: str = setting('/dev/ttyACM0', '', 'serial port of the board')
+    baud_rate: int = setting(115200, 'Bd', 'speed of the line', low=1200, high=4_000_000)
+    imu_hz: int = setting(200, 'Hz', 'IMU messages asked of the board', low=1, high=2000)
+    wheels_hz: int = setting(50, 'Hz', 'wheel messages asked of the board', low=1, high=1000)
+    supply_hz: int = setting(10, 'Hz', 'supply messages asked of the board, 0 for none', low=0, high=100)
+    publish_odom_transform: bool = setting(
+        False, '', 'publish odom to base_link, where nothing else on the robot does'
+    )
 
 
-def to_yaml(config: Config) -> str:
-    """The settings as a commented ROS 2 parameter file for any node; `load_config` reads it."""
-    lines = ['/**:', '  ros__parameters:']
-    section = ''
-    for name, value, about in flat_settings(config):
-        new_section, item = name.split('.')
-        if new_section != section:
-            section = new_section
-            lines.append(f'    {section}:')
-        bounds = '' if about.low is None else f', {about.low:g} to {about.high:g}'
-        unit = f' [{about.unit}]' if about.unit else ''
-        lines.append(f'      # {about.help}{unit}{bounds}')
-        lines.append(f'      {item}: {yaml.safe_dump(value, width=math.inf).splitlines()[0]}')
-    return '\n'.join(lines) + '\n'
+@dataclass(frozen=True, slots=True)
+class LiveConfig:
+    """The calibrator as it runs on the robot."""
+
+    model: str = setting('', '', 'model.yaml with the effects to estimate; empty for the one that is shipped')
+    calibration: str = setting(
+        '', '', 'calibration.yaml to start from and to keep up to date; empty for none'
+    )
+    estimate: bool = setting(True, '', 'estimate from the start, not only when told to')
+    reorder_window_s: float = setting(
+        0.3, 's', 'how late a message may come and still be sorted in by its stamp', low=0.01, high=10.0
+    )
+    save_interval_s: float = setting(
+        60.0, 's', 'how often the calibration is saved', low=1.0, high=86400.0, live=True
+    )
+    publish_map_transform: bool = setting(True, '', 'publish map to odom')
 
 
-def with_settings(config: Config, nested: Mapping[str, Any], where: str = 'settings') -> Config:
-    """Return `config` with the given `{section: {setting: value}}` put in.
+@dataclass(frozen=True, slots=True)
+class RobotConfig:
+    """What only the nodes need to be told."""
 
-    Raises:
-        ConfigError: a name is unknown, or a value has the wrong type or is out of bounds.
-    """
-    sections = {item.name: getattr(config, item.name) for item in fields(config)}
-    for section_name, entries in nested.items():
-        section = sections.get(_known(section_name, list(sections), where))
-        if not isinstance(entries, Mapping):
-            raise ConfigError(f'section {section_name!r} holds no settings', where=where)
-        assert is_dataclass(section) and not isinstance(section, type)
-        known = {item.name: item for item in fields(section)}
-        values = {}
-        for name, value in entries.items():
-            item = known[_known(name, list(known), f'{where}, section {section_name}')]
-            default = getattr(section, name)
-            values[name] = _checked(f'{section_name}.{name}', value, default, item.metadata['setting'], where)
-        sections[section_name] = replace(section, **values)
-    return Config(**sections)
+    board: BoardConfig = BoardConfig()
+    driver: DriverConfig = DriverConfig()
+    live: LiveConfig = LiveConfig()
 
 
 def load_config(path: Path | None) -> Config:
@@ -317,83 +352,30 @@ def load_config(path: Path | None) -> Config:
     Raises:
         ConfigError: the file cannot be read, or a setting in it is unknown or out of bounds.
     """
-    config = Config()
+    estimator, robot = Config(), RobotConfig()
     for node_name, node in read_yaml(path).items() if path else ():
         parameters = node.get('ros__parameters') if isinstance(node, Mapping) else None
         if not isinstance(parameters, Mapping):
             raise ConfigError(
                 f'{node_name!r} has no ros__parameters', where=str(path), todo='write a ROS 2 parameter file'
             )
-        config = with_settings(config, _estimator_settings(parameters), str(path))
-    return config
+        nested = _nested(parameters)
+        of_robot = {name: nested.pop(name) for name in _sections(RobotConfig) if name in nested}
+        robot = with_settings(robot, of_robot, str(path))
+        estimator = with_settings(estimator, nested, str(path))
+    return estimator
 
 
-def _estimator_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
+def _nested(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """The settings among the parameters of a node, which may also be written `section.setting`."""
+    known = {*_sections(Config), *_sections(RobotConfig)}
     nested = {name: dict(value) for name, value in parameters.items() if isinstance(value, Mapping)}
     for name, value in parameters.items():
         section, _, item = str(name).partition('.')
-        if item and hasattr(Config, section):
+        if item and section in known:
             nested.setdefault(section, {})[item] = value
     return nested
 
 
-class YamlLoader(yaml.SafeLoader):
-    """Takes `1e-3` for a number, as ROS does; PyYAML insists on `1.0e-3`."""
-
-
-YamlLoader.add_implicit_resolver(
-    'tag:yaml.org,2002:float', re.compile(r'[-+]?\d+[eE][-+]?\d+$'), list('-+0123456789')
-)
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML file that holds a mapping.
-
-    Raises:
-        ConfigError: there is no such file, or it is not YAML, or holds something else.
-    """
-    try:
-        tree = yaml.load(path.read_text(encoding='utf-8'), YamlLoader)
-    except OSError as error:
-        raise ConfigError(
-            f'cannot be read ({error.strerror})', where=str(path), todo='check the path'
-        ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        line = str(error).replace('\n', ' ')
-        raise ConfigError(f'is not valid YAML ({line})', where=str(path)) from error
-    if not isinstance(tree, dict):
-        raise ConfigError('holds no settings', where=str(path), todo='write `name: value` lines')
-    return tree
-
-
-def nearest(name: str, known: list[str]) -> str:
-    """Return the known names that look like `name`, as words for an error message."""
-    close = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
-    return f'did you mean {close[0]!r}?' if close else f'known are {", ".join(known)}'
-
-
-def _known(name: str, known: list[str], where: str) -> str:
-    if name not in known:
-        raise ConfigError(f'{name!r} is not known', where=where, todo=nearest(name, known))
-    return name
-
-
-def _checked(name: str, value: Any, default: Any, about: Setting, where: str) -> Any:
-    kind = type(default)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if type(value) is not kind:
-        raise ConfigError(f'{name} must be a {kind.__name__}, not {value!r}', where=where)
-    if about.choices and value not in about.choices:
-        raise ConfigError(f'{name} is {value!r}', where=where, todo=f'choose from {", ".join(about.choices)}')
-    if kind in (int, float):
-        too_low = about.low is not None and value < about.low
-        too_high = about.high is not None and value > about.high
-        if too_low or too_high or not math.isfinite(value):
-            raise ConfigError(
-                f'{name} is {value}',
-                where=where,
-                todo=f'give {about.low} to {about.high} {about.unit}'.rstrip(),
-            )
-    return value
+def _sections(kind: type[Any]) -> list[str]:
+    return [item.name for item in fields(kind)]

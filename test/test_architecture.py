@@ -18,6 +18,7 @@ LEVELS = {
     for level, rooms in enumerate(
         [
             ('errors',),
+            ('settings',),
             ('config', 'data', 'files'),
             ('model',),  # the lens and the rotations of the paper serve the tracker too
             ('board', 'recording', 'vision'),

@@ -11,8 +11,6 @@ import pytest
 from gyrocal_ros.board.clock import Clock, Stamp
 from gyrocal_ros.board.convert import (
     LONGEST_INTERVAL_S,
-    STANDARD_GRAVITY_M_S2,
-    BoardConfig,
     WheelReading,
     imu_sample,
     supply_samples,
@@ -21,6 +19,7 @@ from gyrocal_ros.board.convert import (
 )
 from gyrocal_ros.board.messages import Imu, Supply, Wheels
 from gyrocal_ros.board.protocol import Decoder, encode
+from gyrocal_ros.config import STANDARD_GRAVITY_M_S2, BoardConfig
 from gyrocal_ros.data import NS_PER_S, CovariateSample, TemperatureSample
 
 T_NS = 1_700_000_000_000_000_000

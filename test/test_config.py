@@ -10,22 +10,13 @@ from typing import Any
 
 import pytest
 
-from gyrocal_ros.config import (
-    Config,
-    Setting,
-    flat_settings,
-    load_config,
-    nearest,
-    read_yaml,
-    to_dict,
-    to_yaml,
-    with_settings,
-)
+from gyrocal_ros.config import Config, RobotConfig, load_config
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import shipped
+from gyrocal_ros.settings import Setting, flat_settings, nearest, read_yaml, to_dict, to_yaml, with_settings
 
-SETTINGS = list(flat_settings(Config()))
-NUMBERS = [item for item in SETTINGS if type(item[1]) in (int, float)]
+SETTINGS = [(config, *item) for config in (Config(), RobotConfig()) for item in flat_settings(config)]
+NUMBERS = [item for item in SETTINGS if type(item[2]) in (int, float)]
 
 
 def nested(name: str, value: Any) -> Mapping[str, Any]:
@@ -45,26 +36,26 @@ def other_value(value: Any, about: Setting) -> Any:
 # --- every setting ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(('name', 'value', 'about'), SETTINGS, ids=[name for name, _, _ in SETTINGS])
-def test_a_setting_is_declared_completely(name: str, value: Any, about: Setting) -> None:
+@pytest.mark.parametrize(('config', 'name', 'value', 'about'), SETTINGS, ids=[item[1] for item in SETTINGS])
+def test_a_setting_is_declared_completely(config: Any, name: str, value: Any, about: Setting) -> None:
     assert about.help and not about.help.endswith('.')
-    assert with_settings(Config(), nested(name, value)) == Config(), 'the default keeps its own bounds'
+    assert with_settings(config, nested(name, value)) == config, 'the default keeps its own bounds'
     if about.choices:
         assert value in about.choices
-    if type(value) in (int, float):
+    if type(value) in (int, float, tuple):
         assert about.low is not None and about.high is not None
 
 
-@pytest.mark.parametrize(('name', 'value', 'about'), NUMBERS, ids=[name for name, _, _ in NUMBERS])
-def test_a_number_keeps_to_its_bounds(name: str, value: Any, about: Setting) -> None:
+@pytest.mark.parametrize(('config', 'name', 'value', 'about'), NUMBERS, ids=[item[1] for item in NUMBERS])
+def test_a_number_keeps_to_its_bounds(config: Any, name: str, value: Any, about: Setting) -> None:
     assert about.low is not None and about.high is not None
     kind = type(value)
     for bound in (about.low, about.high):
-        changed = with_settings(Config(), nested(name, kind(bound)))
+        changed = with_settings(config, nested(name, kind(bound)))
         assert to_dict(changed)[name.split('.')[0]][name.split('.')[1]] == bound
     for beyond in (about.low - max(abs(about.low), 1.0), about.high + max(abs(about.high), 1.0)):
         with pytest.raises(ConfigError, match=name) as caught:
-            with_settings(Config(), nested(name, kind(beyond)), 'mine.yaml')
+            with_settings(config, nested(name, kind(beyond)), 'mine.yaml')
         assert caught.value.where == 'mine.yaml'
         assert f'{about.low} to {about.high}' in caught.value.todo
 
@@ -110,6 +101,19 @@ def test_settings_leave_the_others_alone() -> None:
     )
 
 
+def test_several_numbers_are_one_setting() -> None:
+    changed = with_settings(RobotConfig(), {'board': {'gyro_zero': [1, 2.5, -3.0]}})
+    assert changed.board.gyro_zero == (1.0, 2.5, -3.0)
+    assert to_dict(changed)['board']['gyro_zero'] == [1.0, 2.5, -3.0]
+    for wrong, message in (
+        ([1.0, 2.0], 'must be 3 numbers'),
+        ('abc', 'must be 3'),
+        ([0.0, 1e99, 0.0], r'\[1\]'),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            with_settings(RobotConfig(), {'board': {'gyro_zero': wrong}})
+
+
 def test_nearest_name() -> None:
     assert nearest('scael', ['scale', 'bias']) == "did you mean 'scale'?"
     assert nearest('zzz', ['scale', 'bias']) == 'known are scale, bias'
@@ -119,12 +123,12 @@ def test_nearest_name() -> None:
 
 
 def test_the_shipped_settings_are_the_defaults() -> None:
-    assert shipped('config/gyrocal.yaml').read_text(encoding='utf-8') == to_yaml(Config())
+    assert shipped('config/gyrocal.yaml').read_text(encoding='utf-8') == to_yaml(Config(), RobotConfig())
 
 
 def test_settings_are_written_and_read_back(tmp_path: Path) -> None:
     changed = Config()
-    for name, value, about in SETTINGS:
+    for name, value, about in flat_settings(Config()):
         changed = with_settings(changed, nested(name, other_value(value, about)))
     assert all(to_dict(changed)[section] != to_dict(Config())[section] for section in to_dict(Config()))
     file = tmp_path / 'all.yaml'
@@ -138,6 +142,15 @@ def test_a_file_may_say_a_little(tmp_path: Path) -> None:
     file.write_text('/**:\n  ros__parameters:\n    camera: {pixel_noise_px: 2e-1}\n')
     assert load_config(file).camera.pixel_noise_px == 0.2
     assert load_config(None) == Config()
+
+
+def test_a_file_for_the_nodes_is_checked_whole(tmp_path: Path) -> None:
+    file = tmp_path / 'robot.yaml'
+    file.write_text(to_yaml(Config(), RobotConfig()))
+    assert load_config(file) == Config()
+    file.write_text('/driver: {ros__parameters: {driver: {baud_rat: 9600}}}')
+    with pytest.raises(ConfigError, match="did you mean 'baud_rate'"):
+        load_config(file)
 
 
 def test_a_file_may_serve_several_nodes(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gyrocal_ros.calibrate import calibrate, hold
-from gyrocal_ros.config import Config, with_settings
+from gyrocal_ros.config import Config
 from gyrocal_ros.diagnose.compare import Comparison, compare
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.evidence import Fit
@@ -34,6 +34,7 @@ from gyrocal_ros.report.html import Section, gallery, text
 from gyrocal_ros.report.improvement_page import improvement_page
 from gyrocal_ros.report.summary import summarise_comparison, summarise_diagnosis, summarise_improvement
 from gyrocal_ros.report.tables import estimate_rows, with_gain
+from gyrocal_ros.settings import with_settings
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource

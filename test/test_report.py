@@ -15,7 +15,7 @@ import pytest
 
 from gyrocal_ros.calibrate import calibrate
 from gyrocal_ros.calibration import Calibration, conclude, load_calibration
-from gyrocal_ros.config import Config, load_config, with_settings
+from gyrocal_ros.config import Config, load_config
 from gyrocal_ros.data import seconds
 from gyrocal_ros.diagnose.compare import compare
 from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning
@@ -33,6 +33,7 @@ from gyrocal_ros.report.sections import sections
 from gyrocal_ros.report.summary import summarise
 from gyrocal_ros.report.tables import coefficient_rows, verdict, with_std
 from gyrocal_ros.report.words import sigma_in_words
+from gyrocal_ros.settings import with_settings
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 

@@ -4,56 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
 
 from gyrocal_ros.board.clock import Stamp
 from gyrocal_ros.board.messages import Imu, Supply, Wheels
 from gyrocal_ros.board.protocol import TIME_WRAP
-from gyrocal_ros.config import GyroConfig, setting
+from gyrocal_ros.config import BoardConfig, Three
 from gyrocal_ros.data import CovariateSample, ImuSample, TemperatureSample, WheelSample
 
-Three: TypeAlias = tuple[float, float, float]
-
-STANDARD_GRAVITY_M_S2 = 9.80665
 TICK_WRAP = 1 << 32
 LONGEST_INTERVAL_S = 1.0
 """A mean over a longer time says little of the motion in it."""
 US_PER_S = 1_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class BoardConfig:
-    """What one count of each converter means."""
-
-    gyro_volt: float = setting(
-        1e-5, 'V/count', 'gyro voltage that one count stands for', low=1e-12, high=10.0
-    )
-    gyro_scale_factor_volt: Three = setting(
-        (GyroConfig().nominal_scale_factor_volt,) * 3,
-        'deg/s/V',
-        'scale factor by the data sheet, about x, y and z; negative where an axis is mounted in reverse',
-        low=-1e6,
-        high=1e6,
-    )
-    gyro_zero: Three = setting(
-        (0.0, 0.0, 0.0), 'count', 'nominal bias: counts of the gyros at rest', low=-(2.0**31), high=2.0**31
-    )
-    accelerometer_scale: Three = setting(
-        (4.0 * STANDARD_GRAVITY_M_S2 / 2**15,) * 3,
-        'm/s^2/count',
-        'specific force that one count stands for, along x, y and z; 16 bits over 4 g to either side',
-        low=-100.0,
-        high=100.0,
-    )
-    accelerometer_zero: Three = setting(
-        (0.0, 0.0, 0.0), 'count', 'counts of the accelerometers without force', low=-(2.0**15), high=2.0**15
-    )
-    temperature_scale: float = setting(
-        0.01, 'deg C/count', 'one count of temperature', low=-100.0, high=100.0
-    )
-    temperature_zero_c: float = setting(0.0, 'deg C', 'temperature at 0 counts', low=-273.15, high=1000.0)
-    tick_m: float = setting(3e-4, 'm', 'way of a wheel from one tick to the next', low=1e-7, high=1.0)
-    track_m: float = setting(0.23, 'm', 'distance between the wheels', low=0.01, high=10.0)
 
 
 @dataclass(frozen=True, slots=True)

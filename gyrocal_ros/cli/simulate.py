@@ -17,13 +17,13 @@ import numpy as np
 
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
 from gyrocal_ros.cli.output import progress
-from gyrocal_ros.config import nearest
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import LibraryEffect, with_unit
 from gyrocal_ros.errors import ConfigError, GyrocalError
 from gyrocal_ros.model.sensor import RelativeEffect
 from gyrocal_ros.recording.write import new_bag
+from gyrocal_ros.settings import nearest
 from gyrocal_ros.sim.hidden import Drawn, draw_hidden, draw_scale_factor, hide
 from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
 from gyrocal_ros.sim.sealed import answer_of, seal, sealed_path

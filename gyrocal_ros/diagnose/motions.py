@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
-from gyrocal_ros.config import nearest
 from gyrocal_ros.diagnose.ranking import TWIN_SIGMA
 from gyrocal_ros.effects import COVARIATE_EFFECTS, find_effect
 from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.settings import nearest
 from gyrocal_ros.sim.drives import EVERYDAY, TEST_DRIVES
 
 ALIKE = 0.85

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from gyrocal_ros.config import nearest
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.bias_temperature import BiasTemperature
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
@@ -35,6 +34,7 @@ from gyrocal_ros.effects.wheel_scale import WheelScale
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.settings import nearest
 
 EFFECTS: dict[str, LibraryEffect] = {
     effect.name: effect

@@ -19,11 +19,11 @@ from typing import Any
 
 import yaml
 
-from gyrocal_ros.config import YamlLoader, nearest, read_yaml
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.settings import YamlLoader, nearest, read_yaml
 
 BIAS_FORMS = ('drift', 'settling')
 

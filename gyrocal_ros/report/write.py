@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from gyrocal_ros.calibration import Calibration, save_calibration
-from gyrocal_ros.config import to_yaml
 from gyrocal_ros.data import NS_PER_S, Array, IntArray
 from gyrocal_ros.diagnose.compare import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
@@ -30,6 +29,7 @@ from gyrocal_ros.report.summary import (
     summarise_comparison,
     summarise_diagnosis,
 )
+from gyrocal_ros.settings import to_yaml
 
 
 def write_report(

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal_ros.config import nearest
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import (
@@ -23,6 +22,7 @@ from gyrocal_ros.model.sensor import (
     RelativeEffect,
     SignalEffect,
 )
+from gyrocal_ros.settings import nearest
 from gyrocal_ros.sim.trajectory import Motion
 
 MAX_ROUNDS = 60

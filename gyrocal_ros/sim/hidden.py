@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.config import nearest
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.settings import nearest
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.sensors import stream
 from gyrocal_ros.sim.strangers import STRANGERS, VOLTAGE

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gyrocal_ros.config import nearest
 from gyrocal_ros.data import CameraIntrinsics
 from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.settings import nearest
 from gyrocal_ros.sim.manoeuvres import Habits
 from gyrocal_ros.sim.scene import Furniture
 from gyrocal_ros.sim.sensors import Climate, Fan, SensorErrors

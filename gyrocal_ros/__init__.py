@@ -14,7 +14,9 @@ The rooms, in the order in which the data flow:
     diagnose                      reads a finished run: what the calibration is worth
     report                        figures and tables of a finished run; computes nothing
     bench                         accuracy and speed over many simulated runs
+    live                          what runs on the robot, without ROS: measurements as they arrive
     cli                           the command `gyrocal`, one file a command
+    nodes                         the ROS nodes: driver, tracker, calibrator
 """
 
 __version__ = '0.1.0'

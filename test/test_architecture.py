@@ -24,7 +24,7 @@ LEVELS = {
             ('board', 'recording', 'vision'),
             ('effects', 'ekf', 'sim'),
             ('calibrate', 'calibration', 'diagnose'),
-            ('bench', 'report'),
+            ('bench', 'live', 'report'),
             ('cli', 'nodes', 'studio'),
         ]
     )
@@ -37,7 +37,7 @@ LIBRARY_HOMES = {
     'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'recording/images.py'),
     'dash': ('studio',),
     'plotly': ('report/figures',),
-    'rclpy': ('nodes',),
+    **dict.fromkeys(('rclpy', 'rcl_interfaces', 'diagnostic_msgs'), ('nodes',)),
     'rosbags': ('recording',),
     'serial': ('board/link.py',),
     'tqdm': ('cli/output.py',),

@@ -1,0 +1,48 @@
+"""Entry points of the nodes, which say plainly what is missing where ROS is."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+NODES = ('driver', 'tracker', 'calibrator')
+"""Each is a module of this folder with a function `make() -> Node`."""
+
+
+def run(name: str, argv: Sequence[str]) -> int:
+    """Run a node until it is told to stop; return its exit status.
+
+    Args:
+        name: one of `NODES`.
+        argv: command line, with the arguments of ROS.
+    """
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # the filter's matrices are too small to share
+    try:
+        shell = importlib.import_module('gyrocal_ros.nodes.shell')
+    except ModuleNotFoundError as error:
+        if (error.name or '').startswith('gyrocal_ros'):
+            raise
+        print(
+            f'{name}: error: {error.name} is missing; source the setup.bash of ROS 2 Jazzy first '
+            '(bags replay without ROS: `gyrocal replay BAG`)',
+            file=sys.stderr,
+        )
+        return 2
+    return int(shell.run(importlib.import_module(f'gyrocal_ros.nodes.{name}').make, argv))
+
+
+def driver() -> int:
+    """`ros2 run gyrocal_ros driver`."""
+    return run('driver', sys.argv[1:])
+
+
+def tracker() -> int:
+    """`ros2 run gyrocal_ros tracker`."""
+    return run('tracker', sys.argv[1:])
+
+
+def calibrator() -> int:
+    """`ros2 run gyrocal_ros calibrator`."""
+    return run('calibrator', sys.argv[1:])

@@ -1,0 +1,12 @@
+"""Quality of service of the topics."""
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+SENSOR_IN = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Sensor data as they come in: with publishers of every reliability, a second of IMU held at most."""
+SENSOR_OUT = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
+"""Sensor data that go out: nothing is lost towards those who ask for all."""
+LATCHED = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+"""The last one is sent at once to whoever subscribes late."""

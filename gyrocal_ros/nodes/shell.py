@@ -1,0 +1,48 @@
+"""Start and end of a node."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+from gyrocal_ros.errors import GyrocalError
+
+
+class Running(Protocol):
+    """A node with something to put in order at its end."""
+
+    @property
+    def node(self) -> Node:
+        """What the executor turns."""
+
+    def close(self) -> None:
+        """Save what has to be kept and let go of threads and files."""
+
+
+def run(make: Callable[[], Running], argv: Sequence[str]) -> int:
+    """Spin a node until the context is shut down.
+
+    Returns:
+        Exit status: 0 told to stop, 2 the user can mend it.
+    """
+    rclpy.init(args=[sys.argv[0], *argv])
+    try:
+        running = make()
+    except GyrocalError as error:
+        print(f'error: {error}', file=sys.stderr)
+        rclpy.try_shutdown()
+        return 2
+    try:
+        rclpy.spin(running.node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        running.close()
+        running.node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,112 @@
+"""Which simulated robot: the options that commands share, and the source that they mean."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import replace
+
+from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
+from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects.base import LibraryEffect
+from gyrocal_ros.errors import ConfigError, GyrocalError
+from gyrocal_ros.model.sensor import RelativeEffect
+from gyrocal_ros.settings import nearest
+from gyrocal_ros.sim.hidden import Drawn, draw_hidden, draw_scale_factor, hide
+from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
+from gyrocal_ros.sim.strangers import STRANGERS
+from gyrocal_ros.sim.world import SimSource
+
+MAX_DURATION_S = 2 * 3600.0
+
+
+def add_scenario_options(parser: argparse.ArgumentParser) -> argparse._MutuallyExclusiveGroup:
+    """Declare scenario, seed, length and the effects that the robot has.
+
+    Returns:
+        The group of `--effect`, for options that do not go with it.
+    """
+    scenarios = '; '.join(f'{name}: {scenario.about}' for name, scenario in SCENARIOS.items())
+    parser.add_argument('--scenario', default='cleaning', metavar='NAME', help=f'{scenarios} (%(default)s)')
+    parser.add_argument('--seed', type=int, default=0, metavar='N', help='of all randomness (%(default)s)')
+    parser.add_argument('--duration', type=float, metavar='S', help="length in seconds (the scenario's own)")
+    effects = parser.add_mutually_exclusive_group()
+    effects.add_argument(
+        '--effect',
+        action='append',
+        default=[],
+        metavar='NAME[=VALUE,...]',
+        help="give the robot a physical effect; values in the effect library's units, without them "
+        'a usual size; may be repeated',
+    )
+    add_own_effects_option(parser)
+    return effects
+
+
+def scenario_source(args: argparse.Namespace, *, images: bool = False, hidden: bool = False) -> SimSource:
+    """Return the simulated robot that the options describe.
+
+    Args:
+        args: with the options of `add_scenario_options`.
+        images: film the ceiling, in place of following its corners.
+        hidden: let the seed decide which effects the robot has.
+
+    Raises:
+        GyrocalError: an option is unknown or out of bounds.
+    """
+    load_own_effects(args)
+    scenario = find_scenario(args.scenario)
+    duration_s = scenario.duration_s if args.duration is None else args.duration
+    check_bounds('--duration', duration_s, 1.0, MAX_DURATION_S, 's')
+    check_bounds('--seed', args.seed, 0, math.inf)
+    drawn = [parse_effect(text) for text in args.effect]
+    scale_factor = scenario.errors.scale_factor
+    if hidden:
+        drawn, scale_factor = [*draw_hidden(args.seed, duration_s)], draw_scale_factor(args.seed)
+    for item in (item for item in drawn if item.name == 'scale_factor'):
+        scale_factor = 1.0 + item.values[0]
+    effects = hide([item for item in drawn if item.name != 'scale_factor'], find_effect)
+    errors = replace(scenario.errors, scale_factor=scale_factor)
+    scenario = replace(scenario, duration_s=duration_s, errors=errors)
+    return SimSource(scenario, args.seed, images=images, hidden=effects)
+
+
+def parse_effect(text: str) -> Drawn:
+    """Read `NAME`, `NAME=VALUE,VALUE` or `NAME=coefficient:value,...`.
+
+    Raises:
+        ConfigError: the effect or a coefficient is not known, or a value is no number.
+    """
+    name, has_values, given = text.partition('=')
+    effect = STRANGERS.get(name) or find_effect(name, '--effect')
+    if not has_values:
+        if isinstance(effect, LibraryEffect) and not isinstance(effect, RelativeEffect):
+            return Drawn(name, effect.about.example)
+        raise ConfigError('has no usual size', where=f'--effect {name}', todo=f'give it, as in {name}=VALUE')
+    parts = given.split(',')
+    if all(':' in part for part in parts):
+        named = dict(part.split(':', 1) for part in parts)
+        known = [item.name for item in effect.coefficients]
+        for one in named:
+            if one not in known:
+                todo = nearest(one, known)
+                raise ConfigError(f'{name} has no coefficient {one!r}', where='--effect', todo=todo)
+        parts = [named.get(item.name, f'{item.prior_mean}') for item in effect.coefficients]
+    try:
+        values = tuple(map(float, parts))
+    except ValueError:
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)):
+        raise ConfigError(f'{given!r} is not a list of numbers', where=f'--effect {name}', todo='see --help')
+    return Drawn(name, values)
+
+
+def check_bounds(option: str, value: float, low: float, high: float, unit: str = '') -> None:
+    """Refuse a value out of its bounds.
+
+    Raises:
+        GyrocalError: it is.
+    """
+    if not low <= value <= high:
+        bounds = f'at least {low:g}' if math.isinf(high) else f'{low:g} to {high:g}'
+        raise GyrocalError(f'is {value:g}', where=option, todo=f'give {bounds} {unit}'.rstrip())

@@ -127,3 +127,60 @@ def test_memory_does_not_grow_with_the_recording() -> None:
         held += 1 - len(order.push(t_ns, stream, t_ns))
         most_held = max(most_held, held)
     assert most_held <= 1 + (WINDOW + WINDOW // 4) // (5 * MS)
+
+
+def live(
+    step_s: float, *, at_ms: int = 4000, pause_ms: int = 0
+) -> tuple[list[int | ClockStep], Reorderer[int]]:
+    """Four seconds, perhaps a pause, then stamps that have jumped; each message comes when it is due."""
+    order = Reorderer[int](WINDOW, NS_PER_S // 2)
+    before = steady(10_000, 10_000 + at_ms)
+    after = steady(10_000 + at_ms + pause_ms, 12_000 + at_ms + pause_ms)
+    out: list[int | ClockStep] = []
+    for t_ns, stream in before:
+        out += order.push(t_ns, stream, t_ns, arrival_ns=t_ns)
+    for t_ns, stream in after:
+        stamp_ns = t_ns + round(step_s * NS_PER_S)
+        out += order.push(stamp_ns, stream, stamp_ns, arrival_ns=t_ns)
+    return out + list(order.finish()), order
+
+
+@pytest.mark.parametrize('step_s', [-2.0, -0.7, 0.7, 2.0])
+def test_a_small_jump_shows_by_the_time_of_arrival(step_s: float) -> None:
+    out, order = live(step_s)
+    steps = [item for item in out if isinstance(item, ClockStep)]
+    assert [step.step_ns for step in steps] == [round(step_s * NS_PER_S)]
+    assert not order.drops
+
+
+def test_a_pause_of_all_sensors_is_no_step() -> None:
+    out, order = live(0.0, pause_ms=20_000)
+    assert not any(isinstance(item, ClockStep) for item in out)
+    assert not order.drops
+
+
+def test_a_jump_within_a_pause_is_seen() -> None:
+    out, _ = live(3.0, pause_ms=5_000)
+    assert [item.step_ns for item in out if isinstance(item, ClockStep)] == [3 * NS_PER_S]
+
+
+def test_messages_that_come_all_at_once_after_a_stall_are_no_step() -> None:
+    order = Reorderer[int](WINDOW, NS_PER_S // 2)
+    out: list[int | ClockStep] = []
+    for t_ns, stream in steady(0, 10_000):
+        late = 4000 * MS <= t_ns < 7000 * MS
+        out += order.push(t_ns, stream, t_ns, arrival_ns=7000 * MS if late else t_ns)
+    assert out + list(order.finish()) == [t_ns for t_ns, _ in steady(0, 10_000)]
+    assert not order.drops
+
+
+@pytest.mark.parametrize('odd_ms', [-700, 700])
+def test_time_that_comes_by_an_odd_stamp_is_no_step(odd_ms: int) -> None:
+    order = Reorderer[int](WINDOW, NS_PER_S // 2)
+    out: list[int | ClockStep] = []
+    for t_ns, stream in steady(0, 8000):
+        out += order.push(t_ns, stream, t_ns, arrival_ns=t_ns)
+        if t_ns == 4000 * MS:
+            out += order.push(t_ns + odd_ms * MS + 1, 1, 0, arrival_ns=t_ns)
+    assert out + list(order.finish()) == [t_ns for t_ns, _ in steady(0, 8000)]
+    assert order.drops == {(Drop.ODD, 1): 1}

@@ -14,6 +14,8 @@ T = TypeVar('T')
 
 LASTING_NS = NS_PER_S // 2
 """Stamps that have run on from a jump for so long were no slip."""
+MAX_HELD = 300_000
+"""So many messages are held back at most, where a broken clock stands still."""
 
 
 class Drop(StrEnum):
@@ -34,8 +36,9 @@ Drops: TypeAlias = Counter[tuple[Drop, int]]
 class _TimeBase(Generic[T]):
     """The messages of one clock, sorted within a window."""
 
-    def __init__(self, first_ns: int, window_ns: int, drops: Drops) -> None:
+    def __init__(self, first_ns: int, arrival_ns: int, window_ns: int, drops: Drops) -> None:
         self.first_ns = self.newest_ns = self._due_ns = first_ns
+        self.newest_arrival_ns = arrival_ns
         self.last_of: dict[int, int] = {}
         """Stamp of the last message handed on, by stream."""
         self.handed_on_ns: int | None = None
@@ -43,12 +46,15 @@ class _TimeBase(Generic[T]):
         self._held: list[tuple[int, int, int, T]] = []
         self._arrivals = 0
 
-    def add(self, t_ns: int, stream: int, item: T) -> Sequence[T]:
+    def add(self, t_ns: int, stream: int, item: T, arrival_ns: int) -> Sequence[T]:
         """Take one message and return those that are due."""
         self._arrivals += 1
+        if len(self._held) >= MAX_HELD:
+            self._drops[Drop.ODD, stream] += 1
+            return ()
         self._held.append((t_ns, stream, self._arrivals, item))
         if t_ns > self.newest_ns:
-            self.newest_ns = t_ns
+            self.newest_ns, self.newest_arrival_ns = t_ns, arrival_ns
         if self.newest_ns < self._due_ns:
             return ()
         self._due_ns = self.newest_ns + self._window_ns // 4  # sorting a few hundred at once is cheap
@@ -83,6 +89,9 @@ class Reorderer(Generic[T]):
     message whose stamp lies further than `step_ns` from the newest is set aside. When stamps go on
     from there, and no longer from where they were, the clock has stepped: a `ClockStep` then stands
     in the output before the first message of the new time base. Else it was a slip and is dropped.
+
+    Where the time of arrival by a steady clock is known, stamps may run on with it: a pause of all
+    sensors is no step, and a jump that is much shorter than such a pause shows.
     """
 
     def __init__(self, window_ns: int, step_ns: int) -> None:
@@ -95,58 +104,70 @@ class Reorderer(Generic[T]):
         self.drops: Drops = Counter()
         self._window_ns, self._step_ns = window_ns, step_ns
         self._base: _TimeBase[T] | None = None
-        self._aside: list[tuple[int, int, T]] = []
+        self._aside: list[tuple[int, int, T, int]] = []
         self._newest_then_ns = 0
         self._last_pushed: dict[int, int] = {}
 
-    def push(self, t_ns: int, stream: int, item: T) -> Sequence[T | ClockStep]:
+    def push(self, t_ns: int, stream: int, item: T, arrival_ns: int = 0) -> Sequence[T | ClockStep]:
         """Take one message and return those that are due.
 
         Args:
             t_ns: its stamp.
             stream: number of the topic that it belongs to.
             item: what to hand on.
+            arrival_ns: when it came, by a clock that never steps; always the same where nobody knows.
         """
         if self._last_pushed.get(stream) == t_ns:
             self.drops[Drop.DUPLICATE, stream] += 1
             return ()
         self._last_pushed[stream] = t_ns
         if self._base is None:
-            self._base = _TimeBase(t_ns, self._window_ns, self.drops)
-        if -self._step_ns <= t_ns - self._base.newest_ns <= self._step_ns:
-            return self._base.add(t_ns, stream, item)
-        return self._set_aside(self._base, t_ns, stream, item)
+            self._base = _TimeBase(t_ns, arrival_ns, self._window_ns, self.drops)
+        if self._aside and self._base.newest_ns - self._newest_then_ns > LASTING_NS // 2:
+            self._drop_aside()
+        passed_ns = arrival_ns - self._base.newest_arrival_ns
+        newer_ns = t_ns - self._base.newest_ns
+        if -self._step_ns <= newer_ns <= self._step_ns + passed_ns and not self._runs_aside(t_ns, newer_ns):
+            return self._base.add(t_ns, stream, item, arrival_ns)
+        return self._set_aside(self._base, t_ns, stream, item, arrival_ns)
 
     def finish(self) -> Sequence[T | ClockStep]:
         """Return what is still held back, after the last message."""
         self._drop_aside()
         return self._base.hand_on(self._base.newest_ns) if self._base else ()
 
-    def _set_aside(self, base: _TimeBase[T], t_ns: int, stream: int, item: T) -> Sequence[T | ClockStep]:
+    def _runs_aside(self, t_ns: int, newer_ns: int) -> bool:
+        """Whether a stamp goes on from those aside: after a step back they soon come near the old ones."""
+        return bool(self._aside) and abs(t_ns - self._aside[-1][0]) < abs(newer_ns)
+
+    def _set_aside(
+        self, base: _TimeBase[T], t_ns: int, stream: int, item: T, arrival_ns: int
+    ) -> Sequence[T | ClockStep]:
         if self._aside:
-            went_on = base.newest_ns - self._newest_then_ns > LASTING_NS // 2
-            if went_on or abs(t_ns - self._aside[-1][0]) > self._step_ns:
+            apart = abs(t_ns - self._aside[-1][0]) > self._step_ns
+            if apart or len(self._aside) >= MAX_HELD:
                 self._drop_aside()
         if not self._aside:
             self._newest_then_ns = base.newest_ns
-        self._aside.append((t_ns, stream, item))
+        self._aside.append((t_ns, stream, item, arrival_ns))
         return self._step(base) if t_ns - self._aside[0][0] >= LASTING_NS else ()
 
     def _step(self, base: _TimeBase[T]) -> Sequence[T | ClockStep]:
         """Begin a new time base with the messages set aside."""
-        first_ns = min(t_ns for t_ns, _, _ in self._aside)
+        first_ns, arrival_ns = min((t_ns, arrival_ns) for t_ns, _, _, arrival_ns in self._aside)
         items: list[T | ClockStep] = []
         if base.handed_on_ns is None and base.newest_ns - base.first_ns < LASTING_NS:
             base.discard()
         else:
             items += base.hand_on(base.newest_ns)
-            items.append(ClockStep(first_ns, first_ns - base.newest_ns))
-        self._base = _TimeBase(first_ns, self._window_ns, self.drops)
+            passed_ns = arrival_ns - base.newest_arrival_ns
+            items.append(ClockStep(first_ns, first_ns - base.newest_ns - passed_ns))
         aside, self._aside = self._aside, []
-        for t_ns, stream, item in aside:
-            items += self._base.add(t_ns, stream, item)
+        self._base = _TimeBase(first_ns, arrival_ns, self._window_ns, self.drops)
+        for t_ns, stream, item, arrival_ns in aside:
+            items += self._base.add(t_ns, stream, item, arrival_ns)
         return items
 
     def _drop_aside(self) -> None:
-        self.drops.update((Drop.ODD, stream) for _, stream, _ in self._aside)
+        self.drops.update((Drop.ODD, stream) for _, stream, _, _ in self._aside)
         self._aside = []

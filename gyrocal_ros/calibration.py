@@ -15,16 +15,14 @@ from gyrocal_ros import __version__
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
-from gyrocal_ros.ekf.run import History, Run
+from gyrocal_ros.ekf.convergence import Convergence
+from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import Start
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import write_text_atomic
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.settings import read_yaml, to_dict
-
-CONSISTENCY_STEPS = 300
-"""The filter's consistency is judged by the NIS of so many last steps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,45 +72,49 @@ class Calibration:
 
 def conclude(run: Run) -> Calibration:
     """What a run has found."""
-    model, state = run.model, run.state
-    places = [YAW_BIAS, *range(COEFFICIENTS_START, state.robot_size)]
-    time_s = convergence_time_s(run.history, run.config)
-    return Calibration(
-        model=model,
-        names=('bias', *model.coefficient_names),
-        units=('rad/s', *(item.unit for item in model.coefficients)),
-        values=state.mean[places],
-        covariance=state.covariance[np.ix_(places, places)],
-        nominal_scale_factor_volt=run.config.gyro.nominal_scale_factor_volt,
-        converged=time_s is not None and is_consistent(run.history, run.config),
-        convergence_time_s=time_s,
+    history, criteria = run.history, run.config.convergence
+    watch = Convergence()
+    columns = (history.time_s, history.std[:, COEFFICIENTS_START], history.nis, history.dof)
+    for time_s, scale_std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
+        watch.add(time_s, scale_std, nis, dof, criteria)
+    return calibration_of(
+        run.state,
+        run.model,
+        run.config,
+        converged=watch.since_s is not None and watch.is_consistent(criteria),
+        convergence_time_s=watch.since_s,
         duration_s=run.span.duration_s,
         source=run.source,
         end_ns=run.span.end_ns,
     )
 
 
-def convergence_time_s(history: History, config: Config) -> float | None:
-    """When the standard deviation of the scale factor went, and stayed, under its threshold."""
-    too_wide = np.flatnonzero(history.std[:, COEFFICIENTS_START] > config.convergence.scale_std)
-    first = int(too_wide[-1]) + 1 if len(too_wide) else 0
-    return float(history.time_s[first]) if first < len(history.t_ns) else None
-
-
-def is_consistent(history: History, config: Config) -> bool:
-    """Whether the innovations are as large as the filter says they should be, of late and on the whole.
-
-    The last steps tell what the filter is worth now. The whole run tells what the noise estimate
-    has swallowed since, as it does where the camera is not what it is believed to be.
-    """
-    measured = np.flatnonzero(history.dof > 0)
-    if len(measured) == 0:
-        return False
-    late = measured[-CONSISTENCY_STEPS:]
-    recent = float(history.nis[late].sum() / history.dof[late].sum())
-    overall = float(history.nis[measured].sum() / history.dof[measured].sum())
-    low, high = config.convergence.nis_low, config.convergence.nis_high
-    return low <= recent <= high and overall <= high
+def calibration_of(
+    state: State,
+    model: SensorModel,
+    config: Config,
+    *,
+    converged: bool,
+    convergence_time_s: float | None,
+    duration_s: float,
+    source: str,
+    end_ns: int,
+) -> Calibration:
+    """What a state of the filter knows of the gyro; the rest as in `Calibration`."""
+    places = [YAW_BIAS, *range(COEFFICIENTS_START, state.robot_size)]
+    return Calibration(
+        model=model,
+        names=('bias', *model.coefficient_names),
+        units=('rad/s', *(item.unit for item in model.coefficients)),
+        values=state.mean[places],
+        covariance=state.covariance[np.ix_(places, places)],
+        nominal_scale_factor_volt=config.gyro.nominal_scale_factor_volt,
+        converged=converged,
+        convergence_time_s=convergence_time_s,
+        duration_s=duration_s,
+        source=source,
+        end_ns=end_ns,
+    )
 
 
 def save_calibration(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -157,6 +158,21 @@ class TestDiagnose:
         told = '\n'.join(in_words(unsure))
         assert 'most likely scale_asymmetry; but it may as well be scale_quadratic' in told
         assert any('scale_asymmetry' in text and 'scale_quadratic' in text for text in advice(unsure))
+
+    def test_steps_of_the_converter_are_an_excuse(self, searched: tuple[Search, Diagnosis]) -> None:
+        search_, diagnosis = searched
+        source = recording('cleaning', 3, DURATION_S)
+        fine = look_at(hold(source, Config(), default_model())[0])
+        step = math.radians(0.5)
+        coarse = replace(fine, rate_rad_s=step * np.round(fine.rate_rad_s / step) + math.radians(0.1))
+        assert diagnose(search_, fine).verdict == 'effect_found'
+        unsure = diagnose(search_, coarse)
+        assert unsure.verdict == 'cannot_tell' and unsure.coarse_step_rad_s == pytest.approx(step)
+        assert 'steps of 0.5 deg/s' in diagnosis_headline(unsure)
+        assert 'scale_asymmetry' in diagnosis_headline(unsure)
+        assert any('finer range' in text for text in advice(unsure))
+        clean = replace(unsure, missing=(), verdict='nothing_missing')
+        assert diagnosis_headline(clean).startswith('Nothing is missing')
 
     def test_what_no_effect_explains(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched

@@ -26,7 +26,7 @@ from gyrocal_ros.diagnose.candidates import docket
 from gyrocal_ros.diagnose.foresight import certainty, foreseen
 from gyrocal_ros.diagnose.limits import with_limit
 from gyrocal_ros.diagnose.ranking import PRICE
-from gyrocal_ros.diagnose.recorded import MAX_SIGNALS, Recorded, look_at
+from gyrocal_ros.diagnose.recorded import MAX_SIGNALS, Recorded, coarse_step, look_at
 from gyrocal_ros.diagnose.search import (
     BESIDES,
     MIN_FORESEEN,
@@ -359,3 +359,38 @@ class TestLookAt:
         tried = {item.effect.name for item in docket(default_model(), recorded).trials}
         assert f'covariate_bias:{SPEED_SIGNAL}' in tried
         assert len(recorded.rate_rad_s) == pytest.approx(2000, abs=5)
+
+
+class TestCoarseStep:
+    """Of the gyro's converter, by its readings."""
+
+    @staticmethod
+    def step_deg_s(rate_rad_s: Array) -> float | None:
+        step = coarse_step(readings(rate_rad_s))
+        return None if step is None else math.degrees(step)
+
+    @staticmethod
+    def turning(noise_deg_s: float) -> Array:
+        time_s = np.arange(12_000) / 200.0
+        noise = np.random.default_rng(1).normal(size=len(time_s))
+        slow: Array = np.radians(60.0 * np.sin(0.2 * time_s) ** 5 + noise_deg_s * noise)
+        return slow
+
+    @pytest.mark.parametrize('step_deg_s', [0.1, 0.5])
+    def test_is_told_where_it_is_wider_than_the_noise(self, step_deg_s: float) -> None:
+        step = math.radians(step_deg_s)
+        read = step * np.round(self.turning(0.2 * step_deg_s) / step) - 0.0123
+        assert self.step_deg_s(read) == pytest.approx(step_deg_s)
+        assert self.step_deg_s(-1.07 * read) == pytest.approx(1.07 * step_deg_s)
+
+    def test_does_no_harm_where_the_noise_is_wider(self) -> None:
+        step = math.radians(0.1)
+        assert self.step_deg_s(step * np.round(self.turning(0.1) / step)) is None
+
+    def test_is_not_seen_where_there_is_none(self) -> None:
+        smooth = self.turning(0.01)
+        assert self.step_deg_s(smooth) is None
+        assert self.step_deg_s(np.where(np.abs(smooth) < 0.01, 0.0, smooth)) is None, 'a dead band'
+        assert self.step_deg_s(np.clip(smooth, -0.5, 0.5)) is None, 'a limit'
+        assert self.step_deg_s(np.zeros(5000)) is None
+        assert self.step_deg_s(np.empty(0)) is None

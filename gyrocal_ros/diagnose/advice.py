@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
@@ -26,6 +27,12 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     ]
     if diagnosis.unexplained is not None:
         sentences += _of_unexplained(diagnosis.unexplained)
+    if diagnosis.coarse_step_rad_s is not None:
+        step = f'{math.degrees(diagnosis.coarse_step_rad_s):.2g} deg/s'
+        sentences.append(
+            f'The gyro reads in steps of {step}, wider than its noise, so that rates between two of them '
+            'are read wrong, however long one waits: give its converter a finer range, or its raw counts.'
+        )
     sentences += _to_record(diagnosis.not_judged)
     if diagnosis.unexplained is None:  # which hides what else could have been seen
         sentences += _to_drive(diagnosis.not_judged)

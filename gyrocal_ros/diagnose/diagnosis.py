@@ -11,7 +11,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidates import LIMITS, has_lever, needs, with_means
 from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
 from gyrocal_ros.diagnose.ranking import Suspect, twins
-from gyrocal_ros.diagnose.recorded import Recorded
+from gyrocal_ros.diagnose.recorded import Recorded, coarse_step
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.search import Search, Stage
 from gyrocal_ros.diagnose.shapes import Oddity
@@ -67,6 +67,8 @@ class Diagnosis:
     """Where the model as it was is off by more than chance, worst first."""
     drift_reference: str
     """What headings were compared with for the drift."""
+    coarse_step_rad_s: float | None = None
+    """Of the gyro's converter, where it is wider than the noise: what is found may be its steps."""
 
 
 def diagnose(searched: Search, recorded: Recorded) -> Diagnosis:
@@ -74,14 +76,16 @@ def diagnose(searched: Search, recorded: Recorded) -> Diagnosis:
     first, last = searched.first, searched.last
     findings = sorted(_findings(searched), key=lambda finding: finding.gain, reverse=True)
     not_judged = dict(_not_judged(last, recorded))
+    coarse_step_rad_s = coarse_step(recorded)
     return Diagnosis(
-        verdict=_verdict(findings, last.oddity, not_judged),
+        verdict=_verdict(findings, last.oddity, not_judged, coarse_step_rad_s is not None),
         missing=tuple(findings),
         ranked=first.suspects,
         not_judged=not_judged,
         unexplained=last.oddity,
         fails_where=tuple(failures(first.run, first.seen)),
         drift_reference=reference_path(last.run)[1],
+        coarse_step_rad_s=coarse_step_rad_s,
     )
 
 
@@ -130,11 +134,14 @@ def _confused(searched: Search) -> dict[str, tuple[str, ...]]:
     return confused
 
 
-def _verdict(findings: list[Finding], left: Oddity | None, not_judged: dict[str, str]) -> str:
+def _verdict(
+    findings: list[Finding], left: Oddity | None, not_judged: dict[str, str], is_coarse: bool
+) -> str:
     if left is not None and left.gain > BY_THE_WAY * sum(finding.gain for finding in findings):
         return 'unexplained'
     if findings:
-        return 'cannot_tell' if any(finding.confused_with for finding in findings) else 'effect_found'
+        is_doubtful = is_coarse or any(finding.confused_with for finding in findings)
+        return 'cannot_tell' if is_doubtful else 'effect_found'
     blind_to = sum(name in not_judged for name in ALWAYS_JUDGED)
     return 'nothing_missing' if blind_to <= len(ALWAYS_JUDGED) // 2 else 'cannot_tell'
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 
@@ -21,6 +22,13 @@ from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 
 MAX_SIGNALS = 24
 """No more recorded signals are put on trial than these, those that vary most by their own mean."""
+SLOW_RAD_S = math.radians(2.0)
+FEW, FEW_STEPS = 200, 10
+"""Of fewer slow readings, or fewer different ones, nothing is told."""
+ROUNDING, UNEVEN, MOSTLY = 1e-6, 0.02, 0.99
+"""Readings of a converter lie whole steps from each other, but for what arithmetic rounds away."""
+REPEATED = 0.5
+"""Share of slow readings that repeat the one before where the noise is less than a third of a step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +59,24 @@ class Recorded:
     def extras(self) -> set[str]:
         """What effects may need beside IMU, wheels and camera."""
         return {'temperature'} if self.has_temperature else set()
+
+
+def coarse_step(recorded: Recorded) -> float | None:
+    """Step (rad/s) from one reading to the next possible one, where it is wider than the gyro's noise.
+
+    With noise the mean of many readings tells far less than a step; without, a rate that lies between
+    two of them is read as the same wrong number throughout.
+    """
+    slow = np.abs(recorded.rate_rad_s) < SLOW_RAD_S
+    steps = np.abs(np.diff(recorded.rate_rad_s))[slow[1:] & slow[:-1]]
+    gaps = np.diff(np.unique(recorded.rate_rad_s))
+    gaps = gaps[gaps > ROUNDING * gaps.max(initial=0.0)]
+    if len(steps) < FEW or len(gaps) < FEW_STEPS:
+        return None
+    step = float(gaps.min())
+    is_regular = np.abs(gaps / step - np.round(gaps / step)) < UNEVEN
+    repeats = float(np.mean(steps < 0.5 * step))
+    return step if is_regular.mean() > MOSTLY and repeats > REPEATED else None
 
 
 def look_at(source: Source) -> Recorded:

@@ -31,6 +31,9 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
         return 'Nothing is missing: gyro, wheels and camera agree with the model within chance.'
     if not names:
         return 'This recording cannot tell whether something is missing: too little in it would show it.'
+    if diagnosis.coarse_step_rad_s is not None:
+        step = f'steps of {math.degrees(diagnosis.coarse_step_rad_s):.2g} deg/s'
+        return f'The gyro reads in {step}, wider than its noise: that, or {join(names, "or")}.'
     doubtful = [finding for finding in diagnosis.missing if finding.confused_with]
     if diagnosis.verdict != 'cannot_tell' or not doubtful:
         return f'The model lacks {join(names)}.'

@@ -310,10 +310,18 @@ class DriverConfig:
     """The line to the board."""
 
     port: str = setting('/dev/ttyACM0', '', 'serial port of the board')
-    baud_rate: int = setting(115200, 'Bd', 'speed of the line', low=1200, high=4_000_000)
-    imu_hz: int = setting(200, 'Hz', 'IMU messages asked of the board', low=1, high=2000)
-    wheels_hz: int = setting(50, 'Hz', 'wheel messages asked of the board', low=1, high=1000)
-    supply_hz: int = setting(10, 'Hz', 'supply messages asked of the board, 0 for none', low=0, high=100)
+    baud_rate: int = setting(
+        115200,
+        'Bd',
+        'speed of the line; 4000000 for a board that is itself a USB device, without a wire that takes time',
+        low=1200,
+        high=4_000_000,
+    )
+    imu_hz: int = setting(200, 'Hz', 'IMU messages asked of the board', low=1, high=2000, live=True)
+    wheels_hz: int = setting(50, 'Hz', 'wheel messages asked of the board', low=1, high=1000, live=True)
+    supply_hz: int = setting(
+        10, 'Hz', 'supply messages asked of the board, 0 for none', low=0, high=100, live=True
+    )
     publish_odom_transform: bool = setting(
         False, '', 'publish odom to base_link, where nothing else on the robot does'
     )
@@ -347,7 +355,16 @@ class RobotConfig:
 
 
 def load_config(path: Path | None) -> Config:
-    """Read a ROS 2 parameter file; without one, return the defaults.
+    """Read the estimator's settings from a ROS 2 parameter file; without one, return the defaults.
+
+    Raises:
+        ConfigError: the file cannot be read, or a setting in it is unknown or out of bounds.
+    """
+    return load_all(path)[0]
+
+
+def load_all(path: Path | None) -> tuple[Config, RobotConfig]:
+    """Read all settings from a ROS 2 parameter file; without one, return the defaults.
 
     Raises:
         ConfigError: the file cannot be read, or a setting in it is unknown or out of bounds.
@@ -363,7 +380,7 @@ def load_config(path: Path | None) -> Config:
         of_robot = {name: nested.pop(name) for name in _sections(RobotConfig) if name in nested}
         robot = with_settings(robot, of_robot, str(path))
         estimator = with_settings(estimator, nested, str(path))
-    return estimator
+    return estimator, robot
 
 
 def _nested(parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,11 +9,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gyrocal_ros.data import NS_PER_S, Array, CovariateSample, FeatureObservations, ImuSample, Measurement
+from gyrocal_ros.data import NS_PER_S, CovariateSample, Measurement
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.recording import images, topics
 from gyrocal_ros.recording.fields import FieldReader
 from gyrocal_ros.recording.findings import Finding, Severity
+from gyrocal_ros.recording.mounts import into_body_axes
 from gyrocal_ros.recording.rig import Geometry
 from gyrocal_ros.recording.selection import NEEDED_ROLES, Selection
 from gyrocal_ros.recording.storage import Storage, Topic
@@ -79,7 +80,8 @@ class Decoder:
             return self._frames(topic)
         conversion = topics.flat_message(role, topic.type_name)
         if role is Role.IMU and not np.array_equal(self._geometry.R_bi, np.eye(3)):
-            conversion = FlatMessage(conversion.fields, _turned(conversion.build, self._geometry.R_bi))
+            turn = into_body_axes(self._geometry.R_bi)
+            conversion = FlatMessage(conversion.fields, lambda *values: turn(topics.imu_sample(*values)))
         return self._numbers(topic, conversion)
 
     def _numbers(self, topic: Topic, conversion: FlatMessage[Measurement]) -> Decode:
@@ -96,11 +98,7 @@ class Decoder:
 
     def _features(self, topic: Topic) -> Decode:
         def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
-            seen = topics.features(self._storage.message(topic, raw))
-            finite = np.isfinite(seen.pixels).all(axis=1)
-            if not finite.all():
-                seen = FeatureObservations(seen.t_ns, seen.ids[finite], seen.pixels[finite])
-            return (seen,)
+            return (topics.features(self._storage.message(topic, raw)),)
 
         return decode
 
@@ -154,18 +152,3 @@ class Decoder:
         if topic.name in self._needed and count > max(MAX_BAD, MAX_BAD_SHARE * topic.count):
             place = f'{self._storage.path}, {topic.name}'
             raise RecordingError(f'{what} in {count} messages already', where=place, todo=todo)
-
-
-def _turned(build: Callable[..., ImuSample], R_bi: Array) -> Callable[..., ImuSample]:
-    """Return `build` for an IMU whose axes are not the body's; plain floats are fastest here."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R_bi.tolist()
-
-    def turn(x: float, y: float, z: float) -> tuple[float, float, float]:
-        return xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
-
-    def build_turned(
-        sec: int, nanosec: int, wx: float, wy: float, wz: float, ax: float, ay: float, az: float
-    ) -> ImuSample:
-        return build(sec, nanosec, *turn(wx, wy, wz), *turn(ax, ay, az))
-
-    return build_turned

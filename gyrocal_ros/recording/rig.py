@@ -12,12 +12,18 @@ import numpy as np
 from gyrocal_ros.config import CameraConfig
 from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, Mount, Rig
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.recording.findings import Finding, Severity
+from gyrocal_ros.recording.findings import Finding
+from gyrocal_ros.recording.mounts import (
+    REST_NS,
+    imu_rotation,
+    mount_of_frame,
+    mount_of_settings,
+    no_camera_transform,
+)
 from gyrocal_ros.recording.selection import Selection
 from gyrocal_ros.recording.stats import TurnStats, compare_turns
 from gyrocal_ros.recording.storage import DAMAGED, Storage, Topic, damaged_message
 from gyrocal_ros.recording.topics import (
-    BODY_FRAME,
     IMU_SAMPLE,
     FlatMessage,
     Role,
@@ -25,19 +31,8 @@ from gyrocal_ros.recording.topics import (
     heading_sample,
     transforms,
 )
-from gyrocal_ros.recording.transforms import (
-    IDENTITY,
-    UPRIGHT,
-    UPSIDE_DOWN,
-    Transform,
-    find_mount,
-    quaternion_from_yaw,
-    rotation_from_quaternion,
-    upright_rotation,
-)
+from gyrocal_ros.recording.transforms import Transform
 
-REST_NS = 2 * NS_PER_S
-"""So much of the start of a recording tells which way gravity points."""
 TURNS_NS = 300 * NS_PER_S
 """So much of it tells whether gyro and heading reference turn the same way."""
 CLEAR_CORRELATION = 0.8
@@ -94,7 +89,7 @@ def read_rig(
     Raises:
         RecordingError: the camera is not calibrated, or a message is damaged.
     """
-    camera, mount = None, _mount_of_settings(config)
+    camera, mount = None, mount_of_settings(config)
     camera_topic = selection.topics.get(Role.FEATURES) or selection.topics.get(Role.IMAGE)
     if camera_topic:
         mount = _camera_mount(storage, camera_topic, links, mount, findings)
@@ -140,28 +135,14 @@ def read_imu_rotation(
         RecordingError: a message is damaged.
     """
     frame = storage.first_message(topic).header.frame_id.lstrip('/')
-    mount = _mount_of_frame(links, frame)
-    R_bi = mount.R_bs if mount else IDENTITY.R_bs
-    force = R_bi @ _starting_force(storage, topic)
-    if not force.any():
-        return R_bi
-    evidence = 'at rest it reads ({:.1f}, {:.1f}, {:.1f}) m/s^2 where (0, 0, 9.8) is expected'.format(*force)
-    mending = upright_rotation(force)
-    if mending and heading and _turns_against(storage, topic, mending.R_bs @ R_bi, heading):
-        mending = upright_rotation(-force)
-        evidence = f'{heading.name} turns the other way, whatever the accelerometer says'
-    if mending is UPRIGHT:
-        return R_bi
-    where = f'from {BODY_FRAME} to {frame or "its frame"}'
-    if mending is None or mount:
-        problem = 'is tilted' if mending is None else 'contradicts its transform'
-        todo = f'check its mounting and the transform {where}'
-        findings.append(Finding(Severity.WARNING, 'imu_mount', topic.name, f'{problem}: {evidence}', todo))
-        return R_bi
-    problem = 'is upside down' if mending is UPSIDE_DOWN else 'lies on its side'
-    todo = f'it is turned by {mending.words} here; better publish that {where} on /tf_static'
-    findings.append(Finding(Severity.WARNING, 'imu_mount', topic.name, f'{problem}: {evidence}', todo))
-    return mending.R_bs
+
+    def turned_against(R_bi: Array) -> str:
+        return heading.name if heading and _turns_against(storage, topic, R_bi, heading) else ''
+
+    force = _starting_force(storage, topic)
+    R_bi, problems = imu_rotation(topic.name, frame, links, force, turned_against)
+    findings += problems
+    return R_bi
 
 
 def _intrinsics(storage: Storage, topic: Topic) -> CameraIntrinsics:
@@ -172,36 +153,14 @@ def _intrinsics(storage: Storage, topic: Topic) -> CameraIntrinsics:
         raise RecordingError(error.what, where=place, todo=error.todo) from error
 
 
-def _mount_of_settings(config: CameraConfig) -> Mount:
-    R_bc = rotation_from_quaternion(*quaternion_from_yaw(math.radians(config.mount_yaw_deg)))
-    return Mount(R_bc, np.array([config.mount_x_m, config.mount_y_m, config.mount_z_m]))
-
-
 def _camera_mount(
     storage: Storage, topic: Topic, links: Sequence[Transform], assumed: Mount, findings: list[Finding]
 ) -> Mount:
     frame = storage.first_message(topic).header.frame_id.lstrip('/')
-    mount = _mount_of_frame(links, frame)
-    if mount:
-        return mount
-    findings.append(
-        Finding(
-            Severity.WARNING,
-            'camera_mount',
-            topic.name,
-            f'no transform says how {frame or "the camera"} sits on {BODY_FRAME}; the settings do',
-            'publish it on /tf_static',
-        )
-    )
-    return assumed
-
-
-def _mount_of_frame(links: Sequence[Transform], frame: str) -> Mount | None:
-    """Return where a frame sits on the body; its name may have a prefix, as in `robot1/base_link`."""
-    frames = {link.parent for link in links} | {link.child for link in links}
-    bodies = [name for name in sorted(frames) if name.endswith(f'/{BODY_FRAME}')]
-    mounts = (find_mount(links, frame, body) for body in (BODY_FRAME, *bodies) if frame != body)
-    return next((mount for mount in mounts if mount), None)
+    mount = mount_of_frame(links, frame)
+    if mount is None:
+        findings.append(no_camera_transform(topic.name, frame))
+    return mount or assumed
 
 
 def _starting_force(storage: Storage, topic: Topic) -> Array:

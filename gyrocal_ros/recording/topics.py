@@ -108,14 +108,15 @@ def _under(place: str, names: str) -> tuple[str, ...]:
     return tuple(f'{place}.{name}' for name in names)
 
 
-def _imu_sample(
+def imu_sample(
     sec: int, nanosec: int, wx: float, wy: float, wz: float, ax: float, ay: float, az: float
 ) -> ImuSample:
+    """An Imu from its numbers, in the order of the message definition."""
     return ImuSample(sec * NS_PER_S + nanosec, (wx, wy, wz), (ax, ay, az))
 
 
 IMU_SAMPLE = FlatMessage(
-    (*STAMP_FIELDS, *_under('angular_velocity', 'xyz'), *_under('linear_acceleration', 'xyz')), _imu_sample
+    (*STAMP_FIELDS, *_under('angular_velocity', 'xyz'), *_under('linear_acceleration', 'xyz')), imu_sample
 )
 WHEEL_SAMPLE = FlatMessage(
     (*STAMP_FIELDS, 'twist.twist.linear.x', 'twist.twist.angular.z'),
@@ -173,13 +174,17 @@ def stamp_ns(message: Any) -> int:
 
 
 def features(message: Any) -> FeatureObservations:
-    """Convert a PointCloud2 of tracked features.
+    """Convert a PointCloud2 of tracked features; points that are no numbers are left out.
 
     Raises:
         RecordingError: it lacks one of the fields u, v, id.
     """
     points = _points(message, ('u', 'v', 'id'))
-    return FeatureObservations(stamp_ns(message), points['id'].astype(np.int64), _pairs(points, 'u', 'v'))
+    ids, pixels = points['id'].astype(np.int64), _pairs(points, 'u', 'v')
+    finite = np.isfinite(pixels).all(axis=1)
+    if not finite.all():
+        ids, pixels = ids[finite], pixels[finite]
+    return FeatureObservations(stamp_ns(message), ids, pixels)
 
 
 def search_regions(message: Any) -> SearchRegions:

@@ -118,6 +118,14 @@ class MotionBuffer:
 
     def cut(self, start_ns: int, end_ns: int) -> MotionBlock:
         """Cut the block from `start_ns` to `end_ns` and forget what came before its end."""
+        block = self.look(start_ns, end_ns)
+        if len(block.dt_s) > 2:  # fewer samples tell nothing of how the IMU shakes
+            self._vibration_m2_s4 = float(block.vibration_m2_s4[0])
+        self.forget_before(end_ns)
+        return block
+
+    def look(self, start_ns: int, end_ns: int) -> MotionBlock:
+        """The block from `start_ns` to `end_ns`, of which nothing is forgotten."""
         assert self.start_ns is not None and end_ns > start_ns
         first, last = bisect_right(self._imu_ns, start_ns), bisect_left(self._imu_ns, end_ns)
         inside = self._imu_ns[first:last]
@@ -130,7 +138,7 @@ class MotionBuffer:
         distance_m = _increments(self._travelled, start_ns, offsets_ns)
         covariates = {name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()}
         covariates[SPEED_SIGNAL] = distance_m / dt_s
-        block = MotionBlock(
+        return MotionBlock(
             start_ns=start_ns,
             end_ns=end_ns,
             time_s=self.running_s(start_ns) + middle_ns / NS_PER_S,
@@ -151,8 +159,6 @@ class MotionBuffer:
             wheel_gap_s=self._wheel_gap_s(start_ns, end_ns),
             wheels_at_rest=self._wheels_at_rest(start_ns, end_ns),
         )
-        self._forget_before(end_ns)
-        return block
 
     def _imu_at(self, t_ns: int) -> tuple[float, ...]:
         """Rates and specific force at a moment, linear between the samples around it."""
@@ -167,12 +173,12 @@ class MotionBuffer:
 
     def _shaken(self, forces: Array, duration_s: float) -> float:
         """Half the mean square of the differences from sample to sample (n, 3), with a short memory."""
-        if len(forces) > 1:
-            steps = forces[1:] - forces[:-1]
-            fresh = 0.5 * float(np.vdot(steps, steps)) / len(steps)
-            kept = self._vibration_m2_s4 if self._vibration_m2_s4 is not None else fresh
-            self._vibration_m2_s4 = fresh + math.exp(-duration_s / VIBRATION_S) * (kept - fresh)
-        return self._vibration_m2_s4 or 0.0
+        kept = self._vibration_m2_s4
+        if len(forces) < 2:
+            return kept or 0.0
+        steps = forces[1:] - forces[:-1]
+        fresh = 0.5 * float(np.vdot(steps, steps)) / len(steps)
+        return fresh if kept is None else fresh + math.exp(-duration_s / VIBRATION_S) * (kept - fresh)
 
     def _gap_s(self, start_ns: int, end_ns: int) -> float:
         """Time between samples too far apart, and before the first or after the last sample."""
@@ -196,7 +202,8 @@ class MotionBuffer:
         first, last = bisect_right(track, start_ns), bisect_left(track, end_ns)
         return not any(speed or yaw_rate for speed, yaw_rate in self._speeds[first : last + 1])
 
-    def _forget_before(self, t_ns: int) -> None:
+    def forget_before(self, t_ns: int) -> None:
+        """Forget what no block from then on needs."""
         first = max(bisect_right(self._imu_ns, t_ns) - 1, 0)
         del self._imu_ns[:first], self._imu[:first]
         kept = len(self._travelled.t_ns)

@@ -97,6 +97,7 @@ class EkfSlam:
         start: what an earlier run knows.
         candidates: effects that the model lacks and that are on trial: the sensitivity of all
             innovations to them is carried along, the estimate does not depend on them.
+        running_s: how long the gyro has been running when the first sample comes.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class EkfSlam:
         track: Tracking | None = None,
         start: Start | None = None,
         candidates: tuple[Effect, ...] = (),
+        running_s: float = 0.0,
     ) -> None:
         self.model, self.config, self.rig = model, config, rig
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
@@ -122,11 +124,12 @@ class EkfSlam:
                 todo='use inverse_depth',
             )
         self.state: State = initial_state(model, config, start, self._candidates.count)
-        self._memories = self._parts.no_memories()
+        self.memories = self._parts.no_memories()
+        """What the gyro effects remember at the present state."""
         self._candidate_memories = self._candidates.no_memories()
         self._track = track
         self._tracks_images = False
-        self._buffer = MotionBuffer()
+        self._buffer = MotionBuffer(running_s)
         self._waiting: deque[Sight] = deque()
         self._pose_rate: Array = np.zeros(6)
         self._resting_since_ns: int | None = None
@@ -158,16 +161,17 @@ class EkfSlam:
         """Use what still waits, at the end of the stream."""
         return self._catch_up(self._true_time_ns(self._waiting[-1]) if self._waiting else None)
 
-    def view(self) -> View:
-        """The camera at the present estimate."""
+    def view(self, state: State | None = None) -> View:
+        """The camera at the present estimate, or at another one."""
         assert self.rig.camera is not None
-        state = self.state
+        state = state or self.state
         camera, mount = true_camera(self._parts, self.rig.camera, self.rig.camera_mount, state.coefficients)
         return view_from_pose(camera, mount, state.position_m, state.euler_rad)
 
-    def regions(self) -> SearchRegions:
-        """Where the mapped features are expected in an image taken now."""
-        return search_regions(self.state, self.view(), self.parametrisation, self.pixel_noise.std)
+    def regions(self, state: State | None = None) -> SearchRegions:
+        """Where the mapped features are expected in an image taken now, or at the time of another state."""
+        state = state or self.state
+        return search_regions(state, self.view(state), self.parametrisation, self.pixel_noise.std)
 
     def _catch_up(self, covered_ns: int | None) -> list[StepRecord]:
         records: list[StepRecord] = []
@@ -197,10 +201,10 @@ class EkfSlam:
         before, config = self.state, self.config
         walk = math.radians(config.reference.heading_walk_deg) if self._reference_offset is not None else 0.0
         self.state, transition = predict(
-            before, block, self.model, self._parts, self._memories, config.gyro, config.wheels, walk
+            before, block, self.model, self._parts, self.memories, config.gyro, config.wheels, walk
         )
         correction = transition.contribution.correction
-        self._memories, self._pose_rate = correction.memories, transition.motion.pose_rate
+        self.memories, self._pose_rate = correction.memories, transition.motion.pose_rate
         if self._candidates.count:
             self.state, self._candidate_memories = predict_sensitivity(
                 self.state, transition, block, self._candidates, self._candidate_memories

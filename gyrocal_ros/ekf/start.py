@@ -60,3 +60,13 @@ def moved_unseen(state: State, t_ns: int) -> State:
     covariance[POSITION, POSITION] += LOST_POSITION_STD_M**2 * np.eye(3)
     covariance[YAW, YAW] += LOST_YAW_STD_RAD**2
     return replace(state, t_ns=t_ns, covariance=covariance)
+
+
+def begun_anew(start: State, state: State) -> State:
+    """A start at about the pose of another state, so that the robot does not jump to the origin of the map.
+
+    Height and tilt begin anew: the new map is as level as the robot is.
+    """
+    mean = start.mean.copy()
+    mean[:2], mean[YAW] = state.mean[:2], state.mean[YAW]
+    return moved_unseen(replace(start, mean=mean), state.t_ns)

@@ -17,6 +17,7 @@ from gyrocal_ros.calibrate import calibrate
 from gyrocal_ros.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.config import Config, load_config
 from gyrocal_ros.data import seconds
+from gyrocal_ros.diagnose.ceiling import ceiling_map
 from gyrocal_ros.diagnose.compare import compare
 from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning
 from gyrocal_ros.effects import default_model
@@ -273,7 +274,7 @@ class TestSeries:
         assert series.heading_error(replace(run, truth=None)) is None
 
     def test_outlines_are_as_many_sigmas_away(self, run: Run) -> None:
-        ceiling = series.ceiling_map(run)
+        ceiling = ceiling_map(run)
         assert len(ceiling.ids) == len(run.state.landmarks.ids) > 5
         offsets = ceiling.outlines(3.0) - ceiling.points_m[:, None, :2]
         information = np.linalg.inv(ceiling.covariances_m2[:, :2, :2])

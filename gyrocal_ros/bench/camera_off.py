@@ -16,10 +16,11 @@ from gyrocal_ros.diagnose.drift import Path, dead_reckoning, slam_path
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW_BIAS
-from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
 
 TEN_ROTATIONS_RAD = 20.0 * np.pi
+TEN_MINUTES_S = 600.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,25 +29,42 @@ class Drift:
 
     heading_rad: Array
     position_m: Array
+    turned_rad: Array
+    """By how much the robot truly turned, to the left positive."""
 
 
 def ten_rotations(seed: int) -> tuple[Drift, Drift]:
     """Errors after ten rotations to one side and after ten to the other: calibrated, nominal."""
-    source = SimSource(find_scenario('blind_spins'), seed)
-    run = calibrate(source, Config(), default_model())
-    off_s = source.scenario.camera_until_s
-    time_s = np.arange(off_s, source.scenario.duration_s, 0.02)
-    turned = np.abs(np.gradient(source.truth.trajectory.motion(time_s).euler_rad[:, 2]))
-    ends = np.interp([TEN_ROTATIONS_RAD, 2.0 * TEN_ROTATIONS_RAD], np.cumsum(turned), time_s)
-    return _both(source, run, np.array([off_s, *ends]))
+    return rotations(find_scenario('blind_spins'), seed)
 
 
 def ten_minutes(seed: int) -> tuple[Drift, Drift]:
     """Errors after ten minutes of cleaning: calibrated, nominal."""
-    source = SimSource(find_scenario('blind_cleaning'), seed)
+    return minutes(find_scenario('blind_cleaning'), seed)
+
+
+def rotations(scenario: Scenario, seed: int) -> tuple[Drift, Drift]:
+    """`ten_rotations` by a robot like that of `blind_spins`."""
+    source = SimSource(scenario, seed)
+    run = calibrate(source, Config(), default_model())
+    return both(source, run, rotation_ends_s(source))
+
+
+def minutes(scenario: Scenario, seed: int) -> tuple[Drift, Drift]:
+    """`ten_minutes` by a robot like that of `blind_cleaning`."""
+    source = SimSource(scenario, seed)
     run = calibrate(source, Config(), default_model())
     off_s = source.scenario.camera_until_s
-    return _both(source, run, np.array([off_s, off_s + 600.0 - 0.1]))
+    return both(source, run, np.array([off_s, off_s + TEN_MINUTES_S - 0.1]))
+
+
+def rotation_ends_s(source: SimSource) -> Array:
+    """When the camera goes off, and when ten and twenty rotations have been turned since, (3,)."""
+    off_s = source.scenario.camera_until_s
+    time_s = np.arange(off_s, source.scenario.duration_s, 0.02)
+    turned = np.abs(np.gradient(source.truth.trajectory.motion(time_s).euler_rad[:, 2]))
+    ends = np.interp([TEN_ROTATIONS_RAD, 2.0 * TEN_ROTATIONS_RAD], np.cumsum(turned), time_s)
+    return np.array([off_s, *ends])
 
 
 def camera_off(seeds: int) -> Iterator[dict[str, Any]]:
@@ -69,29 +87,49 @@ def camera_off(seeds: int) -> Iterator[dict[str, Any]]:
             }
 
 
-def _both(source: SimSource, run: Run, moments_s: Array) -> tuple[Drift, Drift]:
+def both(source: SimSource, run: Run, moments_s: Array) -> tuple[Drift, Drift]:
     """The filter's own dead reckoning, and that of a nominal gyro whose bias was taken at rest."""
+    return (
+        gathered(source, run, slam_path(run), moments_s),
+        gathered(source, run, nominal_path(source, run), moments_s),
+    )
+
+
+def nominal_path(source: SimSource, run: Run) -> Path:
+    """Dead reckoning by the data sheet's scale factor, with the bias known when the camera goes off."""
+    return dead_reckoning(run, np.zeros(len(run.model.coefficients)), bias_at_off(source, run))
+
+
+def bias_at_off(source: SimSource, run: Run) -> float:
+    """The filter's yaw bias, rad/s, when the camera goes off."""
     off_ns = START_NS + int(source.scenario.camera_until_s * NS_PER_S)
-    bias = float(run.history.mean[np.searchsorted(run.history.t_ns, off_ns) - 1, YAW_BIAS])
-    nominal = dead_reckoning(run, np.zeros(len(run.model.coefficients)), bias)
-    return _drift(source, run, slam_path(run), moments_s), _drift(source, run, nominal, moments_s)
+    return float(run.history.mean[np.searchsorted(run.history.t_ns, off_ns) - 1, YAW_BIAS])
 
 
-def _drift(source: SimSource, run: Run, path: Path, moments_s: Array) -> Drift:
+def gathered(source: SimSource, run: Run, path: Path, moments_s: Array) -> Drift:
     """Heading error gathered in each interval, and position error at its end.
 
     Path and truth are laid on each other, in position and heading, at the first moment.
     """
+    true_yaw = source.truth.trajectory.motion(moments_s).euler_rad[:, 2]
+    laid, yaw = laid_on_truth(source, run, path, moments_s)
+    error = np.linalg.norm(laid - source.truth.position(moments_s)[:, :2], axis=1)
+    return Drift(np.diff(yaw - true_yaw), error[1:], np.diff(true_yaw))
+
+
+def laid_on_truth(source: SimSource, run: Run, path: Path, moments_s: Array) -> tuple[Array, Array]:
+    """A path at moments (n,), moved and turned so that it begins where the robot truly was.
+
+    Returns:
+        Positions (n, 2) in the world, and headings (n,).
+    """
     shift_s = (run.history.t_ns[0] - START_NS) / NS_PER_S
-    trajectory = source.truth.trajectory
-    true_yaw = trajectory.motion(moments_s).euler_rad[:, 2]
-    true_position = trajectory.position(moments_s)[:, :2]
+    start = source.truth.position(moments_s[:1])[0, :2]
+    start_yaw = float(source.truth.trajectory.motion(moments_s[:1]).euler_rad[0, 2])
     yaw = np.interp(moments_s, path.time_s + shift_s, path.yaw_rad)
     position = np.stack(
         [np.interp(moments_s, path.time_s + shift_s, column) for column in path.position_m.T], axis=1
     )
-    turn = true_yaw[0] - yaw[0]
+    turn = start_yaw - yaw[0]
     c, s = np.cos(turn), np.sin(turn)
-    laid = (position - position[0]) @ np.array([[c, s], [-s, c]]) + true_position[0]
-    error = np.linalg.norm(laid - true_position, axis=1)
-    return Drift(np.diff(yaw - true_yaw), error[1:])
+    return (position - position[0]) @ np.array([[c, s], [-s, c]]) + start, yaw + turn

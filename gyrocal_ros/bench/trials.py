@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.calibrate import calibrate
 from gyrocal_ros.config import Config
-from gyrocal_ros.data import NS_PER_S
+from gyrocal_ros.data import NS_PER_S, Array
 from gyrocal_ros.diagnose.drift import heading_rms_deg
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.scale import scale_power
@@ -140,6 +140,13 @@ def end_of_first_turn_s(source: SimSource) -> float:
         if abs(float(rate[start : end + 1].sum())) * 0.02 > math.radians(45.0):
             return float(time_s[end])
     return source.scenario.duration_s
+
+
+def settled_after_s(time_s: Array, errors: Array, within: float) -> float:
+    """From when on an error (n,) stays within bounds to the end; NaN if it ends outside."""
+    outside = np.flatnonzero(~(np.abs(errors) <= within))
+    first = int(outside[-1]) + 1 if len(outside) else 0
+    return float(time_s[first]) if first < len(errors) else math.nan
 
 
 def nis_per_dof(history: History) -> float:

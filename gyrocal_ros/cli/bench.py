@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import os
-import platform
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from gyrocal_ros import __version__
 from gyrocal_ros.bench.accuracy import accuracy
 from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.camera_off import camera_off
@@ -16,6 +13,7 @@ from gyrocal_ros.bench.motions import motions
 from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.tracker import tracker_accuracy
 from gyrocal_ros.cli.output import print_json, print_row, progress
+from gyrocal_ros.cli.provenance import provenance
 
 EXAMPLE = """gyrocal bench accuracy --seeds 20
 gyrocal bench blind --seeds 10 --only none scale_cubic
@@ -48,5 +46,4 @@ def run(args: argparse.Namespace) -> None:
         if not args.json:
             print_row(row, header=len(rows) == 1)
     if args.json:
-        machine = f'{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}'
-        print_json({'bench': args.what, 'version': __version__, 'machine': machine, 'rows': rows})
+        print_json({'bench': args.what, **provenance(), 'seeds': args.seeds, 'rows': rows})

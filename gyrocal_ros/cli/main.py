@@ -18,7 +18,8 @@ import os
 import signal
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import NoReturn
 
 from gyrocal_ros import __version__
@@ -35,6 +36,7 @@ COMMANDS = {
     'add': 'put an effect into a sensor model',
     'improve': 'add what is missing while the held-out error falls',
     'reveal': 'open the sealed answer of a simulated bag',
+    'reproduce': 'make the figures of the paper anew',
     'bench': 'measure speed and accuracy',
 }
 """Name and meaning of every command, in the order of `gyrocal --help`."""
@@ -49,18 +51,27 @@ class ArgumentParser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `gyrocal` and return its exit status: 0 done, 2 the user can mend it, 130 interrupted."""
+    """Run `gyrocal` and return its exit status."""
     arguments = sys.argv[1:] if argv is None else list(argv)
+    return guarded('gyrocal', lambda: _run(arguments))
+
+
+def guarded(program: str, work: Callable[[], None]) -> int:
+    """Do the work of a program, and tell what went wrong in one line.
+
+    Returns:
+        Exit status: 0 done, 2 the user can mend it, 130 interrupted.
+    """
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # the filter's matrices are too small to share
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that half-written results are removed
     try:
-        _run(arguments)
+        work()
         sys.stdout.flush()
     except GyrocalError as error:
-        print(f'gyrocal: error: {error}', file=sys.stderr)
+        print(f'{program}: error: {error}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print('gyrocal: interrupted', file=sys.stderr)
+        print(f'{program}: interrupted', file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader, `head` for one, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -74,9 +85,13 @@ def parser_of(name: str) -> ArgumentParser:
     Args:
         name: one of `COMMANDS`.
     """
-    module = importlib.import_module(f'gyrocal_ros.cli.{name}')
+    return make_parser(f'gyrocal {name}', importlib.import_module(f'gyrocal_ros.cli.{name}'))
+
+
+def make_parser(program: str, module: ModuleType) -> ArgumentParser:
+    """The parser of a command, or of a program that is made like one."""
     parser = ArgumentParser(
-        prog=f'gyrocal {name}',
+        prog=program,
         description=module.__doc__,
         epilog='example:\n' + textwrap.indent(module.EXAMPLE, '  '),
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -62,8 +62,10 @@ def warnings(findings: Iterable[tuple[str, str]]) -> str:
     return f'<h2>Warnings and notes</h2><ul>{items}</ul>' if items else '<p>No warnings.</p>'
 
 
-def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note: str = '') -> str:
-    """A table under a heading; the first cell of each row is its name."""
+def table(
+    title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note: str = '', words: bool = False
+) -> str:
+    """A table under a heading; the first cell of each row is its name. With `words`, cells wrap."""
     lines = ''.join(
         f'<tr><th scope="row">{escape(row[0])}</th>'
         + ''.join(f'<td>{escape(cell)}</td>' for cell in row[1:])
@@ -72,8 +74,9 @@ def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note:
     )
     top = ''.join(f'<th scope="col">{escape(head)}</th>' for head in heads)
     below = f'<p class="note">{escape(note)}</p>' if note else ''
+    kind = ' class="words"' if words else ''
     return (
-        f'<h2>{escape(title)}</h2><div class="wide"><table>'
+        f'<h2>{escape(title)}</h2><div class="wide"><table{kind}>'
         f'<thead><tr>{top}</tr></thead><tbody>{lines}</tbody></table></div>{below}'
     )
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from gyrocal_ros.calibration import Calibration
+from gyrocal_ros.diagnose.ceiling import ceiling_map
 from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift, Path, dead_reckoning, slam_path, truth_path
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.report import series
@@ -61,7 +62,7 @@ def sections(run: Run, calibration: Calibration, before: BlindDrift, after: Blin
     truth, tracks = truth_path(run), _paths(run)
     compared = tracks if truth is None else {'ground truth': truth, **tracks}
     yield _section('path', figures.paths(compared), half=True)
-    ceiling = series.ceiling_map(run)
+    ceiling = ceiling_map(run)
     if len(ceiling.ids):
         reach_mm = 1000.0 * SIGMAS * ceiling.median_std_m
         yield _section('map', figures.ceiling_map(ceiling, tracks['SLAM']), half=True, reach_mm=reach_mm)

@@ -13,6 +13,7 @@ from plotly.subplots import make_subplots
 
 from gyrocal_ros.calibration import Calibration
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.ceiling import CeilingMap
 from gyrocal_ros.diagnose.drift import Path
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
@@ -35,7 +36,7 @@ from gyrocal_ros.report.figures.drawing import (
     show,
     xy,
 )
-from gyrocal_ros.report.series import CeilingMap, HeadingError, Windows
+from gyrocal_ros.report.series import HeadingError, Windows
 
 
 def scale_factor(history: History, calibration: Calibration) -> go.Figure:

@@ -1,0 +1,103 @@
+"""Make the figures and the table of the paper anew, and say which of its claims hold.
+
+Lee, Choi, Park, Myung 2012, Self-calibration of Gyro using Monocular SLAM for an Indoor Mobile Robot,
+International Journal of Control, Automation, and Systems 10(3). Everything comes from the simulator and
+the estimator of this package; the seeds are 0, 1, 2 and so on, and the same seeds give the same figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TypeVar
+
+from gyrocal_ros.bench.accuracy import in_parallel
+from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, Result
+from gyrocal_ros.cli.output import print_json, progress, tell
+from gyrocal_ros.cli.provenance import provenance
+from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.files import json_text, new_folder, write_text_atomic
+from gyrocal_ros.settings import nearest
+
+EXAMPLE = """gyrocal reproduce
+gyrocal reproduce fig14 fig15 -o landmarks
+gyrocal reproduce table1 --seeds 20 --json"""
+
+T = TypeVar('T')
+R = TypeVar('R')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        'names', nargs='*', metavar='NAME', help=f'what to make: {", ".join(EXPERIMENTS)}; all without'
+    )
+    parser.add_argument('--seeds', type=int, metavar='N', help='runs of each, in place of its usual number')
+    parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the page and the numbers')
+    parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
+    parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
+
+
+def run(args: argparse.Namespace) -> None:
+    """Make what is asked for, and say how it compares.
+
+    Raises:
+        GyrocalError: a name is not known, or the folder may not be written.
+    """
+    names = _names(args.names)
+    if args.seeds is not None and args.seeds < 1:
+        raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
+    with new_folder(args.out, overwrite=args.overwrite) if args.out else nullcontext() as folder:
+        results = {name: _make(name, args.seeds, to_text=not args.json) for name in names}
+        document = _document(results, args.seeds)
+        if folder is not None:
+            from gyrocal_ros.cli.reproduced import page  # only a page needs the plotting library
+
+            write_text_atomic(folder / 'reproduced.json', json_text(document))
+            write_text_atomic(folder / 'report.html', page(results))
+    if args.json:
+        print_json(document)
+    elif args.out:
+        print(f'\nReport: {args.out / "report.html"}')
+
+
+def _names(asked: Sequence[str]) -> list[str]:
+    for name in asked:
+        if name not in EXPERIMENTS:
+            todo = nearest(name, list(EXPERIMENTS))
+            raise GyrocalError('is not a figure or table of the paper', where=repr(name), todo=todo)
+    return [name for name in EXPERIMENTS if name in asked or not asked]
+
+
+def _make(name: str, seeds: int | None, to_text: bool) -> Result:
+    experiment = EXPERIMENTS[name]
+    tell(f'{experiment.title} ...')
+
+    def each(function: Callable[[T], R], tasks: Sequence[T], /) -> Iterable[R]:
+        return progress(name, in_parallel(function, tasks), total=len(tasks), unit='run')
+
+    result = experiment.make(each, seeds or experiment.seeds)
+    if to_text:
+        _print(experiment.title, result)
+    return result
+
+
+def _print(title: str, result: Result) -> None:
+    print(title)
+    for claim in result.claims:
+        print(f'  {claim.what}: {claim.verdict}')
+        print(f'    paper: {claim.paper}')
+        print(f'    here:  {claim.here}', flush=True)
+
+
+def _document(results: dict[str, Result], seeds: int | None) -> dict[str, Any]:
+    return provenance() | {
+        'results': {
+            name: {'title': EXPERIMENTS[name].title, 'seeds': seeds or EXPERIMENTS[name].seeds}
+            | asdict(result)  # type: ignore[call-overload]
+            for name, result in results.items()
+        }
+    }

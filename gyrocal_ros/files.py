@@ -58,7 +58,10 @@ def write_text_atomic(path: Path, text: str, *, overwrite: bool = False) -> None
     with _os_errors_of(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            part.write_text(text, encoding='utf-8')
+            with part.open('w', encoding='utf-8') as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())  # a robot may lose its power at any moment
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)

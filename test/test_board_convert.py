@@ -11,16 +11,17 @@ import pytest
 from gyrocal_ros.board.clock import Clock, Stamp
 from gyrocal_ros.board.convert import (
     LONGEST_INTERVAL_S,
+    SupplySample,
     WheelReading,
     imu_sample,
-    supply_samples,
+    supply_sample,
     temperature_sample,
     wheel_sample,
 )
 from gyrocal_ros.board.messages import Imu, Supply, Wheels
 from gyrocal_ros.board.protocol import Decoder, encode
 from gyrocal_ros.config import STANDARD_GRAVITY_M_S2, BoardConfig
-from gyrocal_ros.data import NS_PER_S, CovariateSample, TemperatureSample
+from gyrocal_ros.data import NS_PER_S, TemperatureSample
 
 T_NS = 1_700_000_000_000_000_000
 LEVEL = Imu((0, 0, 0), (0, 0, 8192), 0)
@@ -62,11 +63,8 @@ def test_temperature_has_a_scale_and_a_zero() -> None:
     assert temperature_sample(replace(LEVEL, temperature=512), T_NS, chip).temperature_c == 23.0
 
 
-def test_the_supply_is_named_as_in_a_recording() -> None:
-    assert supply_samples(Supply(16_400, -1250), T_NS) == (
-        CovariateSample(T_NS, 'battery_state.voltage', 16.4),
-        CovariateSample(T_NS, 'battery_state.current', -1.25),
-    )
+def test_the_supply_is_in_volts_and_amperes() -> None:
+    assert supply_sample(Supply(16_400, -1250), T_NS) == SupplySample(T_NS, 16.4, -1.25)
 
 
 @pytest.mark.parametrize('start', [0, MOST_TICKS, -5])

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gyrocal_ros.board.messages import (
@@ -197,26 +198,41 @@ def test_the_portions_change_neither_packets_nor_counts(seed: int) -> None:
     assert decoded(portions(rng, data)) == decoded([data])
 
 
-@pytest.mark.parametrize('seed', range(3))
-def test_noise_never_raises_and_the_next_whole_frame_is_seen(seed: int) -> None:
-    rng = random.Random(seed)
-    decoder = Decoder()
-    for _ in range(20):
-        decoder.feed(rng.randbytes(10_000))
-    assert decoder.counts.malformed > 500
-    assert decoder.counts.packets == 0
-    packet = any_packets(rng, 1)[0]
-    assert decoder.feed(b'\0' + frames_of([packet])[0]) == [packet]
+@pytest.mark.parametrize('zeros', [1 / 256, 1 / 20])
+def test_ten_million_random_bytes_never_raise_and_the_next_whole_frame_is_seen(zeros: float) -> None:
+    """With more zeros than chance has, there are more stretches of the length of a frame."""
+    rng, decoder = np.random.default_rng(1), Decoder()
+    sent = any_packets(random.Random(1), 100)
+    for packet, frame in zip(sent, frames_of(sent), strict=True):
+        noise = rng.integers(1, 256, 100_000, dtype=np.uint8)
+        noise[rng.random(len(noise)) < zeros] = 0
+        decoder.feed(noise.tobytes())
+        assert decoder.feed(b'\0' + frame) == [packet]
+    assert decoder.counts.malformed > 30_000
+    assert decoder.counts.packets == 100
 
 
-def test_every_prefix_of_a_stream_yields_its_whole_frames() -> None:
-    sent = any_packets(random.Random(1), 12)
-    frames = frames_of(sent)
+def test_every_prefix_of_a_stream_yields_its_whole_frames_and_all_that_follow() -> None:
+    sent = any_packets(random.Random(1), 13)
+    *frames, last = frames_of(sent)
     data = b''.join(frames)
     ends = [sum(map(len, frames[: i + 1])) for i in range(len(frames))]
     for length in range(len(data) + 1):
-        received, _ = decoded([data[:length]])
-        assert received == sent[: sum(end <= length for end in ends)]
+        decoder = Decoder()
+        assert decoder.feed(data[:length]) == sent[: sum(end <= length for end in ends)]
+        follow = decoder.feed(last + b'\0' + last)  # what was cut may take one frame with it
+        assert follow == [sent[-1]]
+
+
+def test_the_rest_of_a_frame_on_a_line_that_is_joined_is_not_counted() -> None:
+    sent = any_packets(random.Random(1), 4)
+    frames = frames_of(sent)
+    decoder = Decoder()
+    decoder.feed(frames[0] + frames[1][:5])
+    decoder.join()
+    assert decoder.feed(frames[2][7:9]) == []
+    assert decoder.feed(frames[2][9:] + frames[3]) == [sent[3]]
+    assert decoder.counts == Counts(packets=2, lost=2)
 
 
 def test_an_endless_frame_is_one_bad_frame_and_is_not_kept() -> None:
@@ -252,7 +268,10 @@ def test_a_large_step_is_a_restart_and_no_loss() -> None:
 def test_a_whole_frame_of_an_unknown_type_is_counted_and_left_out() -> None:
     body = bytes((0x7F, 1, 0, 0, 0, 0, 0, 42))
     frame = stuff(body + checksum(body).to_bytes(2, 'little')) + b'\0'
-    packets, counts = decoded([encode(Zero(1), 0), frame, encode(Zero(1), 2)])
+    told = []
+    decoder = Decoder(lambda kind, sequence: told.append((kind, sequence)))
+    packets, counts = decoder.feed(encode(Zero(1), 0) + frame + encode(Zero(1), 2)), decoder.counts
+    assert told == [(0x7F, 1)]
     assert [packet.sequence for packet in packets] == [0, 2]
     assert counts == Counts(packets=2, unknown=1)
 

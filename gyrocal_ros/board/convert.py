@@ -9,12 +9,22 @@ from gyrocal_ros.board.clock import Stamp
 from gyrocal_ros.board.messages import Imu, Supply, Wheels
 from gyrocal_ros.board.protocol import TIME_WRAP
 from gyrocal_ros.config import BoardConfig, Three
-from gyrocal_ros.data import CovariateSample, ImuSample, TemperatureSample, WheelSample
+from gyrocal_ros.data import ImuSample, TemperatureSample, WheelSample
 
 TICK_WRAP = 1 << 32
 LONGEST_INTERVAL_S = 1.0
 """A mean over a longer time says little of the motion in it."""
 US_PER_S = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class SupplySample:
+    """The battery's side of the robot."""
+
+    t_ns: int
+    voltage_v: float
+    current_a: float
+    """Of the drive motors, negative when discharging."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +52,21 @@ def temperature_sample(imu: Imu, t_ns: int, config: BoardConfig) -> TemperatureS
     return TemperatureSample(t_ns, config.temperature_zero_c + imu.temperature * config.temperature_scale)
 
 
-def supply_samples(supply: Supply, t_ns: int) -> tuple[CovariateSample, CovariateSample]:
-    """Name voltage (V) and current (A, negative when discharging) as a recorded BatteryState would."""
-    return (
-        CovariateSample(t_ns, 'battery_state.voltage', supply.voltage / 1000.0),
-        CovariateSample(t_ns, 'battery_state.current', supply.motor_current / 1000.0),
-    )
+def supply_sample(supply: Supply, t_ns: int) -> SupplySample:
+    """Convert voltage and current."""
+    return SupplySample(t_ns, supply.voltage / 1000.0, supply.motor_current / 1000.0)
+
+
+def wheel_step(before: WheelReading, after: WheelReading, config: BoardConfig) -> tuple[float, float]:
+    """Return how far the robot went (m) and turned (rad) from one reading to the next.
+
+    No motion is known where the board was started anew in between.
+    """
+    if before.stamp.base != after.stamp.base:
+        return 0.0, 0.0
+    left_m = _ticks(before.wheels.left, after.wheels.left) * config.tick_m
+    right_m = _ticks(before.wheels.right, after.wheels.right) * config.tick_m
+    return (left_m + right_m) / 2.0, (right_m - left_m) / config.track_m
 
 
 def wheel_sample(before: WheelReading, after: WheelReading, config: BoardConfig) -> WheelSample | None:
@@ -59,10 +78,8 @@ def wheel_sample(before: WheelReading, after: WheelReading, config: BoardConfig)
     duration_s = (after.time_us - before.time_us) % TIME_WRAP / US_PER_S
     if before.stamp.base != after.stamp.base or not 0.0 < duration_s <= LONGEST_INTERVAL_S:
         return None
-    left_m = _ticks(before.wheels.left, after.wheels.left) * config.tick_m
-    right_m = _ticks(before.wheels.right, after.wheels.right) * config.tick_m
-    speed = (left_m + right_m) / 2.0 / duration_s
-    return WheelSample(after.stamp.t_ns, speed, (right_m - left_m) / config.track_m / duration_s)
+    distance_m, turned_rad = wheel_step(before, after, config)
+    return WheelSample(after.stamp.t_ns, distance_m / duration_s, turned_rad / duration_s)
 
 
 def _scaled(counts: tuple[int, int, int], zeros: Three, scales: Three) -> Three:

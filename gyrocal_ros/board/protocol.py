@@ -12,15 +12,18 @@ from __future__ import annotations
 
 import struct
 from binascii import crc_hqx
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from gyrocal_ros.board.messages import LARGEST, Message, pack, unpack
+from gyrocal_ros.board.messages import LARGEST, LAYOUTS, Message, pack, unpack
 
 HEADER = struct.Struct('<BHI')
 """Type, sequence number, board time."""
 CHECKSUM = struct.Struct('<H')
 LARGEST_FRAME = HEADER.size + LARGEST + CHECKSUM.size + 1
 """Bytes of the longest frame, the zero at its end not counted; COBS adds one byte to so few."""
+BITS_PER_BYTE = 10
+"""A start bit, eight of data, a stop bit."""
 SEQUENCE_WRAP = 1 << 16
 TIME_WRAP = 1 << 32
 MOST_LOST = 4096
@@ -101,22 +104,40 @@ def encode(message: Message, sequence: int, time_us: int = 0) -> bytes:
     return stuff(body + CHECKSUM.pack(checksum(body))) + b'\0'
 
 
+def wire_s(kind: type[Message], baud_rate: int) -> float:
+    """How long a frame is on the wire: from its first bit to its last, the zero included."""
+    size = HEADER.size + LAYOUTS[kind.TYPE].code.size + CHECKSUM.size + 2
+    return size * BITS_PER_BYTE / baud_rate
+
+
 class Decoder:
     """Takes bytes in any portions and hands on the packets that are whole.
 
     What comes out and all counts depend on the bytes alone, not on how they were cut. Nothing that
     comes in raises an error.
+
+    Args:
+        on_unknown: told of type and sequence number of a whole frame that the table does not have.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, on_unknown: Callable[[int, int], None] = lambda kind, sequence: None) -> None:
+        self._on_unknown = on_unknown
         self.counts = Counts()
         self._rest = b''
         self._in_sync = True
+        self._joins = False
         self._sequence: int | None = None
+
+    def join(self) -> None:
+        """Begin to listen to a line that is being used: the rest of a frame may come first, uncounted."""
+        self._rest, self._joins = b'', True
 
     def feed(self, data: bytes) -> list[Packet]:
         """Take the next bytes and return the packets that they complete, in order."""
         *frames, rest = (self._rest + data).split(b'\0')
+        if frames and self._joins:
+            self._joins = False
+            del frames[0]
         self._rest = rest[: LARGEST_FRAME + 1]  # the rest of an endless frame only makes it too long
         packets = (self._packet(frame) for frame in frames if frame)
         return [packet for packet in packets if packet is not None]
@@ -136,6 +157,7 @@ class Decoder:
         message = unpack(kind, body[HEADER.size :])
         if message is None:
             self.counts.unknown += 1
+            self._on_unknown(kind, sequence)
             return None
         self.counts.packets += 1
         return Packet(sequence, time_us, message)

@@ -43,13 +43,16 @@ def add_scenario_options(parser: argparse.ArgumentParser) -> argparse._MutuallyE
     return effects
 
 
-def scenario_source(args: argparse.Namespace, *, images: bool = False, hidden: bool = False) -> SimSource:
+def scenario_source(
+    args: argparse.Namespace, *, images: bool = False, hidden: bool = False, imu_hz: int | None = None
+) -> SimSource:
     """Return the simulated robot that the options describe.
 
     Args:
         args: with the options of `add_scenario_options`.
         images: film the ceiling, in place of following its corners.
         hidden: let the seed decide which effects the robot has.
+        imu_hz: rate of its IMU; without it, the scenario's own.
 
     Raises:
         GyrocalError: an option is unknown or out of bounds.
@@ -67,7 +70,7 @@ def scenario_source(args: argparse.Namespace, *, images: bool = False, hidden: b
         scale_factor = 1.0 + item.values[0]
     effects = hide([item for item in drawn if item.name != 'scale_factor'], find_effect)
     errors = replace(scenario.errors, scale_factor=scale_factor)
-    scenario = replace(scenario, duration_s=duration_s, errors=errors)
+    scenario = replace(scenario, duration_s=duration_s, errors=errors, imu_hz=imu_hz or scenario.imu_hz)
     return SimSource(scenario, args.seed, images=images, hidden=effects)
 
 

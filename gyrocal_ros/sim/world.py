@@ -191,6 +191,11 @@ class SimSource:
         )  # fmt: skip
         return heapq.merge(*parts, key=attrgetter('t_ns'))
 
+    def board_measurements(self) -> Iterator[Measurement]:
+        """Yield what the IMU and encoder board measures, in the order of the stamps."""
+        parts = (self._imu(), self._wheels(), self._temperature(), self._covariates())
+        return heapq.merge(*parts, key=attrgetter('t_ns'))
+
     def camera_poses(self, time_s: Array) -> tuple[Array, Array]:
         """Return the true R_wc (n, 3, 3) and p_wc (n, 3) of the camera at times (n,)."""
         mount, R_wb = self.truth.camera_mount, self.truth.trajectory.motion(time_s).R_wb

@@ -1,0 +1,135 @@
+"""Plays a simulated robot, or a recorded bag, as an IMU and encoder board on a pseudo-terminal.
+
+It speaks the protocol of docs/board_protocol.md, answers commands, has faults on demand and ends when
+all is played. It needs no ROS.
+
+faults:
+  KIND@FROM+FOR[=SHARE]  from FROM seconds after the start, for FOR seconds
+  KIND+FOR[=SHARE]       at once: typed while it runs, one a line
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from gyrocal_ros.board.protocol import TIME_WRAP
+from gyrocal_ros.cli.main import guarded, make_parser
+from gyrocal_ros.cli.scenario_options import add_scenario_options, check_bounds, scenario_source
+from gyrocal_ros.config import BoardConfig, Config, DriverConfig, load_all
+from gyrocal_ros.data import Measurement, Span
+from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.live.emulator import Emulator
+from gyrocal_ros.live.emulator_board import Crystal, EmulatedBoard, look_ahead
+from gyrocal_ros.live.emulator_line import ABOUT, EmulatedLine, parse_fault
+from gyrocal_ros.live.emulator_pty import Player, Port
+from gyrocal_ros.recording.bag import open_bag
+from gyrocal_ros.sim.sensors import stream
+
+PROGRAM = 'board_emulator'
+EXAMPLE = """board_emulator --link /tmp/board --duration 600
+board_emulator --link /tmp/board --jitter 0.02 --fault unplug@60+5 --fault noise@120+30=0.05
+board_emulator --link /tmp/board --bag bags/demo"""
+
+MAX_JITTER_S, MAX_DRIFT_PPM = 1.0, 1000.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('--link', type=Path, metavar='PATH', help='symbolic link that leads to the port')
+    parser.add_argument('--bag', type=Path, metavar='BAG', help='play a recording, not a simulated robot')
+    add_scenario_options(parser)
+    parser.add_argument('--config', type=Path, metavar='FILE', help='parameter file with the section board')
+    parser.add_argument(
+        '--start-at', type=float, metavar='S', help='seconds since 1970 at which it starts (when it is ready)'
+    )
+    parser.add_argument(
+        '--baud-rate',
+        type=int,
+        default=DriverConfig().baud_rate,
+        metavar='BD',
+        help='speed of the wire (%(default)s)',
+    )
+    parser.add_argument(
+        '--jitter', type=float, default=0.0, metavar='S', help='frames come up to so much later (%(default)s)'
+    )
+    parser.add_argument(
+        '--drift-ppm',
+        type=float,
+        default=30.0,
+        metavar='PPM',
+        help="how much too fast the board's clock runs (%(default)s)",
+    )
+    parser.add_argument(
+        '--uptime', type=float, metavar='S', help="what the board's clock reads at the start (by the seed)"
+    )
+    parser.add_argument(
+        '--fault',
+        action='append',
+        default=[],
+        metavar='KIND@FROM+FOR[=SHARE]',
+        help='; '.join(f'{kind}: {about}' for kind, about in ABOUT.items()) + '; may be repeated',
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    """Play.
+
+    Raises:
+        GyrocalError: an argument is out of bounds, or the bag or the link cannot be used.
+    """
+    config, robot = load_all(args.config)
+    emulator = _emulator(args, config, robot.board)
+    port = Port(args.link)
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background it must not stop at what is typed
+    try:
+        port.plug_in()
+        print(args.link or port.name, flush=True)
+        player = Player(emulator, port, _tell, sys.stdin.fileno() if sys.stdin else None)
+        player.play(time.time() if args.start_at is None else args.start_at)
+    finally:
+        port.pull_out()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program and return its exit status."""
+    arguments = sys.argv[1:] if argv is None else list(argv)
+    if '--ros-args' in arguments:  # a launch file adds them for nodes
+        arguments = arguments[: arguments.index('--ros-args')]
+    return guarded(PROGRAM, lambda: run(make_parser(PROGRAM, sys.modules[__name__]).parse_args(arguments)))
+
+
+def _emulator(args: argparse.Namespace, config: Config, board: BoardConfig) -> Emulator:
+    check_bounds('--baud-rate', args.baud_rate, 1200, 4_000_000, 'Bd')
+    check_bounds('--jitter', args.jitter, 0.0, MAX_JITTER_S, 's')
+    check_bounds('--drift-ppm', args.drift_ppm, -MAX_DRIFT_PPM, MAX_DRIFT_PPM, 'ppm')
+    faults = [parse_fault(text) for text in args.fault]
+    rng = stream(args.seed, PROGRAM)
+    uptime_us = rng.integers(TIME_WRAP) if args.uptime is None else round(1e6 * args.uptime)
+    span, measurements = _played(args, config)
+    sensors, measurements = look_ahead(measurements)
+    if not sensors.rates.imu:
+        raise GyrocalError('holds no IMU', where=str(args.bag), todo='play another recording')
+    crystal = Crystal(int(uptime_us), args.drift_ppm)
+    line = EmulatedLine(args.baud_rate, args.jitter, faults, rng)
+    return Emulator(measurements, span.start_ns, EmulatedBoard(board, sensors, crystal), line)
+
+
+def _played(args: argparse.Namespace, config: Config) -> tuple[Span, Iterator[Measurement]]:
+    if args.bag is not None:
+        recording = open_bag(args.bag, config, with_covariates=True)
+        return recording.span, recording.measurements()
+    robot = scenario_source(args, imu_hz=DriverConfig().imu_hz)
+    return robot.span, robot.board_measurements()
+
+
+def _tell(message: str) -> None:
+    print(f'{PROGRAM}: {message}', file=sys.stderr, flush=True)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

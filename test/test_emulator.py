@@ -1,0 +1,328 @@
+"""The emulated board, seen by the driver's own reader: what was measured comes back, faults and all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.board.clock import Restart
+from gyrocal_ros.board.convert import SupplySample
+from gyrocal_ros.board.messages import Acknowledgement, Message, Result, SetRates, Zero
+from gyrocal_ros.board.protocol import checksum, encode, stuff
+from gyrocal_ros.board.reader import BoardReader, Reading, WheelMotion
+from gyrocal_ros.config import BoardConfig
+from gyrocal_ros.data import (
+    NS_PER_S,
+    Array,
+    ClockStep,
+    CovariateSample,
+    ImuSample,
+    Measurement,
+    TemperatureSample,
+    WheelSample,
+    nanoseconds,
+)
+from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.live.emulator import Emulator, Plug
+from gyrocal_ros.live.emulator_board import Crystal, EmulatedBoard, look_ahead
+from gyrocal_ros.live.emulator_line import Delivery, EmulatedLine, Fault, FaultKind, parse_fault
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import START_NS, SimSource
+
+BAUD = 115200
+WALL_NS = 1_800_000_000 * NS_PER_S
+"""Time of day at which the recording begins."""
+MS = 1_000_000
+
+
+def robot(duration_s: float, scenario: str = 'cleaning') -> list[Measurement]:
+    chosen = replace(find_scenario(scenario), duration_s=duration_s, imu_hz=200)
+    return list(SimSource(chosen, 3).board_measurements())
+
+
+SHORT, LONG = robot(8.0), robot(40.0)
+STANDING = robot(8.0, 'standing')
+
+
+def emulator(
+    measured: Iterable[Measurement],
+    *faults: str,
+    jitter_s: float = 0.0,
+    crystal: Crystal = Crystal(123_456_789, 30.0),
+    seed: int = 1,
+) -> Emulator:
+    sensors, measurements = look_ahead(measured)
+    line = EmulatedLine(BAUD, jitter_s, [parse_fault(text) for text in faults], np.random.default_rng(seed))
+    return Emulator(measurements, START_NS, EmulatedBoard(BoardConfig(), sensors, crystal), line)
+
+
+@dataclass
+class Host:
+    """Reads an emulated board, without a clock on any wall."""
+
+    board: Emulator
+    reader: BoardReader = field(default_factory=lambda: BoardReader(BoardConfig(), BAUD))
+    readings: list[Reading] = field(default_factory=list)
+    plugs: list[Plug] = field(default_factory=list)
+
+    def read(self, until_s: float = np.inf) -> Host:
+        """Take what comes up to a time since the start."""
+        while (t_ns := self.board.next_ns()) is not None and t_ns < until_s * NS_PER_S:
+            event = self.board.pop()
+            if isinstance(event, Plug):
+                self.plugs.append(event)
+            else:
+                self.readings += self.reader.take(event.data, WALL_NS + event.t_ns)
+        return self
+
+    def say(self, message: Message, at_s: float, sequence: int = 1) -> None:
+        self.board.hear(encode(message, sequence), nanoseconds(at_s))
+
+    def imu(self) -> list[ImuSample]:
+        return [reading for reading in self.readings if isinstance(reading, ImuSample)]
+
+    def wheels(self) -> list[WheelSample]:
+        return [reading.sample for reading in self.readings if isinstance(reading, WheelMotion)]
+
+    def answers(self) -> list[Acknowledgement]:
+        return [reading for reading in self.readings if isinstance(reading, Acknowledgement)]
+
+    def errors_ms(self, measured: list[Measurement]) -> Array:
+        """Stamps less true times of the IMU, of a run in which nothing was lost."""
+        true_ns = [item.t_ns - START_NS for item in measured if isinstance(item, ImuSample)]
+        return (np.array([sample.t_ns - WALL_NS for sample in self.imu()]) - np.array(true_ns)) / MS
+
+
+# --- what was measured comes back -------------------------------------------------------------------
+
+
+def test_all_samples_come_back_as_they_were_measured() -> None:
+    host, config = Host(emulator(LONG)).read(), BoardConfig()
+    sent = [item for item in LONG if isinstance(item, ImuSample)]
+    rate_step = np.radians(config.gyro_volt * config.gyro_scale_factor_volt[0])
+    for column, step in (('rate_rad_s', rate_step), ('specific_force_m_s2', config.accelerometer_scale[0])):
+        came, was = (np.array([getattr(item, column) for item in items]) for items in (host.imu(), sent))
+        assert came.shape == was.shape
+        assert np.abs(came - was).max() <= 0.501 * step
+    assert np.abs(host.errors_ms(LONG)).max() < 0.1
+    counts = host.reader.decoder.counts
+    assert (counts.lost, counts.malformed, counts.bad_checksums, counts.repeated) == (0, 0, 0, 0)
+
+
+def test_the_way_of_the_wheels_is_kept() -> None:
+    host, config = Host(emulator(LONG)).read(), BoardConfig()
+    sent = [item for item in LONG if isinstance(item, WheelSample)][1:]  # two readings make a sample
+    came = host.wheels()
+    assert len(came) == len(sent)
+    for column, error in (('speed_m_s', config.tick_m), ('yaw_rate_rad_s', 2.0 * config.tick_m / config.track_m)):
+        ways = [np.cumsum([getattr(item, column) for item in items]) / 50.0 for items in (came, sent)]
+        assert np.abs(ways[0] - ways[1]).max() < 1.5 * error
+
+
+def test_slow_signals_come_back() -> None:
+    host = Host(emulator(LONG)).read()
+    warm = [reading for reading in host.readings if isinstance(reading, TemperatureSample)]
+    true = [item.temperature_c for item in LONG if isinstance(item, TemperatureSample)]
+    assert len(warm) == pytest.approx(40, abs=1)
+    assert {round(item.temperature_c, 2) for item in warm} <= {round(value, 2) for value in true}
+    supply = [reading for reading in host.readings if isinstance(reading, SupplySample)]
+    volts = [item.value for item in LONG if isinstance(item, CovariateSample) and 'voltage' in item.name]
+    assert len(supply) == pytest.approx(400, abs=1)
+    assert {round(item.voltage_v, 3) for item in supply} <= {round(value, 3) for value in volts}
+
+
+@pytest.mark.parametrize('drift_ppm', [-100.0, 30.0])
+@pytest.mark.parametrize('start_us', [0, 4_294_967_295 - 20_000_000])
+def test_stamps_are_within_a_millisecond_with_jitter(drift_ppm: float, start_us: int) -> None:
+    """Over a wrap of the board's counter too."""
+    host = Host(emulator(LONG, jitter_s=0.02, crystal=Crystal(start_us, drift_ppm))).read()
+    errors = host.errors_ms(LONG)
+    assert np.abs(errors[200 * 10 :]).max() < 1.0
+    assert not host.reader.clock.restarts and not host.reader.clock.odd
+
+
+def test_jitter_is_what_it_is_said_to_be() -> None:
+    board, late_ms = emulator(LONG, jitter_s=0.02), []
+    true_ms = iter((item.t_ns - START_NS) / MS for item in LONG if isinstance(item, ImuSample))
+    reader = BoardReader(BoardConfig(), BAUD)
+    while (t_ns := board.next_ns()) is not None:
+        event = board.pop()
+        assert isinstance(event, Delivery)
+        late_ms += [t_ns / MS - next(true_ms) for r in reader.take(event.data, t_ns) if isinstance(r, ImuSample)]
+    on_the_wire_ms = 2.7
+    assert on_the_wire_ms - 0.1 < min(late_ms) < on_the_wire_ms + 0.1
+    assert 20.0 < max(late_ms) < 20.0 + 2.0 * on_the_wire_ms
+
+
+def test_the_same_seed_sends_the_same() -> None:
+    def sent(seed: int) -> list[Delivery | Plug]:
+        board = emulator(SHORT, 'noise@1+3=0.02', 'cut@2+3=0.1', 'unplug@5+1', jitter_s=0.02, seed=seed)
+        events = []
+        while board.next_ns() is not None:
+            events.append(board.pop())
+        return events
+
+    first = sent(1)
+    assert first == sent(1) != sent(2)
+    assert [event.t_ns for event in first] == sorted(event.t_ns for event in first)
+
+
+def test_a_step_of_the_recorded_clock_is_not_played() -> None:
+    step_ns = 3600 * NS_PER_S
+    half = len(SHORT) // 2
+    stepped = [
+        *SHORT[:half],
+        ClockStep(SHORT[half].t_ns + step_ns, step_ns),
+        *(replace(item, t_ns=item.t_ns + step_ns) for item in SHORT[half:]),  # type: ignore[type-var]
+    ]
+    assert np.abs(Host(emulator(stepped)).read().errors_ms(SHORT)).max() < 0.1
+
+
+# --- commands ---------------------------------------------------------------------------------------
+
+
+def test_rates_that_can_be_had_are_sent() -> None:
+    host = Host(emulator(LONG)).read(10.0)
+    host.say(SetRates(100, 25, 2), 10.0, sequence=7)
+    host.readings.clear()
+    host.read(20.0)
+    assert host.answers() == [Acknowledgement(7, SetRates.TYPE, Result.DONE)]
+    supply = [reading for reading in host.readings if isinstance(reading, SupplySample)]
+    counts = len(host.imu()), len(host.wheels()), len(supply)
+    assert counts == pytest.approx((1000, 250, 20), abs=2)
+    assert {round((b.t_ns - a.t_ns) / MS) for a, b in pairwise(host.imu()[1:])} == {10}
+    host.say(SetRates(200, 0, 0), 20.0, sequence=8)
+    host.readings.clear()
+    host.read(30.0)
+    assert len(host.imu()) == pytest.approx(2000, abs=2)
+    assert len(host.wheels()) <= 1
+
+
+@pytest.mark.parametrize('rates', [SetRates(400, 50, 10), SetRates(200, 51, 10), SetRates(200, 50, 1000)])
+def test_rates_that_cannot_be_had_change_nothing(rates: SetRates) -> None:
+    host = Host(emulator(SHORT)).read(2.0)
+    host.say(rates, 2.0)
+    host.readings.clear()
+    host.read(4.0)
+    assert host.answers() == [Acknowledgement(1, SetRates.TYPE, Result.OUT_OF_RANGE)]
+    assert len(host.imu()) == pytest.approx(400, abs=2)
+
+
+def test_the_zero_is_subtracted_from_then_on_and_outlives_the_power() -> None:
+    host = Host(emulator(STANDING, 'restart@5+0.5')).read(2.0)
+    before = np.mean([sample.rate_rad_s for sample in host.imu()], axis=0)
+    host.say(Zero(1000), 2.0, sequence=9)
+    host.read(2.9)
+    assert not host.answers()
+    host.read(4.0)
+    assert host.answers() == [Acknowledgement(9, Zero.TYPE, Result.DONE)]
+    for until_s in (5.0, 8.0):
+        host.readings.clear()
+        host.read(until_s)
+        after = np.mean([sample.rate_rad_s for sample in host.imu()], axis=0)
+        assert np.abs(after).max() < 1e-3 < np.abs(before).max()
+
+
+def test_a_zero_is_refused_when_a_wheel_turns() -> None:
+    host = Host(emulator(SHORT)).read(4.0)
+    host.say(Zero(1000), 4.0)
+    assert host.read().answers() == [Acknowledgement(1, Zero.TYPE, Result.REFUSED)]
+
+
+def test_an_unknown_command_is_answered_and_noise_is_not() -> None:
+    host = Host(emulator(SHORT)).read(1.0)
+    body = bytes((0x99, 5, 0, 0, 0, 0, 0, 42))
+    host.board.hear(b'noise\0' + stuff(body + checksum(body).to_bytes(2, 'little')) + b'\0', NS_PER_S)
+    assert host.read(2.0).answers() == [Acknowledgement(5, 0x99, Result.UNKNOWN)]
+
+
+def test_a_recording_without_a_battery_sends_no_supply() -> None:
+    host = Host(emulator(item for item in SHORT if not isinstance(item, CovariateSample))).read(2.0)
+    host.say(SetRates(200, 50, 10), 2.0)
+    host.read()
+    assert not any(isinstance(reading, SupplySample) for reading in host.readings)
+    assert [answer.result for answer in host.answers()] == [Result.OUT_OF_RANGE]
+
+
+# --- faults -----------------------------------------------------------------------------------------
+
+
+def test_noise_spoils_and_is_over_when_it_is_over() -> None:
+    host = Host(emulator(LONG, 'noise@10+10=0.05')).read(10.0)
+    assert host.reader.decoder.counts.lost == 0
+    spoiled = host.read(20.1).reader.decoder.counts
+    assert spoiled.bad_checksums + spoiled.malformed > 1000
+    lost = spoiled.lost
+    assert 0.6 < lost / 2600 < 0.95  # 5 % of the bytes are most of the frames
+    assert np.abs(host.read().reader.decoder.counts.lost - lost) <= 1
+    times = [sample.t_ns for sample in host.imu()]
+    assert all(a < b for a, b in pairwise(times))
+
+
+@pytest.mark.parametrize(('fault', 'bad'), [('cut@2+4=0.1', True), ('drop@2+4=0.1', False)])
+def test_frames_are_cut_and_dropped(fault: str, bad: bool) -> None:
+    counts = Host(emulator(SHORT, fault)).read().reader.decoder.counts
+    assert 50 < counts.lost < 300
+    assert (counts.malformed + counts.bad_checksums > 0) == bad
+
+
+def test_a_pause_delays_and_loses_nothing() -> None:
+    host = Host(emulator(LONG, 'pause@15+3', jitter_s=0.02)).read()
+    assert host.reader.decoder.counts.lost == 0
+    assert np.abs(host.errors_ms(LONG)[2000:]).max() < 1.0
+
+
+def test_what_is_sent_to_a_port_that_is_unplugged_is_lost() -> None:
+    host = Host(emulator(LONG, 'unplug@15+5', jitter_s=0.02)).read()
+    assert host.plugs == [Plug(15 * NS_PER_S, is_in=False), Plug(20 * NS_PER_S, is_in=True)]
+    assert host.reader.decoder.counts.lost == pytest.approx(5 * 260, abs=10)
+    times = np.array([sample.t_ns for sample in host.imu()])
+    assert (np.diff(times) > 0).all()
+    assert ((times - WALL_NS) // NS_PER_S != 17).all()
+
+
+def test_a_board_that_loses_its_power_begins_anew() -> None:
+    host = Host(emulator(LONG, 'restart@15+2')).read(10.0)
+    host.say(SetRates(100, 25, 10), 10.0)
+    host.read(15.0)
+    host.readings.clear()
+    host.read(25.0)
+    assert host.reader.clock.restarts == {Restart.BOARD: 1}
+    assert len(host.imu()) == pytest.approx(8 * 200, abs=3)
+    times = np.array([sample.t_ns for sample in host.imu()])
+    since_ms = (times[-1000:] - WALL_NS) / MS
+    assert np.abs((since_ms + 2.5) % 5.0 - 2.5).max() < 0.01
+
+
+def test_a_fault_may_come_at_once() -> None:
+    host = Host(emulator(SHORT)).read(3.0)
+    host.board.spoil(parse_fault('unplug+1', now_ns=3 * NS_PER_S))
+    host.read()
+    assert [plug.t_ns / NS_PER_S for plug in host.plugs] == [3.0, 4.0]
+    assert host.reader.decoder.counts.lost == pytest.approx(260, abs=3)
+
+
+def test_faults_are_read() -> None:
+    assert parse_fault('noise@120+30=0.05') == Fault(FaultKind.NOISE, 120 * NS_PER_S, 150 * NS_PER_S, 0.05)
+    assert parse_fault('pause+1.5\n', now_ns=7) == Fault(FaultKind.PAUSE, 7, 7 + 1_500_000_000)
+
+
+@pytest.mark.parametrize(
+    ('text', 'todo'),
+    [
+        ('noise', 'write KIND@FROM'),
+        ('noise+3=0.1', 'write KIND@FROM'),
+        ('nose@1+3=0.1', "did you mean 'noise'"),
+        ('noise@1+3', 'write noise@FROM.FOR=SHARE'),
+        ('noise@1+3=2', 'a share from 0 to 1'),
+        ('unplug@1+3=0.5', 'write unplug@FROM.FOR$'),
+        ('unplug@1.2.3+3', '1.2.3 is no number'),
+    ],
+)
+def test_what_is_no_fault_is_refused(text: str, todo: str) -> None:
+    with pytest.raises(GyrocalError, match=todo):
+        parse_fault(text)

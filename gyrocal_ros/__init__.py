@@ -10,6 +10,7 @@ The rooms, in the order in which the data flow:
     model                         the paper: rotations, kinematics, gyro, camera, feature parametrisations
     effects                       physical effects that a sensor model can be made of, one a file
     ekf                           the filter: one measurement at a time, the algorithm on one page in slam
+    seeing                        the filter with the tracker before it
     calibrate, calibration        settings and a source become a finished run, and a run a calibration
     diagnose                      reads a finished run: what the calibration is worth
     report                        figures and tables of a finished run; computes nothing

@@ -12,17 +12,13 @@ import numpy as np
 from gyrocal_ros.config import Config
 from gyrocal_ros.data import (
     NS_PER_S,
-    Array,
     ClockStep,
-    FeatureObservations,
     Frame,
     HeadingSample,
     Measurement,
     Rig,
-    SearchRegions,
     Source,
     Span,
-    Tracking,
     TruthSample,
     seconds,
 )
@@ -33,7 +29,7 @@ from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
 from gyrocal_ros.errors import FilterDivergedError, NotObservableError, RecordingError
 from gyrocal_ros.model.sensor import Effect, SensorModel, signals_of
-from gyrocal_ros.vision.tracker import Tracker
+from gyrocal_ros.seeing import SeeingFilter
 
 MAX_MISFIT_DEG = 2.0
 """A heading reference that differs more than this from the best fit of the gyro is no good."""
@@ -63,20 +59,6 @@ class Held:
     def measurements(self) -> Iterator[Measurement]:
         """Yield them."""
         return iter(self.held)
-
-
-def make_filter(
-    model: SensorModel,
-    config: Config,
-    rig: Rig,
-    start: Start | None = None,
-    candidates: tuple[Effect, ...] = (),
-) -> EkfSlam:
-    """The estimator with its tracker, as it runs live and offline."""
-    track: Tracking | None = None
-    if rig.camera is not None:
-        track = Tracker(rig.camera, config.tracker).track
-    return EkfSlam(model, config, rig, track, start, candidates)
 
 
 def calibrate(
@@ -136,37 +118,24 @@ def hold(
         return source, config
     held: list[Measurement] = []
     followed: list[Measurement] = []
-    slam: EkfSlam | None = None
+    seeing: SeeingFilter | None = None
     for measurement in _telling(source, report):
-        if isinstance(measurement, Frame) and slam is None:
-            slam = _following(model, config, source.rig, followed)
+        if isinstance(measurement, Frame) and seeing is None:
+            seeing = SeeingFilter(EkfSlam(model, config, source.rig), followed.append)
             for earlier in held:
-                slam.step(earlier)
-        if slam is not None:
-            slam.step(measurement)
+                seeing.step(earlier)
+        if seeing is not None:
+            seeing.step(measurement)
         if not isinstance(measurement, Frame):
             held.append(measurement)
-    if slam is None:
+    if seeing is None:
         return Held(source.name, source.rig, source.span, held), config
     if any(isinstance(measurement, ClockStep) for measurement in held):
         return source, config
-    slam.finish()
+    seeing.finish()
     merged = sorted([*held, *followed], key=attrgetter('t_ns'))
     noise = replace(config.camera, pixel_noise_px=config.tracker.noise_px)
     return Held(source.name, source.rig, source.span, merged), replace(config, camera=noise)
-
-
-def _following(model: SensorModel, config: Config, rig: Rig, followed: list[Measurement]) -> EkfSlam:
-    """A filter that keeps what its tracker sees."""
-    assert rig.camera is not None
-    tracker = Tracker(rig.camera, config.tracker)
-
-    def track(frame: Frame, R_wc: Array, regions: SearchRegions) -> FeatureObservations:
-        seen = tracker.track(frame, R_wc, regions)
-        followed.append(seen)
-        return seen
-
-    return EkfSlam(model, config, rig, track)
 
 
 def _telling(source: Source, report: Callable[[Progress], None] | None) -> Iterator[Measurement]:
@@ -190,7 +159,8 @@ def _run(
     candidates: tuple[Effect, ...],
 ) -> Run:
     """One pass of the filter."""
-    slam = make_filter(model, config, source.rig, start, candidates)
+    slam = EkfSlam(model, config, source.rig, start, candidates)
+    seeing = SeeingFilter(slam)
     recorder = Recorder(len(model.coefficients), candidates)
     span, told_ns = source.span, source.span.start_ns
     try:
@@ -198,14 +168,14 @@ def _run(
             if isinstance(measurement, TruthSample):
                 recorder.add_truth(measurement)
                 continue
-            for record in slam.step(measurement):
+            for record in seeing.step(measurement):
                 recorder.add(record)
             if isinstance(measurement, ClockStep):
                 recorder.add_clock_step(measurement)
             if report is not None and recorder.running_ns(measurement.t_ns) - told_ns >= NS_PER_S:
                 told_ns = recorder.running_ns(measurement.t_ns)
                 report(Progress(seconds(told_ns - span.start_ns), span.duration_s))
-        for record in slam.finish():
+        for record in seeing.finish():
             recorder.add(record)
     except FilterDivergedError as error:
         raise FilterDivergedError(error.what, where=source.name, todo=error.todo) from error

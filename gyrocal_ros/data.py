@@ -10,7 +10,7 @@ image). `R_ab` turns coordinates in b into coordinates in a; `p_ab` is the origi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol, TypeAlias
 
@@ -148,10 +148,6 @@ class SearchRegions:
     """(n, 2) predicted raw pixels (u, v)."""
     covariances_px2: Array
     """(n, 2, 2) of the innovation, pixel noise included."""
-
-
-Tracking: TypeAlias = Callable[[Frame, Array, SearchRegions], FeatureObservations]
-"""A tracker: image, predicted attitude `R_wc` of the camera (3, 3) and search regions go in."""
 
 
 # --- what the robot is made of ------------------------------------------------------------------

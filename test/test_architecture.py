@@ -23,6 +23,7 @@ LEVELS = {
             ('model',),  # the lens and the rotations of the paper serve the tracker too
             ('board', 'recording', 'vision'),
             ('effects', 'ekf', 'sim'),
+            ('seeing',),
             ('calibrate', 'calibration', 'diagnose'),
             ('bench', 'live', 'report'),
             ('cli', 'nodes', 'studio'),

@@ -46,10 +46,12 @@ from gyrocal_ros.data import (
 from gyrocal_ros.diagnose.drift import blind_drift, heading_rms_deg
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.errors import ConfigError, FilterDivergedError, NotObservableError, RecordingError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.seeing import SeeingFilter
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.manoeuvres import Habits
 from gyrocal_ros.sim.sensors import SensorErrors
@@ -501,10 +503,8 @@ def test_an_image_without_features_is_no_measurement() -> None:
 
 
 def test_a_stream_gives_its_steps_as_soon_as_wheels_allow() -> None:
-    from gyrocal_ros.calibrate import make_filter
-
     source = recording()
-    slam = make_filter(default_model(), Config(), source.rig)
+    slam = SeeingFilter(EkfSlam(default_model(), Config(), source.rig))
     newest_ns = 0
     items: list[Measurement] = [item for item in source.measurements() if item.t_ns < at(5.0)]
     for item in items:

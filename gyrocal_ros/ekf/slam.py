@@ -24,7 +24,6 @@ from gyrocal_ros.data import (
     MotionBlock,
     Rig,
     SearchRegions,
-    Tracking,
     TruthSample,
     nanoseconds,
     seconds,
@@ -52,7 +51,7 @@ LOWEST_PIXEL_NOISE_PX, HIGHEST_PIXEL_NOISE_PX = 0.02, 5.0
 """What the noise of the pixels is followed within; no tracker is so bad, the images fit nothing."""
 CHECK_THE_CAMERA = 'check the camera calibration, its mounting and the time stamps with `gyrocal check`'
 
-Sight = Frame | FeatureObservations | HeadingSample
+Sight = FeatureObservations | HeadingSample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +92,6 @@ class EkfSlam:
         model: the sensor model whose coefficients are estimated.
         config: settings.
         rig: camera and its mounting, as believed.
-        track: what follows features through images; not needed where features are measured.
         start: what an earlier run knows.
         candidates: effects that the model lacks and that are on trial: the sensitivity of all
             innovations to them is carried along, the estimate does not depend on them.
@@ -105,14 +103,13 @@ class EkfSlam:
         model: SensorModel,
         config: Config,
         rig: Rig,
-        track: Tracking | None = None,
         start: Start | None = None,
         candidates: tuple[Effect, ...] = (),
         running_s: float = 0.0,
     ) -> None:
         self.model, self.config, self.rig = model, config, rig
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
-        self.pixel_noise = _pixel_noise(config.camera.pixel_noise_px)
+        self.expect_pixel_noise(config.camera.pixel_noise_px)
         reference_std = math.radians(config.reference.heading_noise_deg)
         self.reference_noise = NoiseFollower(reference_std, 1e-3 * reference_std, 1e3 * reference_std)
         self.has_started = False
@@ -127,8 +124,6 @@ class EkfSlam:
         self.memories = self._parts.no_memories()
         """What the gyro effects remember at the present state."""
         self._candidate_memories = self._candidates.no_memories()
-        self._track = track
-        self._tracks_images = False
         self._buffer = MotionBuffer(running_s)
         self._waiting: deque[Sight] = deque()
         self._pose_rate: Array = np.zeros(6)
@@ -138,6 +133,11 @@ class EkfSlam:
         self._lost_frames = 0
         self._restarts = 0
 
+    def expect_pixel_noise(self, std_px: float) -> None:
+        """Begin the estimation of the pixels' noise (anew) with this standard deviation."""
+        highest_px = max(HIGHEST_PIXEL_NOISE_PX, 5.0 * std_px)
+        self.pixel_noise = NoiseFollower(std_px, LOWEST_PIXEL_NOISE_PX, highest_px)
+
     def step(self, measurement: Measurement) -> list[StepRecord]:
         """Take one measurement; return the steps that have become possible by it (often none).
 
@@ -145,12 +145,14 @@ class EkfSlam:
             FilterDivergedError: the measurements contradict the estimate beyond repair.
         """
         match measurement:
-            case Frame() | FeatureObservations() | HeadingSample():
+            case FeatureObservations() | HeadingSample():
                 self._waiting.append(measurement)
             case ClockStep():
                 return self._start_new_time_base(measurement)
             case TruthSample():
                 return []
+            case Frame():
+                raise TypeError('images are for a filter with eyes, see `seeing`')
             case _:
                 self._buffer.add(measurement)
                 if not self._waiting and measurement.t_ns - self.state.t_ns <= MAX_BLOCK_NS:
@@ -160,6 +162,11 @@ class EkfSlam:
     def finish(self) -> list[StepRecord]:
         """Use what still waits, at the end of the stream."""
         return self._catch_up(self._true_time_ns(self._waiting[-1]) if self._waiting else None)
+
+    @property
+    def running_s(self) -> float:
+        """How long the gyro has been running, as far as is known."""
+        return self._buffer.running_s(self.state.t_ns)
 
     def view(self, state: State | None = None) -> View:
         """The camera at the present estimate, or at another one."""
@@ -219,8 +226,7 @@ class EkfSlam:
         if isinstance(seen, HeadingSample):
             sighting = self._compare_heading(seen)
         elif seen is not None:
-            observations = self._track_features(seen) if isinstance(seen, Frame) else seen
-            sighting = self._see(observations)
+            sighting = self._see(seen)
             event = self._watch(sighting)
         r, columns = self.state.robot_size, block.dt_s @ correction.by_values
         learned = self.state.coefficients - before.coefficients
@@ -248,13 +254,6 @@ class EkfSlam:
         if self._resting_since_ns is None:
             self._resting_since_ns = block.start_ns
         return seconds(block.end_ns - self._resting_since_ns) > self.config.rest.settle_s
-
-    def _track_features(self, frame: Frame) -> FeatureObservations:
-        assert self._track is not None, 'images need a tracker'
-        if not self._tracks_images:
-            self._tracks_images = True
-            self.pixel_noise = _pixel_noise(self.config.tracker.noise_px)
-        return self._track(frame, self.view().R_wc, self.regions())
 
     def _eye(self) -> Eye:
         return Eye(
@@ -334,7 +333,7 @@ class EkfSlam:
         """Keep the calibration; forget where the robot is, for nobody saw it move meanwhile."""
         records = self.finish()
         self._waiting.clear()
-        self._buffer = MotionBuffer(self._buffer.running_s(self.state.t_ns))
+        self._buffer = MotionBuffer(self.running_s)
         self._resting_since_ns = self._reference_offset = None
         self.state = moved_unseen(forget_all(self.state), step.t_ns)
         self.has_started = False
@@ -344,7 +343,3 @@ class EkfSlam:
 def _turned_by_tilt(before: State, transition: Transition, block: MotionBlock) -> float:
     turned_rad = transition.motion.euler_rad[2] - before.mean[YAW]
     return float(turned_rad - block.dt_s @ transition.rate_rad_s[:, 2])
-
-
-def _pixel_noise(start_px: float) -> NoiseFollower:
-    return NoiseFollower(start_px, LOWEST_PIXEL_NOISE_PX, max(HIGHEST_PIXEL_NOISE_PX, 5.0 * start_px))

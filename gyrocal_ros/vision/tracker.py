@@ -42,6 +42,10 @@ MAX_NOISE_PX = 0.1
 """A corner that the noise of the image alone would move by more than this is none."""
 
 
+ID_COUNT = 2**32
+"""Ids are 32 bits wide in messages."""
+
+
 @dataclass(slots=True, eq=False)
 class _Features:
     """n features with patches of m points, oldest first."""
@@ -94,19 +98,25 @@ class Tracker:
     Args:
         camera: intrinsics of the images.
         config: numbers, distances and thresholds.
+        first_id: of the first feature; ids are counted on from there.
     """
 
-    def __init__(self, camera: CameraIntrinsics, config: TrackerConfig) -> None:
+    def __init__(self, camera: CameraIntrinsics, config: TrackerConfig, first_id: int = 0) -> None:
         self._camera = camera
         self._config = config
         self._size_px = config.patch_px | 1
         self._margin_px = max(config.border_px, math.ceil(self._size_px / math.sqrt(2.0)) + 2)
-        self._next_id = 0
+        self._next_id = first_id
         self._last_ns = -1
         self._frames_to_detection = 0
         self._yaw_error_rad = 0.0  # of the attitudes given, as far as the patches show it
         dark = np.zeros((camera.height_px, camera.width_px), np.uint8)
         self._features = self._new_features(Frame(0, dark), np.eye(3), np.zeros((0, 2), np.intp))
+
+    @property
+    def yaw_error_rad(self) -> float:
+        """By how much the yaw of the attitudes given is ahead of the images, since the first one."""
+        return self._yaw_error_rad
 
     def track(self, frame: Frame, R_wc: Array, regions: SearchRegions | None) -> FeatureObservations:
         """Find the known features in an image, and new ones where there are too few.
@@ -186,7 +196,8 @@ class Tracker:
         if not len(search.index):
             return search.pixels, search.tracked
         pixels, score = self._align(image, R_wc, search, search.pixels)
-        missed = search.tracked & (score < 0.0)
+        sought = search.tracked if search.tracked.any() else np.ones(len(score), dtype=bool)
+        missed = sought & (score < 0.0)
         if missed.any():  # once more, by correlation; further around if the filter errs about most
             again = search[missed]
             if 2 * len(again.index) > search.tracked.sum():
@@ -255,7 +266,7 @@ class Tracker:
     def _new_features(self, frame: Frame, R_wc: Array, corners: NDArray[np.intp]) -> _Features:
         ceiling = self._to_ceiling(corners.astype(float), R_wc)
         outline = self._to_ceiling(corners[:, None] + grid(self._size_px), R_wc) - ceiling[:, None]
-        ids = self._next_id + np.arange(len(corners))
+        ids = (self._next_id + np.arange(len(corners))) % ID_COUNT
         patches = cut(frame.image, corners, self._size_px)
         return _Features(ids, np.full(len(ids), frame.t_ns), ceiling, outline, patches)
 

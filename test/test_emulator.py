@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
+from emulated import BoardProgram
 
 from gyrocal_ros.board.clock import Restart
 from gyrocal_ros.board.convert import SupplySample
+from gyrocal_ros.board.link import Link
 from gyrocal_ros.board.messages import Acknowledgement, Message, Result, SetRates, Zero
 from gyrocal_ros.board.protocol import checksum, encode, stuff
 from gyrocal_ros.board.reader import BoardReader, Reading, WheelMotion
@@ -34,6 +40,7 @@ from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
 
 BAUD = 115200
+BAG = Path(__file__).resolve().parent.parent / 'bags/demo'
 WALL_NS = 1_800_000_000 * NS_PER_S
 """Time of day at which the recording begins."""
 MS = 1_000_000
@@ -44,6 +51,8 @@ def robot(duration_s: float, scenario: str = 'cleaning') -> list[Measurement]:
     return list(SimSource(chosen, 3).board_measurements())
 
 
+CRYSTAL = Crystal(123_456_789, 30.0)
+
 SHORT, LONG = robot(8.0), robot(40.0)
 STANDING = robot(8.0, 'standing')
 
@@ -52,7 +61,7 @@ def emulator(
     measured: Iterable[Measurement],
     *faults: str,
     jitter_s: float = 0.0,
-    crystal: Crystal = Crystal(123_456_789, 30.0),
+    crystal: Crystal = CRYSTAL,
     seed: int = 1,
 ) -> Emulator:
     sensors, measurements = look_ahead(measured)
@@ -118,7 +127,10 @@ def test_the_way_of_the_wheels_is_kept() -> None:
     sent = [item for item in LONG if isinstance(item, WheelSample)][1:]  # two readings make a sample
     came = host.wheels()
     assert len(came) == len(sent)
-    for column, error in (('speed_m_s', config.tick_m), ('yaw_rate_rad_s', 2.0 * config.tick_m / config.track_m)):
+    for column, error in (
+        ('speed_m_s', config.tick_m),
+        ('yaw_rate_rad_s', 2.0 * config.tick_m / config.track_m),
+    ):
         ways = [np.cumsum([getattr(item, column) for item in items]) / 50.0 for items in (came, sent)]
         assert np.abs(ways[0] - ways[1]).max() < 1.5 * error
 
@@ -152,7 +164,9 @@ def test_jitter_is_what_it_is_said_to_be() -> None:
     while (t_ns := board.next_ns()) is not None:
         event = board.pop()
         assert isinstance(event, Delivery)
-        late_ms += [t_ns / MS - next(true_ms) for r in reader.take(event.data, t_ns) if isinstance(r, ImuSample)]
+        late_ms += [
+            t_ns / MS - next(true_ms) for r in reader.take(event.data, t_ns) if isinstance(r, ImuSample)
+        ]
     on_the_wire_ms = 2.7
     assert on_the_wire_ms - 0.1 < min(late_ms) < on_the_wire_ms + 0.1
     assert 20.0 < max(late_ms) < 20.0 + 2.0 * on_the_wire_ms
@@ -326,3 +340,67 @@ def test_faults_are_read() -> None:
 def test_what_is_no_fault_is_refused(text: str, todo: str) -> None:
     with pytest.raises(GyrocalError, match=todo):
         parse_fault(text)
+
+
+# --- the program ------------------------------------------------------------------------------------
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, '-m', 'gyrocal_ros.cli.board_emulator', *arguments]
+    return subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['--scenario', 'cleanin'], "did you mean 'cleaning'"),
+        (['--jitter', '2'], 'give 0 to 1 s'),
+        (['--fault', 'noise@1+1'], 'write noise@FROM+FOR=SHARE'),
+        (['--bag', 'nowhere'], 'nowhere'),
+        (['--link', __file__], 'is no symbolic link'),
+    ],
+)
+def test_what_cannot_be_played_is_refused_in_a_line(arguments: list[str], words: str) -> None:
+    done = run(*arguments)
+    assert done.returncode == 2 and not done.stdout
+    assert done.stderr.startswith('board_emulator: error: ') and done.stderr.count('\n') == 1
+    assert words in done.stderr
+
+
+def test_a_play_ends_and_takes_its_port_away(tmp_path: Path) -> None:
+    link = tmp_path / 'board'
+    done = run(
+        '--link', str(link), '--duration', '1', '--fault', 'unplug@0.2+0.2', '--ros-args', '-r', 'a:=b'
+    )
+    assert (done.returncode, done.stdout) == (0, f'{link}\n')
+    assert 'unplugged' in done.stderr and 'plugged in at /dev/' in done.stderr
+    assert not link.is_symlink()
+
+
+def test_a_recorded_bag_is_played(tmp_path: Path) -> None:
+    with BoardProgram(tmp_path / 'board', '--bag', str(BAG)), Link(str(tmp_path / 'board'), BAUD) as link:
+        reader, found = BoardReader(BoardConfig(), BAUD), list[Reading]()
+        while len(found) < 200:
+            found += reader.take(link.read(), time.time_ns())
+    kinds = {type(reading) for reading in found}
+    assert {ImuSample, WheelMotion, TemperatureSample, SupplySample} <= kinds
+
+
+def test_the_whole_needs_no_ros() -> None:
+    code = 'import gyrocal_ros.cli.board_emulator, sys; print([m for m in sys.modules if "rclpy" in m])'
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout == '[]\n'
+
+
+def test_what_is_not_asked_for_at_the_start_is_not_there(tmp_path: Path) -> None:
+    """A play that began long ago goes on where it is now."""
+    begun_s = time.time() - 10.0
+    with (
+        BoardProgram(tmp_path / 'board', '--start-at', str(begun_s)),
+        Link(str(tmp_path / 'board'), BAUD) as link,
+    ):
+        reader, found = BoardReader(BoardConfig(), BAUD), list[Reading]()
+        while not (samples := [reading for reading in found if isinstance(reading, ImuSample)]):
+            found += reader.take(link.read(), time.time_ns())
+    since_s = samples[0].t_ns / NS_PER_S - begun_s
+    assert since_s > 10.0

@@ -2,7 +2,8 @@
 
 The rooms, in the order in which the data flow:
 
-    errors, data, config, files   what everybody uses: errors, the values that travel, settings, writing
+    errors, data, files           what everybody uses: errors, the values that travel, writing
+    settings, config, config_file all settings, declared once, and the files that hold them
     recording                     bags and their check: messages become measurements
     board                         the IMU and encoder board: its bytes become measurements
     sim                           the simulator: the same measurements, with the truth beside them

@@ -5,13 +5,10 @@ A settings file is a ROS 2 parameter file, so one file serves the nodes and the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any, TypeAlias
+from dataclasses import dataclass
+from typing import TypeAlias
 
-from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.settings import read_yaml, setting, with_settings
+from gyrocal_ros.settings import setting
 
 Three: TypeAlias = tuple[float, float, float]
 
@@ -332,6 +329,7 @@ class LiveConfig:
     """The calibrator as it runs on the robot."""
 
     model: str = setting('', '', 'model.yaml with the effects to estimate; empty for the one that is shipped')
+    effects_from: str = setting('', '', 'Python file with effects of your own that the model names')
     calibration: str = setting(
         '', '', 'calibration.yaml to start from and to keep up to date; empty for none'
     )
@@ -346,53 +344,30 @@ class LiveConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class ImagesConfig:
+    """How the tracker gets its images."""
+
+    transport: str = setting(
+        'auto',
+        '',
+        'which images to follow; auto: the raw ones, or the compressed where nobody publishes raw ones',
+        choices=('auto', 'raw', 'compressed'),
+    )
+    patience_s: float = setting(
+        0.05,
+        's',
+        'how long an image waits for the IMU to reach its stamp and for the search regions',
+        low=0.0,
+        high=1.0,
+        live=True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class RobotConfig:
     """What only the nodes need to be told."""
 
     board: BoardConfig = BoardConfig()
     driver: DriverConfig = DriverConfig()
+    images: ImagesConfig = ImagesConfig()
     live: LiveConfig = LiveConfig()
-
-
-def load_config(path: Path | None) -> Config:
-    """Read the estimator's settings from a ROS 2 parameter file; without one, return the defaults.
-
-    Raises:
-        ConfigError: the file cannot be read, or a setting in it is unknown or out of bounds.
-    """
-    return load_all(path)[0]
-
-
-def load_all(path: Path | None) -> tuple[Config, RobotConfig]:
-    """Read all settings from a ROS 2 parameter file; without one, return the defaults.
-
-    Raises:
-        ConfigError: the file cannot be read, or a setting in it is unknown or out of bounds.
-    """
-    estimator, robot = Config(), RobotConfig()
-    for node_name, node in read_yaml(path).items() if path else ():
-        parameters = node.get('ros__parameters') if isinstance(node, Mapping) else None
-        if not isinstance(parameters, Mapping):
-            raise ConfigError(
-                f'{node_name!r} has no ros__parameters', where=str(path), todo='write a ROS 2 parameter file'
-            )
-        nested = _nested(parameters)
-        of_robot = {name: nested.pop(name) for name in _sections(RobotConfig) if name in nested}
-        robot = with_settings(robot, of_robot, str(path))
-        estimator = with_settings(estimator, nested, str(path))
-    return estimator, robot
-
-
-def _nested(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings among the parameters of a node, which may also be written `section.setting`."""
-    known = {*_sections(Config), *_sections(RobotConfig)}
-    nested = {name: dict(value) for name, value in parameters.items() if isinstance(value, Mapping)}
-    for name, value in parameters.items():
-        section, _, item = str(name).partition('.')
-        if item and section in known:
-            nested.setdefault(section, {})[item] = value
-    return nested
-
-
-def _sections(kind: type[Any]) -> list[str]:
-    return [item.name for item in fields(kind)]

@@ -75,7 +75,7 @@ def plain(value: Any) -> Any:
 
 
 def to_yaml(*configs: Any) -> str:
-    """The settings as a commented ROS 2 parameter file for any node; `load_config` reads it."""
+    """The settings as a commented ROS 2 parameter file for any node; `config_file` reads it."""
     lines = ['/**:', '  ros__parameters:']
     section = ''
     for name, value, about in chain.from_iterable(map(flat_settings, configs)):

@@ -20,7 +20,7 @@ LEVELS = {
             ('errors',),
             ('settings',),
             ('config', 'data', 'files'),
-            ('model',),  # the lens and the rotations of the paper serve the tracker too
+            ('config_file', 'model'),  # the lens and the rotations of the paper serve the tracker too
             ('board', 'recording', 'vision'),
             ('effects', 'ekf', 'sim'),
             ('seeing',),

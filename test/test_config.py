@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from gyrocal_ros.config import Config, RobotConfig, load_config
+from gyrocal_ros.config import Config, RobotConfig
+from gyrocal_ros.config_file import load_config
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import shipped
 from gyrocal_ros.settings import Setting, flat_settings, nearest, read_yaml, to_dict, to_yaml, with_settings

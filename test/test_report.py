@@ -15,7 +15,8 @@ import pytest
 
 from gyrocal_ros.calibrate import calibrate
 from gyrocal_ros.calibration import Calibration, conclude, load_calibration
-from gyrocal_ros.config import Config, load_config
+from gyrocal_ros.config import Config
+from gyrocal_ros.config_file import load_config
 from gyrocal_ros.data import seconds
 from gyrocal_ros.diagnose.ceiling import ceiling_map
 from gyrocal_ros.diagnose.compare import compare

@@ -20,7 +20,8 @@ from pathlib import Path
 from gyrocal_ros.board.protocol import TIME_WRAP
 from gyrocal_ros.cli.main import guarded, make_parser
 from gyrocal_ros.cli.scenario_options import add_scenario_options, check_bounds, scenario_source
-from gyrocal_ros.config import BoardConfig, Config, DriverConfig, load_all
+from gyrocal_ros.config import BoardConfig, Config, DriverConfig
+from gyrocal_ros.config_file import load_all
 from gyrocal_ros.data import Measurement, Span
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.live.emulator import Emulator

@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
 
-from gyrocal_ros.config import Config, load_config
+from gyrocal_ros.config import Config
+from gyrocal_ros.config_file import load_config
 from gyrocal_ros.recording.selection import parse_remap
 
 

@@ -150,6 +150,41 @@ class SearchRegions:
     """(n, 2, 2) of the innovation, pixel noise included."""
 
 
+# --- what comes out at once -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibratedSample:
+    """One IMU reading as it should have been, in body axes."""
+
+    t_ns: int
+    rate_rad_s: tuple[float, float, float]
+    rate_variances: tuple[float, float, float]
+    """rad^2/s^2, of the single sample: its noise, bias and coefficients."""
+    specific_force_m_s2: tuple[float, float, float]
+    euler_rad: tuple[float, float, float]
+    """Roll, pitch and yaw of the body in the map."""
+    euler_covariance: Array
+    """(3, 3)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whereabouts:
+    """Where the robot is in the map, and how it moves."""
+
+    t_ns: int
+    position_m: tuple[float, float, float]
+    euler_rad: tuple[float, float, float]
+    pose_covariance: Array
+    """(6, 6) of position and Euler angles."""
+    speed_m_s: float
+    """Along body x."""
+    speed_variances: tuple[float, float, float]
+    """m^2/s^2, along body x, y, z."""
+    rate_rad_s: tuple[float, float, float]
+    rate_variances: tuple[float, float, float]
+
+
 # --- what the robot is made of ------------------------------------------------------------------
 
 

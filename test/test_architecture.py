@@ -34,11 +34,15 @@ LEVELS = {
 """A room imports only from rooms of a lower level, and from itself."""
 
 EVERYWHERE = {'numpy', 'yaml'} | sys.stdlib_module_names
+ROS = {
+    *('rclpy', 'rcl_interfaces', 'rosgraph_msgs', 'rosidl_runtime_py', 'std_msgs', 'std_srvs', 'tf2_msgs'),
+    *('diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'sensor_msgs', 'visualization_msgs'),
+}
 LIBRARY_HOMES = {
     'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'recording/images.py'),
     'dash': ('studio',),
     'plotly': ('report/figures',),
-    **dict.fromkeys(('rclpy', 'rcl_interfaces', 'diagnostic_msgs'), ('nodes',)),
+    **dict.fromkeys(ROS, ('nodes',)),
     'rosbags': ('recording',),
     'serial': ('board/link.py',),
     'tqdm': ('cli/output.py',),

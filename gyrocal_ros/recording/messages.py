@@ -6,6 +6,7 @@ import math
 from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from gyrocal_ros.data import (
     WheelSample,
 )
 from gyrocal_ros.recording import topics
-from gyrocal_ros.recording.transforms import quaternion_from_rotation, quaternion_from_yaw
+from gyrocal_ros.recording.transforms import Transform, quaternion_from_rotation, quaternion_from_yaw
 
 BATTERY_NUMBERS = ('voltage', 'temperature', 'current', 'charge', 'capacity', 'design_capacity', 'percentage')
 UINT32, FLOAT32 = 6, 7
@@ -72,7 +73,7 @@ def live_maker(get_class: Callable[[str], Callable[..., Any]]) -> MessageMaker:
     Args:
         get_class: `rosidl_runtime_py.utilities.get_message`.
     """
-    return MessageMaker(get_class, lambda values: array(values.dtype.char, values.tobytes()))
+    return MessageMaker(cache(get_class), lambda values: array(values.dtype.char, values.tobytes()))
 
 
 def imu(make: MessageMaker, sample: ImuSample) -> Any:
@@ -177,10 +178,10 @@ def number(make: MessageMaker, value: float) -> Any:
     return make(topics.NUMBER, data=value)
 
 
-def features(make: MessageMaker, seen: FeatureObservations) -> Any:
-    """Convert to a PointCloud2 with the fields u, v, id."""
+def features(make: MessageMaker, seen: FeatureObservations, frame: str = topics.CAMERA_FRAME) -> Any:
+    """Convert to a PointCloud2 with the fields u, v, id, in the frame of the camera."""
     columns = {'u': seen.pixels[:, 0], 'v': seen.pixels[:, 1], 'id': seen.ids}
-    return _point_cloud(make, seen.t_ns, columns)
+    return _point_cloud(make, seen.t_ns, columns, frame)
 
 
 def search_regions(make: MessageMaker, regions: SearchRegions) -> Any:
@@ -197,7 +198,9 @@ def search_regions(make: MessageMaker, regions: SearchRegions) -> Any:
     return _point_cloud(make, regions.t_ns, columns)
 
 
-def _point_cloud(make: MessageMaker, t_ns: int, columns: Mapping[str, NDArray[Any]]) -> Any:
+def _point_cloud(
+    make: MessageMaker, t_ns: int, columns: Mapping[str, NDArray[Any]], frame: str = topics.CAMERA_FRAME
+) -> Any:
     formats = {'id': '<u4'}
     points = np.zeros(len(columns['id']), np.dtype([(name, formats.get(name, '<f4')) for name in columns]))
     for name, values in columns.items():
@@ -214,7 +217,7 @@ def _point_cloud(make: MessageMaker, t_ns: int, columns: Mapping[str, NDArray[An
     ]
     return make(
         topics.POINT_CLOUD,
-        header=make.header(t_ns, topics.CAMERA_FRAME),
+        header=make.header(t_ns, frame),
         height=1,
         width=len(points),
         fields=layout,
@@ -257,16 +260,42 @@ def static_transforms(make: MessageMaker, mounts: Mapping[str, Mount], t_ns: int
         t_ns: time of the header.
     """
     links = [
-        make(
-            'geometry_msgs/msg/TransformStamped',
-            header=make.header(t_ns, topics.BODY_FRAME),
-            child_frame_id=frame,
-            transform=make(
-                'geometry_msgs/msg/Transform',
-                translation=make.vector(tuple(float(value) for value in mount.p_bs)),
-                rotation=make.quaternion(quaternion_from_rotation(mount.R_bs)),
-            ),
-        )
+        _link(make, t_ns, topics.BODY_FRAME, frame, tuple(mount.p_bs), quaternion_from_rotation(mount.R_bs))
         for frame, mount in mounts.items()
     ]
     return make(topics.TRANSFORMS, transforms=links)
+
+
+def transform(make: MessageMaker, t_ns: int, link: Transform) -> Any:
+    """Make a TFMessage of one link."""
+    place, turn = tuple(link.mount.p_bs), quaternion_from_rotation(link.mount.R_bs)
+    return make(topics.TRANSFORMS, transforms=[_link(make, t_ns, link.parent, link.child, place, turn)])
+
+
+def odometry_transform(make: MessageMaker, t_ns: int, x_m: float, y_m: float, yaw_rad: float) -> Any:
+    """Make a TFMessage that says where the wheels have brought the robot body."""
+    place, turn = (x_m, y_m, 0.0), quaternion_from_yaw(yaw_rad)
+    return make(
+        topics.TRANSFORMS,
+        transforms=[_link(make, t_ns, topics.ODOM_FRAME, topics.BODY_FRAME, place, turn)],
+    )
+
+
+def _link(
+    make: MessageMaker,
+    t_ns: int,
+    parent: str,
+    child: str,
+    place_m: tuple[float, ...],
+    turn: tuple[float, float, float, float],
+) -> Any:
+    return make(
+        'geometry_msgs/msg/TransformStamped',
+        header=make.header(t_ns, parent),
+        child_frame_id=child,
+        transform=make(
+            'geometry_msgs/msg/Transform',
+            translation=make.vector(tuple(float(value) for value in place_m)),
+            rotation=make.quaternion(turn),
+        ),
+    )

@@ -37,7 +37,7 @@ from gyrocal_ros.recording.transforms import (
     yaw_from_quaternion,
 )
 
-ODOM_FRAME, BODY_FRAME, IMU_FRAME = 'odom', 'base_link', 'imu_link'
+MAP_FRAME, ODOM_FRAME, BODY_FRAME, IMU_FRAME = 'map', 'odom', 'base_link', 'imu_link'
 CAMERA_FRAME = 'ceiling_camera_optical_frame'
 STATIC_TRANSFORMS = 'tf_static'
 
@@ -260,6 +260,18 @@ def transforms(message: Any) -> list[Transform]:
         mount = Mount(rotation_from_quaternion(q.x, q.y, q.z, q.w), np.array([p.x, p.y, p.z]))
         links.append(Transform(item.header.frame_id.lstrip('/'), item.child_frame_id.lstrip('/'), mount))
     return links
+
+
+def body_pose(message: Any) -> Mount:
+    """Where an Odometry says the body is."""
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    return Mount(rotation_from_quaternion(q.x, q.y, q.z, q.w), np.array([p.x, p.y, p.z]))
+
+
+def map_frame(odom_frame: str) -> str:
+    """The map of the robot that has this odom: `robot1/map` for `robot1/odom`."""
+    prefix, slash, _ = odom_frame.rpartition('/')
+    return f'{prefix}{slash}{MAP_FRAME}'
 
 
 def numeric_fields(message: Any) -> Iterator[str]:

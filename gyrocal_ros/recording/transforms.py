@@ -35,6 +35,21 @@ def quaternion_from_yaw(yaw_rad: float) -> tuple[float, float, float, float]:
     return 0.0, 0.0, math.sin(yaw_rad / 2.0), math.cos(yaw_rad / 2.0)
 
 
+def quaternion_from_euler(
+    roll_rad: float, pitch_rad: float, yaw_rad: float
+) -> tuple[float, float, float, float]:
+    """Quaternion (x, y, z, w) of z-y-x Euler angles."""
+    cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)
+    cp, sp = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
+    cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
 def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Array:
     """Rotation matrix (3, 3) of a quaternion in ROS order; it need not be normalised, but not zero."""
     v = np.array([x, y, z])
@@ -59,6 +74,12 @@ def quaternion_from_rotation(R_ab: Array) -> tuple[float, float, float, float]:
     largest = int(np.argmax(squares))  # dividing by the largest keeps the others exact
     x, y, z, w = outer[largest] / math.sqrt(squares[largest])
     return float(x), float(y), float(z), float(w)
+
+
+def between(of_body: Mount, in_other: Mount) -> Mount:
+    """Where another frame sits, by where the body is in both: `of_body` here, `in_other` there."""
+    R = of_body.R_bs @ in_other.R_bs.T
+    return Mount(R, of_body.p_bs - R @ in_other.p_bs)
 
 
 def find_mount(transforms: Sequence[Transform], sensor: str, body: str) -> Mount | None:

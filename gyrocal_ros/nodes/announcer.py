@@ -1,0 +1,57 @@
+"""The calibration for all others: latched on a topic, and as parameters of the node."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from gyrocal_ros.calibration import Calibration, announcement
+from gyrocal_ros.nodes.qos import LATCHED
+from gyrocal_ros.recording.messages import MessageMaker
+from gyrocal_ros.recording.outputs import parameter_event
+
+
+class Announcer:
+    """Tells the calibration; to be asked at most once a second.
+
+    Args:
+        node: whose parameters tell it too.
+        make: makes messages.
+        calibration: the first.
+    """
+
+    def __init__(self, node: Node, make: MessageMaker, calibration: Calibration) -> None:
+        self._node, self._make = node, make
+        self._told = announcement(calibration)
+        self._is_telling = False
+        self._publisher = node.create_publisher(ParameterEvent, 'gyro_calibration', LATCHED)
+        descriptor = ParameterDescriptor(description='estimated by this node; see the topic gyro_calibration')
+        for name, value in self._told.items():
+            node.declare_parameter(name, value, descriptor, ignore_override=True)
+        node.add_on_set_parameters_callback(self._refuse_others)
+        self._publish()
+
+    def tell(self, calibration: Calibration) -> None:
+        """Tell it, if it is not what was told last."""
+        values = announcement(calibration)
+        if values == self._told:
+            return
+        self._told, self._is_telling = values, True
+        self._node.set_parameters_atomically([Parameter(name, value=value) for name, value in values.items()])
+        self._is_telling = False
+        self._publish()
+
+    def _publish(self) -> None:
+        now_ns = self._node.get_clock().now().nanoseconds
+        name = self._node.get_fully_qualified_name()
+        self._publisher.publish(parameter_event(self._make, now_ns, name, self._told))
+
+    def _refuse_others(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        others = [parameter.name for parameter in parameters if parameter.name in self._told]
+        if others and not self._is_telling:
+            reason = f'{others[0]} is estimated by this node; to forget what it knows call its service reset'
+            return SetParametersResult(successful=False, reason=reason)
+        return SetParametersResult(successful=True)

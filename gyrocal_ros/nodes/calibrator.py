@@ -1,0 +1,200 @@
+"""The calibrator: estimates while the robot drives, and serves the calibration."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rosidl_runtime_py.utilities import get_message
+from sensor_msgs.msg import CameraInfo, Imu, PointCloud2, Temperature
+from std_srvs.srv import SetBool, Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from gyrocal_ros.config import Config, RobotConfig
+from gyrocal_ros.data import CovariateSample
+from gyrocal_ros.effects.model_file import load_model
+from gyrocal_ros.effects.own import load_file, load_installed
+from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.live.calibrator import LiveCalibrator
+from gyrocal_ros.live.ceiling import Ceiling, ceiling
+from gyrocal_ros.live.health import Status
+from gyrocal_ros.model.sensor import SensorModel, signals_of
+from gyrocal_ros.nodes.announcer import Announcer
+from gyrocal_ros.nodes.diagnostics import Diagnostics
+from gyrocal_ros.nodes.map_frame import MapFrame
+from gyrocal_ros.nodes.params import Settings
+from gyrocal_ros.nodes.qos import LATCHED, SENSOR_IN, SENSOR_OUT, STATIC
+from gyrocal_ros.nodes.signals import Signals
+from gyrocal_ros.recording import messages, outputs, topics
+from gyrocal_ros.recording.topics import Role
+
+SECTIONS = ('gyro', 'wheels', 'camera', 'features', 'rest', 'convergence')
+
+
+class Calibrator:
+    """The node."""
+
+    def __init__(self) -> None:
+        self.node = node = rclpy.create_node('calibrator')
+        self._config = Settings(node, Config(), SECTIONS, self._configure)
+        self._robot = Settings(node, RobotConfig(), ('live',), self._configure)
+        live = self._robot.config.live
+        model = _model(live.model, live.effects_from)
+        self._live = LiveCalibrator(
+            model,
+            self._config.config,
+            live,
+            name=node.get_fully_qualified_name(),
+            steady=not node.get_parameter('use_sim_time').value,
+            now_s=time.monotonic(),
+        )
+        self._make = messages.live_maker(get_message)
+        self._announcer = Announcer(node, self._make, self._live.calibration)
+        self._map_frame = MapFrame(node, self._make) if live.publish_map_transform else None
+        self._odom, self._body, self._map = topics.ODOM_FRAME, topics.BODY_FRAME, topics.MAP_FRAME
+        self._drawn: set[int] = set()
+        self._imu = node.create_publisher(Imu, 'imu/data', SENSOR_OUT)
+        self._odometry = node.create_publisher(Odometry, 'odometry/slam', SENSOR_OUT)
+        self._regions = node.create_publisher(PointCloud2, 'ceiling_camera/search_regions', SENSOR_OUT)
+        self._ceiling = node.create_publisher(MarkerArray, 'ceiling_map', LATCHED)
+        self._subscribe(Imu, Role.IMU, self._hear_imu)
+        self._subscribe(Odometry, Role.WHEELS, self._hear_wheels)
+        self._subscribe(PointCloud2, Role.FEATURES, self._hear_features)
+        self._subscribe(Temperature, Role.TEMPERATURE, self._hear_temperature)
+        self._subscribe(CameraInfo, Role.CAMERA_INFO, self._hear_camera)
+        node.create_subscription(TFMessage, '/tf_static', self._hear_links, STATIC)
+        self._signals = Signals(node, signals_of(model), self._hear_signal)
+        node.create_service(Trigger, '~/save', self._save)
+        node.create_service(Trigger, '~/reset', self._reset)
+        node.create_service(SetBool, '~/estimate', self._switch)
+        # By the steady clock: a calibration is also told and kept where simulated time stands still.
+        node.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        Diagnostics(node, self._status)
+
+    def close(self) -> None:
+        """Keep what was learned."""
+        self._live.close()
+
+    def _subscribe(self, kind: type[Any], topic: str, hear: Callable[[Any], None]) -> None:
+        overriding = QoSOverridingOptions.with_default_policies()
+        self.node.create_subscription(kind, topic, hear, SENSOR_IN, qos_overriding_options=overriding)
+
+    # --- what comes in ---------------------------------------------------------------------------
+
+    def _hear_imu(self, message: Imu) -> None:
+        frame = message.header.frame_id.lstrip('/')
+        sample = self._live.imu(topics.IMU_SAMPLE.value(message), frame, time.monotonic())
+        if sample is not None:
+            self._imu.publish(outputs.calibrated_imu(self._make, sample, self._body))
+        self._work()
+
+    def _hear_wheels(self, message: Odometry) -> None:
+        place = self._live.wheels(topics.WHEEL_SAMPLE.value(message), time.monotonic())
+        if message.header.frame_id != self._odom:
+            self._odom, self._body = message.header.frame_id, message.child_frame_id
+            self._map = topics.map_frame(self._odom)
+        if place is not None:
+            self._odometry.publish(outputs.whereabouts(self._make, place, self._map, self._body))
+            if self._map_frame is not None:
+                self._map_frame.send(place, topics.body_pose(message), self._map, self._odom)
+        self._work()
+
+    def _hear_features(self, message: PointCloud2) -> None:
+        try:
+            seen = topics.features(message)
+        except RecordingError as error:
+            self._live.spoiled(Role.FEATURES, str(error))
+            return
+        self._live.features(seen, message.header.frame_id.lstrip('/'), time.monotonic())
+        self._work()
+
+    def _hear_temperature(self, message: Temperature) -> None:
+        self._live.temperature(topics.TEMPERATURE_SAMPLE.value(message), time.monotonic())
+
+    def _hear_signal(self, sample: CovariateSample) -> None:
+        self._live.signal(sample, time.monotonic())
+
+    def _hear_camera(self, message: CameraInfo) -> None:
+        try:
+            camera = topics.camera_intrinsics(message)
+        except RecordingError as error:
+            self._live.spoiled(Role.CAMERA_INFO, str(error))
+            return
+        self._live.camera(camera, message.header.frame_id.lstrip('/'), time.monotonic())
+
+    def _hear_links(self, message: TFMessage) -> None:
+        self._live.links(topics.transforms(message))
+        if self._map_frame is not None:
+            self._map_frame.hear(message, is_static=True)
+
+    # --- what goes out ---------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        """One step of the filter at most: the next IMU sample must not wait for more."""
+        regions = self._live.work()
+        if regions is not None:
+            self._regions.publish(messages.search_regions(self._make, regions))
+
+    def _every_second(self) -> None:
+        self._announcer.tell(self._live.calibration)
+        self._live.save_if_due(time.monotonic())
+        self._signals.look()
+        if self._live.filter is not None and self._ceiling.get_subscription_count():
+            self._draw(ceiling(self._live.filter))
+
+    def _draw(self, now: Ceiling) -> None:
+        gone = self._drawn - set(now.ids.tolist())
+        features = (now.ids, now.points_m, now.covariances_m2)
+        self._ceiling.publish(outputs.ceiling_map(self._make, now.t_ns, self._map, *features, sorted(gone)))
+        self._drawn = set(now.ids.tolist())
+
+    def _status(self) -> Status:
+        complaint = '' if self._map_frame is None else self._map_frame.complaint
+        return self._live.status(time.monotonic(), complaint)
+
+    # --- orders ----------------------------------------------------------------------------------
+
+    def _configure(self, _: Config | RobotConfig) -> None:
+        self._live.configure(self._config.config, self._robot.config.live)
+
+    def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        problem = self._live.save()
+        response.success, response.message = not problem, problem or 'saved'
+        return response
+
+    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = True, self._live.reset() or 'begun with the priors'
+        return response
+
+    def _switch(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._live.switch(request.data)
+        response.success, response.message = True, 'estimating' if request.data else 'stopped'
+        return response
+
+
+def _model(path: str, effects_from: str) -> SensorModel:
+    """The model with the effects to estimate, which may be the user's own.
+
+    Raises:
+        ConfigError: a file cannot be used.
+    """
+    load_installed()
+    if effects_from:
+        load_file(Path(effects_from).expanduser())
+    return load_model(Path(path).expanduser() if path else None)
+
+
+def make() -> Calibrator:
+    """Make the node.
+
+    Raises:
+        ConfigError: a parameter, the model or the file of the calibration cannot be used.
+    """
+    return Calibrator()

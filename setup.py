@@ -45,6 +45,11 @@ setup(
         'test': TEST,
         'dev': [*TEST, 'mypy>=1.10', 'ruff>=0.8', 'types-PyYAML', 'types-tqdm'],
     },
-    entry_points={'console_scripts': ['gyrocal = gyrocal_ros.cli.main:main']},
+    entry_points={
+        'console_scripts': [
+            'gyrocal = gyrocal_ros.cli.main:main',
+            'calibrator = gyrocal_ros.nodes.main:calibrator',
+        ]
+    },
     zip_safe=False,
 )

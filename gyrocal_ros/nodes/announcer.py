@@ -28,9 +28,9 @@ class Announcer:
         self._told = announcement(calibration)
         self._is_telling = False
         self._publisher = node.create_publisher(ParameterEvent, 'gyro_calibration', LATCHED)
-        descriptor = ParameterDescriptor(description='estimated by this node; see the topic gyro_calibration')
         for name, value in self._told.items():
-            node.declare_parameter(name, value, descriptor, ignore_override=True)
+            about = ParameterDescriptor(description='estimated by this node; told by gyro_calibration too')
+            node.declare_parameter(name, value, about, ignore_override=True)
         node.add_on_set_parameters_callback(self._refuse_others)
         self._publish()
 
@@ -40,7 +40,9 @@ class Announcer:
         if values == self._told:
             return
         self._told, self._is_telling = values, True
-        self._node.set_parameters_atomically([Parameter(name, value=value) for name, value in values.items()])
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        result = self._node.set_parameters_atomically(parameters)
+        assert result.successful, result.reason
         self._is_telling = False
         self._publish()
 

@@ -155,7 +155,7 @@ class Graph:
         """Let one message come in that waits, or comes within that time."""
         self._executor.spin_once(for_s)
 
-    def wait(self, until: Callable[[], T], what: str, within_s: float = WITHIN_S) -> T:
+    def wait(self, until: Callable[[], T | None], what: str, within_s: float = WITHIN_S) -> T:
         """Spin until something holds, and return it.
 
         Args:

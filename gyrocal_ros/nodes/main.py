@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-NODES = ('driver', 'tracker', 'calibrator')
+NODES = ('driver', 'tracker', 'calibrator', 'player')
 """Each is a module of this folder with a function `make() -> Node`."""
 
 
@@ -46,3 +46,8 @@ def tracker() -> int:
 def calibrator() -> int:
     """`ros2 run gyrocal_ros calibrator`."""
     return run('calibrator', sys.argv[1:])
+
+
+def player() -> int:
+    """`ros2 run gyrocal_ros player`."""
+    return run('player', sys.argv[1:])

@@ -32,11 +32,16 @@ def run(make: Callable[[], Running], argv: Sequence[str]) -> int:
     """
     rclpy.init(args=[sys.argv[0], *argv])
     try:
-        running = make()
+        _spin(make())
     except GyrocalError as error:
         print(f'error: {error}', file=sys.stderr)
-        rclpy.try_shutdown()
         return 2
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def _spin(running: Running) -> None:
     try:
         rclpy.spin(running.node)
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -44,5 +49,3 @@ def run(make: Callable[[], Running], argv: Sequence[str]) -> int:
     finally:
         running.close()
         running.node.destroy_node()
-        rclpy.try_shutdown()
-    return 0

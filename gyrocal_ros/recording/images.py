@@ -117,16 +117,25 @@ def _compressed_image(message: Any) -> NDArray[np.uint8]:
 
 def image(make: MessageMaker, seen: Frame) -> Any:
     """Convert to an Image (mono8)."""
-    height, width = seen.image.shape
+    return _image(make, seen.t_ns, topics.CAMERA_FRAME, seen.image, 'mono8')
+
+
+def picture(make: MessageMaker, t_ns: int, frame: str, pixels: NDArray[np.uint8]) -> Any:
+    """Make an Image (bgr8) of a picture (height, width, 3)."""
+    return _image(make, t_ns, frame, pixels, 'bgr8')
+
+
+def _image(make: MessageMaker, t_ns: int, frame: str, pixels: NDArray[np.uint8], encoding: str) -> Any:
+    height, width = pixels.shape[:2]
     return make(
         topics.IMAGE,
-        header=make.header(seen.t_ns, topics.CAMERA_FRAME),
+        header=make.header(t_ns, frame),
         height=height,
         width=width,
-        encoding='mono8',
+        encoding=encoding,
         is_bigendian=0,
-        step=width,
-        data=make.sequence(np.ascontiguousarray(seen.image).ravel()),
+        step=pixels[0].nbytes,
+        data=make.sequence(np.ascontiguousarray(pixels).ravel()),
     )
 
 

@@ -45,11 +45,14 @@ class MessageMaker:
         """Make one message; every field must be given."""
         return self.get_class(type_name)(**values)
 
+    def time(self, t_ns: int) -> Any:
+        """Make a Time."""
+        sec, nanosec = divmod(t_ns, NS_PER_S)
+        return self('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
+
     def header(self, t_ns: int, frame: str) -> Any:
         """Make a Header."""
-        sec, nanosec = divmod(t_ns, NS_PER_S)
-        stamp = self('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
-        return self('std_msgs/msg/Header', stamp=stamp, frame_id=frame)
+        return self('std_msgs/msg/Header', stamp=self.time(t_ns), frame_id=frame)
 
     def vector(self, values: tuple[float, ...], kind: str = 'Vector3') -> Any:
         """Make a Vector3 or a Point."""

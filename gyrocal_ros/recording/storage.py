@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rosbags import rosbag1, rosbag2
+from rosbags.convert.converter import migrate_message
 from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -53,6 +54,7 @@ class Storage:
         self._reader = reader
         self._embedded = get_typestore(Stores.EMPTY)
         self._stores: dict[str, Typestore] = {}
+        self._migrated: dict[str, object] = {}
 
     @cached_property
     def topics(self) -> dict[str, Topic]:
@@ -124,6 +126,23 @@ class Storage:
             return store.deserialize_ros1(raw, topic.type_name)
         except DAMAGED as error:
             raise damaged_message(self.path, topic.name, error) from error
+
+    def can_send(self, topic: Topic) -> bool:
+        """Whether ROS 2 knows the messages of a topic, or they are its own."""
+        return self.cdr or topic.type_name in ros_types().fielddefs
+
+    def as_sent(self, topic: Topic, raw: bytes) -> bytes:
+        """Return one message as ROS 2 sends it (CDR), of a topic that it `can_send`.
+
+        Raises:
+            RecordingError: it is one of ROS 1, and damaged.
+        """
+        if self.cdr:
+            return raw
+        types, name = ros_types(), topic.type_name
+        message = self.message(topic, raw)
+        migrated = migrate_message(self._store_of(topic), types, name, name, self._migrated, message)
+        return bytes(types.serialize_cdr(migrated, name))
 
     def reader_of(self, topic: Topic, paths: Sequence[str]) -> FieldReader:
         """Return a function that reads a few fields, see `field_reader`; it raises one of `DAMAGED`.

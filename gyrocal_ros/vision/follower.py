@@ -81,6 +81,10 @@ class Follower:
         """Forget attitudes and regions: the clock of the stamps has stepped."""
         self.turning, self.regions, self._last = Turning(), None, None
 
+    def configure(self, config: TrackerConfig) -> None:
+        """Go on with other settings of the tracker."""
+        self._tracker.config = config
+
     def add(self, sample: ImuSample) -> None:
         """Take in an IMU sample, in body axes."""
         self.turning.add(sample)

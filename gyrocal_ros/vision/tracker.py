@@ -103,7 +103,8 @@ class Tracker:
 
     def __init__(self, camera: CameraIntrinsics, config: TrackerConfig, first_id: int = 0) -> None:
         self._camera = camera
-        self._config = config
+        self.config = config
+        """May be exchanged between images, but for sizes of patch and border."""
         self._size_px = config.patch_px | 1
         self._margin_px = max(config.border_px, math.ceil(self._size_px / math.sqrt(2.0)) + 2)
         self._next_id = first_id
@@ -154,7 +155,7 @@ class Tracker:
     def _forget(self, t_ns: int) -> None:
         """Drop the features that were not seen for long."""
         lost = self._features.seen_ns != self._last_ns
-        old = np.abs(t_ns - self._features.seen_ns) > nanoseconds(self._config.reacquire_s)
+        old = np.abs(t_ns - self._features.seen_ns) > nanoseconds(self.config.reacquire_s)
         if (lost & old).any():
             self._features = self._features[~(lost & old)]
 
@@ -185,7 +186,7 @@ class Tracker:
             ours, theirs = ours[helpful], theirs[helpful]
             pixels[ours] = regions.pixels[theirs]
             covariances[ours] = regions.covariances_px2[theirs]
-            returning[ours] = tracked.sum() < self._config.features
+            returning[ours] = tracked.sum() < self.config.features
         index = np.flatnonzero((tracked | returning) & in_image(self._camera, pixels, self._margin_px))
         return _Search(index, pixels[index], covariances[index], tracked[index])
 
@@ -205,8 +206,8 @@ class Tracker:
             pixels[missed], score[missed] = self._align(
                 image, R_wc, again, self._by_correlation(image, R_wc, again)
             )
-        _drop_doubles(pixels, score, 0.5 * self._config.patch_px)
-        room = max(0, self._config.features - int((score[search.tracked] > 0.0).sum()))
+        _drop_doubles(pixels, score, 0.5 * self.config.patch_px)
+        room = max(0, self.config.features - int((score[search.tracked] > 0.0).sum()))
         returned = np.flatnonzero(~search.tracked & (score > 0.0))
         score[returned[np.argsort(-score[returned], kind='stable')][room:]] = -1.0
         return np.where(score[:, None] > 0.0, pixels, search.pixels), score > 0.0
@@ -225,10 +226,10 @@ class Tracker:
         features = self._features[search.index]
         for _ in range(2):
             points = self._points(features, starts, R_wc)
-            result = align(image, features.patches, points, self._config.min_correlation)
+            result = align(image, features.patches, points, self.config.min_correlation)
             good = (
-                (result.correlation > max(0.0, self._config.min_correlation))
-                & (result.backward_px <= self._config.max_reprojection_px)
+                (result.correlation > max(0.0, self.config.min_correlation))
+                & (result.backward_px <= self.config.max_reprojection_px)
                 & inside(result.pixels - search.pixels, search.covariances_px2)
                 & in_image(self._camera, result.pixels, self._margin_px)
             )
@@ -246,15 +247,15 @@ class Tracker:
 
     def _detect(self, frame: Frame, R_wc: Array, taken: Array, tracked: int) -> Array:
         """Take new features where it is time or many are missing; return their pixels (k, 2)."""
-        missing = self._config.features - tracked
+        missing = self.config.features - tracked
         self._frames_to_detection -= 1
         if missing <= 0 or (self._frames_to_detection > 0 and missing <= tracked):
             return np.zeros((0, 2))
-        self._frames_to_detection = self._config.detect_interval
-        corners = find_corners(frame.image, taken, self._margin_px, self._config)
+        self._frames_to_detection = self.config.detect_interval
+        corners = find_corners(frame.image, taken, self._margin_px, self.config)
         information = cut(frame.image, corners, self._size_px).information
         clear = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
-        limit = max(0.0, self._config.min_correlation)
+        limit = max(0.0, self.config.min_correlation)
         distinct = (
             corner for corner in corners[clear] if is_distinct(frame.image, corner, self._size_px, limit)
         )

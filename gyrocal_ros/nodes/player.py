@@ -1,0 +1,158 @@
+"""The player: a recording as if the robot were there, with the stamps and the time of the recording."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock as ClockMessage
+from rosidl_runtime_py.utilities import get_message
+
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import NS_PER_S, nanoseconds, seconds
+from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.nodes.params import Settings
+from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
+from gyrocal_ros.recording import messages
+from gyrocal_ros.recording.bag import make_choice
+from gyrocal_ros.recording.findings import refuse_errors
+from gyrocal_ros.recording.playback import Kind, Playback, Track
+from gyrocal_ros.recording.selection import select_topics
+from gyrocal_ros.recording.storage import open_storage
+from gyrocal_ros.settings import setting
+
+CLOCK_NS = NS_PER_S // 50
+REPEAT_NS = NS_PER_S
+LOOK_S, TELL_S = 0.1, 5.0
+SETTLE_S = 1.0
+"""Before the first message, so that all find each other, and after the last, so that it is made use of."""
+QUALITY = {Kind.FLOW: SENSOR_OUT, Kind.IMAGE: QoSProfile(depth=10), Kind.LATCHED: STATIC}
+
+
+@dataclass(frozen=True, slots=True)
+class PlayerConfig:
+    """What is played, and how."""
+
+    bag: str = setting('', '', 'recording to play: a rosbag2 folder, one of its files, or a ROS 1 .bag')
+    rate: float = setting(1.0, '', 'how much faster than it was recorded', low=0.01, high=1000.0)
+    robot: str = setting('', '', 'namespace of the robot in the recording, where that holds several')
+    wait_for: str = setting('', '', 'nodes that have to listen before it starts, separated by blanks')
+
+
+@dataclass(frozen=True, slots=True)
+class PlayerSections:
+    """Settings that only the player has."""
+
+    player: PlayerConfig = PlayerConfig()
+
+
+class Player:
+    """The node; it ends with the recording."""
+
+    def __init__(self) -> None:
+        self.node = node = rclpy.create_node('player')
+        self._settings = Settings(node, PlayerSections(), ('player',)).config.player
+        recording = Settings(node, Config(), ('recording',)).config.recording
+        if not self._settings.bag:
+            raise ConfigError('no recording is named', where='player.bag', todo='give -p player.bag:=PATH')
+        path = Path(self._settings.bag).expanduser()
+        self._files = ExitStack()
+        storage = self._files.enter_context(open_storage(path))
+        choice = make_choice(recording, None, self._settings.robot or None, None)
+        selection = select_topics(storage.topics, choice)
+        refuse_errors(selection.findings, str(path))
+        playback = Playback(storage, selection)
+        self._publishers: dict[str, Publisher] = {}
+        for track in playback.tracks:
+            self._add(track)
+        for track, raw in playback.latched():
+            self._add(track).publish(raw)
+        self._clock = node.create_publisher(ClockMessage, '/clock', 10)
+        self._make = messages.live_maker(get_message)
+        self._messages = playback.messages()
+        self._next = next(self._messages, None)
+        self._repeated: dict[str, tuple[int, bytes]] = {}
+        self._clock_ns = self._first_ns = self._next[0] if self._next else 0
+        self._start_ns = 0
+        self._told_s = time.monotonic()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(LOOK_S, self._wait, clock=steady)
+
+    def close(self) -> None:
+        """Let go of the recording."""
+        self._files.close()
+
+    def _add(self, track: Track) -> Publisher:
+        if track.name not in self._publishers:
+            kind, quality = get_message(track.type_name), QUALITY[track.kind]
+            self._publishers[track.name] = self.node.create_publisher(kind, track.name, quality)
+        return self._publishers[track.name]
+
+    def _absent(self) -> set[str]:
+        """The nodes that are waited for and do not listen yet."""
+        listeners = {
+            listener.node_name
+            for publisher in self._publishers.values()
+            for listener in self.node.get_subscriptions_info_by_topic(publisher.topic_name)
+        }
+        return set(self._settings.wait_for.split()) - listeners
+
+    def _wait(self) -> None:
+        absent, now_s = self._absent(), time.monotonic()
+        if absent and now_s - self._told_s > TELL_S:
+            self._told_s = now_s
+            self.node.get_logger().info(f'waiting for {", ".join(sorted(absent))}')
+        if not absent:
+            self.node.get_logger().info(f'playing {self._settings.bag}')
+            self._start_ns = time.monotonic_ns() + nanoseconds(SETTLE_S)
+            self._timer.callback = self._play
+            self._wake_in(SETTLE_S)
+
+    def _play(self) -> None:
+        """Send all that is due."""
+        while self._next is not None and self.node.context.ok():
+            recorded_ns, track, raw = self._next
+            due_s = seconds(recorded_ns - self._first_ns) / self._settings.rate
+            ahead_s = due_s - seconds(time.monotonic_ns() - self._start_ns)
+            if ahead_s > 0.0:
+                self._wake_in(ahead_s)
+                return
+            if recorded_ns >= self._clock_ns:
+                self._tick(recorded_ns)
+            self._publishers[track.name].publish(raw)
+            if track.repeats:
+                self._repeated[track.name] = recorded_ns, raw
+            self._next = next(self._messages, None)
+        self._timer.callback = self._end
+        self._wake_in(SETTLE_S)
+
+    def _tick(self, now_ns: int) -> None:
+        """Tell the time, and say again what is said once."""
+        self._clock_ns = now_ns + CLOCK_NS
+        self._clock.publish(self._make('rosgraph_msgs/msg/Clock', clock=self._make.time(now_ns)))
+        for name, (sent_ns, raw) in self._repeated.items():
+            if now_ns - sent_ns >= REPEAT_NS:
+                self._publishers[name].publish(raw)
+                self._repeated[name] = now_ns, raw
+
+    def _end(self) -> None:
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=SETTLE_S))
+        self.node.get_logger().info('the recording is at its end')
+        self.node.context.try_shutdown()
+
+    def _wake_in(self, wait_s: float) -> None:
+        self._timer.timer_period_ns = nanoseconds(wait_s)
+        self._timer.reset()
+
+
+def make() -> Player:
+    """Start the node."""
+    return Player()

@@ -12,11 +12,12 @@ PYTHON ?= $(firstword $(shell for python in python3.12 python3.11 python3 python
 unexport PYTHONPATH
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help venv demo test lint types format clean
+.PHONY: help venv demo test gate lint types format clean
 
 help:
 	@echo 'make demo    calibrate on the bag that comes with the package'
 	@echo 'make test    run the tests'
+	@echo 'make gate    hold accuracy and consistency against the figures that are kept'
 	@echo 'make lint    ruff: rules and formatting'
 	@echo 'make types   mypy'
 	@echo 'make format  let ruff format the code'
@@ -36,6 +37,9 @@ demo: $(READY)
 
 test: $(READY)
 	$(BIN)/python -m pytest
+
+gate: $(READY)
+	$(BIN)/gyrocal bench --quick
 
 lint: $(READY)
 	$(BIN)/ruff check .

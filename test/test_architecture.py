@@ -44,6 +44,7 @@ LIBRARY_HOMES = {
     'plotly': ('report/figures',),
     **dict.fromkeys(ROS, ('nodes',)),
     'rosbags': ('recording',),
+    'scipy': ('bench/batch.py',),
     'serial': ('board/link.py',),
     'tqdm': ('cli/output.py',),
 }

@@ -50,10 +50,10 @@ def rotations(scenario: Scenario, seed: int) -> tuple[Drift, Drift]:
     return both(source, run, rotation_ends_s(source))
 
 
-def minutes(scenario: Scenario, seed: int) -> tuple[Drift, Drift]:
-    """`ten_minutes` by a robot like that of `blind_cleaning`."""
+def minutes(scenario: Scenario, seed: int, config: Config | None = None) -> tuple[Drift, Drift]:
+    """`ten_minutes` by a robot like that of `blind_cleaning`, with settings of its own."""
     source = SimSource(scenario, seed)
-    run = calibrate(source, Config(), default_model())
+    run = calibrate(source, config or Config(), default_model())
     off_s = source.scenario.camera_until_s
     return both(source, run, np.array([off_s, off_s + TEN_MINUTES_S - 0.1]))
 

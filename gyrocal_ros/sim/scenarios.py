@@ -57,6 +57,8 @@ class Scenario:
     fan: Fan | None = None
     """Climate and fan are drawn where they are not given."""
     room_m: tuple[float, float] = (6.0, 5.0)
+    corners: int = 60
+    """On the ceiling."""
     furniture: tuple[Furniture, ...] = ()
     floor_tilt_deg: float = 0.15
     """Root mean square of roll and pitch on the uneven floor."""

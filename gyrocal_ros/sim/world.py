@@ -152,7 +152,11 @@ class SimSource:
         return Truth(
             trajectory=self._trajectory,
             scene=draw_scene(
-                stream(self.seed, 'scene'), scenario.room_m, scenario.mount_xyz_m[2], scenario.furniture
+                stream(self.seed, 'scene'),
+                scenario.room_m,
+                scenario.mount_xyz_m[2],
+                scenario.furniture,
+                scenario.corners,
             ),
             climate=scenario.climate or draw_climate(stream(self.seed, 'climate')),
             fan=self._fan,

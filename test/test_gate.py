@@ -107,3 +107,8 @@ def test_growth_is_told_as_an_exponent_and_drawn(monkeypatch: pytest.MonkeyPatch
     assert (second['size'], second['peak_mb']) == (10, 110.0)
     page = growth_page([first, second])
     assert 'memory_features' in page and 'time_features' in page
+
+
+def test_no_seeds_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['bench', 'comparison', '--seeds', '0']) == 2
+    assert '--seeds' in capsys.readouterr().err

@@ -176,3 +176,9 @@ def test_a_wrong_name_is_refused_before_anything_is_made(
 def test_a_claim_holds_or_not() -> None:
     assert judged('it flies', '1 m', '2 m', True).verdict == 'holds'
     assert judged('it flies', '1 m', '0 m', False).verdict == 'does not hold'
+
+
+def test_some_experiments_have_a_number_of_runs_of_their_own() -> None:
+    assert EXPERIMENTS['fig15'].count(None) == 200 and EXPERIMENTS['fig15'].count(7) == 7
+    assert EXPERIMENTS['fig11'].count(3) == EXPERIMENTS['fig11'].count(50) == 12
+    assert EXPERIMENTS['table1'].count(3) == unseen.RUNS

@@ -79,7 +79,7 @@ def _make(name: str, seeds: int | None, to_text: bool) -> Result:
     def each(function: Callable[[T], R], tasks: Sequence[T], /) -> Iterable[R]:
         return progress(name, in_parallel(function, tasks), total=len(tasks), unit='run')
 
-    result = experiment.make(each, seeds or experiment.seeds)
+    result = experiment.make(each, experiment.count(seeds))
     if to_text:
         _print(experiment.title, result)
     return result
@@ -96,8 +96,7 @@ def _print(title: str, result: Result) -> None:
 def _document(results: dict[str, Result], seeds: int | None) -> dict[str, Any]:
     return provenance() | {
         'results': {
-            name: {'title': EXPERIMENTS[name].title, 'seeds': seeds or EXPERIMENTS[name].seeds}
-            | asdict(result)  # type: ignore[call-overload]
+            name: {'title': EXPERIMENTS[name].title, 'seeds': EXPERIMENTS[name].count(seeds)} | asdict(result)  # type: ignore[call-overload]
             for name, result in results.items()
         }
     }

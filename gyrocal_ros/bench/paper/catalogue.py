@@ -31,17 +31,25 @@ class Experiment:
     make: Callable[[Mapper, int], Result]
     seeds: int
     """As many as are used unless another number is asked for."""
+    least: int = 1
+    most: int | None = None
+    """Fewer and more make no sense for some."""
+
+    def count(self, asked: int | None) -> int:
+        """How many seeds are used where so many are asked for."""
+        count = max(asked or self.seeds, self.least)
+        return count if self.most is None else min(count, self.most)
 
 
 EXPERIMENTS = {
     'fig7': Experiment('Fig. 7: the feature map', figure_7, 12),
-    'fig8': Experiment('Fig. 8: the scale factor on a rate table', figure_8, 4),
+    'fig8': Experiment('Fig. 8: the scale factor on a rate table', figure_8, 4, least=4, most=4),
     'fig9': Experiment('Fig. 9: the gyro at rest', figure_9, 12),
     'fig10': Experiment('Fig. 10: convergence of the scale factor', figure_10, 24),
-    'table1': Experiment('Table 1: heading after ten rotations', table_1, 20),
-    'fig11': Experiment('Fig. 11: heading after ten minutes of cleaning', figure_11, 12),
+    'table1': Experiment('Table 1: heading after ten rotations', table_1, 20, least=10),
+    'fig11': Experiment('Fig. 11: heading after ten minutes of cleaning', figure_11, 12, least=12, most=12),
     'fig12': Experiment('Fig. 12: dead reckoning, calibrated and not', figure_12, 12),
     'fig13': Experiment('Fig. 13: SLAM and dead reckoning', figure_13, 12),
-    'fig14': Experiment('Fig. 14: landmark error without noise', figure_14, 1),
+    'fig14': Experiment('Fig. 14: landmark error without noise', figure_14, 1, most=1),
     'fig15': Experiment('Fig. 15: landmark error with noise of half a pixel', figure_15, 200),
 }

@@ -101,8 +101,8 @@ class Histograms:
 
 
 def table_1(each: Mapper, seeds: int) -> HeadingTable:
-    """Ten runs with ten seeds at least; further seeds tell how sure the mean is."""
-    drifts = list(each(_spin, list(range(max(seeds, RUNS)))))
+    """Ten runs, so ten seeds at least; further seeds tell how sure the mean is."""
+    drifts = list(each(_spin, list(range(seeds))))
     rows = [_turned(pair, 1.0 if run < RUNS // 2 else -1.0) for run, pair in enumerate(drifts[:RUNS])]
     calibrated, nominal = np.degrees(rows).T
     every = np.degrees(np.concatenate([drift.heading_rad for drift, _ in drifts]))

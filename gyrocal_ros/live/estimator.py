@@ -18,10 +18,12 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
 
-CHECKPOINT_S = 30.0
+CHECKPOINT_S = 10.0
 """A state is good to go back to when the filter has run well for so long since."""
 MAPS_LOST, MAPS_LOST_S = 3, 60.0
 """So many new maps within so long: the filter is lost, whatever its numbers say."""
+DISTRUST_S = 60.0
+"""A filter that was contradicted for so long does not find back by itself."""
 WIDENING = 4.0
 """How much larger the variances are when the filter is begun anew."""
 
@@ -93,12 +95,12 @@ class Estimator:
         watch, known = self.watch, self._known
         std = float(np.sqrt(self._served.covariance[COEFFICIENTS_START, COEFFICIENTS_START]))
         was_converged = known is not None and known.converged and not watch.is_settled
-        is_consistent = watch.is_consistent(self._config.convergence)
+        is_healthy = (was_converged or watch.is_consistent(self._config.convergence)) and not self.on_probation
         return calibration_of(
             self._served,
             self.model,
             self._config,
-            converged=std <= self._config.convergence.scale_std and (is_consistent or was_converged),
+            converged=std <= self._config.convergence.scale_std and is_healthy,
             convergence_time_s=watch.since_s,
             duration_s=self._time_s,
             source=self.name,
@@ -173,7 +175,7 @@ class Estimator:
 
     def _begin_watch(self) -> None:
         self.watch = Convergence()
-        self._time_s = self._checkpoint_s = 0.0
+        self._time_s = self._checkpoint_s = self._trusted_s = 0.0
         self._has_stepped = False
         self._checkpoint = self._candidate = self._served
         self._lost_maps_s: deque[float] = deque(maxlen=MAPS_LOST)
@@ -194,8 +196,11 @@ class Estimator:
     def _note(self, records: list[StepRecord]) -> bool:
         for record in records:
             self._judge(record)
-        if self.slam is not None and records and self.is_trusted:
-            self._serve(self.slam.state)
+        if records and self.slam is not None:
+            if self.is_trusted:
+                self._serve(self.slam.state)
+            elif self._time_s - self._trusted_s > DISTRUST_S:
+                raise FilterDivergedError(f'it was contradicted for {DISTRUST_S:.0f} s')
         return bool(records)
 
     def _judge(self, record: StepRecord) -> None:
@@ -217,7 +222,7 @@ class Estimator:
                 raise FilterDivergedError(f'{MAPS_LOST} new maps within {self._time_s - first_s:.0f} s')
 
     def _serve(self, state: State) -> None:
-        self._served, self.on_probation = state, False
+        self._served, self._trusted_s, self.on_probation = state, self._time_s, False
         if self._time_s - self._checkpoint_s >= CHECKPOINT_S:
             self._checkpoint, self._candidate = self._candidate, state
             self._checkpoint_s = self._time_s

@@ -92,14 +92,14 @@ class Reckoner:
 
     def imu(self, sample: ImuSample) -> CalibratedSample:
         """Take one sample in body axes and return what it should have been."""
-        last = self._last
-        gone_ns = 0 if last is None else sample.t_ns - last.t_ns
-        if last is None or abs(gone_ns) > LEAP_NS:
+        gone_ns = 0 if self._last is None else sample.t_ns - self._last.t_ns
+        if self._last is None or abs(gone_ns) > LEAP_NS:
             self._begin_time_base(sample.t_ns)
+            gone_ns = 0
         self._buffer.add(sample)
         mean = self._rate
         self._calibrate(sample, min(max(seconds(gone_ns), 1e-4), 0.1))
-        if gone_ns > 0 and last is not None:
+        if gone_ns > 0:
             (ax, ay, az), (bx, by, bz) = mean, self._rate
             middle = (0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz))
             self._go_on(_Step(sample.t_ns, seconds(gone_ns) if gone_ns <= GAP_NS else 0.0, middle))

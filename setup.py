@@ -37,6 +37,7 @@ setup(
         'numpy>=1.26',
         'opencv-python-headless>=4.9',
         'plotly>=5.20',
+        'pyserial>=3.5',
         'pyyaml>=6.0',
         'rosbags>=0.11.6',
         'tqdm>=4.60',
@@ -48,6 +49,8 @@ setup(
     entry_points={
         'console_scripts': [
             'gyrocal = gyrocal_ros.cli.main:main',
+            'board_emulator = gyrocal_ros.cli.board_emulator:main',
+            'driver = gyrocal_ros.nodes.main:driver',
             'calibrator = gyrocal_ros.nodes.main:calibrator',
         ]
     },

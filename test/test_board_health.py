@@ -15,7 +15,7 @@ from gyrocal_ros.live.health import Level, Status
 
 RATES = SetRates(200, 50, 10)
 NOTHING = Tally(0.0, 0, 0, 0, 0, 0, 0, 0, 0, Counts())
-OPEN = Line(is_open=True, since_s=0.0, heard_s=0.0)
+OPEN = Line(is_open=True, since_s=0.0)
 
 
 @dataclass
@@ -24,6 +24,7 @@ class Board:
 
     now: Tally = NOTHING
     line: Line = OPEN
+    heard_s: float = 0.0
     order: Order[SetRates] = field(default_factory=lambda: Order(RATES, Result.DONE))
     health: BoardHealth = field(default_factory=lambda: BoardHealth(NOTHING))
 
@@ -43,8 +44,8 @@ class Board:
             **{name: getattr(now, name) + count for name, count in more.items() if name not in bad},
         )
         if come or bad:
-            self.line = replace(self.line, heard_s=self.now.time_s)
-        return self.health.tell(self.now, self.line, self.order)
+            self.heard_s = self.now.time_s
+        return self.health.tell(self.now, self.line, self.heard_s, self.order)
 
     def seconds(self, count: int, **more: Any) -> Status:
         for _ in range(count - 1):
@@ -89,9 +90,7 @@ def test_what_happened_is_told_for_a_while(counted: dict[str, int], level: Level
 def test_a_port_that_is_not_open_is_the_only_complaint() -> None:
     board = Board()
     board.seconds(10, bad_checksums=5)
-    board.line = Line(
-        is_open=False, since_s=board.now.time_s, heard_s=board.now.time_s, why='/dev/x: is gone'
-    )
+    board.line = Line(is_open=False, since_s=board.now.time_s, why='/dev/x: is gone')
     health = board.seconds(3, imu=0, wheels=0, supply=0)
     assert (health.level, health.message) == (Level.ERROR, 'not connected for 3 s: /dev/x: is gone')
 

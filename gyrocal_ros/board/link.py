@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import os
+import select
 import termios
 from contextlib import suppress
 from types import TracebackType
@@ -14,6 +16,8 @@ from gyrocal_ros.errors import GyrocalError
 READ_LIMIT_S = 0.1
 """A read waits for so long at most, so that commands and the end of the program need not wait."""
 WRITE_LIMIT_S = 0.1
+MOST_BYTES = 4096
+"""More are left for the next read."""
 
 FAILURES: dict[object, tuple[str, str]] = {
     errno.ENOENT: ('is not there', 'plug the board in, or name its port (`ls /dev/serial/by-id`)'),
@@ -49,9 +53,7 @@ class Link:
         """
         self._port = port
         try:
-            self._serial = serial.Serial(
-                port, baud_rate, timeout=READ_LIMIT_S, write_timeout=WRITE_LIMIT_S, exclusive=True
-            )
+            self._serial = serial.Serial(port, baud_rate, write_timeout=WRITE_LIMIT_S, exclusive=True)
         except (OSError, ValueError, termios.error) as error:
             raise _failure(port, error) from error
         with suppress(OSError, ValueError, NotImplementedError):
@@ -74,11 +76,15 @@ class Link:
         Raises:
             LinkError: the port was lost.
         """
+        port = self._serial.fileno()
         try:
-            first: bytes = self._serial.read(1)
-            return first + self._serial.read(self._serial.in_waiting) if first else b''
+            ready, _, _ = select.select([port], [], [], READ_LIMIT_S)
+            data = os.read(port, MOST_BYTES) if ready else None
         except OSError as error:
             raise _failure(self._port, error) from error
+        if data == b'':  # ready, and yet nothing to read: the other end is closed
+            raise _failure(self._port, OSError(errno.EIO, ''))
+        return data or b''
 
     def write(self, data: bytes) -> None:
         """Send bytes; those that are not taken in a moment are thrown away.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 from gyrocal_ros.board.clock import Restart
 from gyrocal_ros.board.commands import Commands
@@ -52,7 +51,8 @@ class BoardDriver:
         self._reader = BoardReader(board, driver.baud_rate)
         self._commands = Commands(rates_of(driver))
         self._connections = 0
-        self._line = Line(is_open=False, since_s=time.monotonic(), heard_s=0.0, why='not tried yet')
+        self._line = Line(is_open=False, since_s=time.monotonic(), why='not tried yet')
+        self._heard_s = 0.0
         self._health = BoardHealth(tally(self._reader, 0, time.monotonic()))
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name='board', daemon=True)
@@ -97,7 +97,7 @@ class BoardDriver:
             return status('', [Complaint(Level.ERROR, 'reading has ended by an error: see the log')], {})
         with self._changed:
             now = tally(self._reader, self._connections, time.monotonic())
-            return self._health.tell(now, self._line, self._commands.rates)
+            return self._health.tell(now, self._line, self._heard_s, self._commands.rates)
 
     def _run(self) -> None:
         while not self._ending.is_set():
@@ -114,7 +114,7 @@ class BoardDriver:
         now_s = time.monotonic()
         with self._changed:
             self._connections += 1
-            self._line = Line(is_open=True, since_s=now_s, heard_s=now_s)
+            self._line = Line(is_open=True, since_s=now_s)
             self._reader.join()
             self._commands.repeat_rates()
 
@@ -122,7 +122,7 @@ class BoardDriver:
         now_s = time.monotonic()
         with self._changed:
             since_s = now_s if self._line.is_open else self._line.since_s
-            self._line = Line(is_open=False, since_s=since_s, heard_s=self._line.heard_s, why=why)
+            self._line = Line(is_open=False, since_s=since_s, why=why)
 
     def _serve(self, link: Link) -> None:
         """Read once, and send what there is to send."""
@@ -145,7 +145,7 @@ class BoardDriver:
             if isinstance(reading, Acknowledgement):
                 self._commands.hear(reading)
                 self._changed.notify_all()
-        self._line = replace(self._line, heard_s=now_s)
+        self._heard_s = now_s
         return readings
 
     def _starts(self) -> int:

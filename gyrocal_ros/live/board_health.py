@@ -35,8 +35,6 @@ class Line:
     is_open: bool
     since_s: float
     """When that began, by a clock that is never set."""
-    heard_s: float
-    """When something came last."""
     why: str = ''
     """What is in the way, and what to do about it."""
 
@@ -96,8 +94,8 @@ class BoardHealth:
         self._asked: SetRates | None = None
         self._asked_s = start.time_s
 
-    def tell(self, now: Tally, line: Line, rates: Order[SetRates]) -> Status:
-        """Judge by the counts, the port, and the rates asked for."""
+    def tell(self, now: Tally, line: Line, heard_s: float, rates: Order[SetRates]) -> Status:
+        """Judge by the counts, the port, when something came last, and the rates asked for."""
         while len(self._tallies) > 1 and self._tallies[1].time_s <= now.time_s - RECENT_S:
             self._tallies.popleft()
         recent = now.since(self._tallies[0])
@@ -105,7 +103,7 @@ class BoardHealth:
         if rates.command != self._asked:
             self._asked, self._asked_s = rates.command, now.time_s
         steady_s = now.time_s - max(line.since_s, self._asked_s)
-        complaints = [*_of_line(now.time_s, line, recent)] or [
+        complaints = [*_of_line(now.time_s, line, heard_s, recent)] or [
             *_of_frames(recent),
             *_of_time(recent),
             *_of_rates(recent, rates, is_steady=steady_s > recent.time_s and not recent.board_restarts),
@@ -114,9 +112,9 @@ class BoardHealth:
         return status(comes, complaints, _numbers(now, recent, rates.command))
 
 
-def _of_line(now_s: float, line: Line, recent: Tally) -> Iterator[Complaint]:
+def _of_line(now_s: float, line: Line, heard_s: float, recent: Tally) -> Iterator[Complaint]:
     """What keeps everything from coming."""
-    quiet_s = now_s - max(line.since_s, line.heard_s)
+    quiet_s = now_s - max(line.since_s, heard_s)
     if not line.is_open:
         yield Complaint(Level.ERROR, f'not connected for {now_s - line.since_s:.0f} s: {line.why}')
     elif quiet_s > QUIET_S:

@@ -1,0 +1,94 @@
+"""The driver: what the board measures, as messages."""
+
+from __future__ import annotations
+
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rosidl_runtime_py.utilities import get_message
+from sensor_msgs.msg import BatteryState, Imu, Temperature
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+
+from gyrocal_ros.board.convert import SupplySample
+from gyrocal_ros.board.reader import Reading, WheelMotion
+from gyrocal_ros.config import RobotConfig
+from gyrocal_ros.data import ImuSample, TemperatureSample
+from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.live.board_driver import BoardDriver
+from gyrocal_ros.nodes.diagnostics import Diagnostics
+from gyrocal_ros.nodes.params import Settings
+from gyrocal_ros.nodes.qos import SENSOR_OUT
+from gyrocal_ros.recording import messages
+
+TRANSFORMS = QoSProfile(depth=100)
+"""As tf2 has it."""
+
+
+class Driver:
+    """Shell round a `BoardDriver`, which publishes in the thread that reads."""
+
+    def __init__(self) -> None:
+        self.node = Node('driver')
+        settings = Settings(self.node, RobotConfig(), ('board', 'driver'), self._changed)
+        board, driver = settings.config.board, settings.config.driver
+        self._make = messages.live_maker(get_message)
+        self._imu = self.node.create_publisher(Imu, 'imu/data_raw', SENSOR_OUT)
+        self._temperature = self.node.create_publisher(Temperature, 'imu/temperature', SENSOR_OUT)
+        self._odometry = self.node.create_publisher(Odometry, 'wheel/odometry', SENSOR_OUT)
+        self._battery = self.node.create_publisher(BatteryState, 'battery_state', SENSOR_OUT)
+        self._transforms = (
+            self.node.create_publisher(TFMessage, '/tf', TRANSFORMS)
+            if driver.publish_odom_transform
+            else None
+        )
+        self._board = BoardDriver(board, driver, self._now_ns, self._publish)
+        self._diagnostics = Diagnostics(self.node, self._board.tell)
+        self.node.create_service(Trigger, '~/zero', self._zero)
+        self._board.start()
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._board.close()
+
+    def _now_ns(self) -> int:
+        return int(self.node.get_clock().now().nanoseconds)
+
+    def _changed(self, config: RobotConfig) -> None:
+        self._board.set_rates(config.driver)
+
+    def _publish(self, reading: Reading) -> None:
+        if not self.node.context.ok():
+            return  # told to end
+        if isinstance(reading, ImuSample):
+            self._imu.publish(messages.imu(self._make, reading))
+        elif isinstance(reading, WheelMotion):
+            self._moved(reading)
+        elif isinstance(reading, SupplySample):
+            numbers = {'voltage': reading.voltage_v, 'current': reading.current_a}
+            self._battery.publish(messages.battery(self._make, reading.t_ns, numbers))
+        elif isinstance(reading, TemperatureSample):
+            self._temperature.publish(messages.temperature(self._make, reading))
+
+    def _moved(self, motion: WheelMotion) -> None:
+        pose, t_ns = motion.pose, motion.sample.t_ns
+        place = pose.x_m, pose.y_m, pose.yaw_rad
+        self._odometry.publish(messages.wheels(self._make, motion.sample, *place))
+        if self._transforms:
+            self._transforms.publish(messages.odometry_transform(self._make, t_ns, *place))
+
+    def _zero(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Wait for the board; samples go on to be published meanwhile."""
+        try:
+            self._board.zero()
+        except GyrocalError as error:
+            response.success, response.message = False, str(error)
+        else:
+            response.success = True
+            response.message = 'the board has a new zero; the bias that was estimated is of no use now'
+        return response
+
+
+def make() -> Driver:
+    """Start the node."""
+    return Driver()

@@ -184,3 +184,55 @@ def test_time_that_comes_by_an_odd_stamp_is_no_step(odd_ms: int) -> None:
             out += order.push(t_ns + odd_ms * MS + 1, 1, 0, arrival_ns=t_ns)
     assert out + list(order.finish()) == [t_ns for t_ns, _ in steady(0, 8000)]
     assert order.drops == {(Drop.ODD, 1): 1}
+
+
+# --- punctual streams ---------------------------------------------------------------------------
+
+
+def arrive(messages: Iterable[tuple[int, int, int]]) -> tuple[list[tuple[int, int]], Reorderer[int]]:
+    """What comes out, with how late (ms) it does; messages: stamp, stream, delay in ms. Stream 2 is slow."""
+    order = Reorderer[int](WINDOW, STEP, punctual=(0, 1))
+    out = []
+    for t_ms, stream, delay_ms in sorted(messages, key=lambda message: message[0] + message[2]):
+        for item in order.push(t_ms * MS, stream, t_ms):
+            assert isinstance(item, int)
+            out.append((item, t_ms + delay_ms - item))
+    return out, order
+
+
+def test_what_all_punctual_streams_have_passed_is_handed_on_at_once() -> None:
+    fast = [(t, 0, 2) for t in range(0, 1000, 5)]
+    images = [(t, 1, 30) for t in range(1, 1000, 50)]
+    out, order = arrive(fast + images)
+    assert [t for t, _ in out] == sorted(t for t, _ in out)
+    assert not order.drops
+    assert {late for t, late in out if t % 5 == 1} == {30}, 'an image waits for nobody'
+    assert max(late for t, late in out if t > 100) <= 30 + 25, 'the others wait for the next one, no longer'
+    follow_ms = [out[k + 1][1] + out[k + 1][0] - t - 30 for k, (t, _) in enumerate(out[:-1]) if t % 5 == 1]
+    assert follow_ms[3:] == [0] * len(follow_ms[3:]), 'what comes after it is handed on with it'
+
+
+def test_one_that_falls_silent_is_waited_for_no_longer_than_the_window() -> None:
+    fast = [(t, 0, 2) for t in range(0, 1000, 5)]
+    images = [(t, 1, 30) for t in range(1, 400, 50)]
+    out, order = arrive(fast + images)
+    assert [t for t, _ in out] == sorted(t for t, _ in out) and not order.drops
+    late_ms = [late for t, late in out if t > 500]
+    assert min(late_ms) >= 100 and max(late_ms) <= 100 + 25 + 2
+
+
+def test_one_that_nobody_waits_for_may_come_later_but_not_later_than_the_window() -> None:
+    fast = [(t, 0, 2) for t in range(0, 1000, 5)]
+    images = [(t, 1, 30) for t in range(1, 1000, 50)]
+    slow = [(203, 2, 60), (303, 2, 130), (403, 2, 100), (353, 2, 90)]
+    out, order = arrive(fast + images + slow)
+    assert [t for t, _ in out if t % 50 == 3] == [203, 353, 403]
+    assert order.drops == {(Drop.LATE, 2): 1}
+
+
+def test_a_punctual_stream_out_of_its_order_is_late() -> None:
+    fast = [(t, 0, 2) for t in range(0, 1000, 5)]
+    images = [(t, 1, 30) for t in range(1, 1000, 50)]
+    out, order = arrive([*fast, *images, (502, 0, 80)])
+    assert 502 not in [t for t, _ in out]
+    assert order.drops == {(Drop.LATE, 0): 1}

@@ -168,17 +168,16 @@ class EkfSlam:
         """How long the gyro has been running, as far as is known."""
         return self._buffer.running_s(self.state.t_ns)
 
-    def view(self, state: State | None = None) -> View:
-        """The camera at the present estimate, or at another one."""
+    def view(self) -> View:
+        """The camera at the present estimate."""
         assert self.rig.camera is not None
-        state = state or self.state
+        state = self.state
         camera, mount = true_camera(self._parts, self.rig.camera, self.rig.camera_mount, state.coefficients)
         return view_from_pose(camera, mount, state.position_m, state.euler_rad)
 
-    def regions(self, state: State | None = None) -> SearchRegions:
-        """Where the mapped features are expected in an image taken now, or at the time of another state."""
-        state = state or self.state
-        return search_regions(state, self.view(state), self.parametrisation, self.pixel_noise.std)
+    def regions(self) -> SearchRegions:
+        """Where the mapped features are expected in an image taken now."""
+        return search_regions(self.state, self.view(), self.parametrisation, self.pixel_noise.std)
 
     def _catch_up(self, covered_ns: int | None) -> list[StepRecord]:
         records: list[StepRecord] = []

@@ -39,6 +39,10 @@ from gyrocal_ros.recording.mounts import into_body_axes
 from gyrocal_ros.recording.topics import Role
 from gyrocal_ros.recording.transforms import Transform
 
+PUNCTUAL = (Role.IMU, Role.WHEELS, Role.FEATURES)
+"""What the filter goes on by. Each comes in its order, and when all of them have passed a moment it goes
+on at once, so that the tracker has its word before the next image."""
+
 
 class LiveCalibrator:
     """Takes what a robot measures, estimates, and keeps the calibration.
@@ -146,7 +150,11 @@ class LiveCalibrator:
     # --- what comes out --------------------------------------------------------------------------
 
     def work(self) -> SearchRegions | None:
-        """Let the filter go one step on, if it can; return where it expects its features now."""
+        """Let the filter go one step on, if it can; return where it expects its features then.
+
+        The tracker carries these regions to its next image by itself, so that it does on the robot what
+        it does in a recording (see `vision.follower`).
+        """
         slam = self._estimator.slam
         if slam is None or self._R_bi is None:
             return None
@@ -261,7 +269,9 @@ class LiveCalibrator:
 
     def _new_intake(self) -> Intake:
         clock_step_s = STEP_S if self._steady else self._clock_step_s
-        return Intake(self._live.reorder_window_s, max(clock_step_s, 1.5 * self._live.reorder_window_s))
+        window_s = self._live.reorder_window_s
+        punctual = [self._streams.index(role) for role in PUNCTUAL]
+        return Intake(window_s, max(clock_step_s, 1.5 * window_s), punctual)
 
     def _look_at_mounting(self) -> None:
         """Begin with what is known now of the mounting of the sensors, if that is new."""
@@ -280,12 +290,13 @@ class LiveCalibrator:
         estimator, reckoner = self._estimator, self._reckoner
         slam = estimator.slam
         assert slam is not None
-        is_here = estimator.is_trusted and reckoner.anchor(slam.state, slam.memories)
+        if estimator.is_trusted:
+            reckoner.anchor(slam.state, slam.memories)
         if estimator.served is not self._served:
             if not estimator.is_trusted:
                 reckoner.recalibrate(estimator.served)
             self._served = estimator.served
-        return slam.regions(reckoner.ahead if is_here else slam.state)
+        return slam.regions()
 
     def _tell_events(self) -> None:
         for events in (self._intake.events, self._estimator.events):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from gyrocal_ros.data import NS_PER_S, ClockStep, ImuSample, Measurement, nanoseconds, seconds
 from gyrocal_ros.ekf.motion import GAP_NS
@@ -24,9 +24,11 @@ class Intake:
     Args:
         window_s: how late a message may come.
         clock_step_s: how large a jump of the stamps makes a step of the clock.
+        punctual: numbers of the topics of which each comes in its order; what all of them have passed
+            waits no longer.
     """
 
-    def __init__(self, window_s: float, clock_step_s: float) -> None:
+    def __init__(self, window_s: float, clock_step_s: float, punctual: Collection[int]) -> None:
         self.waiting: deque[Measurement] = deque(maxlen=MAX_WAITING)
         """In order, to be taken from the left."""
         self.useless: Counter[int] = Counter()
@@ -34,7 +36,7 @@ class Intake:
         self.events: list[str] = []
         """What happened that a person should know; the reader clears it."""
         self._order = Reorderer[tuple[int, Sequence[Measurement]]](
-            nanoseconds(window_s), nanoseconds(clock_step_s)
+            nanoseconds(window_s), nanoseconds(clock_step_s), punctual
         )
         self._imu_ns: int | None = None
         self._imu_has_come = False

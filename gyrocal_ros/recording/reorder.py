@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, deque
+from collections.abc import Collection, Sequence
 from enum import StrEnum
+from itertools import pairwise
 from typing import Generic, TypeAlias, TypeVar
 
 from gyrocal_ros.data import NS_PER_S, ClockStep
@@ -14,6 +15,8 @@ T = TypeVar('T')
 
 LASTING_NS = NS_PER_S // 2
 """Stamps that have run on from a jump for so long were no slip."""
+INTERVALS = 5
+"""The shortest of so many last intervals of a stream tells when its next message is due."""
 MAX_HELD = 300_000
 """So many messages are held back at most, where a broken clock stands still."""
 
@@ -36,29 +39,56 @@ Drops: TypeAlias = Counter[tuple[Drop, int]]
 class _TimeBase(Generic[T]):
     """The messages of one clock, sorted within a window."""
 
-    def __init__(self, first_ns: int, arrival_ns: int, window_ns: int, drops: Drops) -> None:
+    def __init__(
+        self, first_ns: int, arrival_ns: int, window_ns: int, punctual: frozenset[int], drops: Drops
+    ) -> None:
         self.first_ns = self.newest_ns = self._due_ns = first_ns
         self.newest_arrival_ns = arrival_ns
         self.last_of: dict[int, int] = {}
         """Stamp of the last message handed on, by stream."""
         self.handed_on_ns: int | None = None
-        self._window_ns, self._drops = window_ns, drops
+        self._window_ns, self._punctual, self._drops = window_ns, punctual, drops
+        self._came_ns: dict[int, deque[int]] = {}
+        self._reached_ns: dict[int, int] = {}
+        self._all_reached_ns: int | None = None
         self._held: list[tuple[int, int, int, T]] = []
         self._arrivals = 0
 
     def add(self, t_ns: int, stream: int, item: T, arrival_ns: int) -> Sequence[T]:
         """Take one message and return those that are due."""
         self._arrivals += 1
+        was_handed_on = self.handed_on_ns is not None and t_ns < self.handed_on_ns
+        if was_handed_on and self._punctual and stream not in self._punctual:
+            return self._add_late(t_ns, stream, item)
         if len(self._held) >= MAX_HELD:
             self._drops[Drop.ODD, stream] += 1
             return ()
         self._held.append((t_ns, stream, self._arrivals, item))
         if t_ns > self.newest_ns:
             self.newest_ns, self.newest_arrival_ns = t_ns, arrival_ns
-        if self.newest_ns < self._due_ns:
+        reached_ns = self._all_have_reached(t_ns, stream) if stream in self._punctual else None
+        if reached_ns is None and self.newest_ns < self._due_ns:
             return ()
         self._due_ns = self.newest_ns + self._window_ns // 4  # sorting a few hundred at once is cheap
-        return self.hand_on(self.newest_ns - self._window_ns)
+        until_ns = self.newest_ns - self._window_ns
+        return self.hand_on(until_ns if reached_ns is None else max(until_ns, reached_ns))
+
+    def _all_have_reached(self, t_ns: int, stream: int) -> int | None:
+        """Up to when nothing more will come of the punctual streams; None where that is not news.
+
+        The next message of a stream does not come before half an interval has passed.
+        """
+        came_ns = self._came_ns.setdefault(stream, deque(maxlen=INTERVALS + 1))
+        if came_ns and t_ns <= came_ns[-1]:
+            return None
+        came_ns.append(t_ns)
+        shortest_ns = min((b - a for a, b in pairwise(came_ns)), default=0)
+        self._reached_ns[stream] = t_ns + shortest_ns // 2
+        reached_ns, before_ns = min(self._reached_ns.values()), self._all_reached_ns
+        if len(self._reached_ns) < len(self._punctual) or (before_ns is not None and reached_ns <= before_ns):
+            return None
+        self._all_reached_ns = reached_ns
+        return reached_ns
 
     def hand_on(self, until_ns: int) -> Sequence[T]:
         """Return all messages up to a time, sorted."""
@@ -76,6 +106,14 @@ class _TimeBase(Generic[T]):
                 items.append(item)
         return items
 
+    def _add_late(self, t_ns: int, stream: int, item: T) -> Sequence[T]:
+        """Take a message for which nobody waited: it comes out of order, but not of that of its stream."""
+        if t_ns < max(self.newest_ns - self._window_ns, self.last_of.get(stream, t_ns - 1) + 1):
+            self._drops[Drop.LATE, stream] += 1
+            return ()
+        self.last_of[stream] = t_ns
+        return (item,)
+
     def discard(self) -> None:
         """Drop what is held back: this was no clock but a slip."""
         self._drops.update((Drop.ODD, stream) for _, stream, _, _ in self._held)
@@ -90,19 +128,25 @@ class Reorderer(Generic[T]):
     from there, and no longer from where they were, the clock has stepped: a `ClockStep` then stands
     in the output before the first message of the new time base. Else it was a slip and is dropped.
 
+    A robot that waits for the whole window is always late. What comes before the next message of each
+    of the `punctual` streams is handed on at once, for these come in their order and about evenly; the
+    window then is but for one that falls silent. Other streams may come later, within the window: their
+    messages are handed on out of order, but in that of their stream.
+
     Where the time of arrival by a steady clock is known, stamps may run on with it: a pause of all
     sensors is no step, and a jump that is much shorter than such a pause shows.
     """
 
-    def __init__(self, window_ns: int, step_ns: int) -> None:
+    def __init__(self, window_ns: int, step_ns: int, punctual: Collection[int] = ()) -> None:
         """Start empty.
 
         Args:
             window_ns: how late a message may come.
             step_ns: how large a jump of the stamps makes a step of the clock.
+            punctual: streams whose messages come in the order of their stamps.
         """
         self.drops: Drops = Counter()
-        self._window_ns, self._step_ns = window_ns, step_ns
+        self._window_ns, self._step_ns, self._punctual = window_ns, step_ns, frozenset(punctual)
         self._base: _TimeBase[T] | None = None
         self._aside: list[tuple[int, int, T, int]] = []
         self._newest_then_ns = 0
@@ -122,7 +166,7 @@ class Reorderer(Generic[T]):
             return ()
         self._last_pushed[stream] = t_ns
         if self._base is None:
-            self._base = _TimeBase(t_ns, arrival_ns, self._window_ns, self.drops)
+            self._base = self._new_base(t_ns, arrival_ns)
         if self._aside and self._base.newest_ns - self._newest_then_ns > LASTING_NS // 2:
             self._drop_aside()
         passed_ns = arrival_ns - self._base.newest_arrival_ns
@@ -163,10 +207,13 @@ class Reorderer(Generic[T]):
             passed_ns = arrival_ns - base.newest_arrival_ns
             items.append(ClockStep(first_ns, first_ns - base.newest_ns - passed_ns))
         aside, self._aside = self._aside, []
-        self._base = _TimeBase(first_ns, arrival_ns, self._window_ns, self.drops)
+        self._base = self._new_base(first_ns, arrival_ns)
         for t_ns, stream, item, arrival_ns in aside:
             items += self._base.add(t_ns, stream, item, arrival_ns)
         return items
+
+    def _new_base(self, first_ns: int, arrival_ns: int) -> _TimeBase[T]:
+        return _TimeBase(first_ns, arrival_ns, self._window_ns, self._punctual, self.drops)
 
     def _drop_aside(self) -> None:
         self.drops.update((Drop.ODD, stream) for _, stream, _, _ in self._aside)

@@ -85,11 +85,10 @@ def _histograms(name: str, result: Histograms) -> list[Section]:
 
 
 def _tracks(name: str, result: Tracks) -> list[Section]:
-    title = EXPERIMENTS[name].title.partition(': ')[2].capitalize()
     caption = 'Seed 0, laid on the ground truth where each path begins. Crosses mark the ends.'
     ends = figures.end_errors('Where they end', result.end_errors_m)
     return [
-        Section(name, figures.tracks(title, result.tracks), caption, half=True),
+        Section(name, figures.tracks('Tracks', result.tracks), caption, half=True),
         Section(f'{name}_ends', ends, 'All seeds.', half=True),
     ]
 

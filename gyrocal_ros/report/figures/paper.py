@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import plotly.graph_objects as go
@@ -157,6 +158,7 @@ def end_errors(title: str, errors_m: Mapping[str, Array]) -> go.Figure:
     """Distances (seeds,) from the truth at the end, by name, one point a seed."""
     figure = panels(title, ['distance at the end (cm)'], 300)
     for look, (name, errors) in zip((LOOKS[1], LOOKS[0]), errors_m.items(), strict=False):
+        look = replace(look, colour=calibration.PATH_STYLES[name][0])
         seeds = np.arange(float(len(errors)))
         points(figure, seeds, 100.0 * errors, np.zeros(len(errors)), name, '.1f', (1, 1), look)
     figure.update_xaxes(title_text='seed')

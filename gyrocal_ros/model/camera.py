@@ -14,6 +14,9 @@ from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 
 MIN_DEPTH = 1e-6
 """Points closer to the image plane than this (in their own unit) are treated as if there."""
+MAX_NEWTON_STEPS = 6
+LAST_NEWTON_STEP = 1e-8
+"""After so short a step the next one would be lost in rounding: their lengths go down by squares."""
 
 
 def project(camera: CameraIntrinsics, points_c: Array) -> Array:
@@ -61,9 +64,12 @@ def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
     if not any(camera.distortion):
         return distorted
     normalised = distorted
-    for _ in range(6):
+    for _ in range(MAX_NEWTON_STEPS):
         reached, lens = _distort_with_jacobian(camera, normalised)
-        normalised = normalised - np.linalg.solve(lens, (reached - distorted)[:, :, None])[:, :, 0]
+        step = np.linalg.solve(lens, (reached - distorted)[:, :, None])[:, :, 0]
+        normalised = normalised - step
+        if np.abs(step).max(initial=0.0) < LAST_NEWTON_STEP:
+            break
     return normalised
 
 

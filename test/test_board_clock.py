@@ -201,6 +201,20 @@ def test_a_backlog_is_stamped_when_it_was_measured() -> None:
     assert not clock.restarts
 
 
+def test_a_backlog_that_takes_long_to_come_in_is_no_step_of_a_clock() -> None:
+    came = line(40.0)
+    stalled = (came.true_ns >= START_NS + 10 * NS_PER_S) & (came.true_ns < START_NS + 27 * NS_PER_S)
+    # Three times as fast as it was measured, from 12 s after the stall on.
+    drained_ns = START_NS + 22 * NS_PER_S + (came.true_ns - START_NS - 10 * NS_PER_S) // 3
+    arrival_ns = np.where(stalled, np.maximum(came.arrival_ns, drained_ns), came.arrival_ns)
+    clock = Clock()
+    errors = errors_ms(clock, Line(came.true_ns, came.time_us, np.maximum.accumulate(arrival_ns)))
+    assert not clock.restarts
+    late = came.true_ns > START_NS + 30 * NS_PER_S
+    assert np.abs(errors[stalled]).max() < 2.0  # ten seconds had told little of the drift
+    assert np.abs(errors[late]).max() < 1.0
+
+
 @pytest.mark.parametrize('step_s', [2.0, -2.0, 3600.0, -3600.0])
 def test_a_step_of_the_clock_of_the_arrivals_begins_a_new_time_base(step_s: float) -> None:
     before, after = line(20.0), line(20.0, from_s=20.0, board_s=100.0 + 20.0 / (1.0 + 5e-5), seed=2)

@@ -29,6 +29,8 @@ LATE_NS = NS_PER_S // 20
 """Arrivals later than this are a backlog, or, when they stay so, a step of the arrivals' clock."""
 PATIENCE_NS = 2 * NS_PER_S
 """How long they may stay so."""
+NEARER = 0.75
+"""A delay that has come down to this part of what it was is that of a backlog."""
 PAUSE_NS = NS_PER_S
 """After so long without arrivals a backlog is to be expected, and patience begins anew."""
 
@@ -115,7 +117,9 @@ class Envelope:
             self._fastest.popleft()
 
     def _fit(self) -> None:
-        points = sorted(self._fastest)
+        # A backlog was not fast, and as the newest end of the hull it would count.
+        fast = [point for point in self._fastest if self.delay_ns(point) <= LATE_NS]
+        points = sorted(fast or self._fastest)
         span_ns = points[-1][0] - points[0][0]
         if span_ns > 0:
             slope = min(max(middle_slope(lower_hull(points)), -MOST_DRIFT), MOST_DRIFT)
@@ -154,6 +158,7 @@ class Clock:
         self._newest_ns = 0
         self._suspect: tuple[int, int] | None = None
         self._late_since_ns: int | None = None
+        self._late_by_ns = 0
         self._arrival_ns: int | None = None
         self._stamp_ns: int | None = None
 
@@ -218,11 +223,12 @@ class Clock:
         return -SLACK_NS <= step_ns <= arrival_ns - before[1] + SLACK_NS
 
     def _stays_late(self, envelope: Envelope, point: Point, arrival_ns: int) -> bool:
-        """Whether nothing was punctual for long: a backlog does not take so long to come in."""
-        if envelope.delay_ns(point) <= LATE_NS:
+        """Whether nothing was punctual for long, nor came nearer to it, as a backlog does."""
+        delay_ns = envelope.delay_ns(point)
+        if delay_ns <= LATE_NS:
             self._late_since_ns = None
-        elif self._late_since_ns is None:
-            self._late_since_ns = arrival_ns
+        elif self._late_since_ns is None or delay_ns < NEARER * self._late_by_ns:
+            self._late_since_ns, self._late_by_ns = arrival_ns, delay_ns
         return self._late_since_ns is not None and arrival_ns - self._late_since_ns > PATIENCE_NS
 
     def _rising(self, t_ns: int) -> Stamp:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from gyrocal_ros.board.clock import Restart
 from gyrocal_ros.board.commands import Commands
@@ -97,7 +98,11 @@ class BoardDriver:
             return status('', [Complaint(Level.ERROR, 'reading has ended by an error: see the log')], {})
         with self._changed:
             now = tally(self._reader, self._connections, time.monotonic())
-            return self._health.tell(now, self._line, self._heard_s, self._commands.rates)
+            told = self._health.tell(now, self._line, self._heard_s, self._commands.rates)
+            drift_ppm = round(1e6 * self._reader.clock.drift, 1)
+        return replace(
+            told, numbers={'port': self._driver.port, **told.numbers, 'clock_drift_ppm': drift_ppm}
+        )
 
     def _run(self) -> None:
         while not self._ending.is_set():

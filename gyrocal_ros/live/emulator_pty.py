@@ -17,6 +17,8 @@ from gyrocal_ros.live.emulator_line import parse_fault
 
 LOOK_AGAIN_S = 0.05
 """How often to look whether somebody has opened the port."""
+PATIENCE_S = 0.1
+"""How long a frame waits for a host that is busy; what held up many lets all of them go at once."""
 MISSED_NS = NS_PER_S // 10
 """What was due so long before the play begins is left out: nobody was there to see it."""
 
@@ -69,7 +71,8 @@ class Port:
         end = self.open_end()
         if end is not None:
             with suppress(OSError):
-                os.write(end, data)
+                while data and select.select([], [end], [], PATIENCE_S)[1]:
+                    data = data[os.write(end, data) :]
 
     def read(self) -> bytes:
         """Return what has come, if anything."""

@@ -10,6 +10,7 @@ from typing import Any
 import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
+from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import CameraInfo, Imu, PointCloud2, Temperature
@@ -30,7 +31,7 @@ from gyrocal_ros.nodes.announcer import Announcer
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.map_frame import MapFrame
 from gyrocal_ros.nodes.params import Settings
-from gyrocal_ros.nodes.qos import LATCHED, SENSOR_IN, SENSOR_OUT, STATIC
+from gyrocal_ros.nodes.qos import LATCHED, QUIET_IN, QUIET_OUT, SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.nodes.signals import Signals
 from gyrocal_ros.recording import messages, outputs, topics
 from gyrocal_ros.recording.topics import Role
@@ -60,9 +61,9 @@ class Calibrator:
         self._map_frame = MapFrame(node, self._make) if live.publish_map_transform else None
         self._odom, self._body, self._map = topics.ODOM_FRAME, topics.BODY_FRAME, topics.MAP_FRAME
         self._drawn: set[int] = set()
-        self._imu = node.create_publisher(Imu, 'imu/data', SENSOR_OUT)
-        self._odometry = node.create_publisher(Odometry, 'odometry/slam', SENSOR_OUT)
-        self._regions = node.create_publisher(PointCloud2, 'ceiling_camera/search_regions', SENSOR_OUT)
+        self._imu = self._publisher(Imu, 'imu/data')
+        self._odometry = self._publisher(Odometry, 'odometry/slam')
+        self._regions = self._publisher(PointCloud2, 'ceiling_camera/search_regions')
         self._ceiling = node.create_publisher(MarkerArray, 'ceiling_map', LATCHED)
         self._subscribe(Imu, Role.IMU, self._hear_imu)
         self._subscribe(Odometry, Role.WHEELS, self._hear_wheels)
@@ -82,9 +83,18 @@ class Calibrator:
         """Keep what was learned."""
         self._live.close()
 
+    def _publisher(self, kind: type[Any], topic: str) -> Publisher:
+        return self.node.create_publisher(kind, topic, SENSOR_OUT, event_callbacks=QUIET_OUT)
+
     def _subscribe(self, kind: type[Any], topic: str, hear: Callable[[Any], None]) -> None:
-        overriding = QoSOverridingOptions.with_default_policies()
-        self.node.create_subscription(kind, topic, hear, SENSOR_IN, qos_overriding_options=overriding)
+        self.node.create_subscription(
+            kind,
+            topic,
+            hear,
+            SENSOR_IN,
+            event_callbacks=QUIET_IN,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
 
     # --- what comes in ---------------------------------------------------------------------------
 

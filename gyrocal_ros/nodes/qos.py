@@ -1,5 +1,6 @@
 """Quality of service of the topics."""
 
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 SENSOR_IN = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -14,3 +15,7 @@ STATIC = QoSProfile(
     depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 """As /tf_static is published, by several."""
+
+QUIET_IN = SubscriptionEventCallbacks(use_default_callbacks=False)
+QUIET_OUT = PublisherEventCallbacks(use_default_callbacks=False)
+"""For topics that come hundreds of times a second: each event that is waited for costs, every time."""

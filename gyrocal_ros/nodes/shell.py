@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -42,6 +43,8 @@ def run(make: Callable[[], Running], argv: Sequence[str]) -> int:
 
 
 def _spin(running: Running) -> None:
+    gc.collect()
+    gc.freeze()  # what is there now stays: looking through it again and again makes messages wait
     try:
         rclpy.spin(running.node)
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -186,6 +186,21 @@ def test_time_that_comes_by_an_odd_stamp_is_no_step(odd_ms: int) -> None:
     assert order.drops == {(Drop.ODD, 1): 1}
 
 
+def test_streams_that_have_waited_for_different_times_after_a_stall_are_no_step() -> None:
+    order = Reorderer[int](WINDOW, NS_PER_S // 2)
+    fast, slow = steady(0, 4000, 5, 0), steady(2, 4000, 20, 1)
+    before = sorted(message for message in [*fast, *slow] if message[0] < 1000 * MS)
+    out: list[int | ClockStep] = []
+    for t_ns, stream in before:
+        out += order.push(t_ns, stream, t_ns, arrival_ns=t_ns + 1)
+    kept_fast = [message for message in fast if message[0] >= 3000 * MS]
+    kept_slow = [message for message in slow if message[0] >= 1000 * MS]
+    for k in range(150):  # the queue of the fast one is the shorter one, in time
+        for t_ns, stream in (kept_fast[k], kept_slow[k]):
+            out += order.push(t_ns, stream, t_ns, arrival_ns=4000 * MS + k * MS)
+    assert not any(isinstance(item, ClockStep) for item in [*out, *order.finish()])
+
+
 # --- punctual streams ---------------------------------------------------------------------------
 
 

@@ -14,7 +14,8 @@ from gyrocal_ros.data import NS_PER_S, ClockStep
 T = TypeVar('T')
 
 LASTING_NS = NS_PER_S // 2
-"""Stamps that have run on from a jump for so long were no slip."""
+"""Stamps that have run on from a jump for so long were no slip, unless they came in half the time: then
+they have waited somewhere."""
 INTERVALS = 5
 """The shortest of so many last intervals of a stream tells when its next message is due."""
 MAX_HELD = 300_000
@@ -159,7 +160,7 @@ class Reorderer(Generic[T]):
             t_ns: its stamp.
             stream: number of the topic that it belongs to.
             item: what to hand on.
-            arrival_ns: when it came, by a clock that never steps; always the same where nobody knows.
+            arrival_ns: when it came, by a clock that never steps; 0 where nobody knows.
         """
         if self._last_pushed.get(stream) == t_ns:
             self.drops[Drop.DUPLICATE, stream] += 1
@@ -194,7 +195,9 @@ class Reorderer(Generic[T]):
         if not self._aside:
             self._newest_then_ns = base.newest_ns
         self._aside.append((t_ns, stream, item, arrival_ns))
-        return self._step(base) if t_ns - self._aside[0][0] >= LASTING_NS else ()
+        first_ns, _, _, first_arrival_ns = self._aside[0]
+        has_lasted = not arrival_ns or arrival_ns - first_arrival_ns >= LASTING_NS // 2
+        return self._step(base) if t_ns - first_ns >= LASTING_NS and has_lasted else ()
 
     def _step(self, base: _TimeBase[T]) -> Sequence[T | ClockStep]:
         """Begin a new time base with the messages set aside."""

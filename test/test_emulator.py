@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 import subprocess
 import sys
 import time
@@ -20,6 +22,8 @@ from gyrocal_ros.board.link import Link
 from gyrocal_ros.board.messages import Acknowledgement, Message, Result, SetRates, Zero
 from gyrocal_ros.board.protocol import checksum, encode, stuff
 from gyrocal_ros.board.reader import BoardReader, Reading, WheelMotion
+from gyrocal_ros.cli import board_emulator
+from gyrocal_ros.cli.main import make_parser
 from gyrocal_ros.config import BoardConfig
 from gyrocal_ros.data import (
     NS_PER_S,
@@ -35,12 +39,13 @@ from gyrocal_ros.data import (
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.live.emulator import Emulator, Plug
 from gyrocal_ros.live.emulator_board import Crystal, EmulatedBoard, look_ahead
-from gyrocal_ros.live.emulator_line import Delivery, EmulatedLine, Fault, FaultKind, parse_fault
+from gyrocal_ros.live.emulator_line import ABOUT, Delivery, EmulatedLine, Fault, FaultKind, parse_fault
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
 
 BAUD = 115200
 BAG = Path(__file__).resolve().parent.parent / 'bags/demo'
+PAGE = (Path(__file__).resolve().parent.parent / 'docs/board_protocol.md').read_text(encoding='utf-8')
 WALL_NS = 1_800_000_000 * NS_PER_S
 """Time of day at which the recording begins."""
 MS = 1_000_000
@@ -404,3 +409,36 @@ def test_what_is_not_asked_for_at_the_start_is_not_there(tmp_path: Path) -> None
             found += reader.take(link.read(), time.time_ns())
     since_s = samples[0].t_ns / NS_PER_S - begun_s
     assert since_s > 10.0
+
+
+# --- the page for the firmware engineer -------------------------------------------------------------
+
+
+def test_the_page_has_every_fault() -> None:
+    rows = dict(re.findall(r'^\| `(\w+)` \| `(.*?)` \|', PAGE, flags=re.MULTILINE))
+    assert rows.keys() == set(FaultKind)
+    for kind, example in rows.items():
+        assert parse_fault(example).kind == kind
+        assert f'| `{example}` | {ABOUT[FaultKind(kind)]} |' in PAGE
+
+
+def test_the_commands_of_the_page_can_be_given() -> None:
+    [commands] = re.findall(r'^```sh\n(.*?)^```', PAGE, flags=re.MULTILINE | re.DOTALL)
+    lines = [shlex.split(line, comments=True) for line in commands.splitlines()]
+    for program, *arguments in lines:
+        if program == board_emulator.PROGRAM:
+            make_parser(program, board_emulator).parse_args(arguments)
+    assert board_emulator.PROGRAM in {line[0] for line in lines}
+
+
+def test_the_reader_of_the_page_reads_the_emulator(tmp_path: Path) -> None:
+    [code] = re.findall(r'^```python\n(.*?)^```', PAGE, flags=re.MULTILINE | re.DOTALL)
+    port = tmp_path / 'board'
+    with BoardProgram(port, '--scenario', 'standing') as board:
+        reading = subprocess.Popen([sys.executable, '-c', code, str(port)], stdout=subprocess.PIPE, text=True)
+        assert reading.stdout is not None
+        while 'Acknowledgement(' not in reading.stdout.readline():
+            pass
+        board.spoil('pause+10')
+        said, _ = reading.communicate(timeout=60)
+    assert 'lost=0' in said.splitlines()[-1]

@@ -18,6 +18,7 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.live.health import Status
 from gyrocal_ros.live.tracking import LiveTracker, Tracked
 from gyrocal_ros.nodes.diagnostics import Diagnostics
+from gyrocal_ros.nodes.endpoints import Mailbox, publish, subscribe
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.recording import images, messages, topics
@@ -28,7 +29,9 @@ TRANSPORTS = {'raw': ('', Image), COMPRESSED: (f'/{COMPRESSED}', CompressedImage
 """What follows the name of the images' topic, and their type."""
 IMAGES_HELD = 2
 """Of images that come faster than they can be followed, these are the latest."""
-WAKE_S = 0.01
+FETCH_S, WAKE_S, LOOK_S = 0.1, 0.004, 0.5
+"""How often the IMU is heard at least, and how often while an image waits for it; how often images are
+looked for."""
 
 
 class Tracker:
@@ -42,17 +45,18 @@ class Tracker:
         self._live = LiveTracker(config.tracker, config.camera, self._settings.patience_s, time.monotonic())
         self._make = messages.live_maker(get_message)
         self._camera_frame = topics.CAMERA_FRAME
-        self._features = node.create_publisher(PointCloud2, Role.FEATURES, SENSOR_OUT)
-        self._tracks = node.create_publisher(Image, 'ceiling_camera/tracks_image', 1)
+        self._features = publish(node, PointCloud2, Role.FEATURES, SENSOR_OUT)
+        self._tracks = publish(node, Image, 'ceiling_camera/tracks_image', QoSProfile(depth=1))
         self._images: Subscription | None = None
-        node.create_subscription(CameraInfo, Role.CAMERA_INFO, self._hear_camera, SENSOR_IN)
-        node.create_subscription(TFMessage, '/tf_static', self._hear_links, STATIC)
-        node.create_subscription(Imu, Role.IMU, self._hear_imu, SENSOR_IN)
-        node.create_subscription(PointCloud2, 'ceiling_camera/search_regions', self._hear_regions, SENSOR_IN)
+        self._imu = Mailbox(node, Imu, Role.IMU, SENSOR_IN)
+        subscribe(node, CameraInfo, Role.CAMERA_INFO, self._hear_camera, SENSOR_IN)
+        subscribe(node, TFMessage, '/tf_static', self._hear_links, STATIC)
+        subscribe(node, PointCloud2, 'ceiling_camera/search_regions', self._hear_regions, SENSOR_IN)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(FETCH_S, self._follow, clock=steady)
         self._wake = node.create_timer(WAKE_S, self._follow, clock=steady)
         self._wake.cancel()
-        self._look = node.create_timer(0.5, self._look_for_images, clock=steady)
+        self._look = node.create_timer(LOOK_S, self._look_for_images, clock=steady)
         self._diagnostics = Diagnostics(node, self._status)
 
     def close(self) -> None:
@@ -74,7 +78,7 @@ class Tracker:
                 reliable = all(o.qos_profile.reliability is ReliabilityPolicy.RELIABLE for o in offered)
                 policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
                 qos = QoSProfile(depth=IMAGES_HELD, reliability=policy)
-                self._images = self.node.create_subscription(kind, name + ending, self._hear_image, qos)
+                self._images = subscribe(self.node, kind, name + ending, self._hear_image, qos)
                 self.node.get_logger().info(f'following {name + ending}')
                 self._look.cancel()
                 return
@@ -90,12 +94,13 @@ class Tracker:
             self._live.health.spoil(f'{error.what}; {error.todo}')
             return
         self._camera_frame = message.header.frame_id
+        self._fetch_imu()
         self._live.image(frame, self._camera_frame, came_s)
         self._follow()
 
-    def _hear_imu(self, message: Imu) -> None:
-        self._live.imu(topics.IMU_SAMPLE.value(message), message.header.frame_id, time.monotonic())
-        self._follow()
+    def _fetch_imu(self) -> None:
+        for message in self._imu.fetch():
+            self._live.imu(topics.IMU_SAMPLE.value(message), message.header.frame_id, time.monotonic())
 
     def _hear_regions(self, message: PointCloud2) -> None:
         self._live.regions(topics.search_regions(message), time.monotonic())
@@ -115,6 +120,7 @@ class Tracker:
     # --- what goes out ---------------------------------------------------------------------------
 
     def _follow(self) -> None:
+        self._fetch_imu()
         while (tracked := self._live.work(time.monotonic())) is not None:
             self._publish(tracked)
         if self._live.is_waiting == self._wake.is_canceled():

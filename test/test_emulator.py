@@ -317,6 +317,13 @@ def test_a_board_that_loses_its_power_begins_anew() -> None:
     assert np.abs((since_ms + 2.5) % 5.0 - 2.5).max() < 0.01
 
 
+def test_a_board_without_power_hears_nothing() -> None:
+    host = Host(emulator(SHORT, 'restart@2+2')).read(3.0)
+    host.say(SetRates(100, 25, 10), 3.0)
+    host.read()
+    assert not host.answers()
+
+
 def test_a_fault_may_come_at_once() -> None:
     host = Host(emulator(SHORT)).read(3.0)
     host.board.spoil(parse_fault('unplug+1', now_ns=3 * NS_PER_S))

@@ -60,7 +60,7 @@ class Emulator:
 
     def hear(self, data: bytes, now_ns: int) -> None:
         """Let the board have bytes from the host."""
-        if self._has_power:
+        if not self._is_off(now_ns):
             for frame in self._board.hear(data, now_ns):
                 self._carry(frame, now_ns)
 

@@ -389,6 +389,14 @@ def test_a_play_ends_and_takes_its_port_away(tmp_path: Path) -> None:
     assert not link.is_symlink()
 
 
+def test_an_interrupted_play_takes_its_port_away(tmp_path: Path) -> None:
+    link = tmp_path / 'board'
+    board = BoardProgram(link)
+    assert link.is_symlink()
+    assert board.stop() == 0
+    assert not link.is_symlink()
+
+
 def test_a_recorded_bag_is_played(tmp_path: Path) -> None:
     with BoardProgram(tmp_path / 'board', '--bag', str(BAG)), Link(str(tmp_path / 'board'), BAUD) as link:
         reader, found = BoardReader(BoardConfig(), BAUD), list[Reading]()

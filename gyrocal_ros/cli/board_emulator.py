@@ -1,7 +1,7 @@
 """Plays a simulated robot, or a recorded bag, as an IMU and encoder board on a pseudo-terminal.
 
 It speaks the protocol of docs/board_protocol.md, answers commands, has faults on demand and ends when
-all is played. It needs no ROS.
+all is played or it is interrupted. It needs no ROS.
 
 faults:
   KIND@FROM+FOR[=SHARE]  from FROM seconds after the start, for FOR seconds
@@ -15,6 +15,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
 
 from gyrocal_ros.board.protocol import TIME_WRAP
@@ -23,7 +24,7 @@ from gyrocal_ros.cli.scenario_options import add_scenario_options, check_bounds,
 from gyrocal_ros.config import BoardConfig, Config, DriverConfig
 from gyrocal_ros.config_file import load_all
 from gyrocal_ros.data import Measurement, Span
-from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.errors import ConfigError, GyrocalError
 from gyrocal_ros.live.emulator import Emulator
 from gyrocal_ros.live.emulator_board import Crystal, EmulatedBoard, look_ahead
 from gyrocal_ros.live.emulator_line import ABOUT, EmulatedLine, parse_fault
@@ -87,13 +88,11 @@ def run(args: argparse.Namespace) -> None:
     emulator = _emulator(args, config, robot.board)
     port = Port(args.link)
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background it must not stop at what is typed
-    try:
+    with suppress(KeyboardInterrupt), closing(port):  # to be interrupted is as good an end as any
         port.plug_in()
         print(args.link or port.name, flush=True)
         player = Player(emulator, port, _tell, sys.stdin.fileno() if sys.stdin else None)
         player.play(time.time() if args.start_at is None else args.start_at)
-    finally:
-        port.pull_out()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -108,6 +107,8 @@ def _emulator(args: argparse.Namespace, config: Config, board: BoardConfig) -> E
     check_bounds('--baud-rate', args.baud_rate, 1200, 4_000_000, 'Bd')
     check_bounds('--jitter', args.jitter, 0.0, MAX_JITTER_S, 's')
     check_bounds('--drift-ppm', args.drift_ppm, -MAX_DRIFT_PPM, MAX_DRIFT_PPM, 'ppm')
+    if not all((*board.gyro_scale_factor_volt, *board.accelerometer_scale, board.temperature_scale)):
+        raise ConfigError('a scale of the board is 0', where=str(args.config))
     faults = [parse_fault(text) for text in args.fault]
     rng = stream(args.seed, PROGRAM)
     uptime_us = rng.integers(TIME_WRAP) if args.uptime is None else round(1e6 * args.uptime)

@@ -49,7 +49,7 @@ class Port:
         if self._link is not None:
             _lead(self._link, self.name)
 
-    def pull_out(self) -> None:
+    def close(self) -> None:
         """Take it away from whoever has it open."""
         if self._master is not None:
             with suppress(OSError):
@@ -131,7 +131,7 @@ class Player:
             self._port.plug_in()
             self._tell(f'plugged in at {self._port.name}')
         else:
-            self._port.pull_out()
+            self._port.close()
             self._tell('unplugged')
 
     def _wait(self, limit_s: float) -> None:

@@ -52,6 +52,9 @@ setup(
             'board_emulator = gyrocal_ros.cli.board_emulator:main',
             'driver = gyrocal_ros.nodes.main:driver',
             'calibrator = gyrocal_ros.nodes.main:calibrator',
+            'tracker = gyrocal_ros.nodes.main:tracker',
+            'player = gyrocal_ros.nodes.main:player',
+            'ceiling_emulator = gyrocal_ros.nodes.main:ceiling_emulator',
         ]
     },
     zip_safe=False,

@@ -36,6 +36,7 @@ LEVELS = {
 EVERYWHERE = {'numpy', 'yaml'} | sys.stdlib_module_names
 ROS = {
     *('rclpy', 'rcl_interfaces', 'rosgraph_msgs', 'rosidl_runtime_py', 'std_msgs', 'std_srvs', 'tf2_msgs'),
+    *('ament_index_python', 'launch', 'launch_ros'),
     *('diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'sensor_msgs', 'visualization_msgs'),
 }
 LIBRARY_HOMES = {

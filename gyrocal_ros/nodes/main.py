@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-NODES = ('driver', 'tracker', 'calibrator', 'player')
+NODES = ('driver', 'tracker', 'calibrator', 'player', 'ceiling_emulator')
 """Each is a module of this folder with a function `make() -> Node`."""
 
 
@@ -51,3 +51,8 @@ def calibrator() -> int:
 def player() -> int:
     """`ros2 run gyrocal_ros player`."""
     return run('player', sys.argv[1:])
+
+
+def ceiling_emulator() -> int:
+    """`ros2 run gyrocal_ros ceiling_emulator`."""
+    return run('ceiling_emulator', sys.argv[1:])

@@ -22,30 +22,48 @@ CameraPoses = Callable[[Array], tuple[Array, Array]]
 """From times (n,) to R_wc (n, 3, 3) and p_wc (n, 3)."""
 
 
-def film(
-    camera: CameraIntrinsics,
-    furniture: tuple[Furniture, ...],
-    seed: int,
-    time_s: Array,
-    camera_poses: CameraPoses,
-) -> Iterator[NDArray[np.uint8]]:
-    """Take an image at each of the times (n,), which are the middles of the exposures.
+class Film:
+    """What a camera below a ceiling sees: motion blurs the images, the light changes, furniture is dark.
 
-    Motion blurs the images, the light changes, and furniture is dark.
+    Args:
+        camera: as it is.
+        furniture: what hides the ceiling.
+        seed: of the ceiling, the light and the noise.
+        time_s: (n,) middles of the exposures.
+        camera_poses: where the camera is.
     """
-    texel_m = CEILING_HEIGHT_M / (TEXELS_PER_PIXEL * np.sqrt(camera.fx_px * camera.fy_px))
-    ceiling = ceiling_layers(stream(seed, 'ceiling'), CEILING_HEIGHT_M, texel_m)
-    boards = sorted((_board(item) for item in furniture), key=lambda layer: -layer.height_m)
-    renderer = CeilingRenderer(camera, (*ceiling, *boards))
-    noise = stream(seed, 'image noise')
-    exposures = brightness(time_s, stream(seed, 'light'))
-    shutter_s = EXPOSURE_S * ((np.arange(BLUR_POSES) + 0.5) / BLUR_POSES - 0.5)
-    for now_s, exposure in zip(time_s, exposures, strict=True):
-        R_wc, p_wc = camera_poses(now_s + shutter_s)
+
+    def __init__(
+        self,
+        camera: CameraIntrinsics,
+        furniture: tuple[Furniture, ...],
+        seed: int,
+        time_s: Array,
+        camera_poses: CameraPoses,
+    ) -> None:
+        texel_m = CEILING_HEIGHT_M / (TEXELS_PER_PIXEL * np.sqrt(camera.fx_px * camera.fy_px))
+        ceiling = ceiling_layers(stream(seed, 'ceiling'), CEILING_HEIGHT_M, texel_m)
+        boards = sorted((_board(item) for item in furniture), key=lambda layer: -layer.height_m)
+        self._renderer = CeilingRenderer(camera, (*ceiling, *boards))
+        self._noise = stream(seed, 'image noise')
+        self._exposures = brightness(time_s, stream(seed, 'light'))
+        self._time_s, self._camera_poses = time_s, camera_poses
+
+    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield all images, one after the other."""
+        return map(self.take, range(len(self._time_s)))
+
+    def take(self, number: int) -> NDArray[np.uint8]:
+        """Take one of the images; the noise is another each time."""
+        shutter_s = EXPOSURE_S * ((np.arange(BLUR_POSES) + 0.5) / BLUR_POSES - 0.5)
+        R_wc, p_wc = self._camera_poses(self._time_s[number] + shutter_s)
         middle = BLUR_POSES // 2
         moving = bool(np.any(R_wc != R_wc[0]) or np.any(p_wc != p_wc[0]))
         blur = list(zip(R_wc, p_wc, strict=True)) if moving else []
-        yield renderer.render(R_wc[middle], p_wc[middle], exposure=float(exposure), blur=blur, rng=noise)
+        exposure = float(self._exposures[number])
+        return self._renderer.render(
+            R_wc[middle], p_wc[middle], exposure=exposure, blur=blur, rng=self._noise
+        )
 
 
 def brightness(time_s: Array, rng: np.random.Generator) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -61,6 +62,9 @@ from gyrocal_ros.sim.sensors import (
     vibration,
 )
 from gyrocal_ros.sim.trajectory import Trajectory, rough_floor
+
+if TYPE_CHECKING:
+    from gyrocal_ros.sim.film import Film
 
 START_NS = 1_700_000_000 * NS_PER_S
 TEMPERATURE_HZ, COVARIATE_HZ = 1, 5
@@ -200,6 +204,13 @@ class SimSource:
         parts = (self._imu(), self._wheels(), self._temperature(), self._covariates())
         return heapq.merge(*parts, key=attrgetter('t_ns'))
 
+    def film(self) -> Film:
+        """Return the images that the camera takes, at `image_times`."""
+        from gyrocal_ros.sim.film import Film  # OpenCV is loaded for images alone
+
+        furniture, time_s = self.scenario.furniture, self.image_times()
+        return Film(self.truth.camera, furniture, self.seed, time_s, self.camera_poses)
+
     def camera_poses(self, time_s: Array) -> tuple[Array, Array]:
         """Return the true R_wc (n, 3, 3) and p_wc (n, 3) of the camera at times (n,)."""
         mount, R_wb = self.truth.camera_mount, self.truth.trajectory.motion(time_s).R_wb
@@ -246,11 +257,7 @@ class SimSource:
             yield FeatureObservations(t_ns, ids, places[corners])
 
     def _frames(self) -> Iterator[Frame]:
-        from gyrocal_ros.sim.film import film  # OpenCV is loaded for images alone
-
-        scenario, time_s = self.scenario, self.image_times()
-        images = film(self.truth.camera, scenario.furniture, self.seed, time_s, self.camera_poses)
-        yield from map(Frame, self._image_stamps(), images)
+        yield from map(Frame, self._image_stamps(), self.film())
 
     def _temperature(self) -> Iterator[TemperatureSample]:
         time_s = _times(TEMPERATURE_HZ, self.scenario.duration_s, SLOW_PHASE_S)

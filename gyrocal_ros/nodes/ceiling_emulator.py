@@ -1,0 +1,125 @@
+"""The ceiling camera of a robot that is none, to go with the board emulator of the same robot."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import rclpy
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import QoSProfile
+from rosidl_runtime_py.utilities import get_message
+from sensor_msgs.msg import CameraInfo, Image
+from tf2_msgs.msg import TFMessage
+
+from gyrocal_ros.data import Frame, nanoseconds, seconds
+from gyrocal_ros.live.emulated_camera import EmulatedCamera, parse_spells
+from gyrocal_ros.live.health import Complaint, Level, Status, status
+from gyrocal_ros.nodes.diagnostics import Diagnostics
+from gyrocal_ros.nodes.endpoints import publish
+from gyrocal_ros.nodes.params import Settings
+from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
+from gyrocal_ros.recording import images, messages, topics
+from gyrocal_ros.recording.topics import Role
+from gyrocal_ros.recording.transforms import IDENTITY
+from gyrocal_ros.settings import setting
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+RECENT_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class CeilingConfig:
+    """Which robot, and what befalls its camera; all but the troubles as given to the board emulator."""
+
+    scenario: str = setting('cleaning', '', 'what the robot does, as in `gyrocal simulate`')
+    seed: int = setting(0, '', 'of all randomness', low=0, high=2**31 - 1)
+    duration_s: float = setting(
+        0.0, 's', "how long it drives; 0 for the scenario's own time", low=0.0, high=7200.0
+    )
+    start_at: float = setting(
+        0.0, 's', 'seconds since 1970 at which it starts; 0 for now', low=0.0, high=1e11
+    )
+    troubles: str = setting(
+        '', '', 'cover@FROM+FOR, off@FROM+FOR, in seconds since the start, separated by blanks'
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CeilingSections:
+    """Settings that only the ceiling emulator has."""
+
+    ceiling: CeilingConfig = CeilingConfig()
+
+
+class CeilingEmulator:
+    """The node; it stays when the last image is taken, for its transforms are still needed."""
+
+    def __init__(self) -> None:
+        self.node = node = rclpy.create_node('ceiling_emulator')
+        config = Settings(node, CeilingSections(), ('ceiling',)).config.ceiling
+        scenario = find_scenario(config.scenario)
+        scenario = replace(scenario, duration_s=config.duration_s or scenario.duration_s)
+        self._camera = EmulatedCamera(SimSource(scenario, config.seed), parse_spells(config.troubles))
+        self._camera.start_ns = nanoseconds(config.start_at) if config.start_at else time.time_ns()
+        self._make = make = messages.live_maker(get_message)
+        self._images = publish(node, Image, Role.IMAGE, QoSProfile(depth=5))
+        self._infos = publish(node, CameraInfo, Role.CAMERA_INFO, SENSOR_OUT)
+        self._truth = publish(node, Odometry, Role.TRUTH, SENSOR_OUT)
+        self._links = publish(node, TFMessage, '/tf_static', STATIC)
+        self._intrinsics, mount = self._camera.believed
+        mounts = {topics.CAMERA_FRAME: mount, topics.IMU_FRAME: IDENTITY}
+        self._links.publish(messages.static_transforms(make, mounts, self._camera.start_ns))
+        self._number = -1
+        self._frame: Frame | None = None
+        self._taken = self._left_out = 0
+        self._left_out_s = -RECENT_S
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(0.0, self._prepare, clock=steady)
+        self._diagnostics = Diagnostics(node, self._status)
+
+    def close(self) -> None:
+        """Nothing has to be put in order."""
+
+    def _prepare(self) -> None:
+        """Take the next image that is not over yet, before its time, and wait for that."""
+        number = self._camera.next_after(self._number, time.time_ns())
+        if number > self._number + 1:
+            self._left_out += number - self._number - 1
+            self._left_out_s = time.monotonic()
+        self._number = number
+        if number == len(self._camera):
+            self._timer.cancel()
+            return
+        self._frame = self._camera.take(number)
+        self._call(self._hand_out, seconds(self._camera.due_ns(number) - time.time_ns()))
+
+    def _hand_out(self) -> None:
+        make, t_ns = self._make, self._camera.stamp_ns(self._number)
+        if self._frame is not None:
+            self._images.publish(images.image(make, self._frame))
+            self._infos.publish(messages.camera_info(make, self._intrinsics, t_ns))
+            self._taken += 1
+        self._truth.publish(messages.truth(make, self._camera.truth(self._number)))
+        self._call(self._prepare, 0.0)
+
+    def _call(self, callback: Callable[[], None], wait_s: float) -> None:
+        self._timer.callback = callback
+        self._timer.timer_period_ns = nanoseconds(max(wait_s, 0.0))
+        self._timer.reset()
+
+    def _status(self) -> Status:
+        left_s = seconds(self._camera.stamp_ns(len(self._camera) - 1) - time.time_ns())
+        fine = f'{self._taken} images taken, {left_s:.0f} s to go' if left_s > 0.0 else 'the drive is over'
+        text = f'{self._left_out} images were left out: the computer is too slow to draw them in time'
+        is_slow = time.monotonic() - self._left_out_s < RECENT_S
+        complaints = [Complaint(Level.WARN, text)] if is_slow else []
+        return status(fine, complaints, {'images': self._taken, 'left_out': self._left_out})
+
+
+def make() -> CeilingEmulator:
+    """Start the node."""
+    return CeilingEmulator()

@@ -10,7 +10,7 @@ import pytest
 
 from gyrocal_ros.bench import accuracy, camera_off
 from gyrocal_ros.bench.accuracy import CONVENTIONAL, OURS, PAPER, accuracy_row, cases, in_parallel
-from gyrocal_ros.bench.speed import filter_alone
+from gyrocal_ros.bench.speed import filter_alone, gyrocal_process
 from gyrocal_ros.bench.trials import Trial, Variant, bound_std, end_of_first_turn_s, run_trial
 from gyrocal_ros.config import Config
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
@@ -105,6 +105,14 @@ def test_the_filter_is_timed_on_what_lies_in_memory() -> None:
     row = filter_alone(replace(SHORT, duration_s=5.0), repeats=1)
     assert row['times_real_time'] == pytest.approx(5.0 / row['wall_s'])
     assert '100 Hz' in row['case']
+
+
+def test_the_memory_of_a_process_is_its_own() -> None:
+    ours = np.ones(30_000_000)
+    process = gyrocal_process('effects')
+    assert 10.0 < process.peak_mb < 150.0 < ours.nbytes / 1e6
+    with pytest.raises(RuntimeError, match='no-such-bag'):
+        gyrocal_process('replay', 'no-such-bag')
 
 
 def test_dead_reckoning_with_the_camera_off(monkeypatch: pytest.MonkeyPatch) -> None:

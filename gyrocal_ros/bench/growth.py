@@ -31,6 +31,7 @@ CORNERS_PER_FEATURE = 8
 MAP_PER_FEATURE = 2
 """As in the default settings: 15 features followed, 30 kept."""
 LONGEST_IN_MEMORY_S = 1200.0
+"""Of a recording that the filter alone is timed on."""
 
 
 @dataclass(frozen=True, slots=True)

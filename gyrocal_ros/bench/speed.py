@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -18,6 +19,16 @@ from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import SimSource
 
+LAUNCHER = """
+import json, os, subprocess, sys, time
+started = time.perf_counter()
+child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
+_, status, usage = os.wait4(child.pid, 0)
+wall_s = time.perf_counter() - started
+cpu_s = usage.ru_utime + usage.ru_stime
+print(json.dumps([os.waitstatus_to_exitcode(status), wall_s, cpu_s, usage.ru_maxrss]))
+"""
+"""A process starts with the peak memory of the one that made it, so a small one has to make it."""
 SINGLE_THREAD = {'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1'}
 
 
@@ -57,13 +68,16 @@ def gyrocal_process(*words: str) -> Process:
         RuntimeError: the command failed.
     """
     command = [sys.executable, '-m', 'gyrocal_ros.cli.main', *words]
-    started = time.perf_counter()
-    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=os.environ | SINGLE_THREAD)
-    _, status, usage = os.wait4(child.pid, 0)
-    wall_s = time.perf_counter() - started
-    if os.waitstatus_to_exitcode(status) != 0:
+    launched = subprocess.run(
+        [sys.executable, '-c', LAUNCHER, *command],
+        stdout=subprocess.PIPE,
+        env=os.environ | SINGLE_THREAD,
+        check=True,
+    )
+    status, wall_s, cpu_s, peak_kb = json.loads(launched.stdout)
+    if status != 0:
         raise RuntimeError(f'{" ".join(command)} failed')
-    return Process(wall_s, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0)
+    return Process(wall_s, cpu_s, peak_kb / 1024.0)
 
 
 def whole_process(folder: Path, duration_s: float, images: bool) -> dict[str, Any]:

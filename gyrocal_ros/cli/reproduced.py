@@ -80,7 +80,7 @@ def _ten_rotations(name: str, result: HeadingTable) -> list[Section]:
 def _histograms(name: str, result: Histograms) -> list[Section]:
     kinds = {kind.gyro.name: (kind.calibrated_deg, kind.nominal_deg) for kind in result.kinds}
     caption = """Four parts, three runs each; two minutes of lanes with the camera, then ten minutes of
-        cleaning without it. The spread of the calibrated errors is the wander of the bias alone."""
+        cleaning without it. The spread of the calibrated errors comes from noise and bias."""
     return [Section(name, figures.histograms(kinds, PAPER_MEAN_SD_DEG), caption)]
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
+
+from recordings import at, recording
 
 from gyrocal_ros.config import Config, LiveConfig
 from gyrocal_ros.data import (
@@ -18,6 +21,7 @@ from gyrocal_ros.data import (
     Rig,
     SearchRegions,
     TemperatureSample,
+    TruthSample,
     WheelSample,
     Whereabouts,
     seconds,
@@ -28,7 +32,9 @@ from gyrocal_ros.live.health import Status
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.recording.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME
 from gyrocal_ros.recording.transforms import IDENTITY, Transform
+from gyrocal_ros.sim.world import SimSource
 
+DURATION_S = 40.0
 BEGAN_S = 5000.0
 """The steady clock when the node starts."""
 
@@ -55,12 +61,28 @@ class Robot:
         assert rig.camera is not None
         self.live.camera(rig.camera, CAMERA_FRAME, self.now_s)
 
-    def run(self, measurements: Iterable[Measurement], step_s: float = 0.0) -> None:
-        """Let measurements arrive when they are made; their stamps may be off by `step_s`."""
-        for item in measurements:
-            if self._origin_ns is None:
-                self._origin_ns = item.t_ns
-            self.now_s = BEGAN_S + seconds(item.t_ns - self._origin_ns)
+    def run(
+        self,
+        measurements: Iterable[Measurement],
+        step_s: float = 0.0,
+        delay_s: Callable[[Measurement], float] = lambda item: 0.0,
+    ) -> None:
+        """Let measurements arrive.
+
+        Args:
+            measurements: in the order of their stamps.
+            step_s: by how much all stamps are off.
+            delay_s: how long after its stamp each one comes.
+        """
+        if self._origin_ns is None:
+            measurements = list(measurements)
+            self._origin_ns = measurements[0].t_ns
+        origin_ns = self._origin_ns
+        arriving = (
+            (BEGAN_S + seconds(item.t_ns - origin_ns) + delay_s(item), place, item)
+            for place, item in enumerate(measurements)
+        )
+        for self.now_s, _, item in sorted(arriving):
             self.take(replace(item, t_ns=item.t_ns + round(step_s * NS_PER_S)))
 
     def take(self, item: Measurement) -> None:
@@ -112,3 +134,22 @@ def robot(
     return Robot(
         LiveCalibrator(chosen, config or Config(), settings, name='test', steady=steady, now_s=BEGAN_S)
     )
+
+
+def source() -> SimSource:
+    """The drive of all these tests."""
+    return recording(duration_s=DURATION_S, seed=3)
+
+
+@cache
+def measured(from_s: float = 0.0, to_s: float = DURATION_S) -> tuple[Measurement, ...]:
+    """What the sensors measure between two moments."""
+    everything = (item for item in source().measurements() if not isinstance(item, TruthSample))
+    return tuple(item for item in everything if at(from_s) <= item.t_ns < at(to_s))
+
+
+def switched_on(path: Path | None = None, **settings: Any) -> Robot:
+    """A robot of which it is known how its sensors sit."""
+    new = robot(calibration=path, **settings)
+    new.mount(source().rig)
+    return new

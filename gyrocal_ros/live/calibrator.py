@@ -92,7 +92,9 @@ class LiveCalibrator:
     # --- what comes in ---------------------------------------------------------------------------
 
     def imu(self, sample: ImuSample, frame: str, now_s: float) -> CalibratedSample | None:
-        """Take a sample in the IMU's own axes; return the true one, None until its mount is known."""
+        """Take a sample in the IMU's own axes; return the true one, None until the IMU's mount is known."""
+        if not self._is_sound(Role.IMU, *sample.rate_rad_s, *sample.specific_force_m_s2):
+            return None
         self._take(Role.IMU, (sample,), now_s)
         self._mounting.hear_imu(sample, frame)
         self._look_at_mounting()

@@ -18,7 +18,7 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
 
-CHECKPOINT_S = 10.0
+CHECKPOINT_S = 5.0
 """A state is good to go back to when the filter has run well for so long since."""
 MAPS_LOST, MAPS_LOST_S = 3, 60.0
 """So many new maps within so long: the filter is lost, whatever its numbers say."""
@@ -95,12 +95,13 @@ class Estimator:
         watch, known = self.watch, self._known
         std = float(np.sqrt(self._served.covariance[COEFFICIENTS_START, COEFFICIENTS_START]))
         was_converged = known is not None and known.converged and not watch.is_settled
-        is_healthy = (was_converged or watch.is_consistent(self._config.convergence)) and not self.on_probation
+        is_healthy = was_converged or watch.is_consistent(self._config.convergence)
+        is_narrow = std <= self._config.convergence.scale_std
         return calibration_of(
             self._served,
             self.model,
             self._config,
-            converged=std <= self._config.convergence.scale_std and is_healthy,
+            converged=is_narrow and is_healthy and not self.on_probation,
             convergence_time_s=watch.since_s,
             duration_s=self._time_s,
             source=self.name,

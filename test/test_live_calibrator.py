@@ -1,0 +1,232 @@
+"""The live calibrator without ROS: what goes in as it arrives gives what a replay gives, whatever happens."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_robot import measured, robot, source, switched_on
+
+from gyrocal_ros.calibrate import Held, calibrate
+from gyrocal_ros.calibration import Calibration, conclude, load_calibration
+from gyrocal_ros.config import Config
+from gyrocal_ros.data import (
+    CovariateSample,
+    FeatureObservations,
+    ImuSample,
+    Measurement,
+    WheelSample,
+)
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects.model_file import model_from_dict
+from gyrocal_ros.files import shipped
+from gyrocal_ros.recording import topics
+from gyrocal_ros.recording.bag import open_bag
+from gyrocal_ros.recording.storage import open_storage
+from gyrocal_ros.recording.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME, Role
+from gyrocal_ros.recording.transforms import IDENTITY, UPSIDE_DOWN, Transform
+
+
+@cache
+def replayed() -> Calibration:
+    return conclude(calibrate(source(), Config(), default_model()))
+
+
+# --- the same as a replay -------------------------------------------------------------------------
+
+
+def test_what_arrives_in_its_order_gives_what_a_replay_gives() -> None:
+    new = switched_on()
+    new.run(measured())
+    new.live.close()
+    live, wanted = new.live.calibration, replayed()
+    np.testing.assert_allclose(live.values, wanted.values, rtol=1e-12)
+    np.testing.assert_allclose(live.covariance, wanted.covariance, rtol=1e-9)
+    assert live.converged and wanted.converged
+    assert live.convergence_time_s == pytest.approx(wanted.convergence_time_s, abs=1e-6)
+
+
+def test_the_sample_bag_in_the_order_of_recording_gives_what_its_replay_gives() -> None:
+    bag, config = open_bag(shipped('bags/cleaning'), Config()), Config()
+    end_ns, last_ns = bag.span.start_ns + 20 * 10**9, 0
+    new = robot()
+    with open_storage(shipped('bags/cleaning')) as storage:
+        used = [topic for name, topic in storage.topics.items() if 'truth' not in name]
+        for name, _, raw in storage.raw_messages(used):
+            message, kind = storage.message(storage.topics[name], raw), storage.topics[name].type_name
+            if name.endswith('tf_static'):
+                new.live.links(topics.transforms(message))
+            elif name.endswith('camera_info'):
+                new.live.camera(topics.camera_intrinsics(message), message.header.frame_id, new.now_s)
+            elif name.endswith('features'):
+                new.run([topics.features(message)])
+            elif name.strip('/') in (Role.IMU, Role.WHEELS, Role.TEMPERATURE):
+                new.run([topics.flat_message(Role(name.strip('/')), kind).value(message)])
+            last_ns = max(last_ns, topics.stamp_ns(message) if hasattr(message, 'header') else 0)
+            if last_ns > end_ns:
+                break
+    new.live.close()
+    held = [item for item in bag.measurements() if item.t_ns <= last_ns]
+    wanted = conclude(calibrate(Held(bag.name, bag.rig, bag.span, held), config, default_model()))
+    live = new.live.calibration
+    np.testing.assert_allclose(live.values, wanted.values, rtol=0.0, atol=1e-3 * wanted.stds.min())
+    np.testing.assert_allclose(live.stds, wanted.stds, rtol=1e-3)
+
+
+def test_messages_that_come_late_but_in_the_order_of_their_stream_change_nothing() -> None:
+    rng = random.Random(1)
+    usual_s = {ImuSample: 0.002, WheelSample: 0.03, FeatureObservations: 0.08}
+    new = switched_on()
+    new.run(measured(0.0, 20.0), delay_s=lambda item: usual_s.get(type(item), 0.1) + rng.uniform(0.0, 0.005))
+    new.live.close()
+    in_order = switched_on()
+    in_order.run(measured(0.0, 20.0))
+    in_order.live.close()
+    np.testing.assert_allclose(
+        new.live.calibration.values, in_order.live.calibration.values, rtol=0.0, atol=1e-9
+    )
+    assert not any('left_out' in name for name in new.live.status(new.now_s).numbers)
+
+
+def test_an_effect_follows_its_signal() -> None:
+    model = model_from_dict(
+        {'name': 'fan', 'effects': ['scale_factor', 'covariate_bias:fan_speed.data']}, 'test'
+    )
+    new = switched_on(model=model)
+    new.run(measured(0.0, 20.0))
+    new.live.close()
+    wanted = conclude(calibrate(Held('', source().rig, source().span, measured(0.0, 20.0)), Config(), model))
+    np.testing.assert_allclose(new.live.calibration.values, wanted.values, rtol=1e-9)
+    assert not new.said('has not come')
+    silent = switched_on(model=model)
+    silent.run(item for item in measured(0.0, 4.0) if not isinstance(item, CovariateSample))
+    assert silent.said('fan_speed.data has not come yet: nothing can be learned of covariate_bias')
+
+
+# --- where the sensors sit ------------------------------------------------------------------------
+
+
+def test_what_is_known_late_of_the_camera_costs_nothing() -> None:
+    new = robot()
+    new.live.links([Transform(BODY_FRAME, IMU_FRAME, IDENTITY)])
+    new.run(measured(0.0, 6.0))
+    assert new.said('camera_info: nothing has come yet')
+    assert len(new.calibrated) > 500, 'the calibration that is known is applied all the same'
+    new.mount(source().rig)
+    new.run(measured(6.0))
+    new.live.close()
+    assert abs(new.live.calibration.scale_factor - replayed().scale_factor) < replayed().scale_factor_std
+
+
+def test_without_transforms_the_settings_say_how_the_camera_sits() -> None:
+    mount, camera = source().rig.camera_mount, source().rig.camera
+    assert camera is not None
+    x, y, z = mount.p_bs.tolist()
+    new = robot(
+        config=replace(Config(), camera=replace(Config().camera, mount_x_m=x, mount_y_m=y, mount_z_m=z))
+    )
+    new.live.camera(camera, CAMERA_FRAME, new.now_s)
+    new.run(measured())
+    new.live.close()
+    assert new.live.calibration.scale_factor == pytest.approx(replayed().scale_factor, abs=1e-4)
+    assert new.said(f'no transform says how {CAMERA_FRAME} sits on base_link; the settings do')
+
+
+@pytest.mark.parametrize('by_transform', [True, False])
+def test_an_imu_that_is_upside_down(by_transform: bool) -> None:
+    def turned(item: Measurement) -> Measurement:
+        if not isinstance(item, ImuSample):
+            return item
+        (wx, wy, wz), (ax, ay, az) = item.rate_rad_s, item.specific_force_m_s2
+        return ImuSample(item.t_ns, (wx, -wy, -wz), (ax, -ay, -az))
+
+    new = robot()
+    new.mount(source().rig, imu=False)
+    if by_transform:
+        new.live.links([Transform(BODY_FRAME, IMU_FRAME, replace(IDENTITY, R_bs=UPSIDE_DOWN.R_bs))])
+    new.run(turned(item) for item in measured())
+    new.live.close()
+    np.testing.assert_allclose(new.live.calibration.values, replayed().values, rtol=1e-9)
+    assert bool(new.said('is upside down')) is not by_transform
+
+
+def test_a_camera_that_is_mounted_anew_begins_anew() -> None:
+    new = switched_on()
+    new.run(measured(0.0, 25.0))
+    assert new.live.calibration.scale_factor_std < 1e-3
+    rig = source().rig
+    new.live.links([Transform(BODY_FRAME, CAMERA_FRAME, replace(rig.camera_mount, p_bs=np.ones(3)))])
+    assert new.live.calibration.scale_factor == 1.0
+    new.live.work()
+    assert 'has changed' in new.live.status(new.now_s).message
+
+
+# --- orders ---------------------------------------------------------------------------------------
+
+
+def test_stopped_it_learns_nothing_and_goes_on_from_there() -> None:
+    new = switched_on(estimate=False)
+    new.run(measured(0.0, 10.0))
+    assert new.live.calibration.scale_factor == 1.0
+    assert len(new.calibrated) > 900
+    new.live.switch(True)
+    new.run(measured(10.0, 30.0))
+    learned = new.live.calibration
+    assert learned.scale_factor_std < 1e-3
+    new.live.switch(False)
+    new.run(measured(30.0))
+    assert new.live.calibration.scale_factor == learned.scale_factor
+    assert 'not estimating' in new.live.status(new.now_s).message
+
+
+def test_reset_forgets_all() -> None:
+    new = switched_on()
+    new.run(measured(0.0, 25.0))
+    new.live.reset()
+    assert new.live.calibration.scale_factor == 1.0
+    new.run(measured(25.0, 26.0))
+    assert new.live.calibration.scale_factor_std > 1e-3
+
+
+def test_a_new_threshold_counts_at_once() -> None:
+    new = switched_on()
+    new.run(measured(0.0, 25.0))
+    assert new.live.calibration.converged
+    strict = replace(Config(), convergence=replace(Config().convergence, scale_std=1e-7))
+    new.live.configure(strict, new.live._live)
+    assert not new.live.calibration.converged
+    assert 'not converged yet' in new.live.status(new.now_s).message
+
+
+# --- the file -------------------------------------------------------------------------------------
+
+
+def test_a_restart_goes_on_with_what_was_saved(tmp_path: Path) -> None:
+    path = tmp_path / 'robot' / 'calibration.yaml'
+    first = switched_on(path, save_interval_s=10.0)
+    first.run(measured(0.0, 25.0))  # and is killed
+    kept = load_calibration(path)
+    assert kept.scale_factor_std < 1e-3
+    second = switched_on(path)
+    assert second.live.calibration.scale_factor == kept.scale_factor
+    second.run(measured(25.0))
+    second.live.close()
+    ended = load_calibration(path)
+    assert ended.scale_factor_std < kept.scale_factor_std
+    assert abs(ended.scale_factor - source().truth.scale_factor) < 3.0 * ended.scale_factor_std
+
+
+def test_a_start_that_has_learned_nothing_leaves_the_file_alone(tmp_path: Path) -> None:
+    path = tmp_path / 'calibration.yaml'
+    first = switched_on(path)
+    first.run(measured(0.0, 25.0))
+    first.live.close()
+    text = path.read_text()
+    second = switched_on(path, save_interval_s=1.0)
+    second.run(item for item in measured(0.0, 3.0) if not isinstance(item, FeatureObservations))
+    second.live.close()
+    assert path.read_text() == text

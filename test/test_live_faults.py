@@ -1,0 +1,143 @@
+"""What may go wrong on a robot: it is told in a sentence while it lasts, and the calibration survives it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from live_robot import BEGAN_S, measured, robot, source, switched_on
+from recordings import at, random_pixels
+
+from gyrocal_ros.data import (
+    FeatureObservations,
+    ImuSample,
+    Measurement,
+    WheelSample,
+    seconds,
+)
+from gyrocal_ros.live.health import Level
+from gyrocal_ros.sim.world import START_NS
+
+
+def test_a_covered_camera_is_told_and_what_is_known_is_served() -> None:
+    def covered(item: Measurement) -> Measurement:
+        if isinstance(item, FeatureObservations) and item.t_ns > at(25.0):
+            return FeatureObservations(item.t_ns, item.ids[:0], item.pixels[:0])
+        return item
+
+    new = switched_on()
+    new.run(covered(item) for item in measured())
+    told_s = new.said('the camera has seen no feature for')
+    assert told_s[0] == pytest.approx(27.0, abs=1.1)
+    assert told_s[-1] > 38.0
+    calibration = new.live.calibration
+    assert calibration.converged
+    assert abs(calibration.scale_factor - source().truth.scale_factor) < 4.0 * calibration.scale_factor_std
+
+
+def test_sensors_that_fall_silent_are_named_while_they_are() -> None:
+    new = switched_on()
+    new.run(
+        item
+        for item in measured(0.0, 12.0)
+        if not (isinstance(item, ImuSample) and 5e9 < item.t_ns - START_NS < 9e9)
+    )
+    assert {6, 7, 8} <= {round(when_s) for when_s in new.said('imu/data_raw: nothing for')} <= {6, 7, 8, 9}
+    assert new.said('there was a gap of 4.0 s')
+    assert (
+        max(level for when_s, status in new.statuses if when_s < 5 for level in [status.level]) < Level.ERROR
+    )
+
+
+def test_a_robot_without_sensors_says_so() -> None:
+    new = robot()
+    message = new.live.status(BEGAN_S + 3.0).message
+    for topic in ('imu/data_raw', 'wheel/odometry', 'ceiling_camera/features', 'ceiling_camera/camera_info'):
+        assert f'{topic}: nothing has come yet' in message
+
+
+@pytest.mark.parametrize('step_s', [2.0, -2.0])
+def test_a_jump_of_the_clock_is_told_and_costs_no_calibration(step_s: float) -> None:
+    new = switched_on()
+    new.run(measured(0.0, 25.0))
+    before = new.live.calibration
+    new.run(measured(25.0), step_s=step_s)
+    new.live.close()
+    assert new.said(f'the clock jumped by {step_s:+.1f} s')
+    assert max(new.said('the clock jumped')) < 25.0 + 13.0
+    after = new.live.calibration
+    assert after.scale_factor_std < before.scale_factor_std
+    assert abs(after.scale_factor - source().truth.scale_factor) < 3.0 * after.scale_factor_std
+    assert not any('left_out' in name for name in new.live.status(new.now_s).numbers)
+    gaps_s = [
+        abs(seconds(b.t_ns - a.t_ns)) for a, b in zip(new.calibrated[:-1], new.calibrated[1:], strict=True)
+    ]
+    assert sum(gap_s > 0.1 for gap_s in gaps_s) == 1, 'all samples were calibrated, at once'
+
+
+def test_simulated_time_may_run_at_any_speed() -> None:
+    new = switched_on(steady=False)
+    new.run(measured(0.0, 15.0), delay_s=lambda item: -0.9 * seconds(item.t_ns - START_NS))
+    assert not new.said('the clock jumped')
+    assert new.live.calibration.scale_factor != 1.0
+
+
+def test_readings_that_are_no_numbers_are_left_out_and_told() -> None:
+    def spoiled(item: Measurement) -> Measurement:
+        if isinstance(item, ImuSample) and item.t_ns // 10**7 % 7 == 0:
+            return replace(item, rate_rad_s=(math.nan, 0.0, 0.0))
+        if isinstance(item, WheelSample) and item.t_ns // 10**7 % 5 == 0:
+            return replace(item, speed_m_s=math.inf)
+        return item
+
+    new = switched_on()
+    new.run(spoiled(item) for item in measured(0.0, 8.0))
+    assert new.said('are of no use: the numbers are not finite (NaN)')
+    assert all(math.isfinite(value) for sample in new.calibrated for value in sample.rate_rad_s)
+
+
+def test_images_that_contradict_everything_do_not_reach_the_calibration() -> None:
+    new = switched_on()
+    new.run(measured(0.0, 30.0))
+    before = new.live.calibration
+    new.run(random_pixels(item) if isinstance(item, FeatureObservations) else item for item in measured(30.0))
+    after = new.live.calibration
+    assert before.converged and not after.converged
+    assert new.said('what the camera sees contradicts the filter') or new.said('has to prove itself')
+    assert after.scale_factor_std < 1e-3
+    assert abs(after.scale_factor - before.scale_factor) < 3.0 * after.scale_factor_std
+
+
+# --- memory ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('silent', [ImuSample, WheelSample, FeatureObservations])
+def test_memory_is_bounded_whoever_is_silent(silent: type[Any]) -> None:
+    new = switched_on()
+    new.run(item for item in measured(0.0, 20.0) if not isinstance(item, silent))
+    before = size_of(new.live)
+    new.run(item for item in measured(20.0) if not isinstance(item, silent))
+    assert size_of(new.live) < 1.2 * before + 500
+
+
+def size_of(root: object) -> int:
+    """How many things are in all containers that can be reached from here; arrays count once."""
+    seen: set[int] = set()
+    todo, count = [root], 0
+    while todo:
+        item = todo.pop()
+        if id(item) in seen or isinstance(item, type | str | bytes | np.ndarray):
+            continue
+        seen.add(id(item))
+        if isinstance(item, dict):
+            count, todo = count + len(item), [*todo, *item.values()]
+        elif hasattr(item, '__len__') and hasattr(item, '__iter__'):
+            children = list(item)
+            count, todo = count + len(children), todo + children
+        else:
+            names = [*getattr(item, '__dict__', {}), *getattr(type(item), '__slots__', ())]
+            todo += [getattr(item, name) for name in names if hasattr(item, name)]
+    return count

@@ -112,3 +112,8 @@ def test_growth_is_told_as_an_exponent_and_drawn(monkeypatch: pytest.MonkeyPatch
 def test_no_seeds_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['bench', 'comparison', '--seeds', '0']) == 2
     assert '--seeds' in capsys.readouterr().err
+
+
+def test_figures_are_kept_by_the_gate_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['bench', 'speed', '--keep']) == main(['bench', '--keep']) == 2
+    assert '--keep' in capsys.readouterr().err

@@ -74,6 +74,8 @@ def run(args: argparse.Namespace) -> None:
             raise GyrocalError('is not a bench', where=repr(name), todo=f'choose of {", ".join(BENCHES)}')
     if args.seeds < 1:
         raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
+    if args.keep and (args.what or not args.quick):
+        raise GyrocalError('keeps the figures of `gyrocal bench --quick` alone', where='--keep')
     if args.quick and not args.what:
         _hold_the_gate(args)
         return
@@ -95,7 +97,7 @@ def _rows(name: str, args: argparse.Namespace) -> list[dict[str, Any]]:
         if not args.json:
             if len(rows) == 1:
                 about = provenance()
-                print(f'{name}: {args.seeds} seeds, gyrocal {about["version"]}, {about["machine"]}')
+                print(f'{name}: gyrocal {about["version"]}, {about["machine"]}')
             print_row(row, header=len(rows) == 1)
     return rows
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from array import array
+from array import array, typecodes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -76,7 +76,12 @@ def live_maker(get_class: Callable[[str], Callable[..., Any]]) -> MessageMaker:
     Args:
         get_class: `rosidl_runtime_py.utilities.get_message`.
     """
-    return MessageMaker(cache(get_class), lambda values: array(values.dtype.char, values.tobytes()))
+
+    def sequence(values: NDArray[Any]) -> Any:
+        kind = values.dtype.char
+        return array(kind, values.tobytes()) if kind in typecodes else values.tolist()
+
+    return MessageMaker(cache(get_class), sequence)
 
 
 def imu(make: MessageMaker, sample: ImuSample) -> Any:

@@ -49,6 +49,9 @@ def _spin(running: Running) -> None:
         rclpy.spin(running.node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception:
+        if rclpy.ok():  # else the end has come in the middle of a wait
+            raise
     finally:
         running.close()
         running.node.destroy_node()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -93,6 +94,19 @@ class NodeProcess:
         self._log.close()
 
 
+def claim_domain() -> tuple[int, socket.socket]:
+    """A ROS_DOMAIN_ID that no other test uses while the socket is open, as ROS's domain_coordinator does."""
+    for domain in range(20, 100):
+        claim = socket.socket()
+        try:
+            claim.bind(('', 32768 + domain))
+        except OSError:
+            claim.close()
+        else:
+            return domain, claim
+    raise AssertionError('all domains are in use')
+
+
 class Graph:
     """Nodes in a domain of their own, and one node of the test among them, `self.node`."""
 
@@ -102,7 +116,7 @@ class Graph:
         Args:
             namespace: of the test's own node.
         """
-        self.domain = 20 + os.getpid() % 80
+        self.domain, self._claim = claim_domain()
         self._context = Context()
         rclpy.init(context=self._context, domain_id=self.domain)
         self.node = rclpy.create_node('test', context=self._context, namespace=namespace)
@@ -124,6 +138,7 @@ class Graph:
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)
+        self._claim.close()
 
     def start(
         self,

@@ -30,12 +30,13 @@ def growth_page(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _sections(rows: Sequence[Mapping[str, Any]]) -> list[Section]:
     against, sizes = rows[0]['against'], [row['size'] for row in rows]
+    place = against.partition(' (')[0].replace(' ', '_')
     times = {
         name: np.array([np.nan if row[cost] is None else row[cost] for row in rows], float)
         for cost, name in COSTS.items()
     }
     memory = {'whole replay': np.array([row['peak_mb'] for row in rows], float)}
     return [
-        Section(f'time_{against}', growth(against, sizes, times, 'processor time (s)'), CAPTION, half=True),
-        Section(f'memory_{against}', growth(against, sizes, memory, 'peak memory (MB)'), '', half=True),
+        Section(f'time_{place}', growth(against, sizes, times, 'processor time (s)'), CAPTION, half=True),
+        Section(f'memory_{place}', growth(against, sizes, memory, 'peak memory (MB)'), '', half=True),
     ]

@@ -176,12 +176,12 @@ def tracks(title: str, paths: Mapping[str, Path]) -> go.Figure:
 
 def growth(x_label: str, x: Sequence[float], lines: Mapping[str, Array], y_label: str) -> go.Figure:
     """A cost against a size, both on logarithmic axes; a straight line of slope 1 is dotted."""
-    figure = panels(f'{y_label} against {x_label}', [y_label], 340)
+    figure = panels(y_label.partition(' (')[0].capitalize(), [y_label], 340)
     sizes = np.array(x)
     for look, (name, values) in zip(LOOKS[1:], lines.items(), strict=False):
         points(figure, sizes, values, np.zeros(len(values)), name, '.3g', (1, 1), look, joined=True)
     first = next(iter(lines.values()))
     line(figure, sizes, first[0] * sizes / sizes[0], 'in proportion', '.3g', (1, 1), GREY, 'dot')
-    figure.update_xaxes(title_text=x_label, type='log', hoverformat='.4g')
-    figure.update_yaxes(type='log')
+    figure.update_xaxes(title_text=x_label, type='log', hoverformat='.4g', dtick=1)
+    figure.update_yaxes(type='log', dtick=1)
     return figure

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
-from rclpy.publisher import Publisher
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import CameraInfo, Imu, PointCloud2, Temperature
 from std_srvs.srv import SetBool, Trigger
@@ -29,9 +25,10 @@ from gyrocal_ros.live.health import Status
 from gyrocal_ros.model.sensor import SensorModel, signals_of
 from gyrocal_ros.nodes.announcer import Announcer
 from gyrocal_ros.nodes.diagnostics import Diagnostics
+from gyrocal_ros.nodes.endpoints import Sorted, publish, subscribe
 from gyrocal_ros.nodes.map_frame import MapFrame
 from gyrocal_ros.nodes.params import Settings
-from gyrocal_ros.nodes.qos import LATCHED, QUIET_IN, QUIET_OUT, SENSOR_IN, SENSOR_OUT, STATIC
+from gyrocal_ros.nodes.qos import LATCHED, SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.nodes.signals import Signals
 from gyrocal_ros.recording import messages, outputs, topics
 from gyrocal_ros.recording.topics import Role
@@ -61,15 +58,16 @@ class Calibrator:
         self._map_frame = MapFrame(node, self._make) if live.publish_map_transform else None
         self._odom, self._body, self._map = topics.ODOM_FRAME, topics.BODY_FRAME, topics.MAP_FRAME
         self._drawn: set[int] = set()
-        self._imu = self._publisher(Imu, 'imu/data')
-        self._odometry = self._publisher(Odometry, 'odometry/slam')
-        self._regions = self._publisher(PointCloud2, 'ceiling_camera/search_regions')
+        self._imu = publish(node, Imu, 'imu/data', SENSOR_OUT)
+        self._odometry = publish(node, Odometry, 'odometry/slam', SENSOR_OUT)
+        self._regions = publish(node, PointCloud2, 'ceiling_camera/search_regions', SENSOR_OUT)
         self._ceiling = node.create_publisher(MarkerArray, 'ceiling_map', LATCHED)
-        self._subscribe(Imu, Role.IMU, self._hear_imu)
-        self._subscribe(Odometry, Role.WHEELS, self._hear_wheels)
-        self._subscribe(PointCloud2, Role.FEATURES, self._hear_features)
-        self._subscribe(Temperature, Role.TEMPERATURE, self._hear_temperature)
-        self._subscribe(CameraInfo, Role.CAMERA_INFO, self._hear_camera)
+        sensors = Sorted(node, SENSOR_IN)
+        sensors.subscribe(Imu, Role.IMU, self._hear_imu)
+        sensors.subscribe(Odometry, Role.WHEELS, self._hear_wheels)
+        sensors.subscribe(PointCloud2, Role.FEATURES, self._hear_features)
+        sensors.subscribe(Temperature, Role.TEMPERATURE, self._hear_temperature)
+        subscribe(node, CameraInfo, Role.CAMERA_INFO, self._hear_camera, SENSOR_IN)
         node.create_subscription(TFMessage, '/tf_static', self._hear_links, STATIC)
         self._signals = Signals(node, signals_of(model), self._hear_signal)
         node.create_service(Trigger, '~/save', self._save)
@@ -82,19 +80,6 @@ class Calibrator:
     def close(self) -> None:
         """Keep what was learned."""
         self._live.close()
-
-    def _publisher(self, kind: type[Any], topic: str) -> Publisher:
-        return self.node.create_publisher(kind, topic, SENSOR_OUT, event_callbacks=QUIET_OUT)
-
-    def _subscribe(self, kind: type[Any], topic: str, hear: Callable[[Any], None]) -> None:
-        self.node.create_subscription(
-            kind,
-            topic,
-            hear,
-            SENSOR_IN,
-            event_callbacks=QUIET_IN,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
 
     # --- what comes in ---------------------------------------------------------------------------
 

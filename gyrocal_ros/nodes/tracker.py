@@ -18,7 +18,7 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.live.health import Status
 from gyrocal_ros.live.tracking import LiveTracker, Tracked
 from gyrocal_ros.nodes.diagnostics import Diagnostics
-from gyrocal_ros.nodes.endpoints import Mailbox, publish, subscribe
+from gyrocal_ros.nodes.endpoints import mailbox, publish, subscribe, waiting
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.recording import images, messages, topics
@@ -48,7 +48,7 @@ class Tracker:
         self._features = publish(node, PointCloud2, Role.FEATURES, SENSOR_OUT)
         self._tracks = publish(node, Image, 'ceiling_camera/tracks_image', QoSProfile(depth=1))
         self._images: Subscription | None = None
-        self._imu = Mailbox(node, Imu, Role.IMU, SENSOR_IN)
+        self._imu = mailbox(node, Imu, Role.IMU, SENSOR_IN)
         subscribe(node, CameraInfo, Role.CAMERA_INFO, self._hear_camera, SENSOR_IN)
         subscribe(node, TFMessage, '/tf_static', self._hear_links, STATIC)
         subscribe(node, PointCloud2, 'ceiling_camera/search_regions', self._hear_regions, SENSOR_IN)
@@ -99,7 +99,7 @@ class Tracker:
         self._follow()
 
     def _fetch_imu(self) -> None:
-        for message in self._imu.fetch():
+        for message in waiting(self._imu):
             self._live.imu(topics.IMU_SAMPLE.value(message), message.header.frame_id, time.monotonic())
 
     def _hear_regions(self, message: PointCloud2) -> None:

@@ -1,0 +1,215 @@
+"""A trial of all nodes on an emulated robot, and its figures.
+
+    python test/ros/emulated_trial.py --minutes 10
+    python test/ros/emulated_trial.py --minutes 8 --faults
+
+Board and camera are emulated with 20 ms of arrival jitter on the line, the nodes are real. With faults, the
+board is unplugged for 5 s, 5 % of its bytes are spoiled for 30 s, the camera stops for 60 s, and the
+calibrator is killed. Needs a sourced ROS. No test: it takes as long as it says, and its times are this
+machine's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from graph import PROJECT, Graph, NodeProcess
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import parameter_value_to_python
+from sensor_msgs.msg import Image, Imu, PointCloud2
+
+from gyrocal_ros.data import NS_PER_S
+from gyrocal_ros.nodes.qos import LATCHED, SENSOR_IN
+from gyrocal_ros.recording.topics import Role, stamp_ns
+from gyrocal_ros.sim.scenarios import find_scenario
+
+SCENARIO, IMU_HZ = 'cleaning', 200.0
+READY_S, SETTLED_S, PERIOD_S = 20.0, 12.0, 15.0
+BOARD_FAULTS = ('--fault', 'unplug@60+5', '--fault', 'noise@100+30=0.05')
+CAMERA_FAULTS = 'off@160+60'
+KILLED_AT_S = 250.0
+TICK = os.sysconf('SC_CLK_TCK')
+LATENCIES = ((Role.IMU, 'imu/data'), (Role.IMAGE, Role.FEATURES))
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a process has used."""
+
+    at_s: float
+    pid: int
+    cpu_s: float
+    memory_mb: float
+
+
+def usage(pid: int, at_s: float) -> Usage:
+    stat = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    memory = re.search(r'VmRSS:\s+(\d+)', Path(f'/proc/{pid}/status').read_text())
+    memory_mb = int(memory[1]) / 1024.0 if memory else math.nan
+    return Usage(at_s, pid, (int(stat[11]) + int(stat[12])) / TICK, memory_mb)
+
+
+class Monitor:
+    """Listens to everything that the figures need."""
+
+    def __init__(self, graph: Graph, start_s: float) -> None:
+        self.start_ns = round(start_s * NS_PER_S)
+        self.came_s: dict[str, dict[int, float]] = defaultdict(dict)
+        """When the message of each stamp came, by topic."""
+        self.said: list[tuple[float, str, str, dict[str, str]]] = []
+        """Time, node, sentence and numbers of all diagnostics."""
+        self.calibration: dict[str, Any] = {}
+        kinds = {Role.IMU: Imu, 'imu/data': Imu, Role.IMAGE: Image, Role.FEATURES: PointCloud2}
+        for topic, kind in kinds.items():
+            qos = SENSOR_IN if kind is Image else 1000
+            graph.node.create_subscription(kind, topic, self._hear(topic), qos)
+        graph.node.create_subscription(DiagnosticArray, '/diagnostics', self._hear_health, 100)
+        graph.node.create_subscription(ParameterEvent, 'gyro_calibration', self._hear_calibration, LATCHED)
+
+    def _hear(self, topic: str) -> Any:
+        came_s = self.came_s[topic]
+        return lambda message: came_s.setdefault(stamp_ns(message), time.monotonic())
+
+    def _hear_health(self, message: DiagnosticArray) -> None:
+        at_s = time.time() - self.start_ns / NS_PER_S
+        for status in message.status:
+            numbers = {item.key: item.value for item in status.values}
+            self.said.append((at_s, status.name, status.message, numbers))
+
+    def _hear_calibration(self, message: ParameterEvent) -> None:
+        self.calibration = {
+            item.name: parameter_value_to_python(item.value) for item in message.changed_parameters
+        }
+
+    def latencies_ms(self, before: str, after: str) -> list[float]:
+        first, then = self.came_s[before], self.came_s[after]
+        return [1e3 * (came_s - first[t_ns]) for t_ns, came_s in then.items() if t_ns in first]
+
+
+def tell_calibration(monitor: Monitor) -> None:
+    truth, found = find_scenario(SCENARIO).errors.scale_factor, monitor.calibration
+    error, std = found['gyro.scale_factor'] - truth, found['gyro.scale_factor_std']
+    print(
+        f'scale factor {found["gyro.scale_factor"]:.6f} ± {std:.6f}, true {truth:.6f}: '
+        f'{100.0 * error / truth:+.4f} %, {error / std:+.1f} sigma; converged: {found["gyro.converged"]}'
+    )
+
+
+def tell_stamps(monitor: Monitor) -> None:
+    """The true moments are known: they lie on a grid that begins at the start."""
+    stamps_ns = np.array(sorted(monitor.came_s[Role.IMU])) - monitor.start_ns
+    number = np.round(stamps_ns * IMU_HZ / NS_PER_S).astype(int)
+    off_ms = np.abs(stamps_ns - number * NS_PER_S / IMU_HZ) / 1e6
+    settled = stamps_ns > SETTLED_S * NS_PER_S
+    lost = number[-1] - number[0] + 1 - len(set(number.tolist()))
+    print(
+        f'{Role.IMU}: {len(number)} samples, {lost} missing; stamps off by {off_ms[settled].mean():.3f} ms '
+        f'on average, {off_ms[settled].max():.3f} at worst after {SETTLED_S:.0f} s, '
+        f'{off_ms[~settled].max():.2f} before'
+    )
+
+
+def tell_latencies(monitor: Monitor) -> None:
+    for before, after in LATENCIES:
+        late_ms = np.array(monitor.latencies_ms(before, after))
+        print(
+            f'{before} to {after}: {len(late_ms)} of {len(monitor.came_s[before])}, median '
+            f'{np.median(late_ms):.1f} ms, 99 % {np.quantile(late_ms, 0.99):.1f}, worst {late_ms.max():.1f}'
+        )
+
+
+def tell_usage(used: dict[str, list[Usage]]) -> None:
+    total = 0.0
+    for name, rows in used.items():
+        pairs = [(a, b) for a, b in zip(rows[2:], rows[3:], strict=False) if a.pid == b.pid]
+        share = sum(b.cpu_s - a.cpu_s for a, b in pairs) / sum(b.at_s - a.at_s for a, b in pairs)
+        total += share
+        every = max(len(rows) // 10, 1)
+        memory_mb = ' '.join(f'{row.memory_mb:.0f}' for row in rows[::every])
+        print(f'{name}: {100.0 * share:.1f} % of a core; memory in MB: {memory_mb}')
+    print(f'together: {100.0 * total:.1f} % of a core')
+
+
+def tell_health(monitor: Monitor) -> None:
+    last: dict[str, str] = {}
+    for at_s, name, text, _ in monitor.said:
+        kind = re.sub(r'[\d.]+', '#', text)
+        if last.get(name) != kind:
+            print(f'{at_s:7.1f} s {name}: {text}')
+            last[name] = kind
+    for name, numbers in {name: numbers for _, name, _, numbers in monitor.said}.items():
+        print(name, json.dumps(numbers))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument('--minutes', type=float, default=10.0)
+    parser.add_argument('--seed', type=int, default=5)
+    parser.add_argument('--faults', action='store_true')
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder, Graph() as graph:
+        run(args, Path(folder), graph)
+
+
+def run(args: argparse.Namespace, folder: Path, graph: Graph) -> None:
+    duration_s, port, kept = 60.0 * args.minutes, folder / 'board', folder / 'calibration.yaml'
+    start_s = time.time() + READY_S
+    given = ('--scenario', SCENARIO, '--seed', str(args.seed), '--duration', str(duration_s))
+    board = subprocess.Popen(
+        [sys.executable, '-m', 'gyrocal_ros.cli.board_emulator', '--link', str(port), *given]
+        + ['--start-at', str(start_s), '--jitter', '0.02', *(BOARD_FAULTS if args.faults else ())],
+        stdin=subprocess.DEVNULL,
+        env={**os.environ, 'PYTHONPATH': f'{PROJECT}{os.pathsep}{os.environ.get("PYTHONPATH", "")}'},
+    )
+    ceiling = {'scenario': SCENARIO, 'seed': args.seed, 'duration_s': duration_s, 'start_at': start_s}
+    ceiling['troubles'] = CAMERA_FAULTS if args.faults else ''
+    graph.start('ceiling_emulator', parameters={f'ceiling.{name}': value for name, value in ceiling.items()})
+    keeping = {'live.calibration': str(kept), 'live.save_interval_s': 10.0}
+    nodes: dict[str, NodeProcess] = {
+        'driver': graph.start('driver', parameters={'driver.port': str(port)}),
+        'tracker': graph.start('tracker'),
+        'calibrator': graph.start('calibrator', parameters=keeping),
+    }
+    monitor, used, next_s = Monitor(graph, start_s), defaultdict[str, list[Usage]](list), 0.0
+    killed_at_s = KILLED_AT_S if args.faults else math.inf
+    try:
+        while (at_s := time.time() - start_s) < duration_s + 2.0:
+            graph.spin(0.05)
+            if at_s >= next_s:
+                next_s += PERIOD_S
+                for name, process in nodes.items():
+                    used[name].append(usage(process.pid, at_s))
+            if at_s > killed_at_s:
+                killed_at_s = math.inf
+                nodes['calibrator'].stop(signal.SIGKILL)
+                nodes['calibrator'] = graph.start('calibrator', parameters=keeping)
+        for name, process in nodes.items():
+            print(f'{name}: exit status {process.stop()} {process.said[-500:]}')
+    finally:
+        board.terminate()
+    tell_calibration(monitor)
+    tell_stamps(monitor)
+    tell_latencies(monitor)
+    tell_usage(used)
+    tell_health(monitor)
+
+
+if __name__ == '__main__':
+    main()

@@ -58,8 +58,13 @@ class Driver:
         self._board.set_rates(config.driver)
 
     def _publish(self, reading: Reading) -> None:
-        if not self.node.context.ok():
-            return  # told to end
+        try:
+            self._send(reading)
+        except Exception:
+            if self.node.context.ok():  # else the end has come in the middle of it
+                raise
+
+    def _send(self, reading: Reading) -> None:
         if isinstance(reading, ImuSample):
             self._imu.publish(messages.imu(self._make, reading))
         elif isinstance(reading, WheelMotion):

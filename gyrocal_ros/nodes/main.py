@@ -21,6 +21,9 @@ def run(name: str, argv: Sequence[str]) -> int:
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # the filter's matrices are too small to share
     try:
         shell = importlib.import_module('gyrocal_ros.nodes.shell')
+        return int(shell.run(importlib.import_module(f'gyrocal_ros.nodes.{name}').make, argv))
+    except KeyboardInterrupt:  # before there was a node
+        return 130
     except ModuleNotFoundError as error:
         if (error.name or '').startswith('gyrocal_ros'):
             raise
@@ -30,7 +33,6 @@ def run(name: str, argv: Sequence[str]) -> int:
             file=sys.stderr,
         )
         return 2
-    return int(shell.run(importlib.import_module(f'gyrocal_ros.nodes.{name}').make, argv))
 
 
 def driver() -> int:

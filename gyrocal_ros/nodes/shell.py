@@ -37,6 +37,11 @@ def run(make: Callable[[], Running], argv: Sequence[str]) -> int:
     except GyrocalError as error:
         print(f'error: {error}', file=sys.stderr)
         return 2
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except Exception:
+        if rclpy.ok():  # else the end has come in the middle of something
+            raise
     finally:
         rclpy.try_shutdown()
     return 0
@@ -47,11 +52,6 @@ def _spin(running: Running) -> None:
     gc.freeze()  # what is there now stays: looking through it again and again makes messages wait
     try:
         rclpy.spin(running.node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except Exception:
-        if rclpy.ok():  # else the end has come in the middle of a wait
-            raise
     finally:
         running.close()
         running.node.destroy_node()

@@ -86,7 +86,8 @@ class LiveCalibrator:
         self._intake = self._new_intake()
         self._health = CalibratorHealth(model, now_s)
         self._now_s = self._saved_s = now_s
-        self._newest_ns = 0
+        self.newest_ns = 0
+        """Stamp of the last IMU sample: what the clock of the sensors shows now, 0 before the first."""
         self.switch(live.estimate)
 
     # --- what comes in ---------------------------------------------------------------------------
@@ -98,7 +99,7 @@ class LiveCalibrator:
         self._take(Role.IMU, (sample,), now_s)
         self._mounting.hear_imu(sample, frame)
         self._look_at_mounting()
-        self._newest_ns = sample.t_ns
+        self.newest_ns = sample.t_ns
         return None if self._R_bi is None else self._reckoner.imu(self._turn(sample))
 
     def wheels(self, sample: WheelSample, now_s: float) -> Whereabouts | None:
@@ -201,7 +202,7 @@ class LiveCalibrator:
             restarts=estimator.restarts,
             map_size=0 if slam is None else len(slam.state.landmarks.ids),
             pixel_noise_px=math.nan if slam is None else slam.pixel_noise.std,
-            lag_s=0.0 if slam is None else seconds(self._newest_ns - slam.state.t_ns),
+            lag_s=seconds(self.newest_ns - slam.state.t_ns) if slam and slam.has_started else 0.0,
             window_s=self._live.reorder_window_s,
             left_out=Counter({self._streams[stream]: count for stream, count in left_out.items()}),
             useless=Counter({self._streams[stream]: count for stream, count in useless.items()}),

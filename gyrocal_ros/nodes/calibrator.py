@@ -69,7 +69,7 @@ class Calibrator:
         sensors.subscribe(Temperature, Role.TEMPERATURE, self._hear_temperature)
         subscribe(node, CameraInfo, Role.CAMERA_INFO, self._hear_camera, SENSOR_IN)
         node.create_subscription(TFMessage, '/tf_static', self._hear_links, STATIC)
-        self._signals = Signals(node, signals_of(model), self._hear_signal)
+        self._signals = Signals(node, signals_of(model), lambda: self._live.newest_ns, self._hear_signal)
         node.create_service(Trigger, '~/save', self._save)
         node.create_service(Trigger, '~/reset', self._reset)
         node.create_service(SetBool, '~/estimate', self._switch)
@@ -141,6 +141,8 @@ class Calibrator:
         self._announcer.tell(self._live.calibration)
         self._live.save_if_due(time.monotonic())
         self._signals.look()
+        if self._map_frame is not None:
+            self._map_frame.look()
         if self._live.filter is not None and self._ceiling.get_subscription_count():
             self._draw(ceiling(self._live.filter))
 

@@ -6,18 +6,19 @@ import time
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from tf2_msgs.msg import TFMessage
 
 from gyrocal_ros.data import Mount, Whereabouts
 from gyrocal_ros.live.parents import OdomParents
+from gyrocal_ros.nodes.endpoints import mailbox, publish, waiting
 from gyrocal_ros.recording.messages import MessageMaker, transform
 from gyrocal_ros.recording.outputs import map_to_odom
-from gyrocal_ros.recording.topics import stamp_ns
+from gyrocal_ros.recording.topics import ODOM_FRAME, stamp_ns
 
-LOOK_EVERY = 5
-"""Others send their transforms again and again: a look at some of them is enough, and costs less."""
-LISTEN = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+EVERY_NS = 45_000_000
+"""So long between two: 20 in a second are enough for whoever looks up where the robot is."""
+SOME = QoSProfile(depth=30, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Others send their transforms again and again: a look at the last of them now and then is enough."""
 
 
 class MapFrame:
@@ -29,11 +30,11 @@ class MapFrame:
     """
 
     def __init__(self, node: Node, make: MessageMaker) -> None:
-        self._make, self._odom_frame = make, 'odom'
+        self._make, self._odom_frame = make, ODOM_FRAME
         self._parents = OdomParents(time.monotonic())
-        self._heard = 0
-        self._publisher = node.create_publisher(TFMessage, '/tf', 100)
-        node.create_subscription(TFMessage, '/tf', self._hear_some, LISTEN, raw=True)
+        self._sent_ns = 0
+        self._publisher = publish(node, TFMessage, '/tf', QoSProfile(depth=100))
+        self._others = mailbox(node, TFMessage, '/tf', SOME)
 
     @property
     def complaint(self) -> str:
@@ -41,21 +42,23 @@ class MapFrame:
         return self._parents.complaint(time.monotonic())
 
     def send(self, place: Whereabouts, in_odom: Mount, frame: str, odom_frame: str) -> None:
-        """Send it, by where the body is in both frames at one moment."""
+        """Send it, by where the body is in both frames at one moment, unless that was done just now."""
         self._odom_frame = odom_frame
-        if self._parents.may_send(time.monotonic()):
-            self._parents.sent(frame, place.t_ns)
-            link = map_to_odom(place, in_odom, frame, odom_frame)
-            self._publisher.publish(transform(self._make, place.t_ns, link))
+        if abs(place.t_ns - self._sent_ns) < EVERY_NS or not self._parents.may_send(time.monotonic()):
+            return
+        self._sent_ns = place.t_ns
+        self._parents.sent(frame, place.t_ns)
+        link = map_to_odom(place, in_odom, frame, odom_frame)
+        self._publisher.publish(transform(self._make, place.t_ns, link))
+
+    def look(self) -> None:
+        """Look whether somebody else gives odom a parent; to be called now and then."""
+        for message in waiting(self._others):
+            self.hear(message, is_static=False)
 
     def hear(self, message: TFMessage, *, is_static: bool) -> None:
-        """Look whether somebody else gives odom a parent."""
+        """Take in transforms that came, perhaps our own."""
         for link in message.transforms:
             if link.child_frame_id == self._odom_frame:
                 now_s = time.monotonic()
                 self._parents.heard(link.header.frame_id, stamp_ns(link), now_s, is_static=is_static)
-
-    def _hear_some(self, raw: bytes) -> None:
-        self._heard += 1
-        if self._heard % LOOK_EVERY == 0:
-            self.hear(deserialize_message(raw, TFMessage), is_static=False)

@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rosidl_runtime_py.utilities import get_message
 
 from gyrocal_ros.data import CovariateSample
+from gyrocal_ros.nodes.endpoints import subscribe
 from gyrocal_ros.nodes.qos import SENSOR_IN
 from gyrocal_ros.recording.topics import stamp_ns
 
@@ -20,11 +21,18 @@ class Signals:
     Args:
         node: gets the subscriptions.
         names: as in a bag, `battery_state.current`: the topic, then the field.
+        now_ns: what the clock of the sensors shows, for messages without a stamp; 0 while nobody knows.
         hear: told of every number.
     """
 
-    def __init__(self, node: Node, names: Iterable[str], hear: Callable[[CovariateSample], None]) -> None:
-        self._node, self._hear = node, hear
+    def __init__(
+        self,
+        node: Node,
+        names: Iterable[str],
+        now_ns: Callable[[], int],
+        hear: Callable[[CovariateSample], None],
+    ) -> None:
+        self._node, self._now_ns, self._hear = node, now_ns, hear
         self._missing = set(names)
 
     def look(self) -> None:
@@ -44,11 +52,11 @@ class Signals:
         read, has_header = attrgetter(field), 'header' in kind.get_fields_and_field_types()
 
         def hear(message: Any) -> None:
-            now_ns = self._node.get_clock().now().nanoseconds
-            t_ns = stamp_ns(message) if has_header else now_ns
-            self._hear(CovariateSample(t_ns, name, float(read(message))))
+            t_ns = stamp_ns(message) if has_header else self._now_ns()
+            if t_ns:
+                self._hear(CovariateSample(t_ns, name, float(read(message))))
 
-        self._node.create_subscription(kind, topic, hear, SENSOR_IN)
+        subscribe(self._node, kind, topic, hear, SENSOR_IN)
 
 
 def _readings(name: str) -> Iterator[tuple[str, str]]:

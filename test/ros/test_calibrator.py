@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
 from graph import Graph
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import ParameterEvent
@@ -73,13 +74,20 @@ def fast(**parameters: Any) -> dict[str, Any]:
     return {'use_sim_time': True, **reliable, **parameters}
 
 
-def play(graph: Graph, duration_s: float, answers: list[Any]) -> None:
-    """Let the calibrator hear the start of the recording; `answers` is where its imu/data gathers."""
+def play(graph: Graph, duration_s: float, answers: list[Any], others: Sequence[str] = ()) -> None:
+    """Let the calibrator hear the start of the recording.
+
+    Args:
+        graph: where the calibrator is.
+        duration_s: how much of the recording.
+        answers: where the imu/data that it answers with gather.
+        others: topics that it follows beside its usual ones.
+    """
     publishers: dict[str, Publisher] = {}
     for name, type_name, _ in recorded(duration_s):
         if name not in publishers:
             topic, qos = ('/tf_static', STATIC) if name == 'tf_static' else (name, SENSOR_OUT)
-            readers = 0 if name in UNHEARD else 1
+            readers = 0 if name in UNHEARD and name not in others else 1
             publishers[name] = graph.publisher(get_message(type_name), topic, qos, readers=readers)
     before_ns = [0] * AHEAD
     for name, _, raw in recorded(duration_s):
@@ -93,13 +101,21 @@ def play(graph: Graph, duration_s: float, answers: list[Any]) -> None:
 
 
 def wait_for_stamp(graph: Graph, answers: list[Any], t_ns: int) -> None:
-    """Wait until what was measured then has been answered."""
-    graph.wait(lambda: not t_ns or (answers and stamp_ns(answers[-1]) >= t_ns), 'the calibrated samples')
+    """Wait until what was measured then has been answered; until the transforms are heard, nothing is."""
+    if answers:
+        graph.wait(lambda: stamp_ns(answers[-1]) >= t_ns, 'the calibrated samples')
+    else:
+        graph.spin(0.01)
 
 
 def values_of(event: ParameterEvent) -> dict[str, Any]:
     """The parameters of an event by name."""
     return {item.name: parameter_value_to_python(item.value) for item in event.changed_parameters}
+
+
+def said(health: list[DiagnosticArray]) -> list[str]:
+    """All that was told of the health."""
+    return [status.message for array in health for status in array.status]
 
 
 @dataclass
@@ -122,7 +138,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Played]:
     path = tmp_path_factory.mktemp('kept') / 'calibration.yaml'
     with Graph() as graph:
         graph.start('calibrator', parameters=fast(**{'live.calibration': str(path)}))
-        said = Played(
+        all_said = Played(
             graph,
             path,
             graph.listen(Imu, 'imu/data'),
@@ -133,8 +149,8 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Played]:
             graph.listen(ParameterEvent, '/parameter_events'),
             graph.listen(DiagnosticArray, '/diagnostics'),
         )
-        play(graph, PLAYED_S, said.imu)
-        yield said
+        play(graph, PLAYED_S, all_said.imu)
+        yield all_said
 
 
 def latest(graph: Graph) -> dict[str, Any]:
@@ -225,12 +241,9 @@ class TestAfterARecording:
 
     def test_its_health_is_told_in_sentences(self, played: Played) -> None:
         silent = 'imu/data_raw: nothing for'
-
-        def found() -> bool:
-            messages = [status.message for array in played.health for status in array.status]
-            return any(silent in message for message in messages)
-
-        played.graph.wait(found, 'a complaint that the IMU is silent')
+        played.graph.wait(
+            lambda: any(silent in message for message in said(played.health)), 'the silence of the IMU told'
+        )
 
     def test_its_end_is_that_of_the_replay(self, played: Played) -> None:
         assert played.graph.processes[0].stop() == 0
@@ -280,6 +293,36 @@ class TestKeeping:
             assert graph.switch('calibrator/estimate', True).success
             assert node.stop() == 0
         assert not path.exists()
+
+
+class TestOthers:
+    def test_odom_gets_no_second_parent(self) -> None:
+        with Graph() as graph:
+            answers, transforms = graph.listen(Imu, 'imu/data'), graph.listen(TFMessage, '/tf')
+            health = graph.listen(DiagnosticArray, '/diagnostics')
+            other = graph.publisher(TFMessage, '/tf_static', STATIC, readers=0)
+            link = TransformStamped(child_frame_id='odom')
+            link.header.frame_id = 'world'
+            other.publish(TFMessage(transforms=[link]))
+            graph.start('calibrator', parameters=fast())
+            play(graph, 5.0, answers)
+            told = 'somebody else publishes the transform from world to odom'
+            graph.wait(lambda: any(told in message for message in said(health)), 'the complaint')
+            assert not transforms
+
+    def test_an_effect_follows_a_number_of_another_topic(self, tmp_path: Path) -> None:
+        model = tmp_path / 'model.yaml'
+        model.write_text('effects: [scale_factor, "covariate_bias:fan_speed.data"]')
+        with Graph() as graph:
+            answers = graph.listen(Imu, 'imu/data')
+            graph.start('calibrator', parameters=fast(**{'live.model': str(model)}))
+            before = latest(graph)
+            assert before['gyro.coefficient_names'] == ['scale_factor', 'covariate_bias:fan_speed.data']
+            play(graph, 12.0, answers, others=('fan_speed',))
+            graph.wait(
+                lambda: latest(graph)['gyro.coefficient_stds'][1] < before['gyro.coefficient_stds'][1],
+                'something learned of the fan',
+            )
 
 
 class TestStart:

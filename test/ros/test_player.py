@@ -1,0 +1,101 @@
+"""The player as a process: what was recorded comes again, with the time of the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from graph import Graph
+from nav_msgs.msg import Odometry
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
+from small_bags import RIG, START_NS, drive
+from tf2_msgs.msg import TFMessage
+
+from gyrocal_ros.data import FeatureObservations, ImuSample
+from gyrocal_ros.nodes.qos import STATIC
+from gyrocal_ros.recording import topics
+from gyrocal_ros.recording.write import new_bag
+
+LENGTH_S = 3.0
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp('bags') / 'bag'
+    with new_bag(path, namespace='robot1') as writer:
+        writer.write_rig(RIG, START_NS, np.eye(3))
+        for sample in drive(LENGTH_S):
+            writer.write(sample)
+    return path
+
+
+@pytest.fixture
+def graph() -> Iterator[Graph]:
+    with Graph() as graph:
+        yield graph
+
+
+def listen(graph: Graph, namespace: str = '') -> dict[str, list[Any]]:
+    """Listen to some of what is played."""
+    before = f'/{namespace}/' if namespace else ''
+    kinds = {'imu/data_raw': Imu, 'ceiling_camera/features': PointCloud2, 'wheel/odometry': Odometry}
+    return {name: graph.listen(kind, f'{before}{name}') for name, kind in kinds.items()}
+
+
+def test_all_comes_again_and_then_it_ends(graph: Graph, bag: Path) -> None:
+    heard, clock = listen(graph), graph.listen(Clock, '/clock')
+    infos = graph.listen(CameraInfo, 'ceiling_camera/camera_info')
+    player = graph.start('player', parameters={'player.bag': str(bag), 'player.wait_for': 'test'})
+    player.told_to_end = True
+    graph.wait(lambda: player.status is not None, 'its end')
+    graph.spin()
+    assert player.status == 0
+    samples = [sample for sample in drive(LENGTH_S) if isinstance(sample, ImuSample)]
+    assert [topics.IMU_SAMPLE.value(message) for message in heard['imu/data_raw']] == samples
+    images = [item for item in drive(LENGTH_S) if isinstance(item, FeatureObservations)]
+    assert [topics.stamp_ns(message) for message in heard['ceiling_camera/features']] == [
+        i.t_ns for i in images
+    ]
+    times_ns = [Time.from_msg(message.clock).nanoseconds for message in clock]
+    assert times_ns == sorted(times_ns) and len(times_ns) > 20 * LENGTH_S
+    assert times_ns[0] >= START_NS and times_ns[-1] <= START_NS + 1e9 * LENGTH_S
+    assert 2 <= len(infos) <= 4, 'recorded once, but nobody may have missed it'
+
+
+def test_it_waits_for_those_who_are_to_listen(graph: Graph, bag: Path) -> None:
+    links = graph.listen(TFMessage, '/tf_static', STATIC)
+    parameters = {'player.bag': str(bag), 'player.wait_for': 'test tracker'}
+    player = graph.start('player', parameters=parameters)
+    heard = listen(graph)
+    graph.wait(lambda: 'waiting for tracker' in player.said, 'it to say whom it waits for')
+    assert not heard['imu/data_raw']
+    frames = {link.child_frame_id for message in links for link in message.transforms}
+    assert frames == {topics.CAMERA_FRAME, topics.IMU_FRAME}, 'transforms are there at once'
+    graph.start('tracker')
+    graph.wait(lambda: heard['imu/data_raw'], 'the first sample')
+    assert topics.stamp_ns(heard['imu/data_raw'][0]) == START_NS
+
+
+def test_it_plays_under_a_namespace_and_as_fast_as_told(graph: Graph, bag: Path) -> None:
+    heard = listen(graph, 'two')
+    parameters = {'player.bag': str(bag), 'player.wait_for': 'test', 'player.rate': 50.0}
+    graph.start('player', namespace='two', parameters=parameters).told_to_end = True
+    graph.wait(lambda: len(heard['wheel/odometry']) == 20 * LENGTH_S, 'all of it')
+
+
+def test_a_bag_that_cannot_be_played_is_told(graph: Graph, tmp_path: Path) -> None:
+    for parameters, reason in (
+        ({}, 'no recording is named'),
+        ({'player.bag': str(tmp_path / 'none')}, 'no such bag'),
+        ({'player.bag': str(tmp_path), 'player.rate': 0.0}, 'player.rate is how much faster'),
+    ):
+        player = graph.start('player', parameters=parameters)
+        player.told_to_end = True
+        graph.wait(lambda player=player: player.status is not None, 'its end')  # type: ignore[misc]
+        assert player.status == 2
+        assert reason in player.said

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +19,8 @@ from gyrocal_ros.data import (
     WheelSample,
     seconds,
 )
+from gyrocal_ros.ekf.slam import StepRecord
+from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.live.health import Level
 from gyrocal_ros.sim.world import START_NS
 
@@ -95,7 +98,7 @@ def test_readings_that_are_no_numbers_are_left_out_and_told() -> None:
 
     new = switched_on()
     new.run(spoiled(item) for item in measured(0.0, 8.0))
-    assert new.said('are of no use: the numbers are not finite (NaN)')
+    assert new.said('are of no use: the numbers cannot be (NaN, or far too large)')
     assert all(math.isfinite(value) for sample in new.calibrated for value in sample.rate_rad_s)
 
 
@@ -109,6 +112,35 @@ def test_images_that_contradict_everything_do_not_reach_the_calibration() -> Non
     assert new.said('what the camera sees contradicts the filter') or new.said('has to prove itself')
     assert after.scale_factor_std < 1e-3
     assert abs(after.scale_factor - before.scale_factor) < 3.0 * after.scale_factor_std
+
+
+def test_messages_that_come_too_late_are_told_by_topic() -> None:
+    new = switched_on()
+    new.run(measured(0.0, 12.0), delay_s=lambda item: 1.5 if isinstance(item, FeatureObservations) else 0.0)
+    told = re.compile(r'ceiling_camera/features: \d+ messages in 10 s came more than 0.3 s late')
+    assert [when_s for when_s, status in new.statuses if told.search(status.message)][-1] > 11.0
+    assert not new.said('imu/data_raw: there was')
+
+
+def test_a_filter_that_gives_up_is_begun_anew_with_what_was_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    new = switched_on()
+    new.run(measured(0.0, 32.0))
+    before = new.live.calibration
+    assert new.live.filter is not None
+
+    def give_up(item: Measurement) -> list[StepRecord]:
+        raise FilterDivergedError('the images miss what is expected')
+
+    monkeypatch.setattr(new.live.filter, 'step', give_up)
+    new.run(measured(32.0))
+    after, status = new.live.calibration, new.live.status(new.now_s)
+    assert status.numbers['filter_restarts'] == 1
+    assert 'the filter was lost and begun anew' in status.message
+    assert 'has to prove itself' in status.message
+    assert not after.converged, 'nobody knows yet'
+    assert abs(after.scale_factor - before.scale_factor) < 3.0 * after.scale_factor_std < 1e-3
+    yaws = [place.euler_rad[2] for place in new.located]
+    assert np.abs(np.diff(yaws)).max() < 0.1, 'the robot does not jump'
 
 
 # --- memory ---------------------------------------------------------------------------------------

@@ -39,6 +39,8 @@ from gyrocal_ros.recording.mounts import into_body_axes
 from gyrocal_ros.recording.topics import Role
 from gyrocal_ros.recording.transforms import Transform
 
+LARGEST = 1e5
+"""No sensor of a robot reads so much, in SI units."""
 PUNCTUAL = (Role.IMU, Role.WHEELS, Role.FEATURES)
 """What the filter goes on by. Each comes in its order, and when all of them have passed a moment it goes
 on at once, so that the tracker has its word before the next image."""
@@ -258,9 +260,10 @@ class LiveCalibrator:
     # --- how -------------------------------------------------------------------------------------
 
     def _is_sound(self, topic: str, *numbers: float) -> bool:
-        is_sound = math.isfinite(sum(numbers))
+        """Whether numbers can be true; NaN and what is beyond all bounds is noted."""
+        is_sound = all(abs(number) < LARGEST for number in numbers)
         if not is_sound:
-            self._health.spoil(topic, 'the numbers are not finite (NaN); look after its driver')
+            self._health.spoil(topic, 'the numbers cannot be (NaN, or far too large); look after its driver')
         return is_sound
 
     def _take(self, topic: str, samples: Sequence[Measurement], now_s: float) -> None:

@@ -3,8 +3,9 @@
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-SENSOR_IN = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Sensor data as they come in: with publishers of every reliability, a second of IMU held at most."""
+SENSOR_IN = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Sensor data as they come in: with publishers of every reliability. A computer that is busy for some
+seconds loses nothing."""
 SENSOR_OUT = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 """Sensor data that go out: nothing is lost towards those who ask for all."""
 LATCHED = QoSProfile(

@@ -139,7 +139,7 @@ def search(model: SensorModel, recorded: Recorded, calibrate: Calibrate, most: i
     try:
         first = stage = examine(model, recorded, calibrate)
     except FilterDivergedError:
-        rescued = _rescued(model, recorded, calibrate)
+        rescued = rescue(model, recorded, calibrate)
         if rescued is None:
             raise
         changes.append(rescued)
@@ -279,8 +279,11 @@ def _limited(
     return Change(limit, stage, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
 
 
-def _rescued(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Change | None:
-    """Where the filter cannot run, one effect may be why: that with which it runs best."""
+def rescue(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Change | None:
+    """Where the filter cannot run, one effect may be why: that with which it runs best.
+
+    None where there is no such effect.
+    """
     present = {effect.name for effect in model.effects}
     limit = pile(recorded)
     limits = [] if limit is None else [with_limit('rate_saturation', limit)]

@@ -189,6 +189,23 @@ class Storage:
         )
 
 
+def bags_in(folder: Path) -> list[Path]:
+    """The recordings right inside a folder, by name; links that lead out of it do not count.
+
+    Raises:
+        RecordingError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise RecordingError('no such folder', where=str(folder), todo='check the path')
+    inside = folder.resolve()
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.resolve().is_relative_to(inside)
+        and ((path / 'metadata.yaml').is_file() or path.suffix in ('.bag', *STORAGE_FILES))
+    )
+
+
 @contextmanager
 def open_storage(path: Path) -> Iterator[Storage]:
     """Open a recording: a rosbag2 folder, one of its files, or a ROS 1 `.bag`.

@@ -26,7 +26,9 @@ setup(
     author='gyrocal_ros maintainers',
     python_requires='>=3.11',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'bench/kept.json', 'diagnose/motions.json']},
+    package_data={
+        NAME: ['py.typed', 'bench/kept.json', 'diagnose/motions.json', 'studio/assets/*']
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (str(SHARE), ['package.xml']),
@@ -34,6 +36,7 @@ setup(
     ],
     # Ranges, not pins: newer OpenCV wheels insist on numpy 2, older ones work with the 1.26 of ROS 2 Jazzy.
     install_requires=[
+        'dash>=3.0',
         'numpy>=1.26',
         'opencv-python-headless>=4.9',
         'plotly>=5.20',

@@ -39,7 +39,6 @@ from gyrocal_ros.studio.worker import (
     Task,
 )
 
-
 MOST_FORECASTS = 5
 """So many are remembered beside the last one; each takes some megabytes."""
 
@@ -180,13 +179,15 @@ class Session:
             self._begin('add', effect, Examine(model))
 
     def forecast(self, effect: str) -> None:
-        """Find out what would come of adding an effect, unless something else is under way.
+        """Find out what would come of adding an effect, unless something more urgent is under way.
 
         Raises:
             GyrocalError: it cannot be added.
         """
         with self._changed:
-            if self._view.doing is None and self._view.forecast(effect) is None:
+            view, doing = self._view, self._view.doing
+            is_asked = doing is not None and doing.subject == effect
+            if not view.is_busy and not is_asked and view.forecast(effect) is None:
                 self._begin('forecast', effect, Examine(self._model_with(effect)))
 
     def go_to(self, label: str) -> None:

@@ -7,7 +7,6 @@ tells back. It dies with the studio.
 
 from __future__ import annotations
 
-import os
 import signal
 import time
 from collections.abc import Callable, Mapping
@@ -174,7 +173,6 @@ def _serve(pipe: Connection, other_end: Connection, cancelled: Any) -> None:
     other_end.close()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the studio decides when to end
-    os.nice(5)
     desk = _Desk()
     with suppress(EOFError, OSError):
         while True:

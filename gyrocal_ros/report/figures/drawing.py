@@ -174,11 +174,17 @@ def kept(*columns: Array) -> IntArray:
 
 
 def fragment(figure: go.Figure, name: str) -> str:
-    """The figure as a piece of HTML; the page must hold `library()` once before it.
+    """The figure as a piece of HTML; the page must hold `library()` once before it."""
+    html: str = to_html(figure, full_html=False, include_plotlyjs=False, div_id=name, config=handling(name))
+    return html
+
+
+def handling(name: str) -> dict[str, Any]:
+    """How a figure may be handled in a browser, the name being that of its picture when it is saved.
 
     Nothing in it reaches for the network: plotly's button that uploads a figure is left out.
     """
-    config = {
+    return {
         'responsive': True,
         'displaylogo': False,
         'showSendToCloud': False,
@@ -186,8 +192,6 @@ def fragment(figure: go.Figure, name: str) -> str:
         'modeBarButtonsToRemove': ['select2d', 'lasso2d'],
         'toImageButtonOptions': {'filename': name},
     }
-    html: str = to_html(figure, full_html=False, include_plotlyjs=False, div_id=name, config=config)
-    return html
 
 
 def library() -> str:

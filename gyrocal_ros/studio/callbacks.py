@@ -307,7 +307,8 @@ def _shown(figure: Any | None, words: str, kept_while: str | None = None) -> tup
     """A figure that fills its place, or words; zoomed as before while `kept_while` is the same."""
     if figure is None:
         return no_update, True, words
-    figure.update_layout(height=None, autosize=True, uirevision=kept_while)
+    figure.update_layout(height=None, autosize=True, uirevision=kept_while, font_size=12, margin_t=75)
+    figure.update_yaxes(title_font_size=12)
     return figure, False, ''
 
 

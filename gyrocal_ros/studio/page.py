@@ -123,10 +123,21 @@ def _missing() -> html.Section:
         'missing',
         [
             html.P(id='verdict', className='verdict-line'),
-            html.Div(id='candidates', role='group', **{'aria-label': 'Effects that may be added'}),
-            html.Div(id='card'),
-            html.Button('Add to the model', id='add', className='main', disabled=True),
-            html.Details([html.Summary('All of them, drawn'), _graph('evidence-figure', 'tall')], open=True),
+            html.Div(
+                [
+                    html.Div(id='candidates', role='group', **{'aria-label': 'Effects that may be added'}),
+                    html.Div(
+                        [
+                            html.Button('Add to the model', id='add', className='main', disabled=True),
+                            html.Div(id='card'),
+                        ]
+                    ),
+                ],
+                className='halves',
+            ),
+            html.Details(
+                [html.Summary('The evidence in full'), _graph('evidence-figure', 'tall')], id='evidence'
+            ),
         ],
     )
 

@@ -111,18 +111,30 @@ def verdict(view: View) -> str:
 
 
 def candidate_list(view: View) -> list[Any]:
-    """A button an effect that may be added."""
+    """A button for every effect that may be added, with a bar: the logarithm of what it explains."""
     now = view.trials.now
     if now is None or now.examined is None:
         return []
+    offered = choices(now.examined)
+    most = max([_log_gain(one) for one in offered] + [1.0])
     return [
         html.Button(
-            [html.B(one.effect.name), html.Span(_strength(one), className='strength')],
+            [
+                html.B(one.effect.name),
+                html.Span(
+                    html.Span(style={'width': f'{100.0 * _log_gain(one) / most:.0f}%'}), className='bar'
+                ),
+                html.Span(_strength(one), className='strength'),
+            ],
             id={'do': 'choose', 'effect': one.effect.name},
             className='candidate',
         )
-        for one in choices(now.examined)
+        for one in offered
     ]
+
+
+def _log_gain(choice: Choice) -> float:
+    return 0.0 if choice.suspect is None else math.log10(1.0 + max(choice.suspect.fit.gain, 0.0))
 
 
 def _strength(choice: Choice) -> str:

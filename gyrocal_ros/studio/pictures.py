@@ -107,7 +107,10 @@ def _glimpse(view: View) -> Any | None:
     if glimpse is None:
         return None
     title = 'Heading by the gyro alone, less the heading that was seen: so far'
-    return figures.where_it_fails(title, {'so far': glimpse.wander}, glimpse.time_s, glimpse.rate_deg_s)
+    figure = figures.where_it_fails(title, {'so far': glimpse.wander}, glimpse.time_s, glimpse.rate_deg_s)
+    if view.contents is not None:
+        figure.update_xaxes(range=[0.0, view.contents.duration_s])
+    return figure
 
 
 def left_over(view: View, signal: str, of_scale: bool) -> Any | None:

@@ -37,8 +37,9 @@ from gyrocal_ros.studio.recordings import Bag, Contents, Opened, Riddle, look_in
 GLIMPSE_S = 0.8
 """How often a run that is under way shows itself."""
 GLIMPSE_POINTS = 600
-FEWEST_STEPS = 60
-"""A run of fewer steps shows nothing yet."""
+FEWEST_SEEN = 50
+SHORTEST_S = 15.0
+"""A run that has come less far shows nothing yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +262,8 @@ def _examined(stage: Stage, recorded: Recorded) -> Examined:
 
 def _glimpse(run: Run) -> Glimpse | None:
     history = run.history
-    if len(history.time_s) < FEWEST_STEPS or not np.isfinite(history.heading_innovation_rad).sum() > 2:
+    seen = np.isfinite(history.heading_innovation_rad).sum()
+    if not len(history.time_s) or history.time_s[-1] < SHORTEST_S or seen < FEWEST_SEEN:
         return None
     rate_deg_s = np.degrees(history.turn_rad / history.dt_s)
     rows = kept(rate_deg_s[:, None], GLIMPSE_POINTS)

@@ -135,6 +135,11 @@ class Worker:
         theirs.close()
         self._lock, self._count = Lock(), 0
 
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid or 0
+
     def listen(self, listener: Listener) -> None:
         """Have a listener told all news, in a thread of its own."""
         Thread(target=self._hear, args=(listener,), name='news', daemon=True).start()

@@ -211,7 +211,7 @@ def test_everything_is_reached_by_the_keyboard(page: Page, studio: Studio) -> No
     reached = set()
     for _ in range(80):
         page.keyboard.press('Tab')
-        reached.add(page.evaluate('document.activeElement.id || document.activeElement.className'))
+        reached |= set(page.evaluate('[document.activeElement.id, document.activeElement.className]'))
     wanted = {'theme-button', 'signal', 'candidate', 'write', 'export', 'riddle', 'guess', 'reveal'}
     assert wanted <= reached
 

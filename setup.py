@@ -7,6 +7,7 @@ from setuptools import find_packages, setup
 
 NAME = 'gyrocal_ros'
 SHARE = Path('share') / NAME
+PNG = ['kaleido>=1.0']  # draws figures by a Chromium that is there
 TEST = ['pytest>=7.4', 'scipy>=1.11']
 
 
@@ -47,7 +48,8 @@ setup(
     ],
     extras_require={
         'test': TEST,
-        'dev': [*TEST, 'mypy>=1.10', 'ruff>=0.8', 'types-PyYAML', 'types-tqdm'],
+        'png': PNG,
+        'dev': [*TEST, *PNG, 'mypy>=1.10', 'playwright>=1.40', 'ruff>=0.8', 'types-PyYAML', 'types-tqdm'],
     },
     entry_points={
         'console_scripts': [

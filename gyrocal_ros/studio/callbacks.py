@@ -16,7 +16,7 @@ from gyrocal_ros.studio.desk import Desk
 from gyrocal_ros.studio.export import export
 from gyrocal_ros.studio.lesson import NOTHING, STRANGER
 from gyrocal_ros.studio.page import MARKS
-from gyrocal_ros.studio.session import View
+from gyrocal_ros.studio.view import View
 
 BUTTONS = ('add', 'undo', 'write', 'export', 'go-to', 'cancel', 'resume', 'riddle', 'reveal')
 WAIT = 'The first run is under way.'

@@ -11,7 +11,8 @@ from gyrocal_ros.config import Config
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.studio.recordings import Bag, Riddle
-from gyrocal_ros.studio.session import Session, View
+from gyrocal_ros.studio.session import Session
+from gyrocal_ros.studio.view import View
 from gyrocal_ros.studio.worker import News, Worker
 
 SEEDS = 10_000

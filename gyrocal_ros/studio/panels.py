@@ -20,7 +20,7 @@ from gyrocal_ros.report.tables import with_gain
 from gyrocal_ros.report.words import coefficients_in_words, drift_in_words, sigma_in_words
 from gyrocal_ros.studio.lesson import off_in_words
 from gyrocal_ros.studio.pictures import drift_deg
-from gyrocal_ros.studio.session import View
+from gyrocal_ros.studio.view import View
 from gyrocal_ros.studio.worker import Examined
 
 MOST_LISTED = 8

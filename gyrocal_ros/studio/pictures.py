@@ -17,15 +17,15 @@ from gyrocal_ros.report.figures import models
 from gyrocal_ros.report.figures.models import Mark
 from gyrocal_ros.report.model_series import coefficients
 from gyrocal_ros.report.series import camera_off, windows
-from gyrocal_ros.studio.session import View
 from gyrocal_ros.studio.trials import Trial
+from gyrocal_ros.studio.view import View
 from gyrocal_ros.studio.worker import Examined
 
 STRETCHES = 5
 MOST_CANDIDATES = 10
 MOST_SIGNALS = 4
 """Of what is left over, so many are written with a report, the most telling ones."""
-AS_IT_WAS, NOW = 'the model as it was', 'the present model'
+AS_IT_WAS, NOW = 'the first model', 'the present model'
 KINDS = {
     'heading': 'Heading error',
     'drift': 'Blind drift',

@@ -83,11 +83,13 @@ def drift_deg(page: Page, label: str) -> float:
     return float(row.locator('td').nth(1).inner_text().split()[0])
 
 
-def picture(page: Page, name: str) -> None:
-    """Keep a picture of the page, where pictures are wanted."""
+def picture(page: Page, name: str, part: str = '') -> None:
+    """Keep a picture of the page from its top, or of a part of it, where pictures are wanted."""
     if PICTURES:
         page.wait_for_timeout(1500)
-        page.screenshot(path=str(Path(PICTURES) / f'studio_{name}.png'))
+        page.evaluate('window.scrollTo(0, 0)')
+        path = str(Path(PICTURES) / f'studio_{name}.png')
+        page.locator(part).screenshot(path=path) if part else page.screenshot(path=path)
 
 
 def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
@@ -129,6 +131,7 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
     expect(page.locator('#history-figure')).to_contain_text('held out')
     expect(figure).to_contain_text('the present model')
     picture(page, 'added')
+    picture(page, 'falling', '#history')
 
     # undo, and add it again
     page.locator('#undo').click()
@@ -189,7 +192,7 @@ def test_a_second_tab_shows_the_same_and_a_reload_loses_nothing(
     expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text(
         'present', timeout=PATIENCE_MS
     )
-    picture(second, 'tablet_dark')
+    picture(second, 'tablet_dark', '#missing')
     second.close()
 
 

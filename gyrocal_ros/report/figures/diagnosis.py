@@ -209,7 +209,7 @@ def bend(asked: Bend, names: tuple[str, str]) -> go.Figure:
             ranges += [value, value + 0.6 * reach, value - 0.6 * reach]
     if asked.predicted is not None:
         value = size * asked.predicted.values
-        line(figure, asked.predicted.knots, value, 'what the added effects say', '.3g', (1, 1), BLUE, 'dash')
+        line(figure, asked.predicted.knots, value, 'by the effects added', '.3g', (1, 1), BLUE, 'dash')
         ranges.append(value)
     figure.add_hline(0.0, line={'color': GREY, 'width': 1})
     figure.update_xaxes(title_text=asked.signal, hoverformat='.4g')

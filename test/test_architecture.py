@@ -26,8 +26,8 @@ LEVELS = {
             ('seeing',),
             ('calibrate', 'calibration', 'diagnose'),
             ('bench', 'live', 'report'),
-            ('studio',),
-            ('cli', 'nodes'),
+            ('nodes', 'studio'),
+            ('cli',),
         ]
     )
     for room in rooms

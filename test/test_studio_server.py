@@ -12,9 +12,10 @@ from studio_parts import open_session
 
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.live.feed import Feed
 from gyrocal_ros.recording.storage import bags_in
 from gyrocal_ros.studio.callbacks import marks
-from gyrocal_ros.studio.server import is_loopback, listen, make_app
+from gyrocal_ros.studio.server import is_loopback, listen, make_app, make_live_app
 
 NAMES = frozenset({'127.0.0.1', 'localhost', '[::1]'})
 
@@ -108,6 +109,39 @@ class TestThePage:
         desk.session.reveal()
         changed = marks(desk.view)
         assert {name for name in before if before[name] != changed[name]} == {'lesson'}
+
+
+class TestTheLivePage:
+    def test_it_is_guarded_as_the_other_and_shows_what_is_heard(self) -> None:
+        feed = Feed(0.0)
+        feed.calibration({'gyro.scale_factor': 0.93, 'gyro.scale_factor_std': 0.001}, 1.0)
+        feed.health('calibrator', 1, 'not converged yet', {'recent_nis': '1.1'}, 1.0)
+        visitor = make_live_app(feed.overview, names=NAMES).server.test_client()
+        assert visitor.get('/', headers={'Host': 'evil.example'}).status_code == 403
+        outputs = (
+            'shown.data',
+            'message.children',
+            'live-figure.figure',
+            'tracks.children',
+            'nodes.children',
+        )
+        asked = {
+            'output': f'..{"...".join(outputs)}..',
+            'outputs': [dict(zip(('id', 'property'), one.split('.'), strict=True)) for one in outputs],
+            'inputs': [{'id': 'poll', 'property': 'n_intervals', 'value': 1}],
+            'state': [{'id': 'shown', 'property': 'data', 'value': None}],
+            'changedPropIds': ['poll.n_intervals'],
+        }
+        answer = visitor.post('/_dash-update-component', json=asked, headers={'Host': 'localhost'})
+        assert answer.status_code == 200
+        assert 'Scale factor 0.9300' in answer.text and 'not converged yet' in answer.text
+
+    def test_without_ros_it_says_what_to_do(
+        self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.setattr('gyrocal_ros.cli.studio.find_spec', lambda _: None)
+        assert main(['studio', '--live', '--no-browser']) == 2
+        assert 'source the setup.bash' in capsys.readouterr().err
 
 
 class TestTheCommand:

@@ -11,6 +11,7 @@ import hmac
 import ipaddress
 import logging
 import secrets
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from dash import Dash
 from werkzeug.serving import BaseWSGIServer, make_server
 
 from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.live.feed import Overview
+from gyrocal_ros.studio import live_page
 from gyrocal_ros.studio.callbacks import connect
 from gyrocal_ros.studio.desk import Desk
 from gyrocal_ros.studio.page import layout
@@ -34,7 +37,7 @@ DOOR = """<!doctype html><html lang="en"><meta charset="utf-8"><title>gyrocal st
 
 
 def make_app(desk: Desk, token: str | None = None, names: frozenset[str] | None = None) -> Dash:
-    """The page as an application.
+    """The page about recordings as an application.
 
     Args:
         desk: what it shows.
@@ -42,17 +45,38 @@ def make_app(desk: Desk, token: str | None = None, names: frozenset[str] | None 
         names: of the host by which it may be called; any where None. A page of the internet that
             makes its own name point here is so turned away.
     """
+    app = _app(token, names)
+    app.layout = lambda: layout(desk.titles)
+    connect(app, desk)
+    return app
+
+
+def make_live_app(
+    overview: Callable[[float], Overview], token: str | None = None, names: frozenset[str] | None = None
+) -> Dash:
+    """The page about a running robot as an application.
+
+    Args:
+        overview: what was heard of it, up to a moment of the monotonic clock.
+        token: as in `make_app`.
+        names: as in `make_app`.
+    """
+    app = _app(token, names)
+    app.layout = live_page.layout
+    live_page.connect(app, overview)
+    return app
+
+
+def _app(token: str | None, names: frozenset[str] | None) -> Dash:
     app = Dash(
         __name__,
         title='gyrocal studio',
-        update_title=None,  # type: ignore[arg-type]
+        update_title=None,
         serve_locally=True,
         assets_folder=str(Path(__file__).parent / 'assets'),
         suppress_callback_exceptions=True,  # the buttons of the effects come and go
         meta_tags=[{'name': 'viewport', 'content': 'width=device-width, initial-scale=1'}],
     )
-    app.layout = lambda: layout(desk.titles)
-    connect(app, desk)
     _guard(app.server, token, names)
     return app
 

@@ -146,7 +146,9 @@ def band(
     figure: go.Figure, time_s: Array, middle: Array, reach: Array, place: Place, name: str = '3 sigma'
 ) -> None:
     """A band around `middle`, broken where nothing is told for a while."""
-    gaps = np.flatnonzero(np.diff(time_s) > 0.01 * time_s[-1]) + 1
+    steps_s = np.diff(time_s)
+    usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    gaps = np.flatnonzero(steps_s > max(0.01 * time_s[-1], 5.0 * usual_s)) + 1
     upper, lower = (
         np.split(np.stack([time_s, edge]), gaps, axis=1) for edge in (middle + reach, middle - reach)
     )

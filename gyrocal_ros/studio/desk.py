@@ -6,17 +6,26 @@ import secrets
 from collections.abc import Sequence
 from pathlib import Path
 from threading import RLock
+from typing import Protocol
 
 from gyrocal_ros.config import Config
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.studio.recordings import Bag, Riddle
-from gyrocal_ros.studio.session import Session
+from gyrocal_ros.studio.session import Session, Works
 from gyrocal_ros.studio.view import View
-from gyrocal_ros.studio.worker import News, Worker
+from gyrocal_ros.studio.worker import Listener, News
 
 SEEDS = 10_000
 """Riddles are drawn from so many."""
+
+
+class Helper(Works, Protocol):
+    """Does the long work, and tells of it."""
+
+    def listen(self, listener: Listener) -> None: ...
+
+    def close(self) -> None: ...
 
 
 class Desk:
@@ -28,7 +37,7 @@ class Desk:
         model: SensorModel,
         config: Config,
         out: Path,
-        worker: Worker,
+        worker: Helper,
         riddle: int | None = None,
     ) -> None:
         """Open the first recording, or a riddle.

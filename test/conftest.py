@@ -8,7 +8,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from studio_parts import write_bag
 
 ROS_TESTS = Path(__file__).parent / 'ros'
 HAS_ROS = find_spec('rclpy') is not None
@@ -43,4 +42,6 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 @pytest.fixture(scope='session')
 def uneven_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag that hides an effect, see `studio_parts`."""
+    from studio_parts import write_bag
+
     return write_bag(tmp_path_factory.mktemp('bags'))

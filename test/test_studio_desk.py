@@ -12,6 +12,7 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio.desk import Desk
 from gyrocal_ros.studio.recordings import Bag, Riddle
+from gyrocal_ros.studio.store import locked
 from gyrocal_ros.studio.worker import Failed, Look, News, Task
 
 
@@ -64,6 +65,14 @@ def test_the_first_is_opened_and_another_can_be_chosen(desk: Desk, worker: Worke
     assert len(worker.tasks) == 2, 'it is open already'
     desk.choose(0)
     assert desk.view.title == 'one', 'its folder was let go of'
+
+
+def test_what_cannot_be_opened_leaves_the_other_as_it_was(desk: Desk, worker: Worker, tmp_path: Path) -> None:
+    with locked(tmp_path / 'out' / 'two'), pytest.raises(GyrocalError, match='another studio'):
+        desk.choose(1)
+    assert desk.view.title == 'one'
+    with pytest.raises(GyrocalError, match='another studio'), locked(tmp_path / 'out' / 'one'):
+        pass
 
 
 @pytest.mark.parametrize('number', [-1, 2])

@@ -12,6 +12,7 @@ import pytest
 
 from gyrocal_ros.config import Config
 from gyrocal_ros.effects import default_model
+from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio.recordings import Bag, Contents, Riddle
 from gyrocal_ros.studio.worker import Advance, Failed, Look, News, Ready, Stopped, Worker
 
@@ -79,7 +80,8 @@ def test_the_end_of_the_process_is_noticed(worker: Worker, ear: Ear) -> None:
     os.kill(worker.pid, signal.SIGKILL)
     failed = ear.wait(lambda _, news: isinstance(news, Failed))
     assert isinstance(failed, Failed) and 'has ended' in failed.why
-    assert worker.submit(Look(Riddle(1, Config()), default_model())) > 0, 'and nothing breaks'
+    with pytest.raises(GyrocalError, match='start the studio again'):
+        worker.submit(Look(Riddle(1, Config()), default_model()))
 
 
 def test_the_same_riddle_is_drawn_by_the_same_seed() -> None:

@@ -218,6 +218,10 @@ def _show_words(app: Dash, desk: Desk) -> None:
         words = 'Add to the model' if chosen is None else f'Add {chosen}'
         return panels.candidate_card(view, chosen), chosen is None or view.is_busy, words
 
+    @app.callback(Output('guess', 'value'), Input('mark-session', 'data'))
+    def guessed(_mark: Any) -> str | None:
+        return desk.view.guess
+
     @app.callback(
         Output('truth-words', 'children'),
         Output('guess', 'options'),

@@ -97,6 +97,7 @@ class Desk:
 
     def close(self) -> None:
         """End all work."""
+        self._worker.cancel()
         self._session.close()
         self._worker.close()
 
@@ -106,8 +107,10 @@ class Desk:
     def _change(self, recording: Bag | Riddle) -> None:
         with self._lock:
             if recording.title != self._session.view.title:
+                self._worker.cancel()
+                opened = self._opened(recording)  # where this fails, the other one stays
                 self._session.close()
-                self._session = self._opened(recording)
+                self._session = opened
 
     def _opened(self, recording: Bag | Riddle) -> Session:
         return Session(recording, self._model, self._out / recording.title, self._worker)

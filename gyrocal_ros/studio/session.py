@@ -92,9 +92,10 @@ class Session:
             return self._view
 
     def close(self) -> None:
-        """Stop the work and let the folder go."""
-        self._worker.cancel()
-        self._open.close()
+        """Let the folder go; what the worker still tells is not heard any more."""
+        with self._changed:
+            self._view = replace(self._view, doing=None)
+            self._open.close()
 
     # --- what a person does ----------------------------------------------------------------------
 

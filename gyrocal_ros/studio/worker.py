@@ -121,6 +121,9 @@ Listener: TypeAlias = Callable[[int, News], None]
 """Told the number of a task, and news of it."""
 
 
+ENDED, AGAIN = 'the process that does the work has ended', 'start the studio again, nothing is lost'
+
+
 class Worker:
     """The process, seen from the studio. Make it before the studio has threads."""
 
@@ -145,11 +148,17 @@ class Worker:
         Thread(target=self._hear, args=(listener,), name='news', daemon=True).start()
 
     def submit(self, task: Task) -> int:
-        """Queue a task; returns its number, larger than all before."""
+        """Queue a task; returns its number, larger than all before.
+
+        Raises:
+            GyrocalError: the process has ended.
+        """
         with self._lock:
             self._count += 1
-            with suppress(OSError):  # where the process has gone, `_hear` says so
+            try:
                 self._pipe.send((self._count, task))
+            except OSError as error:
+                raise GyrocalError(ENDED, todo=AGAIN) from error
             return self._count
 
     def cancel(self) -> None:
@@ -167,7 +176,7 @@ class Worker:
             while True:
                 listener(*self._pipe.recv())
         except (EOFError, OSError):
-            listener(self._count, Failed('the process that does the work has ended; start the studio again'))
+            listener(self._count, Failed(f'{ENDED}; {AGAIN}'))
 
 
 class _Cancelled(Exception):

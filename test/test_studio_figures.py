@@ -92,6 +92,23 @@ def test_what_the_added_effect_says_goes_through_what_was_left_over(view: View) 
     assert np.abs(now.y).max() < 0.1 * np.abs(first.y).max()
 
 
+def test_where_the_camera_was_off_is_shaded(view: View) -> None:
+    now = view.trials.now
+    assert now is not None and now.examined is not None
+    run = now.examined.stage.run
+    blind = (run.history.time_s > 30.0) & (run.history.time_s < 45.0)
+    seen = np.where(blind, np.nan, run.history.heading_innovation_rad)
+    run = replace(run, history=replace(run.history, heading_innovation_rad=seen))
+    examined = replace(now.examined, stage=replace(now.examined.stage, run=run))
+    figure = pictures.against_measurement(
+        replace(view, trials=view.trials.ran(now.label, examined)), 'heading'
+    )
+    assert figure is not None
+    spans = {(shape.x0, shape.x1) for shape in figure.layout.shapes if shape.type == 'rect'}
+    assert [(pytest.approx(30.0, abs=0.3), pytest.approx(45.0, abs=0.3))] == sorted(spans)
+    assert [note.text for note in figure.layout.annotations].count('camera off') == 1
+
+
 def test_every_panel_names_its_unit(view: View) -> None:
     for name, figure in pictures.all_of(view).items():
         axes = [axis.title.text or '' for axis in figure.select_yaxes()]

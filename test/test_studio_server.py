@@ -55,6 +55,13 @@ class TestTheDoor:
         for path in ('/', '/_dash-layout', '/assets/studio.css'):
             assert visitor.get(path, headers={'Host': host}).status_code == 403
 
+    @pytest.mark.parametrize('origin', ['http://evil.example', 'http://localhost:9999', 'null'])
+    def test_the_page_of_another_site_cannot_press_buttons_here(self, visitor: Any, origin: str) -> None:
+        headers = {'Host': 'localhost', 'Origin': origin, 'Content-Type': 'text/plain'}
+        assert visitor.post('/_dash-update-component', data='{}', headers=headers).status_code == 403
+        own = {'Host': 'localhost', 'Origin': 'http://localhost'}
+        assert visitor.get('/', headers=own).status_code == 200
+
     def test_the_network_has_to_know_the_token(self, desk: Any) -> None:
         visitor = make_app(desk, token='secret').server.test_client()
         for path in (

@@ -14,6 +14,7 @@ import secrets
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import flask
 from dash import Dash
@@ -116,6 +117,9 @@ def _guard(server: Any, token: str | None, names: frozenset[str] | None) -> None
         called = request.host.rpartition(':')[0] if ':' in request.host.rpartition(']')[2] else request.host
         if names is not None and called not in names:
             return flask.Response('This name is not that of the studio.', 403)
+        origin = request.headers.get('Origin')
+        if origin is not None and urlsplit(origin).netloc != request.host:
+            return flask.Response('The page of another site may not speak here.', 403)
         if token is None or _matches(request.cookies.get(COOKIE), token):
             return None
         if _matches(request.args.get('token'), token):

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -154,6 +155,9 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
     folder = studio.out / 'uneven'
     assert HIDDEN in (folder / 'model.yaml').read_text()
     assert HIDDEN in (folder / 'report' / 'report.html').read_text()
+    if find_spec('kaleido'):
+        drawn = (folder / 'report' / 'figures' / 'heading.png').read_bytes()
+        assert drawn.startswith(b'\x89PNG') and len(drawn) > 20_000
 
     # the truth
     page.locator('#reveal').click()

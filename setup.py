@@ -7,6 +7,7 @@ from setuptools import find_packages, setup
 
 NAME = 'gyrocal_ros'
 SHARE = Path('share') / NAME
+PNG = ['kaleido>=1.0']  # draws figures by a Chromium that is there
 TEST = ['pytest>=7.4', 'scipy>=1.11']
 
 
@@ -26,7 +27,7 @@ setup(
     author='gyrocal_ros maintainers',
     python_requires='>=3.11',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'bench/kept.json', 'diagnose/motions.json']},
+    package_data={NAME: ['py.typed', 'bench/kept.json', 'diagnose/motions.json', 'studio/assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (str(SHARE), ['package.xml']),
@@ -34,6 +35,7 @@ setup(
     ],
     # Ranges, not pins: newer OpenCV wheels insist on numpy 2, older ones work with the 1.26 of ROS 2 Jazzy.
     install_requires=[
+        'dash>=4.0',
         'numpy>=1.26',
         'opencv-python-headless>=4.9',
         'plotly>=5.20',
@@ -44,7 +46,8 @@ setup(
     ],
     extras_require={
         'test': TEST,
-        'dev': [*TEST, 'mypy>=1.10', 'ruff>=0.8', 'types-PyYAML', 'types-tqdm'],
+        'png': PNG,
+        'dev': [*TEST, *PNG, 'mypy>=1.10', 'playwright>=1.40', 'ruff>=0.8', 'types-PyYAML', 'types-tqdm'],
     },
     entry_points={
         'console_scripts': [

@@ -17,6 +17,7 @@ The rooms, in the order in which the data flow:
     report                        figures and tables of a finished run; computes nothing
     bench                         accuracy and speed over many simulated runs
     live                          what runs on the robot, without ROS: measurements as they arrive
+    studio                        the web page on which a person finds what the model lacks
     cli                           the command `gyrocal`, one file a command
     nodes                         the ROS nodes: driver, tracker, calibrator
 """

@@ -45,6 +45,8 @@ class Progress:
 
     done_s: float
     total_s: float
+    so_far: Callable[[], Run] | None = None
+    """The run up to now, as if it ended here; None while nothing is estimated yet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,6 +165,22 @@ def _run(
     seeing = SeeingFilter(slam)
     recorder = Recorder(len(model.coefficients), candidates)
     span, told_ns = source.span, source.span.start_ns
+
+    def so_far() -> Run:
+        return Run(
+            source=source.name,
+            span=span,
+            rig=source.rig,
+            config=config,
+            model=model,
+            history=recorder.history(),
+            state=slam.state,
+            truth=recorder.truth(),
+            events=recorder.events,
+            evidence=recorder.evidence(),
+            signal_names=recorder.signal_names,
+        )
+
     try:
         for measurement in measurements:
             if isinstance(measurement, TruthSample):
@@ -174,24 +192,12 @@ def _run(
                 recorder.add_clock_step(measurement)
             if report is not None and recorder.running_ns(measurement.t_ns) - told_ns >= NS_PER_S:
                 told_ns = recorder.running_ns(measurement.t_ns)
-                report(Progress(seconds(told_ns - span.start_ns), span.duration_s))
+                report(Progress(seconds(told_ns - span.start_ns), span.duration_s, so_far))
         for record in seeing.finish():
             recorder.add(record)
     except FilterDivergedError as error:
         raise FilterDivergedError(error.what, where=source.name, todo=error.todo) from error
-    return Run(
-        source=source.name,
-        span=span,
-        rig=source.rig,
-        config=config,
-        model=model,
-        history=recorder.history(),
-        state=slam.state,
-        truth=recorder.truth(),
-        events=recorder.events,
-        evidence=recorder.evidence(),
-        signal_names=recorder.signal_names,
-    )
+    return so_far()
 
 
 def _unrecorded_signals(run: Run) -> Iterator[Event]:

@@ -1,8 +1,9 @@
-"""Says loudly how many tests of the nodes a machine without ROS leaves out."""
+"""Says loudly which tests this machine leaves out: of the nodes without ROS, of the page without Chromium."""
 
 from __future__ import annotations
 
 import ast
+import shutil
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -10,16 +11,37 @@ import pytest
 
 ROS_TESTS = Path(__file__).parent / 'ros'
 HAS_ROS = find_spec('rclpy') is not None
+BROWSER_TESTS = Path(__file__).parent / 'browser'
+CHROMIUM = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'google-chrome'))), None)
+HAS_BROWSER = CHROMIUM is not None and find_spec('playwright') is not None
 
-collect_ignore_glob = [] if HAS_ROS else ['ros/*']
+collect_ignore_glob = [*(['ros/*'] if not HAS_ROS else []), *(['browser/*'] if not HAS_BROWSER else [])]
+
+
+def tests_in(folder: Path) -> int:
+    """How many tests the modules of a folder hold."""
+    return sum(
+        isinstance(node, ast.FunctionDef) and node.name.startswith('test_')
+        for module in folder.glob('test_*.py')
+        for node in ast.walk(ast.parse(module.read_text(encoding='utf-8')))
+    )
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if not HAS_ROS:
-        count = sum(
-            isinstance(node, ast.FunctionDef) and node.name.startswith('test_')
-            for module in ROS_TESTS.glob('test_*.py')
-            for node in ast.walk(ast.parse(module.read_text(encoding='utf-8')))
-        )
         terminalreporter.section('ROS')
-        terminalreporter.write_line(f'{count} tests of the nodes SKIPPED: rclpy is missing', yellow=True)
+        words = f'{tests_in(ROS_TESTS)} tests of the nodes SKIPPED: rclpy is missing'
+        terminalreporter.write_line(words, yellow=True)
+    if not HAS_BROWSER:
+        missing = 'Chromium' if CHROMIUM is None else 'playwright'
+        terminalreporter.section('browser')
+        words = f'{tests_in(BROWSER_TESTS)} tests of the page SKIPPED: {missing} is missing'
+        terminalreporter.write_line(words, yellow=True)
+
+
+@pytest.fixture(scope='session')
+def uneven_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag that hides an effect, see `studio_parts`."""
+    from studio_parts import write_bag
+
+    return write_bag(tmp_path_factory.mktemp('bags'))

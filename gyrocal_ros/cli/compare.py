@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gyrocal_ros.calibration import conclude
+from gyrocal_ros.cli.figures import draw_if_wanted
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
@@ -58,9 +59,12 @@ def run(args: argparse.Namespace) -> None:
         passes = open_passes(args, next(iter(models.values())))
         comparison = _compare(passes, models)
         if folder is not None:
-            from gyrocal_ros.report.write import fill_comparison  # only a page needs the plotting library
+            # Only a page needs the plotting library.
+            from gyrocal_ros.report.comparison_page import comparison_sections
+            from gyrocal_ros.report.write import fill_comparison
 
             fill_comparison(folder, comparison, passes.findings)
+            draw_if_wanted(args.png, folder, comparison_sections(comparison))
     if args.json:
         print_json(summarise_comparison(comparison) | {'wall_s': time.perf_counter() - began_s})
     else:

@@ -13,6 +13,7 @@ import shlex
 import time
 from collections.abc import Iterator
 
+from gyrocal_ros.cli.figures import draw_if_wanted
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.cli.passes import add_pass_options, open_passes, result_folder, same_bag
@@ -54,9 +55,12 @@ def run(args: argparse.Namespace) -> None:
         searched = search(model, recorded, passes.calibrate)
         diagnosis = diagnose(searched, recorded)
         if folder is not None:
-            from gyrocal_ros.report.write import fill_diagnosis  # only a page needs the plotting library
+            # Only a page needs the plotting library.
+            from gyrocal_ros.report.diagnosis_page import diagnosis_sections
+            from gyrocal_ros.report.write import fill_diagnosis
 
             fill_diagnosis(folder, searched, diagnosis, passes.findings)
+            draw_if_wanted(args.png, folder, diagnosis_sections(searched, diagnosis))
     if args.json:
         print_json(summarise_diagnosis(searched, diagnosis) | {'wall_s': time.perf_counter() - began_s})
     else:

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from itertools import count
 
 from gyrocal_ros.calibration import conclude
+from gyrocal_ros.cli.figures import draw_if_wanted
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table, tell
 from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
@@ -65,9 +66,12 @@ def run(args: argparse.Namespace) -> None:
             searched = trial(model, recorded, calibrate, effect)
         improved = improvement(searched)
         if folder is not None:
-            from gyrocal_ros.report.write import fill_improvement  # only a page needs the plotting library
+            # Only a page needs the plotting library.
+            from gyrocal_ros.report.improvement_page import improvement_sections
+            from gyrocal_ros.report.write import fill_improvement
 
             fill_improvement(folder, improved, passes.findings)
+            draw_if_wanted(args.png, folder, improvement_sections(improved))
     if args.json:
         print_json(summarise_improvement(improved) | {'wall_s': time.perf_counter() - began_s})
     else:

@@ -35,6 +35,7 @@ COMMANDS = {
     'effects': 'list the physical effects of the library, or explain one',
     'add': 'put an effect into a sensor model',
     'improve': 'add what is missing while the held-out error falls',
+    'studio': 'do all that on a web page',
     'reveal': 'open the sealed answer of a simulated bag',
     'reproduce': 'make the figures of the paper anew',
     'bench': 'measure speed and accuracy',

@@ -23,6 +23,11 @@ class BagOptions(TypedDict):
 def add_bag_options(parser: argparse.ArgumentParser) -> None:
     """Declare the bag to read and all that says how to read it."""
     parser.add_argument('bag', type=Path, help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag')
+    add_topic_options(parser)
+
+
+def add_topic_options(parser: argparse.ArgumentParser) -> None:
+    """Declare all that says how to read a bag."""
     parser.add_argument(
         '-r',
         '--remap',

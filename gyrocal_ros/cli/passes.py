@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gyrocal_ros.calibrate import Progress, calibrate, hold
+from gyrocal_ros.cli.figures import add_png_option
 from gyrocal_ros.cli.options import add_bag_options, add_images_option, bag_options, read_config
 from gyrocal_ros.cli.output import progress, warn
 from gyrocal_ros.config import Config
@@ -46,6 +47,7 @@ def add_pass_options(parser: argparse.ArgumentParser) -> None:
     add_images_option(parser)
     parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the page and the results')
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
+    add_png_option(parser)
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
 
 

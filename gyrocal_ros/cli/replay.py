@@ -12,6 +12,7 @@ from typing import Any
 
 from gyrocal_ros.calibrate import Progress, calibrate
 from gyrocal_ros.calibration import Calibration, conclude, load_calibration
+from gyrocal_ros.cli.figures import add_png_option, draw_if_wanted
 from gyrocal_ros.cli.model_options import add_model_options, load_own_effects
 from gyrocal_ros.cli.options import (
     BagOptions,
@@ -53,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_images_option(parser)
     parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the report and the results')
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
+    add_png_option(parser)
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
 
 
@@ -70,6 +72,7 @@ def run(args: argparse.Namespace) -> None:
         start=None if known is None else known.start(),
         out=args.out,
         overwrite=args.overwrite,
+        png=args.png,
     )
     if args.json:
         print_json(summary)
@@ -88,6 +91,7 @@ def replay(
     start: Start | None = None,
     out: Path | None = None,
     overwrite: bool = False,
+    png: bool = False,
 ) -> dict[str, Any]:
     """Check a bag, calibrate from it and write the report; returns what `--json` prints."""
     began_s = time.perf_counter()
@@ -108,7 +112,7 @@ def replay(
         for event in finished.events:
             warn(event.text)
         if folder is not None:
-            _write(folder, finished, calibration, findings)
+            _write(folder, finished, calibration, findings, png)
     return summarise(finished, calibration) | {'wall_s': time.perf_counter() - began_s}
 
 
@@ -153,7 +157,12 @@ def _calibrate(
         return calibrate(source, config, model, start, report)
 
 
-def _write(folder: Path, finished: Run, calibration: Calibration, findings: Sequence[Finding]) -> None:
-    from gyrocal_ros.report.write import fill  # only those who want pages pay for the plotting library
+def _write(
+    folder: Path, finished: Run, calibration: Calibration, findings: Sequence[Finding], png: bool
+) -> None:
+    # Only those who want pages pay for the plotting library.
+    from gyrocal_ros.report.page import report_sections
+    from gyrocal_ros.report.write import fill
 
     fill(folder, finished, calibration, [(finding.severity, str(finding)) for finding in findings])
+    draw_if_wanted(png, folder, report_sections(finished, calibration))

@@ -101,6 +101,20 @@ def fit(evidence: Evidence, columns: IntArray, given: IntArray | None = None) ->
     )
 
 
+def held_out_gain(evidence: Evidence, columns: IntArray) -> float | None:
+    """Log-likelihood that candidates (q,) gain on the second half, fitted on the first half alone.
+
+    None where the first half does not excite them.
+    """
+    fitted = fit(evidence.first_half(), columns)
+    if fitted is None:
+        return None
+    half, places = (len(evidence.start_s) + 1) // 2, fitted.columns
+    score = evidence.score[half:, places].sum(axis=0)
+    information = evidence.information[half:, places[:, None], places].sum(axis=0)
+    return float(fitted.values @ score - 0.5 * fitted.values @ information @ fitted.values)
+
+
 def _gains_of(information: Array, score: Array, chosen: np.ndarray) -> Array:
     """Gain by block of the chosen columns alone."""
     part = np.flatnonzero(chosen)

@@ -70,24 +70,45 @@ def improvement(searched: Search) -> Improvement:
     reference = reference_path(searched.last.run)
     revisions: list[Revision] = []
     if not searched.changes or searched.changes[0].before is not None:
-        model = searched.first.model
-        revisions.append(_first(searched.first, f'0_{_plain(model.name)}', reference))
+        revisions.append(first_revision(searched.first, reference))
     for number, change in enumerate(searched.changes, start=1):
-        revisions.append(_revision(change, f'{number}_{_plain(change.effect.name)}', reference))
+        label = revision_label(number, change.effect.name)
+        revisions.append(revision(change, label, reference, change.is_kept))
     return Improvement(tuple(revisions), reference[1])
 
 
-def _first(stage: Stage, label: str, reference: tuple[Path, str]) -> Revision:
+def revision_label(number: int, name: str) -> str:
+    """`1_scale_asymmetry`, in letters that every file system takes."""
+    plain = re.sub(r'[^\w.]+', '_', name)
+    return f'{number}_{plain}'
+
+
+def first_revision(stage: Stage, reference: tuple[Path, str]) -> Revision:
+    """The model as it was.
+
+    Args:
+        stage: that model on the recording.
+        reference: headings to compare with, and what they are called.
+    """
     held_out, fitted = _drifts(stage, reference)
+    label = revision_label(0, stage.model.name)
     return Revision(
         label, None, stage, True, held_out, fitted, 0.0, 0.0, 0.0, 'the model as it was'
     )  # fmt: skip
 
 
-def _revision(change: Change, label: str, reference: tuple[Path, str]) -> Revision:
+def revision(change: Change, label: str, reference: tuple[Path, str], is_kept: bool) -> Revision:
+    """The model with one more effect.
+
+    Args:
+        change: what was put in.
+        label: of the revision.
+        reference: headings to compare with, and what they are called.
+        is_kept: whether it is part of the final model.
+    """
     held_out, fitted = _drifts(change.after, reference)
     gain_sigma = drift_sigma = float('nan')
-    why = _why(change)
+    why = f'{"kept" if is_kept else "left out"}: {_reason(change)}'
     if change.before is not None:
         before = _drifts(change.before, reference)[0]
         gain_sigma = certainty(foreseen(change.before.run, change.after.run))
@@ -97,7 +118,7 @@ def _revision(change: Change, label: str, reference: tuple[Path, str]) -> Revisi
         label=label,
         effect=change.effect,
         stage=change.after,
-        is_kept=change.is_kept,
+        is_kept=is_kept,
         held_out=held_out,
         fitted=fitted,
         gain=change.foreseen,
@@ -107,17 +128,17 @@ def _revision(change: Change, label: str, reference: tuple[Path, str]) -> Revisi
     )
 
 
-def _why(change: Change) -> str:
+def _reason(change: Change) -> str:
     if change.before is None:
-        return 'kept: without it the filter loses the measurements'
+        return 'without it the filter loses the measurements'
     size = f'{abs(change.foreseen):.1f}'
     if change.is_kept:
-        return f'kept: what follows is foreseen better (log-likelihood +{size})'
+        return f'what follows is foreseen better (log-likelihood +{size})'
     if not change.stands_out:
-        return 'left out: beside the other coefficients it cannot be told from zero'
+        return 'beside the other coefficients it cannot be told from zero'
     if change.foreseen < 0.0:
-        return f'left out: what follows is foreseen worse (log-likelihood -{size})'
-    return f'left out: what follows is foreseen hardly better (log-likelihood +{size})'
+        return f'what follows is foreseen worse (log-likelihood -{size})'
+    return f'what follows is foreseen hardly better (log-likelihood +{size})'
 
 
 def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:
@@ -136,8 +157,3 @@ def _drifts(stage: Stage, reference: tuple[Path, str]) -> tuple[BlindDrift, Blin
     from_s = held_out_from_s(stage.run)
     held_out, fitted = (blind_drift(stage.run, reference, from_s, fitted=end) for end in (False, True))
     return held_out, fitted
-
-
-def _plain(name: str) -> str:
-    """A name that every file system takes."""
-    return re.sub(r'[^\w.]+', '_', name)

@@ -14,7 +14,7 @@ from gyrocal_ros.diagnose.candidates import docket
 from gyrocal_ros.diagnose.evidence import chi_square_tail, sigma_of
 from gyrocal_ros.diagnose.foresight import foreseen
 from gyrocal_ros.diagnose.heading import Headings, headings
-from gyrocal_ros.diagnose.limits import pile, proposals, with_limit
+from gyrocal_ros.diagnose.limits import Proposal, pile, proposals, with_limit
 from gyrocal_ros.diagnose.ranking import Suspect, best_explanation, doubts, rank, with_estimate
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.shapes import INFLATION, Oddity, oddity
@@ -139,7 +139,7 @@ def search(model: SensorModel, recorded: Recorded, calibrate: Calibrate, most: i
     try:
         first = stage = examine(model, recorded, calibrate)
     except FilterDivergedError:
-        rescued = _rescued(model, recorded, calibrate)
+        rescued = rescue(model, recorded, calibrate)
         if rescued is None:
             raise
         changes.append(rescued)
@@ -163,12 +163,35 @@ def trial(model: SensorModel, recorded: Recorded, calibrate: Calibrate, effect: 
         FilterDivergedError: the filter cannot run with this model, or not with the effect.
     """
     first = examine(model, recorded, calibrate)
-    suspect = next((item for item in first.suspects if item.effect.name == effect.name), None)
-    if suspect is not None:
-        return Search(first, (_put_in(suspect, first, recorded, calibrate),))
-    after = examine(with_effect(model, effect), recorded, calibrate)
-    stds = np.zeros(len(effect.coefficients))
-    return Search(first, (Change(effect, first, after, 0.0, 0.0, 1.0, stds, NONE),))
+    return Search(first, (change_made(first, examine(wider_model(first, effect), recorded, calibrate)),))
+
+
+def wider_model(stage: Stage, effect: Effect) -> SensorModel:
+    """The model of a stage with one more effect, expected where its evidence puts it."""
+    suspect = _suspect(stage, effect.name)
+    return with_effect(stage.model, effect if suspect is None else with_estimate(suspect, stage.evidence))
+
+
+def change_made(before: Stage, after: Stage) -> Change:
+    """What the last effect of the model `after` changed, which is not in the model before."""
+    effect = after.model.effects[-1]
+    suspect = _suspect(before, effect.name)
+    if suspect is None:
+        return Change(effect, before, after, 0.0, 0.0, 1.0, np.zeros(len(effect.coefficients)), NONE)
+    return Change(
+        effect=effect,
+        before=before,
+        after=after,
+        gain=suspect.fit.gain,
+        sigma=suspect.fit.sigma,
+        p_value=suspect.fit.p_value,
+        stds=doubts(suspect),
+        strengths=suspect.places,
+    )
+
+
+def _suspect(stage: Stage, name: str) -> Suspect | None:
+    return next((item for item in stage.suspects if item.effect.name == name), None)
 
 
 def examine(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Stage:
@@ -197,6 +220,21 @@ def with_effect(model: SensorModel, effect: Effect) -> SensorModel:
     return replace(model, effects=(*model.effects, effect), version=model.version + 1)
 
 
+def suspected_limits(stage: Stage, recorded: Recorded, best: Suspect | None) -> list[Proposal]:
+    """Limits that the readings suggest, beside the best explanation of another kind."""
+    odd = stage.oddity
+    return list(
+        proposals(
+            stage.run,
+            stage.seen,
+            recorded,
+            odd_gain=odd.gain if odd is not None else 0.0,
+            rival_gain=best.fit.gain if best is not None else 0.0,
+            has_jumped=odd is not None and odd.at_s is not None,
+        )
+    )
+
+
 def _next_change(
     stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: set[str], least_gain: float
 ) -> Change | None:
@@ -206,9 +244,7 @@ def _next_change(
         best = None
     rival_gain = best.fit.gain if best is not None else 0.0
     odd_gain = stage.oddity.gain if stage.oddity is not None else 0.0
-    has_jumped = stage.oddity is not None and stage.oddity.at_s is not None
-    proposed = list(proposals(stage.run, stage.seen, recorded, odd_gain, rival_gain, has_jumped))
-    limits = [limit for limit in proposed if limit.effect.name not in tried]
+    limits = [limit for limit in suspected_limits(stage, recorded, best) if limit.effect.name not in tried]
     for limit in (limit for limit in limits if limit.is_read):
         change = _limited(stage, limit.effect, recorded, calibrate, MIN_FORESEEN)
         if change is not None:
@@ -217,7 +253,7 @@ def _next_change(
     rival = None
     if best is not None and is_known:
         with suppress(FilterDivergedError):
-            rival = _put_in(best, stage, recorded, calibrate)
+            rival = change_made(stage, examine(wider_model(stage, best.effect), recorded, calibrate))
     # A limit makes the filter doubt its gyro, which helps against anything: it has to beat a run, too.
     at_least = max(LIMIT_PART * (odd_gain if rival is None else rival.foreseen), MIN_FORESEEN)
     for limit in (limit for limit in limits if not limit.is_read):
@@ -225,21 +261,6 @@ def _next_change(
         if change is not None:
             return change
     return rival
-
-
-def _put_in(suspect: Suspect, stage: Stage, recorded: Recorded, calibrate: Calibrate) -> Change:
-    """Put a suspect into the model."""
-    effect = with_estimate(suspect, stage.evidence)
-    return Change(
-        effect=effect,
-        before=stage,
-        after=examine(with_effect(stage.model, effect), recorded, calibrate),
-        gain=suspect.fit.gain,
-        sigma=suspect.fit.sigma,
-        p_value=suspect.fit.p_value,
-        stds=doubts(suspect),
-        strengths=suspect.places,
-    )
 
 
 def _limited(
@@ -258,8 +279,11 @@ def _limited(
     return Change(limit, stage, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
 
 
-def _rescued(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Change | None:
-    """Where the filter cannot run, one effect may be why: that with which it runs best."""
+def rescue(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Change | None:
+    """Where the filter cannot run, one effect may be why: that with which it runs best.
+
+    None where there is no such effect.
+    """
     present = {effect.name for effect in model.effects}
     limit = pile(recorded)
     limits = [] if limit is None else [with_limit('rate_saturation', limit)]

@@ -111,9 +111,9 @@ def shapes(run: Run, seen: Headings) -> list[Shape]:
     # On a straight line the rate is noise, and to take noise away would pass for a false scale.
     turning = np.where(np.abs(rate) > TURNING_RAD_S, rate, 0.0)
     asked = [
-        (name, of_scale, knots, hats * turning[:, None] if of_scale else hats)
-        for name, values in _axes(run)
-        for knots, hats in _hats(values, name)
+        (name, of_scale, knots, parts * turning[:, None] if of_scale else parts)
+        for name, values in axes(run)
+        for knots, parts in _hats(values, name)
         for of_scale in (False, True)
         if not (of_scale and name in (RATE, HEADING))
     ]
@@ -193,7 +193,7 @@ def _sigma(seen: Headings, fitted: Fit, columns: Array, dof: int) -> float:
     return sigma_of(chi_square_tail(2.0 * fitted.gain / max(INFLATION, scatter**2), dof))
 
 
-def _axes(run: Run) -> Iterator[tuple[str, Array]]:
+def axes(run: Run) -> Iterator[tuple[str, Array]]:
     """What is recorded (s,), by name."""
     history = run.history
     yield TIME, history.time_s
@@ -208,9 +208,7 @@ def _axes(run: Run) -> Iterator[tuple[str, Array]]:
 def _hats(values: Array, name: str) -> Iterator[tuple[Array, Array]]:
     """Knots (k,) and hat functions (s, k - 1) of a signal; nothing for one that does not vary."""
     if name == HEADING:
-        rows = np.eye(len(HEADING_KNOTS_DEG))[1:]
-        hats = [np.interp(values, HEADING_KNOTS_DEG, row, period=360.0) for row in rows]
-        yield HEADING_KNOTS_DEG, np.stack(hats, axis=1)
+        yield HEADING_KNOTS_DEG, hats(values, HEADING_KNOTS_DEG, name)[:, 1:]
         return
     known = values[np.isfinite(values)]
     if len(known) == 0:
@@ -224,4 +222,10 @@ def _hats(values: Array, name: str) -> Iterator[tuple[Array, Array]]:
     if np.ptp(knots) <= 1e-9 * np.abs(knots).max():
         return
     filled = np.where(np.isfinite(values), values, knots[0])
-    yield knots, np.stack([np.interp(filled, knots, row) for row in np.eye(len(knots))[1:]], axis=1)
+    yield knots, hats(filled, knots, name)[:, 1:]
+
+
+def hats(values: Array, knots: Array, name: str) -> Array:
+    """(s, k): how much of each knot of a signal of that name there is in its values (s,)."""
+    period = 360.0 if name == HEADING else None
+    return np.stack([np.interp(values, knots, row, period=period) for row in np.eye(len(knots))], axis=1)

@@ -64,6 +64,17 @@ def frame(message: Any) -> Frame:
     return Frame(t_ns, _raw_image(message) if hasattr(message, 'encoding') else _compressed_image(message))
 
 
+def jpeg(message: Any, quality: int = 75) -> bytes:
+    """An Image as JPEG, in colour where it is `bgr8`, for a browser.
+
+    Raises:
+        RecordingError: it cannot be decoded.
+    """
+    colours = message.encoding == 'bgr8'
+    pixels = _pixels(message) if colours else frame(message).image
+    return bytes(cv2.imencode('.jpg', pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
+
+
 def refuse_other_size(seen: Frame, camera: CameraIntrinsics, where: str) -> None:
     """Refuse an image that the calibration is not made for.
 
@@ -86,6 +97,14 @@ def refuse_other_size(seen: Frame, camera: CameraIntrinsics, where: str) -> None
 
 
 def _raw_image(message: Any) -> NDArray[np.uint8]:
+    pixels = _pixels(message)
+    if message.encoding in _TO_GREY:
+        return np.asarray(cv2.cvtColor(pixels, _TO_GREY[message.encoding]), np.uint8)
+    return pixels
+
+
+def _pixels(message: Any) -> NDArray[np.uint8]:
+    """(height, width) or (height, width, channels), in the colours of the encoding."""
     encoding, height, width = message.encoding, message.height, message.width
     if encoding not in _SHAPES:
         raise RecordingError(
@@ -102,8 +121,6 @@ def _raw_image(message: Any) -> NDArray[np.uint8]:
     pixels = rows.view(kind).reshape((height, width, channels) if channels > 1 else (height, width))
     if number is np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
-    if encoding in _TO_GREY:
-        return np.asarray(cv2.cvtColor(pixels, _TO_GREY[encoding]), np.uint8)
     return pixels
 
 

@@ -189,6 +189,25 @@ class Storage:
         )
 
 
+def bags_in(folder: Path) -> list[Path]:
+    """The recordings right inside a folder, by name; links that lead out of it do not count.
+
+    Raises:
+        RecordingError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise RecordingError('no such folder', where=str(folder), todo='check the path')
+    inside = folder.resolve()
+    return sorted(path for path in folder.iterdir() if path.resolve().is_relative_to(inside) and is_bag(path))
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a recording: a rosbag2 folder, one of its files, or a ROS 1 `.bag`."""
+    if path.is_file():
+        return path.suffix in ('.bag', *STORAGE_FILES)
+    return (path / 'metadata.yaml').is_file()
+
+
 @contextmanager
 def open_storage(path: Path) -> Iterator[Storage]:
     """Open a recording: a rosbag2 folder, one of its files, or a ROS 1 `.bag`.

@@ -64,7 +64,7 @@ def comparison_page(comparison: Comparison, findings: Sequence[tuple[str, str]] 
             verdict_box(of_comparison(comparison)),
             warnings([*findings, *occurred]),
             table('Models', heads, [_row(rival, comparison) for rival in comparison.rivals], note),
-            gallery(_sections(comparison)),
+            gallery(comparison_sections(comparison)),
             *(_failures(rival) for rival in comparison.rivals),
             *(details(f'Model {rival.label}', model_to_yaml(rival.run.model)) for rival in comparison.rivals),
         ],
@@ -88,7 +88,8 @@ def _places(failures: Sequence[Failure]) -> str:
     return {0: 'no place', 1: 'one place'}.get(len(failures), f'{len(failures)} places')
 
 
-def _sections(comparison: Comparison) -> Iterator[Section]:
+def comparison_sections(comparison: Comparison) -> Iterator[Section]:
+    """The figures of the page."""
     rivals = comparison.rivals
     if all(len(rival.drift.error_rad) for rival in rivals):
         drifts = {rival.label: rival.drift for rival in rivals}

@@ -79,6 +79,12 @@ def diagnosis_page(searched: Search, diagnosis: Diagnosis, findings: Sequence[tu
     )
 
 
+def diagnosis_sections(searched: Search, diagnosis: Diagnosis) -> Iterator[Section]:
+    """The figures of the page."""
+    yield from _sections(searched, diagnosis)
+    yield from _left_over(searched)
+
+
 def _card(finding: Finding) -> str:
     about = find_effect(finding.effect.name).about
     heads = ('coefficient', 'found', 'unit', 'which means')

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +11,12 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s, reference_path
-from gyrocal_ros.diagnose.heading import MAP_WALK_DEG, Headings
+from gyrocal_ros.diagnose.heading import MAP_WALK_DEG, TURNING_RAD_S, Headings
 from gyrocal_ros.diagnose.search import Search, Stage
-from gyrocal_ros.diagnose.shapes import RATE, Shape, shapes
+from gyrocal_ros.diagnose.shapes import RATE, Shape, axes, hats, shapes
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.sketch import sketch
+from gyrocal_ros.ekf.run import Run
 
 MOMENTS = 400
 """A wandering heading is looked at in no more moments than this."""
@@ -45,7 +47,7 @@ class Candidate:
 
     name: str
     role: str
-    """`found`, `twin`, `significant` or `chance`."""
+    """`best`, `found`, `twin`, `significant` or `chance`."""
     gain: float
     sigma: float
     sigma_left: float
@@ -71,6 +73,8 @@ class Bend:
     before: Curve
     after: Curve | None
     """None where nothing was added."""
+    predicted: Curve | None = None
+    """What the effects that were added say of it; it should go through `before`."""
 
 
 def wander(seen: Headings) -> Wander:
@@ -140,13 +144,34 @@ def candidates(searched: Search, diagnosis: Diagnosis) -> list[Candidate]:
         for finding in diagnosis.missing
         if finding.effect.name not in tried and math.isfinite(finding.gain)
     ]
+    return _most_telling(table, MOST_CANDIDATES)
+
+
+def open_candidates(stage: Stage, best: str | None, twins: Collection[str], most: int) -> list[Candidate]:
+    """All effects that a model may lack and that are significant, and the next ones up to `most`.
+
+    Args:
+        stage: the model on the recording.
+        best: the effect that explains most, where there is one.
+        twins: effects that may be meant in its place.
+        most: beside the significant ones, no more than fill the list up to this.
+    """
+    table = []
+    for suspect in stage.suspects:
+        name, fit = suspect.effect.name, suspect.fit
+        role = 'best' if name == best else _role(name, suspect.is_significant, (), twins)
+        table.append(Candidate(name, role, fit.gain, fit.sigma, math.nan))
+    return _most_telling(table, most)
+
+
+def _most_telling(table: list[Candidate], most: int) -> list[Candidate]:
     table.sort(key=lambda row: row.gain, reverse=True)
-    room = max(MOST_CANDIDATES - sum(row.role != 'chance' for row in table), 0)
+    room = max(most - sum(row.role != 'chance' for row in table), 0)
     chance = [row for row in table if row.role == 'chance'][:room]
     return [row for row in table if row.role != 'chance' or row in chance]
 
 
-def _role(name: str, is_significant: bool, found: set[str], twins: set[str]) -> str:
+def _role(name: str, is_significant: bool, found: Collection[str], twins: Collection[str]) -> str:
     if name in found:
         return 'found'
     if name in twins:
@@ -180,10 +205,44 @@ def centred(shape: Shape) -> Curve:
     covariance[np.ix_(free, free)] = shape.fit.covariance
     known = np.flatnonzero(np.isfinite(shape.values))
     knots = shape.knots[known]
-    basis = np.stack([np.ones(len(knots)), knots], axis=1)[:, : 2 if shape.signal == RATE else 1]
-    bent = np.eye(len(knots)) - basis @ np.linalg.pinv(basis)
+    bent = _bent(knots, shape.signal)
     spread = bent @ covariance[np.ix_(known, known)] @ bent.T
     return Curve(knots, bent @ shape.values[known], np.sqrt(np.maximum(np.diagonal(spread), 0.0)))
+
+
+def predicted(run: Run, added: int, signal: str, asked: Curve, of_scale: bool) -> Curve | None:
+    """What the effects that were added last say of the error of the rate, as a function of a signal.
+
+    Args:
+        run: with them.
+        added: how many effects were added.
+        signal: name of the signal.
+        asked: at which knots to tell it.
+        of_scale: as an error of the scale, else of the bias.
+
+    Returns:
+        None where they add nothing to the rate: effects of the camera or the wheels.
+    """
+    history = run.history
+    count = sum(len(effect.coefficients) for effect in run.model.effects[len(run.model.effects) - added :])
+    first = run.state.coefficient_count - count
+    added_rad = history.columns[:, first:] @ run.state.coefficients[first:]
+    values = dict(axes(run)).get(signal)
+    if values is None or not np.any(added_rad):
+        return None
+    rate = history.turn_rad / history.dt_s
+    parts = hats(np.where(np.isfinite(values), values, asked.knots[0]), asked.knots, signal)
+    columns = parts * np.where(np.abs(rate) > TURNING_RAD_S, rate, 0.0)[:, None] if of_scale else parts
+    basis = np.concatenate([columns, rate[:, None]], axis=1) * np.sqrt(history.dt_s)[:, None]
+    told = np.linalg.lstsq(basis, added_rad / np.sqrt(history.dt_s))[0][: len(asked.knots)]
+    return Curve(asked.knots, _bent(asked.knots, signal) @ told, np.zeros(len(told)))
+
+
+def _bent(knots: Array, signal: str) -> Array:
+    """(k, k): takes the mean over the knots away; by the rate, a straight line."""
+    basis = np.stack([np.ones(len(knots)), knots], axis=1)[:, : 2 if signal == RATE else 1]
+    without: Array = np.eye(len(knots)) - basis @ np.linalg.pinv(basis)
+    return without
 
 
 def _question(shape: Shape) -> tuple[str, bool]:

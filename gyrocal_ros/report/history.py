@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gyrocal_ros.calibration import conclude, save_calibration
-from gyrocal_ros.diagnose.improvement import Improvement
+from gyrocal_ros.diagnose.improvement import Improvement, Revision
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.files import json_text, write_text_atomic
@@ -18,12 +18,18 @@ def fill_history(folder: Path, improved: Improvement) -> None:
     For callers who hold a `new_folder` open.
     """
     for revision in improved.revisions:
-        _write_model(folder / revision.label, revision.stage.run)
-        write_text_atomic(folder / revision.label / 'merit.json', json_text(merit(revision)))
-    _write_model(folder, improved.final.stage.run)
+        fill_revision(folder / revision.label, revision)
+    fill_model(folder, improved.final.stage.run)
     write_text_atomic(folder / 'history.json', json_text(summarise_improvement(improved)))
 
 
-def _write_model(folder: Path, run: Run) -> None:
+def fill_revision(folder: Path, revision: Revision) -> None:
+    """Write one revision into an empty folder: its model, calibration and figures of merit."""
+    fill_model(folder, revision.stage.run)
+    write_text_atomic(folder / 'merit.json', json_text(merit(revision)))
+
+
+def fill_model(folder: Path, run: Run) -> None:
+    """Write the model of a run and what was found of it into an empty folder."""
     write_text_atomic(folder / 'model.yaml', model_to_yaml(run.model))
     save_calibration(conclude(run), run.config, folder / 'calibration.yaml')

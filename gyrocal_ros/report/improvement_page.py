@@ -50,7 +50,7 @@ def improvement_page(improved: Improvement, findings: Sequence[tuple[str, str]] 
             verdict_box(of_improvement(improved)),
             warnings([*findings, *events(run)]),
             table('Revisions', heads, rows, note),
-            gallery(_sections(improved)),
+            gallery(improvement_sections(improved)),
             details('Final sensor model (model.yaml)', model_to_yaml(run.model)),
         ],
     )
@@ -67,7 +67,8 @@ def _row(revision: Revision) -> tuple[str, ...]:
     )
 
 
-def _sections(improved: Improvement) -> Iterator[Section]:
+def improvement_sections(improved: Improvement) -> Iterator[Section]:
+    """The figures of the page."""
     revisions, final = improved.revisions, improved.final
     if all(len(revision.held_out.error_rad) for revision in revisions):
         marks = [

@@ -14,6 +14,7 @@ from gyrocal_ros.report.diagnosis_series import wander
 from gyrocal_ros.report.figures.diagnosis import where_it_fails
 from gyrocal_ros.report.figures.models import Mark, drift_by_model
 from gyrocal_ros.report.html import Section
+from gyrocal_ros.report.series import camera_off
 
 HEADING = """Above, the heading by the gyro alone, from the beginning to the end, less the heading that was
     seen; the bias that fits best is taken out. Inside the band, noise is explanation enough. In the middle,
@@ -43,7 +44,9 @@ def heading_section(
     """
     wanders = {name: wander(headings) for name, headings in seen.items()}
     rate_deg_s = np.degrees(history.turn_rad / history.dt_s)
-    figure = where_it_fails(title, wanders, history.time_s, rate_deg_s, stretches, jump_s)
+    figure = where_it_fails(
+        title, wanders, history.time_s, rate_deg_s, stretches, jump_s, camera_off(history)
+    )
     return Section('heading', figure, HEADING + (STRETCHES if stretches else ''))
 
 

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from gyrocal_ros import __version__
 from gyrocal_ros.calibration import Calibration
 from gyrocal_ros.data import NS_PER_S
-from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s
+from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.report import series
-from gyrocal_ros.report.html import details, document, gallery, table, verdict_box, warnings
+from gyrocal_ros.report.html import Section, details, document, gallery, table, verdict_box, warnings
 from gyrocal_ros.report.sections import sections
 from gyrocal_ros.report.tables import Row, coefficient_rows, verdict
 from gyrocal_ros.settings import to_yaml
@@ -25,8 +25,7 @@ def report_page(run: Run, calibration: Calibration, findings: Sequence[tuple[str
         calibration: what it has found.
         findings: severity and text of what is odd about the recording.
     """
-    from_s = held_out_from_s(run)
-    before, after = (blind_drift(one, from_s=from_s) for one in (series.uncorrected(run), run))
+    before, after = _drifts(run)
     return document(
         f'Gyro calibration of {run.source}',
         f'{calibration.duration_s:.0f} s recorded, model {run.model.name}, gyrocal {__version__}',
@@ -39,6 +38,17 @@ def report_page(run: Run, calibration: Calibration, findings: Sequence[tuple[str
             details('Settings (settings.yaml)', to_yaml(run.config)),
         ],
     )
+
+
+def report_sections(run: Run, calibration: Calibration) -> Iterator[Section]:
+    """The figures of the page."""
+    yield from sections(run, calibration, *_drifts(run))
+
+
+def _drifts(run: Run) -> tuple[BlindDrift, BlindDrift]:
+    """Blind drift of the nominal and of the calibrated gyro."""
+    from_s = held_out_from_s(run)
+    return blind_drift(series.uncorrected(run), from_s=from_s), blind_drift(run, from_s=from_s)
 
 
 def events(run: Run) -> Iterator[tuple[str, str]]:

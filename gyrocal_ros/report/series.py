@@ -18,6 +18,7 @@ from gyrocal_ros.ekf.state import YAW
 WINDOWS = 240
 """A run of any length is summed up in no more windows than this."""
 SHORTEST_WINDOW_S = 2.0
+SHORTEST_BLIND_S = 2.0
 CONFIDENCE = 0.95
 
 
@@ -86,6 +87,13 @@ def windows(history: History) -> Windows:
         used=total(history.used) / np.maximum(images, 1.0),
         rejected=total(history.rejected),
     )
+
+
+def camera_off(history: History) -> list[tuple[float, float]]:
+    """Stretches of time (s) in which the heading was not seen for `SHORTEST_BLIND_S` or longer."""
+    seen_s = history.time_s[np.isfinite(history.heading_innovation_rad)]
+    times = np.concatenate([history.time_s[:1], seen_s, history.time_s[-1:]])
+    return [(low, high) for low, high in pairwise(times.tolist()) if high - low >= SHORTEST_BLIND_S]
 
 
 def heading_error(run: Run) -> HeadingError | None:

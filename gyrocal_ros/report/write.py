@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,9 @@ from gyrocal_ros.ekf.state import EULER, POSITION
 from gyrocal_ros.files import json_text, new_folder, write_text_atomic
 from gyrocal_ros.report.comparison_page import comparison_page
 from gyrocal_ros.report.diagnosis_page import diagnosis_page
+from gyrocal_ros.report.figures.png import save_png
 from gyrocal_ros.report.history import fill_history
+from gyrocal_ros.report.html import Section
 from gyrocal_ros.report.improvement_page import improvement_page
 from gyrocal_ros.report.page import report_page
 from gyrocal_ros.report.series import quaternions
@@ -96,6 +98,16 @@ def fill_improvement(folder: Path, improved: Improvement, findings: Sequence[tup
     """Write the history of an improvement into an empty folder, and the page."""
     fill_history(folder, improved)
     write_text_atomic(folder / 'report.html', improvement_page(improved, findings))
+
+
+def draw_figures(folder: Path, sections: Iterable[Section]) -> None:
+    """Draw the figures of a page into `figures/`, `NAME.png` each.
+
+    Raises:
+        GyrocalError: this machine has no browser that could draw them.
+    """
+    (folder / 'figures').mkdir()
+    save_png({section.name: section.figure for section in sections}, folder / 'figures')
 
 
 def slam_trajectory(run: Run) -> str:

@@ -79,6 +79,26 @@ def scale_factor(history: History, calibration: Calibration) -> go.Figure:
     return figure
 
 
+def live(time_s: Array, value: Array, std: Array, nis_time_s: Array, nis: Array) -> go.Figure:
+    """The scale factor of a running robot on its way, and whether its filter is consistent.
+
+    Args:
+        time_s: (n,) when it was told.
+        value: (n,)
+        std: (n,)
+        nis_time_s: (m,)
+        nis: (m,) per degree of freedom.
+    """
+    figure = panels('Scale factor, as it is told', ['true rate /<br>nominal rate', 'NIS per dof'])
+    if len(value):
+        _estimate(figure, time_s, value, SIGMAS * std, 'scale factor', '.5f', (1, 1))
+    rows = kept(nis) if len(nis) else np.arange(0)
+    line(figure, nis_time_s[rows], nis[rows], 'NIS per degree of freedom', '.2f', (2, 1), GREEN)
+    figure.add_hline(1.0, row=2, col=1, line={'color': GREY, 'dash': 'dot'})
+    figure.update_xaxes(title_text='time since the listening began (s)', row=2, col=1)
+    return figure
+
+
 def coefficients(history: History, calibration: Calibration) -> go.Figure:
     """The other coefficients of the sensor model over time, one panel each."""
     names, units = calibration.names[2:], calibration.units[2:]

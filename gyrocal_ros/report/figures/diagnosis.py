@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.drift import BlindDrift
 from gyrocal_ros.diagnose.evidence import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.report.diagnosis_series import Bend, Candidate, Contribution, Wander
@@ -35,8 +36,9 @@ from gyrocal_ros.report.figures.drawing import (
 
 LEAST_GAIN = 0.3
 """What gains less log-likelihood is not worth a bar."""
-SHADE = 'rgba(213,94,0,0.13)'
+SHADE, DARKNESS = 'rgba(213,94,0,0.13)', 'rgba(128,128,128,0.3)'
 ROLES = {
+    'best': ('explains most', GREEN, GREEN, ''),
     'found': ('missing, by this diagnosis', GREEN, GREEN, ''),
     'twin': ('cannot be told from it here', PURPLE, PURPLE, '/'),
     'significant': ('significant, as long as it is missing', BLUE, BLUE, '.'),
@@ -51,6 +53,8 @@ def where_it_fails(
     rate_deg_s: Array,
     stretches: Sequence[Failure] = (),
     jump_s: float | None = None,
+    camera_off: Sequence[tuple[float, float]] = (),
+    drift: BlindDrift | None = None,
 ) -> go.Figure:
     """How the heading by the gyro runs away from the one that was seen, and while doing what.
 
@@ -61,6 +65,8 @@ def where_it_fails(
         rate_deg_s: (s,) turning rate.
         stretches: of time in which the model is off by more than chance, worst first.
         jump_s: when the bias jumped, where it did.
+        camera_off: stretches of time in which the camera saw nothing.
+        drift: without the camera, to mark the span in which it is worst.
     """
     titles = ['gyro less seen<br>(deg)', 'gained in 10 s<br>(deg)', 'turning rate<br>(deg/s)']
     figure = panels(title, titles, 200)
@@ -76,6 +82,11 @@ def where_it_fails(
     rows = kept(rate_deg_s)
     line(figure, time_s[rows], rate_deg_s[rows], 'turning rate', '.1f', (3, 1), GREY)
     figure.data[-1].showlegend = False
+    for from_s, to_s in camera_off:
+        figure.add_vrect(from_s, to_s, fillcolor=DARKNESS, line_width=0, row='all', col=1)
+        _note(figure, 0.5 * (from_s + to_s), 'camera off', GREY, y=0.0, yanchor='bottom')
+    if drift is not None and len(drift.error_rad):
+        _worst_span(figure, drift)
     for rank, stretch in enumerate(stretches, start=1):
         figure.add_vrect(stretch.from_s, stretch.to_s, fillcolor=SHADE, line_width=0, row='all', col=1)
         middle_s = 0.5 * ((stretch.from_s or 0.0) + (stretch.to_s or 0.0))
@@ -86,6 +97,26 @@ def where_it_fails(
         _note(figure, jump_s, words, PURPLE, y=0.0, yanchor='bottom', xanchor='right')
     figure.update_xaxes(range=[0.0, float(time_s[-1])])
     return figure
+
+
+def _worst_span(figure: go.Figure, drift: BlindDrift) -> None:
+    """A bracket below the span without the camera in which the heading drifts most."""
+    worst = int(np.argmax(np.abs(drift.error_rad)))
+    ends_s = drift.start_s[worst] + np.array([0.0, drift.span_s])
+    figure.add_shape(
+        type='line',
+        x0=float(ends_s[0]),
+        x1=float(ends_s[1]),
+        y0=0.03,
+        y1=0.03,
+        yref='y domain',
+        line={'color': PURPLE, 'width': 4},
+        row=1,
+        col=1,
+    )
+    error_deg = abs(float(np.degrees(drift.error_rad[worst])))
+    words = f'worst without camera: {error_deg:.2f} deg'
+    _note(figure, float(ends_s.mean()), words, PURPLE, y=0.05, yanchor='bottom')
 
 
 def evidence(table: Sequence[Candidate]) -> go.Figure:
@@ -176,6 +207,10 @@ def bend(asked: Bend, names: tuple[str, str]) -> go.Figure:
             value, reach = size * curve.values, SIGMAS * size * curve.stds
             points(figure, curve.knots, value, reach, name, '.3g', (1, 1), look, joined=True)
             ranges += [value, value + 0.6 * reach, value - 0.6 * reach]
+    if asked.predicted is not None:
+        value = size * asked.predicted.values
+        line(figure, asked.predicted.knots, value, 'by the effects added', '.3g', (1, 1), BLUE, 'dash')
+        ranges.append(value)
     figure.add_hline(0.0, line={'color': GREY, 'width': 1})
     figure.update_xaxes(title_text=asked.signal, hoverformat='.4g')
     show(figure, (1, 1), np.concatenate(ranges), margin=0.1)

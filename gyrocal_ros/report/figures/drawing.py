@@ -146,7 +146,9 @@ def band(
     figure: go.Figure, time_s: Array, middle: Array, reach: Array, place: Place, name: str = '3 sigma'
 ) -> None:
     """A band around `middle`, broken where nothing is told for a while."""
-    gaps = np.flatnonzero(np.diff(time_s) > 0.01 * time_s[-1]) + 1
+    steps_s = np.diff(time_s)
+    usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    gaps = np.flatnonzero(steps_s > max(0.01 * time_s[-1], 5.0 * usual_s)) + 1
     upper, lower = (
         np.split(np.stack([time_s, edge]), gaps, axis=1) for edge in (middle + reach, middle - reach)
     )
@@ -174,11 +176,17 @@ def kept(*columns: Array) -> IntArray:
 
 
 def fragment(figure: go.Figure, name: str) -> str:
-    """The figure as a piece of HTML; the page must hold `library()` once before it.
+    """The figure as a piece of HTML; the page must hold `library()` once before it."""
+    html: str = to_html(figure, full_html=False, include_plotlyjs=False, div_id=name, config=handling(name))
+    return html
+
+
+def handling(name: str) -> dict[str, Any]:
+    """How a figure may be handled in a browser, the name being that of its picture when it is saved.
 
     Nothing in it reaches for the network: plotly's button that uploads a figure is left out.
     """
-    config = {
+    return {
         'responsive': True,
         'displaylogo': False,
         'showSendToCloud': False,
@@ -186,8 +194,6 @@ def fragment(figure: go.Figure, name: str) -> str:
         'modeBarButtonsToRemove': ['select2d', 'lasso2d'],
         'toImageButtonOptions': {'filename': name},
     }
-    html: str = to_html(figure, full_html=False, include_plotlyjs=False, div_id=name, config=config)
-    return html
 
 
 def library() -> str:

@@ -71,7 +71,7 @@ def drift_by_model(title: str, marks: Sequence[Mark], joined: bool = True) -> go
     """Rms of the drift with the interval that holds in 90 of 100 recordings, model by model."""
     models = list(dict.fromkeys(mark.model for mark in marks))
     names = list(dict.fromkeys(mark.series for mark in marks))
-    figure = panels(title, [f'heading error after {marks[0].drift.span_s:.0f} s, rms (deg)'], 340)
+    figure = panels(title, [f'heading error after<br>{marks[0].drift.span_s:.0f} s, rms (deg)'], 340)
     for place, name in enumerate(names):
         look, aside = (AFTER, BEFORE)[place % 2], 0.1 * (place - 0.5 * (len(names) - 1))
         for is_kept in (True, False):

@@ -1,0 +1,88 @@
+"""A node that looks on: it hears what the others publish, and tells it as plain values."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from threading import Thread
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from sensor_msgs.msg import Image
+
+from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.live.feed import Feed
+from gyrocal_ros.nodes.qos import LATCHED
+from gyrocal_ros.recording.images import jpeg
+
+IMAGE_EVERY_S = 0.5
+"""A person needs no more images than that."""
+
+
+class Listener:
+    """Hears the calibration, the health of the nodes and the tracks."""
+
+    def __init__(self, node: Node, feed: Feed) -> None:
+        self._feed, self._shown_s = feed, 0.0
+        node.create_subscription(ParameterEvent, 'gyro_calibration', self._hear_calibration, LATCHED)
+        node.create_subscription(DiagnosticArray, '/diagnostics', self._hear_health, 10)
+        node.create_subscription(Image, 'ceiling_camera/tracks_image', self._hear_tracks, 1)
+
+    def _hear_calibration(self, message: ParameterEvent) -> None:
+        parameters = [*message.new_parameters, *message.changed_parameters]
+        values = {item.name: parameter_value_to_python(item.value) for item in parameters}
+        self._feed.calibration(values, time.monotonic())
+
+    def _hear_health(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            numbers = {item.key: item.value for item in status.values}
+            self._feed.health(status.name, status.level[0], status.message, numbers, time.monotonic())
+
+    def _hear_tracks(self, message: Image) -> None:
+        now_s = time.monotonic()
+        if now_s - self._shown_s < IMAGE_EVERY_S:
+            return
+        self._shown_s = now_s
+        try:
+            self._feed.tracks(jpeg(message))
+        except RecordingError as error:
+            self._feed.health('tracks_image', 2, str(error), {}, now_s)
+
+
+@contextmanager
+def listening(namespace: str = '', domain: int | None = None) -> Iterator[Feed]:
+    """What the nodes say, heard in a thread as long as the block lasts.
+
+    Args:
+        namespace: of the robot.
+        domain: ROS_DOMAIN_ID; that of the environment where None.
+    """
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node(f'gyrocal_studio_{os.getpid()}', context=context, namespace=namespace)
+    feed = Feed(time.monotonic())
+    listener = Listener(node, feed)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def spin() -> None:
+        with suppress(ExternalShutdownException):
+            executor.spin()
+
+    thread = Thread(target=spin, name='listener', daemon=True)
+    thread.start()
+    try:
+        yield feed
+    finally:
+        executor.shutdown()
+        rclpy.try_shutdown(context=context)
+        thread.join(5.0)
+        node.destroy_node()
+        del listener

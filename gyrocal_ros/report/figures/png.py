@@ -1,0 +1,50 @@
+"""Figures as PNG pictures, for papers and slides: drawn by a Chromium or Chrome of this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import plotly.graph_objects as go
+
+from gyrocal_ros.errors import GyrocalError
+
+WIDTH_PX = 1100
+SCALE = 2
+"""So many pixels of the picture for one of the figure."""
+TODO = (
+    "`pip install 'kaleido>=1'` and a Chromium are needed for that; "
+    'every figure of report.html has a button that saves it'
+)
+
+
+def save_png(figures: Mapping[str, go.Figure], folder: Path) -> None:
+    """Draw figures into a folder, `NAME.png` each, on white.
+
+    Raises:
+        GyrocalError: this machine has no browser that could draw them.
+    """
+    if find_spec('kaleido') is None:
+        raise GyrocalError('figures were not drawn as PNG, kaleido is missing', todo=TODO)
+    import kaleido
+
+    try:
+        # Without mathjax, which it would fetch from the network.
+        kaleido.write_fig_from_object_sync(
+            [*_orders(figures, folder)], cancel_on_error=True, kopts={'mathjax': False}
+        )
+    except Exception as error:  # whatever a browser that does not start may raise
+        raise GyrocalError(f'figures were not drawn as PNG ({_first_line(error)})', todo=TODO) from error
+
+
+def _orders(figures: Mapping[str, go.Figure], folder: Path) -> Iterator[dict[str, Any]]:
+    for name, figure in figures.items():
+        on_white = go.Figure(figure).update_layout(paper_bgcolor='white', plot_bgcolor='white')
+        size = {'width': WIDTH_PX, 'height': figure.layout.height, 'scale': SCALE}
+        yield {'fig': on_white, 'path': str(folder / f'{name}.png'), 'opts': {'format': 'png', **size}}
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,223 @@
+"""How the screen is laid out. What stands in it comes from `panels` and `pictures`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from dash import dcc, html
+
+from gyrocal_ros.report.figures.drawing import handling
+from gyrocal_ros.studio.pictures import COMPARED, KINDS
+
+POLL_MS = 400
+"""How often the page asks whether something has changed."""
+STEPS = (
+    ('bag', '1', 'The recording'),
+    ('model', '2', 'Model against measurement'),
+    ('residual', '3', 'Where it fails'),
+    ('missing', '4', 'Which effect is missing'),
+    ('history', '5', 'The error falling'),
+    ('lesson', '6', 'Find the missing physics'),
+)
+"""Name, number and title of each part of the screen, in its order."""
+
+
+def layout(titles: Sequence[str]) -> html.Div:
+    """The whole page.
+
+    Args:
+        titles: of the recordings that may be opened.
+    """
+    return html.Div(
+        [
+            dcc.Interval(id='poll', interval=POLL_MS),
+            *(dcc.Store(id=f'mark-{name}') for name in MARKS),
+            dcc.Store(id='acted'),
+            dcc.Store(id='chosen'),
+            dcc.Store(id='theme', storage_type='local'),
+            _header(titles),
+            html.Main(
+                [_bag(), _model(), _residual(), _missing(), _history(), _lesson()],
+                id='main',
+            ),
+        ]
+    )
+
+
+MARKS = ('session', 'bag', 'model', 'missing', 'forecast', 'lesson')
+"""Parts of the state that the page follows; each changes when something in it has."""
+
+
+def _header(titles: Sequence[str]) -> html.Header:
+    jumps = [html.A(f'{number} {title}', href=f'#{name}') for name, number, title in STEPS]
+    return html.Header(
+        [
+            html.Div(
+                [
+                    html.H1(['gyrocal studio ', html.Span(id='title')]),
+                    dcc.Dropdown(
+                        id='recording',
+                        options=[{'label': title, 'value': place} for place, title in enumerate(titles)],
+                        placeholder='open another recording',
+                        clearable=False,
+                        style={'display': 'block' if len(titles) > 1 else 'none'},
+                    ),
+                    html.Nav(jumps, **{'aria-label': 'Parts of the page'}),
+                    html.Button('Light or dark', id='theme-button', className='quiet'),
+                ],
+                className='top',
+            ),
+            html.Div(
+                [
+                    html.Div(id='message', role='status', **{'aria-live': 'polite'}),
+                    html.Progress(id='progress', max='100', value='0'),
+                    html.Span(id='doing'),
+                    html.Button('Cancel', id='cancel'),
+                    html.Button('Go on', id='resume'),
+                ],
+                className='status',
+            ),
+        ]
+    )
+
+
+def _bag() -> html.Section:
+    return _part('bag', [html.Div(id='bag-words')])
+
+
+def _model() -> html.Section:
+    return _part(
+        'model',
+        [
+            _radio('kind', KINDS, 'heading', 'What to hold the model against'),
+            _graph('model-figure', 'tall'),
+        ],
+    )
+
+
+def _residual() -> html.Section:
+    return _part(
+        'residual',
+        [
+            html.Div(
+                [
+                    html.Label('What is left over, by', htmlFor='signal', id='signal-label'),
+                    dcc.Dropdown(id='signal', clearable=False),
+                ],
+                className='row',
+            ),
+            _graph('residual-figure', 'low'),
+            html.P(
+                'Error of the bias or the scale that is left, with three standard deviations; its mean taken '
+                'out, by the rate a straight line. A signal that changes slowly fits anything that does.',
+                className='note',
+            ),
+            html.Div(id='failures'),
+        ],
+    )
+
+
+def _missing() -> html.Section:
+    return _part(
+        'missing',
+        [
+            html.P(id='verdict', className='verdict-line'),
+            html.Div(
+                [
+                    html.Div(id='candidates', role='group', **{'aria-label': 'Effects that may be added'}),
+                    html.Div(
+                        [
+                            html.Button('Add to the model', id='add', className='main', disabled=True),
+                            html.Div(id='card'),
+                        ]
+                    ),
+                ],
+                className='halves',
+            ),
+            html.Details(
+                [html.Summary('The evidence in full'), _graph('evidence-figure', 'tall')], id='evidence'
+            ),
+        ],
+    )
+
+
+def _history() -> html.Section:
+    return _part(
+        'history',
+        [
+            _graph('history-figure', 'low'),
+            html.Div(id='revisions'),
+            html.Div(
+                [
+                    html.Button('Undo', id='undo'),
+                    html.Button('Write model.yaml and calibration.yaml', id='write'),
+                    html.Button('Export the report', id='export'),
+                ],
+                className='row',
+            ),
+            html.Details(
+                [
+                    html.Summary('Compare two revisions'),
+                    html.Div(
+                        [
+                            html.Label('this', htmlFor='left'),
+                            dcc.Dropdown(id='left', clearable=False),
+                            html.Label('with', htmlFor='right'),
+                            dcc.Dropdown(id='right', clearable=False),
+                            html.Button('Make the second the present one', id='go-to'),
+                        ],
+                        className='row',
+                    ),
+                    _radio('compare-kind', COMPARED, 'heading', 'What to compare'),
+                    _graph('compare-figure', 'tall'),
+                ],
+                id='compare',
+            ),
+        ],
+    )
+
+
+def _lesson() -> html.Section:
+    return _part(
+        'lesson',
+        [
+            html.P(
+                'A simulated robot hides an effect, or two, or none, or one that the library does not know. '
+                'Explore, guess, add what you believe in, and see the truth.'
+            ),
+            html.Div(
+                [
+                    html.Button('Draw a riddle', id='riddle'),
+                    html.Label('My guess', htmlFor='guess'),
+                    dcc.Dropdown(id='guess', placeholder='what is hidden?'),
+                    html.Button('Reveal the truth', id='reveal'),
+                ],
+                className='row',
+            ),
+            html.Div(id='truth-words', **{'aria-live': 'polite'}),
+        ],
+    )
+
+
+def _part(name: str, content: list[Any]) -> html.Section:
+    _, number, title = next(step for step in STEPS if step[0] == name)
+    heading = html.H2([html.Span(number, className='number'), title], id=f'{name}-title')
+    return html.Section([heading, *content], id=name, **{'aria-labelledby': f'{name}-title'})
+
+
+def _radio(name: str, options: dict[str, str], value: str, meaning: str) -> html.Div:
+    choices = [{'label': label, 'value': key} for key, label in options.items()]
+    return html.Div(
+        dcc.RadioItems(id=name, options=choices, value=value, inline=True, className='choice'),
+        role='radiogroup',
+        **{'aria-label': meaning},
+    )
+
+
+def _graph(name: str, size: str) -> html.Div:
+    graph = dcc.Graph(id=name, config=handling(name), style={'height': '100%'}, responsive=True)
+    return html.Div(
+        [html.P('', id=f'{name}-words', className='empty'), html.Div(graph, id=f'{name}-box', hidden=True)],
+        className=f'figure {size}',
+    )

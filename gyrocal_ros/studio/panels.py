@@ -1,0 +1,251 @@
+"""The words and tables of the page, from the state of a session."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from dash import html
+
+from gyrocal_ros.diagnose.advice import join
+from gyrocal_ros.diagnose.evidence import held_out_gain
+from gyrocal_ros.diagnose.motions import to_tell_apart
+from gyrocal_ros.diagnose.ranking import Suspect, doubts, estimate
+from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects.base import Explanation
+from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.report.tables import with_gain
+from gyrocal_ros.report.words import coefficients_in_words, drift_in_words, sigma_in_words
+from gyrocal_ros.studio.lesson import off_in_words
+from gyrocal_ros.studio.pictures import drift_deg
+from gyrocal_ros.studio.view import View
+from gyrocal_ros.studio.worker import Examined
+
+MOST_LISTED = 8
+MOST_FAILURES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One effect that may be added."""
+
+    effect: Effect
+    suspect: Suspect | None
+    """None for a limit, which only a run can judge."""
+
+
+def choices(examined: Examined) -> list[Choice]:
+    """What may be added, the most telling first: all that is significant, and what comes next."""
+    ranked = [Choice(suspect.effect, suspect) for suspect in examined.stage.suspects]
+    ranked.sort(key=lambda one: one.suspect is not examined.best)
+    certain = sum(one.suspect is not None and one.suspect.is_significant for one in ranked)
+    limits = [Choice(effect, None) for effect in examined.limits]
+    return [*ranked[:certain], *limits, *ranked[certain : max(certain, MOST_LISTED)]]
+
+
+def bag(view: View) -> list[Any]:
+    """What is in the recording, and what is wrong with it."""
+    contents = view.contents
+    if contents is None:
+        return [html.P('Looking into the recording ...')]
+    if contents.check is None:
+        return [html.P(f'A simulated robot cleaned for {contents.duration_s:.0f} s. What is odd about it?')]
+    check = contents.check
+    used = [topic for topic in check.topics if topic.role]
+    summary = f'{check.duration_s:.0f} s, {len(used)} topics in use of {len(check.topics)}'
+    rows = [
+        (topic.name, topic.role or 'not used', str(topic.count), _number(topic.rate_hz, '.4g'))
+        for topic in check.topics
+    ]
+    complaints = [
+        html.Li([html.B(f'{finding.severity}: '), str(finding)], className=str(finding.severity))
+        for finding in check.findings
+    ]
+    return [
+        html.P([html.B(summary), ' - ' if complaints else '; nothing to complain of.']),
+        html.Ul(complaints, className='findings') if complaints else None,
+        html.Details(
+            [html.Summary('Topics'), _table(('topic', 'used as', 'messages', 'Hz'), rows)], id='topics'
+        ),
+    ]
+
+
+def failures(view: View) -> list[Any]:
+    """Where the present model is off by more than chance."""
+    now = view.trials.now
+    if now is None or now.examined is None:
+        return []
+    found = now.examined.failures
+    if not found:
+        return [html.P('Nowhere by more than chance and a slowly wandering bias explain.')]
+    rows = [(item.what, f'{item.sigma:.0f}') for item in found[:MOST_FAILURES]]
+    more = f' and {len(found) - MOST_FAILURES} more' if len(found) > MOST_FAILURES else ''
+    return [
+        html.Details(
+            [
+                html.Summary(f'The worst places, in words: {found[0].what}'),
+                _table(('place, and what would have to be added', 'sigma'), rows),
+                html.P(more) if more else None,
+            ]
+        )
+    ]
+
+
+def verdict(view: View) -> str:
+    """What the recording says of the present model, in a sentence."""
+    now = view.trials.now
+    if now is None or now.examined is None:
+        return ''
+    best, odd = now.examined.best, now.examined.stage.oddity
+    if best is not None:
+        likely = f'{best.effect.name} explains most of what is left ({sigma_in_words(best.fit.sigma)} sigma)'
+        others = f'; it may as well be {join([*now.examined.twins], "or")}' if now.examined.twins else ''
+        return f'{likely}{others}.'
+    if odd is not None:
+        return f'No effect of the library explains what is left: {odd.what} ({odd.sigma:.0f} sigma).'
+    if now.examined.limits:
+        return f'The readings suggest a limit: {join([one.name for one in now.examined.limits], "or")}.'
+    return 'No effect of the library explains more than chance would.'
+
+
+def candidate_list(view: View) -> list[Any]:
+    """A button for every effect that may be added, with a bar: the logarithm of what it explains."""
+    now = view.trials.now
+    if now is None or now.examined is None:
+        return []
+    offered = choices(now.examined)
+    most = max([_log_gain(one) for one in offered] + [1.0])
+    return [
+        html.Button(
+            [
+                html.B(one.effect.name),
+                html.Span(
+                    html.Span(style={'width': f'{100.0 * _log_gain(one) / most:.0f}%'}), className='bar'
+                ),
+                html.Span(_strength(one), className='strength'),
+            ],
+            id={'do': 'choose', 'effect': one.effect.name},
+            className='candidate',
+        )
+        for one in offered
+    ]
+
+
+def _log_gain(choice: Choice) -> float:
+    return 0.0 if choice.suspect is None else math.log10(1.0 + max(choice.suspect.fit.gain, 0.0))
+
+
+def _strength(choice: Choice) -> str:
+    if choice.suspect is None:
+        return 'by the readings'
+    fit = choice.suspect.fit
+    return f'+{max(fit.gain, 0.0):.0f}, {sigma_in_words(fit.sigma)} sigma'
+
+
+def candidate_card(view: View, chosen: str | None) -> list[Any]:
+    """All about one effect that may be added."""
+    now = view.trials.now
+    if now is None or now.examined is None:
+        return []
+    choice = next((one for one in choices(now.examined) if one.effect.name == chosen), None)
+    if choice is None:
+        return [html.P('Choose an effect above to see what it is and what it would do.')]
+    about: Explanation = find_effect(choice.effect.name).about
+    rows: list[tuple[str, Any]] = [('equation', html.Code(about.equation))]
+    if choice.suspect is not None:
+        rows += _evidence(choice.suspect, now.examined, chosen)
+    rows.append(('held-out drift', html.Span(_forecast(view, choice.effect.name), id='forecast')))
+    return [
+        html.H3(choice.effect.name, id='candidate-name'),
+        html.P(about.physics, className='physics'),
+        html.Dl([part for term, what in rows for part in (html.Dt(term), html.Dd(what))]),
+    ]
+
+
+def _evidence(suspect: Suspect, examined: Examined, chosen: str | None) -> list[tuple[str, Any]]:
+    found = coefficients_in_words(suspect.effect, estimate(suspect), doubts(suspect))
+    gain = held_out_gain(examined.stage.evidence, suspect.fit.columns)
+    rows: list[tuple[str, Any]] = [
+        ('coefficients', found),
+        ('log-likelihood', with_gain(suspect.fit.gain, suspect.fit.sigma)),
+    ]
+    if gain is not None:
+        rows.append(('on the second half', f'{gain:+.1f} log-likelihood, fitted on the first half alone'))
+    if examined.best is not None and chosen == examined.best.effect.name and examined.twins:
+        apart = ' '.join(to_tell_apart(suspect.effect.name, examined.twins))
+        rows.append(('or else', f'{join([*examined.twins], "or")}. {apart}'))
+    return rows
+
+
+def _forecast(view: View, effect: str) -> str:
+    """What adding the effect would do to the held-out error."""
+    improved, ahead = view.improvement, view.forecast(effect)
+    if improved is None or not len(improved.final.held_out.error_rad):
+        return 'the recording is too short to tell'
+    before = improved.final.held_out.rms_deg
+    if ahead is not None:
+        return f'from {before:.2f} to {drift_deg(ahead, view):.2f} deg'
+    doing = view.doing
+    if doing is not None and doing.what == 'forecast' and doing.subject == effect:
+        return f'now {before:.2f} deg; being tried in advance, {100.0 * doing.advance.part:.0f} %'
+    return f'now {before:.2f} deg'
+
+
+def revision_table(view: View) -> list[Any]:
+    """The revisions with their figures of merit."""
+    improved = view.improvement
+    if improved is None:
+        return []
+    rows = [
+        (
+            one.label,
+            ('present' if one is improved.final else 'kept') if one.is_kept else 'left out',
+            drift_in_words(one.held_out),
+            drift_in_words(one.fitted),
+            with_gain(one.gain, one.gain_sigma) if one.effect is not None else '',
+        )
+        for one in improved.revisions
+    ]
+    return [
+        _table(('revision', '', 'held out (deg)', 'fitted (deg)', 'log-likelihood'), rows),
+        html.P(improved.final.why[:1].upper() + improved.final.why[1:] + '.', className='note'),
+    ]
+
+
+def lesson(view: View) -> list[Any]:
+    """The truth, once it is wanted."""
+    told = view.revealed
+    if told is None:
+        return []
+    hidden = join([*told.hidden]) if told.hidden else 'nothing'
+    said = {True: 'Your guess was right.', False: 'Your guess was wrong.', None: 'You did not guess.'}
+    rows = [
+        (
+            line.name,
+            f'{line.truth:.6g} {line.unit}'.removesuffix(' 1'),
+            '' if line.found is None else f'{line.found:.6g}',
+            off_in_words(line),
+        )
+        for line in told.lines
+    ]
+    remarks = [f'Hidden: {hidden}.', said[told.guessed_right]]
+    if told.missed:
+        remarks.append(f'The model lacks {join([*told.missed])}.')
+    if told.needless:
+        remarks.append(f'The model has what the robot has not: {join([*told.needless])}.')
+    return [html.P(' '.join(remarks), id='truth'), _table(('', 'truth', 'found', 'off by'), rows)]
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> html.Div:
+    body = [
+        html.Tr([html.Th(row[0], scope='row'), *(html.Td(cell) for cell in row[1:])], key=str(row[0]))
+        for row in rows
+    ]
+    top = html.Tr([html.Th(head, scope='col') for head in heads])
+    return html.Div(html.Table([html.Thead(top), html.Tbody(body)]), className='wide')
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else ''

@@ -54,7 +54,7 @@ def nodes(arguments: Arguments) -> list:
         ),
         board,
         camera,
-        arguments.node('driver', {'driver.port': str(port)}, **again),
+        arguments.node('driver', {'driver.port': str(port), 'driver.publish_odom_transform': True}, **again),
         arguments.node('tracker', **again),
         arguments.calibrator(follows_tracker=True, parameters={}, **again),
     ]

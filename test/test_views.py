@@ -86,6 +86,14 @@ def test_foxglove_names_topics_that_there_are(foxglove: Any) -> None:
     assert {topic for topic, _, _ in plotted} == made
 
 
+def test_foxglove_plots_the_path_to_one_scale(foxglove: Any) -> None:
+    panel = foxglove['configById']['Plot!path']
+    along, across = (path['value'].rpartition('.') for path in (panel['xAxisPath'], *panel['paths']))
+    assert along[0] == across[0] == '/odometry/slam.pose.pose.position'
+    assert (along[2], across[2]) == ('x', 'y')
+    assert panel['axisScalesMode'] == 'lockedScales'
+
+
 def test_foxglove_computes_the_band_of_the_scale_factor(foxglove: Any) -> None:
     (script,) = [node['sourceCode'] for node in foxglove['userNodes'].values()]
     assert 'inputs = ["/gyro_calibration"]' in script

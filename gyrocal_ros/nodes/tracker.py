@@ -29,7 +29,7 @@ TRANSPORTS = {'raw': ('', Image), COMPRESSED: (f'/{COMPRESSED}', CompressedImage
 """What follows the name of the images' topic, and their type."""
 IMAGES_HELD = 2
 """Of images that come faster than they can be followed, these are the latest."""
-FETCH_S, WAKE_S, LOOK_S = 0.1, 0.004, 0.5
+FETCH_S, WAKE_S, LOOK_S = 0.1, 0.002, 0.5
 """How often the IMU is heard at least, and how often while an image waits for it; how often images are
 looked for."""
 

@@ -335,7 +335,7 @@ class LiveConfig:
     )
     estimate: bool = setting(True, '', 'estimate from the start, not only when told to')
     reorder_window_s: float = setting(
-        0.3, 's', 'how late a message may come and still be sorted in by its stamp', low=0.01, high=10.0
+        0.6, 's', 'how late a message may come and still be sorted in by its stamp', low=0.01, high=10.0
     )
     save_interval_s: float = setting(
         60.0, 's', 'how often the calibration is saved', low=1.0, high=86400.0, live=True

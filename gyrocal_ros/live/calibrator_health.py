@@ -31,6 +31,8 @@ class Facts:
     knows_camera: bool
     """Its calibration, and where it sits."""
     is_trusted: bool
+    is_settled: bool
+    """Enough was seen to judge the filter by it; its noise is not known at once."""
     on_probation: bool
     """Begun anew, and not yet believed."""
     recent_nis: float
@@ -191,7 +193,7 @@ def _filter(facts: Facts) -> Iterator[str]:
     limits, scale_std = facts.convergence, facts.calibration.scale_factor_std
     if facts.on_probation:
         yield 'the filter was begun anew and has to prove itself; the last good calibration is served'
-    elif not facts.is_trusted:
+    elif not facts.is_trusted and (facts.is_settled or facts.recent_nis > limits.nis_high):
         is_recent = not limits.nis_low <= facts.recent_nis <= limits.nis_high
         nis = facts.recent_nis if is_recent else facts.overall_nis
         yield (

@@ -22,7 +22,7 @@ CHECKPOINT_S = 5.0
 """A state is good to go back to when the filter has run well for so long since."""
 MAPS_LOST, MAPS_LOST_S = 3, 60.0
 """So many new maps within so long: the filter is lost, whatever its numbers say."""
-DISTRUST_S = 60.0
+DISTRUST_S = 30.0
 """A filter that was contradicted for so long does not find back by itself."""
 WIDENING = 4.0
 """How much larger the variances are when the filter is begun anew."""

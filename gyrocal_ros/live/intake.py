@@ -12,8 +12,9 @@ from gyrocal_ros.recording.topics import Role
 
 STEP_S = 0.5
 """A lasting jump of the stamps against a steady clock, above which the clock has stepped."""
-MAX_SILENCE_NS = 10 * NS_PER_S
-"""How long the others are kept for an IMU that says nothing."""
+MAX_SILENCE_NS = NS_PER_S
+"""How long the others are kept for an IMU that says nothing. After more the robot may have turned anywhere,
+and a tracker that foresaw no turns may have lost its features: pose and map are begun anew."""
 MAX_WAITING = 10_000
 """So many measurements wait at most, some 30 seconds of them; the oldest go first."""
 

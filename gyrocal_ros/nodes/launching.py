@@ -26,6 +26,8 @@ COMMON = {
     ),
 }
 """Arguments of every launch file, each with its default and meaning."""
+OWN_TRANSFORMS = (('/tf', 'tf'), ('/tf_static', 'tf_static'))
+"""Frames have the same names on all robots, so a robot with a namespace has transforms of its own."""
 
 
 class Arguments:
@@ -52,6 +54,7 @@ class Arguments:
             name=name,
             namespace=self['namespace'],
             parameters=[str(self.params), given],
+            remappings=OWN_TRANSFORMS if self['namespace'] else (),
             output='screen',
             emulate_tty=True,
             **more,

@@ -354,9 +354,10 @@ class ImagesConfig:
         choices=('auto', 'raw', 'compressed'),
     )
     patience_s: float = setting(
-        0.05,
+        0.01,
         's',
-        'how long an image waits for the IMU to reach its stamp and for the search regions',
+        'how long an image waits for the IMU to reach its stamp and for the search regions; what it waits '
+        'comes on top of the time to features',
         low=0.0,
         high=1.0,
         live=True,

@@ -18,6 +18,8 @@ ARGUMENTS = {
     'images': ('false', 'track the images even where the recording holds features'),
 }
 SIMULATED_TIME = {'use_sim_time': True}
+PATIENT = {'images.patience_s': 0.1}
+"""Images come without delay here, the IMU samples after them do not; and the same comes out every time."""
 
 
 def nodes(arguments: Arguments) -> list:
@@ -28,7 +30,7 @@ def nodes(arguments: Arguments) -> list:
         tracks = Role.IMAGE in select_topics(storage.topics, choice).topics
     listeners = [arguments.calibrator(follows_tracker=tracks, parameters=SIMULATED_TIME)]
     if tracks:
-        listeners.append(arguments.node('tracker', SIMULATED_TIME))
+        listeners.append(arguments.node('tracker', {**SIMULATED_TIME, **PATIENT}))
     player = arguments.node(
         'player',
         {

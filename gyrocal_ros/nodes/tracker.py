@@ -14,6 +14,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from tf2_msgs.msg import TFMessage
 
 from gyrocal_ros.config import Config, RobotConfig
+from gyrocal_ros.data import seconds
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.live.health import Status
 from gyrocal_ros.live.tracking import LiveTracker, Tracked
@@ -32,6 +33,8 @@ IMAGES_HELD = 2
 FETCH_S, WAKE_S, LOOK_S = 0.1, 0.002, 0.5
 """How often the IMU is heard at least, and how often while an image waits for it; how often images are
 looked for."""
+QUEUED_S = 1.0
+"""An image does not wait longer than this to be heard."""
 
 
 class Tracker:
@@ -86,8 +89,8 @@ class Tracker:
     # --- what comes in ---------------------------------------------------------------------------
 
     def _hear_image(self, message: Any, info: Any) -> None:
-        now_s = time.monotonic()
-        came_s = now_s - max(0.0, 1e-9 * (time.time_ns() - info['received_timestamp']))
+        waited_s = seconds(time.time_ns() - info['received_timestamp'])  # odd where the middleware tells none
+        came_s = time.monotonic() - (waited_s if 0.0 < waited_s < QUEUED_S else 0.0)
         try:
             frame = images.frame(message)
         except RecordingError as error:

@@ -17,7 +17,7 @@ ARGUMENTS = {
     'duration': ('300', 'how long it drives, in seconds'),
     'jitter': ('0.0', 'frames of the board come up to so many seconds later'),
     'faults': ('', 'of the board: KIND@FROM+FOR[=SHARE], see board_emulator --help; separated by blanks'),
-    'troubles': ('', 'of the camera: cover@FROM+FOR or off@FROM+FOR; separated by blanks'),
+    'troubles': ('', 'of the camera: cover@, off@ or clock@FROM+FOR; separated by blanks'),
     'respawn': ('true', 'start driver, tracker and calibrator again when they end by themselves'),
 }
 READY_S = 12.0

@@ -10,7 +10,14 @@ import pytest
 
 from gyrocal_ros.data import Frame, TruthSample, nanoseconds
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.live.emulated_camera import COVERED_GREY, EmulatedCamera, Spell, Trouble, parse_spells
+from gyrocal_ros.live.emulated_camera import (
+    CLOCK_AHEAD_NS,
+    COVERED_GREY,
+    EmulatedCamera,
+    Spell,
+    Trouble,
+    parse_spells,
+)
 from gyrocal_ros.sim.film import EXPOSURE_S
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.world import START_NS, SimSource
@@ -66,6 +73,14 @@ def test_it_knows_where_the_robot_is() -> None:
     before = truths[max(t for t in truths if t <= now.t_ns - NOW_NS)]
     np.testing.assert_allclose(now.position_m, before.position_m, atol=0.02)
     assert now.yaw_rad == pytest.approx(before.yaw_rad, abs=0.05)
+
+
+def test_a_clock_that_is_ahead_stamps_images_later() -> None:
+    early, late = camera(), camera('clock@0+1000')
+    assert late.stamp_ns(3) - early.stamp_ns(3) == CLOCK_AHEAD_NS
+    assert late.due_ns(3) == early.due_ns(3)
+    told = late.take(3)
+    assert told is not None and told.t_ns == late.truth(3).t_ns == late.stamp_ns(3)
 
 
 def test_troubles_are_read() -> None:

@@ -10,13 +10,14 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal_ros.data import CameraIntrinsics, Frame, Mount, TruthSample, nanoseconds
+from gyrocal_ros.data import NS_PER_S, CameraIntrinsics, Frame, Mount, TruthSample, nanoseconds
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.settings import nearest
 from gyrocal_ros.sim.film import EXPOSURE_S
 from gyrocal_ros.sim.world import START_NS, SimSource
 
 COVERED_GREY = 8
+CLOCK_AHEAD_NS = 2 * NS_PER_S
 FORM = re.compile(r'(?P<kind>\w+)@(?P<start>[\d.]+)\+(?P<length>[\d.]+)')
 
 
@@ -27,6 +28,8 @@ class Trouble(StrEnum):
     """It sees nothing but dark."""
     OFF = 'off'
     """It takes no images."""
+    CLOCK = 'clock'
+    """The clock that stamps its images is ahead by `CLOCK_AHEAD_NS`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +89,12 @@ class EmulatedCamera:
         return rig.camera, rig.camera_mount
 
     def stamp_ns(self, number: int) -> int:
-        """The middle of the exposure."""
-        return self.start_ns + nanoseconds(float(self._time_s[number]))
+        """The middle of the exposure, by the clock of the camera."""
+        return self._middle_ns(number) + (CLOCK_AHEAD_NS if Trouble.CLOCK in self._troubles(number) else 0)
 
     def due_ns(self, number: int) -> int:
         """When the image is there: at the end of the exposure."""
-        return self.stamp_ns(number) + nanoseconds(0.5 * EXPOSURE_S)
+        return self._middle_ns(number) + nanoseconds(0.5 * EXPOSURE_S)
 
     def next_after(self, number: int, now_ns: int) -> int:
         """The next image that is not over yet; those between are left out."""
@@ -102,8 +105,7 @@ class EmulatedCamera:
 
     def take(self, number: int) -> Frame | None:
         """Take an image; None while the camera is off."""
-        time_s = self._time_s[number]
-        troubles = {spell.trouble for spell in self._spells if spell.start_s <= time_s < spell.end_s}
+        troubles = self._troubles(number)
         if Trouble.OFF in troubles:
             return None
         image = self._film.take(number)
@@ -115,6 +117,13 @@ class EmulatedCamera:
         x, y, z = truth.position(time_s)[0].tolist()
         yaw_rad = float(truth.trajectory.motion(time_s).euler_rad[0, 2])
         return TruthSample(self.stamp_ns(number), (x, y, z), yaw_rad)
+
+    def _middle_ns(self, number: int) -> int:
+        return self.start_ns + nanoseconds(float(self._time_s[number]))
+
+    def _troubles(self, number: int) -> set[Trouble]:
+        time_s = self._time_s[number]
+        return {spell.trouble for spell in self._spells if spell.start_s <= time_s < spell.end_s}
 
 
 def _covered(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

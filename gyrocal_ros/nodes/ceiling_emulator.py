@@ -44,7 +44,9 @@ class CeilingConfig:
         0.0, 's', 'seconds since 1970 at which it starts; 0 for now', low=0.0, high=1e11
     )
     troubles: str = setting(
-        '', '', 'cover@FROM+FOR, off@FROM+FOR, in seconds since the start, separated by blanks'
+        '',
+        '',
+        'cover@, off@ or clock@FROM+FOR, in seconds since the start, separated by blanks',
     )
 
 

@@ -4,8 +4,9 @@
     python test/ros/emulated_trial.py --minutes 8 --faults
 
 Board and camera are emulated with 20 ms of arrival jitter on the line, the nodes are real. With faults, the
-board is unplugged for 5 s, 5 % of its bytes are spoiled for 30 s, the camera stops for 60 s, and the
-calibrator is killed. Needs a sourced ROS. No test: it takes as long as it says, and its times are this
+board is unplugged for 5 s, 5 % of its bytes are spoiled for 30 s, the camera stops for 60 s, the
+calibrator is killed, and the computer's clock is 2 s ahead for half a minute (with libfaketime, where it is
+installed). Needs a sourced ROS. No test: it takes as long as it says, and its times are this
 machine's.
 """
 
@@ -42,7 +43,9 @@ SCENARIO, IMU_HZ = 'cleaning', 200.0
 READY_S, SETTLED_S, PERIOD_S = 20.0, 12.0, 15.0
 BOARD_FAULTS = ('--fault', 'unplug@60+5', '--fault', 'noise@100+30=0.05')
 CAMERA_FAULTS = 'off@160+60'
+CLOCK_FAULT, CLOCK_FROM_S, CLOCK_TO_S = ' clock@300+30', 300.0, 330.0
 KILLED_AT_S = 250.0
+FAKETIME = next(Path('/usr/lib').glob('*/faketime/libfaketimeMT.so.1'), None)
 TICK = os.sysconf('SC_CLK_TCK')
 LATENCIES = ((Role.IMU, 'imu/data'), (Role.IMAGE, Role.FEATURES))
 
@@ -168,6 +171,25 @@ def main() -> None:
         run(args, Path(folder), graph)
 
 
+def start_driver(graph: Graph, port: Path, clock: Path | None) -> NodeProcess:
+    """Start the driver, with a clock that a file sets where that is wanted."""
+    if clock is None:
+        return graph.start('driver', parameters={'driver.port': str(port)})
+    clock.write_text('+0')
+    faked = {
+        'LD_PRELOAD': str(FAKETIME),
+        'FAKETIME_TIMESTAMP_FILE': str(clock),
+        'FAKETIME_DONT_FAKE_MONOTONIC': '1',
+        'FAKETIME_CACHE_DURATION': '1',
+    }
+    os.environ.update(faked)
+    try:
+        return graph.start('driver', parameters={'driver.port': str(port)})
+    finally:
+        for name in faked:
+            del os.environ[name]
+
+
 def run(args: argparse.Namespace, folder: Path, graph: Graph) -> None:
     duration_s, port, kept = 60.0 * args.minutes, folder / 'board', folder / 'calibration.yaml'
     start_s = time.time() + READY_S
@@ -179,11 +201,13 @@ def run(args: argparse.Namespace, folder: Path, graph: Graph) -> None:
         env={**os.environ, 'PYTHONPATH': f'{PROJECT}{os.pathsep}{os.environ.get("PYTHONPATH", "")}'},
     )
     ceiling = {'scenario': SCENARIO, 'seed': args.seed, 'duration_s': duration_s, 'start_at': start_s}
-    ceiling['troubles'] = CAMERA_FAULTS if args.faults else ''
+    clock = folder / 'clock'
+    has_clock_fault = args.faults and FAKETIME is not None
+    ceiling['troubles'] = CAMERA_FAULTS * args.faults + CLOCK_FAULT * has_clock_fault
     graph.start('ceiling_emulator', parameters={f'ceiling.{name}': value for name, value in ceiling.items()})
     keeping = {'live.calibration': str(kept), 'live.save_interval_s': 10.0}
     nodes: dict[str, NodeProcess] = {
-        'driver': graph.start('driver', parameters={'driver.port': str(port)}),
+        'driver': start_driver(graph, port, clock if has_clock_fault else None),
         'tracker': graph.start('tracker'),
         'calibrator': graph.start('calibrator', parameters=keeping),
     }
@@ -196,6 +220,7 @@ def run(args: argparse.Namespace, folder: Path, graph: Graph) -> None:
                 next_s += PERIOD_S
                 for name, process in nodes.items():
                     used[name].append(usage(process.pid, at_s))
+            clock.write_text('+2' if CLOCK_FROM_S <= at_s < CLOCK_TO_S else '+0')
             if at_s > killed_at_s:
                 killed_at_s = math.inf
                 nodes['calibrator'].stop(signal.SIGKILL)

@@ -59,21 +59,23 @@ def turned(rates: Iterator[tuple[float, float, float, float]]) -> Turning:
 class Ride:
     """A camera that turns and drives below a ceiling, with a gyro that overstates its turns."""
 
-    def __init__(self, renderer: CeilingRenderer, rate_rad_s: float, overstated: float = 1.0) -> None:
+    def __init__(
+        self, renderer: CeilingRenderer, rate_rad_s: float, overstated: float = 1.0, bias_rad_s: float = 0.0
+    ) -> None:
         self.follower = Follower(CAMERA, R_BC, TrackerConfig())
-        self.rate_rad_s, self.overstated = rate_rad_s, overstated
-        self.speed_m_s = 0.3
+        self.rate_rad_s, self.overstated, self.bias_rad_s = rate_rad_s, overstated, bias_rad_s
+        self.speed_m_s, self.start_s = 0.3, 0.0
         self._renderer, self._rng = renderer, np.random.default_rng(0)
         self._points_w: dict[int, Array] = {}
         self._heard_s = 0.0
 
     def pose(self, t_s: float) -> tuple[Array, Array]:
-        R_wb = rotation_from_euler(np.array([0.0, 0.0, self.rate_rad_s * t_s]))
+        R_wb = rotation_from_euler(np.array([0.0, 0.0, self.rate_rad_s * (t_s - self.start_s)]))
         return R_wb @ R_BC, np.array([self.speed_m_s * t_s, 0.0, 0.1])
 
     def hear(self, until_s: float) -> None:
         for t_s in np.arange(self._heard_s, until_s + 1e-9, 0.005):
-            self.follower.add(sample(float(t_s), self.overstated * self.rate_rad_s))
+            self.follower.add(sample(float(t_s), self.overstated * self.rate_rad_s + self.bias_rad_s))
         self._heard_s = until_s
 
     def look(self, t_s: float, *, covered: bool = False) -> FeatureObservations:
@@ -112,6 +114,14 @@ def kept(seen: list[FeatureObservations]) -> float:
     """Share of the features of each image that are found in the next."""
     pairs = list(zip(seen, seen[1:], strict=False))
     return float(np.mean([len(np.intersect1d(a.ids, b.ids)) / len(a.ids) for a, b in pairs]))
+
+
+def missed_px(ride: Ride, seen: FeatureObservations) -> float:
+    """How far the features of the last image were from where they were expected."""
+    expected = ride.follower.expected
+    assert expected is not None
+    _, found, asked = np.intersect1d(seen.ids, expected.ids, return_indices=True)
+    return float(np.median(np.linalg.norm(seen.pixels[found] - expected.pixels[asked], axis=1)))
 
 
 # --- turning ------------------------------------------------------------------------------------
@@ -166,11 +176,7 @@ def test_features_are_followed_through_a_fast_turn_by_a_gyro_that_overstates(
     ride = Ride(renderer, math.radians(80.0), overstated=1.08)
     seen = ride.go(0, 25)
     assert kept(seen) > 0.9, 'what leaves the image is lost, hardly more'
-    expected = ride.follower.expected
-    assert expected is not None
-    _, found, asked = np.intersect1d(seen[-1].ids, expected.ids, return_indices=True)
-    missed_px = np.linalg.norm(seen[-1].pixels[found] - expected.pixels[asked], axis=1)
-    assert np.median(missed_px) < 0.1, 'turn and drive are foreseen, the gyro put right'
+    assert missed_px(ride, seen[-1]) < 0.1, 'turn and drive are foreseen, the gyro put right'
 
 
 def test_regions_are_wide_until_the_gyro_is_known(renderer: CeilingRenderer) -> None:
@@ -183,6 +189,16 @@ def test_regions_are_wide_until_the_gyro_is_known(renderer: CeilingRenderer) -> 
         widest_px2.append(expected.covariances_px2[:, 0, 0].max())
     assert widest_px2[0] > 2.0**2, 'eight of a hundred parts of a turn of 8 deg are some 3 px'
     assert widest_px2[2] < 0.3 * widest_px2[0]
+
+
+def test_a_long_rest_with_a_biased_gyro_teaches_nothing_wrong(renderer: CeilingRenderer) -> None:
+    ride = Ride(renderer, 0.0, overstated=1.08, bias_rad_s=math.radians(1.0))
+    ride.speed_m_s = 0.0
+    ride.go(0, 100)
+    ride.rate_rad_s = math.radians(80.0)
+    ride.start_s = 9.9
+    assert missed_px(ride, ride.go(100, 101)[-1]) < 5.0, 'the prediction is as good as the gyro'
+    assert kept(ride.go(101, 112)) > 0.9
 
 
 def test_lost_features_come_back_where_the_filter_expects_them(renderer: CeilingRenderer) -> None:

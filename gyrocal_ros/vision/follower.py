@@ -7,7 +7,6 @@ Recordings are followed in the very same way.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,8 +27,8 @@ from gyrocal_ros.vision.search import ceiling_coordinates, ceiling_pixels
 from gyrocal_ros.vision.tracker import Tracker
 from gyrocal_ros.vision.turning import Turning
 
-TURN_GAIN_STD = 0.1
-"""How far the true turn may be from the nominal one, as a fraction of it, before any was seen."""
+TURN_GAIN_STD, TURN_BIAS_STD_RAD_S = 0.1, 0.02
+"""How far the true turn may be from the nominal one before any was seen: a fraction of it, and a rate."""
 TWIST_NOISE_RAD = 1e-3
 """How well the turn between two images is seen."""
 FLOW_DOUBT_PX_S = 10.0
@@ -55,6 +54,8 @@ class _Look:
 class Follower:
     """Follows features through the images of a camera that turns as an IMU says.
 
+    By how much that is wrong, scale factor and bias of the yaw rate, it learns by itself.
+
     Args:
         camera: intrinsics of the images.
         R_bc: (3, 3) from the optical frame to the body.
@@ -74,8 +75,8 @@ class Follower:
         self._tracker = Tracker(camera, config, first_id)
         self._last: _Look | None = None
         self._flow_1_s: Array = np.zeros(2)
-        self._gain = 1.0
-        self._turns_seen = (TWIST_NOISE_RAD / TURN_GAIN_STD) ** 2
+        self._gain_and_bias: Array = np.array([1.0, 0.0])
+        self._information = np.diag([TURN_GAIN_STD**-2.0, TURN_BIAS_STD_RAD_S**-2.0])
 
     def start_anew(self) -> None:
         """Forget attitudes and regions: the clock of the stamps has stepped."""
@@ -99,7 +100,9 @@ class Follower:
         before, yaw_rad = (last.nominal_yaw_rad, last.yaw_rad) if last else (0.0, 0.0)
         euler = self.turning.at(frame.t_ns)
         roll, pitch, nominal_yaw_rad = (0.0, 0.0, before) if euler is None else euler
-        yaw_rad += self._gain * (nominal_yaw_rad - before) if last else 0.0
+        if last and euler is not None:
+            turn = np.array([nominal_yaw_rad - before, seconds(frame.t_ns - last.seen.t_ns)])
+            yaw_rad += float(turn @ self._gain_and_bias)
         R_wc = rotation_from_euler(np.array([roll, pitch, yaw_rad])) @ self._R_bc
         self.expected = None if euler is None else self._carried(frame.t_ns, R_wc, yaw_rad, nominal_yaw_rad)
         seen = self._tracker.track(frame, R_wc, self.expected)
@@ -110,7 +113,10 @@ class Follower:
         return seen
 
     def _learn(self, last: _Look, look: _Look) -> None:
-        """See from two images how the robot drives, and by how much its gyro overstates a turn."""
+        """See from two images how the robot drives, and by how much its gyro is wrong.
+
+        Gain and bias are those of least squares over all turns seen (recursive, with their priors).
+        """
         dt_s = seconds(look.seen.t_ns - last.seen.t_ns)
         _, before, now = np.intersect1d(last.seen.ids, look.seen.ids, return_indices=True)
         if len(now) < MIN_COMMON or dt_s <= 0.0:
@@ -118,10 +124,10 @@ class Follower:
             return
         moved = self._to_ceiling(look, now) - self._to_ceiling(last, before)
         self._flow_1_s = np.median(moved, axis=0) / dt_s
-        turn_rad = look.nominal_yaw_rad - last.nominal_yaw_rad
-        missed_rad = look.yaw_error_rad - last.yaw_error_rad
-        self._turns_seen += turn_rad**2
-        self._gain -= turn_rad * missed_rad / self._turns_seen
+        turn = np.array([look.nominal_yaw_rad - last.nominal_yaw_rad, dt_s]) / TWIST_NOISE_RAD
+        missed = (look.yaw_error_rad - last.yaw_error_rad) / TWIST_NOISE_RAD
+        self._information = self._information + np.outer(turn, turn)
+        self._gain_and_bias = self._gain_and_bias - np.linalg.solve(self._information, turn * missed)
 
     def _to_ceiling(self, look: _Look, rows: NDArray[np.intp]) -> Array:
         return ceiling_coordinates(self._camera, look.seen.pixels[rows], look.R_wc)
@@ -134,15 +140,14 @@ class Follower:
         euler = self.turning.at(regions.t_ns) if regions else None
         if regions is None or euler is None:
             return None
-        turned_rad = self._gain * (nominal_yaw_rad - euler[2])
-        then = np.array([euler[0], euler[1], yaw_rad - turned_rad])
         dt_s = seconds(t_ns - regions.t_ns)
+        turn = np.array([nominal_yaw_rad - euler[2], dt_s])
+        then = np.array([euler[0], euler[1], yaw_rad - float(turn @ self._gain_and_bias)])
         ceiling = ceiling_coordinates(self._camera, regions.pixels, rotation_from_euler(then) @ self._R_bc)
         pixels = ceiling_pixels(self._camera, ceiling + dt_s * self._flow_1_s, R_wc)
         centre = np.array([self._camera.cx_px, self._camera.cy_px])
-        turn_std = TWIST_NOISE_RAD / math.sqrt(self._turns_seen) * abs(nominal_yaw_rad - euler[2])
-        radius_px = np.linalg.norm(pixels - centre, axis=1)
-        variance = (FLOW_DOUBT_PX_S * dt_s) ** 2 + (turn_std * radius_px) ** 2
+        turn_variance = float(turn @ np.linalg.solve(self._information, turn))
+        variance = (FLOW_DOUBT_PX_S * dt_s) ** 2 + turn_variance * ((pixels - centre) ** 2).sum(axis=1)
         return replace(
             regions,
             t_ns=t_ns,

@@ -64,5 +64,9 @@ class Convergence:
         The last steps tell what the filter is worth now. The whole run tells what the noise estimate
         has swallowed since, as it does where the camera is not what it is believed to be.
         """
-        low, high = config.nis_low, config.nis_high
-        return self.has_measured and low <= self.recent_nis <= high and self.overall_nis <= high
+        is_sure_enough = self.has_measured and self.recent_nis >= config.nis_low
+        return is_sure_enough and not self.is_contradicted(config)
+
+    def is_contradicted(self, config: ConvergenceConfig) -> bool:
+        """Whether the innovations are larger than the filter says; where they are smaller, it only doubts."""
+        return self.has_measured and max(self.recent_nis, self.overall_nis) > config.nis_high

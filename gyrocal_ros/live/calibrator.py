@@ -198,7 +198,6 @@ class LiveCalibrator:
             is_estimating=self._estimator.is_on,
             knows_camera=self._rig is not None,
             is_trusted=estimator.is_trusted,
-            is_settled=watch.is_settled,
             on_probation=estimator.on_probation,
             recent_nis=watch.recent_nis,
             overall_nis=watch.overall_nis,

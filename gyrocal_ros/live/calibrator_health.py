@@ -31,8 +31,6 @@ class Facts:
     knows_camera: bool
     """Its calibration, and where it sits."""
     is_trusted: bool
-    is_settled: bool
-    """Enough was seen to judge the filter by it; its noise is not known at once."""
     on_probation: bool
     """Begun anew, and not yet believed."""
     recent_nis: float
@@ -193,13 +191,17 @@ def _filter(facts: Facts) -> Iterator[str]:
     limits, scale_std = facts.convergence, facts.calibration.scale_factor_std
     if facts.on_probation:
         yield 'the filter was begun anew and has to prove itself; the last good calibration is served'
-    elif not facts.is_trusted and (facts.is_settled or facts.recent_nis > limits.nis_high):
-        is_recent = not limits.nis_low <= facts.recent_nis <= limits.nis_high
-        nis = facts.recent_nis if is_recent else facts.overall_nis
+    elif not facts.is_trusted:
         yield (
-            f'what the camera sees contradicts the filter: NIS {nis:.1f} per degree of freedom, '
-            f'{limits.nis_low:g} to {limits.nis_high:g} is healthy; the last good calibration is served; '
+            'what the camera sees contradicts the filter: NIS '
+            f'{max(facts.recent_nis, facts.overall_nis):.1f} per degree of freedom, up to '
+            f'{limits.nis_high:g} is healthy; the last good calibration is served; '
             'check the calibration, the mounting and the stamps of the camera'
+        )
+    elif facts.recent_nis < limits.nis_low:
+        yield (
+            f'the images are better than the filter takes them for (NIS {facts.recent_nis:.1f}, from '
+            f'{limits.nis_low:g} on is healthy): it learns that, or lower camera.pixel_noise_px'
         )
     if scale_std > limits.scale_std:
         yield (

@@ -82,7 +82,7 @@ class Estimator:
         """Whether the present state may be served: nothing measured contradicts it."""
         if self.on_probation and not self.watch.is_settled:
             return False
-        return not self.watch.has_measured or self.watch.is_consistent(self._config.convergence)
+        return not self.watch.is_contradicted(self._config.convergence)
 
     @property
     def served(self) -> State:

@@ -34,6 +34,7 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import parameter_value_to_python
 from sensor_msgs.msg import Image, Imu, PointCloud2
 
+from gyrocal_ros.config import TrackerConfig
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.nodes.qos import LATCHED, SENSOR_IN
 from gyrocal_ros.recording.topics import Role, stamp_ns
@@ -205,7 +206,11 @@ def run(args: argparse.Namespace, folder: Path, graph: Graph) -> None:
     has_clock_fault = args.faults and FAKETIME is not None
     ceiling['troubles'] = CAMERA_FAULTS * args.faults + CLOCK_FAULT * has_clock_fault
     graph.start('ceiling_emulator', parameters={f'ceiling.{name}': value for name, value in ceiling.items()})
-    keeping = {'live.calibration': str(kept), 'live.save_interval_s': 10.0}
+    keeping = {
+        'live.calibration': str(kept),
+        'live.save_interval_s': 10.0,
+        'camera.pixel_noise_px': TrackerConfig().noise_px,  # as the launch files have it
+    }
     nodes: dict[str, NodeProcess] = {
         'driver': start_driver(graph, port, clock if has_clock_fault else None),
         'tracker': graph.start('tracker'),

@@ -36,7 +36,7 @@ demo: $(READY)
 	$(BIN)/gyrocal demo
 
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto
 
 gate: $(READY)
 	$(BIN)/gyrocal bench --quick

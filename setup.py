@@ -8,7 +8,7 @@ from setuptools import find_packages, setup
 NAME = 'gyrocal_ros'
 SHARE = Path('share') / NAME
 PNG = ['kaleido>=1.0']  # draws figures by a Chromium that is there
-TEST = ['pytest>=7.4', 'scipy>=1.11']
+TEST = ['pytest>=7.4', 'pytest-xdist>=3.3', 'scipy>=1.11']
 
 
 def data_files(*folders: str) -> list[tuple[str, list[str]]]:

@@ -149,6 +149,28 @@ def test_slow_samples_are_no_gap() -> None:
     assert gaps(buffer, [0.0, 0.25, 0.5]) == [0.0, 0.0]
 
 
+def test_a_hole_leaves_less_doubt_than_a_gap() -> None:
+    buffer = MotionBuffer()
+    for i in range(121):
+        if not 60 < i < 70:
+            buffer.add(imu(i / 200.0))
+    hole_s = 0.05
+    assert gaps(buffer, [0.0, 0.25, 0.32, 0.5]) == pytest.approx([0.0, 0.02 * hole_s, 0.03 * hole_s])
+
+
+def test_holes_are_known_while_most_samples_are_lost() -> None:
+    rng = np.random.default_rng(0)
+    buffer = MotionBuffer()
+    times_s = [i / 200.0 for i in range(6001) if i < 200 or rng.random() < 0.2 or i == 6000]
+    for time_s in times_s:
+        buffer.add(imu(time_s))
+    holes = [b - a for a, b in pairwise(times_s) if 0.021 < b - a <= seconds(GAP_NS)]
+    wide = [b - a for a, b in pairwise(times_s) if b - a > seconds(GAP_NS)]
+    told_s = buffer.cut(at(0.0), at(30.0)).gap_s
+    assert told_s == pytest.approx(sum(wide) + sum(np.square(holes)), rel=0.1)
+    assert told_s > 0.3
+
+
 def test_time_beyond_the_last_sample_is_a_gap() -> None:
     buffer = filled(0.2)
     block = buffer.cut(at(0.1), at(0.5))

@@ -21,6 +21,10 @@ from gyrocal_ros.data import (
 
 GAP_NS = 100_000_000
 """IMU samples further apart than this leave a gap."""
+HOLE_INTERVALS, SHORTEST_HOLE_NS = 4.0, 15_000_000
+"""Samples that so many usual intervals, and so long, lie between leave a hole: some were lost."""
+HOLE_S = 1.0
+"""A hole, the rate at its ends being known, leaves as much doubt as a gap shorter by its length over this."""
 VIBRATION_S = 0.2
 """Time constant of the memory of how much the IMU shakes."""
 WHEEL_PATIENCE_NS = 300_000_000
@@ -65,6 +69,7 @@ class MotionBuffer:
         self.start_ns: int | None = None
         self._running_s = running_s
         self._imu_ns: list[int] = []
+        self._usual_ns = float(GAP_NS)
         self._imu: list[tuple[float, ...]] = []
         self._vibration_m2_s4: float | None = None
         self._travelled = _Signal()
@@ -80,6 +85,10 @@ class MotionBuffer:
                 return
             if self.start_ns is None:
                 self.start_ns = sample.t_ns
+            if self._imu_ns:
+                # Quick to fall and slow to rise: while most are lost, the few that are not tell.
+                longer_ns = sample.t_ns - self._imu_ns[-1] - self._usual_ns
+                self._usual_ns += longer_ns * (0.001 if longer_ns > 0.0 else 0.2)
             self._imu_ns.append(sample.t_ns)
             self._imu.append((*sample.rate_rad_s, *sample.specific_force_m_s2))
         elif isinstance(sample, WheelSample):
@@ -181,12 +190,19 @@ class MotionBuffer:
         return fresh if kept is None else fresh + math.exp(-duration_s / VIBRATION_S) * (kept - fresh)
 
     def _gap_s(self, start_ns: int, end_ns: int) -> float:
-        """Time between samples too far apart, and before the first or after the last sample."""
+        """Time between samples too far apart, and before the first or after the last sample.
+
+        Holes count by the doubt that they leave.
+        """
         first, last = bisect_right(self._imu_ns, start_ns) - 1, bisect_left(self._imu_ns, end_ns)
         around = self._imu_ns[max(first, 0) : last + 1]
         wide = [(a, b) for a, b in pairwise(around) if b - a > GAP_NS]
         unknown = [(start_ns, around[0]), *wide, (around[-1], end_ns)]
-        return seconds(sum(max(min(b, end_ns) - max(a, start_ns), 0) for a, b in unknown))
+        gap_s = seconds(sum(max(min(b, end_ns) - max(a, start_ns), 0) for a, b in unknown))
+        least_ns = max(HOLE_INTERVALS * self._usual_ns, SHORTEST_HOLE_NS)
+        holes = [(a, b) for a, b in pairwise(around) if least_ns < b - a <= GAP_NS]
+        doubts = (seconds(min(b, end_ns) - max(a, start_ns)) * seconds(b - a) / HOLE_S for a, b in holes)
+        return gap_s + sum(max(doubt, 0.0) for doubt in doubts)
 
     def _wheel_gap_s(self, start_ns: int, end_ns: int) -> float:
         track = self._travelled.t_ns

@@ -36,7 +36,7 @@ demo: $(READY)
 	$(BIN)/gyrocal demo
 
 test: $(READY)
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 gate: $(READY)
 	$(BIN)/gyrocal bench --quick

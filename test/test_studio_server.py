@@ -14,7 +14,7 @@ from gyrocal_ros.cli.main import main
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.live.feed import Feed
 from gyrocal_ros.recording.storage import bags_in
-from gyrocal_ros.studio.callbacks import marks
+from gyrocal_ros.studio.callbacks import BUTTONS, marks
 from gyrocal_ros.studio.server import is_loopback, listen, make_app, make_live_app
 
 NAMES = frozenset({'127.0.0.1', 'localhost', '[::1]'})
@@ -31,6 +31,9 @@ class Desk:
     @property
     def view(self) -> Any:
         return self.session.view
+
+    def draw_riddle(self) -> None:
+        raise AssertionError('nobody asked for it')
 
 
 @pytest.fixture(scope='module')
@@ -116,6 +119,27 @@ class TestThePage:
         desk.session.reveal()
         changed = marks(desk.view)
         assert {name for name in before if before[name] != changed[name]} == {'lesson'}
+
+    def test_buttons_that_a_busy_browser_sends_as_one_are_all_heeded(self, desk: Any, visitor: Any) -> None:
+        inputs: list[dict[str, Any]] = [
+            {'id': name, 'property': 'n_clicks', 'value': None} for name in BUTTONS
+        ]
+        for one in inputs:
+            if one['id'] in ('undo', 'write'):
+                one['value'] = 1
+        asked = {
+            'output': 'acted.data',
+            'outputs': {'id': 'acted', 'property': 'data'},
+            'inputs': [*inputs, {'id': 'recording', 'property': 'value', 'value': 0}],
+            'state': [
+                {'id': 'chosen', 'property': 'data', 'value': None},
+                {'id': 'right', 'property': 'value', 'value': None},
+            ],
+            'changedPropIds': ['undo.n_clicks', 'write.n_clicks'],
+        }
+        answer = visitor.post('/_dash-update-component', json=asked, headers={'Host': 'localhost'})
+        assert answer.status_code == 200
+        assert (desk.session.folder / 'model.yaml').is_file(), 'the second is not lost for the first'
 
 
 class TestTheLivePage:

@@ -107,13 +107,12 @@ def _act(app: Dash, desk: Desk) -> None:
         Output('acted', 'data'),
         *(Input(name, 'n_clicks') for name in BUTTONS),
         Input('recording', 'value'),
-        Input('guess', 'value'),
         State('chosen', 'data'),
         State('right', 'value'),
         prevent_initial_call=True,
     )
     def act(*given: Any) -> float:
-        number, guess, chosen, right = given[len(BUTTONS) :]
+        number, chosen, right = given[len(BUTTONS) :]
         session = desk.session
         todo: dict[str, Callable[[], object]] = {
             'add': lambda: session.add(str(chosen)),
@@ -126,13 +125,18 @@ def _act(app: Dash, desk: Desk) -> None:
             'riddle': desk.draw_riddle,
             'reveal': session.reveal,
             'recording': lambda: desk.choose(int(number)),
-            'guess': lambda: session.guess(None if guess is None else str(guess)),
         }
-        try:
-            todo[str(ctx.triggered_id)]()
-        except GyrocalError as error:
-            session.say(str(error), is_trouble=True)
+        for name in _triggered():
+            try:
+                todo[str(name)]()
+            except GyrocalError as error:
+                session.say(str(error), is_trouble=True)
         return time.time()
+
+    # Apart from the buttons: the page itself sets it when it opens, and a click must not wait for that.
+    @app.callback(Input('guess', 'value'), prevent_initial_call=True)
+    def guess(effect: str | None) -> None:
+        desk.session.guess(effect)
 
     @app.callback(
         Output('chosen', 'data'),
@@ -141,16 +145,17 @@ def _act(app: Dash, desk: Desk) -> None:
         Input('mark-missing', 'data'),
         State('chosen', 'data'),
     )
-    def choose(clicks: list[Any], drawn: Any, _mark: Any, chosen: str | None) -> str | None:
+    def choose(_clicks: list[Any], drawn: Any, _mark: Any, chosen: str | None) -> str | None:
         now = desk.view.trials.now
         if now is None or now.examined is None:
             return None
         names = [choice.effect.name for choice in panels.choices(now.examined)]
         wanted = chosen
-        if isinstance(ctx.triggered_id, dict) and any(clicks):
-            wanted = str(ctx.triggered_id['effect'])
-        elif ctx.triggered_id == 'evidence-figure' and drawn:
-            wanted = str(drawn['points'][0]['y']).replace('<br>', '')
+        for name in _triggered():
+            if isinstance(name, dict):
+                wanted = str(name['effect'])
+            elif name == 'evidence-figure':
+                wanted = str(drawn['points'][0]['y']).replace('<br>', '')
         if wanted not in names:
             wanted = None if now.examined.best is None else now.examined.best.effect.name
         if wanted is not None:
@@ -159,6 +164,12 @@ def _act(app: Dash, desk: Desk) -> None:
             except GyrocalError as error:
                 desk.session.say(str(error), is_trouble=True)
         return wanted
+
+
+def _triggered() -> list[Any]:
+    """The ids of all that a callback answers to: a busy browser sends what came together as one."""
+    ids = ctx.triggered_prop_ids
+    return [ids[one['prop_id']] for one in ctx.triggered if one['value'] is not None]
 
 
 def _export(desk: Desk) -> None:

@@ -29,6 +29,7 @@ LAPTOP, TABLET = {'width': 1440, 'height': 900}, {'width': 820, 'height': 1180}
 PATIENCE_MS = 60_000
 PICTURES = os.environ.get('GYROCAL_SCREENSHOTS')
 """A folder for pictures of the page, where they are wanted for the documentation."""
+expect.set_options(timeout=PATIENCE_MS)
 
 
 @pytest.fixture(scope='module')
@@ -101,8 +102,8 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
     page.goto(studio.address)
 
     # see what is in the bag, and the failing span
-    expect(page.locator('#bag-words')).to_contain_text('100 s', timeout=PATIENCE_MS)
-    expect(page.locator('#verdict')).to_contain_text(f'{HIDDEN} explains most', timeout=PATIENCE_MS)
+    expect(page.locator('#bag-words')).to_contain_text('100 s')
+    expect(page.locator('#verdict')).to_contain_text(f'{HIDDEN} explains most')
     figure = page.locator('#model-figure')
     expect(figure).to_contain_text('gyro less seen')
     expect(figure).to_contain_text('worst without camera')
@@ -117,12 +118,12 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
     expect(candidate).to_have_attribute('aria-pressed', 'true')
     expect(page.locator('#candidate-name')).to_have_text(HIDDEN)
     expect(page.locator('#card')).to_contain_text('equation')
-    expect(page.locator('#forecast')).to_contain_text('from', timeout=PATIENCE_MS)
+    expect(page.locator('#forecast')).to_contain_text('from')
     foreseen = page.locator('#forecast').inner_text()
 
     # add it and see the held-out error fall by what the command line gives
     page.locator('#add').click()
-    expect(page.locator('#revisions')).to_contain_text(f'1_{HIDDEN}', timeout=PATIENCE_MS)
+    expect(page.locator('#revisions')).to_contain_text(f'1_{HIDDEN}')
     command = [sys.executable, '-m', 'gyrocal_ros.cli.main', 'improve', str(uneven_bag)]
     said = subprocess.run([*command, '--effect', HIDDEN, '--json'], capture_output=True, check=True)
     wanted = [one['held_out_drift_deg']['rms'] for one in json.loads(said.stdout)['revisions']]
@@ -143,7 +144,7 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
 
     # compare the two
     page.locator('#compare summary').click()
-    expect(page.locator('#compare-figure')).to_contain_text('0_default', timeout=PATIENCE_MS)
+    expect(page.locator('#compare-figure')).to_contain_text('0_default')
     page.locator('#compare-kind input[value=drift]').check()
     expect(page.locator('#compare-figure')).to_contain_text('Drift span by span')
 
@@ -151,7 +152,7 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
     page.locator('#write').click()
     expect(page.locator('#message')).to_contain_text('model.yaml and calibration.yaml are in')
     page.locator('#export').click()
-    expect(page.locator('#message')).to_contain_text('The report is in', timeout=PATIENCE_MS)
+    expect(page.locator('#message')).to_contain_text('The report is in')
     folder = studio.out / 'uneven'
     assert HIDDEN in (folder / 'model.yaml').read_text()
     assert HIDDEN in (folder / 'report' / 'report.html').read_text()
@@ -169,7 +170,7 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
 
 def test_the_rest_can_be_told_by_any_signal(page: Page, studio: Studio) -> None:
     page.goto(studio.address)
-    expect(page.locator('#residual-figure')).to_contain_text('error of the', timeout=PATIENCE_MS)
+    expect(page.locator('#residual-figure')).to_contain_text('error of the')
     page.locator('#signal').click()
     page.get_by_role('option', name='temperature (deg C) - bias').click()
     expect(page.locator('#residual-figure')).to_contain_text('Bias by temperature')
@@ -186,16 +187,14 @@ def test_a_second_tab_shows_the_same_and_a_reload_loses_nothing(
     browser: Browser, page: Page, studio: Studio
 ) -> None:
     page.goto(studio.address)
-    expect(page.locator('#revisions')).to_contain_text(f'1_{HIDDEN}', timeout=PATIENCE_MS)
+    expect(page.locator('#revisions')).to_contain_text(f'1_{HIDDEN}')
     second = browser.new_page(viewport=TABLET, color_scheme='dark')
     second.goto(studio.address)
-    expect(second.locator('#revisions')).to_contain_text(f'1_{HIDDEN}', timeout=PATIENCE_MS)
+    expect(second.locator('#revisions')).to_contain_text(f'1_{HIDDEN}')
     second.locator('#undo').click()
     expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')
     page.reload()
-    expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text(
-        'present', timeout=PATIENCE_MS
-    )
+    expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text('present')
     picture(second, 'tablet_dark', '#missing')
     second.close()
 
@@ -203,7 +202,7 @@ def test_a_second_tab_shows_the_same_and_a_reload_loses_nothing(
 def test_light_and_dark_and_no_wider_than_a_tablet(page: Page, studio: Studio) -> None:
     page.set_viewport_size(TABLET)
     page.goto(studio.address)
-    expect(page.locator('#revisions')).to_contain_text('0_default', timeout=PATIENCE_MS)
+    expect(page.locator('#revisions')).to_contain_text('0_default')
     paper = 'getComputedStyle(document.body).backgroundColor'
     light = page.evaluate(paper)
     page.locator('#theme-button').click()
@@ -214,7 +213,7 @@ def test_light_and_dark_and_no_wider_than_a_tablet(page: Page, studio: Studio) -
 
 def test_everything_is_reached_by_the_keyboard(page: Page, studio: Studio) -> None:
     page.goto(studio.address)
-    expect(page.locator('.candidate')).not_to_have_count(0, timeout=PATIENCE_MS)
+    expect(page.locator('.candidate')).not_to_have_count(0)
     reached = set()
     for _ in range(80):
         page.keyboard.press('Tab')
@@ -228,11 +227,7 @@ def test_a_killed_studio_is_taken_up_where_it_was(browser: Browser, studio: Stud
     again = Studio(uneven_bag, studio.out)
     page = browser.new_page()
     page.goto(again.address)
-    expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text(
-        'present', timeout=PATIENCE_MS
-    )
-    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text(
-        'left out', timeout=PATIENCE_MS
-    )
+    expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text('present')
+    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')
     page.close()
     again.end()

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from gyrocal_ros.calibration import Calibration
 from gyrocal_ros.config import ConvergenceConfig
 from gyrocal_ros.live.health import Complaint, Level, Status, status
+from gyrocal_ros.live.journal import RECENT_S, Journal
 from gyrocal_ros.model.sensor import SensorModel, signals_of
 from gyrocal_ros.recording.topics import Role
 
 SILENT_S = {Role.IMU: 0.5, Role.WHEELS: 1.0, Role.FEATURES: 2.0}
 """What says nothing for so long is missed."""
-RECENT_S = 10.0
-"""What happened is told for so long."""
-MAX_EVENTS = 20
+HEARD, OF_NO_USE, LEFT_OUT, WITHOUT_IMU = 'heard', 'of_no_use', 'left_out', 'without_imu'
+"""What is counted by topic: each count is named so, then by its topic."""
 LAST_GOOD = 'the scale factor is no longer learned, the last good calibration is served'
 
 
@@ -51,16 +51,6 @@ class Facts:
     """What is wrong until somebody mends it: mounting, files."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Tally:
-    """Counts by topic at a moment."""
-
-    time_s: float
-    heard: Counter[str]
-    spoiled: Counter[str]
-    left_out: Counter[str]
-
-
 class CalibratorHealth:
     """Keeps count of what comes and what happens; tells what is wrong now, or was a moment ago.
 
@@ -70,19 +60,16 @@ class CalibratorHealth:
     """
 
     def __init__(self, model: SensorModel, start_s: float) -> None:
-        self._model, self._start_s = model, start_s
-        self._heard: Counter[str] = Counter()
-        self._spoiled: Counter[str] = Counter()
+        self._model = model
+        self._journal = Journal(SILENT_S, start_s)
+        self._counts: Counter[str] = Counter()
         self._why_spoiled: dict[str, str] = {}
-        self._last_s: dict[str, float] = {}
         self._seen_s = start_s
-        self._events: deque[tuple[float, str]] = deque(maxlen=MAX_EVENTS)
-        self._tallies = deque([_Tally(start_s, Counter(), Counter(), Counter())])
 
     def hear(self, topic: str, now_s: float) -> None:
         """Note that a message has come."""
-        self._heard[topic] += 1
-        self._last_s[topic] = now_s
+        self._counts[f'{HEARD} {topic}'] += 1
+        self._journal.hear(topic, now_s)
 
     def see(self, now_s: float) -> None:
         """Note that the camera has seen something."""
@@ -90,98 +77,66 @@ class CalibratorHealth:
 
     def spoil(self, topic: str, why: str) -> None:
         """Note a message that cannot be used, and why."""
-        self._spoiled[topic] += 1
+        self._counts[f'{OF_NO_USE} {topic}'] += 1
         self._why_spoiled[topic] = why
 
     def happened(self, text: str, now_s: float) -> None:
         """Note what a person should know for a while."""
-        self._events.append((now_s, text))
+        self._journal.happened(text, now_s)
 
     def tell(self, facts: Facts, now_s: float) -> Status:
         """Judge the present moment; to be asked once a second or so."""
-        while len(self._tallies) > 1 and self._tallies[1].time_s <= now_s - RECENT_S:
-            self._tallies.popleft()
-        before = self._tallies[0]
-        now = _Tally(now_s, self._heard.copy(), self._spoiled.copy(), facts.left_out)
-        self._tallies.append(now)
-        events = [text for when_s, text in self._events if now_s - when_s <= RECENT_S]
+        of_intake = {LEFT_OUT: facts.left_out, WITHOUT_IMU: facts.useless}
+        counts = self._counts + Counter(
+            {f'{what} {topic}': n for what, topics in of_intake.items() for topic, n in topics.items()}
+        )
+        recent, passed_s = self._journal.recent(counts, now_s)
         warnings = [
             *self._camera(facts, now_s),
-            *self._unusable(now, before, facts.window_s),
+            *self._unusable(recent, facts.window_s),
             *_filter(facts),
             *self._missing_signals(facts),
             *facts.standing,
-            *dict.fromkeys(events),
+            *self._journal.events(now_s),
         ]
         complaints = [*self._silences(now_s), *(Complaint(Level.WARN, text) for text in warnings)]
-        return status(_fine(facts), complaints, self._numbers(facts, now, before))
+        return status(_fine(facts), complaints, _numbers(facts, counts, recent, passed_s))
 
     def _silences(self, now_s: float) -> Iterator[Complaint]:
         for role, todo in (
             (Role.IMU, 'see whether the driver runs and the board is connected'),
             (Role.WHEELS, 'see whether the driver runs; nobody knows how far the robot goes'),
         ):
-            silence = self._silence(role, now_s)
+            silence = self._journal.silence(role, now_s)
             if silence:
                 yield Complaint(Level.ERROR, f'{role}: {silence}; {todo}')
 
-    def _silence(self, role: Role, now_s: float) -> str:
-        """`nothing for 5 s`, or nothing at all where it speaks."""
-        last_s = self._last_s.get(role)
-        silent_s = now_s - (self._start_s if last_s is None else last_s)
-        if silent_s < SILENT_S[role]:
-            return ''
-        return 'nothing has come yet' if last_s is None else f'nothing for {silent_s:.0f} s'
-
     def _camera(self, facts: Facts, now_s: float) -> Iterator[str]:
         blind_s = now_s - self._seen_s
-        if silence := self._silence(Role.FEATURES, now_s):
+        if silence := self._journal.silence(Role.FEATURES, now_s):
             yield f'{Role.FEATURES}: {silence}; see whether camera and tracker run; {LAST_GOOD}'
         elif blind_s >= SILENT_S[Role.FEATURES]:
             yield f'the camera has seen no feature for {blind_s:.0f} s, it may be covered; {LAST_GOOD}'
-        if not facts.knows_camera and now_s - self._start_s > SILENT_S[Role.FEATURES]:
+        if not facts.knows_camera and self._journal.running_s(now_s) > SILENT_S[Role.FEATURES]:
             yield f'{Role.CAMERA_INFO}: nothing has come yet; nothing is estimated without it'
 
-    def _unusable(self, now: _Tally, before: _Tally, window_s: float) -> Iterator[str]:
+    def _unusable(self, recent: Counter[str], window_s: float) -> Iterator[str]:
         """Messages of late that were left out."""
-        for topic, count in sorted((now.left_out - before.left_out).items()):
-            yield (
-                f'{topic}: {count} messages in {RECENT_S:.0f} s came more than {window_s:g} s late or are '
-                'stamped far from the others; compare the clocks, or raise live.reorder_window_s'
-            )
-        for topic, count in sorted((now.spoiled - before.spoiled).items()):
-            yield f'{topic}: {count} messages in {RECENT_S:.0f} s are of no use: {self._why_spoiled[topic]}'
+        for name, count in sorted(recent.items()):
+            what, _, topic = name.partition(' ')
+            of_late = f'{topic}: {count} messages in {RECENT_S:.0f} s'
+            if what == LEFT_OUT:
+                yield (
+                    f'{of_late} came more than {window_s:g} s late or are stamped far from the others; '
+                    'compare the clocks, or raise live.reorder_window_s'
+                )
+            elif what == OF_NO_USE:
+                yield f'{of_late} are of no use: {self._why_spoiled[topic]}'
 
     def _missing_signals(self, facts: Facts) -> Iterator[str]:
         for signal, names in signals_of(self._model).items():
             if signal not in facts.signals:
                 yield f'{signal} has not come yet: nothing can be learned of {", ".join(names)}'
-
-    def _numbers(self, facts: Facts, now: _Tally, before: _Tally) -> dict[str, object]:
-        passed_s = max(now.time_s - before.time_s, 1e-3)
-        rates = {
-            f'{name}_hz': round((now.heard[role] - before.heard[role]) / passed_s, 1)
-            for name, role in (('imu', Role.IMU), ('wheels', Role.WHEELS), ('features', Role.FEATURES))
-        }
-        calibration = facts.calibration
-        return {
-            'scale_factor': round(calibration.scale_factor, 6),
-            'scale_factor_std': float(f'{calibration.scale_factor_std:.2g}'),
-            'bias_deg_s': round(math.degrees(float(calibration.values[0])), 5),
-            'bias_std_deg_s': float(f'{math.degrees(float(calibration.stds[0])):.2g}'),
-            'converged': calibration.converged,
-            'estimating': facts.is_estimating,
-            'recent_nis': round(facts.recent_nis, 3),
-            'overall_nis': round(facts.overall_nis, 3),
-            'pixel_noise_px': round(facts.pixel_noise_px, 3),
-            'map_size': facts.map_size,
-            'filter_lag_s': round(facts.lag_s, 3),
-            'filter_restarts': facts.restarts,
-            **rates,
-            **{f'left_out {topic}': count for topic, count in sorted(facts.left_out.items())},
-            **{f'without_imu {topic}': count for topic, count in sorted(facts.useless.items())},
-            **{f'of_no_use {topic}': count for topic, count in sorted(self._spoiled.items())},
-        }
 
 
 def _filter(facts: Facts) -> Iterator[str]:
@@ -216,3 +171,27 @@ def _fine(facts: Facts) -> str:
     bias_deg_s = math.degrees(float(calibration.values[0]))
     served = 'calibrated' if facts.is_estimating else 'not estimating; served'
     return f'{served}: {scale}, bias {bias_deg_s:.4f} deg/s'
+
+
+def _numbers(facts: Facts, counts: Counter[str], recent: Counter[str], passed_s: float) -> dict[str, object]:
+    rates = {
+        f'{name}_hz': round(recent[f'{HEARD} {role}'] / passed_s, 1)
+        for name, role in (('imu', Role.IMU), ('wheels', Role.WHEELS), ('features', Role.FEATURES))
+    }
+    calibration = facts.calibration
+    return {
+        'scale_factor': round(calibration.scale_factor, 6),
+        'scale_factor_std': float(f'{calibration.scale_factor_std:.2g}'),
+        'bias_deg_s': round(math.degrees(float(calibration.values[0])), 5),
+        'bias_std_deg_s': float(f'{math.degrees(float(calibration.stds[0])):.2g}'),
+        'converged': calibration.converged,
+        'estimating': facts.is_estimating,
+        'recent_nis': round(facts.recent_nis, 3),
+        'overall_nis': round(facts.overall_nis, 3),
+        'pixel_noise_px': round(facts.pixel_noise_px, 3),
+        'map_size': facts.map_size,
+        'filter_lag_s': round(facts.lag_s, 3),
+        'filter_restarts': facts.restarts,
+        **rates,
+        **{name: count for name, count in sorted(counts.items()) if not name.startswith(HEARD)},
+    }

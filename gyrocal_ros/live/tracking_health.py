@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from gyrocal_ros.data import FeatureObservations, Frame, seconds
 from gyrocal_ros.live.health import Complaint, Level, Status, status
+from gyrocal_ros.live.journal import RECENT_S, Journal
 from gyrocal_ros.recording.topics import Role
 
 SILENT_S = {Role.CAMERA_INFO: 2.0, Role.IMAGE: 2.0, Role.IMU: 0.5}
 """What says nothing for so long is missed."""
-RECENT_S = 10.0
-"""What happened is told for so long."""
 BLIND_S = 1.0
 """Nothing seen for so long is more than a lamp that dazzles."""
 KEPT = 1000
@@ -29,14 +27,6 @@ FEW = 0.02
 """A share of lost images that does no harm."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Tally:
-    """Counts at a moment."""
-
-    time_s: float
-    counts: Counter[str]
-
-
 class TrackingHealth:
     """Keeps count of what comes and what is seen; tells what is wrong now, or was a moment ago.
 
@@ -46,8 +36,8 @@ class TrackingHealth:
 
     def __init__(self, start_s: float) -> None:
         self._counts: Counter[str] = Counter()
-        self._start_s = self._seen_s = start_s
-        self._last_s: dict[Role, float] = {}
+        self._journal = Journal(SILENT_S, start_s)
+        self._seen_s = start_s
         self._why_spoiled = ''
         self._stamps_ns: deque[int] = deque(maxlen=SOME)
         self._lags_s: deque[float] = deque(maxlen=SOME)
@@ -56,14 +46,12 @@ class TrackingHealth:
         self._features = 0
         self._is_guided = False
         self._grey = (0.0, 0.0)
-        self._events: deque[tuple[float, str]] = deque(maxlen=SOME)
-        self._tallies = deque([_Tally(start_s, Counter())])
 
     # --- what is noted ---------------------------------------------------------------------------
 
     def hear(self, role: Role, now_s: float) -> None:
         """Note that a message has come."""
-        self._last_s[role] = now_s
+        self._journal.hear(role, now_s)
 
     def hear_imu(self, t_ns: int, now_s: float) -> None:
         """Note a sample of the IMU."""
@@ -112,7 +100,7 @@ class TrackingHealth:
 
     def happened(self, text: str, now_s: float) -> None:
         """Note what a person should know for a while."""
-        self._events.append((now_s, text))
+        self._journal.happened(text, now_s)
 
     # --- what is told ----------------------------------------------------------------------------
 
@@ -124,19 +112,14 @@ class TrackingHealth:
             standing: what is wrong until somebody mends it.
             now_s: now.
         """
-        while len(self._tallies) > 1 and self._tallies[1].time_s <= now_s - RECENT_S:
-            self._tallies.popleft()
-        before = self._tallies[0]
-        self._tallies.append(_Tally(now_s, self._counts.copy()))
-        recent = self._counts - before.counts
-        rate_hz = recent['images'] / max(now_s - before.time_s, 1e-3)
-        happened = [text for when_s, text in self._events if now_s - when_s <= RECENT_S]
+        recent, passed_s = self._journal.recent(self._counts, now_s)
+        rate_hz = recent['images'] / passed_s
         warnings = [
             *self._losses(recent),
             *self._sight(now_s),
             *self._stamps(),
             *standing,
-            *dict.fromkeys(happened),
+            *self._journal.events(now_s),
         ]
         complaints = [
             *self._silences(knows_camera, now_s),
@@ -148,31 +131,23 @@ class TrackingHealth:
         return status(fine, complaints, self._numbers(rate_hz))
 
     def _silences(self, knows_camera: bool, now_s: float) -> Iterator[Complaint]:
-        if silence := self._silence(Role.IMAGE, now_s):
+        if silence := self._journal.silence(Role.IMAGE, now_s):
             yield Complaint(
                 Level.ERROR,
                 f'{Role.IMAGE}: {silence}; see whether the camera is plugged in and its driver runs',
             )
-        if not knows_camera and now_s - self._start_s > SILENT_S[Role.CAMERA_INFO]:
+        if not knows_camera and self._journal.running_s(now_s) > SILENT_S[Role.CAMERA_INFO]:
             yield Complaint(
                 Level.ERROR,
                 f'{Role.CAMERA_INFO}: nothing has come yet; nothing is followed without it; calibrate the '
                 'camera and let its driver publish it',
             )
-        if silence := self._silence(Role.IMU, now_s):
+        if silence := self._journal.silence(Role.IMU, now_s):
             yield Complaint(
                 Level.WARN,
                 f'{Role.IMU}: {silence}; turns are not foreseen and fast ones lose the features; see whether '
                 'the driver runs',
             )
-
-    def _silence(self, role: Role, now_s: float) -> str:
-        """`nothing for 5 s`, or nothing at all where it speaks."""
-        last_s = self._last_s.get(role)
-        silent_s = now_s - (self._start_s if last_s is None else last_s)
-        if silent_s < SILENT_S[role]:
-            return ''
-        return 'nothing has come yet' if last_s is None else f'nothing for {silent_s:.0f} s'
 
     def _spoiled(self, recent: Counter[str]) -> Iterator[Complaint]:
         if count := recent['of_no_use']:

@@ -56,8 +56,10 @@ class Link:
             self._serial = serial.Serial(port, baud_rate, write_timeout=WRITE_LIMIT_S, exclusive=True)
         except (OSError, ValueError, termios.error) as error:
             raise _failure(port, error) from error
+        # Some USB adapters hold bytes back for 16 ms. Where a port or system has no such mode, pyserial
+        # raises one of these, and the port is as good without it.
         with suppress(OSError, ValueError, NotImplementedError):
-            self._serial.set_low_latency_mode(True)  # some USB adapters hold bytes back for 16 ms
+            self._serial.set_low_latency_mode(True)
 
     def __enter__(self) -> Link:
         """Return the open port."""

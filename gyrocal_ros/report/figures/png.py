@@ -14,7 +14,7 @@ from gyrocal_ros.errors import GyrocalError
 WIDTH_PX = 1100
 SCALE = 2
 """So many pixels of the picture for one of the figure."""
-TODO = (
+REMEDY = (
     "`pip install 'kaleido>=1'` and a Chromium are needed for that; "
     'every figure of report.html has a button that saves it'
 )
@@ -27,7 +27,7 @@ def save_png(figures: Mapping[str, go.Figure], folder: Path) -> None:
         GyrocalError: this machine has no browser that could draw them.
     """
     if find_spec('kaleido') is None:
-        raise GyrocalError('figures were not drawn as PNG, kaleido is missing', todo=TODO)
+        raise GyrocalError('figures were not drawn as PNG, kaleido is missing', todo=REMEDY)
     import kaleido
 
     try:
@@ -36,7 +36,7 @@ def save_png(figures: Mapping[str, go.Figure], folder: Path) -> None:
             [*_orders(figures, folder)], cancel_on_error=True, kopts={'mathjax': False}
         )
     except Exception as error:  # whatever a browser that does not start may raise
-        raise GyrocalError(f'figures were not drawn as PNG ({_first_line(error)})', todo=TODO) from error
+        raise GyrocalError(f'figures were not drawn as PNG ({_first_line(error)})', todo=REMEDY) from error
 
 
 def _orders(figures: Mapping[str, go.Figure], folder: Path) -> Iterator[dict[str, Any]]:

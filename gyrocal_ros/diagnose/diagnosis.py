@@ -120,16 +120,17 @@ def _findings(searched: Search) -> Iterator[Finding]:
 def _confused(searched: Search) -> dict[str, tuple[str, ...]]:
     """What each effect that was found may be confused with, the others found being there.
 
-    Asked of the evidence that knows of no effect yet; a limit is not among it.
+    Asked of the evidence that knows of no effect yet; a limit is not among it. What a run of its own
+    has told apart is not confused.
     """
     first = searched.first
-    names = {change.effect.name for change in searched.kept}
-    found = {item.effect.name: item for item in first.suspects if item.effect.name in names}
-    others = [item for item in first.suspects if item.effect.name not in names]
+    outdone = {change.effect.name: change.outdone for change in searched.kept}
+    found = {item.effect.name: item for item in first.suspects if item.effect.name in outdone}
     confused = {}
     for name, suspect in found.items():
         rest = [item.fit.columns for item in found.values() if item is not suspect]
         beside = np.concatenate(rest) if rest else np.empty(0, np.int64)
+        others = [item for item in first.suspects if item.effect.name not in {*outdone, *outdone[name]}]
         confused[name] = tuple(twins(suspect, others, first.evidence, beside))
     return confused
 

@@ -12,10 +12,18 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.candidates import docket
 from gyrocal_ros.diagnose.evidence import chi_square_tail, sigma_of
-from gyrocal_ros.diagnose.foresight import foreseen
+from gyrocal_ros.diagnose.foresight import certainty, foreseen
 from gyrocal_ros.diagnose.heading import Headings, headings
 from gyrocal_ros.diagnose.limits import Proposal, pile, proposals, with_limit
-from gyrocal_ros.diagnose.ranking import Suspect, best_explanation, doubts, rank, with_estimate
+from gyrocal_ros.diagnose.ranking import (
+    TWIN_SIGMA,
+    Suspect,
+    best_explanation,
+    doubts,
+    rank,
+    twins,
+    with_estimate,
+)
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.shapes import INFLATION, Oddity, oddity
 from gyrocal_ros.effects import EFFECTS
@@ -50,6 +58,9 @@ BESIDES = 0.004
 MIN_FORESEEN = 3.0
 """Log-likelihood by which a recording has to be foreseen better for an effect to be kept: odds of 20."""
 
+RIVALS = 2
+"""So many effects that look like the best one are given a run of their own."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
@@ -82,6 +93,8 @@ class Change:
     """(k,) of the coefficients by the scatter over the recording, zero where none was estimated."""
     strengths: IntArray
     """(q,) which coefficients say how strong it is; a limit or a time constant does not."""
+    outdone: tuple[str, ...] = ()
+    """Effects that looked like it, until a run with each foresaw the recording clearly worse."""
 
     @property
     def foreseen(self) -> float:
@@ -252,8 +265,7 @@ def _next_change(
     is_known = best is not None and odd_gain <= ODD_PART * rival_gain
     rival = None
     if best is not None and is_known:
-        with suppress(FilterDivergedError):
-            rival = change_made(stage, examine(wider_model(stage, best.effect), recorded, calibrate))
+        rival = _best_run(stage, [best, *_rivals(stage, best, tried)], recorded, calibrate)
     # A limit makes the filter doubt its gyro, which helps against anything: it has to beat a run, too.
     at_least = max(LIMIT_PART * (odd_gain if rival is None else rival.foreseen), MIN_FORESEEN)
     for limit in (limit for limit in limits if not limit.is_read):
@@ -261,6 +273,49 @@ def _next_change(
         if change is not None:
             return change
     return rival
+
+
+def _rivals(stage: Stage, best: Suspect, tried: set[str]) -> list[Suspect]:
+    """Effects that look like the best one, the likeliest first.
+
+    Not where a time constant is to be found: the filter finds it only from near, so a run is no fair test.
+    """
+    others = [
+        item
+        for item in stage.suspects
+        if item is not best and item.profile is None and item.effect.name not in tried
+    ]
+    if best.profile is not None:
+        return []
+    names = set(twins(best, others, stage.evidence, NONE))
+    return [item for item in others if item.effect.name in names][:RIVALS]
+
+
+def _best_run(
+    stage: Stage, suspects: Sequence[Suspect], recorded: Recorded, calibrate: Calibrate
+) -> Change | None:
+    """Put each of some effects into the model; keep the first, unless another foresees clearly more.
+
+    To first order the wrong effect may look like the true one, and even a little better; not in a run.
+    """
+    changes: list[Change] = []
+    for suspect in suspects:
+        with suppress(FilterDivergedError):
+            changes.append(
+                change_made(stage, examine(wider_model(stage, suspect.effect), recorded, calibrate))
+            )
+    if not changes:
+        return None
+    best = max(changes, key=lambda change: change.foreseen)
+    if best.foreseen <= changes[0].foreseen + MIN_FORESEEN:
+        best = changes[0]
+    others = [change for change in changes if change is not best]
+    outdone = (
+        other.effect.name
+        for other in others
+        if certainty(foreseen(other.after.run, best.after.run)) > TWIN_SIGMA
+    )
+    return replace(best, outdone=tuple(outdone))
 
 
 def _limited(

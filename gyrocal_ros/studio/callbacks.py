@@ -322,8 +322,9 @@ def _shown(figure: Any | None, words: str, kept_while: str | None = None) -> tup
     """A figure that fills its place, or words; zoomed as before while `kept_while` is the same."""
     if figure is None:
         return no_update, True, words
-    figure.update_layout(height=None, autosize=True, uirevision=kept_while, font_size=12, margin_t=75)
-    figure.update_yaxes(title_font_size=12)
+    figure.update_layout(height=None, autosize=True, uirevision=kept_while, font_size=12)
+    figure.update_layout(margin_t=60, margin_b=40, title_font_size=14)
+    figure.update_yaxes(title_font_size=10, title_standoff=4)
     return figure, False, ''
 
 

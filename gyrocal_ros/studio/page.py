@@ -151,7 +151,7 @@ def _history() -> html.Section:
             html.Div(
                 [
                     html.Button('Undo', id='undo'),
-                    html.Button('Write model.yaml and calibration.yaml', id='write'),
+                    html.Button('Write model and calibration', id='write'),
                     html.Button('Export the report', id='export'),
                 ],
                 className='row',

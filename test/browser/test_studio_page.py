@@ -199,6 +199,14 @@ def test_a_second_tab_shows_the_same_and_a_reload_loses_nothing(
     second.close()
 
 
+def test_the_loop_fits_the_screen_of_a_laptop(page: Page, studio: Studio) -> None:
+    page.goto(studio.address)
+    expect(page.locator('#revisions')).to_contain_text(f'1_{HIDDEN}')
+    for name in ('bag', 'model', 'residual', 'missing', 'history'):
+        box = page.locator(f'#{name}').bounding_box()
+        assert box is not None and box['y'] + box['height'] <= LAPTOP['height'], name
+
+
 def test_light_and_dark_and_no_wider_than_a_tablet(page: Page, studio: Studio) -> None:
     page.set_viewport_size(TABLET)
     page.goto(studio.address)
@@ -222,10 +230,16 @@ def test_everything_is_reached_by_the_keyboard(page: Page, studio: Studio) -> No
     assert wanted <= reached
 
 
-def test_a_killed_studio_is_taken_up_where_it_was(browser: Browser, studio: Studio, uneven_bag: Path) -> None:
-    studio.kill()
-    again = Studio(uneven_bag, studio.out)
+def test_a_killed_studio_is_told_and_taken_up_where_it_was(
+    browser: Browser, studio: Studio, uneven_bag: Path
+) -> None:
     page = browser.new_page()
+    page.goto(studio.address)
+    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')
+    expect(page.locator('#gone')).to_be_empty()
+    studio.kill()
+    expect(page.locator('#gone')).to_contain_text('does not answer')
+    again = Studio(uneven_bag, studio.out)
     page.goto(again.address)
     expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text('present')
     expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')

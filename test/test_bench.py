@@ -12,6 +12,7 @@ from gyrocal_ros.bench import accuracy, camera_off
 from gyrocal_ros.bench.accuracy import CONVENTIONAL, OURS, PAPER, accuracy_row, cases, in_parallel
 from gyrocal_ros.bench.speed import filter_alone, gyrocal_process
 from gyrocal_ros.bench.trials import Trial, Variant, bound_std, end_of_first_turn_s, run_trial
+from gyrocal_ros.cli.main import main
 from gyrocal_ros.config import Config
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import SimSource
@@ -136,3 +137,19 @@ def test_the_table_has_a_row_for_each_case(monkeypatch: pytest.MonkeyPatch) -> N
     (row,) = accuracy.accuracy(seeds=2)
     assert row['case'] == 'short' and row['seeds'] == 2 and row['diverged'] == 0
     assert row['std_by_bound_max'] is None
+
+
+@pytest.mark.parametrize(
+    ('args', 'told'),
+    [
+        (['accuracy', '--only', 'lane'], "did you mean 'lanes'?"),
+        (['blind', '--only', 'none', 'scale_cubi'], "did you mean 'scale_cubic'?"),
+        (['speed', '--only', 'lanes'], 'name accuracy or blind'),
+        (['--only', 'lanes'], 'name accuracy or blind'),
+    ],
+)
+def test_a_case_that_is_not_there_is_refused(
+    args: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['bench', *args]) == 2
+    assert told in capsys.readouterr().err

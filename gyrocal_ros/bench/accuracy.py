@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -83,9 +83,9 @@ def accuracy_row(case: Case, trials: list[Trial]) -> dict[str, Any]:
     }
 
 
-def accuracy(seeds: int, quick: bool = False) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the accuracy table as they become ready."""
-    for case in cases(quick):
+def accuracy(seeds: int, quick: bool = False, only: Collection[str] = ()) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the accuracy table as they become ready, of all cases or those of some labels."""
+    for case in (case for case in cases(quick) if not only or case[0] in only):
         yield accuracy_row(case, list(in_parallel(_trial, [(case, seed) for seed in range(seeds)])))
 
 

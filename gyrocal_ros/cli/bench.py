@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gyrocal_ros.bench.accuracy import accuracy, in_parallel
+from gyrocal_ros.bench.accuracy import cases as accuracy_cases
 from gyrocal_ros.bench.blind import blind
+from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
 from gyrocal_ros.bench.comparison import comparison
 from gyrocal_ros.bench.gate import KEPT, Outcome, gate, load_kept, measure_to_keep, to_keep
@@ -25,6 +27,7 @@ from gyrocal_ros.cli.output import print_json, print_row, progress, tell
 from gyrocal_ros.cli.provenance import provenance
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import json_text, write_text_atomic
+from gyrocal_ros.settings import nearest
 
 EXAMPLE = """gyrocal bench
 gyrocal bench accuracy comparison --seeds 20
@@ -33,7 +36,7 @@ gyrocal bench growth -o growth.html
 gyrocal bench --quick"""
 
 BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
-    'accuracy': lambda args: accuracy(args.seeds, args.quick),
+    'accuracy': lambda args: accuracy(args.seeds, args.quick, args.only),
     'comparison': lambda args: comparison(args.seeds),
     'camera_off': lambda args: camera_off(args.seeds),
     'blind': lambda args: blind(args.seeds, args.only),
@@ -42,6 +45,12 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'speed': lambda args: speed(args.quick),
     'growth': lambda args: growth(args.quick),
 }
+
+CASES: dict[str, Callable[[], list[str]]] = {
+    'accuracy': lambda: [case[0] for case in accuracy_cases(quick=False)],
+    'blind': lambda: [case.label for case in blind_cases()],
+}
+"""Labels of the cases of those benches that can be asked for some of them."""
 
 USUAL = ('accuracy', 'comparison', 'speed', 'blind')
 
@@ -57,7 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--quick', action='store_true', help='hold the kept figures; with a name, its first case only'
     )
     parser.add_argument('--keep', action='store_true', help='with --quick: keep the figures of this code')
-    parser.add_argument('--only', nargs='+', default=[], metavar='CASE', help='of `blind`: these cases only')
+    parser.add_argument(
+        '--only', nargs='+', default=[], metavar='CASE', help='of accuracy or blind: these cases only'
+    )
     parser.add_argument('-o', '--out', type=Path, metavar='FILE', help='of `growth`: a page with the plots')
     parser.add_argument('--overwrite', action='store_true', help='replace the page where it exists')
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the tables')
@@ -72,6 +83,8 @@ def run(args: argparse.Namespace) -> None:
     for name in args.what:
         if name not in BENCHES:
             raise GyrocalError('is not a bench', where=repr(name), todo=f'choose of {", ".join(BENCHES)}')
+    if args.only:
+        _refuse_unknown_cases(args)
     if args.seeds < 1:
         raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
     if args.keep and (args.what or not args.quick):
@@ -88,6 +101,15 @@ def run(args: argparse.Namespace) -> None:
         from gyrocal_ros.cli.grown import growth_page  # only a page needs the plotting library
 
         write_text_atomic(args.out, growth_page(tables['growth']), overwrite=args.overwrite)
+
+
+def _refuse_unknown_cases(args: argparse.Namespace) -> None:
+    if not args.what or not CASES.keys() >= set(args.what):
+        raise GyrocalError('needs the bench that it means', where='--only', todo=f'name {" or ".join(CASES)}')
+    known = [label for name in args.what for label in CASES[name]()]
+    for label in args.only:
+        if label not in known:
+            raise GyrocalError('is not a case', where=repr(label), todo=nearest(label, known))
 
 
 def _rows(name: str, args: argparse.Namespace) -> list[dict[str, Any]]:

@@ -143,7 +143,8 @@ def search(model: SensorModel, recorded: Recorded, calibrate: Calibrate, most: i
         model: the present sensor model.
         recorded: what the recording offers.
         calibrate: runs the filter.
-        most: effects to try; one run of the filter each, and one before.
+        most: effects to try; one run of the filter each, one before, and one for each that looks like the
+            last.
 
     Raises:
         FilterDivergedError: the filter cannot run with this model.
@@ -157,6 +158,23 @@ def search(model: SensorModel, recorded: Recorded, calibrate: Calibrate, most: i
             raise
         changes.append(rescued)
         first = stage = rescued.after
+    changes = _continued(changes, stage, recorded, calibrate, most)
+    last = next((change for change in reversed(changes) if change.is_kept), None)
+    if last is not None:
+        better = _contested(last, recorded, calibrate, {change.effect.name for change in changes})
+        place = changes.index(last)
+        if better.effect.name == last.effect.name:
+            changes[place] = better
+        else:
+            changes = _continued([*changes[:place], better], better.after, recorded, calibrate, most)
+    return Search(first, tuple(changes))
+
+
+def _continued(
+    changes: list[Change], stage: Stage, recorded: Recorded, calibrate: Calibrate, most: int
+) -> list[Change]:
+    """Put in one effect after the other, until nothing more is found or so many were tried."""
+    changes = [*changes]
     while len(changes) < most:
         tried = {change.effect.name for change in changes}
         least_gain = BESIDES * sum(item.gain for item in changes if item.is_kept and math.isfinite(item.gain))
@@ -166,7 +184,7 @@ def search(model: SensorModel, recorded: Recorded, calibrate: Calibrate, most: i
         changes.append(change)
         if change.is_kept:
             stage = change.after
-    return Search(first, tuple(changes))
+    return changes
 
 
 def trial(model: SensorModel, recorded: Recorded, calibrate: Calibrate, effect: Effect) -> Search:
@@ -265,7 +283,8 @@ def _next_change(
     is_known = best is not None and odd_gain <= ODD_PART * rival_gain
     rival = None
     if best is not None and is_known:
-        rival = _best_run(stage, [best, *_rivals(stage, best, tried)], recorded, calibrate)
+        with suppress(FilterDivergedError):
+            rival = change_made(stage, examine(wider_model(stage, best.effect), recorded, calibrate))
     # A limit makes the filter doubt its gyro, which helps against anything: it has to beat a run, too.
     at_least = max(LIMIT_PART * (odd_gain if rival is None else rival.foreseen), MIN_FORESEEN)
     for limit in (limit for limit in limits if not limit.is_read):
@@ -275,47 +294,40 @@ def _next_change(
     return rival
 
 
-def _rivals(stage: Stage, best: Suspect, tried: set[str]) -> list[Suspect]:
-    """Effects that look like the best one, the likeliest first.
-
-    Not where a time constant is to be found: the filter finds it only from near, so a run is no fair test.
-    """
-    others = [
-        item
-        for item in stage.suspects
-        if item is not best and item.profile is None and item.effect.name not in tried
-    ]
-    if best.profile is not None:
-        return []
-    names = set(twins(best, others, stage.evidence, NONE))
-    return [item for item in others if item.effect.name in names][:RIVALS]
-
-
-def _best_run(
-    stage: Stage, suspects: Sequence[Suspect], recorded: Recorded, calibrate: Calibrate
-) -> Change | None:
-    """Put each of some effects into the model; keep the first, unless another foresees clearly more.
+def _contested(change: Change, recorded: Recorded, calibrate: Calibrate, tried: set[str]) -> Change:
+    """The last effect found, or one that looks like it where a run with that foresees clearly more.
 
     To first order the wrong effect may look like the true one, and even a little better; not in a run.
     """
-    changes: list[Change] = []
-    for suspect in suspects:
+    if change.before is None:
+        return change
+    changes = [change]
+    for rival in _rivals(change.before, change.effect.name, tried):
         with suppress(FilterDivergedError):
-            changes.append(
-                change_made(stage, examine(wider_model(stage, suspect.effect), recorded, calibrate))
-            )
-    if not changes:
-        return None
-    best = max(changes, key=lambda change: change.foreseen)
-    if best.foreseen <= changes[0].foreseen + MIN_FORESEEN:
-        best = changes[0]
-    others = [change for change in changes if change is not best]
+            after = examine(wider_model(change.before, rival.effect), recorded, calibrate)
+            changes.append(change_made(change.before, after))
+    best = max((item for item in changes if item.is_kept), key=lambda item: item.foreseen)
+    if best.foreseen <= change.foreseen + MIN_FORESEEN:
+        best = change
     outdone = (
-        other.effect.name
-        for other in others
-        if certainty(foreseen(other.after.run, best.after.run)) > TWIN_SIGMA
+        item.effect.name
+        for item in changes
+        if item is not best and certainty(foreseen(item.after.run, best.after.run)) > TWIN_SIGMA
     )
     return replace(best, outdone=tuple(outdone))
+
+
+def _rivals(stage: Stage, name: str, tried: set[str]) -> list[Suspect]:
+    """Effects not tried yet that look like one of that name, the likeliest first.
+
+    Not where a time constant is to be found: the filter finds it only from near, so a run is no fair test.
+    """
+    suspect = _suspect(stage, name)
+    if suspect is None or suspect.profile is not None:
+        return []
+    others = [item for item in stage.suspects if item.effect.name not in tried and item.profile is None]
+    names = set(twins(suspect, others, stage.evidence, NONE))
+    return [item for item in others if item.effect.name in names][:RIVALS]
 
 
 def _limited(

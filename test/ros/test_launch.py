@@ -72,7 +72,7 @@ class Launched:
         """End it and all that it started."""
         self.process.send_signal(signal.SIGINT)
         try:
-            self.process.wait(15.0)
+            self.process.wait(WITHIN_S)
         finally:
             if self.process.poll() is None:
                 os.killpg(self.process.pid, signal.SIGKILL)

@@ -31,6 +31,7 @@ from gyrocal_ros.diagnose.search import (
     BESIDES,
     MIN_FORESEEN,
     RESCUERS,
+    RIVALS,
     STANDS_OUT,
     search,
     trial,
@@ -181,7 +182,7 @@ class TestSearch:
         sizes = dict.fromkeys(('gyro_lag', 'scale_cubic', 'turn_slip', 'focal_length'), 2.0)
         robot = Robot(sizes, dict.fromkeys(sizes, 100.0))
         assert len(search(default_model(), NOTHING_READ, robot, most=2).changes) == 2
-        assert max(map(len, robot.models)) == 3
+        assert [len(names) for names in robot.models] == [1, 2, 3, *[3] * RIVALS]
 
     def test_an_effect_begins_where_the_evidence_puts_it(self) -> None:
         found = search(default_model(), NOTHING_READ, Robot({'gyro_lag': 2.0}, {'gyro_lag': 400.0}))

@@ -19,17 +19,21 @@ def fill_history(folder: Path, improved: Improvement) -> None:
     """
     for revision in improved.revisions:
         fill_revision(folder / revision.label, revision)
-    fill_model(folder, improved.final.stage.run)
+    fill_result(folder, improved)
+
+
+def fill_result(folder: Path, improved: Improvement) -> None:
+    """Write the final model, what was found of it, and the figures of the revisions for programs."""
+    _fill_model(folder, improved.final.stage.run)
     write_text_atomic(folder / 'history.json', json_text(summarise_improvement(improved)))
 
 
 def fill_revision(folder: Path, revision: Revision) -> None:
     """Write one revision into an empty folder: its model, calibration and figures of merit."""
-    fill_model(folder, revision.stage.run)
+    _fill_model(folder, revision.stage.run)
     write_text_atomic(folder / 'merit.json', json_text(merit(revision)))
 
 
-def fill_model(folder: Path, run: Run) -> None:
-    """Write the model of a run and what was found of it into an empty folder."""
+def _fill_model(folder: Path, run: Run) -> None:
     write_text_atomic(folder / 'model.yaml', model_to_yaml(run.model))
     save_calibration(conclude(run), run.config, folder / 'calibration.yaml')

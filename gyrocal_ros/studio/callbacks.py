@@ -79,7 +79,7 @@ def _follow(app: Dash, desk: Desk) -> None:
     def follow(_polled: Any, _acted: Any, *known: str | None) -> tuple[Any, ...]:
         view = desk.view
         doing, now = view.doing, view.trials.now
-        has_run = now is not None and now.examined is not None
+        has_run = view.examined is not None
         told = marks(view)
         changed = [
             no_update if told[name] == old else told[name] for name, old in zip(MARKS, known, strict=True)
@@ -146,10 +146,10 @@ def _act(app: Dash, desk: Desk) -> None:
         State('chosen', 'data'),
     )
     def choose(_clicks: list[Any], drawn: Any, _mark: Any, chosen: str | None) -> str | None:
-        now = desk.view.trials.now
-        if now is None or now.examined is None:
+        now = desk.view.examined
+        if now is None:
             return None
-        names = [choice.effect.name for choice in panels.choices(now.examined)]
+        names = [choice.effect.name for choice in panels.choices(now)]
         wanted = chosen
         for name in _triggered():
             if isinstance(name, dict):
@@ -157,7 +157,7 @@ def _act(app: Dash, desk: Desk) -> None:
             elif name == 'evidence-figure':
                 wanted = str(drawn['points'][0]['y']).replace('<br>', '')
         if wanted not in names:
-            wanted = None if now.examined.best is None else now.examined.best.effect.name
+            wanted = None if now.best is None else now.best.effect.name
         if wanted is not None:
             try:
                 desk.session.forecast(wanted)
@@ -241,8 +241,7 @@ def _show_words(app: Dash, desk: Desk) -> None:
     )
     def lesson(_mark: Any, _model: Any) -> Any:
         view = desk.view
-        now = view.trials.now
-        followers = [] if now is None or now.examined is None else now.examined.stage.suspects
+        followers = [] if view.examined is None else view.examined.stage.suspects
         covariates = [one.effect.name for one in followers if ':' in one.effect.name]
         return panels.lesson(view), [NOTHING, STRANGER, *EFFECTS, *sorted(covariates)]
 

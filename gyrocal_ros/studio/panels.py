@@ -74,10 +74,10 @@ def bag(view: View) -> list[Any]:
 
 def failures(view: View) -> list[Any]:
     """Where the present model is off by more than chance."""
-    now = view.trials.now
-    if now is None or now.examined is None:
+    now = view.examined
+    if now is None:
         return []
-    found = now.examined.failures
+    found = now.failures
     if not found:
         return [html.P('Nowhere by more than chance and a slowly wandering bias explain.')]
     rows = [(item.what, f'{item.sigma:.0f}') for item in found[:MOST_FAILURES]]
@@ -95,27 +95,27 @@ def failures(view: View) -> list[Any]:
 
 def verdict(view: View) -> str:
     """What the recording says of the present model, in a sentence."""
-    now = view.trials.now
-    if now is None or now.examined is None:
+    now = view.examined
+    if now is None:
         return ''
-    best, odd = now.examined.best, now.examined.stage.oddity
+    best, odd = now.best, now.stage.oddity
     if best is not None:
         likely = f'{best.effect.name} explains most of what is left ({sigma_in_words(best.fit.sigma)} sigma)'
-        others = f'; it may as well be {join([*now.examined.twins], "or")}' if now.examined.twins else ''
+        others = f'; it may as well be {join([*now.twins], "or")}' if now.twins else ''
         return f'{likely}{others}.'
     if odd is not None:
         return f'No effect of the library explains what is left: {odd.what} ({odd.sigma:.0f} sigma).'
-    if now.examined.limits:
-        return f'The readings suggest a limit: {join([one.name for one in now.examined.limits], "or")}.'
+    if now.limits:
+        return f'The readings suggest a limit: {join([one.name for one in now.limits], "or")}.'
     return 'No effect of the library explains more than chance would.'
 
 
 def candidate_list(view: View) -> list[Any]:
     """A button for every effect that may be added, with a bar: the logarithm of what it explains."""
-    now = view.trials.now
-    if now is None or now.examined is None:
+    now = view.examined
+    if now is None:
         return []
-    offered = choices(now.examined)
+    offered = choices(now)
     most = max([_log_gain(one) for one in offered] + [1.0])
     return [
         html.Button(
@@ -146,16 +146,16 @@ def _strength(choice: Choice) -> str:
 
 def candidate_card(view: View, chosen: str | None) -> list[Any]:
     """All about one effect that may be added."""
-    now = view.trials.now
-    if now is None or now.examined is None:
+    now = view.examined
+    if now is None:
         return []
-    choice = next((one for one in choices(now.examined) if one.effect.name == chosen), None)
+    choice = next((one for one in choices(now) if one.effect.name == chosen), None)
     if choice is None:
         return [html.P('Choose an effect above to see what it is and what it would do.')]
     about: Explanation = find_effect(choice.effect.name).about
     rows: list[tuple[str, Any]] = [('equation', html.Code(about.equation))]
     if choice.suspect is not None:
-        rows += _evidence(choice.suspect, now.examined, chosen)
+        rows += _evidence(choice.suspect, now, chosen)
     rows.append(('held-out drift', html.Span(_forecast(view, choice.effect.name), id='forecast')))
     return [
         html.H3(choice.effect.name, id='candidate-name'),

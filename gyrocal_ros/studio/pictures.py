@@ -131,16 +131,14 @@ def left_over(view: View, signal: str, of_scale: bool) -> Any | None:
 
 def signals(view: View) -> list[tuple[str, bool]]:
     """What the rest can be told by, and whether as an error of the scale, the most telling first."""
-    now = view.trials.now
-    return [] if now is None or now.examined is None else list(now.examined.left_over)
+    return [] if view.examined is None else list(view.examined.left_over)
 
 
 def evidence(view: View) -> Any | None:
     """What every effect that the present model lacks would explain."""
-    now = view.trials.now
-    if now is None or now.examined is None:
+    examined = view.examined
+    if examined is None:
         return None
-    examined = now.examined
     best = None if examined.best is None else examined.best.effect.name
     table = open_candidates(examined.stage, best, examined.twins, MOST_CANDIDATES)
     return figures.evidence(table) if table else None
@@ -170,11 +168,11 @@ def all_of(view: View) -> dict[str, Any]:
 
 def drift_deg(examined: Examined, view: View) -> float:
     """Held-out drift of something that may become a revision, told as the revisions are."""
-    now = view.trials.now
-    if now is None or now.examined is None:
+    now = view.examined
+    if now is None:
         return math.nan
     run = examined.stage.run
-    return blind_drift(run, reference_path(now.examined.stage.run), held_out_from_s(run)).rms_deg
+    return blind_drift(run, reference_path(now.stage.run), held_out_from_s(run)).rms_deg
 
 
 def _examined(trial: Trial) -> Examined:

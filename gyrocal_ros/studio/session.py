@@ -207,11 +207,11 @@ class Session:
         with self._changed:
             if self._answer is None and isinstance(self._recording, Bag):
                 self._answer = unseal(self._recording.path)
-            now = self._view.trials.now
-            if self._answer is None or now is None or now.examined is None:
+            now = self._view.examined
+            if self._answer is None or now is None:
                 raise GyrocalError('the model has not run yet', where='reveal')
             added = tuple(trial.model.effects[-1].name for trial in self._view.trials.chain[1:])
-            found = conclude(now.examined.stage.run)
+            found = conclude(now.stage.run)
             self._publish(revealed=reveal(self._answer, self._view.guess, found, added, set(EFFECTS)))
 
     def improvement(self) -> Improvement:
@@ -324,15 +324,15 @@ class Session:
         return {'duration_s': contents.duration_s, 'messages': topics, **options}
 
     def _model_with(self, effect: str) -> SensorModel:
-        now = self._view.trials.now
-        if now is None or now.examined is None:
+        now = self._view.examined
+        if now is None:
             raise GyrocalError('the model has not run yet', where=effect, todo='wait a moment')
-        if any(one.name == effect for one in now.model.effects):
+        if any(one.name == effect for one in now.stage.model.effects):
             raise GyrocalError('is in the model already', where=effect)
-        limit = next((one for one in now.examined.limits if one.name == effect), None)
+        limit = next((one for one in now.limits if one.name == effect), None)
         if limit is not None:
-            return with_effect(now.model, limit)
-        return wider_model(now.examined.stage, find_effect(effect))
+            return with_effect(now.stage.model, limit)
+        return wider_model(now.stage, find_effect(effect))
 
     def _refuse_while_busy(self) -> None:
         if self._view.is_busy:

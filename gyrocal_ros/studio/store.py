@@ -22,8 +22,7 @@ from gyrocal_ros.diagnose.improvement import Improvement, Revision
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import json_text, new_folder, write_text_atomic
-from gyrocal_ros.report.history import fill_model, fill_revision
-from gyrocal_ros.report.summary import summarise_improvement
+from gyrocal_ros.report.history import fill_result, fill_revision
 from gyrocal_ros.studio.trials import Trial, Trials
 
 STATE = 'studio.json'
@@ -92,8 +91,7 @@ def save_result(folder: Path, improved: Improvement) -> None:
         GyrocalError: they cannot be written.
     """
     with new_folder(folder, overwrite=True) as part:
-        fill_model(part, improved.final.stage.run)
-        write_text_atomic(part / 'history.json', json_text(summarise_improvement(improved)))
+        fill_result(part, improved)
 
 
 @contextmanager

@@ -56,6 +56,12 @@ class View:
         """Whether nothing can be added just now; a forecast makes way."""
         return self.doing is not None and self.doing.what != 'forecast'
 
+    @property
+    def examined(self) -> Examined | None:
+        """What there is to tell of the present model; None before it has run."""
+        now = self.trials.now
+        return None if now is None else now.examined
+
     @cached_property
     def improvement(self) -> Improvement | None:
         """The trials as revisions with their figures of merit."""

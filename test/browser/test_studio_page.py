@@ -170,8 +170,10 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
         assert drawn.startswith(b'\x89PNG') and len(drawn) > 20_000
 
     # the truth
+    page.locator('#guess').click()
+    page.get_by_role('option', name=HIDDEN, exact=True).click()
     page.locator('#reveal').click()
-    expect(page.locator('#truth')).to_contain_text(f'Hidden: {HIDDEN}')
+    expect(page.locator('#truth')).to_contain_text(f'Hidden: {HIDDEN}. Your guess was right.')
     expect(page.locator('#truth-words table')).to_contain_text(f'{SIZE:g}')
     assert hosts <= {urlsplit(studio.address).netloc, ''}, 'nothing comes from elsewhere'
     assert not troubles

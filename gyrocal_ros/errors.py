@@ -4,6 +4,11 @@ Libraries inside the package raise these and never print or exit; the command li
 show the one line and decide what happens next.
 """
 
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
 
 class GyrocalError(Exception):
     """Something a user can mend. The message says what is wrong, where, and what to do.
@@ -34,3 +39,9 @@ class FilterDivergedError(GyrocalError):
 
 class NotObservableError(GyrocalError):
     """The recording does not contain the motion that the answer needs."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return the known names that look like `name`, as words for an error message."""
+    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    return f'did you mean {close[0]!r}?' if close else f'known are {", ".join(known)}'

@@ -6,10 +6,10 @@ from launch import LaunchDescription
 from launch.actions import RegisterEventHandler, Shutdown
 from launch.event_handlers import OnProcessExit
 
+from gyrocal_ros.bag.selection import Choice, select_topics
+from gyrocal_ros.bag.storage import open_storage
+from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.launching import Arguments, describe
-from gyrocal_ros.recording.selection import Choice, select_topics
-from gyrocal_ros.recording.storage import open_storage
-from gyrocal_ros.recording.topics import Role
 
 ARGUMENTS = {
     'bag': (None, 'recording to play: a rosbag2 folder, one of its files, or a ROS 1 .bag'),

@@ -16,13 +16,18 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from gyrocal_ros.config import FeatureConfig
+from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds, seconds
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, find_effect
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.effects.sketch import sketch
-from gyrocal_ros.ekf.parts import first_sight_by_values, measurement_by_values, sort_effects, true_camera
+from gyrocal_ros.ekf.effects_by_place import (
+    first_sight_by_values,
+    measurement_by_values,
+    sort_effects,
+    true_camera,
+)
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.camera import project, project_with_jacobian
 from gyrocal_ros.model.features import PARAMETRISATIONS

@@ -10,7 +10,7 @@ from typing import Any
 
 from recordings import at, recording
 
-from gyrocal_ros.config import Config, LiveConfig
+from gyrocal_ros.config.sections import Config, LiveConfig
 from gyrocal_ros.data import (
     NS_PER_S,
     CalibratedSample,
@@ -27,11 +27,11 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.live.calibrator import LiveCalibrator
-from gyrocal_ros.live.health import Status
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.recording.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME
-from gyrocal_ros.recording.transforms import IDENTITY, Transform
+from gyrocal_ros.msgs.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME
+from gyrocal_ros.msgs.transforms import IDENTITY, Transform
+from gyrocal_ros.robot.calibrator import LiveCalibrator
+from gyrocal_ros.robot.health import Status
 from gyrocal_ros.sim.world import SimSource
 
 DURATION_S = 40.0

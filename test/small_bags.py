@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.data import (
     NS_PER_S,
     CameraIntrinsics,
@@ -24,7 +25,6 @@ from gyrocal_ros.data import (
     WheelSample,
     nanoseconds,
 )
-from gyrocal_ros.recording.write import new_bag
 
 START_NS = 1_700_000_000 * NS_PER_S
 CAMERA = CameraIntrinsics(64, 48, 30.0, 30.0, 31.5, 23.5, (0.01, -0.02, 0.001, 0.002, 0.003))

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.bag.write import new_bag
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.model_file import model_to_yaml
-from gyrocal_ros.recording.write import new_bag
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sealed import answer_of, seal

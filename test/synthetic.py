@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, IntArray, Mount, Rig, Span
-from gyrocal_ros.diagnose.heading import Headings, headings
+from gyrocal_ros.diagnose.heading_filter import Headings, headings
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.evidence import BLOCK_S, Evidence
 from gyrocal_ros.ekf.run import History, Run
+from gyrocal_ros.ekf.score_statistics import BLOCK_S, Evidence
 from gyrocal_ros.ekf.state import YAW, State, no_landmarks
 from gyrocal_ros.model.sensor import Effect
 

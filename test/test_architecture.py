@@ -1,38 +1,34 @@
-"""The plan of the house, kept by machine: who imports whom, how long a module is, where a formula lives."""
+"""Architecture tests: who imports whom, how long a module is, which module holds each equation."""
 
 from __future__ import annotations
 
 import ast
 import re
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
-
-import pytest
 
 PROJECT = Path(__file__).resolve().parent.parent
 PACKAGE = PROJECT / 'gyrocal_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 
-LEVELS = {
-    room: level
-    for level, rooms in enumerate(
-        [
-            ('errors',),
-            ('settings',),
-            ('config', 'data', 'files'),
-            ('config_file', 'model'),  # the lens and the rotations of the paper serve the tracker too
-            ('board', 'recording', 'vision'),
-            ('effects', 'ekf', 'sim'),
-            ('seeing',),
-            ('calibrate', 'calibration', 'diagnose'),
-            ('bench', 'live', 'report'),
-            ('nodes', 'studio'),
-            ('cli',),
-        ]
-    )
-    for room in rooms
+BANDS = {
+    'base': ('config', 'data', 'errors', 'files'),
+    'core': ('effects', 'ekf', 'model', 'statistics'),
+    'io': ('bag', 'board', 'msgs', 'vision'),
+    'lab': ('bench', 'diagnose', 'emulator', 'pipeline', 'report', 'sim'),
+    'robot': ('robot',),
+    'edge': ('cli', 'nodes', 'studio'),
 }
-"""A room imports only from rooms of a lower level, and from itself."""
+"""The rooms of the package by band, the lowest first. A room imports from its own band and from bands below."""
+BAND_OF = {room: level for level, rooms in enumerate(BANDS.values()) for room in rooms}
+
+FORBIDDEN = {
+    'robot': {'bag', 'bench', 'diagnose', 'emulator', 'report', 'sim'},
+    'diagnose': {'sim', 'report', 'bench'},
+    'report': {'sim', 'bench'},
+}
+"""Imports that the bands allow and the data flow does not: the robot needs no bag and no simulator."""
 
 EVERYWHERE = {'numpy', 'yaml'} | sys.stdlib_module_names
 ROS = {
@@ -41,19 +37,19 @@ ROS = {
     *('diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'sensor_msgs', 'visualization_msgs'),
 }
 LIBRARY_HOMES = {
-    'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'recording/images.py'),
+    'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'msgs/images.py'),
     **dict.fromkeys(('dash', 'flask', 'werkzeug'), ('studio',)),
     'kaleido': ('report/figures/png.py',),
     'plotly': ('report/figures',),
     **dict.fromkeys(ROS, ('nodes',)),
-    'rosbags': ('recording',),
+    'rosbags': ('bag', 'msgs'),
     'scipy': ('bench/batch.py',),
     'serial': ('board/link.py',),
     'tqdm': ('cli/output.py',),
 }
 """The one room of each outside library, so that it can be exchanged or go missing without harm elsewhere."""
 
-MAX_LINES = 400
+MAX_LINES, NODE_LINES = 400, 200
 EQUATIONS_OF_THE_PAPER = range(1, 23)
 
 
@@ -93,39 +89,61 @@ def equations_at_home(docstring: str) -> set[int]:
     return numbers
 
 
-@pytest.mark.parametrize('module', MODULES, ids=lambda module: module.relative_to(PACKAGE).as_posix())
-class TestEachModule:
-    def test_imports_only_downwards(self, module: Path) -> None:
-        if module == PACKAGE / '__init__.py':
-            assert not imported_modules(module), 'the package itself imports nothing'
-            return
-        own = room(module)
-        others = {
-            name.split('.')[1]
-            for name in imported_modules(module)
-            if name.startswith('gyrocal_ros.') and name != 'gyrocal_ros.__version__'
-        } - {own}
-        assert others <= LEVELS.keys(), 'a new room needs its level'
-        assert {other for other in others if LEVELS[other] >= LEVELS[own]} == set()
+def rooms_imported(module: Path) -> set[str]:
+    """Other rooms that a module imports from."""
+    names = (name for name in imported_modules(module) if name.startswith('gyrocal_ros.'))
+    return {name.split('.')[1] for name in names} - {'__version__', room(module)}
 
-    def test_outside_libraries_stay_in_their_room(self, module: Path) -> None:
+
+def test_each_room_imports_from_its_band_and_below() -> None:
+    assert not imported_modules(PACKAGE / '__init__.py'), 'the package itself imports nothing'
+    modules = [module for module in MODULES if module.parent != PACKAGE or module.stem != '__init__']
+    assert {room(module) for module in modules} <= BAND_OF.keys(), 'a new room needs its band'
+    wrong = [
+        f'{module.relative_to(PACKAGE)} imports {other}'
+        for module in modules
+        for other in rooms_imported(module)
+        if BAND_OF[other] > BAND_OF[room(module)] or other in FORBIDDEN.get(room(module), ())
+    ]
+    assert wrong == []
+
+
+def test_no_rooms_import_each_other_in_a_circle() -> None:
+    graph: dict[str, set[str]] = {}
+    for module in MODULES:
+        graph.setdefault(room(module), set()).update(rooms_imported(module))
+    assert list(TopologicalSorter(graph).static_order()), 'raises CycleError where there is a circle'
+
+
+def test_outside_libraries_stay_in_their_room() -> None:
+    wrong = []
+    for module in MODULES:
         place = module.relative_to(PACKAGE).as_posix()
         libraries = {name.split('.')[0] for name in imported_modules(module)} - {'gyrocal_ros'}
         for library in libraries - EVERYWHERE:
             homes = LIBRARY_HOMES.get(library, ())
-            assert any(place == home or place.startswith(f'{home}/') for home in homes), library
+            if not any(place == home or place.startswith(f'{home}/') for home in homes):
+                wrong.append(f'{place} imports {library}')
+    assert wrong == []
 
-    def test_only_the_edge_prints_and_exits(self, module: Path) -> None:
-        calls = {
-            ast.unparse(node.func)
-            for node in ast.walk(ast.parse(module.read_text(encoding='utf-8')))
-            if isinstance(node, ast.Call)
-        }
-        if room(module) not in ('cli', 'nodes'):
-            assert not calls & {'print', 'exit', 'quit', 'input', 'sys.exit', 'os._exit'}
 
-    def test_is_short(self, module: Path) -> None:
-        assert len(module.read_text(encoding='utf-8').splitlines()) <= MAX_LINES
+def test_modules_are_short_and_only_the_edge_prints() -> None:
+    wrong = []
+    for module in MODULES:
+        text = module.read_text(encoding='utf-8')
+        if len(text.splitlines()) > (NODE_LINES if room(module) == 'nodes' else MAX_LINES):
+            wrong.append(f'{module.relative_to(PACKAGE)} is too long')
+        calls = {ast.unparse(node.func) for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)}
+        if room(module) not in ('cli', 'nodes') and calls & {
+            'print',
+            'exit',
+            'quit',
+            'input',
+            'sys.exit',
+            'os._exit',
+        }:
+            wrong.append(f'{module.relative_to(PACKAGE)} prints or exits')
+    assert wrong == []
 
 
 def test_each_equation_of_the_paper_has_one_home() -> None:
@@ -147,7 +165,7 @@ def test_every_effect_stands_in_the_table_of_contents() -> None:
     modules = {module.stem for module in (PACKAGE / 'effects').glob('*.py')}
     contents = imported_modules(PACKAGE / 'effects' / '__init__.py')
     listed = {name.split('.')[2] for name in contents if name.startswith('gyrocal_ros.effects.')}
-    assert modules - listed == {'__init__', 'model_file', 'sketch', 'words'}
+    assert modules - listed == {'__init__', 'describe', 'model_file', 'sketch', 'user'}
 
 
 def test_no_text_knows_the_machine_it_was_written_on() -> None:

@@ -17,7 +17,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from small_bags import CAMERA, GRAVITY, RIG, START_NS, changed, drive, turned_imu, write
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.bag.source import BagSource, open_bag
+from gyrocal_ros.bag.storage import open_storage
+from gyrocal_ros.bag.write import new_bag
+from gyrocal_ros.config.declare import with_settings
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     NS_PER_S,
     ClockStep,
@@ -32,13 +36,9 @@ from gyrocal_ros.data import (
     WheelSample,
 )
 from gyrocal_ros.errors import ConfigError, GyrocalError, RecordingError
-from gyrocal_ros.recording import topics
-from gyrocal_ros.recording.bag import BagSource, open_bag
-from gyrocal_ros.recording.messages import MessageMaker
-from gyrocal_ros.recording.storage import open_storage
-from gyrocal_ros.recording.transforms import rotation_from_quaternion
-from gyrocal_ros.recording.write import new_bag
-from gyrocal_ros.settings import with_settings
+from gyrocal_ros.msgs import topics
+from gyrocal_ros.msgs.to_ros import MessageMaker
+from gyrocal_ros.msgs.transforms import rotation_from_quaternion
 
 SHARED = Path(__file__).resolve().parent.parent.parent / 'shared' / 'data' / 'robot-localization-bags'
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from gyrocal_ros.config import Config
-from gyrocal_ros.recording.bag import open_bag
+from gyrocal_ros.bag.source import open_bag
+from gyrocal_ros.config.sections import Config
 
 BAGS = Path(__file__).parent.parent / 'bags'
 CHECKSUMS = re.findall(r'([0-9a-f]{64})  (\S+)', (BAGS / 'README.md').read_text(encoding='utf-8'))

@@ -10,10 +10,10 @@ import pytest
 
 from gyrocal_ros.bench import accuracy, camera_off
 from gyrocal_ros.bench.accuracy import CONVENTIONAL, OURS, PAPER, accuracy_row, cases, in_parallel
+from gyrocal_ros.bench.bench_run import Trial, Variant, bound_std, end_of_first_turn_s, run_trial
 from gyrocal_ros.bench.speed import filter_alone, gyrocal_process
-from gyrocal_ros.bench.trials import Trial, Variant, bound_std, end_of_first_turn_s, run_trial
 from gyrocal_ros.cli.main import main
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import SimSource
 

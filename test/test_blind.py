@@ -31,8 +31,8 @@ from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import RANGES, STRANGE_RANGES
+from gyrocal_ros.sim.out_of_library import STRANGERS
 from gyrocal_ros.sim.scenarios import find_scenario
-from gyrocal_ros.sim.strangers import STRANGERS
 
 
 class TestCases:

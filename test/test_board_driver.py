@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from emulated import WITHIN_S, BoardProgram
 
-from gyrocal_ros.config import BoardConfig, DriverConfig
+from gyrocal_ros.config.sections import BoardConfig, DriverConfig
 from gyrocal_ros.data import ImuSample
-from gyrocal_ros.live import board_driver, board_health
-from gyrocal_ros.live.board_driver import BoardDriver, BoardError
-from gyrocal_ros.live.health import Level
+from gyrocal_ros.robot import board_driver, board_health
+from gyrocal_ros.robot.board_driver import BoardDriver, BoardError
+from gyrocal_ros.robot.health import Level
 
 
 @dataclass

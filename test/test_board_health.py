@@ -10,8 +10,8 @@ import pytest
 from gyrocal_ros.board.commands import Order
 from gyrocal_ros.board.messages import Result, SetRates
 from gyrocal_ros.board.protocol import Counts
-from gyrocal_ros.live.board_health import RECENT_S, BoardHealth, Line, Tally
-from gyrocal_ros.live.health import Level, Status
+from gyrocal_ros.robot.board_health import RECENT_S, BoardHealth, Line, Tally
+from gyrocal_ros.robot.health import Level, Status
 
 RATES = SetRates(200, 50, 10)
 NOTHING = Tally(0.0, 0, 0, 0, 0, 0, 0, 0, 0, Counts())

@@ -15,7 +15,7 @@ from gyrocal_ros.board.convert import SupplySample
 from gyrocal_ros.board.messages import Acknowledgement, Imu, Message, Result, SetRates, Supply, Wheels, Zero
 from gyrocal_ros.board.protocol import Decoder, Packet, encode, wire_s
 from gyrocal_ros.board.reader import BoardReader, Pose, Reading, WheelMotion
-from gyrocal_ros.config import BoardConfig
+from gyrocal_ros.config.sections import BoardConfig
 from gyrocal_ros.data import NS_PER_S, ImuSample, TemperatureSample, nanoseconds
 
 START_NS = 1_700_000_000 * NS_PER_S

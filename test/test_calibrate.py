@@ -24,15 +24,7 @@ from recordings import (
     without,
 )
 
-from gyrocal_ros.calibrate import Progress, calibrate
-from gyrocal_ros.calibration import (
-    Calibration,
-    announcement,
-    conclude,
-    load_calibration,
-    save_calibration,
-)
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     CameraIntrinsics,
     FeatureObservations,
@@ -51,7 +43,15 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.errors import ConfigError, FilterDivergedError, NotObservableError, RecordingError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.seeing import SeeingFilter
+from gyrocal_ros.pipeline.calibrate import Progress, calibrate
+from gyrocal_ros.pipeline.calibration import (
+    Calibration,
+    announcement,
+    conclude,
+    load_calibration,
+    save_calibration,
+)
+from gyrocal_ros.pipeline.visual_slam import SeeingFilter
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.manoeuvres import Habits
 from gyrocal_ros.sim.sensors import SensorErrors

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from small_bags import CAMERA, RIG, START_NS, drive, turned_imu, write
 
+from gyrocal_ros.bag.check import CheckReport, check_bag
+from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.cli.main import main
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     NS_PER_S,
     FeatureObservations,
@@ -25,9 +27,7 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
-from gyrocal_ros.recording.check import CheckReport, check_bag
-from gyrocal_ros.recording.findings import Finding, Severity, one_a_kind
-from gyrocal_ros.recording.write import new_bag
+from gyrocal_ros.msgs.issues import Finding, Severity, one_a_kind
 
 SHARED = Path(__file__).resolve().parent.parent.parent / 'shared' / 'data' / 'robot-localization-bags'
 JACKAL = SHARED / 'test2_jackal.bag'

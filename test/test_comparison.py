@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrocal_ros.bench import comparison
+from gyrocal_ros.bench import methods as comparison
 from gyrocal_ros.bench.batch import solve
-from gyrocal_ros.bench.comparison import Known, compare_on, row
+from gyrocal_ros.bench.bench_run import bound_std, settled_after_s
+from gyrocal_ros.bench.methods import Known, compare_on, row
 from gyrocal_ros.bench.naive import against_a_wall, by_wheels, zero_at_rest
-from gyrocal_ros.bench.trials import bound_std, settled_after_s
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sensors import without_noise
 from gyrocal_ros.sim.world import SimSource

@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 
-from gyrocal_ros.config import Config, RobotConfig
-from gyrocal_ros.config_file import load_config
-from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.config.declare import Setting, flat_settings, to_dict, to_yaml, with_settings
+from gyrocal_ros.config.parameter_file import load_config
+from gyrocal_ros.config.sections import Config, RobotConfig
+from gyrocal_ros.config.yaml_file import read_yaml
+from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.files import shipped
-from gyrocal_ros.settings import Setting, flat_settings, nearest, read_yaml, to_dict, to_yaml, with_settings
 
 SETTINGS = [(config, *item) for config in (Config(), RobotConfig()) for item in flat_settings(config)]
 NUMBERS = [item for item in SETTINGS if type(item[2]) in (int, float)]
@@ -116,8 +117,8 @@ def test_several_numbers_are_one_setting() -> None:
 
 
 def test_nearest_name() -> None:
-    assert nearest('scael', ['scale', 'bias']) == "did you mean 'scale'?"
-    assert nearest('zzz', ['scale', 'bias']) == 'known are scale, bias'
+    assert did_you_mean('scael', ['scale', 'bias']) == "did you mean 'scale'?"
+    assert did_you_mean('zzz', ['scale', 'bias']) == 'known are scale, bias'
 
 
 # --- files --------------------------------------------------------------------------------------

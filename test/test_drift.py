@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from recordings import recording
 
-from gyrocal_ros.calibrate import calibrate
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import (
     STRIDE_S,
     BlindDrift,
@@ -27,6 +26,7 @@ from gyrocal_ros.diagnose.drift import (
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS
+from gyrocal_ros.pipeline.calibrate import calibrate
 
 
 @pytest.fixture(scope='module')

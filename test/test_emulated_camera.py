@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from gyrocal_ros.data import Frame, TruthSample, nanoseconds
-from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.live.emulated_camera import (
+from gyrocal_ros.emulator.camera import (
     CLOCK_AHEAD_NS,
     COVERED_GREY,
     EmulatedCamera,
@@ -18,6 +17,7 @@ from gyrocal_ros.live.emulated_camera import (
     Trouble,
     parse_spells,
 )
+from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.sim.film import EXPOSURE_S
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.world import START_NS, SimSource

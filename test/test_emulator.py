@@ -24,7 +24,7 @@ from gyrocal_ros.board.protocol import checksum, encode, stuff
 from gyrocal_ros.board.reader import BoardReader, Reading, WheelMotion
 from gyrocal_ros.cli import board_emulator
 from gyrocal_ros.cli.main import make_parser
-from gyrocal_ros.config import BoardConfig
+from gyrocal_ros.config.sections import BoardConfig
 from gyrocal_ros.data import (
     NS_PER_S,
     Array,
@@ -36,10 +36,10 @@ from gyrocal_ros.data import (
     WheelSample,
     nanoseconds,
 )
+from gyrocal_ros.emulator.board import Crystal, EmulatedBoard, look_ahead
+from gyrocal_ros.emulator.line import ABOUT, Delivery, EmulatedLine, Fault, FaultKind, parse_fault
+from gyrocal_ros.emulator.schedule import Emulator, Plug
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.live.emulator import Emulator, Plug
-from gyrocal_ros.live.emulator_board import Crystal, EmulatedBoard, look_ahead
-from gyrocal_ros.live.emulator_line import ABOUT, Delivery, EmulatedLine, Fault, FaultKind, parse_fault
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
 

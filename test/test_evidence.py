@@ -9,7 +9,7 @@ import pytest
 from synthetic import evidence_of
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.evidence import (
+from gyrocal_ros.diagnose.candidate_fit import (
     LAGS,
     MAX_LEVERAGE,
     NOT_EXCITED,
@@ -20,7 +20,7 @@ from gyrocal_ros.diagnose.evidence import (
     preference,
     sigma_of,
 )
-from gyrocal_ros.ekf.evidence import Evidence
+from gyrocal_ros.ekf.score_statistics import Evidence
 
 BLOCKS, EACH = 30, 20
 TRUE = np.array([3.0, -1.0, 0.5])

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from contracts import CAMERA, FEATURES, FIRST_POSE, LATER_POSE, PIXELS, ParametrisationContract, view_at
 
+from gyrocal_ros.config.declare import Setting
 from gyrocal_ros.model.camera import project
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import Anchors, no_anchors, points_in_camera, points_in_world
 from gyrocal_ros.model.features.inverse_depth import AnchoredInverseDepth
 from gyrocal_ros.model.features.rays import cross_std, ray_covariances, ray_points
-from gyrocal_ros.settings import Setting
 
 
 @pytest.mark.parametrize('form', PARAMETRISATIONS.values(), ids=PARAMETRISATIONS)

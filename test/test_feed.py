@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gyrocal_ros.live.feed import MOST_POINTS, Feed
-from gyrocal_ros.live.health import Level
 from gyrocal_ros.report.figures.calibration import live
+from gyrocal_ros.robot.feed import MOST_POINTS, Feed
+from gyrocal_ros.robot.health import Level
 
 
 def told(scale: float, std: float = 0.001) -> dict[str, object]:

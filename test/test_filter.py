@@ -19,12 +19,12 @@ from contracts import (
 )
 from scipy.stats import chi2  # type: ignore[import-untyped]
 
-from gyrocal_ros.config import Config, GyroConfig, WheelConfig
+from gyrocal_ros.config.sections import Config, GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.effects import find_effect
-from gyrocal_ros.ekf.gate import NoiseFollower, chi_square_quantile, inliers
+from gyrocal_ros.ekf.effects_by_place import sort_effects
+from gyrocal_ros.ekf.gating import NoiseFollower, chi_square_quantile, inliers
 from gyrocal_ros.ekf.landmarks import augment, forget_all, keep, make_room, note_sighting
-from gyrocal_ros.ekf.parts import sort_effects
 from gyrocal_ros.ekf.predict import Transition, predict, predict_sensitivity
 from gyrocal_ros.ekf.start import Start, initial_state, moved_unseen
 from gyrocal_ros.ekf.state import BIAS, EULER, POSE, POSITION, YAW, YAW_BIAS, State

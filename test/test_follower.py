@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrocal_ros.config import Config, TrackerConfig
+from gyrocal_ros.config.sections import Config, TrackerConfig
 from gyrocal_ros.data import (
     Array,
     CameraIntrinsics,
@@ -25,7 +25,7 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.model.camera import bearing, mount_from_yaw, project
 from gyrocal_ros.model.rotation import rotation_from_euler
-from gyrocal_ros.seeing import SeeingFilter
+from gyrocal_ros.pipeline.visual_slam import SeeingFilter
 from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.world import SimSource

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from gyrocal_ros.calibrate import calibrate
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, Rig, Span, TruthSample, WheelSample
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
@@ -19,10 +18,11 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.out_of_library import STRANGERS
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.sensors import SensorErrors, without_noise
-from gyrocal_ros.sim.strangers import STRANGERS
 from gyrocal_ros.sim.world import SimSource
 
 PERFECT = replace(without_noise(SensorErrors()), track_error=0.0, force_bias_m_s2=0.0)

@@ -12,12 +12,11 @@ import pytest
 from recordings import recording
 from synthetic import DT_S, TOP_DEG_S, Drive, drive, turning_rad_s
 
-from gyrocal_ros.calibrate import calibrate
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.candidate_fit import fit
 from gyrocal_ros.diagnose.drift import truth_path
-from gyrocal_ros.diagnose.evidence import fit
-from gyrocal_ros.diagnose.heading import UNBELIEVABLE, heading_evidence, headings, misfits
+from gyrocal_ros.diagnose.heading_filter import UNBELIEVABLE, heading_evidence, headings, misfits
 from gyrocal_ros.diagnose.regimes import FAILURE_SIGMA, Failure, failures
 from gyrocal_ros.diagnose.shapes import (
     HEADING,
@@ -32,9 +31,10 @@ from gyrocal_ros.diagnose.shapes import (
     swing,
 )
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.evidence import BLOCK_S
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.score_statistics import BLOCK_S
 from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.pipeline.calibrate import calibrate
 
 SIGNAL = 'motor.current'
 KNOCK_S = 163.0

@@ -23,9 +23,9 @@ from gyrocal_ros.sim.hidden import (
     draw_values,
     hide,
 )
+from gyrocal_ros.sim.out_of_library import STRANGERS
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.sealed import answer_of, sealed_path, unseal
-from gyrocal_ros.sim.strangers import STRANGERS
 from gyrocal_ros.sim.world import SimSource
 
 SIZED = {**RANGES, **STRANGE_RANGES}

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from recordings import Changed, recording, with_clock_step
 
-from gyrocal_ros.calibrate import MAX_HELD_S, Held, Progress, calibrate, hold
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Frame, Measurement, Rig, Source, Span, nanoseconds
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.pipeline.calibrate import MAX_HELD_S, Held, Progress, calibrate, hold
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 

@@ -12,7 +12,7 @@ from gyrocal_ros.data import (
     WheelSample,
     nanoseconds,
 )
-from gyrocal_ros.live.intake import MAX_SILENCE_NS, MAX_WAITING, STEP_S, Intake
+from gyrocal_ros.robot.input_queue import MAX_SILENCE_NS, MAX_WAITING, STEP_S, Intake
 
 IMU, WHEELS = 0, 1
 START_NS = 1_700_000_000 * NS_PER_S

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from gyrocal_ros.calibration import Calibration, calibration_of, load_calibration, save_calibration
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.live.keeping import Keeper
+from gyrocal_ros.pipeline.calibration import Calibration, calibration_of, load_calibration, save_calibration
+from gyrocal_ros.robot.calibration_store import Keeper
 
 
 def known(converged: bool = True) -> Calibration:

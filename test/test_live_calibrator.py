@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from live_robot import measured, robot, source, switched_on
 
-from gyrocal_ros.calibrate import Held, calibrate
-from gyrocal_ros.calibration import Calibration, conclude, load_calibration
-from gyrocal_ros.config import Config
+from gyrocal_ros.bag.source import open_bag
+from gyrocal_ros.bag.storage import open_storage
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     CovariateSample,
     FeatureObservations,
@@ -24,11 +24,11 @@ from gyrocal_ros.data import (
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import model_from_dict
 from gyrocal_ros.files import shipped
-from gyrocal_ros.recording import topics
-from gyrocal_ros.recording.bag import open_bag
-from gyrocal_ros.recording.storage import open_storage
-from gyrocal_ros.recording.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME, Role
-from gyrocal_ros.recording.transforms import IDENTITY, UPSIDE_DOWN, Transform
+from gyrocal_ros.msgs import topics
+from gyrocal_ros.msgs.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME, Role
+from gyrocal_ros.msgs.transforms import IDENTITY, UPSIDE_DOWN, Transform
+from gyrocal_ros.pipeline.calibrate import Held, calibrate
+from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 
 
 @cache

@@ -21,7 +21,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.ekf.slam import StepRecord
 from gyrocal_ros.errors import FilterDivergedError
-from gyrocal_ros.live.health import Level
+from gyrocal_ros.robot.health import Level
 from gyrocal_ros.sim.world import START_NS
 
 

@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from recordings import recording
 
-from gyrocal_ros.calibrate import Held, calibrate, hold
-from gyrocal_ros.calibration import load_calibration
+from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.cli import improve
 from gyrocal_ros.cli.diagnose import add_arguments, in_words, next_steps
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.cli.passes import Passes
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import TruthSample
 from gyrocal_ros.diagnose.advice import advice
 from gyrocal_ros.diagnose.candidates import with_means
@@ -35,7 +34,8 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import json_text
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.recording.write import new_bag
+from gyrocal_ros.pipeline.calibrate import Held, calibrate, hold
+from gyrocal_ros.pipeline.calibration import load_calibration
 from gyrocal_ros.report.summary import summarise_diagnosis
 from gyrocal_ros.report.words import diagnosis_headline
 from gyrocal_ros.sim.hidden import Drawn, hide

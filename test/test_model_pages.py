@@ -11,18 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal_ros.calibrate import calibrate, hold
-from gyrocal_ros.config import Config
-from gyrocal_ros.diagnose.compare import Comparison, compare
+from gyrocal_ros.config.declare import with_settings
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.diagnose.candidate_fit import Fit
+from gyrocal_ros.diagnose.comparison import Comparison, compare
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
-from gyrocal_ros.diagnose.evidence import Fit
-from gyrocal_ros.diagnose.heading import Headings
+from gyrocal_ros.diagnose.heading_filter import Headings
 from gyrocal_ros.diagnose.improvement import Improvement, improvement
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search, search
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Oddity, Shape, shapes
 from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.pipeline.calibrate import calibrate, hold
 from gyrocal_ros.report import conclusions, model_series, write
 from gyrocal_ros.report import diagnosis_series as series
 from gyrocal_ros.report.comparison_page import comparison_page
@@ -34,7 +35,6 @@ from gyrocal_ros.report.html import Section, gallery, text
 from gyrocal_ros.report.improvement_page import improvement_page
 from gyrocal_ros.report.summary import summarise_comparison, summarise_diagnosis, summarise_improvement
 from gyrocal_ros.report.tables import estimate_rows, with_gain
-from gyrocal_ros.settings import with_settings
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource

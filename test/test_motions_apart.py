@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from contracts import eventful_block
 
-from gyrocal_ros.bench import motions as bench
-from gyrocal_ros.bench.motions import Figures, Lost, figures
-from gyrocal_ros.calibrate import calibrate
+from gyrocal_ros.bench import separability as bench
+from gyrocal_ros.bench.separability import Figures, Lost, figures
 from gyrocal_ros.cli.output import print_row
-from gyrocal_ros.config import Config
-from gyrocal_ros.diagnose.motions import MIN_APART, kind_of, table, tell_apart, to_tell_apart
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import examine
+from gyrocal_ros.diagnose.separability import MIN_APART, kind_of, table, tell_apart, to_tell_apart
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, default_model, find_effect
 from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.drives import CONTROLS, EVERYDAY, TEST_DRIVES
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.world import SimSource

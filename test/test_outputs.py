@@ -10,12 +10,12 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from gyrocal_ros.data import CalibratedSample, Mount, Whereabouts
-from gyrocal_ros.live.parents import HELD_BACK_S, LISTENING_S, OdomParents
 from gyrocal_ros.model.rotation import rotation_from_euler
-from gyrocal_ros.recording import outputs
-from gyrocal_ros.recording.messages import MessageMaker, transform
-from gyrocal_ros.recording.topics import body_pose, map_frame, transforms
-from gyrocal_ros.recording.transforms import quaternion_from_euler, rotation_from_quaternion
+from gyrocal_ros.msgs import outputs
+from gyrocal_ros.msgs.to_ros import MessageMaker, transform
+from gyrocal_ros.msgs.topics import body_pose, map_frame, transforms
+from gyrocal_ros.msgs.transforms import quaternion_from_euler, rotation_from_quaternion
+from gyrocal_ros.robot.odom_parent import HELD_BACK_S, LISTENING_S, OdomParents
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MAKE = MessageMaker(STORE.types.__getitem__)

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from gyrocal_ros.cli.main import main
-from gyrocal_ros.effects import EFFECTS, find_effect, own
-from gyrocal_ros.effects.own import load_file
+from gyrocal_ros.effects import EFFECTS, find_effect
+from gyrocal_ros.effects import user as own
+from gyrocal_ros.effects.user import load_file
 from gyrocal_ros.errors import ConfigError
 
 GUIDE = Path(__file__).parent.parent / 'docs' / 'your_own_effect.md'

@@ -11,13 +11,13 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from small_bags import RIG, START_NS, drive
 
+from gyrocal_ros.bag.playback import Kind, Playback, Track
+from gyrocal_ros.bag.selection import Choice, select_topics
+from gyrocal_ros.bag.storage import open_storage, ros_types
+from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.data import FeatureObservations, Frame, seconds
-from gyrocal_ros.recording import topics
-from gyrocal_ros.recording.playback import Kind, Playback, Track
-from gyrocal_ros.recording.selection import Choice, select_topics
-from gyrocal_ros.recording.storage import open_storage, ros_types
-from gyrocal_ros.recording.topics import Role
-from gyrocal_ros.recording.write import new_bag
+from gyrocal_ros.msgs import topics
+from gyrocal_ros.msgs.topics import Role
 
 CHOICE = Choice()
 

@@ -9,10 +9,10 @@ import pytest
 from synthetic import evidence_of
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.candidate_fit import Fit, fit
 from gyrocal_ros.diagnose.candidates import (
     with_means,
 )
-from gyrocal_ros.diagnose.evidence import Fit, fit
 from gyrocal_ros.diagnose.profile import WIDEST, profile
 from gyrocal_ros.diagnose.ranking import (
     AT_LEAST_PART,
@@ -30,7 +30,7 @@ from gyrocal_ros.diagnose.ranking import (
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.scale_asymmetry import ScaleAsymmetry
-from gyrocal_ros.ekf.evidence import Evidence
+from gyrocal_ros.ekf.score_statistics import Evidence
 from gyrocal_ros.model.sensor import Coefficient
 
 BLOCKS, EACH = 30, 20

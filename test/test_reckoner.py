@@ -12,7 +12,7 @@ import pytest
 from live_robot import Robot, measured, source, switched_on
 from recordings import at
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     Array,
     FeatureObservations,
@@ -26,13 +26,13 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import model_from_dict
+from gyrocal_ros.ekf.effects_by_place import sort_effects
 from gyrocal_ros.ekf.motion import MotionBuffer
-from gyrocal_ros.ekf.parts import sort_effects
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER
-from gyrocal_ros.live.reckoner import Reckoner
 from gyrocal_ros.model.gyro import correct
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.robot.dead_reckoning import Reckoner
 from gyrocal_ros.sim.world import START_NS
 
 GRAVITY = (0.0, 0.0, 9.8)

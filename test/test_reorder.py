@@ -9,7 +9,7 @@ from typing import TypeAlias
 import pytest
 
 from gyrocal_ros.data import NS_PER_S, ClockStep
-from gyrocal_ros.recording.reorder import Drop, Reorderer
+from gyrocal_ros.msgs.reorder import Drop, Reorderer
 
 MS = NS_PER_S // 1000
 WINDOW, STEP = 100 * MS, 5 * NS_PER_S

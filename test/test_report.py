@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal_ros.calibrate import calibrate
-from gyrocal_ros.calibration import Calibration, conclude, load_calibration
-from gyrocal_ros.config import Config
-from gyrocal_ros.config_file import load_config
+from gyrocal_ros.config.declare import with_settings
+from gyrocal_ros.config.parameter_file import load_config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import seconds
 from gyrocal_ros.diagnose.ceiling import ceiling_map
-from gyrocal_ros.diagnose.compare import compare
+from gyrocal_ros.diagnose.comparison import compare
 from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
@@ -27,7 +26,9 @@ from gyrocal_ros.ekf.run import Event, Run
 from gyrocal_ros.ekf.state import EULER, no_landmarks
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.rotation import rotation_from_euler
-from gyrocal_ros.recording.transforms import rotation_from_quaternion
+from gyrocal_ros.msgs.transforms import rotation_from_quaternion
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.report import page, series, write
 from gyrocal_ros.report.figures import calibration as figures
 from gyrocal_ros.report.figures import drawing
@@ -35,7 +36,6 @@ from gyrocal_ros.report.sections import sections
 from gyrocal_ros.report.summary import summarise
 from gyrocal_ros.report.tables import coefficient_rows, verdict, with_std
 from gyrocal_ros.report.words import sigma_in_words
-from gyrocal_ros.settings import with_settings
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from gyrocal_ros.config import Config, RobotConfig
-from gyrocal_ros.settings import flat_settings
+from gyrocal_ros.config.declare import flat_settings
+from gyrocal_ros.config.sections import Config, RobotConfig
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / 'docs' / 'robot.md').read_text(encoding='utf-8')

@@ -11,7 +11,6 @@ import pytest
 from recordings import recording
 from synthetic import DT_S, RIG, Drive, drive, evidence_of, readings, turning_rad_s
 
-from gyrocal_ros.calibrate import Held
 from gyrocal_ros.data import (
     Array,
     CovariateSample,
@@ -23,8 +22,8 @@ from gyrocal_ros.data import (
     nanoseconds,
 )
 from gyrocal_ros.diagnose.candidates import docket
-from gyrocal_ros.diagnose.foresight import certainty, foreseen
 from gyrocal_ros.diagnose.limits import with_limit
+from gyrocal_ros.diagnose.predictive_gain import certainty, foreseen
 from gyrocal_ros.diagnose.ranking import PRICE
 from gyrocal_ros.diagnose.recorded import MAX_SIGNALS, Recorded, coarse_step, look_at
 from gyrocal_ros.diagnose.search import (
@@ -38,12 +37,13 @@ from gyrocal_ros.diagnose.search import (
     with_effect,
 )
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.evidence import BLOCK_S, Evidence
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.score_statistics import BLOCK_S, Evidence
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.pipeline.calibrate import Held
 
 DURATION_S = 100.0
 LIMIT_RAD_S = math.radians(85.0)

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.cli.main import main
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     CovariateSample,
     FeatureObservations,
@@ -17,7 +18,6 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
-from gyrocal_ros.recording.bag import open_bag
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.world import SimSource
 

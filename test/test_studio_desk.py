@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.studio.desk import Desk
 from gyrocal_ros.studio.recordings import Bag, Riddle
 from gyrocal_ros.studio.store import locked
 from gyrocal_ros.studio.worker import Failed, Look, News, Task
+from gyrocal_ros.studio.workspace import Desk
 
 
 class Worker:

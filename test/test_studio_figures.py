@@ -13,9 +13,9 @@ from studio_parts import HIDDEN, Desk, open_session
 
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.studio import pictures
+from gyrocal_ros.studio.revisions import Trials
 from gyrocal_ros.studio.session import Session
-from gyrocal_ros.studio.trials import Trials
-from gyrocal_ros.studio.view import View
+from gyrocal_ros.studio.state import View
 
 HOUR = 36
 """So many times as long as the recording is."""

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from studio_parts import open_session
 
+from gyrocal_ros.bag.storage import bags_in
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.live.feed import Feed
-from gyrocal_ros.recording.storage import bags_in
+from gyrocal_ros.robot.feed import Feed
 from gyrocal_ros.studio.callbacks import BUTTONS, marks
 from gyrocal_ros.studio.server import is_loopback, listen, make_app, make_live_app
 

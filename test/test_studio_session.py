@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from studio_parts import HIDDEN, SIZE, Desk, open_session
 
-from gyrocal_ros.calibration import load_calibration
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.pipeline.calibration import load_calibration
 from gyrocal_ros.studio.export import export
 from gyrocal_ros.studio.recordings import Contents
 from gyrocal_ros.studio.session import Session

@@ -10,7 +10,7 @@ from threading import Condition
 
 import pytest
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio.recordings import Bag, Contents, Riddle

@@ -14,6 +14,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 from small_bags import CAMERA
 
+from gyrocal_ros.bag.fields import field_reader
 from gyrocal_ros.data import (
     FeatureObservations,
     Frame,
@@ -26,11 +27,11 @@ from gyrocal_ros.data import (
     WheelSample,
 )
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.recording import images, messages, topics
-from gyrocal_ros.recording.fields import field_reader
-from gyrocal_ros.recording.messages import MessageMaker, live_maker
-from gyrocal_ros.recording.topics import Role
-from gyrocal_ros.recording.transforms import (
+from gyrocal_ros.msgs import images, topics
+from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs.to_ros import MessageMaker, live_maker
+from gyrocal_ros.msgs.topics import Role
+from gyrocal_ros.msgs.transforms import (
     Transform,
     find_mount,
     quaternion_from_rotation,

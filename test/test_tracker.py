@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gyrocal_ros.bench.tracker import Conditions, tracker_accuracy
-from gyrocal_ros.config import TrackerConfig
+from gyrocal_ros.config.sections import TrackerConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, FeatureObservations, Frame, SearchRegions, nanoseconds
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.camera import bearing, project
@@ -20,7 +20,7 @@ from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
 from gyrocal_ros.vision.corners import find_corners
 from gyrocal_ros.vision.draw import draw_tracks
 from gyrocal_ros.vision.patches import align, cut, grid, sample
-from gyrocal_ros.vision.search import ceiling_coordinates, ceiling_pixels
+from gyrocal_ros.vision.search_region import ceiling_coordinates, ceiling_pixels
 from gyrocal_ros.vision.tracker import Tracker
 
 DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrocal_ros.config import CameraConfig, Config, TrackerConfig
+from gyrocal_ros.config.sections import CameraConfig, Config, TrackerConfig
 from gyrocal_ros.data import (
     NS_PER_S,
     FeatureObservations,
@@ -25,11 +25,11 @@ from gyrocal_ros.data import (
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
-from gyrocal_ros.live.health import Level, Status
-from gyrocal_ros.live.tracking import MAX_WAITING, LiveTracker, Tracked
-from gyrocal_ros.recording.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME
-from gyrocal_ros.recording.transforms import IDENTITY, Transform
-from gyrocal_ros.seeing import SeeingFilter
+from gyrocal_ros.msgs.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME
+from gyrocal_ros.msgs.transforms import IDENTITY, Transform
+from gyrocal_ros.pipeline.visual_slam import SeeingFilter
+from gyrocal_ros.robot.health import Level, Status
+from gyrocal_ros.robot.tracking import MAX_WAITING, LiveTracker, Tracked
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.world import SimSource
 

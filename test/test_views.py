@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from gyrocal_ros.files import shipped
-from gyrocal_ros.recording.topics import Role
+from gyrocal_ros.msgs.topics import Role
 
 PUBLISHED = {
     *(f'/{role}' for role in Role),

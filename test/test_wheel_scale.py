@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from recordings import recording
 
-from gyrocal_ros.calibrate import calibrate
 from gyrocal_ros.cli.main import main
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, WheelSample
+from gyrocal_ros.diagnose.candidate_fit import correlation
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.evidence import correlation
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import Search, Stage, examine
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.sensors import SensorErrors, without_noise
 from gyrocal_ros.sim.world import SimSource

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gyrocal_ros.bench.trials import Trial, Variant, run_trial
+from gyrocal_ros.bench.bench_run import Trial, Variant, run_trial
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 
 T = TypeVar('T')

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, Measurement, MotionBlock, Rig
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.parts import Parts, sort_effects
+from gyrocal_ros.ekf.effects_by_place import Parts, sort_effects
 from gyrocal_ros.ekf.predict import predict
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, State, no_landmarks

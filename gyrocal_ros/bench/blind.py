@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.bench.accuracy import in_parallel
-from gyrocal_ros.calibrate import calibrate, hold
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidates import with_means
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
@@ -26,11 +25,12 @@ from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.pipeline.calibrate import calibrate, hold
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import RANGES, STRANGE_RANGES, draw_hidden, draw_scale_factor, hide
+from gyrocal_ros.sim.out_of_library import VOLTAGE
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sensors import stream
-from gyrocal_ros.sim.strangers import VOLTAGE
 from gyrocal_ros.sim.world import SimSource
 
 COSTLY_DRIFT_DEG = 0.5

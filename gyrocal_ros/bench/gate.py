@@ -17,18 +17,18 @@ import numpy as np
 
 from gyrocal_ros import __version__
 from gyrocal_ros.bench.accuracy import OURS
+from gyrocal_ros.bench.bench_run import run_trial
 from gyrocal_ros.bench.camera_off import rotations
 from gyrocal_ros.bench.paper.experiment import Mapper
 from gyrocal_ros.bench.paper.landmark import NOISE_PX, follow
-from gyrocal_ros.bench.trials import run_trial
-from gyrocal_ros.calibrate import calibrate, hold
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.ranking import estimate
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import examine
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.scale import FULL_RATE_RAD_S
 from gyrocal_ros.model.features import PARAMETRISATIONS
+from gyrocal_ros.pipeline.calibrate import calibrate, hold
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.bench.speed import gyrocal_process
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.declare import to_yaml
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.files import write_text_atomic
-from gyrocal_ros.recording.write import new_bag
-from gyrocal_ros.settings import to_yaml
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import SimSource
 

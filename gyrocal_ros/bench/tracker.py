@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal_ros.config import TrackerConfig
+from gyrocal_ros.config.sections import TrackerConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, FeatureObservations, Frame, SearchRegions, nanoseconds
 from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.model.rotation import rotation_from_euler

@@ -17,17 +17,16 @@ from gyrocal_ros.bench.accuracy import cases as accuracy_cases
 from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
-from gyrocal_ros.bench.comparison import comparison
 from gyrocal_ros.bench.gate import KEPT, Outcome, gate, load_kept, measure_to_keep, to_keep
 from gyrocal_ros.bench.growth import growth
-from gyrocal_ros.bench.motions import motions
+from gyrocal_ros.bench.methods import comparison
+from gyrocal_ros.bench.separability import motions
 from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.tracker import tracker_accuracy
 from gyrocal_ros.cli.output import print_json, print_row, progress, tell
 from gyrocal_ros.cli.provenance import provenance
-from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.errors import GyrocalError, did_you_mean
 from gyrocal_ros.files import json_text, write_text_atomic
-from gyrocal_ros.settings import nearest
 
 EXAMPLE = """gyrocal bench
 gyrocal bench accuracy comparison --seeds 20
@@ -109,7 +108,7 @@ def _refuse_unknown_cases(args: argparse.Namespace) -> None:
     known = [label for name in args.what for label in CASES[name]()]
     for label in args.only:
         if label not in known:
-            raise GyrocalError('is not a case', where=repr(label), todo=nearest(label, known))
+            raise GyrocalError('is not a case', where=repr(label), todo=did_you_mean(label, known))
 
 
 def _rows(name: str, args: argparse.Namespace) -> list[dict[str, Any]]:

@@ -18,18 +18,18 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 
+from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.board.protocol import TIME_WRAP
 from gyrocal_ros.cli.main import guarded, make_parser
 from gyrocal_ros.cli.scenario_options import add_scenario_options, check_bounds, scenario_source
-from gyrocal_ros.config import BoardConfig, Config, DriverConfig
-from gyrocal_ros.config_file import load_all
+from gyrocal_ros.config.parameter_file import load_all
+from gyrocal_ros.config.sections import BoardConfig, Config, DriverConfig
 from gyrocal_ros.data import Measurement, Span
+from gyrocal_ros.emulator.board import Crystal, EmulatedBoard, look_ahead
+from gyrocal_ros.emulator.line import ABOUT, EmulatedLine, parse_fault
+from gyrocal_ros.emulator.schedule import Emulator
+from gyrocal_ros.emulator.terminal import Player, Port
 from gyrocal_ros.errors import ConfigError, GyrocalError
-from gyrocal_ros.live.emulator import Emulator
-from gyrocal_ros.live.emulator_board import Crystal, EmulatedBoard, look_ahead
-from gyrocal_ros.live.emulator_line import ABOUT, EmulatedLine, parse_fault
-from gyrocal_ros.live.emulator_pty import Player, Port
-from gyrocal_ros.recording.bag import open_bag
 from gyrocal_ros.sim.sensors import stream
 
 PROGRAM = 'board_emulator'

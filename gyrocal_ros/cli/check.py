@@ -6,9 +6,9 @@ import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 
+from gyrocal_ros.bag.check import CheckReport, TopicSummary, check_bag
 from gyrocal_ros.cli.options import add_bag_options, bag_options, read_config
 from gyrocal_ros.cli.output import print_json
-from gyrocal_ros.recording.check import CheckReport, TopicSummary, check_bag
 
 EXAMPLE = 'gyrocal check my_bag\ngyrocal check my_bag -r imu/data_raw:=/imu/data --heading-reference /odom'
 

@@ -12,17 +12,17 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from gyrocal_ros.calibration import conclude
 from gyrocal_ros.cli.figures import draw_if_wanted
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
-from gyrocal_ros.diagnose.compare import Comparison, Rival, compare
+from gyrocal_ros.diagnose.comparison import Comparison, Rival, compare
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.report.summary import nis_per_dof, summarise_comparison
 from gyrocal_ros.report.tables import with_std
 from gyrocal_ros.report.words import drift_in_words, failures_in_words

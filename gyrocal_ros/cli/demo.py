@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gyrocal_ros.cli.output import print_json
 from gyrocal_ros.cli.replay import replay, verdict
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.files import shipped
 

@@ -16,7 +16,7 @@ from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effec
 from gyrocal_ros.cli.output import print_json
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, find_effect
 from gyrocal_ros.effects.base import LibraryEffect
-from gyrocal_ros.effects.words import PLACES, effect_rows, place_of
+from gyrocal_ros.effects.describe import PLACES, effect_rows, place_of
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import write_text_atomic
 

@@ -13,7 +13,6 @@ import time
 from collections.abc import Iterator
 from itertools import count
 
-from gyrocal_ros.calibration import conclude
 from gyrocal_ros.cli.figures import draw_if_wanted
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table, tell
@@ -26,6 +25,7 @@ from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.report.summary import nis_per_dof, summarise_improvement
 from gyrocal_ros.report.tables import with_std
 from gyrocal_ros.report.words import drift_in_words, improvement_headline

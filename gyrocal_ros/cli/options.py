@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
 
-from gyrocal_ros.config import Config
-from gyrocal_ros.config_file import load_config
-from gyrocal_ros.recording.selection import parse_remap
+from gyrocal_ros.bag.selection import parse_remap
+from gyrocal_ros.config.parameter_file import load_config
+from gyrocal_ros.config.sections import Config
 
 
 class BagOptions(TypedDict):

@@ -8,18 +8,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrocal_ros.calibrate import Progress, calibrate, hold
+from gyrocal_ros.bag.check import check_bag
+from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.cli.figures import add_png_option
 from gyrocal_ros.cli.options import add_bag_options, add_images_option, bag_options, read_config
 from gyrocal_ros.cli.output import progress, warn
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.recording.bag import open_bag
-from gyrocal_ros.recording.check import check_bag
-from gyrocal_ros.recording.findings import one_a_kind, refuse_errors
+from gyrocal_ros.msgs.issues import one_a_kind, refuse_errors
+from gyrocal_ros.pipeline.calibrate import Progress, calibrate, hold
 
 
 @dataclass(frozen=True, slots=True)

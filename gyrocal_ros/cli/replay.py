@@ -10,8 +10,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from gyrocal_ros.calibrate import Progress, calibrate
-from gyrocal_ros.calibration import Calibration, conclude, load_calibration
+from gyrocal_ros.bag.check import check_bag
+from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.cli.figures import add_png_option, draw_if_wanted
 from gyrocal_ros.cli.model_options import add_model_options, load_own_effects
 from gyrocal_ros.cli.options import (
@@ -22,16 +22,16 @@ from gyrocal_ros.cli.options import (
     read_config,
 )
 from gyrocal_ros.cli.output import print_json, progress, warn
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import SensorModel, signals_of
-from gyrocal_ros.recording.bag import open_bag
-from gyrocal_ros.recording.check import check_bag
-from gyrocal_ros.recording.findings import Finding, one_a_kind, refuse_errors
+from gyrocal_ros.msgs.issues import Finding, one_a_kind, refuse_errors
+from gyrocal_ros.pipeline.calibrate import Progress, calibrate
+from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.report.summary import summarise
 from gyrocal_ros.report.tables import with_std
 from gyrocal_ros.report.words import quantity

@@ -18,9 +18,8 @@ from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, Result
 from gyrocal_ros.cli.output import print_json, progress, tell
 from gyrocal_ros.cli.provenance import provenance
-from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.errors import GyrocalError, did_you_mean
 from gyrocal_ros.files import json_text, new_folder, write_text_atomic
-from gyrocal_ros.settings import nearest
 
 EXAMPLE = """gyrocal reproduce
 gyrocal reproduce fig14 fig15 -o landmarks
@@ -67,7 +66,7 @@ def run(args: argparse.Namespace) -> None:
 def _names(asked: Sequence[str]) -> list[str]:
     for name in asked:
         if name not in EXPERIMENTS:
-            todo = nearest(name, list(EXPERIMENTS))
+            todo = did_you_mean(name, list(EXPERIMENTS))
             raise GyrocalError('is not a figure or table of the paper', where=repr(name), todo=todo)
     return [name for name in EXPERIMENTS if name in asked or not asked]
 

@@ -9,12 +9,11 @@ from dataclasses import replace
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import LibraryEffect
-from gyrocal_ros.errors import ConfigError, GyrocalError
+from gyrocal_ros.errors import ConfigError, GyrocalError, did_you_mean
 from gyrocal_ros.model.sensor import RelativeEffect
-from gyrocal_ros.settings import nearest
 from gyrocal_ros.sim.hidden import Drawn, draw_hidden, draw_scale_factor, hide
+from gyrocal_ros.sim.out_of_library import STRANGERS
 from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
-from gyrocal_ros.sim.strangers import STRANGERS
 from gyrocal_ros.sim.world import SimSource
 
 MAX_DURATION_S = 2 * 3600.0
@@ -92,7 +91,7 @@ def parse_effect(text: str) -> Drawn:
         known = [item.name for item in effect.coefficients]
         for one in named:
             if one not in known:
-                todo = nearest(one, known)
+                todo = did_you_mean(one, known)
                 raise ConfigError(f'{name} has no coefficient {one!r}', where='--effect', todo=todo)
         parts = [named.get(item.name, f'{item.prior_mean}') for item in effect.coefficients]
     try:

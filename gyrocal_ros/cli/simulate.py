@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
+from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.cli.output import progress
 from gyrocal_ros.cli.scenario_options import add_scenario_options, check_bounds, scenario_source
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.effects.base import with_unit
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.recording.write import new_bag
 from gyrocal_ros.sim.sealed import answer_of, seal, sealed_path
 
 EXAMPLE = """gyrocal simulate my_bag --scenario furniture --seed 7 --duration 120

@@ -17,12 +17,12 @@ from pathlib import Path
 from threading import Timer
 from typing import Any
 
+from gyrocal_ros.bag.storage import bags_in, is_bag
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.options import add_images_option, add_topic_options, bag_options, read_config
 from gyrocal_ros.cli.output import tell, warn
 from gyrocal_ros.errors import GyrocalError, RecordingError
 from gyrocal_ros.files import shipped
-from gyrocal_ros.recording.storage import bags_in, is_bag
 from gyrocal_ros.studio.recordings import Bag
 from gyrocal_ros.studio.worker import Worker
 
@@ -67,8 +67,8 @@ def run(args: argparse.Namespace) -> None:
     model, config, options = read_model(args), read_config(args), bag_options(args)
     bags = [Bag(path, config, options) for path in _bags(args)]
     worker = Worker()  # before anything has made a thread
-    from gyrocal_ros.studio.desk import Desk  # the page's libraries load while the worker begins
     from gyrocal_ros.studio.server import make_app
+    from gyrocal_ros.studio.workspace import Desk  # the page's libraries load while the worker begins
 
     desk = Desk(bags, model, config, args.out, worker, args.lesson)
     try:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from gyrocal_ros.diagnose.candidate_fit import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
-from gyrocal_ros.diagnose.evidence import SIGNIFICANT_SIGMA
-from gyrocal_ros.diagnose.motions import kind_of, table, to_tell_apart
+from gyrocal_ros.diagnose.separability import kind_of, table, to_tell_apart
 from gyrocal_ros.diagnose.shapes import TIME, Oddity
 from gyrocal_ros.sim.drives import TEST_DRIVES
 

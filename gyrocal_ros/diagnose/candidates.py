@@ -15,7 +15,7 @@ from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
-from gyrocal_ros.ekf.evidence import Evidence
+from gyrocal_ros.ekf.score_statistics import Evidence
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
 WARMUP_TIMES_S = (40.0, 65.0, 105.0, 170.0, 275.0, 445.0, 720.0, 1160.0)

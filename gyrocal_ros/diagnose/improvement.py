@@ -14,7 +14,7 @@ from gyrocal_ros.diagnose.drift import (
     held_out_from_s,
     reference_path,
 )
-from gyrocal_ros.diagnose.foresight import certainty, foreseen
+from gyrocal_ros.diagnose.predictive_gain import certainty, foreseen
 from gyrocal_ros.diagnose.search import Change, Search, Stage
 from gyrocal_ros.model.sensor import Effect
 

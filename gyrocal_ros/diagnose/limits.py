@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import NS_PER_S, Array
+from gyrocal_ros.diagnose.candidate_fit import Fit, fit
 from gyrocal_ros.diagnose.candidates import with_means
-from gyrocal_ros.diagnose.evidence import Fit, fit
-from gyrocal_ros.diagnose.heading import Headings, heading_evidence
+from gyrocal_ros.diagnose.heading_filter import Headings, heading_evidence
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.ekf.run import Run

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.diagnose.evidence import Fit
+from gyrocal_ros.diagnose.candidate_fit import Fit
 
 WIDEST = 1.0
 """Standard deviation of the logarithm where the likelihood does not tell."""

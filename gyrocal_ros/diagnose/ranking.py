@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.diagnose.candidate_fit import SIGNIFICANT_SIGMA, Fit, fit, preference
 from gyrocal_ros.diagnose.candidates import columns_of, with_means
-from gyrocal_ros.diagnose.evidence import SIGNIFICANT_SIGMA, Fit, fit, preference
 from gyrocal_ros.diagnose.profile import Profile, profile
-from gyrocal_ros.ekf.evidence import Evidence
+from gyrocal_ros.ekf.score_statistics import Evidence
 from gyrocal_ros.model.sensor import Effect
 
 PRICE = 4.0

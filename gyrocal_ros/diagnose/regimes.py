@@ -10,9 +10,9 @@ from itertools import pairwise
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.heading import TURNING_RAD_S, Headings, heading_evidence, misfits
-from gyrocal_ros.ekf.evidence import BLOCK_S
+from gyrocal_ros.diagnose.heading_filter import TURNING_RAD_S, Headings, heading_evidence, misfits
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.score_statistics import BLOCK_S
 
 FAILURE_SIGMA = 4.5
 """Below this a failure counts as chance: many places are looked at."""

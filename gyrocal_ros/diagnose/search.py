@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.diagnose.candidate_fit import chi_square_tail, sigma_of
 from gyrocal_ros.diagnose.candidates import docket
-from gyrocal_ros.diagnose.evidence import chi_square_tail, sigma_of
-from gyrocal_ros.diagnose.foresight import certainty, foreseen
-from gyrocal_ros.diagnose.heading import Headings, headings
+from gyrocal_ros.diagnose.heading_filter import Headings, headings
 from gyrocal_ros.diagnose.limits import Proposal, pile, proposals, with_limit
+from gyrocal_ros.diagnose.predictive_gain import certainty, foreseen
 from gyrocal_ros.diagnose.ranking import (
     TWIN_SIGMA,
     Suspect,
@@ -27,8 +27,8 @@ from gyrocal_ros.diagnose.ranking import (
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.shapes import INFLATION, Oddity, oddity
 from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.ekf.evidence import Evidence
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.score_statistics import Evidence
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.evidence import Fit, chi_square_tail, fit, sigma_of
-from gyrocal_ros.diagnose.heading import TURNING_RAD_S, Headings, heading_evidence, misfits
+from gyrocal_ros.diagnose.candidate_fit import Fit, chi_square_tail, fit, sigma_of
+from gyrocal_ros.diagnose.heading_filter import TURNING_RAD_S, Headings, heading_evidence, misfits
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW
 

@@ -31,10 +31,9 @@ from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
 from gyrocal_ros.effects.turn_slip import TurnSlip
 from gyrocal_ros.effects.vibration_rectification import VibrationRectification
 from gyrocal_ros.effects.wheel_scale import WheelScale
-from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.settings import nearest
 
 EFFECTS: dict[str, LibraryEffect] = {
     effect.name: effect
@@ -84,7 +83,7 @@ def find_effect(name: str, where: str = '') -> LibraryEffect:
         ConfigError: there is no such effect.
     """
     if name not in EFFECTS and ':' not in name:
-        from gyrocal_ros.effects.own import load_installed  # which imports this table
+        from gyrocal_ros.effects.user import load_installed  # which imports this table
 
         load_installed()
     if name in EFFECTS:
@@ -96,7 +95,7 @@ def find_effect(name: str, where: str = '') -> LibraryEffect:
     if kind in COVARIATE_EFFECTS and signal:
         return COVARIATE_EFFECTS[kind](signal)
     known = [*EFFECTS, 'scale_power_4', *(f'{kind}:SIGNAL' for kind in COVARIATE_EFFECTS)]
-    raise ConfigError(f'there is no effect {name!r}', where=where, todo=nearest(name, known))
+    raise ConfigError(f'there is no effect {name!r}', where=where, todo=did_you_mean(name, known))
 
 
 def default_model() -> SensorModel:

@@ -19,11 +19,11 @@ from typing import Any
 
 import yaml
 
+from gyrocal_ros.config.yaml_file import YamlLoader, read_yaml
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.settings import YamlLoader, nearest, read_yaml
 
 BIAS_FORMS = ('drift', 'settling')
 
@@ -183,7 +183,9 @@ def _per_coefficient(effect: Effect, given: Any, where: str) -> Mapping[str, Any
         given = {names[0]: given}
     for name in given:
         if name not in names:
-            raise ConfigError(f'there is no coefficient {name!r}', where=where, todo=nearest(name, names))
+            raise ConfigError(
+                f'there is no coefficient {name!r}', where=where, todo=did_you_mean(name, names)
+            )
     return given
 
 
@@ -193,7 +195,7 @@ def _bias(given: Any, where: str) -> BiasModel:
     _only(given, ('form', 'time_constant_s', 'settled_deg_s'), f'{where}, bias')
     form = str(given.get('form', 'drift'))
     if form not in BIAS_FORMS:
-        raise ConfigError(f'bias form {form!r}', where=where, todo=nearest(form, list(BIAS_FORMS)))
+        raise ConfigError(f'bias form {form!r}', where=where, todo=did_you_mean(form, list(BIAS_FORMS)))
     time_constant_s = _number('time_constant_s', given.get('time_constant_s', 500.0), f'{where}, bias', 1e-3)
     settled_deg_s = _number('settled_deg_s', given.get('settled_deg_s', 0.0), f'{where}, bias')
     return BiasModel(form, time_constant_s, math.radians(settled_deg_s))
@@ -202,7 +204,9 @@ def _bias(given: Any, where: str) -> BiasModel:
 def _only(tree: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
     for name in tree:
         if name not in known:
-            raise ConfigError(f'{name!r} is not known', where=where, todo=nearest(str(name), list(known)))
+            raise ConfigError(
+                f'{name!r} is not known', where=where, todo=did_you_mean(str(name), list(known))
+            )
 
 
 def _number(name: str, value: Any, where: str, low: float = -math.inf) -> float:

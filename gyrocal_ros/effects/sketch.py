@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, nanoseconds
 from gyrocal_ros.effects.base import LibraryEffect, with_unit
-from gyrocal_ros.effects.words import place_of
+from gyrocal_ros.effects.describe import place_of
 from gyrocal_ros.model.camera import mount_from_yaw, project
 from gyrocal_ros.model.sensor import CameraEffectOnOdometry, GyroEffectOnReadings, SignalEffect
 

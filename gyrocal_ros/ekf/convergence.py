@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from gyrocal_ros.config import ConvergenceConfig
+from gyrocal_ros.config.sections import ConvergenceConfig
 
 CONSISTENCY_STEPS = 300
 """The filter's consistency is judged by the NIS of so many last steps."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.config import GyroConfig, WheelConfig
+from gyrocal_ros.config.sections import GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.ekf.parts import Contribution, Parts, contribute, pose_by_values
+from gyrocal_ros.ekf.effects_by_place import Contribution, Parts, contribute, pose_by_values
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
 from gyrocal_ros.model.gyro import body_rates, correct
 from gyrocal_ros.model.kinematics import Motion, integrate

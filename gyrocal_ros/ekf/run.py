@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ClockStep, IntArray, Rig, Span, TruthSample, seconds
-from gyrocal_ros.ekf.evidence import Evidence, EvidenceRecorder
+from gyrocal_ros.ekf.score_statistics import Evidence, EvidenceRecorder
 from gyrocal_ros.ekf.slam import StepRecord
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.model.sensor import Effect, SensorModel

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     Array,
     ClockStep,
@@ -28,12 +28,12 @@ from gyrocal_ros.data import (
     nanoseconds,
     seconds,
 )
-from gyrocal_ros.ekf.gate import NoiseFollower, chi_square_quantile
+from gyrocal_ros.ekf.effects_by_place import sort_effects, true_camera
+from gyrocal_ros.ekf.gating import NoiseFollower, chi_square_quantile
+from gyrocal_ros.ekf.image_update import Eye, Sighting, meet, newcomers, search_regions, see
 from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.motion import MotionBuffer
-from gyrocal_ros.ekf.parts import sort_effects, true_camera
 from gyrocal_ros.ekf.predict import Transition, predict, predict_sensitivity
-from gyrocal_ros.ekf.sighting import Eye, Sighting, meet, newcomers, search_regions, see
 from gyrocal_ros.ekf.start import Start, initial_state, moved_unseen
 from gyrocal_ros.ekf.state import POSE, YAW, State
 from gyrocal_ros.ekf.update import Lesson, heading_update, zero_rate_update

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, POSITION, YAW, YAW_BIAS, State, no_landmarks
 from gyrocal_ros.model.sensor import SensorModel

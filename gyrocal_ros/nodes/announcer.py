@@ -8,10 +8,10 @@ from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent, SetParameter
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from gyrocal_ros.calibration import Calibration, announcement
+from gyrocal_ros.msgs.outputs import parameter_event
+from gyrocal_ros.msgs.to_ros import MessageMaker
 from gyrocal_ros.nodes.qos import LATCHED
-from gyrocal_ros.recording.messages import MessageMaker
-from gyrocal_ros.recording.outputs import parameter_event
+from gyrocal_ros.pipeline.calibration import Calibration, announcement
 
 
 class Announcer:

@@ -14,15 +14,15 @@ from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from gyrocal_ros.config import Config, RobotConfig
+from gyrocal_ros.config.sections import Config, RobotConfig
 from gyrocal_ros.data import CovariateSample
 from gyrocal_ros.effects.model_file import load_model
-from gyrocal_ros.effects.own import load_file, load_installed
+from gyrocal_ros.effects.user import load_file, load_installed
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.live.calibrator import LiveCalibrator
-from gyrocal_ros.live.ceiling import Ceiling, ceiling
-from gyrocal_ros.live.health import Status
 from gyrocal_ros.model.sensor import SensorModel, signals_of
+from gyrocal_ros.msgs import outputs, topics
+from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.announcer import Announcer
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import Sorted, publish, subscribe
@@ -30,8 +30,9 @@ from gyrocal_ros.nodes.map_frame import MapFrame
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import LATCHED, SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.nodes.signals import Signals
-from gyrocal_ros.recording import messages, outputs, topics
-from gyrocal_ros.recording.topics import Role
+from gyrocal_ros.robot.calibrator import LiveCalibrator
+from gyrocal_ros.robot.health import Status
+from gyrocal_ros.robot.map_points import Ceiling, ceiling
 
 SECTIONS = ('gyro', 'wheels', 'camera', 'features', 'rest', 'convergence')
 

@@ -14,17 +14,18 @@ from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import CameraInfo, Image
 from tf2_msgs.msg import TFMessage
 
+from gyrocal_ros.config.declare import setting
 from gyrocal_ros.data import Frame, nanoseconds, seconds
-from gyrocal_ros.live.emulated_camera import EmulatedCamera, parse_spells
-from gyrocal_ros.live.health import Complaint, Level, Status, status
+from gyrocal_ros.emulator.camera import EmulatedCamera, parse_spells
+from gyrocal_ros.msgs import images, topics
+from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs.topics import Role
+from gyrocal_ros.msgs.transforms import IDENTITY
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import publish
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
-from gyrocal_ros.recording import images, messages, topics
-from gyrocal_ros.recording.topics import Role
-from gyrocal_ros.recording.transforms import IDENTITY
-from gyrocal_ros.settings import setting
+from gyrocal_ros.robot.health import Complaint, Level, Status, status
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 

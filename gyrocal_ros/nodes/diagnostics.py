@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from gyrocal_ros.live.health import Status
+from gyrocal_ros.robot.health import Status
 
 PERIOD_S = 1.0
 

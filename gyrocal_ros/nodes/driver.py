@@ -12,14 +12,14 @@ from tf2_msgs.msg import TFMessage
 
 from gyrocal_ros.board.convert import SupplySample
 from gyrocal_ros.board.reader import Reading, WheelMotion
-from gyrocal_ros.config import RobotConfig
+from gyrocal_ros.config.sections import RobotConfig
 from gyrocal_ros.data import ImuSample, TemperatureSample
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.live.board_driver import BoardDriver
+from gyrocal_ros.msgs import to_ros as messages
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_OUT
-from gyrocal_ros.recording import messages
+from gyrocal_ros.robot.board_driver import BoardDriver
 
 TRANSFORMS = QoSProfile(depth=100)
 """As tf2 has it."""

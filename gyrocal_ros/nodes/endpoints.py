@@ -13,8 +13,8 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from gyrocal_ros.msgs.topics import stamp_ns
 from gyrocal_ros.nodes.qos import QUIET_IN, QUIET_OUT
-from gyrocal_ros.recording.topics import stamp_ns
 
 
 def publish(node: Node, kind: type[Any], topic: str, qos: QoSProfile) -> Publisher:

@@ -13,7 +13,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from gyrocal_ros.config_file import load_config
+from gyrocal_ros.config.parameter_file import load_config
 
 PACKAGE = 'gyrocal_ros'
 COMMON = {

@@ -18,9 +18,9 @@ from rclpy.parameter import parameter_value_to_python
 from sensor_msgs.msg import Image
 
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.live.feed import Feed
+from gyrocal_ros.msgs.images import jpeg
 from gyrocal_ros.nodes.qos import LATCHED
-from gyrocal_ros.recording.images import jpeg
+from gyrocal_ros.robot.feed import Feed
 
 IMAGE_EVERY_S = 0.5
 """A person needs no more images than that."""

@@ -9,11 +9,11 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from tf2_msgs.msg import TFMessage
 
 from gyrocal_ros.data import Mount, Whereabouts
-from gyrocal_ros.live.parents import OdomParents
+from gyrocal_ros.msgs.outputs import map_to_odom
+from gyrocal_ros.msgs.to_ros import MessageMaker, transform
+from gyrocal_ros.msgs.topics import ODOM_FRAME, stamp_ns
 from gyrocal_ros.nodes.endpoints import mailbox, publish, waiting
-from gyrocal_ros.recording.messages import MessageMaker, transform
-from gyrocal_ros.recording.outputs import map_to_odom
-from gyrocal_ros.recording.topics import ODOM_FRAME, stamp_ns
+from gyrocal_ros.robot.odom_parent import OdomParents
 
 EVERY_NS = 45_000_000
 """So long between two: 20 in a second are enough for whoever looks up where the robot is."""

@@ -10,8 +10,8 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from gyrocal_ros.config.declare import Sections, Setting, flat_settings, plain, with_settings
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.settings import Sections, Setting, flat_settings, plain, with_settings
 
 
 def described(value: Any, about: Setting) -> ParameterDescriptor:

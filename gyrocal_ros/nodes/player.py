@@ -15,18 +15,18 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock as ClockMessage
 from rosidl_runtime_py.utilities import get_message
 
-from gyrocal_ros.config import Config
+from gyrocal_ros.bag.playback import Kind, Playback, Track
+from gyrocal_ros.bag.selection import select_topics
+from gyrocal_ros.bag.source import make_choice
+from gyrocal_ros.bag.storage import open_storage
+from gyrocal_ros.config.declare import setting
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, nanoseconds, seconds
 from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs.issues import refuse_errors
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
-from gyrocal_ros.recording import messages
-from gyrocal_ros.recording.bag import make_choice
-from gyrocal_ros.recording.findings import refuse_errors
-from gyrocal_ros.recording.playback import Kind, Playback, Track
-from gyrocal_ros.recording.selection import select_topics
-from gyrocal_ros.recording.storage import open_storage
-from gyrocal_ros.settings import setting
 
 CLOCK_NS = NS_PER_S // 50
 REPEAT_NS = NS_PER_S

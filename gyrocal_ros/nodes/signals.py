@@ -10,9 +10,9 @@ from rclpy.node import Node
 from rosidl_runtime_py.utilities import get_message
 
 from gyrocal_ros.data import CovariateSample
+from gyrocal_ros.msgs.topics import stamp_ns
 from gyrocal_ros.nodes.endpoints import subscribe
 from gyrocal_ros.nodes.qos import SENSOR_IN
-from gyrocal_ros.recording.topics import stamp_ns
 
 
 class Signals:

@@ -13,17 +13,18 @@ from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from tf2_msgs.msg import TFMessage
 
-from gyrocal_ros.config import Config, RobotConfig
+from gyrocal_ros.config.sections import Config, RobotConfig
 from gyrocal_ros.data import seconds
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.live.health import Status
-from gyrocal_ros.live.tracking import LiveTracker, Tracked
+from gyrocal_ros.msgs import images, topics
+from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import mailbox, publish, subscribe, waiting
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
-from gyrocal_ros.recording import images, messages, topics
-from gyrocal_ros.recording.topics import Role
+from gyrocal_ros.robot.health import Status
+from gyrocal_ros.robot.tracking import LiveTracker, Tracked
 
 COMPRESSED = 'compressed'
 TRANSPORTS = {'raw': ('', Image), COMPRESSED: (f'/{COMPRESSED}', CompressedImage)}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gyrocal_ros import __version__
-from gyrocal_ros.diagnose.compare import Comparison, Rival
-from gyrocal_ros.diagnose.heading import headings
+from gyrocal_ros.diagnose.comparison import Comparison, Rival
+from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.report import model_series

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from gyrocal_ros.diagnose.advice import advice
-from gyrocal_ros.diagnose.compare import Comparison
+from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.drift import REFERENCES, SPAN_S
 from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement, Revision

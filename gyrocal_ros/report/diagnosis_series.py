@@ -11,7 +11,7 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s, reference_path
-from gyrocal_ros.diagnose.heading import MAP_WALK_DEG, TURNING_RAD_S, Headings
+from gyrocal_ros.diagnose.heading_filter import MAP_WALK_DEG, TURNING_RAD_S, Headings
 from gyrocal_ros.diagnose.search import Search, Stage
 from gyrocal_ros.diagnose.shapes import RATE, Shape, axes, hats, shapes
 from gyrocal_ros.effects import find_effect

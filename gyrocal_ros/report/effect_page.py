@@ -5,8 +5,8 @@ from __future__ import annotations
 from html import escape
 
 from gyrocal_ros.effects.base import LibraryEffect
+from gyrocal_ros.effects.describe import PLACES, effect_rows, place_of
 from gyrocal_ros.effects.sketch import sketch
-from gyrocal_ros.effects.words import PLACES, effect_rows, place_of
 from gyrocal_ros.report.figures import drawing
 from gyrocal_ros.report.html import document
 

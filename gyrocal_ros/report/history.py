@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gyrocal_ros.calibration import conclude, save_calibration
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.files import json_text, write_text_atomic
+from gyrocal_ros.pipeline.calibration import conclude, save_calibration
 from gyrocal_ros.report.summary import merit, summarise_improvement
 
 

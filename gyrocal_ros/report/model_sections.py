@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gyrocal_ros.diagnose.drift import REFERENCES
-from gyrocal_ros.diagnose.heading import Headings
+from gyrocal_ros.diagnose.heading_filter import Headings
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.report.diagnosis_series import wander

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.calibration import conclude
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.compare import Rival
+from gyrocal_ros.diagnose.comparison import Rival
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.report.series import heading_error
 
 MOST_PLACES = 12

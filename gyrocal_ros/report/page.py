@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from gyrocal_ros import __version__
-from gyrocal_ros.calibration import Calibration
+from gyrocal_ros.config.declare import to_yaml
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.report import series
 from gyrocal_ros.report.html import Section, details, document, gallery, table, verdict_box, warnings
 from gyrocal_ros.report.sections import sections
 from gyrocal_ros.report.tables import Row, coefficient_rows, verdict
-from gyrocal_ros.settings import to_yaml
 
 
 def report_page(run: Run, calibration: Calibration, findings: Sequence[tuple[str, str]] = ()) -> str:

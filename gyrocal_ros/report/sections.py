@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from gyrocal_ros.calibration import Calibration
 from gyrocal_ros.diagnose.ceiling import ceiling_map
 from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift, Path, dead_reckoning, slam_path, truth_path
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.report import series
 from gyrocal_ros.report.figures import calibration as figures
 from gyrocal_ros.report.figures.drawing import SIGMAS

@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.drift import Path, slam_path, truth_path
-from gyrocal_ros.ekf.gate import chi_square_quantile
+from gyrocal_ros.ekf.gating import chi_square_quantile
 from gyrocal_ros.ekf.run import History, Run
 from gyrocal_ros.ekf.state import YAW
 

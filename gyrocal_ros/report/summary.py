@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from gyrocal_ros.calibration import Calibration, coefficient_table, conclude
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.advice import CAUTION, advice
-from gyrocal_ros.diagnose.compare import Comparison, Rival
+from gyrocal_ros.diagnose.comparison import Comparison, Rival
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, heading_rms_deg, held_out_from_s
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
@@ -17,6 +16,7 @@ from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.diagnose.shapes import Oddity
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.pipeline.calibration import Calibration, coefficient_table, conclude
 
 
 def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:

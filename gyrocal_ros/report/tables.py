@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from gyrocal_ros.calibration import Calibration
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.diagnosis import Finding
 from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift
 from gyrocal_ros.effects.base import with_unit
-from gyrocal_ros.effects.words import UNTOLD
+from gyrocal_ros.effects.describe import UNTOLD
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.pipeline.calibration import Calibration
 
 Kind: TypeAlias = Literal['good', 'found', 'bad']
 

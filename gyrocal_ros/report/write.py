@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrocal_ros.calibration import Calibration, save_calibration
+from gyrocal_ros.config.declare import to_yaml
 from gyrocal_ros.data import NS_PER_S, Array, IntArray
-from gyrocal_ros.diagnose.compare import Comparison
+from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.drift import dead_reckoning
 from gyrocal_ros.diagnose.improvement import Improvement
@@ -18,6 +18,7 @@ from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import EULER, POSITION
 from gyrocal_ros.files import json_text, new_folder, write_text_atomic
+from gyrocal_ros.pipeline.calibration import Calibration, save_calibration
 from gyrocal_ros.report.comparison_page import comparison_page
 from gyrocal_ros.report.diagnosis_page import diagnosis_page
 from gyrocal_ros.report.figures.png import save_png
@@ -31,7 +32,6 @@ from gyrocal_ros.report.summary import (
     summarise_comparison,
     summarise_diagnosis,
 )
-from gyrocal_ros.settings import to_yaml
 
 
 def write_report(

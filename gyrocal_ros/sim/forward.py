@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds
-from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.sensor import (
     CameraEffectOnOdometry,
     Effect,
@@ -22,7 +22,6 @@ from gyrocal_ros.model.sensor import (
     RelativeEffect,
     SignalEffect,
 )
-from gyrocal_ros.settings import nearest
 from gyrocal_ros.sim.trajectory import Motion
 
 MAX_ROUNDS = 60
@@ -61,7 +60,7 @@ def referred(hidden: Hidden, means: Mapping[str, float]) -> Hidden:
         signal = item.effect.signal if isinstance(item.effect, SignalEffect) else 'temperature'
         if signal != 'temperature' and signal not in means:
             raise ConfigError(
-                f'{signal!r} is not recorded', where=item.effect.name, todo=nearest(signal, list(means))
+                f'{signal!r} is not recorded', where=item.effect.name, todo=did_you_mean(signal, list(means))
             )
         if isinstance(item.effect, RelativeEffect):
             item = replace(item, effect=item.effect.counted_from(means[signal]))

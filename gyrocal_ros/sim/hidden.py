@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.sensor import Effect
-from gyrocal_ros.settings import nearest
 from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.out_of_library import STRANGERS, VOLTAGE
 from gyrocal_ros.sim.sensors import stream
-from gyrocal_ros.sim.strangers import STRANGERS, VOLTAGE
 
 _DEG = math.radians(1.0)
 NONE, ONE, TWO = 0.2, 0.45, 0.15
@@ -156,7 +155,7 @@ def _draw_names(rng: np.random.Generator) -> list[str]:
 def _ranges(name: str) -> tuple[Range, ...]:
     known = RANGES | STRANGE_RANGES
     if name not in known:
-        raise ConfigError('has no sizes to draw from', where=name, todo=nearest(name, list(known)))
+        raise ConfigError('has no sizes to draw from', where=name, todo=did_you_mean(name, list(known)))
     return known[name]
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from gyrocal_ros.data import CameraIntrinsics
-from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.settings import nearest
+from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.sim.manoeuvres import Habits
 from gyrocal_ros.sim.scene import Furniture
 from gyrocal_ros.sim.sensors import Climate, Fan, SensorErrors
@@ -138,6 +137,6 @@ def find_scenario(name: str) -> Scenario:
     """
     if name not in SCENARIOS:
         raise ConfigError(
-            f'{name!r} is not a scenario', where='scenario', todo=nearest(name, list(SCENARIOS))
+            f'{name!r} is not a scenario', where='scenario', todo=did_you_mean(name, list(SCENARIOS))
         )
     return SCENARIOS[name]

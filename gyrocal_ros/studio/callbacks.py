@@ -12,11 +12,11 @@ from dash import ALL, ClientsideFunction, Dash, Input, Output, State, ctx, no_up
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio import panels, pictures
-from gyrocal_ros.studio.desk import Desk
 from gyrocal_ros.studio.export import export
+from gyrocal_ros.studio.layout import MARKS
 from gyrocal_ros.studio.lesson import NOTHING, STRANGER
-from gyrocal_ros.studio.page import MARKS
-from gyrocal_ros.studio.view import View
+from gyrocal_ros.studio.state import View
+from gyrocal_ros.studio.workspace import Desk
 
 BUTTONS = ('add', 'undo', 'write', 'export', 'go-to', 'cancel', 'resume', 'riddle', 'reveal')
 WAIT = 'The first run is under way.'

@@ -11,7 +11,7 @@ from gyrocal_ros.files import new_folder
 from gyrocal_ros.report.figures.png import save_png
 from gyrocal_ros.report.write import fill_diagnosis, fill_improvement
 from gyrocal_ros.studio import pictures
-from gyrocal_ros.studio.view import View
+from gyrocal_ros.studio.state import View
 
 NAME = 'report'
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gyrocal_ros.calibration import Calibration
 from gyrocal_ros.model.sensor import coefficient_names
+from gyrocal_ros.pipeline.calibration import Calibration
 
 NOTHING, STRANGER = 'nothing', 'something unknown'
 """What may be guessed beside the effects of the library."""

@@ -9,11 +9,11 @@ from typing import Any
 
 from dash import Dash, Input, Output, State, dcc, html, no_update
 
-from gyrocal_ros.live.feed import NodeHealth, Overview
-from gyrocal_ros.live.health import Level
 from gyrocal_ros.report.figures.calibration import live
 from gyrocal_ros.report.figures.drawing import handling
 from gyrocal_ros.report.tables import with_std
+from gyrocal_ros.robot.feed import NodeHealth, Overview
+from gyrocal_ros.robot.health import Level
 
 POLL_MS = 1000
 SIGNS = {Level.OK: '✓ well', Level.WARN: '! beware', Level.ERROR: '✗ wrong'}

@@ -10,9 +10,9 @@ from typing import Any
 from dash import html
 
 from gyrocal_ros.diagnose.advice import join
-from gyrocal_ros.diagnose.evidence import held_out_gain
-from gyrocal_ros.diagnose.motions import to_tell_apart
+from gyrocal_ros.diagnose.candidate_fit import held_out_gain
 from gyrocal_ros.diagnose.ranking import Suspect, doubts, estimate
+from gyrocal_ros.diagnose.separability import to_tell_apart
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Effect
@@ -20,7 +20,7 @@ from gyrocal_ros.report.tables import with_gain
 from gyrocal_ros.report.words import coefficients_in_words, drift_in_words, sigma_in_words
 from gyrocal_ros.studio.lesson import off_in_words
 from gyrocal_ros.studio.pictures import drift_deg
-from gyrocal_ros.studio.view import View
+from gyrocal_ros.studio.state import View
 from gyrocal_ros.studio.worker import Examined
 
 MOST_LISTED = 8

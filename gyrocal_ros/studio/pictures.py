@@ -17,8 +17,8 @@ from gyrocal_ros.report.figures import models
 from gyrocal_ros.report.figures.models import Mark
 from gyrocal_ros.report.model_series import coefficients
 from gyrocal_ros.report.series import camera_off, windows
-from gyrocal_ros.studio.trials import Trial
-from gyrocal_ros.studio.view import View
+from gyrocal_ros.studio.revisions import Trial
+from gyrocal_ros.studio.state import View
 from gyrocal_ros.studio.worker import Examined
 
 STRETCHES = 5

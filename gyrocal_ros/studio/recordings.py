@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from gyrocal_ros.calibrate import Progress, hold
-from gyrocal_ros.config import Config
+from gyrocal_ros.bag.check import CheckReport, check_bag
+from gyrocal_ros.bag.source import open_bag
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
 from gyrocal_ros.diagnose.recorded import Recorded, look_at
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.recording.bag import open_bag
-from gyrocal_ros.recording.check import CheckReport, check_bag
-from gyrocal_ros.recording.findings import refuse_errors
+from gyrocal_ros.msgs.issues import refuse_errors
+from gyrocal_ros.pipeline.calibrate import Progress, hold
 from gyrocal_ros.sim.hidden import draw_hidden, draw_scale_factor, hide
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sealed import answer_of

@@ -21,11 +21,11 @@ from dash import Dash
 from werkzeug.serving import BaseWSGIServer, make_server
 
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.live.feed import Overview
+from gyrocal_ros.robot.feed import Overview
 from gyrocal_ros.studio import live_page
 from gyrocal_ros.studio.callbacks import connect
-from gyrocal_ros.studio.desk import Desk
-from gyrocal_ros.studio.page import layout
+from gyrocal_ros.studio.layout import layout
+from gyrocal_ros.studio.workspace import Desk
 
 COOKIE = 'gyrocal_studio'
 POLICY = (

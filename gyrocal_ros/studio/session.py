@@ -13,18 +13,18 @@ from pathlib import Path
 from threading import Condition
 from typing import Any, Protocol
 
-from gyrocal_ros.calibration import conclude
 from gyrocal_ros.diagnose.improvement import Improvement
 from gyrocal_ros.diagnose.search import wider_model, with_effect
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.sim.sealed import sealed_path, unseal
 from gyrocal_ros.studio import store
 from gyrocal_ros.studio.lesson import reveal
 from gyrocal_ros.studio.recordings import Bag, Contents, Riddle
-from gyrocal_ros.studio.trials import Trials
-from gyrocal_ros.studio.view import Doing, View
+from gyrocal_ros.studio.revisions import Trials
+from gyrocal_ros.studio.state import Doing, View
 from gyrocal_ros.studio.worker import (
     Advance,
     Examine,

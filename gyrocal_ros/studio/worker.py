@@ -19,9 +19,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from gyrocal_ros.calibrate import Progress, calibrate
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.heading import headings
+from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.ranking import Suspect, best_explanation, twins
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.regimes import Failure, failures
@@ -30,6 +29,7 @@ from gyrocal_ros.diagnose.shapes import shapes
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError, GyrocalError
 from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.pipeline.calibrate import Progress, calibrate
 from gyrocal_ros.report.diagnosis_series import Curve, Wander, centred, wander
 from gyrocal_ros.report.series import kept
 from gyrocal_ros.studio.recordings import Bag, Contents, Opened, Riddle, look_into, read

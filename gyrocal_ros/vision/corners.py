@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal_ros.config import TrackerConfig
+from gyrocal_ros.config.sections import TrackerConfig
 from gyrocal_ros.data import Array
 
 HARRIS_K = 0.04

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal_ros.data import FeatureObservations, SearchRegions
-from gyrocal_ros.vision.search import SIGMAS
+from gyrocal_ros.vision.search_region import SIGMAS
 
 FOUND = (80, 220, 80)
 MISSED = (60, 60, 230)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal_ros.config import TrackerConfig
+from gyrocal_ros.config.sections import TrackerConfig
 from gyrocal_ros.data import (
     Array,
     CameraIntrinsics,
@@ -23,7 +23,7 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.model.rotation import rotation_from_euler
-from gyrocal_ros.vision.search import ceiling_coordinates, ceiling_pixels
+from gyrocal_ros.vision.search_region import ceiling_coordinates, ceiling_pixels
 from gyrocal_ros.vision.tracker import Tracker
 from gyrocal_ros.vision.turning import Turning
 

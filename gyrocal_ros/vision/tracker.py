@@ -15,7 +15,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal_ros.config import TrackerConfig
+from gyrocal_ros.config.sections import TrackerConfig
 from gyrocal_ros.data import (
     Array,
     CameraIntrinsics,
@@ -30,7 +30,7 @@ from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
 from gyrocal_ros.vision.patches import Patches, align, cut, grid
-from gyrocal_ros.vision.search import best_place, ceiling_coordinates, ceiling_pixels, inside, reach
+from gyrocal_ros.vision.search_region import best_place, ceiling_coordinates, ceiling_pixels, inside, reach
 
 UNPREDICTED_STD_PX = 5.0
 """Doubt of the position of a feature that the filter does not predict: about the motion of one frame."""

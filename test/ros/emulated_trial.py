@@ -34,10 +34,10 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import parameter_value_to_python
 from sensor_msgs.msg import Image, Imu, PointCloud2
 
-from gyrocal_ros.config import TrackerConfig
+from gyrocal_ros.config.sections import TrackerConfig
 from gyrocal_ros.data import NS_PER_S
+from gyrocal_ros.msgs.topics import Role, stamp_ns
 from gyrocal_ros.nodes.qos import LATCHED, SENSOR_IN
-from gyrocal_ros.recording.topics import Role, stamp_ns
 from gyrocal_ros.sim.scenarios import find_scenario
 
 SCENARIO, IMU_HZ = 'cleaning', 200.0

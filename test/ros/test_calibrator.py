@@ -24,16 +24,16 @@ from sensor_msgs.msg import Imu, PointCloud2
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from gyrocal_ros.calibrate import Held, calibrate
-from gyrocal_ros.calibration import Calibration, conclude, load_calibration
-from gyrocal_ros.config import Config
+from gyrocal_ros.bag.source import open_bag
+from gyrocal_ros.bag.storage import open_storage
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.files import shipped
+from gyrocal_ros.msgs.topics import stamp_ns
 from gyrocal_ros.nodes.qos import LATCHED, SENSOR_OUT, STATIC
-from gyrocal_ros.recording.bag import open_bag
-from gyrocal_ros.recording.storage import open_storage
-from gyrocal_ros.recording.topics import stamp_ns
+from gyrocal_ros.pipeline.calibrate import Held, calibrate
+from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 
 BAG = shipped('bags/cleaning')
 PLAYED_S = 30.0

@@ -18,9 +18,9 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import BatteryState, Imu, Temperature
 from tf2_msgs.msg import TFMessage
 
-from gyrocal_ros.live.health import Level
+from gyrocal_ros.msgs import topics
 from gyrocal_ros.nodes.qos import SENSOR_IN
-from gyrocal_ros.recording import topics
+from gyrocal_ros.robot.health import Level
 
 
 @dataclass

@@ -17,14 +17,14 @@ from graph import PROJECT, Graph
 from rosbags.rosbag2 import StoragePlugin, Writer
 from sensor_msgs.msg import Imu, PointCloud2
 
-from gyrocal_ros.calibrate import calibrate
-from gyrocal_ros.calibration import Calibration, conclude, load_calibration
-from gyrocal_ros.config import Config
+from gyrocal_ros.bag.source import open_bag
+from gyrocal_ros.bag.storage import open_storage, ros_types
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.files import shipped
-from gyrocal_ros.recording.bag import open_bag
-from gyrocal_ros.recording.storage import open_storage, ros_types
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 
 PLAYED_S = 12.0
 """So much of the sample bag has a turn in it, and the scale factor converges."""

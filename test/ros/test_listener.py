@@ -9,10 +9,11 @@ from graph import Graph
 from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import Image
 
-from gyrocal_ros.live.feed import Overview
-from gyrocal_ros.live.health import Level
+from gyrocal_ros.msgs import images
+from gyrocal_ros.msgs import to_ros as messages
 from gyrocal_ros.nodes.listener import listening
-from gyrocal_ros.recording import images, messages
+from gyrocal_ros.robot.feed import Overview
+from gyrocal_ros.robot.health import Level
 
 
 def test_it_hears_the_calibration_the_health_and_the_tracks() -> None:

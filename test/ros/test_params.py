@@ -11,10 +11,10 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from gyrocal_ros.config import Config, RobotConfig
+from gyrocal_ros.config.declare import flat_settings, plain
+from gyrocal_ros.config.sections import Config, RobotConfig
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.nodes.params import Settings
-from gyrocal_ros.settings import flat_settings, plain
 
 
 @pytest.fixture

@@ -16,10 +16,10 @@ from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
 from small_bags import RIG, START_NS, drive
 from tf2_msgs.msg import TFMessage
 
+from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.data import FeatureObservations, ImuSample
+from gyrocal_ros.msgs import topics
 from gyrocal_ros.nodes.qos import STATIC
-from gyrocal_ros.recording import topics
-from gyrocal_ros.recording.write import new_bag
 
 LENGTH_S = 3.0
 

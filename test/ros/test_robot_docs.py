@@ -14,11 +14,11 @@ from pathlib import Path
 from graph import PROJECT, WITHIN_S, Graph
 from rcl_interfaces.msg import ParameterEvent
 
-from gyrocal_ros.calibration import Calibration, save_calibration
-from gyrocal_ros.config import Config, LiveConfig
+from gyrocal_ros.config.sections import Config, LiveConfig
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.live.calibrator import LiveCalibrator
 from gyrocal_ros.nodes.qos import LATCHED
+from gyrocal_ros.pipeline.calibration import Calibration, save_calibration
+from gyrocal_ros.robot.calibrator import LiveCalibrator
 
 PAGE = PROJECT / 'docs' / 'robot.md'
 

@@ -26,9 +26,10 @@ from gyrocal_ros.data import (
     nanoseconds,
 )
 from gyrocal_ros.model.camera import mount_from_yaw
+from gyrocal_ros.msgs import images, topics
+from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs.transforms import IDENTITY
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
-from gyrocal_ros.recording import images, messages, topics
-from gyrocal_ros.recording.transforms import IDENTITY
 from gyrocal_ros.sim.render import ceiling_renderer
 
 CAMERA = CameraIntrinsics(640, 480, 250.0, 250.0, 320.0, 240.0, (-0.05, 0.01, 5e-4, -3e-4, 0.0))

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.bench.accuracy import OURS, PAPER, PAPER_GATED
+from gyrocal_ros.bench.bench_run import Variant, settled_after_s
 from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, TRUE_VOLT, Claim, Mapper, judged
-from gyrocal_ros.bench.trials import Variant, settled_after_s
-from gyrocal_ros.calibrate import calibrate
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.bench.paper.experiment import Claim, Mapper, judged
-from gyrocal_ros.config import FeatureConfig
+from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.ekf.landmarks import augment
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION, State, no_landmarks

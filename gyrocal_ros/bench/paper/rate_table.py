@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, Claim, Mapper, judged
-from gyrocal_ros.calibrate import calibrate, hold
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ImuSample
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.ranking import doubts, estimate
@@ -20,6 +19,7 @@ from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.scale import FULL_RATE_RAD_S, scale_power
+from gyrocal_ros.pipeline.calibrate import calibrate, hold
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.trajectory import Leg

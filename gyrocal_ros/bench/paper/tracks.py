@@ -14,11 +14,11 @@ import numpy as np
 from gyrocal_ros.bench.camera_off import laid_on_truth, nominal_path
 from gyrocal_ros.bench.paper.experiment import Claim, Mapper, judged
 from gyrocal_ros.bench.paper.unseen import NOMINAL_ERROR
-from gyrocal_ros.calibrate import calibrate
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import Path, slam_path
 from gyrocal_ros.effects import default_model
+from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import SimSource
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal_ros.bench.camera_off import Drift, minutes, rotations
 from gyrocal_ros.bench.paper.experiment import Claim, Mapper, judged
-from gyrocal_ros.config import Config
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.sensors import SensorErrors, stream

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gyrocal_ros.config import FeatureConfig
+from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, IntArray, Mount
 from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
 

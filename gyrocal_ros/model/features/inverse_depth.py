@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.config import FeatureConfig
+from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array
 from gyrocal_ros.model.camera import bearing, bearing_jacobian, project_with_jacobian
 from gyrocal_ros.model.features.base import Anchors, NewFeatures, Prediction, View, points_in_world

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gyrocal_ros.config import FeatureConfig
+from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics
 from gyrocal_ros.model.camera import bearing
 

@@ -10,8 +10,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.candidate_fit import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.drift import BlindDrift
-from gyrocal_ros.diagnose.evidence import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.report.diagnosis_series import Bend, Candidate, Contribution, Wander
 from gyrocal_ros.report.figures.drawing import (

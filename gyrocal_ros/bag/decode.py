@@ -1,0 +1,154 @@
+"""From the messages of the topics in use to measurements in body axes."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import numpy as np
+
+from gyrocal_ros.bag.fields import FieldReader
+from gyrocal_ros.bag.rig import Geometry
+from gyrocal_ros.bag.selection import NEEDED_ROLES, Selection
+from gyrocal_ros.bag.storage import Storage, Topic
+from gyrocal_ros.data import NS_PER_S, CovariateSample, Measurement
+from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.msgs import images, topics
+from gyrocal_ros.msgs.issues import Finding, Severity
+from gyrocal_ros.msgs.mounts import into_body_axes
+from gyrocal_ros.msgs.topics import STAMP_FIELDS, FlatMessage, Role
+
+MAX_BAD_SHARE, MAX_BAD = 0.1, 10
+"""A recording is refused when more messages of a needed topic than this mean nothing."""
+
+Decode: TypeAlias = Callable[[bytes, int], Sequence[Measurement]]
+"""From a serialised message and its time of recording (ns) to what was measured at one moment."""
+
+
+class Decoder:
+    """Turns the messages of one pass over a recording into measurements, and counts the bad ones."""
+
+    def __init__(
+        self,
+        storage: Storage,
+        selection: Selection,
+        geometry: Geometry,
+        *,
+        other_clock_ns: int,
+        with_covariates: bool,
+    ) -> None:
+        """Prepare a decoder for every topic in use.
+
+        Args:
+            storage: the open recording.
+            selection: its topics.
+            geometry: how the sensors sit.
+            other_clock_ns: stamps further than this from the time of recording are of another clock.
+            with_covariates: decode all other recorded numbers too.
+
+        Raises:
+            RecordingError: the type of a needed topic is not known.
+        """
+        self.findings: list[Finding] = []
+        """Topics that had to be left out."""
+        self.bad: Counter[str] = Counter()
+        """Messages of each topic that mean nothing (NaN, a damaged image) and were left out."""
+        self.stamps_ahead_ns = 0
+        """Latest stamp less its time of recording; set by the user of the decoder."""
+        self._storage, self._geometry, self._other_clock_ns = storage, geometry, other_clock_ns
+        self._needed = {topic.name for role, topic in selection.topics.items() if role in NEEDED_ROLES}
+        self.streams: list[tuple[Topic, Decode]] = []
+        """Each topic in use with its decoder; a topic of two roles stands there twice."""
+        for role in Role:
+            if role in selection.topics and role is not Role.CAMERA_INFO:
+                topic = selection.topics[role]
+                self.streams.append((topic, self._of_role(role, topic)))
+        for name, topic in selection.others.items() if with_covariates else ():
+            try:
+                self.streams.append((topic, self._covariates(topic, name)))
+            except RecordingError as error:
+                self.findings.append(
+                    Finding(Severity.WARNING, 'unknown_type', topic.name, f'is left out: {error.what}')
+                )
+
+    def _of_role(self, role: Role, topic: Topic) -> Decode:
+        if role is Role.FEATURES:
+            return self._features(topic)
+        if role is Role.IMAGE:
+            return self._frames(topic)
+        conversion = topics.flat_message(role, topic.type_name)
+        if role is Role.IMU and not np.array_equal(self._geometry.R_bi, np.eye(3)):
+            turn = into_body_axes(self._geometry.R_bi)
+            conversion = FlatMessage(conversion.fields, lambda *values: turn(topics.imu_sample(*values)))
+        return self._numbers(topic, conversion)
+
+    def _numbers(self, topic: Topic, conversion: FlatMessage[Measurement]) -> Decode:
+        read, build = self._storage.reader_of(topic, conversion.fields), conversion.build
+
+        def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
+            values = read(raw)
+            if math.isfinite(sum(values)):
+                return (build(*values),)
+            self._count_bad(topic, 'the numbers are not finite (NaN)', 'look after the driver of this sensor')
+            return ()
+
+        return decode
+
+    def _features(self, topic: Topic) -> Decode:
+        def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
+            return (topics.features(self._storage.message(topic, raw)),)
+
+        return decode
+
+    def _frames(self, topic: Topic) -> Decode:
+        camera = self._geometry.rig.camera
+        assert camera, 'images are not selected without camera_info'
+
+        def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
+            try:
+                frame = images.frame(self._storage.message(topic, raw))
+            except RecordingError as error:
+                self._count_bad(topic, error.what, error.todo)
+                return ()
+            images.refuse_other_size(frame, camera, f'{self._storage.path}, {topic.name}')
+            return (frame,)
+
+        return decode
+
+    def _covariates(self, topic: Topic, name: str) -> Decode:
+        """Decode all single numbers of a topic; which there are shows in its first message."""
+        stamp = STAMP_FIELDS if self._storage.has_header(topic) else ()
+        names: list[str] = []
+        read: FieldReader | None = None
+
+        def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
+            nonlocal read
+            if read is None:
+                fields = list(topics.numeric_fields(self._storage.message(topic, raw)))
+                names.extend(topics.covariate_name(name, field) for field in fields)
+                read = self._storage.reader_of(topic, (*stamp, *fields)) if fields else lambda _: ()
+            values = read(raw)
+            if stamp and values:
+                t_ns, values = values[0] * NS_PER_S + values[1], values[2:]
+            else:
+                t_ns = recorded_ns + self._clock_offset_ns()
+            return [
+                CovariateSample(t_ns, full_name, float(value))
+                for full_name, value in zip(names, values, strict=True)
+                if math.isfinite(value)
+            ]
+
+        return decode
+
+    def _clock_offset_ns(self) -> int:
+        """Return what turns a time of recording into a stamp: nothing, unless they differ by far."""
+        return self.stamps_ahead_ns if abs(self.stamps_ahead_ns) > self._other_clock_ns else 0
+
+    def _count_bad(self, topic: Topic, what: str, todo: str) -> None:
+        self.bad[topic.name] += 1
+        count = self.bad[topic.name]
+        if topic.name in self._needed and count > max(MAX_BAD, MAX_BAD_SHARE * topic.count):
+            place = f'{self._storage.path}, {topic.name}'
+            raise RecordingError(f'{what} in {count} messages already', where=place, todo=todo)

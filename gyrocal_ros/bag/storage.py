@@ -1,0 +1,289 @@
+"""Opens a recording of any kind: rosbag2 (sqlite3, mcap, compressed or not) and ROS 1 `.bag`.
+
+The one door to the files. Every way in which a file can be broken ends here, as one clear line.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache, cached_property
+from itertools import groupby
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from rosbags import rosbag1, rosbag2
+from rosbags.convert.converter import migrate_message
+from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from gyrocal_ros.bag.fields import FieldReader, field_reader
+from gyrocal_ros.errors import GyrocalError, RecordingError
+
+STORAGE_FILES = ('.mcap', '.db3')
+DAMAGED = (struct.error, SerdeError, UnicodeDecodeError)
+"""What decoding a damaged message raises."""
+IDL_SEPARATOR = '=' * 80 + '\n'
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic of a recording."""
+
+    name: str
+    type_name: str
+    """For example `sensor_msgs/msg/Imu`, also for ROS 1."""
+    count: int
+    """How many messages it has."""
+    connections: tuple[Connection, ...]
+
+
+class Storage:
+    """An open recording."""
+
+    def __init__(self, path: Path, reader: rosbag1.Reader | rosbag2.Reader) -> None:
+        """Wrap an open reader of rosbags."""
+        self.path = path
+        self.cdr = isinstance(reader, rosbag2.Reader)
+        """Whether messages are ROS 2 CDR, not ROS 1."""
+        self._reader = reader
+        self._embedded = get_typestore(Stores.EMPTY)
+        self._stores: dict[str, Typestore] = {}
+        self._migrated: dict[str, object] = {}
+
+    @cached_property
+    def topics(self) -> dict[str, Topic]:
+        """All topics by name."""
+        by_name = attrgetter('topic')
+        return {
+            name: Topic(name, members[0].msgtype, sum(item.msgcount for item in members), tuple(members))
+            for name, group in groupby(sorted(self._reader.connections, key=by_name), key=by_name)
+            for members in [list(group)]
+        }
+
+    @property
+    def start_ns(self) -> int:
+        """When the first message was recorded."""
+        return self._reader.start_time
+
+    @property
+    def end_ns(self) -> int:
+        """When the last message was recorded."""
+        return self._reader.end_time - 1
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages of all topics."""
+        return self._reader.message_count
+
+    def raw_messages(self, topics: Collection[Topic]) -> Iterator[tuple[str, int, bytes]]:
+        """Yield topic name, time of recording (ns) and content of the messages of some topics.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        connections = [connection for topic in topics for connection in topic.connections]
+        if not connections:
+            return
+        with _damage_of(self.path):
+            for connection, recorded_ns, raw in self._reader.messages(connections):
+                yield connection.topic, recorded_ns, raw
+
+    def messages(self, topic: Topic) -> Iterator[Any]:
+        """Yield the messages of one topic, whole.
+
+        Raises:
+            RecordingError: the file is damaged, or the type of the topic is not known.
+        """
+        for _, _, raw in self.raw_messages([topic]):
+            yield self.message(topic, raw)
+
+    def first_message(self, topic: Topic) -> Any:
+        """Return the first message of a topic, whole.
+
+        Raises:
+            RecordingError: there is none, it is damaged, or its type is not known.
+        """
+        for message in self.messages(topic):
+            return message
+        raise RecordingError('has no messages', where=f'{self.path}, {topic.name}', todo='record it again')
+
+    def message(self, topic: Topic, raw: bytes) -> Any:
+        """Decode one message whole.
+
+        Raises:
+            RecordingError: it is damaged, or its type is not known.
+        """
+        store = self._store_of(topic)
+        try:
+            if self.cdr:
+                return store.deserialize_cdr(raw, topic.type_name)
+            return store.deserialize_ros1(raw, topic.type_name)
+        except DAMAGED as error:
+            raise damaged_message(self.path, topic.name, error) from error
+
+    def can_send(self, topic: Topic) -> bool:
+        """Whether ROS 2 knows the messages of a topic, or they are its own."""
+        return self.cdr or topic.type_name in ros_types().fielddefs
+
+    def as_sent(self, topic: Topic, raw: bytes) -> bytes:
+        """Return one message as ROS 2 sends it (CDR), of a topic that it `can_send`.
+
+        Raises:
+            RecordingError: it is one of ROS 1, and damaged.
+        """
+        if self.cdr:
+            return raw
+        types, name = ros_types(), topic.type_name
+        message = self.message(topic, raw)
+        migrated = migrate_message(self._store_of(topic), types, name, name, self._migrated, message)
+        return bytes(types.serialize_cdr(migrated, name))
+
+    def reader_of(self, topic: Topic, paths: Sequence[str]) -> FieldReader:
+        """Return a function that reads a few fields, see `field_reader`; it raises one of `DAMAGED`.
+
+        Raises:
+            RecordingError: the type of the topic is not known.
+        """
+        return field_reader(self._store_of(topic), topic.type_name, paths, cdr=self.cdr)
+
+    def has_header(self, topic: Topic) -> bool:
+        """Whether the messages of a topic begin with a header.
+
+        Raises:
+            RecordingError: the type of the topic is not known.
+        """
+        _, fields = self._store_of(topic).fielddefs[topic.type_name]
+        return bool(fields) and fields[0][0] == 'header'
+
+    def _store_of(self, topic: Topic) -> Typestore:
+        """Return the store that knows the type of a topic, each found once."""
+        if topic.type_name not in self._stores:
+            self._stores[topic.type_name] = self._find_store(topic)
+        return self._stores[topic.type_name]
+
+    def _find_store(self, topic: Topic) -> Typestore:
+        """Learn a type from the definition in the recording; without a good one, ROS may know it."""
+        name, definition = topic.type_name, topic.connections[0].msgdef
+        problem = 'the recording does not define it'
+        if definition.format != MessageDefinitionFormat.NONE:
+            try:
+                known = self._embedded.fielddefs
+                types = _parse(definition, name)
+                self._embedded.register({other: types[other] for other in types.keys() - known.keys()})
+                self._embedded.get_msgdef(name)
+                return self._embedded
+            except Exception as error:  # the parser fails in many ways on what it does not understand
+                problem = f'its definition cannot be understood: {_one_line(error)}'
+        if self.cdr and name in ros_types().fielddefs:
+            return ros_types()
+        raise RecordingError(
+            f'the type {name} is not known ({problem})',
+            where=f'{self.path}, {topic.name}',
+            todo='record it with a rosbag2 that stores definitions',
+        )
+
+
+def bags_in(folder: Path) -> list[Path]:
+    """The recordings right inside a folder, by name; links that lead out of it do not count.
+
+    Raises:
+        RecordingError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise RecordingError('no such folder', where=str(folder), todo='check the path')
+    inside = folder.resolve()
+    return sorted(path for path in folder.iterdir() if path.resolve().is_relative_to(inside) and is_bag(path))
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a recording: a rosbag2 folder, one of its files, or a ROS 1 `.bag`."""
+    if path.is_file():
+        return path.suffix in ('.bag', *STORAGE_FILES)
+    return (path / 'metadata.yaml').is_file()
+
+
+@contextmanager
+def open_storage(path: Path) -> Iterator[Storage]:
+    """Open a recording: a rosbag2 folder, one of its files, or a ROS 1 `.bag`.
+
+    Raises:
+        RecordingError: there is none, it is not a recording, it is empty or damaged.
+    """
+    _refuse_strangers(path)
+    with _damage_of(path):
+        reader = rosbag1.Reader(path) if path.suffix == '.bag' else rosbag2.Reader(path)
+        reader.open()
+    try:
+        storage = Storage(path, reader)
+        if not storage.message_count:
+            raise RecordingError('the bag is empty', where=str(path), todo='record it again')
+        yield storage
+    finally:
+        reader.close()
+
+
+def damaged_message(path: Path, topic: str, error: Exception) -> RecordingError:
+    """Return the error to raise where decoding a message raised one of `DAMAGED`."""
+    return RecordingError(
+        f'a message is damaged ({_one_line(error)})', where=f'{path}, {topic}', todo='record it again'
+    )
+
+
+def _refuse_strangers(path: Path) -> None:
+    if not path.exists():
+        raise RecordingError('no such bag', where=str(path), todo='check the path')
+    if path.is_file() and path.suffix not in ('.bag', *STORAGE_FILES):
+        raise RecordingError(
+            'is not a bag', where=str(path), todo='give a rosbag2 folder, an .mcap, a .db3 or a ROS 1 .bag'
+        )
+    if path.is_dir() and not (path / 'metadata.yaml').exists():
+        if any(file.suffix in STORAGE_FILES for file in path.iterdir()):
+            raise RecordingError(
+                'the recording was not closed properly, metadata.yaml is missing',
+                where=str(path),
+                todo=f'run: ros2 bag reindex {path}',
+            )
+        raise RecordingError(
+            'is not a bag, there is no metadata.yaml in it', where=str(path), todo='check the path'
+        )
+
+
+@contextmanager
+def _damage_of(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except GyrocalError:
+        raise
+    except Exception as error:  # a damaged file can make the reader fail in any way
+        raise RecordingError(
+            f'the bag is damaged or cut short ({_one_line(error)})',
+            where=str(path),
+            todo='copy it again, or mend it with: ros2 bag reindex',
+        ) from error
+
+
+def _one_line(error: Exception) -> str:
+    return ' '.join(str(error).split()).rstrip('.') or type(error).__name__
+
+
+def _parse(definition: MessageDefinition, type_name: str) -> dict[str, Any]:
+    if definition.format == MessageDefinitionFormat.MSG:
+        return dict(get_types_from_msg(definition.data, type_name))
+    types: dict[str, Any] = {}
+    for part in definition.data.split(IDL_SEPARATOR):
+        text = part.split('\n', 1)[1] if part.startswith('IDL: ') else part
+        if text.strip():
+            types |= get_types_from_idl(text)
+    return types
+
+
+@cache
+def ros_types() -> Typestore:
+    """Return the message types of ROS 2."""
+    return get_typestore(Stores.ROS2_JAZZY)

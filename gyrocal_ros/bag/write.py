@@ -1,0 +1,242 @@
+"""Writes measurements as a rosbag2 that ROS 2 Jazzy plays and `open_bag` reads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from gyrocal_ros.bag.storage import ros_types
+from gyrocal_ros.data import (
+    Array,
+    ClockStep,
+    CovariateSample,
+    FeatureObservations,
+    Frame,
+    HeadingSample,
+    ImuSample,
+    Measurement,
+    Mount,
+    Rig,
+    TemperatureSample,
+    TruthSample,
+    WheelSample,
+    seconds,
+)
+from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.files import new_folder
+from gyrocal_ros.msgs import images, topics
+from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs.topics import Role
+
+_FOREVER = QosTime(2147483647, 4294967295)
+_LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _FOREVER,
+    _FOREVER,
+    QosLiveliness.AUTOMATIC,
+    _FOREVER,
+    False,
+)
+"""What publishers of static transforms offer; `ros2 bag play` offers the same."""
+
+
+@dataclass(slots=True)
+class _DeadReckoning:
+    """The pose that a wheel odometry node integrates."""
+
+    t_ns: int | None = None
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+
+    def add(self, sample: WheelSample) -> None:
+        dt_s = seconds(sample.t_ns - self.t_ns) if self.t_ns is not None else 0.0
+        turn = sample.yaw_rate_rad_s * dt_s
+        middle = self.yaw_rad + turn / 2.0
+        self.x_m += sample.speed_m_s * dt_s * math.cos(middle)
+        self.y_m += sample.speed_m_s * dt_s * math.sin(middle)
+        self.yaw_rad += turn
+        self.t_ns = sample.t_ns
+
+
+@dataclass(slots=True)
+class _Covariates:
+    """The numbers of one message that is still being put together."""
+
+    topic: str
+    t_ns: int
+    recorded_ns: int
+    numbers: dict[str, float]
+
+
+class BagWriter:
+    """Writes the measurements of one robot; see `new_bag`."""
+
+    def __init__(self, writer: Writer, namespace: str = '', jpeg_quality: int | None = 90) -> None:
+        """Use `new_bag`."""
+        self._writer, self._jpeg_quality = writer, jpeg_quality
+        self._prefix = f'/{namespace.strip("/")}/' if namespace.strip('/') else '/'
+        self._types = ros_types()
+        self._make = messages.MessageMaker(self._types.types.__getitem__)
+        self._connections: dict[str, Connection] = {}
+        self._odometry = _DeadReckoning()
+        self._covariates: _Covariates | None = None
+        self._stepped_ns = 0
+
+    def write_rig(self, rig: Rig, t_ns: int, R_bi: Array | None = None) -> None:
+        """Write the geometry of the robot: camera_info and the static transforms of the sensors.
+
+        Args:
+            rig: camera and its mount.
+            t_ns: time of both.
+            R_bi: (3, 3) from the IMU's axes to body axes, where they differ; `write` expects
+                samples in the IMU's own axes.
+        """
+        mounts = {}
+        if rig.camera:
+            mounts[topics.CAMERA_FRAME] = rig.camera_mount
+            message = messages.camera_info(self._make, rig.camera, t_ns)
+            self._put(self._prefix + Role.CAMERA_INFO, topics.CAMERA_INFO, message, t_ns)
+        if R_bi is not None:
+            mounts[topics.IMU_FRAME] = Mount(R_bi, rig.camera_mount.p_bs * 0.0)
+        if mounts:
+            message = messages.static_transforms(self._make, mounts, t_ns)
+            self._put(f'/{topics.STATIC_TRANSFORMS}', topics.TRANSFORMS, message, t_ns, _LATCHED)
+
+    def write(self, measurement: Measurement, recorded_ns: int | None = None) -> None:
+        """Write one measurement.
+
+        Args:
+            measurement: a `ClockStep` is not written itself: the times of recording go on evenly
+                while the stamps jump. Covariates of one topic and stamp become one message.
+            recorded_ns: when it was recorded; at once, if not given.
+
+        Raises:
+            RecordingError: a covariate fits no message known here.
+        """
+        if isinstance(measurement, ClockStep):
+            self._stepped_ns += measurement.step_ns
+            return
+        recorded_ns = measurement.t_ns - self._stepped_ns if recorded_ns is None else recorded_ns
+        if isinstance(measurement, CovariateSample):
+            self._collect(measurement, recorded_ns)
+            return
+        self.flush()
+        name, type_name, message = self._message(measurement)
+        self._put(self._prefix + name, type_name, message, recorded_ns)
+
+    def flush(self) -> None:
+        """Write covariates that are still being put together."""
+        if not self._covariates:
+            return
+        held, self._covariates = self._covariates, None
+        if held.numbers.keys() <= set(messages.BATTERY_NUMBERS):
+            type_name, message = topics.BATTERY, messages.battery(self._make, held.t_ns, held.numbers)
+        elif held.numbers.keys() == {'data'}:
+            type_name, message = topics.NUMBER, messages.number(self._make, held.numbers['data'])
+        else:
+            raise RecordingError(
+                f'no message holds {", ".join(held.numbers)}',
+                where=held.topic,
+                todo='use fields of BatteryState, or `data`',
+            )
+        self._put(self._prefix + held.topic, type_name, message, held.recorded_ns)
+
+    def _collect(self, sample: CovariateSample, recorded_ns: int) -> None:
+        topic, _, field = sample.name.rpartition('.')
+        topic = topic.replace('.', '/')
+        held = self._covariates
+        if held and (held.topic, held.t_ns) == (topic, sample.t_ns):
+            held.numbers[field] = sample.value
+            return
+        self.flush()
+        self._covariates = _Covariates(topic, sample.t_ns, recorded_ns, {field: sample.value})
+
+    def _message(self, measurement: Measurement) -> tuple[str, str, Any]:
+        """Return topic without namespace, type name and message of a measurement."""
+        make = self._make
+        match measurement:
+            case ImuSample():
+                return Role.IMU, topics.IMU, messages.imu(make, measurement)
+            case WheelSample():
+                self._odometry.add(measurement)
+                pose = self._odometry.x_m, self._odometry.y_m, self._odometry.yaw_rad
+                return Role.WHEELS, topics.ODOMETRY, messages.wheels(make, measurement, *pose)
+            case FeatureObservations():
+                return Role.FEATURES, topics.POINT_CLOUD, messages.features(make, measurement)
+            case TruthSample():
+                return Role.TRUTH, topics.ODOMETRY, messages.truth(make, measurement)
+            case HeadingSample():
+                return Role.HEADING, topics.POSE_STAMPED, messages.heading(make, measurement)
+            case TemperatureSample():
+                return Role.TEMPERATURE, topics.TEMPERATURE, messages.temperature(make, measurement)
+            case Frame():
+                message = images.compressed_image(make, measurement, self._jpeg_quality)
+                return f'{Role.IMAGE}/compressed', topics.COMPRESSED_IMAGE, message
+        raise TypeError(f'{measurement!r} has no message')
+
+    def _put(self, topic: str, type_name: str, message: Any, recorded_ns: int, *qos: Qos) -> None:
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(
+                topic, type_name, typestore=self._types, offered_qos_profiles=qos
+            )
+        data = self._types.serialize_cdr(message, type_name, little_endian=True)
+        self._writer.write(self._connections[topic], recorded_ns, data)
+
+
+@contextmanager
+def new_bag(
+    path: Path,
+    storage: Literal['mcap', 'sqlite3'] = 'mcap',
+    *,
+    overwrite: bool = False,
+    namespace: str = '',
+    jpeg_quality: int | None = 90,
+) -> Iterator[BagWriter]:
+    """Open a new bag to write to.
+
+    The bag appears under its name when it is complete, and not at all when the block is left by an
+    error. The same input gives the same bytes.
+
+    Args:
+        path: the folder to make.
+        storage: kind of the file; mcap is compressed, sqlite3 is not.
+        overwrite: put the bag into a folder that holds files already.
+        namespace: stands before all topics but `/tf_static`.
+        jpeg_quality: of the images, 1 to 100; None for png, which loses nothing.
+
+    Raises:
+        GyrocalError: the folder may not be written.
+    """
+    path = path.resolve()
+    with new_folder(path, overwrite=overwrite) as folder:
+        inner = folder / path.name  # rosbags makes the folder itself and names the file after it
+        plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3
+        writer = Writer(inner, version=9, storage_plugin=plugin)
+        if plugin is StoragePlugin.MCAP:
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        with writer:
+            bag = BagWriter(writer, namespace, jpeg_quality)
+            yield bag
+            bag.flush()
+        for file in inner.iterdir():
+            file.replace(folder / file.name)
+        inner.rmdir()

@@ -1,0 +1,163 @@
+"""What each test drive tells of each effect, and which effects it tells apart: computed, not guessed.
+
+One run of the filter over a simulated drive, with every effect on trial, gives Lambda, the information
+on all of them at once (`ekf.evidence`). All the figures follow from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from gyrocal_ros.bench.accuracy import in_parallel
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import Array, IntArray, MotionBlock
+from gyrocal_ros.diagnose.candidate_fit import SIGNIFICANT_SIGMA, correlation
+from gyrocal_ros.diagnose.candidates import LIMITS, Docket, Trial, columns_of, docket
+from gyrocal_ros.diagnose.recorded import Signal, look_at
+from gyrocal_ros.diagnose.separability import ALIKE, DRIVES, kind_of
+from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS
+from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.ekf.score_statistics import Evidence
+from gyrocal_ros.model.bias import BiasModel
+from gyrocal_ros.model.sensor import Coefficient, Effect, GyroEffectOnReadings, SensorModel
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.sim.drives import CONTROLS
+from gyrocal_ros.sim.scenarios import Scenario
+from gyrocal_ros.sim.world import SimSource
+
+BARE = SensorModel('bare', BiasModel(), ())
+"""Without a scale factor, so that the likeness of other effects to it can be told."""
+COLUMNS: dict[str, Scenario] = {**DRIVES, **CONTROLS}
+"""Of the table."""
+SIGNAL = Signal('fan_speed.data', mean=10000.0, spread=3200.0)
+"""Stands for any recorded signal; the spread is that of a robot that cleans."""
+
+
+@dataclass(frozen=True)
+class Lost(LinearGyroEffect):
+    """What a limit of usual size takes from the readings: 1 for all of it.
+
+    Nothing depends smoothly on a limit, but what it takes has a shape that other effects may share.
+    """
+
+    limit: GyroEffectOnReadings
+    values: tuple[float, ...]
+    name: str
+    coefficients: tuple[Coefficient, ...] = (Coefficient('part', '1', prior_std=1.0),)
+
+    def columns(self, block: MotionBlock) -> Array:
+        """(N, 1)"""
+        rate = block.rate_rad_s[:, 2]
+        return column(rate - self.limit.readings(rate, block.dt_s, np.array(self.values), 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What one drive tells."""
+
+    shows: dict[str, float]
+    """Effect to the sigma of its usual size, scale factor and bias being free."""
+    alike: dict[tuple[str, str], float]
+    """Two effects to their correlation, where both show."""
+
+
+Variant = tuple[Effect, IntArray]
+"""An effect with one time constant of several, and its columns of Lambda."""
+
+
+def figures(drive: str) -> Figures:
+    """Run the filter over a drive and read the figures from Lambda."""
+    evidence = _evidence(drive)
+    variants: dict[str, list[Variant]] = {}
+    for effect, columns in zip(evidence.candidates, columns_of(evidence.candidates), strict=True):
+        variants.setdefault(kind_of(effect.name), []).append((effect, columns))
+    usual = {name: min(found, key=_unusual) for name, found in variants.items()}
+    scale_free = _given(evidence, usual['scale_factor'][1])
+    at_all = {name: _sigma(evidence, variant) for name, variant in usual.items()}
+    beside_scale = {name: _sigma(scale_free, variant) for name, variant in usual.items()}
+    alike = {}
+    for first, second in combinations(sorted(usual), 2):
+        with_scale = 'scale_factor' in (first, second)
+        information, shows = (evidence, at_all) if with_scale else (scale_free, beside_scale)
+        if min(shows[first], shows[second]) > SIGNIFICANT_SIGMA:
+            alike[first, second] = max(
+                correlation(information, usual[one][1], columns)
+                for one, other in ((first, second), (second, first))
+                for _, columns in variants[other]
+            )
+    return Figures(beside_scale | {'scale_factor': at_all['scale_factor']}, alike)
+
+
+def motions() -> Iterator[dict[str, Any]]:
+    """Yield the rows of the table, a column each drive: sigma of an effect, likeness of two effects.
+
+    The sigma is that of an effect of usual size after five minutes, scale factor and bias being free.
+    Two effects have a row where they are known as twins or where some drive finds them alike; nothing
+    stands in it for drives in which one of them does not show.
+    """
+    every: dict[str, Figures] = dict(zip(COLUMNS, in_parallel(figures, COLUMNS), strict=True))
+    for effect in (*EFFECTS, *COVARIATE_EFFECTS):
+        sigmas = {name: float(f'{found.shows.get(effect, 0.0):.4g}') for name, found in every.items()}
+        yield sigmas | {'effect': effect}
+    for pair in sorted(_declared_twins() | _found_twins(every)):
+        likeness = {name: found.alike.get(pair) for name, found in every.items()}
+        rounded = {name: None if value is None else round(value, 6) for name, value in likeness.items()}
+        yield rounded | {'effect': '/'.join(pair)}
+
+
+def _evidence(drive: str) -> Evidence:
+    """Of every effect, from a robot whose scale factor is right."""
+    scenario = COLUMNS[drive]
+    source = SimSource(replace(scenario, errors=replace(scenario.errors, scale_factor=1.0)), seed=0)
+    trials = docket(BARE, replace(look_at(source), signals=(SIGNAL,))).trials
+    lost = [Lost(EFFECTS[name], EFFECTS[name].about.example, name) for name in LIMITS]  # type: ignore[arg-type]
+    on_trial = Docket((*trials, *(Trial(effect, effect, np.eye(1)) for effect in lost)))
+    run = calibrate(source, Config(), BARE, candidates=on_trial.carried)
+    assert run.evidence is not None
+    return on_trial.judged(run.evidence)
+
+
+def _given(evidence: Evidence, columns: IntArray) -> Evidence:
+    """The evidence that is left of all others when some coefficients are free."""
+    total = evidence.information.sum(axis=0)
+    cross = total[:, columns]
+    left = total - cross @ np.linalg.solve(total[np.ix_(columns, columns)], cross.T)
+    return replace(evidence, information=left[None])
+
+
+def _sigma(evidence: Evidence, variant: Variant) -> float:
+    """Root mean square over the signs of the coefficients."""
+    effect, columns = variant
+    information = np.maximum(np.diagonal(evidence.information.sum(axis=0))[columns], 0.0)
+    return math.sqrt(float(np.square(_usual_values(effect)) @ information))
+
+
+def _usual_values(effect: Effect) -> Array:
+    if effect.name in EFFECTS and not isinstance(effect, Lost):
+        return np.array(EFFECTS[effect.name].about.example)
+    return np.array([item.prior_std for item in effect.coefficients])
+
+
+def _unusual(variant: Variant) -> float:
+    """How far a time constant is from its usual value; zero where there is none."""
+    effect, _ = variant
+    if len(effect.coefficients) < 2 or not effect.coefficients[1].prior_mean:
+        return 0.0
+    return abs(math.log(effect.coefficients[1].prior_mean / EFFECTS[effect.name].about.example[1]))
+
+
+def _declared_twins() -> set[tuple[str, str]]:
+    """Pairs of which the library warns."""
+    known = {*EFFECTS, *COVARIATE_EFFECTS}
+    pairs = {(name, twin) for name, effect in EFFECTS.items() for twin in effect.about.twins}
+    return {(min(pair), max(pair)) for pair in pairs if known.issuperset(pair)}
+
+
+def _found_twins(every: dict[str, Figures]) -> set[tuple[str, str]]:
+    return {pair for drive in DRIVES for pair, value in every[drive].alike.items() if value > ALIKE}

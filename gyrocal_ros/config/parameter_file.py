@@ -1,0 +1,57 @@
+"""Settings files: ROS 2 parameter files, which serve the nodes and the command line alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from gyrocal_ros.config.declare import with_settings
+from gyrocal_ros.config.sections import Config, RobotConfig
+from gyrocal_ros.config.yaml_file import read_yaml
+from gyrocal_ros.errors import ConfigError
+
+
+def load_config(path: Path | None) -> Config:
+    """Read the estimator's settings from a ROS 2 parameter file; without one, return the defaults.
+
+    Raises:
+        ConfigError: the file cannot be read, or a setting in it is unknown or out of bounds.
+    """
+    return load_all(path)[0]
+
+
+def load_all(path: Path | None) -> tuple[Config, RobotConfig]:
+    """Read all settings from a ROS 2 parameter file; without one, return the defaults.
+
+    Raises:
+        ConfigError: the file cannot be read, or a setting in it is unknown or out of bounds.
+    """
+    estimator, robot = Config(), RobotConfig()
+    for node_name, node in read_yaml(path).items() if path else ():
+        parameters = node.get('ros__parameters') if isinstance(node, Mapping) else None
+        if not isinstance(parameters, Mapping):
+            raise ConfigError(
+                f'{node_name!r} has no ros__parameters', where=str(path), todo='write a ROS 2 parameter file'
+            )
+        nested = _nested(parameters)
+        of_robot = {name: nested.pop(name) for name in _sections(RobotConfig) if name in nested}
+        robot = with_settings(robot, of_robot, str(path))
+        estimator = with_settings(estimator, nested, str(path))
+    return estimator, robot
+
+
+def _nested(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings among the parameters of a node, which may also be written `section.setting`."""
+    known = {*_sections(Config), *_sections(RobotConfig)}
+    nested = {name: dict(value) for name, value in parameters.items() if isinstance(value, Mapping)}
+    for name, value in parameters.items():
+        section, _, item = str(name).partition('.')
+        if item and section in known:
+            nested.setdefault(section, {})[item] = value
+    return nested
+
+
+def _sections(kind: type[Any]) -> list[str]:
+    return [item.name for item in fields(kind)]

@@ -1,0 +1,374 @@
+"""All settings, declared once: default, unit, bounds and meaning stand beside each other.
+
+A settings file is a ROS 2 parameter file, so one file serves the nodes and the command line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from gyrocal_ros.config.declare import setting
+
+Three: TypeAlias = tuple[float, float, float]
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+
+@dataclass(frozen=True, slots=True)
+class GyroConfig:
+    """The yaw gyro as its data sheet has it, and how far that is trusted."""
+
+    nominal_scale_factor_volt: float = setting(
+        146.4, 'deg/s/V', 'scale factor of the data sheet, already applied to the samples', low=1e-6, high=1e6
+    )
+    bias_prior_std_deg_s: float = setting(
+        1.0, 'deg/s', 'how large the bias of each axis may be at the start (1 sigma)', low=1e-6, high=50.0
+    )
+    rate_noise_deg_s: float = setting(
+        0.0075, 'deg/s/sqrt(Hz)', 'white noise of the rate, as a density', low=1e-5, high=1.0, live=True
+    )
+    bias_walk_deg_s: float = setting(
+        2.5e-4,
+        'deg/s/sqrt(s)',
+        'random walk of the bias; set ten times too large it swallows warm-up and temperature',
+        low=0.0,
+        high=1.0,
+        live=True,
+    )
+    gap_rate_std_deg_s: float = setting(
+        40.0,
+        'deg/s',
+        'how fast the robot may turn, unseen, while IMU samples are missing',
+        low=0.0,
+        high=1000.0,
+        live=True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class WheelConfig:
+    """How far the wheel encoders are trusted."""
+
+    distance_noise_m: float = setting(
+        0.005, 'm/sqrt(m)', 'random error of the distance travelled', low=1e-5, high=0.5, live=True
+    )
+    lateral_noise_m: float = setting(
+        0.005, 'm/sqrt(m)', 'random sideways motion while travelling', low=1e-5, high=0.5, live=True
+    )
+    vertical_noise_m: float = setting(
+        0.001, 'm/sqrt(m)', 'random vertical motion while travelling', low=1e-6, high=0.5, live=True
+    )
+    turn_noise_m: float = setting(
+        0.002,
+        'm/sqrt(rad)',
+        'random motion of the turning centre while turning',
+        low=0.0,
+        high=0.5,
+        live=True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CameraConfig:
+    """The ceiling camera's mounting (used where no transform says it) and its noise."""
+
+    mount_x_m: float = setting(0.10, 'm', 'camera ahead of the turning centre', low=-5.0, high=5.0)
+    mount_y_m: float = setting(0.0, 'm', 'camera left of the turning centre', low=-5.0, high=5.0)
+    mount_z_m: float = setting(0.10, 'm', 'camera above base_link', low=-5.0, high=5.0)
+    mount_yaw_deg: float = setting(
+        -90.0,
+        'deg',
+        'yaw of the image x axis in base_link; -90: image right is robot right',
+        low=-360.0,
+        high=360.0,
+    )
+    pixel_noise_px: float = setting(
+        0.4,
+        'px',
+        'noise of a recorded feature, each coordinate; the start of its estimation',
+        low=0.005,
+        high=20.0,
+    )
+    estimate_pixel_noise: bool = setting(
+        True, '', 'follow the true pixel noise by the median innovation', live=True
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureConfig:
+    """The landmarks on the ceiling."""
+
+    parametrisation: str = setting(
+        'inverse_depth',
+        '',
+        'inverse_depth: anchored, the default; camera_frame: the paper; pixel: conventional EKF',
+        choices=('inverse_depth', 'camera_frame', 'pixel'),
+    )
+    prior_depth_m: float = setting(
+        2.5, 'm', 'depth (inverse_depth) or range (other forms) at first sight', low=0.05, high=100.0
+    )
+    prior_inverse_depth_std: float = setting(
+        0.3, '1/m', 'doubt of the inverse of that depth (inverse_depth)', low=1e-3, high=20.0
+    )
+    ray_std_m: float = setting(
+        100.0,
+        'm',
+        'e_ct of eq. (19): doubt of the depth along the ray (camera_frame, pixel)',
+        low=0.1,
+        high=1e5,
+    )
+    calibration_noise_px: float = setting(
+        0.0, 'px', 'e_cal of eq. (21): error of the camera calibration (camera_frame)', low=0.0, high=50.0
+    )
+    motion_gate_m: float = setting(
+        0.03, 'm', 'camera_frame: no updates until the robot has moved so far', low=0.0, high=10.0, live=True
+    )
+    motion_gate_deg: float = setting(
+        5.0, 'deg', 'camera_frame: or has turned so far', low=0.0, high=180.0, live=True
+    )
+    map_size: int = setting(30, '', 'features kept in the map, seen and unseen', low=3, high=1000, live=True)
+    outlier_probability: float = setting(
+        1e-4, '', 'chance that a good observation is thrown away as an outlier', low=1e-9, high=0.2, live=True
+    )
+    drop_after_rejections: int = setting(
+        8, '', 'rejections in a row after which a feature is forgotten', low=1, high=1000, live=True
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RestConfig:
+    """When the robot counts as standing still, and how still that is."""
+
+    settle_s: float = setting(
+        0.3,
+        's',
+        'wheels quiet for so long before the zero-rate update is used',
+        low=0.0,
+        high=60.0,
+        live=True,
+    )
+    rotation_noise_deg: float = setting(
+        0.005,
+        'deg',
+        'rotation between two frames that still counts as none (1 sigma)',
+        low=1e-6,
+        high=5.0,
+        live=True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceConfig:
+    """Another heading reference in place of the ceiling camera."""
+
+    heading_noise_deg: float = setting(
+        0.5, 'deg', 'white noise of the reference heading', low=1e-4, high=90.0
+    )
+    heading_walk_deg: float = setting(
+        0.02, 'deg/sqrt(s)', 'slow drift of the reference heading', low=0.0, high=10.0, live=True
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerConfig:
+    """The feature tracker."""
+
+    features: int = setting(
+        15, '', 'features tracked at a time; the paper uses 5', low=1, high=500, live=True
+    )
+    patch_px: int = setting(15, 'px', 'side of a patch, odd', low=7, high=61)
+    min_distance_px: float = setting(
+        40.0,
+        'px',
+        'distance between features, so that they spread over the image',
+        low=2.0,
+        high=500.0,
+        live=True,
+    )
+    border_px: int = setting(14, 'px', 'no features closer to the edge of the image', low=2, high=200)
+    detect_interval: int = setting(
+        10,
+        'frames',
+        'look for new corners every so many frames, or when few are left',
+        low=1,
+        high=1000,
+        live=True,
+    )
+    corner_quality: float = setting(
+        0.001, '', 'Harris response of a corner against the best in the image', low=1e-6, high=1.0, live=True
+    )
+    min_correlation: float = setting(
+        0.8, '', 'normalised correlation below which a match is refused', low=-1.0, high=1.0, live=True
+    )
+    max_reprojection_px: float = setting(
+        0.3, 'px', 'forward-backward error above which a match is refused', low=0.01, high=20.0, live=True
+    )
+    noise_px: float = setting(
+        0.1, 'px', 'noise of a feature tracked here, the start of its estimation', low=0.005, high=20.0
+    )
+    reacquire_s: float = setting(
+        20.0,
+        's',
+        'a lost feature is looked for so long before its id is dropped',
+        low=0.0,
+        high=3600.0,
+        live=True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingConfig:
+    """Reading bags."""
+
+    reorder_window_s: float = setting(
+        1.0, 's', 'how late a message may be recorded and still be sorted in by its stamp', low=0.0, high=60.0
+    )
+    clock_step_s: float = setting(
+        5.0, 's', 'a lasting jump of the stamps larger than this starts a new time base', low=0.1, high=1e6
+    )
+    use_images: bool = setting(False, '', 'track the images even where the bag holds features')
+    remap: str = setting('', '', 'topics under other names: NAME:=TOPIC, several separated by blanks')
+    heading_reference: str = setting('', '', 'topic to take the heading from, in place of the ceiling camera')
+
+
+@dataclass(frozen=True, slots=True)
+class ConvergenceConfig:
+    """When the calibration counts as done."""
+
+    scale_std: float = setting(
+        5e-4,
+        '1',
+        'standard deviation of the scale factor below which it has converged',
+        low=1e-7,
+        high=1.0,
+        live=True,
+    )
+    nis_low: float = setting(
+        0.5, '', 'smallest NIS per degree of freedom of a healthy filter', low=0.0, high=1.0, live=True
+    )
+    nis_high: float = setting(
+        3.0, '', 'largest NIS per degree of freedom of a healthy filter', low=1.0, high=100.0, live=True
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """All settings of the estimator."""
+
+    gyro: GyroConfig = GyroConfig()
+    wheels: WheelConfig = WheelConfig()
+    camera: CameraConfig = CameraConfig()
+    features: FeatureConfig = FeatureConfig()
+    rest: RestConfig = RestConfig()
+    reference: ReferenceConfig = ReferenceConfig()
+    tracker: TrackerConfig = TrackerConfig()
+    recording: RecordingConfig = RecordingConfig()
+    convergence: ConvergenceConfig = ConvergenceConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class BoardConfig:
+    """What one count of each converter means."""
+
+    gyro_volt: float = setting(
+        1e-5, 'V/count', 'gyro voltage that one count stands for', low=1e-12, high=10.0
+    )
+    gyro_scale_factor_volt: Three = setting(
+        (GyroConfig().nominal_scale_factor_volt,) * 3,
+        'deg/s/V',
+        'scale factor by the data sheet, about x, y and z; negative where an axis is mounted in reverse',
+        low=-1e6,
+        high=1e6,
+    )
+    gyro_zero: Three = setting(
+        (0.0, 0.0, 0.0), 'count', 'nominal bias: counts of the gyros at rest', low=-(2.0**31), high=2.0**31
+    )
+    accelerometer_scale: Three = setting(
+        (4.0 * STANDARD_GRAVITY_M_S2 / 2**15,) * 3,
+        'm/s^2/count',
+        'specific force that one count stands for, along x, y and z; 16 bits over 4 g to either side',
+        low=-100.0,
+        high=100.0,
+    )
+    accelerometer_zero: Three = setting(
+        (0.0, 0.0, 0.0), 'count', 'counts of the accelerometers without force', low=-(2.0**15), high=2.0**15
+    )
+    temperature_scale: float = setting(
+        0.01, 'deg C/count', 'one count of temperature', low=-100.0, high=100.0
+    )
+    temperature_zero_c: float = setting(0.0, 'deg C', 'temperature at 0 counts', low=-273.15, high=1000.0)
+    tick_m: float = setting(3e-4, 'm', 'way of a wheel from one tick to the next', low=1e-7, high=1.0)
+    track_m: float = setting(0.23, 'm', 'distance between the wheels', low=0.01, high=10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class DriverConfig:
+    """The line to the board."""
+
+    port: str = setting('/dev/ttyACM0', '', 'serial port of the board')
+    baud_rate: int = setting(
+        115200,
+        'Bd',
+        'speed of the line; 4000000 for a board that is itself a USB device, without a wire that takes time',
+        low=1200,
+        high=4_000_000,
+    )
+    imu_hz: int = setting(200, 'Hz', 'IMU messages asked of the board', low=1, high=2000, live=True)
+    wheels_hz: int = setting(50, 'Hz', 'wheel messages asked of the board', low=1, high=1000, live=True)
+    supply_hz: int = setting(
+        10, 'Hz', 'supply messages asked of the board, 0 for none', low=0, high=100, live=True
+    )
+    publish_odom_transform: bool = setting(
+        False, '', 'publish odom to base_link, where nothing else on the robot does'
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LiveConfig:
+    """The calibrator as it runs on the robot."""
+
+    model: str = setting('', '', 'model.yaml with the effects to estimate; empty for the one that is shipped')
+    effects_from: str = setting('', '', 'Python file with effects of your own that the model names')
+    calibration: str = setting(
+        '', '', 'calibration.yaml to start from and to keep up to date; empty for none'
+    )
+    estimate: bool = setting(True, '', 'estimate from the start, not only when told to')
+    reorder_window_s: float = setting(
+        0.6, 's', 'how late a message may come and still be sorted in by its stamp', low=0.01, high=10.0
+    )
+    save_interval_s: float = setting(
+        60.0, 's', 'how often the calibration is saved', low=1.0, high=86400.0, live=True
+    )
+    publish_map_transform: bool = setting(True, '', 'publish map to odom')
+
+
+@dataclass(frozen=True, slots=True)
+class ImagesConfig:
+    """How the tracker gets its images."""
+
+    transport: str = setting(
+        'auto',
+        '',
+        'which images to follow; auto: the raw ones, or the compressed where nobody publishes raw ones',
+        choices=('auto', 'raw', 'compressed'),
+    )
+    patience_s: float = setting(
+        0.01,
+        's',
+        'how long an image waits for the IMU to reach its stamp and for the search regions; what it waits '
+        'comes on top of the time to features',
+        low=0.0,
+        high=1.0,
+        live=True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RobotConfig:
+    """What only the nodes need to be told."""
+
+    board: BoardConfig = BoardConfig()
+    driver: DriverConfig = DriverConfig()
+    images: ImagesConfig = ImagesConfig()
+    live: LiveConfig = LiveConfig()

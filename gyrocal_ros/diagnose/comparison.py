@@ -1,0 +1,110 @@
+"""Several models on one recording: which foresees it best, how far each drifts, where each fails."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gyrocal_ros.diagnose.drift import (
+    BlindDrift,
+    better_sigma,
+    blind_drift,
+    heading_rms_deg,
+    held_out_from_s,
+    reference_path,
+    truth_path,
+)
+from gyrocal_ros.diagnose.heading_filter import Headings, headings
+from gyrocal_ros.diagnose.predictive_gain import certainty, foreseen
+from gyrocal_ros.diagnose.regimes import Failure, failures
+from gyrocal_ros.ekf.run import Run
+
+TRUTH_STD_DEG = 0.05
+"""How well a ground truth knows the heading."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """One model on the recording."""
+
+    label: str
+    """Its file, or `default`."""
+    run: Run
+    heading_rms_deg: float | None
+    """Of the filter against the ground truth, where there is one."""
+    drift: BlindDrift
+    """Each span begins with what was known by then."""
+    gain: float
+    """Log-likelihood by which it foresees the recording better than the first model; 0 for that one."""
+    gain_sigma: float
+    """By how many sigma that is more than chance."""
+    drift_sigma: float
+    """By how many sigma its squared drift is smaller than the first model's."""
+    fails_where: tuple[Failure, ...]
+    """Where its gyro and the camera differ by more than chance, worst first."""
+    fails_by_truth: tuple[Failure, ...] | None
+    """Where its gyro and the ground truth differ; None where no truth is recorded."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Models that ran over one recording, in the order in which they were named."""
+
+    rivals: tuple[Rival, ...]
+    drift_reference: str
+    """What headings were compared with for the drift: `ground truth`, or `slam` by the best model."""
+    diverged: Mapping[str, str] = field(default_factory=dict)
+    """Models with which the filter cannot run, and why."""
+
+    @property
+    def best(self) -> Rival:
+        """The one that foresees the recording best."""
+        return max(self.rivals, key=lambda rival: rival.gain)
+
+
+def compare(runs: Mapping[str, Run], diverged: Mapping[str, str] | None = None) -> Comparison:
+    """Judge runs of the same recording.
+
+    Args:
+        runs: one or more finished runs by the label of their model; the first is what others are
+            measured by.
+        diverged: models with which the filter could not run, and why.
+    """
+    first = next(iter(runs.values()))
+    gains = {label: foreseen(first, run) for label, run in runs.items()}
+    best = max(runs, key=lambda label: float(gains[label].sum()))
+    reference = reference_path(runs[best])
+    from_s = held_out_from_s(first)
+    drifts = {label: blind_drift(run, reference, from_s) for label, run in runs.items()}
+    rivals = []
+    for label, run in runs.items():
+        by_truth = headings_by_truth(run)
+        rivals.append(
+            Rival(
+                label=label,
+                run=run,
+                heading_rms_deg=heading_rms_deg(run),
+                drift=drifts[label],
+                gain=float(gains[label].sum()),
+                gain_sigma=certainty(gains[label]),
+                drift_sigma=0.0 if run is first else better_sigma(next(iter(drifts.values())), drifts[label]),
+                fails_where=tuple(failures(run, headings(run))),
+                fails_by_truth=None if by_truth is None else tuple(failures(run, by_truth)),
+            )
+        )
+    return Comparison(tuple(rivals), reference[1], dict(diverged or {}))
+
+
+def headings_by_truth(run: Run) -> Headings | None:
+    """The headings of a run with the ground truth in place of the camera, where it is recorded."""
+    truth = truth_path(run)
+    if truth is None:
+        return None
+    seen = headings(run)
+    known = (seen.time_s >= truth.time_s[0]) & (seen.time_s <= truth.time_s[-1])
+    yaw = np.interp(seen.time_s, truth.time_s, truth.yaw_rad)
+    std_rad = np.full(len(yaw), math.radians(TRUTH_STD_DEG))
+    return replace(seen, seen_rad=np.where(known, yaw, np.nan), std_rad=std_rad)

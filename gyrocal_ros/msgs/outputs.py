@@ -1,0 +1,199 @@
+"""The conversion of what the calibrator puts out to ROS messages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from gyrocal_ros.data import Array, CalibratedSample, IntArray, Mount, Whereabouts
+from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.msgs import topics
+from gyrocal_ros.msgs.to_ros import MessageMaker
+from gyrocal_ros.msgs.transforms import (
+    Transform,
+    between,
+    quaternion_from_euler,
+    quaternion_from_rotation,
+)
+
+SPHERE, ADD, DELETE = 2, 0, 2
+"""Of a Marker."""
+SMALLEST_M, LARGEST_M = 0.01, 10.0
+"""Diameter of a marker: one that is smaller cannot be seen, one that is larger hides the others."""
+GREEN = (0.2, 0.8, 0.3, 0.6)
+
+Value = bool | float | str | list[str] | list[float]
+"""Of a parameter."""
+
+
+def calibrated_imu(make: MessageMaker, sample: CalibratedSample, frame: str) -> Any:
+    """Make an Imu with orientation and covariances; that of the accelerometer is not known (zeros)."""
+    rate_covariance = np.zeros(9)
+    rate_covariance[::4] = sample.rate_variances
+    return make(
+        topics.IMU,
+        header=make.header(sample.t_ns, frame),
+        orientation=make.quaternion(quaternion_from_euler(*sample.euler_rad)),
+        orientation_covariance=sample.euler_covariance.ravel(),
+        angular_velocity=make.vector(sample.rate_rad_s),
+        angular_velocity_covariance=rate_covariance,
+        linear_acceleration=make.vector(sample.specific_force_m_s2),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+
+
+def whereabouts(make: MessageMaker, place: Whereabouts, frame: str, body_frame: str) -> Any:
+    """Make an Odometry with covariances."""
+    twist_covariance = np.zeros(36)
+    twist_covariance[::7] = (*place.speed_variances, *place.rate_variances)
+    pose = make(
+        'geometry_msgs/msg/Pose',
+        position=make.vector(place.position_m, 'Point'),
+        orientation=make.quaternion(quaternion_from_euler(*place.euler_rad)),
+    )
+    twist = make(
+        'geometry_msgs/msg/Twist',
+        linear=make.vector((place.speed_m_s, 0.0, 0.0)),
+        angular=make.vector(place.rate_rad_s),
+    )
+    return make(
+        topics.ODOMETRY,
+        header=make.header(place.t_ns, frame),
+        child_frame_id=body_frame,
+        pose=make(
+            'geometry_msgs/msg/PoseWithCovariance', pose=pose, covariance=place.pose_covariance.ravel()
+        ),
+        twist=make('geometry_msgs/msg/TwistWithCovariance', twist=twist, covariance=twist_covariance),
+    )
+
+
+def map_to_odom(place: Whereabouts, in_odom: Mount, frame: str, odom_frame: str) -> Transform:
+    """How `odom` lies in the map, by where the body is in both at one moment."""
+    in_map = Mount(rotation_from_euler(np.array(place.euler_rad)), np.array(place.position_m))
+    return Transform(frame, odom_frame, between(in_map, in_odom))
+
+
+def ceiling_map(
+    make: MessageMaker,
+    t_ns: int,
+    frame: str,
+    ids: IntArray,
+    points_m: Array,
+    covariances_m2: Array,
+    gone: Sequence[int],
+) -> Any:
+    """Make a MarkerArray of the features as ellipsoids whose half axes are one standard deviation.
+
+    Args:
+        make: the maker.
+        t_ns: time of the map.
+        frame: of the map.
+        ids: (m,) of the features.
+        points_m: (m, 3)
+        covariances_m2: (m, 3, 3)
+        gone: ids of the markers to take away.
+    """
+    variances, axes = np.linalg.eigh(covariances_m2)
+    axes[np.linalg.det(axes) < 0.0] *= -1.0  # rotations, not mirrors
+    sizes = np.clip(2.0 * np.sqrt(np.maximum(variances, 0.0)), SMALLEST_M, LARGEST_M)
+    markers = [
+        _marker(make, t_ns, frame, feature, ADD, point, R, size)
+        for feature, point, R, size in zip(ids.tolist(), points_m, axes, sizes, strict=True)
+    ]
+    nothing = np.zeros(3), np.eye(3), np.ones(3)
+    markers += [_marker(make, t_ns, frame, feature, DELETE, *nothing) for feature in gone]
+    return make('visualization_msgs/msg/MarkerArray', markers=markers)
+
+
+def _marker(
+    make: MessageMaker, t_ns: int, frame: str, feature: int, action: int, point: Array, R: Array, size: Array
+) -> Any:
+    red, green, blue, alpha = GREEN
+    return make(
+        'visualization_msgs/msg/Marker',
+        header=make.header(t_ns, frame),
+        ns='features',
+        id=_marker_id(feature),
+        type=SPHERE,
+        action=action,
+        pose=make(
+            'geometry_msgs/msg/Pose',
+            position=make.vector(tuple(point.tolist()), 'Point'),
+            orientation=make.quaternion(quaternion_from_rotation(R)),
+        ),
+        scale=make.vector(tuple(size.tolist())),
+        color=make('std_msgs/msg/ColorRGBA', r=red, g=green, b=blue, a=alpha),
+        lifetime=make('builtin_interfaces/msg/Duration', sec=0, nanosec=0),
+        frame_locked=False,
+        points=[],
+        colors=[],
+        texture_resource='',
+        texture=make(
+            topics.COMPRESSED_IMAGE,
+            header=make.header(0, ''),
+            format='',
+            data=make.sequence(np.zeros(0, np.uint8)),
+        ),
+        uv_coordinates=[],
+        text='',
+        mesh_resource='',
+        mesh_file=make(
+            'visualization_msgs/msg/MeshFile', filename='', data=make.sequence(np.zeros(0, np.uint8))
+        ),
+        mesh_use_embedded_materials=False,
+    )
+
+
+def _marker_id(feature: int) -> int:
+    """An id of 32 bits with a sign, as Marker has it; features have none."""
+    return (feature + 2**31) % 2**32 - 2**31
+
+
+def parameter_event(make: MessageMaker, t_ns: int, node: str, parameters: Mapping[str, Value]) -> Any:
+    """Make a ParameterEvent in which all these parameters are changed ones."""
+    sec, nanosec = divmod(t_ns, 10**9)
+    changed = [
+        make('rcl_interfaces/msg/Parameter', name=name, value=_parameter_value(make, value))
+        for name, value in parameters.items()
+    ]
+    return make(
+        'rcl_interfaces/msg/ParameterEvent',
+        stamp=make('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec),
+        node=node,
+        new_parameters=[],
+        changed_parameters=changed,
+        deleted_parameters=[],
+    )
+
+
+def _parameter_value(make: MessageMaker, value: Value) -> Any:
+    kind, field = _kind(value)
+    given: Any = make.sequence(np.array(value, float)) if field == 'double_array_value' else value
+    fields = {
+        'bool_value': False,
+        'integer_value': 0,
+        'double_value': 0.0,
+        'string_value': '',
+        'byte_array_value': make.sequence(np.zeros(0, np.uint8)),
+        'bool_array_value': make.sequence(np.zeros(0, bool)),
+        'integer_array_value': make.sequence(np.zeros(0, np.int64)),
+        'double_array_value': make.sequence(np.zeros(0)),
+        'string_array_value': [],
+    }
+    return make('rcl_interfaces/msg/ParameterValue', type=kind, **(fields | {field: given}))
+
+
+def _kind(value: Value) -> tuple[int, str]:
+    """Type of a ParameterValue, and the field that holds it."""
+    match value:
+        case bool():
+            return 1, 'bool_value'
+        case float():
+            return 3, 'double_value'
+        case str():
+            return 4, 'string_value'
+        case [str(), *_]:
+            return 9, 'string_array_value'
+    return 8, 'double_array_value'

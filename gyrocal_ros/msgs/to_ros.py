@@ -1,0 +1,309 @@
+"""The conversion of the values of `data` to ROS messages, for bags and for live nodes."""
+
+from __future__ import annotations
+
+import math
+from array import array, typecodes
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal_ros.data import (
+    NS_PER_S,
+    CameraIntrinsics,
+    FeatureObservations,
+    HeadingSample,
+    ImuSample,
+    Mount,
+    SearchRegions,
+    TemperatureSample,
+    TruthSample,
+    WheelSample,
+)
+from gyrocal_ros.msgs import topics
+from gyrocal_ros.msgs.transforms import Transform, quaternion_from_rotation, quaternion_from_yaw
+
+BATTERY_NUMBERS = ('voltage', 'temperature', 'current', 'charge', 'capacity', 'design_capacity', 'percentage')
+UINT32, FLOAT32 = 6, 7
+"""Data types of a PointField."""
+
+
+@dataclass(frozen=True, slots=True)
+class MessageMaker:
+    """Makes messages of any type by name, of rosbags or of rclpy: `make(topics.IMU, header=...)`."""
+
+    get_class: Callable[[str], Callable[..., Any]]
+    """From a type name such as `sensor_msgs/msg/Imu` to its class."""
+    sequence: Callable[[NDArray[Any]], Any] = lambda values: values
+    """Turns an array (n,) into what an unbounded sequence field wants."""
+
+    def __call__(self, type_name: str, **values: Any) -> Any:
+        """Make one message; every field must be given."""
+        return self.get_class(type_name)(**values)
+
+    def time(self, t_ns: int) -> Any:
+        """Make a Time."""
+        sec, nanosec = divmod(t_ns, NS_PER_S)
+        return self('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
+
+    def header(self, t_ns: int, frame: str) -> Any:
+        """Make a Header."""
+        return self('std_msgs/msg/Header', stamp=self.time(t_ns), frame_id=frame)
+
+    def vector(self, values: tuple[float, ...], kind: str = 'Vector3') -> Any:
+        """Make a Vector3 or a Point."""
+        x, y, z = values
+        return self(f'geometry_msgs/msg/{kind}', x=x, y=y, z=z)
+
+    def quaternion(self, values: tuple[float, float, float, float]) -> Any:
+        """Make a Quaternion."""
+        x, y, z, w = values
+        return self('geometry_msgs/msg/Quaternion', x=x, y=y, z=z, w=w)
+
+    def pose(self, position_m: tuple[float, float, float], yaw_rad: float) -> Any:
+        """Make a Pose."""
+        turn = self.quaternion(quaternion_from_yaw(yaw_rad))
+        return self('geometry_msgs/msg/Pose', position=self.vector(position_m, 'Point'), orientation=turn)
+
+
+def live_maker(get_class: Callable[[str], Callable[..., Any]]) -> MessageMaker:
+    """Return the maker of rclpy messages.
+
+    Args:
+        get_class: `rosidl_runtime_py.utilities.get_message`.
+    """
+
+    def sequence(values: NDArray[Any]) -> Any:
+        kind = values.dtype.char
+        return array(kind, values.tobytes()) if kind in typecodes else values.tolist()
+
+    return MessageMaker(cache(get_class), sequence)
+
+
+def imu(make: MessageMaker, sample: ImuSample) -> Any:
+    """Convert to an Imu without orientation."""
+    return make(
+        topics.IMU,
+        header=make.header(sample.t_ns, topics.IMU_FRAME),
+        orientation=make.quaternion((0.0, 0.0, 0.0, 1.0)),
+        orientation_covariance=np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        angular_velocity=make.vector(sample.rate_rad_s),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=make.vector(sample.specific_force_m_s2),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+
+
+def odometry(
+    make: MessageMaker,
+    t_ns: int,
+    frame: str,
+    position_m: tuple[float, float, float],
+    yaw_rad: float,
+    *,
+    speed_m_s: float = 0.0,
+    yaw_rate_rad_s: float = 0.0,
+) -> Any:
+    """Make an Odometry of the robot body in `frame`."""
+    twist = make(
+        'geometry_msgs/msg/Twist',
+        linear=make.vector((speed_m_s, 0.0, 0.0)),
+        angular=make.vector((0.0, 0.0, yaw_rate_rad_s)),
+    )
+    return make(
+        topics.ODOMETRY,
+        header=make.header(t_ns, frame),
+        child_frame_id=topics.BODY_FRAME,
+        pose=make(
+            'geometry_msgs/msg/PoseWithCovariance',
+            pose=make.pose(position_m, yaw_rad),
+            covariance=np.zeros(36),
+        ),
+        twist=make('geometry_msgs/msg/TwistWithCovariance', twist=twist, covariance=np.zeros(36)),
+    )
+
+
+def wheels(make: MessageMaker, sample: WheelSample, x_m: float, y_m: float, yaw_rad: float) -> Any:
+    """Convert to an Odometry; its pose is integrated by the caller."""
+    return odometry(
+        make,
+        sample.t_ns,
+        topics.ODOM_FRAME,
+        (x_m, y_m, 0.0),
+        yaw_rad,
+        speed_m_s=sample.speed_m_s,
+        yaw_rate_rad_s=sample.yaw_rate_rad_s,
+    )
+
+
+def truth(make: MessageMaker, sample: TruthSample) -> Any:
+    """Convert to an Odometry in a frame of its own."""
+    return odometry(make, sample.t_ns, 'ground_truth', sample.position_m, sample.yaw_rad)
+
+
+def heading(make: MessageMaker, sample: HeadingSample) -> Any:
+    """Convert to a PoseStamped at the origin."""
+    return make(
+        topics.POSE_STAMPED,
+        header=make.header(sample.t_ns, 'heading_reference'),
+        pose=make.pose((0.0, 0.0, 0.0), sample.yaw_rad),
+    )
+
+
+def temperature(make: MessageMaker, sample: TemperatureSample) -> Any:
+    """Convert to a Temperature."""
+    return make(
+        topics.TEMPERATURE,
+        header=make.header(sample.t_ns, topics.IMU_FRAME),
+        temperature=sample.temperature_c,
+        variance=0.0,
+    )
+
+
+def battery(make: MessageMaker, t_ns: int, numbers: Mapping[str, float]) -> Any:
+    """Make a BatteryState of some of its `BATTERY_NUMBERS`; the others are not measured (NaN)."""
+    return make(
+        topics.BATTERY,
+        header=make.header(t_ns, ''),
+        **{name: numbers.get(name, math.nan) for name in BATTERY_NUMBERS},
+        power_supply_status=0,
+        power_supply_health=0,
+        power_supply_technology=0,
+        present=True,
+        cell_voltage=make.sequence(np.zeros(0, np.float32)),
+        cell_temperature=make.sequence(np.zeros(0, np.float32)),
+        location='',
+        serial_number='',
+    )
+
+
+def number(make: MessageMaker, value: float) -> Any:
+    """Make a Float64."""
+    return make(topics.NUMBER, data=value)
+
+
+def features(make: MessageMaker, seen: FeatureObservations, frame: str = topics.CAMERA_FRAME) -> Any:
+    """Convert to a PointCloud2 with the fields u, v, id, in the frame of the camera."""
+    columns = {'u': seen.pixels[:, 0], 'v': seen.pixels[:, 1], 'id': seen.ids}
+    return _point_cloud(make, seen.t_ns, columns, frame)
+
+
+def search_regions(make: MessageMaker, regions: SearchRegions) -> Any:
+    """Convert to a PointCloud2 with the fields u, v, id, cov_uu, cov_uv, cov_vv."""
+    covariances = regions.covariances_px2
+    columns = {
+        'u': regions.pixels[:, 0],
+        'v': regions.pixels[:, 1],
+        'id': regions.ids,
+        'cov_uu': covariances[:, 0, 0],
+        'cov_uv': covariances[:, 0, 1],
+        'cov_vv': covariances[:, 1, 1],
+    }
+    return _point_cloud(make, regions.t_ns, columns)
+
+
+def _point_cloud(
+    make: MessageMaker, t_ns: int, columns: Mapping[str, NDArray[Any]], frame: str = topics.CAMERA_FRAME
+) -> Any:
+    formats = {'id': '<u4'}
+    points = np.zeros(len(columns['id']), np.dtype([(name, formats.get(name, '<f4')) for name in columns]))
+    for name, values in columns.items():
+        points[name] = values
+    layout = [
+        make(
+            'sensor_msgs/msg/PointField',
+            name=name,
+            offset=4 * place,
+            datatype=UINT32 if name == 'id' else FLOAT32,
+            count=1,
+        )
+        for place, name in enumerate(columns)
+    ]
+    return make(
+        topics.POINT_CLOUD,
+        header=make.header(t_ns, frame),
+        height=1,
+        width=len(points),
+        fields=layout,
+        is_bigendian=False,
+        point_step=points.itemsize,
+        row_step=points.nbytes,
+        data=make.sequence(np.frombuffer(points.tobytes(), np.uint8)),
+        is_dense=True,
+    )
+
+
+def camera_info(make: MessageMaker, camera: CameraIntrinsics, t_ns: int) -> Any:
+    """Convert to a CameraInfo."""
+    fx, fy, cx, cy = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
+    region = make(
+        'sensor_msgs/msg/RegionOfInterest', x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+    )
+    return make(
+        topics.CAMERA_INFO,
+        header=make.header(t_ns, topics.CAMERA_FRAME),
+        height=camera.height_px,
+        width=camera.width_px,
+        distortion_model='plumb_bob',
+        d=make.sequence(np.array(camera.distortion)),
+        k=np.array([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),
+        r=np.eye(3).ravel(),
+        p=np.array([fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]),
+        binning_x=0,
+        binning_y=0,
+        roi=region,
+    )
+
+
+def static_transforms(make: MessageMaker, mounts: Mapping[str, Mount], t_ns: int) -> Any:
+    """Make a TFMessage.
+
+    Args:
+        make: the maker.
+        mounts: frame of each sensor and how it sits on the robot body.
+        t_ns: time of the header.
+    """
+    links = [
+        _link(make, t_ns, topics.BODY_FRAME, frame, tuple(mount.p_bs), quaternion_from_rotation(mount.R_bs))
+        for frame, mount in mounts.items()
+    ]
+    return make(topics.TRANSFORMS, transforms=links)
+
+
+def transform(make: MessageMaker, t_ns: int, link: Transform) -> Any:
+    """Make a TFMessage of one link."""
+    place, turn = tuple(link.mount.p_bs), quaternion_from_rotation(link.mount.R_bs)
+    return make(topics.TRANSFORMS, transforms=[_link(make, t_ns, link.parent, link.child, place, turn)])
+
+
+def odometry_transform(make: MessageMaker, t_ns: int, x_m: float, y_m: float, yaw_rad: float) -> Any:
+    """Make a TFMessage that says where the wheels have brought the robot body."""
+    place, turn = (x_m, y_m, 0.0), quaternion_from_yaw(yaw_rad)
+    return make(
+        topics.TRANSFORMS,
+        transforms=[_link(make, t_ns, topics.ODOM_FRAME, topics.BODY_FRAME, place, turn)],
+    )
+
+
+def _link(
+    make: MessageMaker,
+    t_ns: int,
+    parent: str,
+    child: str,
+    place_m: tuple[float, ...],
+    turn: tuple[float, float, float, float],
+) -> Any:
+    return make(
+        'geometry_msgs/msg/TransformStamped',
+        header=make.header(t_ns, parent),
+        child_frame_id=child,
+        transform=make(
+            'geometry_msgs/msg/Transform',
+            translation=make.vector(tuple(float(value) for value in place_m)),
+            rotation=make.quaternion(turn),
+        ),
+    )

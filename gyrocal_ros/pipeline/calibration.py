@@ -1,0 +1,221 @@
+"""The result: what is known of the gyro at the end of a run, and `calibration.yaml` that keeps it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from gyrocal_ros import __version__
+from gyrocal_ros.config.declare import to_dict
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.config.yaml_file import read_yaml
+from gyrocal_ros.data import Array
+from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
+from gyrocal_ros.ekf.convergence import Convergence
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
+from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.files import write_text_atomic
+from gyrocal_ros.model.sensor import SensorModel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Bias and coefficients with their joint covariance, and where they come from."""
+
+    model: SensorModel
+    names: tuple[str, ...]
+    """`bias`, then the coefficients in the model's order."""
+    units: tuple[str, ...]
+    values: Array
+    """(1 + k,)"""
+    covariance: Array
+    """(1 + k, 1 + k)"""
+    nominal_scale_factor_volt: float
+    converged: bool
+    convergence_time_s: float | None
+    """Since the first sample; None where it did not converge."""
+    duration_s: float
+    source: str
+    end_ns: int
+
+    @property
+    def stds(self) -> Array:
+        """(1 + k,) standard deviations."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def scale_factor(self) -> float:
+        """True rate over nominal rate at small rates, 1 + a1."""
+        return 1.0 + float(self.values[1])
+
+    @property
+    def scale_factor_std(self) -> float:
+        """Standard deviation of the scale factor."""
+        return float(self.stds[1])
+
+    @property
+    def scale_factor_volt(self) -> float:
+        """The scale factor as a data sheet gives it, deg/s/V."""
+        return self.scale_factor * self.nominal_scale_factor_volt
+
+    def start(self) -> Start:
+        """What a later run may begin with."""
+        return Start(self.names, self.values, self.covariance)
+
+
+def conclude(run: Run) -> Calibration:
+    """What a run has found."""
+    history, criteria = run.history, run.config.convergence
+    watch = Convergence()
+    columns = (history.time_s, history.std[:, COEFFICIENTS_START], history.nis, history.dof)
+    for time_s, scale_std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
+        watch.add(time_s, scale_std, nis, dof, criteria)
+    return calibration_of(
+        run.state,
+        run.model,
+        run.config,
+        converged=watch.since_s is not None and watch.is_consistent(criteria),
+        convergence_time_s=watch.since_s,
+        duration_s=run.span.duration_s,
+        source=run.source,
+        end_ns=run.span.end_ns,
+    )
+
+
+def calibration_of(
+    state: State,
+    model: SensorModel,
+    config: Config,
+    *,
+    converged: bool,
+    convergence_time_s: float | None,
+    duration_s: float,
+    source: str,
+    end_ns: int,
+) -> Calibration:
+    """What a state of the filter knows of the gyro; the rest as in `Calibration`."""
+    places = [YAW_BIAS, *range(COEFFICIENTS_START, state.robot_size)]
+    return Calibration(
+        model=model,
+        names=('bias', *model.coefficient_names),
+        units=('rad/s', *(item.unit for item in model.coefficients)),
+        values=state.mean[places],
+        covariance=state.covariance[np.ix_(places, places)],
+        nominal_scale_factor_volt=config.gyro.nominal_scale_factor_volt,
+        converged=converged,
+        convergence_time_s=convergence_time_s,
+        duration_s=duration_s,
+        source=source,
+        end_ns=end_ns,
+    )
+
+
+def save_calibration(
+    calibration: Calibration, config: Config, path: Path, *, overwrite: bool = False
+) -> None:
+    """Write `calibration.yaml` in one step, with everything needed to understand it later."""
+    text = yaml.safe_dump(_to_dict(calibration, config), sort_keys=False, allow_unicode=True, width=110)
+    write_text_atomic(path, text, overwrite=overwrite)
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Read a `calibration.yaml`.
+
+    Raises:
+        ConfigError: it cannot be read, or is not a calibration.
+    """
+    tree = read_yaml(path)
+    try:
+        model = model_from_dict(tree['model'], f'{path}, model')
+        names = ('bias', *model.coefficient_names)
+        values = np.array([float(tree['coefficients'][name]['value']) for name in names])
+        covariance = np.array(tree['covariance'], float)
+        if covariance.shape != (len(names),) * 2 or not np.isfinite([*values, *covariance.flat]).all():
+            raise ValueError('a value or the covariance is incomplete')
+        if not _is_covariance(covariance):
+            raise ValueError('the covariance cannot be one')
+        provenance: Mapping[str, Any] = tree['provenance']
+        time_s = tree['convergence_time_s']
+        return Calibration(
+            model=model,
+            names=names,
+            units=tuple(str(tree['coefficients'][name]['unit']) for name in names),
+            values=values,
+            covariance=covariance,
+            nominal_scale_factor_volt=float(tree['nominal_scale_factor_volt']),
+            converged=bool(tree['converged']),
+            convergence_time_s=None if time_s is None else float(time_s),
+            duration_s=float(provenance['duration_s']),
+            source=str(provenance['source']),
+            end_ns=int(provenance['end_ns']),
+        )
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f'is not a calibration ({type(error).__name__}: {error})',
+            where=str(path),
+            todo='give a calibration.yaml that `gyrocal replay -o` wrote',
+        ) from error
+
+
+def _is_covariance(matrix: Array) -> bool:
+    """Whether a matrix is symmetric and, but for rounding, not negative in any direction."""
+    std = np.sqrt(np.abs(np.diagonal(matrix)))
+    scale = np.where(std > 0.0, std, 1.0)
+    correlation = matrix / np.outer(scale, scale)
+    return bool(np.allclose(correlation, correlation.T) and np.linalg.eigvalsh(correlation).min() > -1e-9)
+
+
+def _to_dict(calibration: Calibration, config: Config) -> dict[str, Any]:
+    return {
+        'scale_factor': calibration.scale_factor,
+        'scale_factor_std': calibration.scale_factor_std,
+        'scale_factor_volt': calibration.scale_factor_volt,
+        'nominal_scale_factor_volt': calibration.nominal_scale_factor_volt,
+        'bias_deg_s': math.degrees(float(calibration.values[0])),
+        'converged': calibration.converged,
+        'convergence_time_s': calibration.convergence_time_s,
+        'coefficients': coefficient_table(calibration),
+        'covariance': calibration.covariance.tolist(),
+        'model': model_to_dict(calibration.model),
+        'provenance': {
+            'source': calibration.source,
+            'duration_s': calibration.duration_s,
+            'end_ns': calibration.end_ns,
+            'version': __version__,
+        },
+        'settings': to_dict(config),
+    }
+
+
+def announcement(calibration: Calibration) -> dict[str, bool | float | str | list[str] | list[float]]:
+    """The parameters of `/gyro_calibration`, by name; added effects are among the coefficients."""
+    model, stds = calibration.model, calibration.stds
+    return {
+        'gyro.scale_factor': calibration.scale_factor,
+        'gyro.scale_factor_std': calibration.scale_factor_std,
+        'gyro.scale_factor_volt': calibration.scale_factor_volt,
+        'gyro.bias': float(calibration.values[0]),
+        'gyro.bias_std': float(stds[0]),
+        'gyro.converged': calibration.converged,
+        'gyro.model': f'{model.name} {model.version}',
+        'gyro.coefficient_names': list(model.coefficient_names),
+        'gyro.coefficients': calibration.values[1:].tolist(),
+        'gyro.coefficient_stds': stds[1:].tolist(),
+    }
+
+
+def coefficient_table(calibration: Calibration) -> dict[str, dict[str, Any]]:
+    """Name to value, standard deviation and unit, as files and JSON output give them."""
+    columns = (calibration.names, calibration.values, calibration.stds, calibration.units)
+    return {
+        name: {'value': float(value), 'std': float(std), 'unit': unit}
+        for name, value, std, unit in zip(*columns, strict=True)
+    }

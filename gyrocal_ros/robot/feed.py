@@ -1,0 +1,132 @@
+"""What the nodes of a running robot say, gathered for those who look on: plain values, no messages."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from threading import Lock
+
+import numpy as np
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.robot.health import Level
+
+MOST_POINTS = 3600
+"""An hour of what is told once a second; what is older is forgotten."""
+SILENT_S = 5.0
+"""A node that has said nothing for so long counts as gone."""
+
+
+@dataclass(frozen=True, slots=True)
+class NodeHealth:
+    """What one node last said of itself."""
+
+    name: str
+    level: Level
+    message: str
+    numbers: Mapping[str, str]
+    silent_s: float
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether nothing has come for so long that it may have ended."""
+        return self.silent_s > SILENT_S
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overview:
+    """All that was said so far."""
+
+    version: int
+    """Grows with everything that is heard."""
+    time_s: Array
+    """(n,) when a calibration was told, since the listening began."""
+    scale_factor: Array
+    scale_factor_std: Array
+    nis_time_s: Array
+    """(m,)"""
+    nis: Array
+    """(m,) per degree of freedom, over the last seconds."""
+    calibration: Mapping[str, object]
+    """The last one, by parameter name."""
+    nodes: tuple[NodeHealth, ...]
+    tracks: bytes | None
+    """The last image with the tracks drawn, as JPEG."""
+
+
+@dataclass(slots=True)
+class _Said:
+    level: Level
+    message: str
+    numbers: Mapping[str, str]
+    at_s: float
+
+
+@dataclass(slots=True)
+class Feed:
+    """Gathers it; safe to use from several threads.
+
+    All times are by a clock that is never set.
+    """
+
+    start_s: float
+    _scale: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=MOST_POINTS))
+    _nis: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MOST_POINTS))
+    _calibration: Mapping[str, object] = field(default_factory=dict)
+    _said: dict[str, _Said] = field(default_factory=dict)
+    _tracks: bytes | None = None
+    _version: int = 0
+    _lock: Lock = field(default_factory=Lock)
+
+    def calibration(self, values: Mapping[str, object], now_s: float) -> None:
+        """Take in a calibration, by parameter name as `/gyro_calibration` has it."""
+        scale, std = values.get('gyro.scale_factor'), values.get('gyro.scale_factor_std')
+        with self._lock:
+            self._calibration = {**self._calibration, **values}
+            if isinstance(scale, float) and isinstance(std, float):
+                self._scale.append((now_s - self.start_s, scale, std))
+            self._version += 1
+
+    def health(self, name: str, level: int, message: str, numbers: Mapping[str, str], now_s: float) -> None:
+        """Take in what a node says of itself."""
+        known = Level(level) if level in tuple(Level) else Level.ERROR
+        with self._lock:
+            self._said[name] = _Said(known, message, dict(numbers), now_s)
+            nis = _number(numbers.get('recent_nis'))
+            if math.isfinite(nis):
+                self._nis.append((now_s - self.start_s, nis))
+            self._version += 1
+
+    def tracks(self, jpeg: bytes) -> None:
+        """Take in an image."""
+        with self._lock:
+            self._tracks, self._version = jpeg, self._version + 1
+
+    def overview(self, now_s: float) -> Overview:
+        """All so far."""
+        with self._lock:
+            scale, nis = np.array(self._scale).reshape(-1, 3), np.array(self._nis).reshape(-1, 2)
+            nodes = tuple(
+                NodeHealth(name, said.level, said.message, said.numbers, now_s - said.at_s)
+                for name, said in sorted(self._said.items())
+            )
+            return Overview(
+                version=self._version,
+                time_s=scale[:, 0],
+                scale_factor=scale[:, 1],
+                scale_factor_std=scale[:, 2],
+                nis_time_s=nis[:, 0],
+                nis=nis[:, 1],
+                calibration=self._calibration,
+                nodes=nodes,
+                tracks=self._tracks,
+            )
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float(text) if text is not None else math.nan
+    except ValueError:
+        return math.nan

@@ -169,7 +169,7 @@ class CalibratedSample:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Whereabouts:
+class OdometryEstimate:
     """Where the robot is in the map, and how it moves."""
 
     t_ns: int

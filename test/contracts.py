@@ -35,9 +35,9 @@ from gyrocal_ros.model.features.base import (
     Anchors,
     NewFeatures,
     Parametrisation,
+    PosedCamera,
     Prediction,
-    View,
-    view_from_pose,
+    posed_camera,
 )
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import (
@@ -80,9 +80,9 @@ FIRST_POSE = np.array([0.4, -0.2, 0.01, 0.02, -0.03, 2.5])
 LATER_POSE = np.array([0.7, 0.1, 0.00, -0.01, 0.02, 3.4])
 
 
-def view_at(pose: Array) -> View:
+def view_at(pose: Array) -> PosedCamera:
     """The camera of the contract at a pose (6,): position and Euler angles."""
-    return view_from_pose(CAMERA, MOUNT, pose[:3], pose[3:])
+    return posed_camera(CAMERA, MOUNT, pose[:3], pose[3:])
 
 
 class ParametrisationContract:
@@ -406,14 +406,14 @@ class ImageEffectContract(EffectContract):
         return request.param
 
     @staticmethod
-    def look(effect: Effect, form: Parametrisation, values: Array) -> tuple[View, Prediction]:
+    def look(effect: Effect, form: Parametrisation, values: Array) -> tuple[PosedCamera, Prediction]:
         """What is seen of a map that stays, by the camera as the effect has it."""
         first = form.initialise(view_at(FIRST_POSE), PIXELS, NOISE_PX, FEATURES)
         parts = sort_effects((effect,))
         late_s = sum(float(values[place][0]) for _, place in parts.time)
         camera, mount = true_camera(parts, CAMERA, MOUNT, values)
         pose = LATER_POSE - POSE_RATE * late_s
-        view = view_from_pose(camera, mount, pose[:3], pose[3:])
+        view = posed_camera(camera, mount, pose[:3], pose[3:])
         return view, form.predict(view, first.parameters, first.anchors)
 
     def by_values(self, effect: Effect, form: Parametrisation, values: Array) -> Array:

@@ -18,12 +18,12 @@ from gyrocal_ros.data import (
     FeatureObservations,
     ImuSample,
     Measurement,
+    OdometryEstimate,
     Rig,
     SearchRegions,
     TemperatureSample,
     TruthSample,
     WheelSample,
-    Whereabouts,
     seconds,
 )
 from gyrocal_ros.effects import default_model
@@ -46,7 +46,7 @@ class Robot:
     live: LiveCalibrator
     now_s: float = BEGAN_S
     calibrated: list[CalibratedSample] = field(default_factory=list)
-    located: list[Whereabouts] = field(default_factory=list)
+    located: list[OdometryEstimate] = field(default_factory=list)
     regions: list[SearchRegions] = field(default_factory=list)
     statuses: list[tuple[float, Status]] = field(default_factory=list)
     _origin_ns: int | None = None

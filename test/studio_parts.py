@@ -17,7 +17,7 @@ from gyrocal_ros.sim.sealed import answer_of, seal
 from gyrocal_ros.sim.world import SimSource
 from gyrocal_ros.studio.recordings import Bag
 from gyrocal_ros.studio.session import Session
-from gyrocal_ros.studio.worker import Look, News, Ready, Stopped, Task, _Desk, _outcome
+from gyrocal_ros.studio.worker import News, OpenRecording, Ready, Stopped, Task, _outcome, _Workbench
 
 HIDDEN, SIZE = 'scale_asymmetry', 0.02
 
@@ -68,15 +68,15 @@ class Desk:
                 self.session.hear(number, one)
 
 
-_before_it: list[_Desk] = []
+_before_it: list[_Workbench] = []
 _known: dict[str, tuple[list[News], News]] = {}
 
 
 def _done(task: Task) -> tuple[list[News], News]:
-    key = str(task.recording) if isinstance(task, Look) else model_to_yaml(task.model)
+    key = str(task.recording) if isinstance(task, OpenRecording) else model_to_yaml(task.model)
     if key not in _known:
         news: list[News] = []
-        desk = _Desk() if isinstance(task, Look) else _before_it[-1]
+        desk = _Workbench() if isinstance(task, OpenRecording) else _before_it[-1]
         _known[key] = news, _outcome(desk, task, news.append)
         if isinstance(_known[key][1], Ready):
             _before_it.append(desk)

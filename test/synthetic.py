@@ -14,7 +14,7 @@ from gyrocal_ros.diagnose.heading_filter import Headings, headings
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import History, Run
-from gyrocal_ros.ekf.score_statistics import BLOCK_S, Evidence
+from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import YAW, State, no_landmarks
 from gyrocal_ros.model.sensor import Effect
 
@@ -24,9 +24,9 @@ TOP_DEG_S = 90.0
 RIG = Rig(None, Mount(np.eye(3), np.zeros(3)))
 
 
-def evidence_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()) -> Evidence:
+def evidence_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
     """Evidence of B blocks of n measurements of noise 1: columns (B, n, c) and what was seen (B, n)."""
-    return Evidence(
+    return ScoreStatistics(
         candidates=candidates,
         start_s=BLOCK_S * np.arange(len(seen)),
         information=np.einsum('bni,bnj->bij', columns, columns),
@@ -98,8 +98,8 @@ def drive(
         correction_rad=zeros,
         tilt_rad=zeros,
         columns=(rate * DT_S)[:, None],
-        told_s=np.full(count, DT_S),
-        lost_rad=zeros,
+        gyro_valid_s=np.full(count, DT_S),
+        unobserved_turn_std_rad=zeros,
         distance_m=np.where(np.abs(true) > 0.0, 0.0, 0.3 * DT_S),
         temperature_c=np.full(count, np.nan),
         forward_m_s2=zeros,

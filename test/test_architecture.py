@@ -20,7 +20,7 @@ BANDS = {
     'robot': ('robot',),
     'edge': ('cli', 'nodes', 'studio'),
 }
-"""The rooms of the package by band, the lowest first. A room imports from its own band and from bands below."""
+"""Rooms by band, the lowest first. A room imports from its own band and the bands below."""
 BAND_OF = {room: level for level, rooms in enumerate(BANDS.values()) for room in rooms}
 
 FORBIDDEN = {

@@ -10,7 +10,7 @@ import pytest
 
 from gyrocal_ros.bench import accuracy, camera_off
 from gyrocal_ros.bench.accuracy import CONVENTIONAL, OURS, PAPER, accuracy_row, cases, in_parallel
-from gyrocal_ros.bench.bench_run import Trial, Variant, bound_std, end_of_first_turn_s, run_trial
+from gyrocal_ros.bench.bench_run import BenchRun, Variant, bound_std, end_of_first_turn_s, run_bench
 from gyrocal_ros.bench.speed import filter_alone, gyrocal_process
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
@@ -21,11 +21,11 @@ SHORT = replace(find_scenario('lanes'), duration_s=40.0)
 
 
 @pytest.fixture(scope='module')
-def trial() -> Trial:
-    return run_trial(SHORT, 0, OURS, with_bound=True)
+def trial() -> BenchRun:
+    return run_bench(SHORT, 0, OURS, with_bound=True)
 
 
-def test_a_trial_tells_how_far_the_truth_is(trial: Trial) -> None:
+def test_a_trial_tells_how_far_the_truth_is(trial: BenchRun) -> None:
     assert not trial.diverged
     assert abs(trial.early_error) < 1e-3 and abs(trial.settled_error) < 5e-4
     assert trial.nees == pytest.approx((trial.final_error / trial.final_std) ** 2) and trial.nees < 9.0
@@ -33,13 +33,13 @@ def test_a_trial_tells_how_far_the_truth_is(trial: Trial) -> None:
     assert 0.0 < trial.heading_rms_rad < math.radians(0.2)
 
 
-def test_the_bound_is_a_bound_and_is_nearly_reached(trial: Trial) -> None:
+def test_the_bound_is_a_bound_and_is_nearly_reached(trial: BenchRun) -> None:
     assert 0.9 < trial.final_std / trial.bound_std < 1.1
     assert bound_std(replace(SHORT, duration_s=20.0), 0) > trial.bound_std, 'more time, more knowledge'
 
 
 def test_a_trial_that_diverges_says_so() -> None:
-    trial = run_trial(SHORT, 0, CONVENTIONAL)
+    trial = run_bench(SHORT, 0, CONVENTIONAL)
     assert trial.diverged and math.isnan(trial.final_error)
 
 
@@ -64,9 +64,9 @@ def test_a_variant_changes_what_it_is_named_for() -> None:
 
 def test_rows_sum_up_over_seeds() -> None:
     trials = [
-        Trial(0, 1e-3, -2e-4, 3e-5, 1e-5, 0.98, math.radians(0.1), 1e-5),
-        Trial(1, -2e-3, 1e-4, -4e-5, 2e-5, 1.02, math.radians(0.1), 1.6e-5),
-        Trial(2, *(math.nan,) * 6, diverged=True),
+        BenchRun(0, 1e-3, -2e-4, 3e-5, 1e-5, 0.98, math.radians(0.1), 1e-5),
+        BenchRun(1, -2e-3, 1e-4, -4e-5, 2e-5, 1.02, math.radians(0.1), 1.6e-5),
+        BenchRun(2, *(math.nan,) * 6, diverged=True),
     ]
     row = accuracy_row(cases(True)[0], trials)
     assert (row['seeds'], row['diverged'], row['variant']) == (3, 1, 'inverse_depth')

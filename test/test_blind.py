@@ -17,16 +17,16 @@ from gyrocal_ros.bench.blind import (
     MOMENT_S,
     PAIRS,
     WRONG_NOISE,
-    BlindTrial,
+    BlindResult,
     Case,
     blind,
     cases,
     is_right,
     row,
-    run_trial,
+    run_blind,
 )
-from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
-from gyrocal_ros.diagnose.shapes import Oddity, shapes
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
+from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.sim.forward import HiddenEffect
@@ -55,13 +55,13 @@ class TestCases:
         assert {name for name in RANGES if ':' not in name} == set(EFFECTS) - {'scale_factor'}
 
 
-def finding(effect: Effect, *confused_with: str, **changes: Any) -> Finding:
+def finding(effect: Effect, *confused_with: str, **changes: Any) -> MissingEffect:
     count = len(effect.coefficients)
-    found = Finding(effect, np.zeros(count), np.ones(count), 9.0, 5.0, 1e-6, 1.0, 0.5, confused_with)
+    found = MissingEffect(effect, np.zeros(count), np.ones(count), 9.0, 5.0, 1e-6, 1.0, 0.5, confused_with)
     return replace(found, **changes)
 
 
-def said(*names: str, verdict: str = 'effect_found', left: Oddity | None = None) -> Diagnosis:
+def said(*names: str, verdict: str = 'effect_found', left: UnexplainedStructure | None = None) -> Diagnosis:
     missing = tuple(finding(find_effect(name)) for name in names)
     return Diagnosis(verdict, missing, (), {}, left, (), 'ground truth')
 
@@ -73,11 +73,11 @@ def hidden(*names: str) -> tuple[Case, list[HiddenEffect]]:
 
 
 @cache
-def odd(signal: str, at_s: float | None = None) -> Oddity:
+def odd(signal: str, at_s: float | None = None) -> UnexplainedStructure:
     """Something left over that goes with a signal."""
     made = drive(duration_s=60.0, signals={signal: np.linspace(0.0, 1.0, 600)})
     shape = next(item for item in shapes(made.run, made.seen) if item.signal == signal)
-    return Oddity('odd', 50.0, 9.0, shape, at_s)
+    return UnexplainedStructure('odd', 50.0, 9.0, shape, at_s)
 
 
 class TestIsRight:
@@ -121,7 +121,7 @@ class TestIsRight:
 
 
 LAG = Case('gyro_lag', ('gyro_lag',))
-RIGHT = BlindTrial(
+RIGHT = BlindResult(
     LAG,
     0,
     (('gyro_lag', (0.02,)),),
@@ -146,7 +146,7 @@ WRONG = replace(RIGHT, named=('scale_cubic', 'turn_slip'), is_right=False, error
 MISSED = replace(
     WRONG, is_costly=False, verdict='nothing_missing', named=(), errors_sigma=(), drift_after_deg=2.0
 )
-DIVERGED = BlindTrial(LAG, 9, RIGHT.hidden, is_costly=True, drift_known_deg=0.3)
+DIVERGED = BlindResult(LAG, 9, RIGHT.hidden, is_costly=True, drift_known_deg=0.3)
 
 
 class TestRow:
@@ -202,15 +202,15 @@ class TestRow:
 
 
 @pytest.fixture(scope='module')
-def short() -> BlindTrial:
+def short() -> BlindResult:
     """Two minutes that hide an effect: just long enough for a blind minute in the second half."""
     scenario = replace(find_scenario('cleaning'), duration_s=124.0, imu_hz=100, camera_hz=10)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, 'find_scenario', lambda name: scenario)
-        return run_trial(LAG, 2)
+        return run_blind(LAG, 2)
 
 
-def test_a_trial_knows_what_was_hidden_and_what_was_said(short: BlindTrial) -> None:
+def test_a_trial_knows_what_was_hidden_and_what_was_said(short: BlindResult) -> None:
     ((name, (lag_s,)),) = short.hidden
     assert name == 'gyro_lag' and RANGES[name][0].visible <= lag_s <= RANGES[name][0].large
     assert short.named[0] == 'gyro_lag' and short.is_right and not short.is_excused

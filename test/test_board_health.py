@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 
 from gyrocal_ros.board.commands import Order
-from gyrocal_ros.board.messages import Result, SetRates
+from gyrocal_ros.board.messages import CommandResult, SetRates
 from gyrocal_ros.board.protocol import Counts
-from gyrocal_ros.robot.board_health import RECENT_S, BoardHealth, Line, Tally
+from gyrocal_ros.robot.board_health import RECENT_S, BoardHealth, PortState, Tally
 from gyrocal_ros.robot.health import Level, Status
 
 RATES = SetRates(200, 50, 10)
 NOTHING = Tally(0.0, 0, 0, 0, 0, 0, 0, 0, 0, Counts())
-OPEN = Line(is_open=True, since_s=0.0)
+OPEN = PortState(is_open=True, since_s=0.0)
 
 
 @dataclass
@@ -23,9 +23,9 @@ class Board:
     """A board that is asked about once a second."""
 
     now: Tally = NOTHING
-    line: Line = OPEN
+    line: PortState = OPEN
     heard_s: float = 0.0
-    order: Order[SetRates] = field(default_factory=lambda: Order(RATES, Result.DONE))
+    order: Order[SetRates] = field(default_factory=lambda: Order(RATES, CommandResult.DONE))
     health: BoardHealth = field(default_factory=lambda: BoardHealth(NOTHING))
 
     def second(self, imu: int = 200, wheels: int = 50, supply: int = 10, **more: int) -> Status:
@@ -90,7 +90,7 @@ def test_what_happened_is_told_for_a_while(counted: dict[str, int], level: Level
 def test_a_port_that_is_not_open_is_the_only_complaint() -> None:
     board = Board()
     board.seconds(10, bad_checksums=5)
-    board.line = Line(is_open=False, since_s=board.now.time_s, why='/dev/x: is gone')
+    board.line = PortState(is_open=False, since_s=board.now.time_s, why='/dev/x: is gone')
     health = board.seconds(3, imu=0, wheels=0, supply=0)
     assert (health.level, health.message) == (Level.ERROR, 'not connected for 3 s: /dev/x: is gone')
 
@@ -119,12 +119,12 @@ def test_a_rate_that_is_too_low_is_told_when_it_lasts() -> None:
 def test_rates_are_judged_by_what_is_asked_for_now() -> None:
     board = Board()
     board.seconds(10, imu=100, wheels=25)
-    board.order = Order(SetRates(100, 25, 10), Result.DONE)
+    board.order = Order(SetRates(100, 25, 10), CommandResult.DONE)
     assert all(board.second(imu=100, wheels=25).level == Level.OK for _ in range(10))
 
 
 def test_rates_that_the_board_refuses_are_told() -> None:
-    board = Board(order=Order(SetRates(400, 50, 10), Result.OUT_OF_RANGE))
+    board = Board(order=Order(SetRates(400, 50, 10), CommandResult.OUT_OF_RANGE))
     health = board.seconds(10)
     assert health.level == Level.WARN
     assert health.message.startswith(

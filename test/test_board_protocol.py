@@ -18,10 +18,10 @@ from gyrocal_ros.board.messages import (
     LAYOUTS,
     MESSAGES,
     Acknowledgement,
+    CommandResult,
     Imu,
     Layout,
     Message,
-    Result,
     SetRates,
     Supply,
     Wheels,
@@ -333,8 +333,11 @@ def test_the_page_has_the_other_numbers() -> None:
     assert f'Of the nine ASCII bytes `123456789` it is `{checksum(b"123456789"):04x}`' in PAGE
     assert f'The longest frame has {LARGEST_FRAME} bytes' in ' '.join(PAGE.split())
     assert f'A step of up to {MOST_LOST} is a loss' in ' '.join(PAGE.split())
-    assert ', '.join(f'{result.value} {result.name.lower().replace("_", " ")}' for result in Result) in PAGE
-    assert Acknowledgement(7, SetRates.TYPE, Result.DONE) in [
+    assert (
+        ', '.join(f'{result.value} {result.name.lower().replace("_", " ")}' for result in CommandResult)
+        in PAGE
+    )
+    assert Acknowledgement(7, SetRates.TYPE, CommandResult.DONE) in [
         packet.message for row in VECTORS for packet in decoded([bytes.fromhex(row[4])])[0]
     ]
 

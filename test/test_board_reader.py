@@ -12,7 +12,16 @@ import pytest
 from gyrocal_ros.board.clock import Restart
 from gyrocal_ros.board.commands import PATIENCE_S, Commands
 from gyrocal_ros.board.convert import SupplySample
-from gyrocal_ros.board.messages import Acknowledgement, Imu, Message, Result, SetRates, Supply, Wheels, Zero
+from gyrocal_ros.board.messages import (
+    Acknowledgement,
+    CommandResult,
+    Imu,
+    Message,
+    SetRates,
+    Supply,
+    Wheels,
+    Zero,
+)
 from gyrocal_ros.board.protocol import Decoder, Packet, encode, wire_s
 from gyrocal_ros.board.reader import BoardReader, Pose, Reading, WheelMotion
 from gyrocal_ros.config.sections import BoardConfig
@@ -57,7 +66,7 @@ def test_every_message_becomes_its_reading() -> None:
         sender.send(Wheels(0, 0), 0.003),
         sender.send(Wheels(100, 100), 0.023),
         sender.send(Supply(16_400, -1250), 0.024),
-        sender.send(Acknowledgement(7, SetRates.TYPE, Result.DONE), 0.025),
+        sender.send(Acknowledgement(7, SetRates.TYPE, CommandResult.DONE), 0.025),
     )
     assert isinstance(imu, ImuSample)
     assert imu.rate_rad_s == pytest.approx((0.0, 0.0, math.radians(1.464)))
@@ -65,7 +74,7 @@ def test_every_message_becomes_its_reading() -> None:
     assert isinstance(wheels, WheelMotion)
     assert wheels.sample.speed_m_s == pytest.approx(1.5)
     assert isinstance(supply, SupplySample) and supply.voltage_v == 16.4
-    assert answer == Acknowledgement(7, SetRates.TYPE, Result.DONE)
+    assert answer == Acknowledgement(7, SetRates.TYPE, CommandResult.DONE)
     assert reader.received == {Imu: 1, Wheels: 2, Supply: 1, Acknowledgement: 1}
 
 
@@ -191,23 +200,23 @@ def test_rates_are_asked_for_until_there_is_an_answer() -> None:
     assert [at_s for at_s, _ in sent] == pytest.approx([0.0, PATIENCE_S, 2.0 * PATIENCE_S], abs=0.011)
     assert {packet.message for _, packet in sent} == {RATES}
     assert len({packet.sequence for _, packet in sent}) == 3
-    commands.hear(Acknowledgement(sent[0][1].sequence, SetRates.TYPE, Result.DONE))
-    assert commands.rates.result == Result.DONE
+    commands.hear(Acknowledgement(sent[0][1].sequence, SetRates.TYPE, CommandResult.DONE))
+    assert commands.rates.result == CommandResult.DONE
     assert commands.due(1e6) == b''
 
 
 def test_an_answer_to_something_else_is_none() -> None:
     commands = Commands(RATES)
     [packet] = packets(commands.due(0.0))
-    commands.hear(Acknowledgement(packet.sequence + 1, SetRates.TYPE, Result.DONE))
-    commands.hear(Acknowledgement(packet.sequence, Zero.TYPE, Result.DONE))
+    commands.hear(Acknowledgement(packet.sequence + 1, SetRates.TYPE, CommandResult.DONE))
+    commands.hear(Acknowledgement(packet.sequence, Zero.TYPE, CommandResult.DONE))
     assert commands.rates.result is None
 
 
 def test_rates_are_asked_for_once_more_when_the_board_may_have_forgotten_them() -> None:
     commands = Commands(RATES)
     [first] = packets(commands.due(0.0))
-    commands.hear(Acknowledgement(first.sequence, SetRates.TYPE, Result.DONE))
+    commands.hear(Acknowledgement(first.sequence, SetRates.TYPE, CommandResult.DONE))
     commands.repeat_rates()
     [second] = packets(commands.due(0.0))
     assert second.message == RATES and second.sequence != first.sequence

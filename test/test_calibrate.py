@@ -51,7 +51,7 @@ from gyrocal_ros.pipeline.calibration import (
     load_calibration,
     save_calibration,
 )
-from gyrocal_ros.pipeline.visual_slam import SeeingFilter
+from gyrocal_ros.pipeline.visual_slam import VisualSlam
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.manoeuvres import Habits
 from gyrocal_ros.sim.sensors import SensorErrors
@@ -194,7 +194,7 @@ def test_a_step_of_the_clock_keeps_the_calibration(step_s: float) -> None:
     assert blind_drift(run, span_s=20.0).rms_deg == pytest.approx(
         blind_drift(plain_run(), span_s=20.0).rms_deg, abs=0.3
     )
-    assert run.evidence is not None and len(run.evidence.start_s) == 6
+    assert run.scores is not None and len(run.scores.start_s) == 6
 
 
 @pytest.mark.parametrize(('from_s', 'to_s'), [(20.0, 21.0), (10.0, 30.0), (40.0, 1e6)])
@@ -347,8 +347,8 @@ def test_a_candidate_shows_in_the_evidence() -> None:
     asked = calibrate(source, Config(), default_model(), candidates=(cubic, find_effect('turn_slip')))
     plain = calibrate(source, Config(), default_model())
     np.testing.assert_allclose(asked.history.mean, plain.history.mean, rtol=1e-9, atol=1e-12)
-    assert plain.evidence is None and asked.evidence is not None
-    information, score = asked.evidence.information.sum(axis=0), asked.evidence.score.sum(axis=0)
+    assert plain.scores is None and asked.scores is not None
+    information, score = asked.scores.information.sum(axis=0), asked.scores.score.sum(axis=0)
     estimate = np.linalg.solve(information, score)
     assert estimate[0] == pytest.approx(0.003, rel=0.15)
     assert estimate[0] > 10.0 / math.sqrt(information[0, 0])
@@ -504,7 +504,7 @@ def test_an_image_without_features_is_no_measurement() -> None:
 
 def test_a_stream_gives_its_steps_as_soon_as_wheels_allow() -> None:
     source = recording()
-    slam = SeeingFilter(EkfSlam(default_model(), Config(), source.rig))
+    slam = VisualSlam(EkfSlam(default_model(), Config(), source.rig))
     newest_ns = 0
     items: list[Measurement] = [item for item in source.measurements() if item.t_ns < at(5.0)]
     for item in items:

@@ -27,7 +27,7 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
-from gyrocal_ros.msgs.issues import Finding, Severity, one_a_kind
+from gyrocal_ros.msgs.issues import BagIssue, Severity, one_a_kind
 
 SHARED = Path(__file__).resolve().parent.parent.parent / 'shared' / 'data' / 'robot-localization-bags'
 JACKAL = SHARED / 'test2_jackal.bag'
@@ -38,7 +38,7 @@ def check(path: Path, samples: Iterable[Measurement] | None = None, **options: A
     return check_bag(write(path / 'bag', samples), Config(), **options)
 
 
-def found(report: CheckReport) -> dict[str, Finding]:
+def found(report: CheckReport) -> dict[str, BagIssue]:
     """The findings by kind; there must be one of each."""
     kinds = {finding.kind: finding for finding in report.findings}
     assert len(kinds) == len(report.findings), report.findings
@@ -279,7 +279,7 @@ def test_a_camera_that_is_not_calibrated(tmp_path: Path) -> None:
 
 def test_the_worst_of_each_kind() -> None:
     findings = [
-        Finding(severity, kind, '', '')
+        BagIssue(severity, kind, '', '')
         for severity, kind in [(Severity.NOTE, 'gap'), (Severity.WARNING, 'late'), (Severity.WARNING, 'gap')]
     ]
     assert one_a_kind(findings) == [findings[2], findings[1]]

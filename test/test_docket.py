@@ -17,8 +17,8 @@ from gyrocal_ros.diagnose.candidates import (
     LIMITS,
     MIN_LEVER_M,
     WARMUP_TIMES_S,
+    candidate_set,
     columns_of,
-    docket,
     needs,
     with_means,
 )
@@ -56,21 +56,21 @@ class TestDocket:
 
     def tried(self, *signals: str, has_temperature: bool = True, lever_m: float = 0.1) -> set[str]:
         offered = self.offering(*signals, has_temperature=has_temperature, lever_m=lever_m)
-        return {trial.effect.name for trial in docket(default_model(), offered).trials}
+        return {trial.effect.name for trial in candidate_set(default_model(), offered).trials}
 
     def test_all_that_the_model_lacks_is_tried(self) -> None:
         tried = self.tried()
         assert tried == set(EFFECTS) - {'scale_factor', *LIMITS}
         more = replace(default_model(), effects=(*default_model().effects, *SOME, BiasWarmup()))
-        fewer = {trial.effect.name for trial in docket(more, self.offering()).trials}
+        fewer = {trial.effect.name for trial in candidate_set(more, self.offering()).trials}
         assert tried - fewer == {'bias_warmup', *(effect.name for effect in SOME)}
 
     def test_what_is_not_recorded_is_not_tried(self) -> None:
         cold = {
             trial.effect.name
-            for trial in docket(default_model(), self.offering(has_temperature=False)).trials
+            for trial in candidate_set(default_model(), self.offering(has_temperature=False)).trials
         }
-        warm = {trial.effect.name for trial in docket(default_model(), self.offering()).trials}
+        warm = {trial.effect.name for trial in candidate_set(default_model(), self.offering()).trials}
         assert (
             warm - cold
             == {name for name, effect in EFFECTS.items() if 'temperature' in needs(effect)}
@@ -81,20 +81,20 @@ class TestDocket:
     def test_a_camera_at_the_turning_centre_does_not_see_the_wheels(
         self, part: float, is_tried: bool
     ) -> None:
-        trials = docket(default_model(), self.offering(lever_m=part * MIN_LEVER_M)).trials
+        trials = candidate_set(default_model(), self.offering(lever_m=part * MIN_LEVER_M)).trials
         assert ('wheel_scale' in {trial.effect.name for trial in trials}) == is_tried
 
     def test_every_signal_is_tried_on_bias_and_scale(self) -> None:
-        trials = docket(default_model(), self.offering(*SIGNALS)).trials
+        trials = candidate_set(default_model(), self.offering(*SIGNALS)).trials
         about = {trial.effect.name: trial.effect for trial in trials if ':' in trial.effect.name}
         assert set(about) == {f'covariate_{of}:{signal}' for of in ('bias', 'scale') for signal in SIGNALS}
         assert about['covariate_bias:fan.data'] == covariate_bias('fan.data', MEAN, SPREAD)
         present = replace(default_model(), effects=(find_effect('covariate_bias:fan.data'),))
-        left = {trial.effect.name for trial in docket(present, self.offering('fan.data')).trials}
+        left = {trial.effect.name for trial in candidate_set(present, self.offering('fan.data')).trials}
         assert 'covariate_scale:fan.data' in left and 'covariate_bias:fan.data' not in left
 
     def test_time_constants_share_what_the_filter_carries(self) -> None:
-        every = docket(default_model(), self.offering())
+        every = candidate_set(default_model(), self.offering())
         carried = [effect.name for effect in every.carried]
         assert len(carried) == len(set(carried)) and {'warmups', 'hystereses'} <= set(carried)
         warmups = [trial.effect for trial in every.trials if trial.effect.name == 'bias_warmup']
@@ -103,7 +103,7 @@ class TestDocket:
         assert len(hystereses) == 2 * len(HYSTERESIS_TIMES_S)
 
     def test_evidence_of_what_is_carried_is_evidence_of_what_is_tried(self) -> None:
-        every = docket(default_model(), self.offering(*SIGNALS))
+        every = candidate_set(default_model(), self.offering(*SIGNALS))
         assert len(every.carried) < len(every.trials)
         rng = np.random.default_rng(0)
         others = {name: rng.normal(size=(3, 12, 4)) for name in EFFECTS}

@@ -13,7 +13,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import (
     STRIDE_S,
     BlindDrift,
-    Path,
+    Trajectory2D,
     better_sigma,
     blind_drift,
     dead_reckoning,
@@ -107,7 +107,7 @@ def test_without_truth_the_filter_is_the_reference(run: Run) -> None:
 
 def test_another_reference_may_be_given(run: Run) -> None:
     history = run.history
-    wrong = Path(history.time_s, history.mean[:, :2], history.mean[:, YAW] + 0.001 * history.time_s)
+    wrong = Trajectory2D(history.time_s, history.mean[:, :2], history.mean[:, YAW] + 0.001 * history.time_s)
     drift = blind_drift(run, (wrong, 'drifting'), span_s=20.0)
     expected = blind_drift(replace(run, truth=None), span_s=20.0).error_rad - 0.001 * 20.0
     assert drift.reference == 'drifting'

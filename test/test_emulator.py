@@ -19,7 +19,7 @@ from emulated import BoardProgram
 from gyrocal_ros.board.clock import Restart
 from gyrocal_ros.board.convert import SupplySample
 from gyrocal_ros.board.link import Link
-from gyrocal_ros.board.messages import Acknowledgement, Message, Result, SetRates, Zero
+from gyrocal_ros.board.messages import Acknowledgement, CommandResult, Message, SetRates, Zero
 from gyrocal_ros.board.protocol import checksum, encode, stuff
 from gyrocal_ros.board.reader import BoardReader, Reading, WheelMotion
 from gyrocal_ros.cli import board_emulator
@@ -209,7 +209,7 @@ def test_rates_that_can_be_had_are_sent() -> None:
     host.say(SetRates(100, 25, 2), 10.0, sequence=7)
     host.readings.clear()
     host.read(20.0)
-    assert host.answers() == [Acknowledgement(7, SetRates.TYPE, Result.DONE)]
+    assert host.answers() == [Acknowledgement(7, SetRates.TYPE, CommandResult.DONE)]
     supply = [reading for reading in host.readings if isinstance(reading, SupplySample)]
     counts = len(host.imu()), len(host.wheels()), len(supply)
     assert counts == pytest.approx((1000, 250, 20), abs=2)
@@ -227,7 +227,7 @@ def test_rates_that_cannot_be_had_change_nothing(rates: SetRates) -> None:
     host.say(rates, 2.0)
     host.readings.clear()
     host.read(4.0)
-    assert host.answers() == [Acknowledgement(1, SetRates.TYPE, Result.OUT_OF_RANGE)]
+    assert host.answers() == [Acknowledgement(1, SetRates.TYPE, CommandResult.OUT_OF_RANGE)]
     assert len(host.imu()) == pytest.approx(400, abs=2)
 
 
@@ -238,7 +238,7 @@ def test_the_zero_is_subtracted_from_then_on_and_outlives_the_power() -> None:
     host.read(2.9)
     assert not host.answers()
     host.read(4.0)
-    assert host.answers() == [Acknowledgement(9, Zero.TYPE, Result.DONE)]
+    assert host.answers() == [Acknowledgement(9, Zero.TYPE, CommandResult.DONE)]
     for until_s in (5.0, 8.0):
         host.readings.clear()
         host.read(until_s)
@@ -249,14 +249,14 @@ def test_the_zero_is_subtracted_from_then_on_and_outlives_the_power() -> None:
 def test_a_zero_is_refused_when_a_wheel_turns() -> None:
     host = Host(emulator(SHORT)).read(4.0)
     host.say(Zero(1000), 4.0)
-    assert host.read().answers() == [Acknowledgement(1, Zero.TYPE, Result.REFUSED)]
+    assert host.read().answers() == [Acknowledgement(1, Zero.TYPE, CommandResult.REFUSED)]
 
 
 def test_an_unknown_command_is_answered_and_noise_is_not() -> None:
     host = Host(emulator(SHORT)).read(1.0)
     body = bytes((0x99, 5, 0, 0, 0, 0, 0, 42))
     host.board.hear(b'noise\0' + stuff(body + checksum(body).to_bytes(2, 'little')) + b'\0', NS_PER_S)
-    assert host.read(2.0).answers() == [Acknowledgement(5, 0x99, Result.UNKNOWN)]
+    assert host.read(2.0).answers() == [Acknowledgement(5, 0x99, CommandResult.UNKNOWN)]
 
 
 def test_a_recording_without_a_battery_sends_no_supply() -> None:
@@ -264,7 +264,7 @@ def test_a_recording_without_a_battery_sends_no_supply() -> None:
     host.say(SetRates(200, 50, 10), 2.0)
     host.read()
     assert not any(isinstance(reading, SupplySample) for reading in host.readings)
-    assert [answer.result for answer in host.answers()] == [Result.OUT_OF_RANGE]
+    assert [answer.result for answer in host.answers()] == [CommandResult.OUT_OF_RANGE]
 
 
 # --- faults -----------------------------------------------------------------------------------------

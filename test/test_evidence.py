@@ -20,7 +20,7 @@ from gyrocal_ros.diagnose.candidate_fit import (
     preference,
     sigma_of,
 )
-from gyrocal_ros.ekf.score_statistics import Evidence
+from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 
 BLOCKS, EACH = 30, 20
 TRUE = np.array([3.0, -1.0, 0.5])
@@ -33,8 +33,8 @@ def drawn(seed: int, noise: float = 1.0, blocks: int = BLOCKS) -> tuple[Array, A
     return columns, columns @ TRUE + noise * rng.normal(size=(blocks, EACH))
 
 
-def fitted(evidence: Evidence, *columns: int, given: tuple[int, ...] | None = None) -> Fit:
-    found = fit(evidence, np.array(columns), None if given is None else np.array(given))
+def fitted(scores: ScoreStatistics, *columns: int, given: tuple[int, ...] | None = None) -> Fit:
+    found = fit(scores, np.array(columns), None if given is None else np.array(given))
     assert found is not None
     return found
 
@@ -63,9 +63,9 @@ class TestFit:
         assert other.sigma == pytest.approx(plain.sigma) and other.gain == pytest.approx(plain.gain)
 
     def test_beside_what_is_given_only_the_rest_counts(self) -> None:
-        evidence = evidence_of(*drawn(1))
-        every, alone = fitted(evidence, 0, 1, 2), fitted(evidence, 2)
-        beside = fitted(evidence, 0, 1, given=(2,))
+        scores = evidence_of(*drawn(1))
+        every, alone = fitted(scores, 0, 1, 2), fitted(scores, 2)
+        beside = fitted(scores, 0, 1, given=(2,))
         np.testing.assert_allclose(beside.values, every.values[:2], rtol=1e-10)
         np.testing.assert_allclose(beside.covariance, every.covariance[:2, :2], rtol=1e-10)
         assert beside.gain == pytest.approx(every.gain - alone.gain)
@@ -75,20 +75,20 @@ class TestFit:
         rng = np.random.default_rng(2)
         cause = rng.normal(size=(BLOCKS, EACH))
         columns = np.stack([cause, cause + 0.3 * rng.normal(size=cause.shape)], axis=2)
-        evidence = evidence_of(columns, 2.0 * cause + rng.normal(size=cause.shape))
-        assert fitted(evidence, 1).sigma > 10.0
-        assert fitted(evidence, 1, given=(0,)).sigma < 3.0 and fitted(evidence, 0, given=(1,)).sigma > 5.0
+        scores = evidence_of(columns, 2.0 * cause + rng.normal(size=cause.shape))
+        assert fitted(scores, 1).sigma > 10.0
+        assert fitted(scores, 1, given=(0,)).sigma < 3.0 and fitted(scores, 0, given=(1,)).sigma > 5.0
 
     def test_what_is_not_excited_is_left_out(self) -> None:
         columns, seen = drawn(3)
         columns[:, :, 1] = 0.0
-        evidence = evidence_of(columns, seen)
-        found, rest = fitted(evidence, 0, 1, 2), fitted(evidence, 0, 2)
+        scores = evidence_of(columns, seen)
+        found, rest = fitted(scores, 0, 1, 2), fitted(scores, 0, 2)
         assert found.columns.tolist() == [0, 2]
         np.testing.assert_allclose(found.values, rest.values)
         np.testing.assert_allclose(found.covariance, rest.covariance)
-        assert fit(evidence, np.array([1])) is None
-        assert fitted(evidence, 0, given=(1,)).gain == pytest.approx(fitted(evidence, 0).gain)
+        assert fit(scores, np.array([1])) is None
+        assert fitted(scores, 0, given=(1,)).gain == pytest.approx(fitted(scores, 0).gain)
 
     def test_hardly_excited_is_not_excited(self) -> None:
         columns, seen = drawn(3)
@@ -101,9 +101,9 @@ class TestFit:
     def test_the_same_column_twice_cannot_be_fitted(self) -> None:
         columns, seen = drawn(4)
         columns[:, :, 1] = -2.0 * columns[:, :, 0]
-        evidence = evidence_of(columns, seen)
-        assert fit(evidence, np.array([0, 1])) is None
-        assert fit(evidence, np.array([0]), given=np.array([1])) is None
+        scores = evidence_of(columns, seen)
+        assert fit(scores, np.array([0, 1])) is None
+        assert fit(scores, np.array([0]), given=np.array([1])) is None
 
     def test_the_first_half_is_that_of_the_blocks(self) -> None:
         columns, seen = drawn(5, blocks=7)
@@ -160,11 +160,11 @@ class TestCovariance:
         for _ in range(50):
             columns = rng.normal(size=(5, 40, 2))
             columns[np.arange(5) != 2, :, 0] = 0.0
-            evidence = evidence_of(columns, columns @ [3.0, -1.0] + rng.normal(size=(5, 40)))
-            found = fitted(evidence, 0, 1)
+            scores = evidence_of(columns, columns @ [3.0, -1.0] + rng.normal(size=(5, 40)))
+            found = fitted(scores, 0, 1)
             assert np.isfinite(found.sigma)
             np.testing.assert_allclose(found.values, [3.0, -1.0], atol=0.6)
-            own = np.linalg.inv(evidence.information.sum(axis=0))
+            own = np.linalg.inv(scores.information.sum(axis=0))
             np.testing.assert_allclose(found.covariance, own, rtol=1e-6)
 
 
@@ -227,15 +227,15 @@ class TestSignificance:
     def test_how_alike_two_effects_are(self) -> None:
         """The largest canonical correlation: of one column each, the cosine between them."""
         columns, seen = drawn(8)
-        evidence = evidence_of(columns, seen)
+        scores = evidence_of(columns, seen)
         first, second, third = columns.reshape(-1, 3).T
         cosine = abs(first @ second) / math.sqrt((first @ first) * (second @ second))
-        assert correlation(evidence, np.array([0]), np.array([1])) == pytest.approx(cosine)
+        assert correlation(scores, np.array([0]), np.array([1])) == pytest.approx(cosine)
         explained = np.linalg.lstsq(np.stack([second, third], axis=1), first)[1][0] / (first @ first)
-        assert correlation(evidence, np.array([0]), np.array([1, 2])) == pytest.approx(
+        assert correlation(scores, np.array([0]), np.array([1, 2])) == pytest.approx(
             math.sqrt(1.0 - explained)
         )
-        assert correlation(evidence, np.array([1, 2]), np.array([2])) == pytest.approx(1.0)
+        assert correlation(scores, np.array([1, 2]), np.array([2])) == pytest.approx(1.0)
         columns[:, :, 1] = 0.0
         assert correlation(evidence_of(columns, seen), np.array([0]), np.array([1])) == 0.0
 

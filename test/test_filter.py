@@ -23,14 +23,14 @@ from gyrocal_ros.config.sections import Config, GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.effects_by_place import sort_effects
-from gyrocal_ros.ekf.gating import NoiseFollower, chi_square_quantile, inliers
-from gyrocal_ros.ekf.landmarks import augment, forget_all, keep, make_room, note_sighting
+from gyrocal_ros.ekf.gating import AdaptiveNoise, chi_square_quantile, inliers
+from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, forget_all, keep
 from gyrocal_ros.ekf.predict import Transition, predict, predict_sensitivity
-from gyrocal_ros.ekf.start import Start, initial_state, moved_unseen
+from gyrocal_ros.ekf.start import Start, inflate_after_gap, initial_state
 from gyrocal_ros.ekf.state import BIAS, EULER, POSE, POSITION, YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.update import (
     Innovation,
-    Lesson,
+    UpdateStats,
     heading_update,
     innovate,
     mahalanobis,
@@ -259,7 +259,7 @@ def derivatives(rows: IntArray, width: int) -> tuple[Array, Array]:
 def assert_textbook(
     before: State,
     after: State,
-    lesson: Lesson,
+    lesson: UpdateStats,
     jacobian: Array,
     residual: Array,
     noise: Array,
@@ -477,7 +477,7 @@ def test_the_gate_widens_when_the_whole_image_speaks() -> None:
 @pytest.mark.parametrize('outliers', [0.0, 0.05])
 @pytest.mark.parametrize('true_px', [0.1, 0.4, 1.5])
 def test_noise_is_followed_to_the_truth(true_px: float, outliers: float) -> None:
-    follower, rng = NoiseFollower(0.4, 0.02, 10.0), np.random.default_rng(0)
+    follower, rng = AdaptiveNoise(0.4, 0.02, 10.0), np.random.default_rng(0)
     settled = []
     for frame in range(3000):
         distances = (true_px / follower.std) ** 2 * rng.chisquare(2, 15)
@@ -492,7 +492,7 @@ def test_noise_is_followed_to_the_truth(true_px: float, outliers: float) -> None
 
 
 def test_noise_is_followed_within_bounds() -> None:
-    follower = NoiseFollower(0.4, 0.02, 10.0)
+    follower = AdaptiveNoise(0.4, 0.02, 10.0)
     follower.follow(np.empty(0), 2)
     assert follower.std == 0.4
     for _ in range(3000):
@@ -561,24 +561,24 @@ def with_sightings(last_seen_ns: list[int], t_ns: int) -> State:
 
 def test_room_is_made_by_those_unseen_for_longest() -> None:
     state = with_sightings([50, 20, 40, 10, 30], t_ns=60)
-    assert make_room(state, wanted=3, map_size=8) is state
-    assert make_room(state, wanted=3, map_size=6).landmarks.ids.tolist() == [3, 4, 9]
-    assert make_room(state, wanted=9, map_size=6).landmarks.ids.tolist() == []
+    assert evict_oldest(state, wanted=3, map_size=8) is state
+    assert evict_oldest(state, wanted=3, map_size=6).landmarks.ids.tolist() == [3, 4, 9]
+    assert evict_oldest(state, wanted=9, map_size=6).landmarks.ids.tolist() == []
 
 
 def test_outliers_in_a_row_are_forgotten() -> None:
     state = some_state()
     for _ in range(2):
-        state = note_sighting(state, np.array([0, 2]), np.array([1, 4]), drop_after=3)
+        state = count_matches(state, np.array([0, 2]), np.array([1, 4]), drop_after=3)
     assert state.landmarks.rejections.tolist() == [0, 2, 0, 0, 2]
-    state = note_sighting(state, np.array([4]), np.array([1]), drop_after=3)
+    state = count_matches(state, np.array([4]), np.array([1]), drop_after=3)
     assert state.landmarks.ids.tolist() == [3, 4, 15, 9]
     assert state.landmarks.rejections.tolist() == [0, 0, 0, 0]
 
 
 def test_sightings_are_dated() -> None:
     state = with_sightings([0, 0, 0, 0, 0], t_ns=60)
-    state = note_sighting(state, np.array([0, 2]), np.array([1]), drop_after=3)
+    state = count_matches(state, np.array([0, 2]), np.array([1]), drop_after=3)
     assert state.landmarks.last_seen_ns.tolist() == [60, 0, 60, 0, 0]
 
 
@@ -613,7 +613,7 @@ def test_a_run_starts_from_what_an_earlier_one_knew() -> None:
 
 def test_nobody_saw_the_robot_move() -> None:
     state = forget_all(some_state())
-    after = moved_unseen(state, 99)
+    after = inflate_after_gap(state, 99)
     grown = after.covariance - state.covariance
     assert after.t_ns == 99
     np.testing.assert_array_equal(after.mean, state.mean)

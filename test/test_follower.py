@@ -25,7 +25,7 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.model.camera import bearing, mount_from_yaw, project
 from gyrocal_ros.model.rotation import rotation_from_euler
-from gyrocal_ros.pipeline.visual_slam import SeeingFilter
+from gyrocal_ros.pipeline.visual_slam import VisualSlam
 from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.world import SimSource
@@ -230,7 +230,7 @@ def test_without_the_filter_all_goes_on(renderer: CeilingRenderer) -> None:
 def test_after_a_step_of_the_clock_nothing_old_counts(renderer: CeilingRenderer) -> None:
     ride = Ride(renderer, math.radians(20.0))
     ride.go(0, 4)
-    ride.follower.start_anew()
+    ride.follower.restart()
     ride.hear(0.4)
     assert ride.follower.turning.at(nanoseconds(0.1)) is None
     assert len(ride.look(0.4).ids) == 15
@@ -250,8 +250,8 @@ def filmed(duration_s: float = 1.0) -> SimSource:
     return SimSource(replace(SCENARIOS['demo'], duration_s=duration_s), 1, images=True)
 
 
-def seeing(source: SimSource, keep: list[FeatureObservations]) -> SeeingFilter:
-    return SeeingFilter(EkfSlam(default_model(), Config(), source.rig), keep.append)
+def seeing(source: SimSource, keep: list[FeatureObservations]) -> VisualSlam:
+    return VisualSlam(EkfSlam(default_model(), Config(), source.rig), keep.append)
 
 
 def test_an_image_waits_for_the_imu_and_is_followed_in_its_turn() -> None:
@@ -274,10 +274,10 @@ def test_an_image_waits_for_the_imu_and_is_followed_in_its_turn() -> None:
 def test_the_filter_learns_from_images_and_knows_their_noise() -> None:
     source = filmed()
     slam = EkfSlam(default_model(), Config(), source.rig)
-    stream = SeeingFilter(slam)
+    stream = VisualSlam(slam)
     for item in source.measurements():
         stream.step(item)
-    used = sum(record.sighting.used for record in stream.finish())
+    used = sum(record.image.used for record in stream.finish())
     assert used > 10 or len(slam.state.landmarks.ids) > 10
     assert slam.pixel_noise.std < 0.2, 'that of recorded features is not taken for theirs'
 

@@ -16,7 +16,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidate_fit import fit
 from gyrocal_ros.diagnose.drift import truth_path
-from gyrocal_ros.diagnose.heading_filter import UNBELIEVABLE, heading_evidence, headings, misfits
+from gyrocal_ros.diagnose.heading_filter import UNBELIEVABLE, heading_scores, headings, misfits
 from gyrocal_ros.diagnose.regimes import FAILURE_SIGMA, Failure, failures
 from gyrocal_ros.diagnose.shapes import (
     HEADING,
@@ -24,11 +24,11 @@ from gyrocal_ros.diagnose.shapes import (
     RATE,
     STEP_S,
     TIME,
-    Oddity,
+    UnexplainedStructure,
     jump,
-    oddity,
     shapes,
     swing,
+    unexplained_structure,
 )
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
@@ -79,7 +79,7 @@ class TestEvidence:
     @pytest.mark.parametrize('errors', [(0.01, 0.0), (0.0, 0.01), (-0.005, 0.01)])
     def test_errors_are_found_with_the_right_sign(self, errors: tuple[float, float]) -> None:
         columns = np.stack(self.columns(), axis=1)
-        found = fit(heading_evidence(drive(columns @ errors).seen, columns), np.arange(2))
+        found = fit(heading_scores(drive(columns @ errors).seen, columns), np.arange(2))
         assert found is not None
         std = np.sqrt(np.diagonal(found.covariance))
         np.testing.assert_array_less(np.abs(found.values - errors), 4.0 * std)
@@ -89,7 +89,7 @@ class TestEvidence:
         rate, size = self.columns()
         off = []
         for seed in range(25):
-            found = fit(heading_evidence(drive(0.001 * size, seed=seed).seen, size[:, None]), np.array([0]))
+            found = fit(heading_scores(drive(0.001 * size, seed=seed).seen, size[:, None]), np.array([0]))
             assert found is not None
             off.append((found.values[0] - 0.001) / math.sqrt(found.covariance[0, 0]))
         assert 0.5 < float(np.sqrt(np.mean(np.square(off)))) < 1.4
@@ -100,7 +100,7 @@ class TestEvidence:
         size = self.columns()[1][:, None]
         values = []
         for seen in (plain.seen, off.seen):
-            found = fit(heading_evidence(seen, size), np.array([0]))
+            found = fit(heading_scores(seen, size), np.array([0]))
             assert found is not None
             values.append(found.values[0])
         assert values[1] == pytest.approx(values[0], abs=2e-4)
@@ -110,7 +110,7 @@ class TestEvidence:
         wrong = made.seen.seen_rad.copy()
         wrong[1000::97] += 1000.0 * UNBELIEVABLE * made.seen.std_rad[1000::97]
         found = fit(
-            heading_evidence(replace(made.seen, seen_rad=wrong), self.columns()[1][:, None]), np.array([0])
+            heading_scores(replace(made.seen, seen_rad=wrong), self.columns()[1][:, None]), np.array([0])
         )
         assert found is not None and found.values[0] == pytest.approx(
             0.01, abs=5.0 * np.sqrt(found.covariance[0, 0])
@@ -119,23 +119,23 @@ class TestEvidence:
 
     def test_blocks_of_time_add_up(self) -> None:
         size = self.columns()[1][:, None]
-        evidence = heading_evidence(clean().seen, size)
-        np.testing.assert_array_equal(evidence.start_s, BLOCK_S * np.arange(30))
-        assert evidence.information.shape == (30, 1, 1) and np.all(evidence.information[1:] > 0.0)
+        scores = heading_scores(clean().seen, size)
+        np.testing.assert_array_equal(scores.start_s, BLOCK_S * np.arange(30))
+        assert scores.information.shape == (30, 1, 1) and np.all(scores.information[1:] > 0.0)
 
     def test_without_a_camera_nothing_is_said(self) -> None:
         made = drive(0.05 * self.columns()[1])
         blind = replace(made.seen, seen_rad=np.full(len(made.seen.time_s), np.nan))
-        evidence = heading_evidence(blind, self.columns()[1][:, None])
-        assert not np.any(evidence.information) and not np.any(evidence.score)
-        assert fit(evidence, np.array([0])) is None
+        scores = heading_scores(blind, self.columns()[1][:, None])
+        assert not np.any(scores.information) and not np.any(scores.score)
+        assert fit(scores, np.array([0])) is None
 
     def test_a_turn_that_nobody_can_tell_tells_nothing(self) -> None:
         """Where the gyro is lost in every turn, no turn shows an error."""
         rate, size = self.columns()
         made = drive(0.01 * size)
-        lost = replace(made.seen, lost_rad=np.where(size > 0.0, 1.0, 0.0))
-        sure, unsure = (heading_evidence(seen, size[:, None]).information.sum() for seen in (made.seen, lost))
+        lost = replace(made.seen, unobserved_turn_std_rad=np.where(size > 0.0, 1.0, 0.0))
+        sure, unsure = (heading_scores(seen, size[:, None]).information.sum() for seen in (made.seen, lost))
         assert unsure < 0.01 * sure
 
 
@@ -181,20 +181,20 @@ class TestOfARun:
         rough = calibrate(recording(bumps=40, floor_tilt_deg=1.5), Config(), default_model())
         seen, truth = headings(rough), truth_path(rough)
         assert truth is not None
-        turned = np.cumsum(seen.turn_rad + float(rough.history.mean[-1, YAW_BIAS]) * seen.told_s)
+        turned = np.cumsum(seen.turn_rad + float(rough.history.mean[-1, YAW_BIAS]) * seen.gyro_valid_s)
         off = turned - np.interp(seen.time_s, truth.time_s, truth.yaw_rad)
         tilted = np.cumsum(rough.history.tilt_rad)
         assert np.std(off) < 0.5 * np.std(off - tilted)
 
     def test_nothing_is_left_over_of_a_clean_run(self, run: Run) -> None:
         seen = headings(run)
-        assert oddity(run, seen) is None and failures(run, seen) == []
+        assert unexplained_structure(run, seen) is None and failures(run, seen) == []
 
 
 class TestShapes:
     def test_a_clean_drive_has_none(self) -> None:
         for seed in range(4):
-            assert oddity(clean(seed).run, clean(seed).seen) is None
+            assert unexplained_structure(clean(seed).run, clean(seed).seen) is None
 
     def test_a_jump_is_found_where_it_is(self) -> None:
         found = jump(knocked().seen)
@@ -202,7 +202,7 @@ class TestShapes:
         at_s, fitted = found
         assert at_s == pytest.approx(KNOCK_S, abs=2.0 * STEP_S)
         assert fitted.values[0] == pytest.approx(deg(0.2), rel=0.15)
-        odd = oddity(knocked().run, knocked().seen)
+        odd = unexplained_structure(knocked().run, knocked().seen)
         assert odd is not None and odd.at_s == at_s and odd.sigma > ODD_SIGMA
         assert odd.what.startswith('the bias jumped by +0.') and odd.what.endswith(f'at {at_s:.0f} s')
 
@@ -214,8 +214,8 @@ class TestShapes:
         short = drive(duration_s=4.0 * STEP_S - 1.0).seen
         assert jump(short) is None and swing(short) is None
 
-    def odd(self, made: Drive) -> Oddity:
-        found = oddity(made.run, made.seen)
+    def odd(self, made: Drive) -> UnexplainedStructure:
+        found = unexplained_structure(made.run, made.seen)
         assert found is not None
         return found
 
@@ -261,7 +261,7 @@ class TestShapes:
     def test_a_gyro_too_noisy_is_no_oddity(self) -> None:
         for seed in range(3):
             made = drive(gyro_noise=4.0, seed=seed, signals={SIGNAL: switched()})
-            assert oddity(made.run, made.seen) is None
+            assert unexplained_structure(made.run, made.seen) is None
 
     def test_signals_that_do_not_vary_or_are_unknown_have_no_shape(self) -> None:
         count = len(times_s())

@@ -13,7 +13,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Frame, Measurement, Rig, Source, Span, nanoseconds
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.pipeline.calibrate import MAX_HELD_S, Held, Progress, calibrate, hold
+from gyrocal_ros.pipeline.calibrate import MAX_HELD_S, InMemorySource, Progress, calibrate, preload
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -58,7 +58,7 @@ def assert_same(one: Run, other: Run) -> None:
 class TestFeatures:
     def test_the_filter_does_not_notice(self) -> None:
         source = Counted(recording('cleaning', 1, 30.0))
-        held, config = hold(source, Config(), default_model())
+        held, config = preload(source, Config(), default_model())
         assert config == Config() and (held.name, held.span) == (source.name, source.span)
         runs = [calibrate(held, config, default_model()) for _ in range(2)]
         assert source.passes == 1, 'however often the filter runs'
@@ -68,15 +68,15 @@ class TestFeatures:
 
     def test_the_progress_is_told(self) -> None:
         told: list[Progress] = []
-        hold(recording('cleaning', 1, 30.0), Config(), default_model(), told.append)
+        preload(recording('cleaning', 1, 30.0), Config(), default_model(), told.append)
         done_s = [progress.done_s for progress in told]
         assert len(done_s) == pytest.approx(30, abs=2) and done_s == sorted(done_s)
         assert all(progress.total_s == told[0].total_s for progress in told)
 
     def test_one_of_great_length_stays_where_it_is(self) -> None:
         short = recording('cleaning', 1, 30.0)
-        long = Counted(Held('long', short.rig, Span(0, nanoseconds(MAX_HELD_S + 1.0)), []))
-        assert hold(long, Config(), default_model()) == (long, Config())
+        long = Counted(InMemorySource('long', short.rig, Span(0, nanoseconds(MAX_HELD_S + 1.0)), []))
+        assert preload(long, Config(), default_model()) == (long, Config())
         assert long.passes == 0
 
 
@@ -87,13 +87,13 @@ def filmed() -> Source:
         find_scenario('spins'), duration_s=FILMED_S, imu_hz=100, camera_hz=IMAGES_HZ, standing_s=1.0
     )
     source = SimSource(scenario, 1, images=True)
-    return Held(source.name, source.rig, source.span, list(source.measurements()))
+    return InMemorySource(source.name, source.rig, source.span, list(source.measurements()))
 
 
 class TestImages:
     def test_they_are_followed_once_and_calibrate_as_well(self, filmed: Source) -> None:
         source = Counted(filmed)
-        held, config = hold(source, Config(), default_model())
+        held, config = preload(source, Config(), default_model())
         measurements = list(held.measurements())
         assert source.passes == 1
         assert not any(isinstance(item, Frame) for item in measurements)
@@ -114,4 +114,4 @@ class TestImages:
 
     def test_where_the_clock_steps_they_stay_images(self, filmed: Source) -> None:
         stepped = Changed(filmed, with_clock_step(30.0, 0.5 * FILMED_S))
-        assert hold(stepped, Config(), default_model()) == (stepped, Config())
+        assert preload(stepped, Config(), default_model()) == (stepped, Config())

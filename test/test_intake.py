@@ -12,7 +12,7 @@ from gyrocal_ros.data import (
     WheelSample,
     nanoseconds,
 )
-from gyrocal_ros.robot.input_queue import MAX_SILENCE_NS, MAX_WAITING, STEP_S, Intake
+from gyrocal_ros.robot.input_queue import MAX_SILENCE_NS, MAX_WAITING, STEP_S, InputQueue
 
 IMU, WHEELS = 0, 1
 START_NS = 1_700_000_000 * NS_PER_S
@@ -31,7 +31,7 @@ def sensors(from_s: float, to_s: float, *, imu: bool = True) -> Iterator[tuple[i
             yield WHEELS, WheelSample(at(tick / 100 + 0.001), 0.1, 0.0)
 
 
-def push(intake: Intake, items: Iterator[tuple[int, Measurement]]) -> list[Measurement]:
+def push(intake: InputQueue, items: Iterator[tuple[int, Measurement]]) -> list[Measurement]:
     """Let them come when they are measured; return what is handed on."""
     out: list[Measurement] = []
     for stream, item in items:
@@ -41,8 +41,8 @@ def push(intake: Intake, items: Iterator[tuple[int, Measurement]]) -> list[Measu
     return out
 
 
-def intake() -> Intake:
-    return Intake(0.3, STEP_S, (IMU, WHEELS))
+def intake() -> InputQueue:
+    return InputQueue(0.3, STEP_S, (IMU, WHEELS))
 
 
 def test_nothing_is_kept_for_an_imu_that_stays_away() -> None:

@@ -12,7 +12,7 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.pipeline.calibration import Calibration, calibration_of, load_calibration, save_calibration
-from gyrocal_ros.robot.calibration_store import Keeper
+from gyrocal_ros.robot.calibration_store import CalibrationStore
 
 
 def known(converged: bool = True) -> Calibration:
@@ -31,8 +31,8 @@ def known(converged: bool = True) -> Calibration:
 
 def test_what_is_saved_is_found_again(tmp_path: Path) -> None:
     path = tmp_path / 'new' / 'calibration.yaml'
-    assert Keeper(path).save(known(), Config())
-    found = Keeper(path).load(Config())
+    assert CalibrationStore(path).save(known(), Config())
+    found = CalibrationStore(path).load(Config())
     assert found is not None
     assert found.values.tolist() == known().values.tolist()
     assert [item.name for item in path.parent.iterdir()] == [path.name], 'and nothing half-written beside it'
@@ -42,7 +42,7 @@ def test_what_is_saved_is_found_again(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_used_is_set_aside_and_told(tmp_path: Path, text: str) -> None:
     path = tmp_path / 'calibration.yaml'
     path.write_text(text)
-    keeper = Keeper(path)
+    keeper = CalibrationStore(path)
     assert keeper.load(Config()) is None
     assert 'begun with the priors' in keeper.complaint
     assert not path.exists()
@@ -55,19 +55,19 @@ def test_a_calibration_with_another_nominal_scale_factor_is_set_aside(tmp_path: 
     path = tmp_path / 'calibration.yaml'
     save_calibration(known(), Config(), path)
     other = replace(Config(), gyro=replace(Config().gyro, nominal_scale_factor_volt=100.0))
-    keeper = Keeper(path)
+    keeper = CalibrationStore(path)
     assert keeper.load(other) is None
     assert 'nominal scale factor of 146.4 deg/s/V, now it is 100' in keeper.complaint
 
 
 def test_a_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match='is a folder'):
-        Keeper(tmp_path).load(Config())
+        CalibrationStore(tmp_path).load(Config())
 
 
 def test_what_cannot_be_written_is_told_until_it_can(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
-    keeper = Keeper(tmp_path / 'file' / 'calibration.yaml')
+    keeper = CalibrationStore(tmp_path / 'file' / 'calibration.yaml')
     assert not keeper.save(known(), Config())
     assert 'could not be saved' in keeper.complaint
     (tmp_path / 'file').unlink()
@@ -76,7 +76,7 @@ def test_what_cannot_be_written_is_told_until_it_can(tmp_path: Path) -> None:
 
 
 def test_a_half_done_calibration_takes_no_place_of_a_finished_one(tmp_path: Path) -> None:
-    keeper = Keeper(tmp_path / 'calibration.yaml')
+    keeper = CalibrationStore(tmp_path / 'calibration.yaml')
     assert keeper.is_better(known(converged=False))
     keeper.save(known(), Config())
     assert not keeper.is_better(known(converged=False))
@@ -85,10 +85,10 @@ def test_a_half_done_calibration_takes_no_place_of_a_finished_one(tmp_path: Path
 
 def test_what_is_forgotten_is_kept_under_another_name(tmp_path: Path) -> None:
     path = tmp_path / 'calibration.yaml'
-    keeper = Keeper(path)
+    keeper = CalibrationStore(path)
     assert not keeper.forget()
     keeper.save(known(), Config())
     assert 'calibration.yaml.old' in keeper.forget()
     assert not path.exists()
     assert keeper.is_better(known(converged=False))
-    assert Keeper(path).load(Config()) is None
+    assert CalibrationStore(path).load(Config()) is None

@@ -14,7 +14,7 @@ from gyrocal_ros.diagnose.limits import (
     BANDS_DEG_S,
     MIN_PILE_S,
     STRAYS,
-    Proposal,
+    LimitProposal,
     pile,
     proposals,
     stuck,
@@ -40,7 +40,7 @@ def read_by(made: Drive) -> Recorded:
 
 def proposed(
     made: Drive, odd_gain: float = 0.0, rival_gain: float = 0.0, has_jumped: bool = False
-) -> list[Proposal]:
+) -> list[LimitProposal]:
     return list(proposals(made.run, made.seen, read_by(made), odd_gain, rival_gain, has_jumped))
 
 

@@ -27,7 +27,7 @@ from gyrocal_ros.files import shipped
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME, Role
 from gyrocal_ros.msgs.transforms import IDENTITY, UPSIDE_DOWN, Transform
-from gyrocal_ros.pipeline.calibrate import Held, calibrate
+from gyrocal_ros.pipeline.calibrate import InMemorySource, calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 
 
@@ -71,7 +71,7 @@ def test_the_sample_bag_in_the_order_of_recording_gives_what_its_replay_gives() 
                 break
     new.live.close()
     held = [item for item in bag.measurements() if item.t_ns <= last_ns]
-    wanted = conclude(calibrate(Held(bag.name, bag.rig, bag.span, held), config, default_model()))
+    wanted = conclude(calibrate(InMemorySource(bag.name, bag.rig, bag.span, held), config, default_model()))
     live = new.live.calibration
     np.testing.assert_allclose(live.values, wanted.values, rtol=0.0, atol=1e-3 * wanted.stds.min())
     np.testing.assert_allclose(live.stds, wanted.stds, rtol=1e-3)
@@ -99,7 +99,9 @@ def test_an_effect_follows_its_signal() -> None:
     new = switched_on(model=model)
     new.run(measured(0.0, 20.0))
     new.live.close()
-    wanted = conclude(calibrate(Held('', source().rig, source().span, measured(0.0, 20.0)), Config(), model))
+    wanted = conclude(
+        calibrate(InMemorySource('', source().rig, source().span, measured(0.0, 20.0)), Config(), model)
+    )
     np.testing.assert_allclose(new.live.calibration.values, wanted.values, rtol=1e-9)
     assert not new.said('has not come')
     silent = switched_on(model=model)

@@ -33,9 +33,9 @@ def test_a_covered_camera_is_told_and_what_is_known_is_served() -> None:
 
     new = switched_on()
     new.run(covered(item) for item in measured())
-    told_s = new.said('the camera has seen no feature for')
-    assert told_s[0] == pytest.approx(27.0, abs=1.1)
-    assert told_s[-1] > 38.0
+    gyro_valid_s = new.said('the camera has seen no feature for')
+    assert gyro_valid_s[0] == pytest.approx(27.0, abs=1.1)
+    assert gyro_valid_s[-1] > 38.0
     calibration = new.live.calibration
     assert calibration.converged
     assert abs(calibration.scale_factor - source().truth.scale_factor) < 4.0 * calibration.scale_factor_std

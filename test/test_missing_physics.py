@@ -26,7 +26,7 @@ from gyrocal_ros.diagnose.candidates import with_means
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import Search, search
-from gyrocal_ros.diagnose.shapes import Oddity, shapes
+from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.covariate import covariate_bias
 from gyrocal_ros.effects.model_file import load_model
@@ -34,7 +34,7 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import json_text
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.pipeline.calibrate import Held, calibrate, hold
+from gyrocal_ros.pipeline.calibrate import InMemorySource, calibrate, preload
 from gyrocal_ros.pipeline.calibration import load_calibration
 from gyrocal_ros.report.summary import summarise_diagnosis
 from gyrocal_ros.report.words import diagnosis_headline
@@ -82,7 +82,7 @@ def read_json(capsys: Output) -> dict[str, Any]:
 def searched() -> tuple[Search, Diagnosis]:
     """The same as the bag `skewed`, by the library."""
     source = recording('cleaning', 3, DURATION_S, hide([Drawn('scale_asymmetry', (ASYMMETRY,))], find_effect))
-    held, config = hold(source, Config(), default_model())
+    held, config = preload(source, Config(), default_model())
     recorded = look_at(held)
     found = search(
         default_model(), recorded, lambda model, trials: calibrate(held, config, model, candidates=trials)
@@ -127,7 +127,7 @@ class TestDiagnose:
 
     def test_without_a_camera_its_faults_cannot_be_judged(self, searched: tuple[Search, Diagnosis]) -> None:
         source = recording('cleaning', 3, 5.0)
-        recorded = look_at(Held(source.name, replace(source.rig, camera=None), source.span, ()))
+        recorded = look_at(InMemorySource(source.name, replace(source.rig, camera=None), source.span, ()))
         not_judged = diagnose(searched[0], recorded).not_judged
         assert not_judged['camera_tilt'] == 'not recorded: images of the ceiling'
         assert 'gyro_lag' not in not_judged
@@ -162,7 +162,7 @@ class TestDiagnose:
     def test_steps_of_the_converter_are_an_excuse(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched
         source = recording('cleaning', 3, DURATION_S)
-        fine = look_at(hold(source, Config(), default_model())[0])
+        fine = look_at(preload(source, Config(), default_model())[0])
         step = math.radians(0.5)
         coarse = replace(fine, rate_rad_s=step * np.round(fine.rate_rad_s / step) + math.radians(0.1))
         assert diagnose(search_, fine).verdict == 'effect_found'
@@ -177,7 +177,7 @@ class TestDiagnose:
     def test_what_no_effect_explains(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched
         shape = shapes(search_.last.run, search_.last.seen)[0]
-        jump = Oddity('the bias jumped by +0.2 deg/s at 40 s', 80.0, 9.0, shape, at_s=40.0)
+        jump = UnexplainedStructure('the bias jumped by +0.2 deg/s at 40 s', 80.0, 9.0, shape, at_s=40.0)
         strange = replace(diagnosis, verdict='unexplained', missing=(), unexplained=jump)
         assert 'something that no effect explains' not in diagnosis_headline(strange)
         assert 'no effect of the library explains: the bias jumped' in diagnosis_headline(strange)

@@ -22,7 +22,7 @@ from gyrocal_ros.model.camera import (
     project_with_jacobian,
 )
 from gyrocal_ros.model.gyro import Correction, body_rates, correct
-from gyrocal_ros.model.kinematics import Motion, integrate
+from gyrocal_ros.model.kinematics import PoseStep, integrate
 from gyrocal_ros.model.rotation import euler_rate_matrices, rotation_derivatives, rotation_from_euler
 from gyrocal_ros.model.sensor import SensorModel, placed
 
@@ -121,16 +121,16 @@ class TestDerivativesOfMotion:
         return drive(*request.param)
 
     @pytest.fixture
-    def motion(self, drawn: tuple[Array, Array, Array, Array]) -> Motion:
+    def motion(self, drawn: tuple[Array, Array, Array, Array]) -> PoseStep:
         pose, *moved = drawn
         return integrate(pose[:3], pose[3:], *moved)
 
-    def test_by_pose(self, drawn: tuple[Array, Array, Array, Array], motion: Motion) -> None:
+    def test_by_pose(self, drawn: tuple[Array, Array, Array, Array], motion: PoseStep) -> None:
         pose, *moved = drawn
         expected = differences(lambda at: step(at, *moved), pose)
         np.testing.assert_allclose(motion.transition, expected, atol=2e-4)
 
-    def test_by_rates(self, drawn: tuple[Array, Array, Array, Array], motion: Motion) -> None:
+    def test_by_rates(self, drawn: tuple[Array, Array, Array, Array], motion: PoseStep) -> None:
         pose, rate, dt_s, distance = drawn
         expected = differences(
             lambda at: step(pose, at.reshape(rate.shape), dt_s, distance), rate.ravel(), 1e-5

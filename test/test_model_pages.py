@@ -21,9 +21,9 @@ from gyrocal_ros.diagnose.improvement import Improvement, improvement
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search, search
-from gyrocal_ros.diagnose.shapes import RATE, TIME, Oddity, Shape, shapes
+from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.pipeline.calibrate import calibrate, hold
+from gyrocal_ros.pipeline.calibrate import calibrate, preload
 from gyrocal_ros.report import conclusions, model_series, write
 from gyrocal_ros.report import diagnosis_series as series
 from gyrocal_ros.report.comparison_page import comparison_page
@@ -47,7 +47,7 @@ def searched_and_diagnosed() -> tuple[Search, Diagnosis]:
     scenario = replace(find_scenario('cleaning'), duration_s=90.0)
     hidden = (HiddenEffect(find_effect('scale_asymmetry'), (ASYMMETRY,)),)
     config = with_settings(Config(), {'tracker': {'features': 12}})
-    source, config = hold(SimSource(scenario, 3, hidden=hidden), config, default_model())
+    source, config = preload(SimSource(scenario, 3, hidden=hidden), config, default_model())
     recorded = look_at(source)
     searched = search(
         default_model(),
@@ -95,8 +95,8 @@ def noisy(seed: int, bias_rad_s: float = 0.0) -> Headings:
     return Headings(
         time_s=time_s,
         dt_s=np.full(count, dt_s),
-        told_s=np.full(count, dt_s),
-        lost_rad=np.zeros(count),
+        gyro_valid_s=np.full(count, dt_s),
+        unobserved_turn_std_rad=np.zeros(count),
         turn_rad=0.3 * dt_s + bias_rad_s * dt_s + wander,
         seen_rad=np.where(np.arange(count) % 2, seen, np.nan),
         std_rad=np.full(count, std),
@@ -255,7 +255,7 @@ class TestFigures:
         assert drawn is not None
         history, wander = run.history, series.wander(searched.first.seen)
         every = [
-            figures.evidence(series.candidates(searched, diagnosis)),
+            figures.scores(series.candidates(searched, diagnosis)),
             figures.contribution('it', drawn),
             *(figures.bend(asked, ('before', 'after')) for asked in series.bends(searched)),
             figures.where_it_fails('it', {'a': wander}, history.time_s, history.dt_s),
@@ -369,7 +369,7 @@ class TestPages:
 
 class TestConclusions:
     def test_each_verdict_has_its_kind(self, diagnosis: Diagnosis, some_shape: Shape) -> None:
-        odd = Oddity('the bias jumped', 50.0, 9.0, some_shape, at_s=12.0)
+        odd = UnexplainedStructure('the bias jumped', 50.0, 9.0, some_shape, at_s=12.0)
         twin = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
         for verdict, missing, left, kind in (
             ('nothing_missing', (), None, 'good'),

@@ -166,9 +166,9 @@ def test_holes_are_known_while_most_samples_are_lost() -> None:
         buffer.add(imu(time_s))
     holes = [b - a for a, b in pairwise(times_s) if 0.021 < b - a <= seconds(GAP_NS)]
     wide = [b - a for a, b in pairwise(times_s) if b - a > seconds(GAP_NS)]
-    told_s = buffer.cut(at(0.0), at(30.0)).gap_s
-    assert told_s == pytest.approx(sum(wide) + sum(np.square(holes)), rel=0.1)
-    assert told_s > 0.3
+    gyro_valid_s = buffer.cut(at(0.0), at(30.0)).gap_s
+    assert gyro_valid_s == pytest.approx(sum(wide) + sum(np.square(holes)), rel=0.1)
+    assert gyro_valid_s > 0.3
 
 
 def test_time_beyond_the_last_sample_is_a_gap() -> None:

@@ -123,8 +123,8 @@ def test_a_diagnosis_follows_the_advice() -> None:
     stage = examine(
         default_model(), look_at(source), lambda model, on: calibrate(source, Config(), model, candidates=on)
     )
-    gains = {suspect.effect.name: suspect.fit.gain for suspect in stage.suspects}
-    assert stage.suspects[0].effect.name == effect.name
+    gains = {ranked_effect.effect.name: ranked_effect.fit.gain for ranked_effect in stage.ranked}
+    assert stage.ranked[0].effect.name == effect.name
     assert gains[effect.name] > 2.0 * gains[twin]
 
 

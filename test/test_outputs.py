@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from gyrocal_ros.data import CalibratedSample, Mount, Whereabouts
+from gyrocal_ros.data import CalibratedSample, Mount, OdometryEstimate
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.msgs import outputs
 from gyrocal_ros.msgs.to_ros import MessageMaker, transform
 from gyrocal_ros.msgs.topics import body_pose, map_frame, transforms
 from gyrocal_ros.msgs.transforms import quaternion_from_euler, rotation_from_quaternion
-from gyrocal_ros.robot.odom_parent import HELD_BACK_S, LISTENING_S, OdomParents
+from gyrocal_ros.robot.odom_parent import HELD_BACK_S, LISTENING_S, OdomParentGuard
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MAKE = MessageMaker(STORE.types.__getitem__)
 T_NS = 1_700_000_000_123_456_789
-PLACE = Whereabouts(
+PLACE = OdometryEstimate(
     t_ns=T_NS,
     position_m=(1.0, 2.0, 0.1),
     euler_rad=(0.01, -0.02, 3.5),
@@ -130,13 +130,13 @@ def test_parameter_event() -> None:
 
 
 def test_nothing_is_sent_before_it_was_listened() -> None:
-    parents = OdomParents(100.0)
+    parents = OdomParentGuard(100.0)
     assert not parents.may_send(100.0 + LISTENING_S / 2.0)
     assert parents.may_send(100.0 + LISTENING_S)
 
 
 def test_ones_own_transforms_are_no_others() -> None:
-    parents = OdomParents(0.0)
+    parents = OdomParentGuard(0.0)
     parents.sent('map', 1)
     parents.heard('map', 1, 5.0)
     assert parents.may_send(5.0)
@@ -145,7 +145,7 @@ def test_ones_own_transforms_are_no_others() -> None:
 
 @pytest.mark.parametrize('parent', ['map', 'world'])
 def test_another_parent_holds_ours_back_while_it_lasts(parent: str) -> None:
-    parents = OdomParents(0.0)
+    parents = OdomParentGuard(0.0)
     parents.sent('map', 1)
     parents.heard(parent, 2, 5.0)
     assert not parents.may_send(6.0)
@@ -154,6 +154,6 @@ def test_another_parent_holds_ours_back_while_it_lasts(parent: str) -> None:
 
 
 def test_a_static_parent_lasts() -> None:
-    parents = OdomParents(0.0)
+    parents = OdomParentGuard(0.0)
     parents.heard('world', 2, 5.0, is_static=True)
     assert not parents.may_send(1e6)

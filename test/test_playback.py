@@ -12,14 +12,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from small_bags import RIG, START_NS, drive
 
 from gyrocal_ros.bag.playback import Kind, Playback, Track
-from gyrocal_ros.bag.selection import Choice, select_topics
+from gyrocal_ros.bag.selection import TopicChoice, select_topics
 from gyrocal_ros.bag.storage import open_storage, ros_types
 from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.data import FeatureObservations, Frame, seconds
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.topics import Role
 
-CHOICE = Choice()
+CHOICE = TopicChoice()
 
 
 def write(path: Path, *, images: bool = False, namespace: str = '') -> Path:
@@ -32,7 +32,7 @@ def write(path: Path, *, images: bool = False, namespace: str = '') -> Path:
     return path
 
 
-def played(path: Path, choice: Choice = CHOICE) -> tuple[list[Track], list[tuple[int, Track, bytes]]]:
+def played(path: Path, choice: TopicChoice = CHOICE) -> tuple[list[Track], list[tuple[int, Track, bytes]]]:
     with open_storage(path) as storage:
         playback = Playback(storage, select_topics(storage.topics, choice))
         latched = [(0, track, raw) for track, raw in playback.latched()]
@@ -68,13 +68,13 @@ def test_what_is_sent_is_what_was_recorded(tmp_path: Path) -> None:
 
 def test_features_or_images_are_played_not_both(tmp_path: Path) -> None:
     path = write(tmp_path / 'bag', images=True)
-    names = [{track.name for track in played(path, Choice(use_images=use))[0]} for use in (False, True)]
+    names = [{track.name for track in played(path, TopicChoice(use_images=use))[0]} for use in (False, True)]
     assert 'ceiling_camera/features' in names[0] and 'ceiling_camera/features' not in names[1]
     assert names[1] - names[0] == {'ceiling_camera/image_raw/compressed'}
 
 
 def test_the_calibration_of_the_camera_is_said_again(tmp_path: Path) -> None:
-    tracks, _ = played(write(tmp_path / 'bag', images=True), Choice(use_images=True))
+    tracks, _ = played(write(tmp_path / 'bag', images=True), TopicChoice(use_images=True))
     assert {track.name for track in tracks if track.repeats} == {'ceiling_camera/camera_info'}
     assert {track.name for track in tracks if track.kind is Kind.IMAGE} == {
         'ceiling_camera/image_raw/compressed'

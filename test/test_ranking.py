@@ -19,7 +19,7 @@ from gyrocal_ros.diagnose.ranking import (
     AT_LEAST_SIGMA,
     NEARBY,
     PRICE,
-    Suspect,
+    RankedEffect,
     best_explanation,
     doubts,
     estimate,
@@ -30,7 +30,7 @@ from gyrocal_ros.diagnose.ranking import (
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.scale_asymmetry import ScaleAsymmetry
-from gyrocal_ros.ekf.score_statistics import Evidence
+from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.sensor import Coefficient
 
 BLOCKS, EACH = 30, 20
@@ -45,12 +45,12 @@ def independent(count: int, seed: int = 0) -> tuple[Array, Array]:
     return rng.normal(size=(BLOCKS, EACH, count)), rng.normal(size=(BLOCKS, EACH))
 
 
-def names(suspects: list[Suspect]) -> list[str]:
-    return [suspect.effect.name for suspect in suspects]
+def names(ranked: list[RankedEffect]) -> list[str]:
+    return [ranked_effect.effect.name for ranked_effect in ranked]
 
 
-def named(suspects: list[Suspect], name: str) -> Suspect:
-    return next(suspect for suspect in suspects if suspect.effect.name == name)
+def named(ranked: list[RankedEffect], name: str) -> RankedEffect:
+    return next(ranked_effect for ranked_effect in ranked if ranked_effect.effect.name == name)
 
 
 class TestRank:
@@ -58,7 +58,7 @@ class TestRank:
         columns, noise = independent(3)
         ranked = rank(evidence_of(columns, columns @ [0.5, -2.0, 1.0] + noise, ONES[:3]))
         assert names(ranked) == ['scale_quadratic', 'scale_cubic', 'scale_asymmetry']
-        assert all(suspect.is_significant for suspect in ranked)
+        assert all(ranked_effect.is_significant for ranked_effect in ranked)
         np.testing.assert_allclose([item.fit.values[0] for item in ranked], [-2.0, 1.0, 0.5], atol=0.2)
 
     def test_what_is_certain_comes_before_what_gains_more_by_chance(self) -> None:
@@ -102,21 +102,21 @@ class TestRank:
         columns[:, :, ::2] = -np.exp(-moments[:, :, None] / np.array(times_s))
         seen = -8.0 * np.exp(-moments / true_s) + rng.normal(size=moments.shape)
         effects = tuple(with_means(BiasWarmup(), (0.0, time_s)) for time_s in times_s)
-        evidence = evidence_of(columns, seen, effects)
-        (found,) = rank(evidence)
+        scores = evidence_of(columns, seen, effects)
+        (found,) = rank(scores)
         assert found.effect.coefficients[1].prior_mean == 160.0 and found.profile is not None
         amplitude, time_s = estimate(found)
         amplitude_std, time_std = doubts(found)
         assert abs(amplitude - 8.0) < 3.0 * amplitude_std < 4.0
         assert abs(time_s - true_s) < 3.0 * time_std < 200.0
         assert found.merit == pytest.approx(found.fit.gain - 2.0 * PRICE), 'its time constant costs as well'
-        alone = fit(evidence, found.columns[:1])
+        alone = fit(scores, found.columns[:1])
         assert alone is not None and found.fit.gain > alone.gain, 'the true one lies between two tried'
         assert found.places.tolist() == [0]
 
 
 class TestBestExplanation:
-    def mixture(self, *sizes: float) -> Evidence:
+    def mixture(self, *sizes: float) -> ScoreStatistics:
         """Two causes, and a third column that looks like both together."""
         columns, noise = independent(3)
         columns[:, :, 2] = columns[:, :, 0] + columns[:, :, 1] + 0.2 * columns[:, :, 2]
@@ -126,51 +126,51 @@ class TestBestExplanation:
         ('sizes', 'stronger'), [((3.0, 2.0), 'scale_asymmetry'), ((2.0, 3.0), 'scale_quadratic')]
     )
     def test_two_that_look_like_a_third(self, sizes: tuple[float, float], stronger: str) -> None:
-        evidence = self.mixture(*sizes)
-        ranked = rank(evidence)
+        scores = self.mixture(*sizes)
+        ranked = rank(scores)
         assert names(ranked)[0] == 'scale_cubic'
-        best = best_explanation(ranked, evidence, tried=())
+        best = best_explanation(ranked, scores, tried=())
         assert best is not None and best.effect.name == stronger
 
     def test_one_that_explains_all_stays(self) -> None:
         columns, noise = independent(3)
         columns[:, :, 2] = columns[:, :, 0] + columns[:, :, 1] + 0.2 * columns[:, :, 2]
-        evidence = evidence_of(columns, 2.0 * columns[:, :, 2] + noise, ONES[:3])
-        best = best_explanation(rank(evidence), evidence, tried=())
+        scores = evidence_of(columns, 2.0 * columns[:, :, 2] + noise, ONES[:3])
+        best = best_explanation(rank(scores), scores, tried=())
         assert best is not None and best.effect.name == 'scale_cubic'
 
     def test_what_was_tried_is_out_of_the_question(self) -> None:
-        evidence = self.mixture(3.0, 0.0)
-        best = best_explanation(rank(evidence), evidence, tried={'scale_asymmetry'})
+        scores = self.mixture(3.0, 0.0)
+        best = best_explanation(rank(scores), scores, tried={'scale_asymmetry'})
         assert best is not None and best.effect.name == 'scale_cubic'
-        assert best_explanation(rank(evidence), evidence, {effect.name for effect in ONES}) is None
+        assert best_explanation(rank(scores), scores, {effect.name for effect in ONES}) is None
 
     def test_chance_explains_nothing(self) -> None:
         for seed in range(20):
             columns, noise = independent(4, seed)
-            evidence = evidence_of(columns, noise, ONES)
-            assert best_explanation(rank(evidence), evidence, tried=()) is None
+            scores = evidence_of(columns, noise, ONES)
+            assert best_explanation(rank(scores), scores, tried=()) is None
 
 
 class TestTwins:
-    def alike(self, *sizes: float, closeness: float) -> Evidence:
+    def alike(self, *sizes: float, closeness: float) -> ScoreStatistics:
         """The second column is the first but for a part; the third stands for itself."""
         columns, noise = independent(3)
         columns[:, :, 1] = columns[:, :, 0] + closeness * columns[:, :, 1]
         return evidence_of(columns, columns @ sizes + noise, ONES[:3])
 
     def test_what_explains_nearly_as_much_could_be_meant(self) -> None:
-        evidence = self.alike(2.0, 0.0, 0.0, closeness=0.01)
-        ranked = rank(evidence)
+        scores = self.alike(2.0, 0.0, 0.0, closeness=0.01)
+        ranked = rank(scores)
         found = named(ranked, 'scale_asymmetry')
-        others = [suspect for suspect in ranked if suspect is not found]
-        assert twins(found, others, evidence, NOTHING) == ['scale_quadratic']
+        others = [ranked_effect for ranked_effect in ranked if ranked_effect is not found]
+        assert twins(found, others, scores, NOTHING) == ['scale_quadratic']
 
     @pytest.mark.parametrize('closeness', [0.3, 2.0])
     def test_what_explains_clearly_less_could_not(self, closeness: float) -> None:
-        evidence = self.alike(2.0, 0.0, 0.0, closeness=closeness)
-        ranked = rank(evidence)
-        assert twins(named(ranked, 'scale_asymmetry'), ranked[1:], evidence, NOTHING) == []
+        scores = self.alike(2.0, 0.0, 0.0, closeness=closeness)
+        ranked = rank(scores)
+        assert twins(named(ranked, 'scale_asymmetry'), ranked[1:], scores, NOTHING) == []
 
     def test_they_are_told_beside_the_other_findings(self) -> None:
         """What is already found does not count as a rival, nor does what it explains."""
@@ -178,20 +178,20 @@ class TestTwins:
         first, second = columns[:, :, 0].copy(), columns[:, :, 2].copy()
         columns[:, :, 1] = second + 0.01 * columns[:, :, 1]
         columns[:, :, 2] = second
-        evidence = evidence_of(columns, 8.0 * first + second + noise, ONES[:3])
-        ranked = rank(evidence)
+        scores = evidence_of(columns, 8.0 * first + second + noise, ONES[:3])
+        ranked = rank(scores)
         weak, twin = named(ranked, 'scale_cubic'), named(ranked, 'scale_quadratic')
         beside = named(ranked, 'scale_asymmetry').columns
-        assert twins(weak, [twin], evidence, beside) == ['scale_quadratic']
-        assert twins(weak, [twin], evidence, np.concatenate([beside, twin.columns])) == []
+        assert twins(weak, [twin], scores, beside) == ['scale_quadratic']
+        assert twins(weak, [twin], scores, np.concatenate([beside, twin.columns])) == []
 
     def test_what_the_other_findings_explain_alone_has_no_twins(self) -> None:
         columns, noise = independent(3)
         columns[:, :, 1] = columns[:, :, 0]
-        evidence = evidence_of(columns, columns @ [1.0, 0.0, 0.0] + noise, ONES[:3])
-        ranked = rank(evidence)
+        scores = evidence_of(columns, columns @ [1.0, 0.0, 0.0] + noise, ONES[:3])
+        ranked = rank(scores)
         found = named(ranked, 'scale_asymmetry')
-        assert twins(found, ranked, evidence, named(ranked, 'scale_quadratic').columns) == []
+        assert twins(found, ranked, scores, named(ranked, 'scale_quadratic').columns) == []
 
 
 class TestWithEstimate:
@@ -199,17 +199,17 @@ class TestWithEstimate:
         columns, noise = independent(1)
         columns *= 1000.0
         usual = ONES[0].coefficients[0].prior_std
-        evidence = evidence_of(columns, 0.2 * usual * columns[:, :, 0] + noise, ONES[:1])
-        (suspect,) = rank(evidence)
-        half = fit(evidence.first_half(), np.array([0]))
+        scores = evidence_of(columns, 0.2 * usual * columns[:, :, 0] + noise, ONES[:1])
+        (ranked_effect,) = rank(scores)
+        half = fit(scores.first_half(), np.array([0]))
         assert half is not None
-        (item,) = with_estimate(suspect, evidence).coefficients
-        assert item.prior_mean == half.values[0] != suspect.fit.values[0]
+        (item,) = with_estimate(ranked_effect, scores).coefficients
+        assert item.prior_mean == half.values[0] != ranked_effect.fit.values[0]
         assert item.prior_std == pytest.approx(
             max(
                 AT_LEAST_SIGMA * math.sqrt(half.covariance[0, 0]),
-                abs(half.values[0] - suspect.fit.values[0]),
-                AT_LEAST_PART * abs(suspect.fit.values[0]),
+                abs(half.values[0] - ranked_effect.fit.values[0]),
+                AT_LEAST_PART * abs(ranked_effect.fit.values[0]),
             )
         )
         assert item.prior_std < usual
@@ -218,35 +218,38 @@ class TestWithEstimate:
         columns, noise = independent(1)
         seen = columns[:, :, 0] * np.where(np.arange(BLOCKS) < BLOCKS // 2, 2.0, 0.5)[:, None] + 0.01 * noise
         wide = ScaleAsymmetry(coefficients=(Coefficient('c', '1', prior_std=100.0),))
-        evidence = evidence_of(columns, seen, (wide,))
-        (suspect,) = rank(evidence)
-        (item,) = with_estimate(suspect, evidence).coefficients
+        scores = evidence_of(columns, seen, (wide,))
+        (ranked_effect,) = rank(scores)
+        (item,) = with_estimate(ranked_effect, scores).coefficients
         assert item.prior_mean == pytest.approx(2.0, abs=0.05)
-        assert item.prior_std >= 2.0 - suspect.fit.values[0] - 0.05 > 0.5
+        assert item.prior_std >= 2.0 - ranked_effect.fit.values[0] - 0.05 > 0.5
 
     def test_it_is_never_more_doubtful_than_before(self) -> None:
         columns, noise = independent(1)
-        evidence = evidence_of(columns, 2.0 * columns[:, :, 0] + noise, ONES[:1])
-        (suspect,) = rank(evidence)
-        assert with_estimate(suspect, evidence).coefficients[0].prior_std == ONES[0].coefficients[0].prior_std
+        scores = evidence_of(columns, 2.0 * columns[:, :, 0] + noise, ONES[:1])
+        (ranked_effect,) = rank(scores)
+        assert (
+            with_estimate(ranked_effect, scores).coefficients[0].prior_std
+            == ONES[0].coefficients[0].prior_std
+        )
 
     def test_what_the_first_half_does_not_show_begins_where_it_stood(self) -> None:
         columns, noise = independent(1)
         columns[: BLOCKS // 2] = 0.0
-        evidence = evidence_of(columns, columns[:, :, 0] + noise, ONES[:1])
-        (suspect,) = rank(evidence)
-        assert suspect.is_significant
-        assert with_estimate(suspect, evidence) == ONES[0]
+        scores = evidence_of(columns, columns[:, :, 0] + noise, ONES[:1])
+        (ranked_effect,) = rank(scores)
+        assert ranked_effect.is_significant
+        assert with_estimate(ranked_effect, scores) == ONES[0]
 
     def test_a_time_constant_is_told_by_the_whole(self) -> None:
         columns, noise = independent(4)
         columns[:, :, 1::2] = 0.0
         effects = tuple(with_means(BiasWarmup(), (0.0, time_s)) for time_s in (100.0, 200.0))
-        evidence = evidence_of(columns, columns @ [2.0, 0.0, 0.0, 0.0] + noise, effects)
-        (suspect,) = rank(evidence)
-        assert suspect.profile is not None
-        amplitude, time_constant = with_estimate(suspect, evidence).coefficients
-        assert [amplitude.prior_mean, time_constant.prior_mean] == estimate(suspect).tolist()
+        scores = evidence_of(columns, columns @ [2.0, 0.0, 0.0, 0.0] + noise, effects)
+        (ranked_effect,) = rank(scores)
+        assert ranked_effect.profile is not None
+        amplitude, time_constant = with_estimate(ranked_effect, scores).coefficients
+        assert [amplitude.prior_mean, time_constant.prior_mean] == estimate(ranked_effect).tolist()
         assert time_constant.prior_std == NEARBY * time_constant.prior_mean
         assert amplitude.prior_std >= abs(amplitude.prior_mean)
 

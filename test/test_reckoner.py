@@ -18,10 +18,10 @@ from gyrocal_ros.data import (
     FeatureObservations,
     ImuSample,
     MotionBlock,
+    OdometryEstimate,
     TemperatureSample,
     TruthSample,
     WheelSample,
-    Whereabouts,
     seconds,
 )
 from gyrocal_ros.effects import default_model
@@ -32,7 +32,7 @@ from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER
 from gyrocal_ros.model.gyro import correct
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.robot.dead_reckoning import Reckoner
+from gyrocal_ros.robot.dead_reckoning import DeadReckoning
 from gyrocal_ros.sim.world import START_NS
 
 GRAVITY = (0.0, 0.0, 9.8)
@@ -65,7 +65,7 @@ def true_poses() -> tuple[Array, Array]:
     return np.array([item.t_ns - START_NS for item in truth], float), moved
 
 
-def errors(places: list[Whereabouts], from_s: float) -> Array:
+def errors(places: list[OdometryEstimate], from_s: float) -> Array:
     """(n, 3) x, y, yaw by which the robot is off, from a time on."""
     times, poses = true_poses()
     late = [place for place in places if seconds(place.t_ns - START_NS) > from_s]
@@ -120,10 +120,10 @@ def test_covariances_are_ones() -> None:
 # --- by hand --------------------------------------------------------------------------------------
 
 
-def reckoner(model: SensorModel | None = None) -> Reckoner:
+def reckoner(model: SensorModel | None = None) -> DeadReckoning:
     """One whose calibration is that of the model's priors."""
     model = model or default_model()
-    return Reckoner(model, Config(), initial_state(model, Config(), None), 0.3)
+    return DeadReckoning(model, Config(), initial_state(model, Config(), None), 0.3)
 
 
 def turning(
@@ -136,7 +136,7 @@ def turning(
         yield ImuSample(at(tick / 100), (0.0, 0.0, rate_rad_s), GRAVITY)
 
 
-def go(reckoner: Reckoner, items: Iterator[ImuSample | WheelSample]) -> Whereabouts:
+def go(reckoner: DeadReckoning, items: Iterator[ImuSample | WheelSample]) -> OdometryEstimate:
     """Let it take them; where it is after the last reading of the wheels."""
     place = None
     for item in items:

@@ -22,7 +22,7 @@ from gyrocal_ros.diagnose.comparison import compare
 from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
-from gyrocal_ros.ekf.run import Event, Run
+from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.state import EULER, no_landmarks
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.rotation import rotation_from_euler
@@ -184,7 +184,7 @@ class TestPage:
         assert 'No warnings' in text
 
     def test_tells_the_events_with_their_times(self, run: Run, calibration: Calibration) -> None:
-        event = Event(run.span.start_ns + 12_300_000_000, 'a new map was begun')
+        event = RunEvent(run.span.start_ns + 12_300_000_000, 'a new map was begun')
         text = page.report_page(replace(run, events=(event,)), calibration)
         assert '12.3 s after the start: a new map was begun' in text
 

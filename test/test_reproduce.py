@@ -11,7 +11,7 @@ import pytest
 
 from gyrocal_ros.bench.paper import at_rest, convergence, landmark, mapping, rate_table, tracks, unseen
 from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, Experiment
-from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, judged
+from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, assessed
 from gyrocal_ros.cli import reproduce, reproduced
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.sim.scenarios import find_scenario
@@ -174,8 +174,8 @@ def test_a_wrong_name_is_refused_before_anything_is_made(
 
 
 def test_a_claim_holds_or_not() -> None:
-    assert judged('it flies', '1 m', '2 m', True).verdict == 'holds'
-    assert judged('it flies', '1 m', '0 m', False).verdict == 'does not hold'
+    assert assessed('it flies', '1 m', '2 m', True).verdict == 'holds'
+    assert assessed('it flies', '1 m', '0 m', False).verdict == 'does not hold'
 
 
 def test_some_experiments_have_a_number_of_runs_of_their_own() -> None:

@@ -16,9 +16,9 @@ from gyrocal_ros.config.sections import Config, RobotConfig
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / 'docs' / 'robot.md').read_text(encoding='utf-8')
 SPEAKERS = [
-    *(ROOT / 'gyrocal_ros' / 'live').glob('*.py'),
+    *(ROOT / 'gyrocal_ros' / 'robot').glob('*.py'),
     ROOT / 'gyrocal_ros' / 'board' / 'link.py',
-    ROOT / 'gyrocal_ros' / 'recording' / 'mounts.py',
+    ROOT / 'gyrocal_ros' / 'msgs' / 'mounts.py',
     ROOT / 'gyrocal_ros' / 'vision' / 'tracker.py',
 ]
 TELLING = 10

@@ -21,9 +21,9 @@ from gyrocal_ros.data import (
     WheelSample,
     nanoseconds,
 )
-from gyrocal_ros.diagnose.candidates import docket
+from gyrocal_ros.diagnose.candidates import candidate_set
 from gyrocal_ros.diagnose.limits import with_limit
-from gyrocal_ros.diagnose.predictive_gain import certainty, foreseen
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain, vuong_sigma
 from gyrocal_ros.diagnose.ranking import PRICE
 from gyrocal_ros.diagnose.recorded import MAX_SIGNALS, Recorded, coarse_step, look_at
 from gyrocal_ros.diagnose.search import (
@@ -39,11 +39,11 @@ from gyrocal_ros.diagnose.search import (
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.score_statistics import BLOCK_S, Evidence
+from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.pipeline.calibrate import Held
+from gyrocal_ros.pipeline.calibrate import InMemorySource
 
 DURATION_S = 100.0
 LIMIT_RAD_S = math.radians(85.0)
@@ -72,7 +72,7 @@ class Robot:
             raise FilterDivergedError('lost the measurements')
         history = self.made.run.history
         steps, values = len(history.time_s), self.estimates(model)
-        evidence = self.evidence(names, candidates) if candidates else None
+        scores = self.scores(names, candidates) if candidates else None
         coefficients, uneven = np.tile(values, (steps, 1)), np.linspace(0.5, 1.5, steps)
         told = replace(
             history,
@@ -82,7 +82,7 @@ class Robot:
             log_likelihood=sum(self.foresees.get(name, 0.0) for name in names) / steps * uneven,
         )
         state = replace(self.made.run.state, mean=told.mean[-1], coefficient_count=len(values))
-        return replace(self.made.run, model=model, history=told, state=state, evidence=evidence)
+        return replace(self.made.run, model=model, history=told, state=state, scores=scores)
 
     def estimates(self, model: SensorModel) -> Array:
         """The first coefficient of each effect is as strong as it is hidden."""
@@ -90,7 +90,7 @@ class Robot:
         firsts = ((known.get(effect.name, 0.0), effect) for effect in model.effects)
         return np.concatenate([[first, *[0.0] * (len(effect.coefficients) - 1)] for first, effect in firsts])
 
-    def evidence(self, names: Sequence[str], candidates: tuple[Effect, ...]) -> Evidence:
+    def scores(self, names: Sequence[str], candidates: tuple[Effect, ...]) -> ScoreStatistics:
         """Every effect has its own columns, whatever else is on trial."""
         blocks, each = round(DURATION_S / BLOCK_S), 20
         noise = np.random.default_rng(0).normal(size=(blocks, each))
@@ -113,7 +113,7 @@ class TestSearch:
         found = search(default_model(), NOTHING_READ, robot)
         (change,) = found.changes
         assert change.effect.name == 'gyro_lag' and change.is_kept and found.kept == found.changes
-        assert change.foreseen == pytest.approx(400.0) and change.gain > 100.0 and change.sigma > 4.0
+        assert change.predictive_gain == pytest.approx(400.0) and change.gain > 100.0 and change.sigma > 4.0
         assert change.before is found.first and change.after is found.last
         assert [effect.name for effect in found.last.model.effects] == ['scale_factor', 'gyro_lag']
         assert robot.models == [('scale_factor',), ('scale_factor', 'gyro_lag')]
@@ -127,14 +127,14 @@ class TestSearch:
 
     def test_nothing_is_made_of_chance(self) -> None:
         found = search(default_model(), NOTHING_READ, Robot({}, {}))
-        assert found.changes == () and found.last is found.first and found.first.oddity is None
+        assert found.changes == () and found.last is found.first and found.first.unexplained_structure is None
 
     @pytest.mark.parametrize('gained', [-50.0, 0.0, 0.9 * MIN_FORESEEN])
     def test_what_does_not_help_is_not_kept_and_is_said(self, gained: float) -> None:
         found = search(default_model(), NOTHING_READ, Robot({'gyro_lag': 2.0}, {'gyro_lag': gained}))
         (change,) = found.changes
         assert change.effect.name == 'gyro_lag' and not change.is_kept
-        assert change.foreseen == pytest.approx(gained) and change.gain > PRICE
+        assert change.predictive_gain == pytest.approx(gained) and change.gain > PRICE
         assert found.kept == () and found.last is found.first
 
     @pytest.mark.parametrize(('part', 'is_kept'), [(0.9, False), (-0.9, False), (1.1, True), (-1.1, True)])
@@ -144,7 +144,9 @@ class TestSearch:
         ends = {'gyro_lag': part * STANDS_OUT * max(doubt, STD)}
         robot = Robot({'gyro_lag': 2.0}, {'gyro_lag': 400.0}, ends=ends)
         (change,) = search(default_model(), NOTHING_READ, robot).changes
-        assert change.foreseen == pytest.approx(400.0) and change.is_kept == change.stands_out == is_kept
+        assert (
+            change.predictive_gain == pytest.approx(400.0) and change.is_kept == change.stands_out == is_kept
+        )
 
     @pytest.mark.parametrize(('part', 'tried'), [(0.5, False), (2.0, True)])
     def test_what_hardly_adds_to_what_was_found_is_not_tried(self, part: float, tried: bool) -> None:
@@ -194,12 +196,15 @@ class TestSearch:
         robot = Robot({'gyro_lag': 0.8}, {'gyro_lag': 40.0}, knocked())
         found = search(default_model(), NOTHING_READ, robot)
         assert found.changes == ()
-        assert found.first.oddity is not None and found.first.oddity.at_s is not None
-        assert found.first.suspects[0].effect.name == 'gyro_lag' and found.first.suspects[0].is_significant
+        assert (
+            found.first.unexplained_structure is not None
+            and found.first.unexplained_structure.at_s is not None
+        )
+        assert found.first.ranked[0].effect.name == 'gyro_lag' and found.first.ranked[0].is_significant
 
     def test_what_the_headings_alone_see_is_not_believed(self) -> None:
         found = search(default_model(), NOTHING_READ, Robot({}, {}, knocked()))
-        assert found.changes == () and found.first.oddity is None
+        assert found.changes == () and found.first.unexplained_structure is None
 
     def test_a_filter_that_cannot_run_is_an_error(self) -> None:
         robot = Robot({}, {}, diverges_without='scale_cubic')
@@ -231,7 +236,7 @@ class TestLimits:
         found = search(default_model(), read_by(made), robot)
         rescue, lag = found.changes
         assert rescue.effect.name == 'rate_saturation' and rescue.before is None and rescue.is_kept
-        assert rescue.gain == rescue.foreseen == math.inf and rescue.p_value == 0.0
+        assert rescue.gain == rescue.predictive_gain == math.inf and rescue.p_value == 0.0
         assert rescue.effect.coefficients[0].prior_mean == pytest.approx(LIMIT_RAD_S, rel=0.01)
         assert found.first is rescue.after and lag.before is found.first
         assert [effect.name for effect in found.last.model.effects] == [
@@ -297,37 +302,39 @@ class TestForesight:
 
     def test_it_is_the_difference_of_log_likelihoods_by_blocks(self) -> None:
         ramp = np.linspace(0.0, 1.0, round(DURATION_S / DT_S))
-        gains = foreseen(self.gained(1.0), self.gained(1.0 + ramp))
+        gains = predictive_gain(self.gained(1.0), self.gained(1.0 + ramp))
         each = round(BLOCK_S / DT_S)
         np.testing.assert_allclose(gains, ramp.reshape(-1, each).sum(axis=1))
         np.testing.assert_allclose(
-            foreseen(self.gained(1.0 + ramp), self.gained(1.0)).sum(), -ramp.sum(), rtol=0.01
+            predictive_gain(self.gained(1.0 + ramp), self.gained(1.0)).sum(), -ramp.sum(), rtol=0.01
         )
 
     def test_to_have_used_more_features_is_no_gain(self) -> None:
         """Twice as many, each foreseen as well as before."""
-        np.testing.assert_allclose(foreseen(self.gained(-2.0, 4.0), self.gained(-4.0, 8.0)), 0.0, atol=1e-9)
-        assert foreseen(self.gained(-2.0, 4.0), self.gained(-3.0, 8.0)).sum() == pytest.approx(1000.0)
+        np.testing.assert_allclose(
+            predictive_gain(self.gained(-2.0, 4.0), self.gained(-4.0, 8.0)), 0.0, atol=1e-9
+        )
+        assert predictive_gain(self.gained(-2.0, 4.0), self.gained(-3.0, 8.0)).sum() == pytest.approx(1000.0)
 
     def test_a_run_that_ended_earlier_gains_nothing_later(self) -> None:
         short = self.gained(3.0)
         half = {
             name: getattr(short.history, name)[:500] for name in ('time_s', 'log_likelihood', 'dof', 't_ns')
         }
-        gains = foreseen(self.gained(1.0), replace(short, history=replace(short.history, **half)))
+        gains = predictive_gain(self.gained(1.0), replace(short, history=replace(short.history, **half)))
         assert len(gains) == round(DURATION_S / BLOCK_S)
         assert np.all(gains[:5] > 0.0)
 
     def test_certainty_is_mean_over_scatter(self) -> None:
         gains = np.array([1.0, 3.0, 2.0, 2.0])
-        assert certainty(gains) == pytest.approx(8.0 / (2.0 * math.sqrt(2.0 / 3.0)))
-        assert certainty(-gains) == -certainty(gains)
-        assert certainty(gains[:1]) == certainty(np.ones(5)) == 0.0
+        assert vuong_sigma(gains) == pytest.approx(8.0 / (2.0 * math.sqrt(2.0 / 3.0)))
+        assert vuong_sigma(-gains) == -vuong_sigma(gains)
+        assert vuong_sigma(gains[:1]) == vuong_sigma(np.ones(5)) == 0.0
 
 
 class TestLookAt:
-    def source(self, *measurements: Measurement) -> Held:
-        return Held('made', RIG, Span(0, nanoseconds(10.0)), measurements)
+    def source(self, *measurements: Measurement) -> InMemorySource:
+        return InMemorySource('made', RIG, Span(0, nanoseconds(10.0)), measurements)
 
     def signal(self, name: str, *values: float) -> list[Measurement]:
         return [CovariateSample(place, name, value) for place, value in enumerate(values)]
@@ -367,7 +374,7 @@ class TestLookAt:
         recorded = look_at(recording('cleaning', 1, 20.0))
         names = {signal.name for signal in recorded.signals}
         assert {SPEED_SIGNAL, 'battery_state.current'} <= names
-        tried = {item.effect.name for item in docket(default_model(), recorded).trials}
+        tried = {item.effect.name for item in candidate_set(default_model(), recorded).trials}
         assert f'covariate_bias:{SPEED_SIGNAL}' in tried
         assert len(recorded.rate_rad_s) == pytest.approx(2000, abs=5)
 

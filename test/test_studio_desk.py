@@ -10,10 +10,10 @@ import pytest
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.studio.recordings import Bag, Riddle
+from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask
 from gyrocal_ros.studio.store import locked
-from gyrocal_ros.studio.worker import Failed, Look, News, Task
-from gyrocal_ros.studio.workspace import Desk
+from gyrocal_ros.studio.worker import Failed, News, OpenRecording, Task
+from gyrocal_ros.studio.workspace import Workspace
 
 
 class Worker:
@@ -43,20 +43,20 @@ def worker() -> Worker:
 
 
 @pytest.fixture
-def desk(worker: Worker, tmp_path: Path) -> Iterator[Desk]:
+def desk(worker: Worker, tmp_path: Path) -> Iterator[Workspace]:
     bags = [Bag(tmp_path / name, Config()) for name in ('one', 'two')]
-    desk = Desk(bags, default_model(), Config(), tmp_path / 'out', worker)
+    desk = Workspace(bags, default_model(), Config(), tmp_path / 'out', worker)
     yield desk
     desk.close()
 
 
-def opened(worker: Worker) -> Bag | Riddle:
+def opened(worker: Worker) -> Bag | HiddenEffectTask:
     task = worker.tasks[-1]
-    assert isinstance(task, Look)
+    assert isinstance(task, OpenRecording)
     return task.recording
 
 
-def test_the_first_is_opened_and_another_can_be_chosen(desk: Desk, worker: Worker) -> None:
+def test_the_first_is_opened_and_another_can_be_chosen(desk: Workspace, worker: Worker) -> None:
     assert desk.titles == ['one', 'two'] and opened(worker).title == 'one'
     desk.choose(1)
     assert opened(worker).title == desk.view.title == 'two' and worker.cancelled
@@ -67,7 +67,9 @@ def test_the_first_is_opened_and_another_can_be_chosen(desk: Desk, worker: Worke
     assert desk.view.title == 'one', 'its folder was let go of'
 
 
-def test_what_cannot_be_opened_leaves_the_other_as_it_was(desk: Desk, worker: Worker, tmp_path: Path) -> None:
+def test_what_cannot_be_opened_leaves_the_other_as_it_was(
+    desk: Workspace, worker: Worker, tmp_path: Path
+) -> None:
     with locked(tmp_path / 'out' / 'two'), pytest.raises(GyrocalError, match='another studio'):
         desk.choose(1)
     assert desk.view.title == 'one'
@@ -76,24 +78,28 @@ def test_what_cannot_be_opened_leaves_the_other_as_it_was(desk: Desk, worker: Wo
 
 
 @pytest.mark.parametrize('number', [-1, 2])
-def test_what_was_not_given_cannot_be_chosen(desk: Desk, number: int) -> None:
+def test_what_was_not_given_cannot_be_chosen(desk: Workspace, number: int) -> None:
     with pytest.raises(GyrocalError, match='no such recording'):
         desk.choose(number)
 
 
-def test_a_riddle_is_drawn_anew_each_time_or_by_its_seed(desk: Desk, worker: Worker) -> None:
+def test_a_riddle_is_drawn_anew_each_time_or_by_its_seed(desk: Workspace, worker: Worker) -> None:
     desk.draw_riddle(7)
-    assert opened(worker) == Riddle(7, Config()) and desk.view.title == 'lesson_7' and desk.view.has_answer
+    assert (
+        opened(worker) == HiddenEffectTask(7, Config())
+        and desk.view.title == 'lesson_7'
+        and desk.view.has_answer
+    )
     seeds = set()
     for _ in range(5):
         desk.draw_riddle()
         recording = opened(worker)
-        assert isinstance(recording, Riddle)
+        assert isinstance(recording, HiddenEffectTask)
         seeds.add(recording.seed)
     assert len(seeds) > 1
 
 
-def test_news_of_a_recording_that_was_left_do_not_reach_the_next(desk: Desk, worker: Worker) -> None:
+def test_news_of_a_recording_that_was_left_do_not_reach_the_next(desk: Workspace, worker: Worker) -> None:
     desk.choose(1)
     worker.tell(1, Failed('of the first'))
     assert not desk.view.is_trouble
@@ -101,8 +107,10 @@ def test_news_of_a_recording_that_was_left_do_not_reach_the_next(desk: Desk, wor
     assert desk.view.is_trouble
 
 
-def test_everything_ends_with_it(desk: Desk, worker: Worker, tmp_path: Path) -> None:
+def test_everything_ends_with_it(desk: Workspace, worker: Worker, tmp_path: Path) -> None:
     desk.close()
     assert worker.closed == 1
-    again = Desk([Bag(tmp_path / 'one', Config())], default_model(), Config(), tmp_path / 'out', Worker())
+    again = Workspace(
+        [Bag(tmp_path / 'one', Config())], default_model(), Config(), tmp_path / 'out', Worker()
+    )
     again.close()

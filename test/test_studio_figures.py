@@ -13,9 +13,9 @@ from studio_parts import HIDDEN, Desk, open_session
 
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.studio import pictures
-from gyrocal_ros.studio.revisions import Trials
+from gyrocal_ros.studio.revisions import ModelTree
 from gyrocal_ros.studio.session import Session
-from gyrocal_ros.studio.state import View
+from gyrocal_ros.studio.state import StudioState
 
 HOUR = 36
 """So many times as long as the recording is."""
@@ -33,7 +33,7 @@ def opened(uneven_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
 
 @pytest.fixture
-def view(opened: tuple[Session, Desk]) -> View:
+def view(opened: tuple[Session, Desk]) -> StudioState:
     return opened[0].view
 
 
@@ -47,7 +47,7 @@ def lengthened(history: History) -> History:
     return History(**long)
 
 
-def an_hour(view: View) -> View:
+def an_hour(view: StudioState) -> StudioState:
     """The state after an hour's recording."""
     every = []
     for trial in view.trials.every:
@@ -55,14 +55,14 @@ def an_hour(view: View) -> View:
         stage = trial.examined.stage
         run = replace(stage.run, history=lengthened(stage.run.history), truth=None)
         every.append(replace(trial, examined=replace(trial.examined, stage=replace(stage, run=run))))
-    return replace(view, trials=Trials(tuple(every), view.trials.present))
+    return replace(view, trials=ModelTree(tuple(every), view.trials.present))
 
 
 def size_bytes(figure: Any) -> int:
     return len(figure.to_json())
 
 
-def test_the_figures_of_an_hour_are_as_small_as_those_of_a_minute(view: View) -> None:
+def test_the_figures_of_an_hour_are_as_small_as_those_of_a_minute(view: StudioState) -> None:
     long = an_hour(view)
     first = replace(long, trials=replace(long.trials, present=long.trials.every[0].label))
     for state in (long, first):
@@ -72,7 +72,7 @@ def test_the_figures_of_an_hour_are_as_small_as_those_of_a_minute(view: View) ->
             assert size_bytes(pictures.against_measurement(state, kind)) < MOST_BYTES, kind
 
 
-def test_a_spike_is_seen_in_an_hour(view: View) -> None:
+def test_a_spike_is_seen_in_an_hour(view: StudioState) -> None:
     long = an_hour(view)
     first = replace(long, trials=replace(long.trials, present=long.trials.every[0].label))
     figure = pictures.against_measurement(first, 'innovations')
@@ -81,7 +81,7 @@ def test_a_spike_is_seen_in_an_hour(view: View) -> None:
     assert np.nanmax(drawn.y) == pytest.approx(SPIKE_DEG) and len(drawn.x) <= 1500
 
 
-def test_what_the_added_effect_says_goes_through_what_was_left_over(view: View) -> None:
+def test_what_the_added_effect_says_goes_through_what_was_left_over(view: StudioState) -> None:
     figure = pictures.left_over(view, 'rate (deg/s)', False)
     assert figure is not None
     first, now, added = (
@@ -92,7 +92,7 @@ def test_what_the_added_effect_says_goes_through_what_was_left_over(view: View) 
     assert np.abs(now.y).max() < 0.1 * np.abs(first.y).max()
 
 
-def test_where_the_camera_was_off_is_shaded(view: View) -> None:
+def test_where_the_camera_was_off_is_shaded(view: StudioState) -> None:
     now = view.trials.now
     assert now is not None and now.examined is not None
     run = now.examined.stage.run
@@ -109,7 +109,7 @@ def test_where_the_camera_was_off_is_shaded(view: View) -> None:
     assert [note.text for note in figure.layout.annotations].count('camera off') == 1
 
 
-def test_every_panel_names_its_unit(view: View) -> None:
+def test_every_panel_names_its_unit(view: StudioState) -> None:
     for name, figure in pictures.all_of(view).items():
         axes = [axis.title.text or '' for axis in figure.select_yaxes()]
         assert figure.layout.title.text, name

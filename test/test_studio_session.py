@@ -17,7 +17,7 @@ from gyrocal_ros.pipeline.calibration import load_calibration
 from gyrocal_ros.studio.export import export
 from gyrocal_ros.studio.recordings import Contents
 from gyrocal_ros.studio.session import Session
-from gyrocal_ros.studio.worker import Advance, Examine, Failed, Glimpse
+from gyrocal_ros.studio.worker import Advance, Examine, Failed, RunPreview
 
 FIRST, SECOND = '0_default', f'1_{HIDDEN}'
 
@@ -44,7 +44,7 @@ class TestOpening:
 
     def test_the_heading_shows_itself_while_the_filter_runs(self, opened: tuple[Session, Desk]) -> None:
         kinds = [type(news) for news in opened[1].told]
-        assert kinds.index(Contents) < kinds.index(Glimpse)
+        assert kinds.index(Contents) < kinds.index(RunPreview)
         parts = [news.part for news in opened[1].told if isinstance(news, Advance)]
         assert max(parts) > 0.9
 

@@ -13,8 +13,8 @@ import pytest
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.studio.recordings import Bag, Contents, Riddle
-from gyrocal_ros.studio.worker import Advance, Failed, Look, News, Ready, Stopped, Worker
+from gyrocal_ros.studio.recordings import Bag, Contents, HiddenEffectTask
+from gyrocal_ros.studio.worker import Advance, Failed, News, OpenRecording, Ready, Stopped, Worker
 
 PATIENCE_S = 60.0
 
@@ -53,7 +53,7 @@ def ear(worker: Worker) -> Ear:
 
 
 def test_a_recording_is_read_while_the_studio_goes_on(worker: Worker, ear: Ear) -> None:
-    number = worker.submit(Look(Riddle(1, Config(), duration_s=20.0), default_model()))
+    number = worker.submit(OpenRecording(HiddenEffectTask(1, Config(), duration_s=20.0), default_model()))
     ready = ear.wait(lambda told, news: told == number and isinstance(news, Ready))
     assert isinstance(ready, Ready) and ready.recorded.duration_s == pytest.approx(20.0, abs=0.1)
     assert ready.answer['seed'] == 1
@@ -62,16 +62,16 @@ def test_a_recording_is_read_while_the_studio_goes_on(worker: Worker, ear: Ear) 
 
 
 def test_a_cancelled_task_stops_and_the_next_one_runs(worker: Worker, ear: Ear) -> None:
-    long = worker.submit(Look(Riddle(1, Config(), duration_s=600.0), default_model()))
+    long = worker.submit(OpenRecording(HiddenEffectTask(1, Config(), duration_s=600.0), default_model()))
     ear.wait(lambda told, news: told == long and isinstance(news, Advance))
     worker.cancel()
     assert isinstance(ear.wait(lambda told, news: told == long and isinstance(news, Stopped)), Stopped)
-    number = worker.submit(Look(Riddle(1, Config(), duration_s=10.0), default_model()))
+    number = worker.submit(OpenRecording(HiddenEffectTask(1, Config(), duration_s=10.0), default_model()))
     assert isinstance(ear.wait(lambda told, news: told == number and isinstance(news, Ready)), Ready)
 
 
 def test_what_cannot_be_done_is_told_in_one_line(worker: Worker, ear: Ear, tmp_path: Path) -> None:
-    worker.submit(Look(Bag(tmp_path / 'nothing', Config()), default_model()))
+    worker.submit(OpenRecording(Bag(tmp_path / 'nothing', Config()), default_model()))
     failed = ear.wait(lambda _, news: isinstance(news, Failed))
     assert isinstance(failed, Failed) and 'no such bag' in failed.why and '\n' not in failed.why
 
@@ -81,10 +81,10 @@ def test_the_end_of_the_process_is_noticed(worker: Worker, ear: Ear) -> None:
     failed = ear.wait(lambda _, news: isinstance(news, Failed))
     assert isinstance(failed, Failed) and 'has ended' in failed.why
     with pytest.raises(GyrocalError, match='start the studio again'):
-        worker.submit(Look(Riddle(1, Config()), default_model()))
+        worker.submit(OpenRecording(HiddenEffectTask(1, Config()), default_model()))
 
 
 def test_the_same_riddle_is_drawn_by_the_same_seed() -> None:
-    first, second = (Riddle(7, Config(), duration_s=10.0).source() for _ in range(2))
+    first, second = (HiddenEffectTask(7, Config(), duration_s=10.0).source() for _ in range(2))
     assert first.hidden == second.hidden and first.truth.scale_factor == second.truth.scale_factor
     assert next(first.measurements()) == next(second.measurements())

@@ -27,7 +27,7 @@ from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.msgs.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME
 from gyrocal_ros.msgs.transforms import IDENTITY, Transform
-from gyrocal_ros.pipeline.visual_slam import SeeingFilter
+from gyrocal_ros.pipeline.visual_slam import VisualSlam
 from gyrocal_ros.robot.health import Level, Status
 from gyrocal_ros.robot.tracking import MAX_WAITING, LiveTracker, Tracked
 from gyrocal_ros.sim.scenarios import SCENARIOS
@@ -133,7 +133,7 @@ def test_two_processes_see_and_learn_what_one_does_in_a_recording() -> None:
     source, measurements = film()
     expected: list[FeatureObservations] = []
     slam = EkfSlam(default_model(), Config(), source.rig)
-    eyes = SeeingFilter(slam, expected.append)
+    eyes = VisualSlam(slam, expected.append)
     for item in measurements:
         eyes.step(item)
     eyes.finish()

@@ -16,7 +16,7 @@ from gyrocal_ros.data import Array, WheelSample
 from gyrocal_ros.diagnose.candidate_fit import correlation
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.recorded import look_at
-from gyrocal_ros.diagnose.search import Search, Stage, examine
+from gyrocal_ros.diagnose.search import ExaminedModel, Search, examine
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION
@@ -53,7 +53,7 @@ def estimate(run: Run, name: str) -> tuple[float, float]:
     return float(run.history.mean[-1, place]), float(run.history.std[-1, place])
 
 
-def looked_at(source: SimSource) -> tuple[Stage, dict[str, str]]:
+def looked_at(source: SimSource) -> tuple[ExaminedModel, dict[str, str]]:
     """What everything on trial explains, and what is not judged."""
     recorded = look_at(source)
     stage = examine(
@@ -110,9 +110,9 @@ def test_beside_the_place_of_the_camera_nothing_is_learnt() -> None:
 
 def test_to_the_evidence_it_is_the_camera_along_its_lever_arm() -> None:
     stage, not_judged = looked_at(larger_wheels())
-    found = {suspect.effect.name: suspect for suspect in stage.suspects}
+    found = {ranked_effect.effect.name: ranked_effect for ranked_effect in stage.ranked}
     wheels, camera = found['wheel_scale'], found['camera_position']
-    assert correlation(stage.evidence, wheels.columns, camera.columns) == pytest.approx(1.0, abs=1e-6)
+    assert correlation(stage.scores, wheels.columns, camera.columns) == pytest.approx(1.0, abs=1e-6)
     assert abs(wheels.fit.values[0] - SCALE) < 4.0 * np.sqrt(wheels.fit.covariance[0, 0])
     assert 'wheel_scale' not in not_judged
 
@@ -121,7 +121,7 @@ def test_to_the_evidence_it_is_the_camera_along_its_lever_arm() -> None:
 def test_without_a_lever_arm_it_is_not_judged(at_m: float) -> None:
     centred = recording('cleaning', 2, 20.0, (WHEELS,), mount_xyz_m=(0.0, at_m, 0.1))
     stage, not_judged = looked_at(centred)
-    assert 'wheel_scale' not in {suspect.effect.name for suspect in stage.suspects}
+    assert 'wheel_scale' not in {ranked_effect.effect.name for ranked_effect in stage.ranked}
     assert 'distance from the turning centre' in not_judged['wheel_scale']
 
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping
 
 from gyrocal_ros.bag.scan import Seen, Watch
 from gyrocal_ros.bag.selection import NEEDED_ROLES
-from gyrocal_ros.bag.topic_stats import Agreement, Event, ImuStats, compare_turns
+from gyrocal_ros.bag.topic_stats import Agreement, ImuStats, WorstCase, compare_turns
 from gyrocal_ros.data import seconds
-from gyrocal_ros.msgs.issues import Finding, Severity
+from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import Role
 
 ERROR, WARNING, NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
@@ -32,7 +32,7 @@ FEW_FEATURES = 4.0
 TURN_ADVICE = 'turn on the spot, a few full turns to each side, some slow and some fast'
 
 
-def judge(seen: Seen, *, reorder_window_s: float, clock_step_s: float) -> Iterator[Finding]:
+def assess(seen: Seen, *, reorder_window_s: float, clock_step_s: float) -> Iterator[BagIssue]:
     """Yield what is wrong or odd.
 
     Args:
@@ -78,14 +78,14 @@ def _behind_s(watch: Watch, imu: Watch) -> float:
     return watch.stamps.least_delay_s - imu.stamps.least_delay_s
 
 
-def _found(watch: Watch, severity: Severity, kind: str, text: str, todo: str = '') -> Finding:
-    return Finding(severity if watch.role in NEEDED_ROLES else NOTE, kind, watch.topic.name, text, todo)
+def _found(watch: Watch, severity: Severity, kind: str, text: str, todo: str = '') -> BagIssue:
+    return BagIssue(severity if watch.role in NEEDED_ROLES else NOTE, kind, watch.topic.name, text, todo)
 
 
-def _stamps(watch: Watch, reorder_window_s: float) -> Iterator[Finding]:
+def _stamps(watch: Watch, reorder_window_s: float) -> Iterator[BagIssue]:
     stamps = watch.stamps
 
-    def worst(event: Event, word: str) -> str:
+    def worst(event: WorstCase, word: str) -> str:
         at_s = seconds(event.at_ns - stamps.first_ns)
         return f'{word} {abs(event.worst_s):.3g} s, {at_s:.1f} s after the start'
 
@@ -122,7 +122,7 @@ def _stamps(watch: Watch, reorder_window_s: float) -> Iterator[Finding]:
         yield _found(watch, WARNING, 'slow', text, f'{SLOWEST_HZ[watch.role]:g} or more are wanted')
 
 
-def _numbers(watch: Watch) -> Iterator[Finding]:
+def _numbers(watch: Watch) -> Iterator[BagIssue]:
     if watch.not_finite:
         share = watch.not_finite / watch.stamps.count
         severity = ERROR if share > MAX_NAN_SHARE else WARNING
@@ -130,7 +130,7 @@ def _numbers(watch: Watch) -> Iterator[Finding]:
         yield _found(watch, severity, 'not_finite', text, 'they are left out; look after the driver')
 
 
-def _beside_imu(watch: Watch, imu: Watch, clock_step_s: float) -> Iterator[Finding]:
+def _beside_imu(watch: Watch, imu: Watch, clock_step_s: float) -> Iterator[BagIssue]:
     """Tell whether a topic goes with the IMU in clock and time."""
     if watch.stamps.jumped.count or imu.stamps.jumped.count:
         return
@@ -149,7 +149,9 @@ def _beside_imu(watch: Watch, imu: Watch, clock_step_s: float) -> Iterator[Findi
         yield _found(watch, WARNING, 'ends_early', f'ends {early_s:.1f} s before the IMU')
 
 
-def _imu(imu: Watch, stats: ImuStats, references: Mapping[str, tuple[Watch, Agreement]]) -> Iterator[Finding]:
+def _imu(
+    imu: Watch, stats: ImuStats, references: Mapping[str, tuple[Watch, Agreement]]
+) -> Iterator[BagIssue]:
     if not stats.count:
         return
     if stats.at_zero == stats.count:
@@ -179,7 +181,7 @@ def _imu(imu: Watch, stats: ImuStats, references: Mapping[str, tuple[Watch, Agre
         yield _found(imu, NOTE, 'one_way_turns', text, 'turns to both sides tell the effects apart')
 
 
-def _accelerometer(imu: Watch, force_m_s2: float) -> Iterator[Finding]:
+def _accelerometer(imu: Watch, force_m_s2: float) -> Iterator[BagIssue]:
     if force_m_s2 < 0.3:
         yield _found(imu, NOTE, 'no_accelerometer', 'the accelerometer reads no gravity')
     elif 0.8 < force_m_s2 < 1.25:
@@ -190,7 +192,7 @@ def _accelerometer(imu: Watch, force_m_s2: float) -> Iterator[Finding]:
         yield _found(imu, WARNING, 'odd_gravity', text, 'look after its unit and its calibration')
 
 
-def _agreement(watch: Watch, imu: Watch, agreement: Agreement) -> Iterator[Finding]:
+def _agreement(watch: Watch, imu: Watch, agreement: Agreement) -> Iterator[BagIssue]:
     """Tell whether wheels or heading reference turn as the gyro does."""
     if _is_degrees(agreement.ratio):
         text = f'turns {abs(agreement.ratio):.0f} times as much as {imu.topic.name}: in degrees?'

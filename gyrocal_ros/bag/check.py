@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrocal_ros.bag.assess import judge
+from gyrocal_ros.bag.assess import assess
 from gyrocal_ros.bag.rig import read_links, read_rig
 from gyrocal_ros.bag.scan import Seen, look_through
 from gyrocal_ros.bag.selection import Selection, select_topics
@@ -17,7 +17,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds, seconds
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import images, topics
-from gyrocal_ros.msgs.issues import Finding, Severity
+from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
 
@@ -45,7 +45,7 @@ class CheckReport:
     name: str
     duration_s: float
     topics: tuple[TopicSummary, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[BagIssue, ...]
     """The worst first."""
 
     @property
@@ -78,7 +78,7 @@ def check_bag(
         links = read_links(storage, selection)
         findings += _camera(storage, selection, links, config)
         seen = look_through(storage, selection, links, nanoseconds(recording.clock_step_s), findings)
-        findings += judge(
+        findings += assess(
             seen, reorder_window_s=recording.reorder_window_s, clock_step_s=recording.clock_step_s
         )
         return CheckReport(
@@ -91,16 +91,16 @@ def check_bag(
 
 def _camera(
     storage: Storage, selection: Selection, links: Sequence[Transform], config: Config
-) -> Iterator[Finding]:
+) -> Iterator[BagIssue]:
     """Tell what is wrong with the camera: its calibration, its mount, the first of its images."""
-    assumed: list[Finding] = []
+    assumed: list[BagIssue] = []
     topic = selection.topics.get(Role.IMAGE)
     try:
         rig = read_rig(storage, selection, links, config.camera, assumed)
         if topic and rig.camera:
             images.refuse_other_size(images.frame(storage.first_message(topic)), rig.camera, topic.name)
     except RecordingError as error:
-        yield Finding(Severity.ERROR, 'camera', topic.name if topic else '', error.what, error.todo)
+        yield BagIssue(Severity.ERROR, 'camera', topic.name if topic else '', error.what, error.todo)
     yield from assumed
 
 

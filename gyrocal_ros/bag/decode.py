@@ -16,7 +16,7 @@ from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.data import NS_PER_S, CovariateSample, Measurement
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import images, topics
-from gyrocal_ros.msgs.issues import Finding, Severity
+from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.mounts import into_body_axes
 from gyrocal_ros.msgs.topics import STAMP_FIELDS, FlatMessage, Role
 
@@ -27,7 +27,7 @@ Decode: TypeAlias = Callable[[bytes, int], Sequence[Measurement]]
 """From a serialised message and its time of recording (ns) to what was measured at one moment."""
 
 
-class Decoder:
+class MessageDecoder:
     """Turns the messages of one pass over a recording into measurements, and counts the bad ones."""
 
     def __init__(
@@ -51,7 +51,7 @@ class Decoder:
         Raises:
             RecordingError: the type of a needed topic is not known.
         """
-        self.findings: list[Finding] = []
+        self.findings: list[BagIssue] = []
         """Topics that had to be left out."""
         self.bad: Counter[str] = Counter()
         """Messages of each topic that mean nothing (NaN, a damaged image) and were left out."""
@@ -70,7 +70,7 @@ class Decoder:
                 self.streams.append((topic, self._covariates(topic, name)))
             except RecordingError as error:
                 self.findings.append(
-                    Finding(Severity.WARNING, 'unknown_type', topic.name, f'is left out: {error.what}')
+                    BagIssue(Severity.WARNING, 'unknown_type', topic.name, f'is left out: {error.what}')
                 )
 
     def _of_role(self, role: Role, topic: Topic) -> Decode:

@@ -15,7 +15,7 @@ from gyrocal_ros.bag.topic_stats import TurnStats, compare_turns
 from gyrocal_ros.config.sections import CameraConfig
 from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, Mount, Rig
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs.issues import Finding
+from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.msgs.mounts import (
     REST_NS,
     imu_rotation,
@@ -47,7 +47,7 @@ class Geometry:
     rig: Rig
     R_bi: Array
     """(3, 3) from the IMU's axes to body axes."""
-    findings: tuple[Finding, ...]
+    findings: tuple[BagIssue, ...]
     """What had to be assumed."""
 
 
@@ -63,7 +63,7 @@ def read_geometry(storage: Storage, selection: Selection, config: CameraConfig) 
         RecordingError: the camera is not calibrated, or a message is damaged.
     """
     links = read_links(storage, selection)
-    findings: list[Finding] = []
+    findings: list[BagIssue] = []
     rig = read_rig(storage, selection, links, config, findings)
     heading = selection.topics.get(Role.HEADING)
     R_bi = read_imu_rotation(storage, selection.topics[Role.IMU], links, heading, findings)
@@ -75,7 +75,7 @@ def read_rig(
     selection: Selection,
     links: Sequence[Transform],
     config: CameraConfig,
-    findings: list[Finding],
+    findings: list[BagIssue],
 ) -> Rig:
     """Return the camera, if one is in use, and how it sits on the robot.
 
@@ -117,7 +117,7 @@ def read_imu_rotation(
     topic: Topic,
     links: Sequence[Transform],
     heading: Topic | None,
-    findings: list[Finding],
+    findings: list[BagIssue],
 ) -> Array:
     """Return the rotation (3, 3) from an IMU's axes to body axes.
 
@@ -154,7 +154,7 @@ def _intrinsics(storage: Storage, topic: Topic) -> CameraIntrinsics:
 
 
 def _camera_mount(
-    storage: Storage, topic: Topic, links: Sequence[Transform], assumed: Mount, findings: list[Finding]
+    storage: Storage, topic: Topic, links: Sequence[Transform], assumed: Mount, findings: list[BagIssue]
 ) -> Mount:
     frame = storage.first_message(topic).header.frame_id.lstrip('/')
     mount = mount_of_frame(links, frame)

@@ -15,7 +15,7 @@ from gyrocal_ros.bag.selection import Selection
 from gyrocal_ros.bag.storage import DAMAGED, Storage, Topic, damaged_message
 from gyrocal_ros.bag.topic_stats import ImuStats, StampStats, TurnStats
 from gyrocal_ros.data import NS_PER_S, Array, IntArray
-from gyrocal_ros.msgs.issues import Finding
+from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.msgs.topics import (
     IMU_SAMPLE,
     STAMP_FIELDS,
@@ -29,7 +29,7 @@ from gyrocal_ros.msgs.transforms import Transform, yaw_from_quaternion
 BLOCK = 2048
 """Messages of a topic looked at together."""
 
-Look: TypeAlias = Callable[[IntArray, Array], None]
+Inspection: TypeAlias = Callable[[IntArray, Array], None]
 """Takes the stamps (n,) of a block of messages and their numbers (n, fields)."""
 
 
@@ -40,7 +40,7 @@ class Watch:
     topic: Topic
     role: Role
     read: FieldReader
-    look: Look
+    look: Inspection
     stamps: StampStats
     not_finite: int = 0
     """Messages with a number that is NaN or infinite."""
@@ -90,7 +90,7 @@ def look_through(
     selection: Selection,
     links: Sequence[Transform],
     step_ns: int,
-    findings: list[Finding],
+    findings: list[BagIssue],
 ) -> Seen:
     """Look at every message of the topics in use.
 
@@ -110,7 +110,7 @@ def look_through(
     heading = selection.topics.get(Role.HEADING)
     for role, topic in _candidates(storage, selection):
         fields: tuple[str, ...] = STAMP_FIELDS
-        look: Look = _nothing
+        look: Inspection = _nothing
         if role is Role.IMU:
             R_bi = read_imu_rotation(storage, topic, links, heading, findings)
             stats = seen.imus[topic.name] = ImuStats(R_bi)
@@ -158,12 +158,12 @@ def _nothing(stamps_ns: IntArray, numbers: Array) -> None:
     """Look at the stamps alone."""
 
 
-def _look_at_wheels(seen: Seen) -> Look:
+def _look_at_wheels(seen: Seen) -> Inspection:
     turns = seen.turns[Role.WHEELS] = TurnStats()
     return lambda stamps_ns, numbers: turns.add(stamps_ns, numbers[:, 1])
 
 
-def _look_at_heading(seen: Seen) -> Look:
+def _look_at_heading(seen: Seen) -> Inspection:
     turns = seen.turns[Role.HEADING] = TurnStats()
 
     def look(stamps_ns: IntArray, quaternions: Array) -> None:
@@ -172,7 +172,7 @@ def _look_at_heading(seen: Seen) -> Look:
     return look
 
 
-def _look_at_features(seen: Seen) -> Look:
+def _look_at_features(seen: Seen) -> Inspection:
     def look(stamps_ns: IntArray, widths: Array) -> None:
         seen.feature_count += int(widths.sum())
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from gyrocal_ros.bag.storage import Topic
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.msgs.issues import Finding, Severity
+from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import POSES, STATIC_TRANSFORMS, TRANSFORMS, TYPES, Role
 
 ENDINGS = {role: (str(role),) for role in Role} | {Role.IMAGE: (Role.IMAGE, f'{Role.IMAGE}/compressed')}
@@ -29,7 +29,7 @@ NO_COVARIATES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class TopicChoice:
     """What the user says about the topics."""
 
     remap: Mapping[Role, str] = field(default_factory=dict)
@@ -50,7 +50,7 @@ class Selection:
     static_transforms: tuple[Topic, ...]
     others: Mapping[str, Topic]
     """Topics that may hold covariates, by their name without namespace."""
-    findings: tuple[Finding, ...]
+    findings: tuple[BagIssue, ...]
     """What is missing or in doubt."""
 
 
@@ -88,7 +88,7 @@ def remap_roles(remap: Mapping[str, str]) -> dict[Role, str]:
     return {roles[name]: topic for name, topic in remap.items()}
 
 
-def select_topics(topics: Mapping[str, Topic], choice: Choice) -> Selection:
+def select_topics(topics: Mapping[str, Topic], choice: TopicChoice) -> Selection:
     """Find the topic for every role.
 
     A topic is known by the end of its name: `/robot1/imu/data_raw` is `imu/data_raw` of `robot1`.
@@ -97,7 +97,7 @@ def select_topics(topics: Mapping[str, Topic], choice: Choice) -> Selection:
         topics: all topics of the recording by name.
         choice: what the user says about them.
     """
-    findings: list[Finding] = []
+    findings: list[BagIssue] = []
     robots = _robots(topics)
     robot = _robot(topics, robots, choice, findings)
     named = dict(choice.remap)
@@ -144,14 +144,16 @@ def _robots(topics: Mapping[str, Topic]) -> list[str]:
     return [namespace for namespace in with_imu if namespace in with_camera] or with_imu
 
 
-def _robot(topics: Mapping[str, Topic], robots: list[str], choice: Choice, findings: list[Finding]) -> str:
+def _robot(
+    topics: Mapping[str, Topic], robots: list[str], choice: TopicChoice, findings: list[BagIssue]
+) -> str:
     if choice.namespace is not None:
         robot = choice.namespace.strip('/')
         namespaces = {namespace for role in Role for namespace, _ in _matches(topics, role)}
         if robot not in namespaces:
             known = ', '.join(sorted(f'/{namespace}' for namespace in namespaces)) or 'none'
             findings.append(
-                Finding(
+                BagIssue(
                     Severity.ERROR,
                     'no_such_robot',
                     '',
@@ -163,7 +165,7 @@ def _robot(topics: Mapping[str, Topic], robots: list[str], choice: Choice, findi
     if len(robots) > 1 and Role.IMU not in choice.remap:
         names = ', '.join(f'/{robot}' for robot in robots)
         findings.append(
-            Finding(
+            BagIssue(
                 Severity.ERROR,
                 'several_robots',
                 '',
@@ -182,32 +184,32 @@ def _by_ending(topics: Mapping[str, Topic], role: Role, robot: str, *, alone: bo
     return next((topic for topic in own if topic.count), own[0] if own else None)
 
 
-def _by_name(topics: Mapping[str, Topic], name: str, findings: list[Finding]) -> Topic | None:
+def _by_name(topics: Mapping[str, Topic], name: str, findings: list[BagIssue]) -> Topic | None:
     same = [topic for topic in topics.values() if topic.name.strip('/') == name.strip('/')]
     same += [topic for topic in topics.values() if _namespace(topic.name, name.strip('/')) is not None]
     if same:
         return same[0]
     close = difflib.get_close_matches(name, list(topics), n=1, cutoff=0.5)
     todo = f'did you mean {close[0]}?' if close else f'there are {", ".join(topics)}'
-    findings.append(Finding(Severity.ERROR, 'missing_topic', name, 'there is no such topic', todo))
+    findings.append(BagIssue(Severity.ERROR, 'missing_topic', name, 'there is no such topic', todo))
     return None
 
 
-def _is_usable(topic: Topic, role: Role, findings: list[Finding]) -> bool:
+def _is_usable(topic: Topic, role: Role, findings: list[BagIssue]) -> bool:
     severity = Severity.ERROR if role in NEEDED_ROLES else Severity.WARNING
     if topic.type_name not in TYPES[role]:
         text = f'is a {topic.type_name}, not a {" or ".join(TYPES[role])}'
-        findings.append(Finding(severity, 'wrong_type', topic.name, text, f'name another topic as {role}'))
+        findings.append(BagIssue(severity, 'wrong_type', topic.name, text, f'name another topic as {role}'))
         return False
     if not topic.count:
         findings.append(
-            Finding(Severity.WARNING, 'empty_topic', topic.name, 'has no messages', 'was its node running?')
+            BagIssue(Severity.WARNING, 'empty_topic', topic.name, 'has no messages', 'was its node running?')
         )
         return False
     return True
 
 
-def _one_reference(found: dict[Role, Topic], choice: Choice) -> None:
+def _one_reference(found: dict[Role, Topic], choice: TopicChoice) -> None:
     """Leave one heading reference: another topic if named, else the features, else the images."""
     unused: tuple[Role, ...] = ()
     if choice.heading_reference:
@@ -220,9 +222,11 @@ def _one_reference(found: dict[Role, Topic], choice: Choice) -> None:
         found.pop(role, None)
 
 
-def _missing(topics: Mapping[str, Topic], found: Mapping[Role, Topic], choice: Choice) -> Iterator[Finding]:
-    def missing(role: Role, text: str, todo: str = '', severity: Severity = Severity.ERROR) -> Finding:
-        return Finding(severity, 'missing_topic', str(role), text, todo or _advice(topics, found, role))
+def _missing(
+    topics: Mapping[str, Topic], found: Mapping[Role, Topic], choice: TopicChoice
+) -> Iterator[BagIssue]:
+    def missing(role: Role, text: str, todo: str = '', severity: Severity = Severity.ERROR) -> BagIssue:
+        return BagIssue(severity, 'missing_topic', str(role), text, todo or _advice(topics, found, role))
 
     if Role.IMU not in found:
         yield missing(Role.IMU, 'there is no IMU')
@@ -231,7 +235,7 @@ def _missing(topics: Mapping[str, Topic], found: Mapping[Role, Topic], choice: C
         yield missing(Role.WHEELS, 'there is no wheel odometry', severity=severity)
     if choice.heading_reference:
         if Role.HEADING in found and found[Role.HEADING] == found.get(Role.TRUTH):
-            yield Finding(
+            yield BagIssue(
                 Severity.ERROR,
                 'truth_as_reference',
                 found[Role.HEADING].name,

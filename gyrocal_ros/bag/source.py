@@ -6,14 +6,14 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from gyrocal_ros.bag.decode import Decode, Decoder
+from gyrocal_ros.bag.decode import Decode, MessageDecoder
 from gyrocal_ros.bag.rig import Geometry, read_geometry
-from gyrocal_ros.bag.selection import Choice, Selection, parse_remap, remap_roles, select_topics
+from gyrocal_ros.bag.selection import Selection, TopicChoice, parse_remap, remap_roles, select_topics
 from gyrocal_ros.bag.storage import DAMAGED, Storage, damaged_message, open_storage
 from gyrocal_ros.config.sections import Config, RecordingConfig
 from gyrocal_ros.data import ClockStep, Measurement, Rig, Span, nanoseconds
 from gyrocal_ros.msgs import topics
-from gyrocal_ros.msgs.issues import Finding, Severity, one_a_kind, refuse_errors
+from gyrocal_ros.msgs.issues import BagIssue, Severity, one_a_kind, refuse_errors
 from gyrocal_ros.msgs.reorder import Drop, Reorderer
 from gyrocal_ros.msgs.topics import Role
 
@@ -41,7 +41,7 @@ class BagSource:
         self._path, self._recording = path, config.recording
         self._selection, self._geometry, self._span = selection, geometry, span
         self._with_covariates = with_covariates
-        self._pass_findings: list[Finding] = []
+        self._pass_findings: list[BagIssue] = []
 
     @property
     def name(self) -> str:
@@ -59,7 +59,7 @@ class BagSource:
         return self._span
 
     @property
-    def warnings(self) -> list[Finding]:
+    def warnings(self) -> list[BagIssue]:
         """What was worked around, one of a kind; what was dropped shows after `measurements`."""
         return one_a_kind([*self._selection.findings, *self._geometry.findings, *self._pass_findings])
 
@@ -73,7 +73,7 @@ class BagSource:
         step_ns = nanoseconds(self._recording.clock_step_s)
         order = Reorderer[Sequence[Measurement]](nanoseconds(self._recording.reorder_window_s), step_ns)
         with open_storage(self._path) as storage:
-            decoder = Decoder(
+            decoder = MessageDecoder(
                 storage,
                 self._selection,
                 self._geometry,
@@ -126,13 +126,13 @@ def make_choice(
     remap: Mapping[str, str] | None,
     namespace: str | None,
     heading_reference: str | None,
-) -> Choice:
+) -> TopicChoice:
     """Join what the settings say about the topics with what the caller says, who comes first.
 
     Raises:
         ConfigError: a remap is wrong.
     """
-    return Choice(
+    return TopicChoice(
         remap=remap_roles({**parse_remap(recording.remap.split()), **(remap or {})}),
         namespace=namespace,
         heading_reference=heading_reference or recording.heading_reference or None,
@@ -141,7 +141,7 @@ def make_choice(
 
 
 def _sorted(
-    storage: Storage, decoder: Decoder, order: Reorderer[Sequence[Measurement]]
+    storage: Storage, decoder: MessageDecoder, order: Reorderer[Sequence[Measurement]]
 ) -> Iterator[Sequence[Measurement] | ClockStep]:
     """Yield what was measured at each moment, in the order of the stamps."""
     decoders: dict[str, list[tuple[int, Decode]]] = defaultdict(list)
@@ -161,7 +161,7 @@ def _sorted(
     yield from order.finish()
 
 
-def _left_out(decoder: Decoder, order: Reorderer[Sequence[Measurement]]) -> Iterator[Finding]:
+def _left_out(decoder: MessageDecoder, order: Reorderer[Sequence[Measurement]]) -> Iterator[BagIssue]:
     """Tell what was dropped, one finding a kind."""
     for drop, what in DROPPED.items():
         counts = {
@@ -175,8 +175,8 @@ def _left_out(decoder: Decoder, order: Reorderer[Sequence[Measurement]]) -> Iter
         yield _dropped('meaningless', decoder.bad, 'hold no numbers (NaN) or no image')
 
 
-def _dropped(kind: str, counts: Mapping[str, int], what: str) -> Finding:
+def _dropped(kind: str, counts: Mapping[str, int], what: str) -> BagIssue:
     each = ', '.join(f'{count} of {topic}' for topic, count in sorted(counts.items()))
-    return Finding(
+    return BagIssue(
         Severity.WARNING, kind, '', f'{sum(counts.values())} messages {what} and are left out: {each}'
     )

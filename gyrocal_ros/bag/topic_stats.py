@@ -21,7 +21,7 @@ CLEAR_TURN_RAD = math.radians(3.0) * BIN_NS / NS_PER_S
 
 
 @dataclass(slots=True)
-class Event:
+class WorstCase:
     """How often something happened, and the worst of it."""
 
     count: int = 0
@@ -56,10 +56,10 @@ class StampStats:
     """Stamps that are zero."""
     period_ns: float = math.nan
     """Usual interval between two messages."""
-    repeated: Event = field(default_factory=Event)
-    backward: Event = field(default_factory=Event)
-    jumped: Event = field(default_factory=Event)
-    gap: Event = field(default_factory=Event)
+    repeated: WorstCase = field(default_factory=WorstCase)
+    backward: WorstCase = field(default_factory=WorstCase)
+    jumped: WorstCase = field(default_factory=WorstCase)
+    gap: WorstCase = field(default_factory=WorstCase)
     least_delay_s: float = math.inf
     """Time of recording less stamp."""
     most_delay_s: float = -math.inf

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gyrocal_ros.bench.bench_run import Trial, Variant, run_trial
+from gyrocal_ros.bench.bench_run import BenchRun, Variant, run_bench
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 
 T = TypeVar('T')
@@ -54,7 +54,7 @@ def cases(quick: bool) -> list[Case]:
     return table[:1] if quick else table
 
 
-def accuracy_row(case: Case, trials: list[Trial]) -> dict[str, Any]:
+def accuracy_row(case: Case, trials: list[BenchRun]) -> dict[str, Any]:
     """The figures of one case over its seeds; errors in per cent of the scale factor."""
     label, _, variant, _, _ = case
     good = [trial for trial in trials if not trial.diverged]
@@ -89,9 +89,9 @@ def accuracy(seeds: int, quick: bool = False, only: Collection[str] = ()) -> Ite
         yield accuracy_row(case, list(in_parallel(_trial, [(case, seed) for seed in range(seeds)])))
 
 
-def _trial(task: tuple[Case, int]) -> Trial:
+def _trial(task: tuple[Case, int]) -> BenchRun:
     (_, scenario, variant, images, with_bound), seed = task
-    return run_trial(scenario, seed, variant, images=images, with_bound=with_bound)
+    return run_bench(scenario, seed, variant, images=images, with_bound=with_bound)
 
 
 def _with_outliers(scenario: Scenario) -> Scenario:

@@ -17,13 +17,13 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, Measurement, MotionBlock, Rig
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.effects_by_place import Parts, sort_effects
+from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, sort_effects
 from gyrocal_ros.ekf.predict import predict
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, State, no_landmarks
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.features import PARAMETRISATIONS
-from gyrocal_ros.model.features.base import Anchors, view_from_pose
+from gyrocal_ros.model.features.base import Anchors, posed_camera
 from gyrocal_ros.model.sensor import SensorModel
 
 POSE_AND_BIAS = COEFFICIENTS_START
@@ -67,7 +67,7 @@ class _Problem:
     rig: Rig
     config: Config
     model: SensorModel
-    parts: Parts
+    parts: EffectsByPlace
     prior_scale_std: float
 
     @property
@@ -219,9 +219,7 @@ def _sightings(problem: _Problem, unknowns: Array, number: int, step: _Step) -> 
     pose = _places(POSE_AND_BIAS * (number + 1) + POSE.start, 6)
     first = problem.coefficient + 1 + 3 * step.features
     places = first[:, None] + np.arange(3)
-    view = view_from_pose(
-        problem.rig.camera, problem.rig.camera_mount, unknowns[pose[:3]], unknowns[pose[3:]]
-    )
+    view = posed_camera(problem.rig.camera, problem.rig.camera_mount, unknowns[pose[:3]], unknowns[pose[3:]])
     prediction = FORM.predict(view, unknowns[places], problem.anchors[step.features])
     std = problem.config.camera.pixel_noise_px
     residuals = (prediction.expected - step.pixels) / std

@@ -54,7 +54,7 @@ class Variant:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class BenchRun:
     """What one seed shows. Errors are relative to the true scale factor."""
 
     seed: int
@@ -76,7 +76,7 @@ class Trial:
         return (self.final_error / self.final_std) ** 2
 
 
-def run_trial(
+def run_bench(
     scenario: Scenario,
     seed: int,
     variant: Variant,
@@ -84,13 +84,13 @@ def run_trial(
     images: bool = False,
     with_bound: bool = False,
     config: Config | None = None,
-) -> Trial:
+) -> BenchRun:
     """Simulate a scenario, run the filter on it and compare."""
     source = SimSource(scenario, seed, images=images)
     try:
         run = calibrate(source, variant.config(config or Config()), variant.model())
     except FilterDivergedError:
-        return Trial(seed, *(math.nan,) * 6, diverged=True)
+        return BenchRun(seed, *(math.nan,) * 6, diverged=True)
     true_scale = source.truth.scale_factor
     scale = 1.0 + run.history.coefficients[:, 0]
     time_s = (run.history.t_ns - START_NS) / NS_PER_S
@@ -99,7 +99,7 @@ def run_trial(
     def error_at(moment_s: float) -> float:
         return float(scale[min(int(np.searchsorted(time_s, moment_s)), len(scale) - 1)]) / true_scale - 1.0
 
-    return Trial(
+    return BenchRun(
         seed=seed,
         early_error=error_at(turned_s + EARLY_S),
         settled_error=error_at(turned_s + SETTLED_S),

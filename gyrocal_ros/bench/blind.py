@@ -25,7 +25,7 @@ from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.pipeline.calibrate import calibrate, hold
+from gyrocal_ros.pipeline.calibrate import calibrate, preload
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import RANGES, STRANGE_RANGES, draw_hidden, draw_scale_factor, hide
 from gyrocal_ros.sim.out_of_library import VOLTAGE
@@ -59,7 +59,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class BlindTrial:
+class BlindResult:
     """What one recording shows."""
 
     case: Case
@@ -115,7 +115,7 @@ def blind(seeds: int, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
     yield row('all', every)
 
 
-def row(label: str, trials: Sequence[BlindTrial]) -> dict[str, Any]:
+def row(label: str, trials: Sequence[BlindResult]) -> dict[str, Any]:
     """The figures of some recordings."""
     costly = [trial for trial in trials if trial.is_costly] if trials[0].case.names else list(trials)
     errors = np.abs([error for trial in trials for error in trial.errors_sigma])
@@ -136,14 +136,14 @@ def row(label: str, trials: Sequence[BlindTrial]) -> dict[str, Any]:
     }
 
 
-def run_trial(case: Case, seed: int) -> BlindTrial:
+def run_blind(case: Case, seed: int) -> BlindResult:
     """Hide, simulate, diagnose, compare."""
     scenario, config = find_scenario('cleaning'), _with_noise(Config(), case.noise)
     drawn = draw_hidden(seed, scenario.duration_s, case.names)
     scale_factor = draw_scale_factor(seed)
     scenario = replace(scenario, errors=replace(scenario.errors, scale_factor=scale_factor))
     simulated = SimSource(scenario, seed, hidden=hide(drawn, find_effect))
-    source, config = hold(simulated, config, default_model())
+    source, config = preload(simulated, config, default_model())
     run, hidden = partial(calibrate, source, config), simulated.hidden
     recorded = look_at(source)
     try:
@@ -156,7 +156,7 @@ def run_trial(case: Case, seed: int) -> BlindTrial:
         return searched.first.run if has_run else run(model)  # type: ignore[union-attr]
 
     known = _merit(finished, hidden, scale_factor)
-    trial = BlindTrial(
+    trial = BlindResult(
         case=case,
         seed=seed,
         hidden=tuple((item.effect.name, item.values) for item in hidden),
@@ -196,8 +196,8 @@ def _merit(run: Callable[[SensorModel], Run], hidden: Sequence[HiddenEffect], sc
 
 
 def _judged(
-    trial: BlindTrial, hidden: Sequence[HiddenEffect], searched: Search, found: Diagnosis
-) -> BlindTrial:
+    trial: BlindResult, hidden: Sequence[HiddenEffect], searched: Search, found: Diagnosis
+) -> BlindResult:
     excuses = {finding.effect.name: finding.confused_with for finding in found.missing}
     right = is_right(trial.case, hidden, found)
     said = {*excuses, *(name for names in excuses.values() for name in names)}
@@ -262,11 +262,11 @@ def _drift_deg(run: Run) -> float:
     return blind_drift(run, from_s=0.5 * float(run.history.time_s[-1])).rms_deg
 
 
-def _is_confident(trial: BlindTrial) -> bool:
+def _is_confident(trial: BlindResult) -> bool:
     return trial.verdict == 'effect_found'
 
 
-def _said(trial: BlindTrial) -> str:
+def _said(trial: BlindResult) -> str:
     """In a word: what was named first, or what else was said."""
     if trial.verdict == 'unexplained':
         return f'unexplained ({trial.left})'
@@ -282,5 +282,5 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(known.mean()) if len(known) else None
 
 
-def _trial(task: tuple[Case, int]) -> BlindTrial:
-    return run_trial(*task)
+def _trial(task: tuple[Case, int]) -> BlindResult:
+    return run_blind(*task)

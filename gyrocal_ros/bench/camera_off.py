@@ -11,7 +11,7 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.diagnose.drift import Path, dead_reckoning, slam_path
+from gyrocal_ros.diagnose.drift import Trajectory2D, dead_reckoning, slam_path
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW_BIAS
@@ -95,7 +95,7 @@ def both(source: SimSource, run: Run, moments_s: Array) -> tuple[Drift, Drift]:
     )
 
 
-def nominal_path(source: SimSource, run: Run) -> Path:
+def nominal_path(source: SimSource, run: Run) -> Trajectory2D:
     """Dead reckoning by the data sheet's scale factor, with the bias known when the camera goes off."""
     return dead_reckoning(run, np.zeros(len(run.model.coefficients)), bias_at_off(source, run))
 
@@ -106,7 +106,7 @@ def bias_at_off(source: SimSource, run: Run) -> float:
     return float(run.history.mean[np.searchsorted(run.history.t_ns, off_ns) - 1, YAW_BIAS])
 
 
-def gathered(source: SimSource, run: Run, path: Path, moments_s: Array) -> Drift:
+def gathered(source: SimSource, run: Run, path: Trajectory2D, moments_s: Array) -> Drift:
     """Heading error gathered in each interval, and position error at its end.
 
     Path and truth are laid on each other, in position and heading, at the first moment.
@@ -117,7 +117,7 @@ def gathered(source: SimSource, run: Run, path: Path, moments_s: Array) -> Drift
     return Drift(np.diff(yaw - true_yaw), error[1:], np.diff(true_yaw))
 
 
-def laid_on_truth(source: SimSource, run: Run, path: Path, moments_s: Array) -> tuple[Array, Array]:
+def laid_on_truth(source: SimSource, run: Run, path: Trajectory2D, moments_s: Array) -> tuple[Array, Array]:
     """A path at moments (n,), moved and turned so that it begins where the robot truly was.
 
     Returns:

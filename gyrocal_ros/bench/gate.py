@@ -17,7 +17,7 @@ import numpy as np
 
 from gyrocal_ros import __version__
 from gyrocal_ros.bench.accuracy import OURS
-from gyrocal_ros.bench.bench_run import run_trial
+from gyrocal_ros.bench.bench_run import run_bench
 from gyrocal_ros.bench.camera_off import rotations
 from gyrocal_ros.bench.paper.experiment import Mapper
 from gyrocal_ros.bench.paper.landmark import NOISE_PX, follow
@@ -28,7 +28,7 @@ from gyrocal_ros.diagnose.search import examine
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.scale import FULL_RATE_RAD_S
 from gyrocal_ros.model.features import PARAMETRISATIONS
-from gyrocal_ros.pipeline.calibrate import calibrate, hold
+from gyrocal_ros.pipeline.calibrate import calibrate, preload
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
@@ -88,7 +88,7 @@ class Outcome:
 
 def lanes(seed: int) -> dict[str, float]:
     """Scale factor, consistency and heading after 100 s of lanes."""
-    trial = run_trial(replace(find_scenario('lanes'), duration_s=100.0), seed, OURS)
+    trial = run_bench(replace(find_scenario('lanes'), duration_s=100.0), seed, OURS)
     return {
         'scale_error_percent': 100.0 * abs(trial.final_error),
         'scale_std_percent': 100.0 * trial.final_std,
@@ -102,7 +102,7 @@ def lanes(seed: int) -> dict[str, float]:
 def images(seed: int) -> dict[str, float]:
     """The same from images, up to the first turn."""
     scenario = replace(find_scenario('filmed'), duration_s=20.0)
-    trial = run_trial(scenario, seed, OURS, images=True)
+    trial = run_bench(scenario, seed, OURS, images=True)
     return {
         'scale_error_percent': 100.0 * abs(trial.final_error),
         'heading_rms_deg': math.degrees(trial.heading_rms_rad),
@@ -205,11 +205,11 @@ def _cubic(seed: int, hidden: Iterable[HiddenEffect]) -> tuple[float, float]:
     """What the evidence says of a cubic part, and its significance."""
     scenario = replace(find_scenario('cleaning'), duration_s=120.0, imu_hz=100, camera_hz=10)
     simulated = SimSource(scenario, seed, hidden=tuple(hidden))
-    source, config = hold(simulated, Config(), default_model())
+    source, config = preload(simulated, Config(), default_model())
     stage = examine(
         default_model(),
         look_at(source),
         lambda model, tried: calibrate(source, config, model, candidates=tried),
     )
-    suspect = next(item for item in stage.suspects if item.effect.name == 'scale_cubic')
-    return float(estimate(suspect)[0]), suspect.fit.sigma
+    ranked_effect = next(item for item in stage.ranked if item.effect.name == 'scale_cubic')
+    return float(estimate(ranked_effect)[0]), ranked_effect.fit.sigma

@@ -111,7 +111,7 @@ def _filter_alone(source: SimSource, config: Config) -> tuple[float, float]:
     records = [record for measurement in measurements for record in slam.step(measurement)]
     records += slam.finish()
     took_s = time.process_time() - began
-    used = [record.sighting.used for record in records if record.sighting.used]
+    used = [record.image.used for record in records if record.image.used]
     return took_s, float(np.mean(used))
 
 

@@ -22,11 +22,11 @@ from gyrocal_ros.bench.camera_off import TEN_MINUTES_S, gathered, rotation_ends_
 from gyrocal_ros.bench.naive import against_a_wall, by_wheels, zero_at_rest
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.diagnose.drift import Path, dead_reckoning, slam_path
+from gyrocal_ros.diagnose.drift import Trajectory2D, dead_reckoning, slam_path
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
-from gyrocal_ros.pipeline.calibrate import Held, calibrate
+from gyrocal_ros.pipeline.calibrate import InMemorySource, calibrate
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
 
@@ -102,7 +102,7 @@ def compare_on(seed: int) -> tuple[Known, ...]:
     """Every way on the recording of one seed, the bound last."""
     source = SimSource(scenario(), seed)
     every = list(source.measurements())
-    held = Held(source.name, source.rig, source.span, every)
+    held = InMemorySource(source.name, source.rig, source.span, every)
     runs = {variant.name: _run(held, variant) for variant in FILTERS}
     ours, truth = runs[FILTERS[-1].name], source.truth.scale_factor
     assert ours is not None
@@ -133,7 +133,7 @@ def compare_on(seed: int) -> tuple[Known, ...]:
     )
 
 
-def _run(held: Held, variant: Variant) -> Run | None:
+def _run(held: InMemorySource, variant: Variant) -> Run | None:
     try:
         return calibrate(held, variant.config(Config()), variant.model())
     except FilterDivergedError:
@@ -152,7 +152,7 @@ def _filtered(source: SimSource, name: str, run: Run | None) -> Known:
     return _drifting(source, run, slam_path(run), Known(name, float(errors[-1]), std, settled_s))
 
 
-def _drifting(source: SimSource, run: Run, path: Path, known: Known) -> Known:
+def _drifting(source: SimSource, run: Run, path: Trajectory2D, known: Known) -> Known:
     ends_s = rotation_ends_s(source)
     moments_s = np.append(ends_s, ends_s[-1] + TEN_MINUTES_S)
     *spins, cleaning = gathered(source, run, path, moments_s).heading_rad.tolist()

@@ -1,7 +1,7 @@
 """What each test drive tells of each effect, and which effects it tells apart: computed, not guessed.
 
 One run of the filter over a simulated drive, with every effect on trial, gives Lambda, the information
-on all of them at once (`ekf.evidence`). All the figures follow from it.
+on all of them at once (`ekf.scores`). All the figures follow from it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.diagnose.candidate_fit import SIGNIFICANT_SIGMA, correlation
-from gyrocal_ros.diagnose.candidates import LIMITS, Docket, Trial, columns_of, docket
+from gyrocal_ros.diagnose.candidates import LIMITS, Candidate, CandidateSet, candidate_set, columns_of
 from gyrocal_ros.diagnose.recorded import Signal, look_at
 from gyrocal_ros.diagnose.separability import ALIKE, DRIVES, kind_of
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS
 from gyrocal_ros.effects.base import LinearGyroEffect, column
-from gyrocal_ros.ekf.score_statistics import Evidence
+from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Coefficient, Effect, GyroEffectOnReadings, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
@@ -73,18 +73,18 @@ Variant = tuple[Effect, IntArray]
 
 def figures(drive: str) -> Figures:
     """Run the filter over a drive and read the figures from Lambda."""
-    evidence = _evidence(drive)
+    scores = _evidence(drive)
     variants: dict[str, list[Variant]] = {}
-    for effect, columns in zip(evidence.candidates, columns_of(evidence.candidates), strict=True):
+    for effect, columns in zip(scores.candidates, columns_of(scores.candidates), strict=True):
         variants.setdefault(kind_of(effect.name), []).append((effect, columns))
     usual = {name: min(found, key=_unusual) for name, found in variants.items()}
-    scale_free = _given(evidence, usual['scale_factor'][1])
-    at_all = {name: _sigma(evidence, variant) for name, variant in usual.items()}
+    scale_free = _given(scores, usual['scale_factor'][1])
+    at_all = {name: _sigma(scores, variant) for name, variant in usual.items()}
     beside_scale = {name: _sigma(scale_free, variant) for name, variant in usual.items()}
     alike = {}
     for first, second in combinations(sorted(usual), 2):
         with_scale = 'scale_factor' in (first, second)
-        information, shows = (evidence, at_all) if with_scale else (scale_free, beside_scale)
+        information, shows = (scores, at_all) if with_scale else (scale_free, beside_scale)
         if min(shows[first], shows[second]) > SIGNIFICANT_SIGMA:
             alike[first, second] = max(
                 correlation(information, usual[one][1], columns)
@@ -111,30 +111,30 @@ def motions() -> Iterator[dict[str, Any]]:
         yield rounded | {'effect': '/'.join(pair)}
 
 
-def _evidence(drive: str) -> Evidence:
+def _evidence(drive: str) -> ScoreStatistics:
     """Of every effect, from a robot whose scale factor is right."""
     scenario = COLUMNS[drive]
     source = SimSource(replace(scenario, errors=replace(scenario.errors, scale_factor=1.0)), seed=0)
-    trials = docket(BARE, replace(look_at(source), signals=(SIGNAL,))).trials
+    trials = candidate_set(BARE, replace(look_at(source), signals=(SIGNAL,))).trials
     lost = [Lost(EFFECTS[name], EFFECTS[name].about.example, name) for name in LIMITS]  # type: ignore[arg-type]
-    on_trial = Docket((*trials, *(Trial(effect, effect, np.eye(1)) for effect in lost)))
+    on_trial = CandidateSet((*trials, *(Candidate(effect, effect, np.eye(1)) for effect in lost)))
     run = calibrate(source, Config(), BARE, candidates=on_trial.carried)
-    assert run.evidence is not None
-    return on_trial.judged(run.evidence)
+    assert run.scores is not None
+    return on_trial.judged(run.scores)
 
 
-def _given(evidence: Evidence, columns: IntArray) -> Evidence:
+def _given(scores: ScoreStatistics, columns: IntArray) -> ScoreStatistics:
     """The evidence that is left of all others when some coefficients are free."""
-    total = evidence.information.sum(axis=0)
+    total = scores.information.sum(axis=0)
     cross = total[:, columns]
     left = total - cross @ np.linalg.solve(total[np.ix_(columns, columns)], cross.T)
-    return replace(evidence, information=left[None])
+    return replace(scores, information=left[None])
 
 
-def _sigma(evidence: Evidence, variant: Variant) -> float:
+def _sigma(scores: ScoreStatistics, variant: Variant) -> float:
     """Root mean square over the signs of the coefficients."""
     effect, columns = variant
-    information = np.maximum(np.diagonal(evidence.information.sum(axis=0))[columns], 0.0)
+    information = np.maximum(np.diagonal(scores.information.sum(axis=0))[columns], 0.0)
     return math.sqrt(float(np.square(_usual_values(effect)) @ information))
 
 

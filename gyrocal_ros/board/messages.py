@@ -78,7 +78,7 @@ class Acknowledgement:
     result: int = wire('u8', '', 'what became of it: 0 done, 1 unknown, 2 out of range, 3 refused')
 
 
-class Result(IntEnum):
+class CommandResult(IntEnum):
     """What became of a command; firmware newer than this may know more."""
 
     DONE = 0

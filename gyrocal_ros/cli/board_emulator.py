@@ -28,7 +28,7 @@ from gyrocal_ros.data import Measurement, Span
 from gyrocal_ros.emulator.board import Crystal, EmulatedBoard, look_ahead
 from gyrocal_ros.emulator.line import ABOUT, EmulatedLine, parse_fault
 from gyrocal_ros.emulator.schedule import Emulator
-from gyrocal_ros.emulator.terminal import Player, Port
+from gyrocal_ros.emulator.terminal import Port, TerminalPlayer
 from gyrocal_ros.errors import ConfigError, GyrocalError
 from gyrocal_ros.sim.sensors import stream
 
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> None:
     with suppress(KeyboardInterrupt), closing(port):  # to be interrupted is as good an end as any
         port.plug_in()
         print(args.link or port.name, flush=True)
-        player = Player(emulator, port, _tell, sys.stdin.fileno() if sys.stdin else None)
+        player = TerminalPlayer(emulator, port, _tell, sys.stdin.fileno() if sys.stdin else None)
         player.play(time.time() if args.start_at is None else args.start_at)
 
 

@@ -16,7 +16,7 @@ from gyrocal_ros.cli.figures import draw_if_wanted
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
-from gyrocal_ros.diagnose.comparison import Comparison, Rival, compare
+from gyrocal_ros.diagnose.comparison import Comparison, ModelResult, compare
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
@@ -104,7 +104,7 @@ def in_words(comparison: Comparison) -> Iterator[str]:
             yield from failures_in_words(rival.fails_by_truth)
 
 
-def _row(rival: Rival) -> tuple[str, ...]:
+def _row(rival: ModelResult) -> tuple[str, ...]:
     run, heading = rival.run, rival.heading_rms_deg
     scale = conclude(run)
     return (

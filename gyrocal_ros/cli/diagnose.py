@@ -18,7 +18,7 @@ from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.cli.passes import add_pass_options, open_passes, result_folder, same_bag
 from gyrocal_ros.diagnose.advice import advice, grouped, join
-from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding, diagnose
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import search
@@ -107,7 +107,7 @@ def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
         yield f'The strongest suspicion was {best.effect.name}, at {best.fit.sigma:.1f} sigma.'
 
 
-def _drift_change(finding: Finding) -> str:
+def _drift_change(finding: MissingEffect) -> str:
     if not math.isfinite(finding.drift_after_deg):
         return '-'
     return f'{figure(finding.drift_before_deg)} -> {finding.drift_after_deg:.2f} deg'

@@ -109,7 +109,7 @@ def in_words(improved: Improvement) -> Iterator[str]:
     yield f'(drift in 60 s, rms and interval, against {reference})'
     yield ''
     yield from (f'{revision.label}: {revision.why}' for revision in improved.revisions)
-    odd = improved.final.stage.oddity
+    odd = improved.final.stage.unexplained_structure
     if odd is not None:
         yield f'still there, and no effect explains it: {odd.what} ({odd.sigma:.0f} sigma)'
 

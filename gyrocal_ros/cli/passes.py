@@ -19,7 +19,7 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.msgs.issues import one_a_kind, refuse_errors
-from gyrocal_ros.pipeline.calibrate import Progress, calibrate, hold
+from gyrocal_ros.pipeline.calibrate import Progress, calibrate, preload
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def open_passes(args: argparse.Namespace, model: SensorModel) -> Passes:
         warn(str(finding))
     source = open_bag(args.bag, config, with_covariates=True, **options)
     with _bar('reading', source) as report:
-        held, config = hold(source, config, model, report)
+        held, config = preload(source, config, model, report)
     return Passes(held, config, tuple((finding.severity, str(finding)) for finding in findings))
 
 

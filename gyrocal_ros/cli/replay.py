@@ -29,7 +29,7 @@ from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import SensorModel, signals_of
-from gyrocal_ros.msgs.issues import Finding, one_a_kind, refuse_errors
+from gyrocal_ros.msgs.issues import BagIssue, one_a_kind, refuse_errors
 from gyrocal_ros.pipeline.calibrate import Progress, calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.report.summary import summarise
@@ -158,7 +158,7 @@ def _calibrate(
 
 
 def _write(
-    folder: Path, finished: Run, calibration: Calibration, findings: Sequence[Finding], png: bool
+    folder: Path, finished: Run, calibration: Calibration, findings: Sequence[BagIssue], png: bool
 ) -> None:
     # Only those who want pages pay for the plotting library.
     from gyrocal_ros.report.page import report_sections

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gyrocal_ros.bench.accuracy import in_parallel
-from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, Result
+from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, PaperResult
 from gyrocal_ros.cli.output import print_json, progress, tell
 from gyrocal_ros.cli.provenance import provenance
 from gyrocal_ros.errors import GyrocalError, did_you_mean
@@ -71,7 +71,7 @@ def _names(asked: Sequence[str]) -> list[str]:
     return [name for name in EXPERIMENTS if name in asked or not asked]
 
 
-def _make(name: str, seeds: int | None, to_text: bool) -> Result:
+def _make(name: str, seeds: int | None, to_text: bool) -> PaperResult:
     experiment = EXPERIMENTS[name]
     tell(f'{experiment.title} ...')
 
@@ -84,7 +84,7 @@ def _make(name: str, seeds: int | None, to_text: bool) -> Result:
     return result
 
 
-def _print(title: str, result: Result) -> None:
+def _print(title: str, result: PaperResult) -> None:
     print(title)
     for claim in result.claims:
         print(f'  {claim.what}: {claim.verdict}')
@@ -92,7 +92,7 @@ def _print(title: str, result: Result) -> None:
         print(f'    here:  {claim.here}', flush=True)
 
 
-def _document(results: dict[str, Result], seeds: int | None) -> dict[str, Any]:
+def _document(results: dict[str, PaperResult], seeds: int | None) -> dict[str, Any]:
     return provenance() | {
         'results': {
             name: {'title': EXPERIMENTS[name].title, 'seeds': EXPERIMENTS[name].count(seeds)} | asdict(result)  # type: ignore[call-overload]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.bench.paper.at_rest import AtRest
-from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, Result
-from gyrocal_ros.bench.paper.convergence import Convergence
+from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, PaperResult
+from gyrocal_ros.bench.paper.convergence import ConvergenceFigure
 from gyrocal_ros.bench.paper.experiment import TRUE_VOLT
 from gyrocal_ros.bench.paper.landmark import LandmarkErrors
 from gyrocal_ros.bench.paper.mapping import FeatureMap
@@ -29,12 +29,12 @@ PAPER_MEAN_SD_DEG = (-0.18, 0.91)
 """Fig. 11 of the paper, calibrated."""
 
 
-def page(results: Mapping[str, Result]) -> str:
+def page(results: Mapping[str, PaperResult]) -> str:
     """The page about some results, by name, as HTML text."""
     return paper_page(_part(name, result) for name, result in results.items())
 
 
-def _part(name: str, result: Result) -> Part:
+def _part(name: str, result: PaperResult) -> Part:
     rows = [(claim.what, claim.paper, claim.here, claim.verdict) for claim in result.claims]
     return Part(EXPERIMENTS[name].title, rows, SECTIONS[type(result)](name, result))
 
@@ -60,7 +60,7 @@ def _at_rest(name: str, result: AtRest) -> list[Section]:
     ]
 
 
-def _convergence(name: str, result: Convergence) -> list[Section]:
+def _convergence(name: str, result: ConvergenceFigure) -> list[Section]:
     courses = {
         variety.name: (variety.first.time_s, variety.first.volt, variety.first.std_volt)
         for variety in result.varieties
@@ -113,7 +113,7 @@ SECTIONS: dict[type, Callable[[str, Any], list[Section]]] = {
     FeatureMap: _feature_map,
     RateTable: _rate_table,
     AtRest: _at_rest,
-    Convergence: _convergence,
+    ConvergenceFigure: _convergence,
     HeadingTable: _ten_rotations,
     Histograms: _histograms,
     Tracks: _tracks,

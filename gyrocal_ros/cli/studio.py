@@ -68,9 +68,9 @@ def run(args: argparse.Namespace) -> None:
     bags = [Bag(path, config, options) for path in _bags(args)]
     worker = Worker()  # before anything has made a thread
     from gyrocal_ros.studio.server import make_app
-    from gyrocal_ros.studio.workspace import Desk  # the page's libraries load while the worker begins
+    from gyrocal_ros.studio.workspace import Workspace  # the page's libraries load while the worker begins
 
-    desk = Desk(bags, model, config, args.out, worker, args.lesson)
+    desk = Workspace(bags, model, config, args.out, worker, args.lesson)
     try:
         _serve(args, partial(make_app, desk), f'results go to {args.out}')
     finally:

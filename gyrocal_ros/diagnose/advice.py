@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from gyrocal_ros.diagnose.candidate_fit import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.separability import kind_of, table, to_tell_apart
-from gyrocal_ros.diagnose.shapes import TIME, Oddity
+from gyrocal_ros.diagnose.shapes import TIME, UnexplainedStructure
 from gyrocal_ros.sim.drives import TEST_DRIVES
 
 NOT_RECORDED = 'not recorded: '
@@ -57,7 +57,7 @@ def join(names: list[str], word: str = 'and') -> str:
     return f' {word} '.join([', '.join(names[:-1]), names[-1]]) if len(names) > 1 else ''.join(names)
 
 
-def _of_unexplained(odd: Oddity) -> Iterator[str]:
+def _of_unexplained(odd: UnexplainedStructure) -> Iterator[str]:
     if odd.at_s is not None:
         yield f'Find out what happened at {odd.at_s:.0f} s: a knock, a bump, a motor or a fan switched on.'
         return

@@ -1,6 +1,6 @@
 """What the evidence says: estimates, honest significance, likelihood gains, twins.
 
-All of it follows from Lambda and b of the blocks (`ekf.evidence`), without another replay.
+All of it follows from Lambda and b of the blocks (`ekf.scores`), without another replay.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from statistics import NormalDist
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.ekf.score_statistics import Evidence
+from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 
 LAGS = 2
 """Blocks whose scores may depend on each other: what wanders slowly outlasts a block."""
@@ -62,7 +62,7 @@ class Fit:
         return chi_square_tail(dof * math.log1p(self.wald / dof), len(self.values))
 
 
-def fit(evidence: Evidence, columns: IntArray, given: IntArray | None = None) -> Fit | None:
+def fit(scores: ScoreStatistics, columns: IntArray, given: IntArray | None = None) -> Fit | None:
     """Fit candidate coefficients; None where the recording does not excite them.
 
     Args:
@@ -72,8 +72,8 @@ def fit(evidence: Evidence, columns: IntArray, given: IntArray | None = None) ->
     """
     others = np.empty(0, np.int64) if given is None else given
     every = np.concatenate([columns, others]).astype(np.int64)
-    information = evidence.information[:, every[:, None], every]
-    score = evidence.score[:, every]
+    information = scores.information[:, every[:, None], every]
+    score = scores.score[:, every]
     total = information.sum(axis=0)
     scale = np.sqrt(np.maximum(np.diagonal(total), NOT_EXCITED**2))
     excited = np.diagonal(total) > NOT_EXCITED
@@ -101,17 +101,17 @@ def fit(evidence: Evidence, columns: IntArray, given: IntArray | None = None) ->
     )
 
 
-def held_out_gain(evidence: Evidence, columns: IntArray) -> float | None:
+def held_out_gain(scores: ScoreStatistics, columns: IntArray) -> float | None:
     """Log-likelihood that candidates (q,) gain on the second half, fitted on the first half alone.
 
     None where the first half does not excite them.
     """
-    fitted = fit(evidence.first_half(), columns)
+    fitted = fit(scores.first_half(), columns)
     if fitted is None:
         return None
-    half, places = (len(evidence.start_s) + 1) // 2, fitted.columns
-    score = evidence.score[half:, places].sum(axis=0)
-    information = evidence.information[half:, places[:, None], places].sum(axis=0)
+    half, places = (len(scores.start_s) + 1) // 2, fitted.columns
+    score = scores.score[half:, places].sum(axis=0)
+    information = scores.information[half:, places[:, None], places].sum(axis=0)
     return float(fitted.values @ score - 0.5 * fitted.values @ information @ fitted.values)
 
 
@@ -151,9 +151,9 @@ def _is_sound(covariance: Array) -> bool:
     return bool(spread[0] > SINGULAR * spread[-1])
 
 
-def correlation(evidence: Evidence, first: IntArray, second: IntArray) -> float:
+def correlation(scores: ScoreStatistics, first: IntArray, second: IntArray) -> float:
     """How far two candidates are the same to this recording: largest canonical correlation."""
-    total = evidence.information.sum(axis=0)
+    total = scores.information.sum(axis=0)
     a, b = total[np.ix_(first, first)], total[np.ix_(second, second)]
     excited_a, excited_b = np.diagonal(a) > NOT_EXCITED, np.diagonal(b) > NOT_EXCITED
     first, second = first[excited_a], second[excited_b]

@@ -15,7 +15,7 @@ from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
-from gyrocal_ros.ekf.score_statistics import Evidence
+from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
 WARMUP_TIMES_S = (40.0, 65.0, 105.0, 170.0, 275.0, 445.0, 720.0, 1160.0)
@@ -30,7 +30,7 @@ MIN_LEVER_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trial:
+class Candidate:
     """One effect on trial, as a mixture of what the filter carries."""
 
     effect: Effect
@@ -41,32 +41,32 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Docket:
+class CandidateSet:
     """All effects on trial."""
 
-    trials: tuple[Trial, ...]
+    trials: tuple[Candidate, ...]
 
     @property
     def carried(self) -> tuple[Effect, ...]:
         """What the filter has to carry along for them, each once."""
         return tuple({id(trial.carried): trial.carried for trial in self.trials}.values())
 
-    def judged(self, evidence: Evidence) -> Evidence:
+    def judged(self, scores: ScoreStatistics) -> ScoreStatistics:
         """The evidence of what was carried, as evidence of the effects on trial."""
-        carried = zip(evidence.candidates, columns_of(evidence.candidates), strict=True)
+        carried = zip(scores.candidates, columns_of(scores.candidates), strict=True)
         places = {id(effect): columns for effect, columns in carried}
-        mixing = np.zeros((evidence.score.shape[1], sum(trial.weights.shape[1] for trial in self.trials)))
+        mixing = np.zeros((scores.score.shape[1], sum(trial.weights.shape[1] for trial in self.trials)))
         effects = tuple(trial.effect for trial in self.trials)
         for trial, columns in zip(self.trials, columns_of(effects), strict=True):
             mixing[np.ix_(places[id(trial.carried)], columns)] = trial.weights
-        information = mixing.T @ evidence.information @ mixing
-        return Evidence(effects, evidence.start_s, information, evidence.score @ mixing)
+        information = mixing.T @ scores.information @ mixing
+        return ScoreStatistics(effects, scores.start_s, information, scores.score @ mixing)
 
 
-def docket(model: SensorModel, recorded: Recorded) -> Docket:
+def candidate_set(model: SensorModel, recorded: Recorded) -> CandidateSet:
     """Every effect to try beside a model; one with a time constant is tried at several values of it."""
     present = {effect.name for effect in model.effects}
-    trials: list[Trial] = []
+    trials: list[Candidate] = []
     for name, effect in EFFECTS.items():
         if name in present or name in LIMITS or not set(needs(effect)) <= recorded.extras:
             continue
@@ -79,7 +79,7 @@ def docket(model: SensorModel, recorded: Recorded) -> Docket:
         else:
             trials.append(_plain(effect))
     trials.extend(trial for trial in _followers(recorded.signals) if trial.effect.name not in present)
-    return Docket(tuple(trials))
+    return CandidateSet(tuple(trials))
 
 
 def columns_of(effects: Sequence[Effect]) -> list[IntArray]:
@@ -99,23 +99,23 @@ def has_lever(rig: Rig) -> bool:
     return rig.camera is not None and bool(np.hypot(*rig.camera_mount.p_bs[:2]) >= MIN_LEVER_M)
 
 
-def _plain(effect: Effect) -> Trial:
-    return Trial(effect, effect, np.eye(len(effect.coefficients)))
+def _plain(effect: Effect) -> Candidate:
+    return Candidate(effect, effect, np.eye(len(effect.coefficients)))
 
 
-def _warmups(effect: BiasWarmup) -> list[Trial]:
+def _warmups(effect: BiasWarmup) -> list[Candidate]:
     bank = Warmups(WARMUP_TIMES_S)
     return [
-        Trial(with_means(effect, (0.0, time_s)), bank, _one_of(row, len(WARMUP_TIMES_S), 2))
+        Candidate(with_means(effect, (0.0, time_s)), bank, _one_of(row, len(WARMUP_TIMES_S), 2))
         for row, time_s in enumerate(WARMUP_TIMES_S)
     ]
 
 
-def _hystereses(effect: TurnHysteresis) -> list[Trial]:
+def _hystereses(effect: TurnHysteresis) -> list[Candidate]:
     forms = (replace(effect, driven_by='rate'), replace(effect, driven_by='side'))
     variants = tuple(with_means(form, (0.0, time_s)) for form in forms for time_s in HYSTERESIS_TIMES_S)
     bank = Hystereses(variants)
-    return [Trial(variant, bank, _one_of(row, len(variants), 2)) for row, variant in enumerate(variants)]
+    return [Candidate(variant, bank, _one_of(row, len(variants), 2)) for row, variant in enumerate(variants)]
 
 
 def _one_of(row: int, count: int, coefficients: int) -> Array:
@@ -125,14 +125,14 @@ def _one_of(row: int, count: int, coefficients: int) -> Array:
     return weights
 
 
-def _followers(signals: Sequence[Signal]) -> list[Trial]:
+def _followers(signals: Sequence[Signal]) -> list[Candidate]:
     bank = Followers(tuple((signal.name, signal.mean) for signal in signals))
     effects = [
         make(signal.name, signal.mean, signal.spread)
         for make in (covariate_bias, covariate_scale)
         for signal in signals
     ]
-    return [Trial(effect, bank, _one_of(row, len(effects), 1)) for row, effect in enumerate(effects)]
+    return [Candidate(effect, bank, _one_of(row, len(effects), 1)) for row, effect in enumerate(effects)]
 
 
 def with_means(effect: E, values: Sequence[float]) -> E:

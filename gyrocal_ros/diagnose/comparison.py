@@ -18,7 +18,7 @@ from gyrocal_ros.diagnose.drift import (
     truth_path,
 )
 from gyrocal_ros.diagnose.heading_filter import Headings, headings
-from gyrocal_ros.diagnose.predictive_gain import certainty, foreseen
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain, vuong_sigma
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.ekf.run import Run
 
@@ -27,7 +27,7 @@ TRUTH_STD_DEG = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rival:
+class ModelResult:
     """One model on the recording."""
 
     label: str
@@ -53,14 +53,14 @@ class Rival:
 class Comparison:
     """Models that ran over one recording, in the order in which they were named."""
 
-    rivals: tuple[Rival, ...]
+    rivals: tuple[ModelResult, ...]
     drift_reference: str
     """What headings were compared with for the drift: `ground truth`, or `slam` by the best model."""
     diverged: Mapping[str, str] = field(default_factory=dict)
     """Models with which the filter cannot run, and why."""
 
     @property
-    def best(self) -> Rival:
+    def best(self) -> ModelResult:
         """The one that foresees the recording best."""
         return max(self.rivals, key=lambda rival: rival.gain)
 
@@ -74,7 +74,7 @@ def compare(runs: Mapping[str, Run], diverged: Mapping[str, str] | None = None) 
         diverged: models with which the filter could not run, and why.
     """
     first = next(iter(runs.values()))
-    gains = {label: foreseen(first, run) for label, run in runs.items()}
+    gains = {label: predictive_gain(first, run) for label, run in runs.items()}
     best = max(runs, key=lambda label: float(gains[label].sum()))
     reference = reference_path(runs[best])
     from_s = held_out_from_s(first)
@@ -83,13 +83,13 @@ def compare(runs: Mapping[str, Run], diverged: Mapping[str, str] | None = None) 
     for label, run in runs.items():
         by_truth = headings_by_truth(run)
         rivals.append(
-            Rival(
+            ModelResult(
                 label=label,
                 run=run,
                 heading_rms_deg=heading_rms_deg(run),
                 drift=drifts[label],
                 gain=float(gains[label].sum()),
-                gain_sigma=certainty(gains[label]),
+                gain_sigma=vuong_sigma(gains[label]),
                 drift_sigma=0.0 if run is first else better_sigma(next(iter(drifts.values())), drifts[label]),
                 fails_where=tuple(failures(run, headings(run))),
                 fails_by_truth=None if by_truth is None else tuple(failures(run, by_truth)),

@@ -10,11 +10,11 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidates import LIMITS, has_lever, needs, with_means
 from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
-from gyrocal_ros.diagnose.ranking import Suspect, twins
+from gyrocal_ros.diagnose.ranking import RankedEffect, twins
 from gyrocal_ros.diagnose.recorded import Recorded, coarse_step
 from gyrocal_ros.diagnose.regimes import Failure, failures
-from gyrocal_ros.diagnose.search import Search, Stage
-from gyrocal_ros.diagnose.shapes import Oddity
+from gyrocal_ros.diagnose.search import ExaminedModel, Search
+from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.model.sensor import Effect, coefficient_names
@@ -26,7 +26,7 @@ ALWAYS_JUDGED = ('scale_asymmetry', 'scale_quadratic', 'scale_cubic', 'bias_warm
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Finding:
+class MissingEffect:
     """One effect that is missing."""
 
     effect: Effect
@@ -55,13 +55,13 @@ class Diagnosis:
 
     verdict: str
     """`nothing_missing`, `effect_found`, `cannot_tell` or `unexplained`."""
-    missing: tuple[Finding, ...]
+    missing: tuple[MissingEffect, ...]
     """The one that explains most first."""
-    ranked: tuple[Suspect, ...]
+    ranked: tuple[RankedEffect, ...]
     """Everything that was tried against the model as it was, the best first."""
     not_judged: dict[str, str]
     """Effects that this recording cannot judge, and why."""
-    unexplained: Oddity | None
+    unexplained: UnexplainedStructure | None
     """What is left over that no effect explains."""
     fails_where: tuple[Failure, ...]
     """Where the model as it was is off by more than chance, worst first."""
@@ -78,23 +78,23 @@ def diagnose(searched: Search, recorded: Recorded) -> Diagnosis:
     not_judged = dict(_not_judged(last, recorded))
     coarse_step_rad_s = coarse_step(recorded)
     return Diagnosis(
-        verdict=_verdict(findings, last.oddity, not_judged, coarse_step_rad_s is not None),
+        verdict=_verdict(findings, last.unexplained_structure, not_judged, coarse_step_rad_s is not None),
         missing=tuple(findings),
-        ranked=first.suspects,
+        ranked=first.ranked,
         not_judged=not_judged,
-        unexplained=last.oddity,
+        unexplained=last.unexplained_structure,
         fails_where=tuple(failures(first.run, first.seen)),
         drift_reference=reference_path(last.run)[1],
         coarse_step_rad_s=coarse_step_rad_s,
     )
 
 
-def _findings(searched: Search) -> Iterator[Finding]:
+def _findings(searched: Search) -> Iterator[MissingEffect]:
     run = searched.last.run
     reference = reference_path(run)
     from_s = held_out_from_s(run)
 
-    def drift_deg(stage: Stage) -> float:
+    def drift_deg(stage: ExaminedModel) -> float:
         return blind_drift(stage.run, reference, from_s).rms_deg
 
     confused = _confused(searched)
@@ -104,7 +104,7 @@ def _findings(searched: Search) -> Iterator[Finding]:
         places = slice(start, start + len(change.effect.coefficients))
         values = run.state.coefficients[places]
         stds = np.maximum(run.history.std[-1, COEFFICIENTS_START:][places], change.stds)
-        yield Finding(
+        yield MissingEffect(
             effect=with_means(change.effect, values.tolist()),
             values=values,
             stds=stds,
@@ -125,18 +125,21 @@ def _confused(searched: Search) -> dict[str, tuple[str, ...]]:
     """
     first = searched.first
     outdone = {change.effect.name: change.outdone for change in searched.kept}
-    found = {item.effect.name: item for item in first.suspects if item.effect.name in outdone}
+    found = {item.effect.name: item for item in first.ranked if item.effect.name in outdone}
     confused = {}
-    for name, suspect in found.items():
-        rest = [item.fit.columns for item in found.values() if item is not suspect]
+    for name, ranked_effect in found.items():
+        rest = [item.fit.columns for item in found.values() if item is not ranked_effect]
         beside = np.concatenate(rest) if rest else np.empty(0, np.int64)
-        others = [item for item in first.suspects if item.effect.name not in {*outdone, *outdone[name]}]
-        confused[name] = tuple(twins(suspect, others, first.evidence, beside))
+        others = [item for item in first.ranked if item.effect.name not in {*outdone, *outdone[name]}]
+        confused[name] = tuple(twins(ranked_effect, others, first.scores, beside))
     return confused
 
 
 def _verdict(
-    findings: list[Finding], left: Oddity | None, not_judged: dict[str, str], is_coarse: bool
+    findings: list[MissingEffect],
+    left: UnexplainedStructure | None,
+    not_judged: dict[str, str],
+    is_coarse: bool,
 ) -> str:
     if left is not None and left.gain > BY_THE_WAY * sum(finding.gain for finding in findings):
         return 'unexplained'
@@ -147,9 +150,9 @@ def _verdict(
     return 'nothing_missing' if blind_to <= len(ALWAYS_JUDGED) // 2 else 'cannot_tell'
 
 
-def _not_judged(stage: Stage, recorded: Recorded) -> Iterator[tuple[str, str]]:
+def _not_judged(stage: ExaminedModel, recorded: Recorded) -> Iterator[tuple[str, str]]:
     present = {effect.name for effect in stage.model.effects}
-    judged = {suspect.effect.name: suspect for suspect in stage.suspects}
+    judged = {ranked_effect.effect.name: ranked_effect for ranked_effect in stage.ranked}
     for name, effect in EFFECTS.items():
         if name in present or name in LIMITS:
             continue

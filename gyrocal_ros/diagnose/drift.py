@@ -70,7 +70,7 @@ class BlindDrift:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Path:
+class Trajectory2D:
     """Where the robot was, by one way of knowing it."""
 
     time_s: Array
@@ -80,13 +80,13 @@ class Path:
     """(n,) unwrapped."""
 
 
-def slam_path(run: Run) -> Path:
+def slam_path(run: Run) -> Trajectory2D:
     """The path by the filter."""
     history = run.history
-    return Path(history.time_s, history.mean[:, :2], history.mean[:, YAW])
+    return Trajectory2D(history.time_s, history.mean[:, :2], history.mean[:, YAW])
 
 
-def truth_path(run: Run) -> Path | None:
+def truth_path(run: Run) -> Trajectory2D | None:
     """The ground truth, brought into the map's frame at the first common moment."""
     if run.truth is None:
         return None
@@ -100,10 +100,10 @@ def truth_path(run: Run) -> Path | None:
     turn = at_first[2] - yaw[0]
     c, s = np.cos(turn), np.sin(turn)
     moved = (position - position[0]) @ np.array([[c, s], [-s, c]]) + at_first[:2]
-    return Path(time_s, moved, yaw + turn)
+    return Trajectory2D(time_s, moved, yaw + turn)
 
 
-def reference_path(run: Run) -> tuple[Path, str]:
+def reference_path(run: Run) -> tuple[Trajectory2D, str]:
     """What headings are compared with, and what it is called."""
     truth = truth_path(run)
     if truth is not None:
@@ -132,19 +132,19 @@ def turns(run: Run, coefficients: Array) -> Array:
     return history.turn_rad + history.correction_rad + history.tilt_rad + changed
 
 
-def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Path:
+def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Trajectory2D:
     """The path by gyro and wheels alone, with fixed coefficients and bias."""
     history = run.history
-    increments = turns(run, coefficients) + bias_rad_s * history.told_s
+    increments = turns(run, coefficients) + bias_rad_s * history.gyro_valid_s
     yaw = history.mean[0, YAW] + np.cumsum(increments) - increments[0]
     heading = yaw - 0.5 * increments
     steps = np.stack([np.cos(heading), np.sin(heading)], axis=1) * history.distance_m[:, None]
-    return Path(history.time_s, np.cumsum(steps, axis=0), yaw)
+    return Trajectory2D(history.time_s, np.cumsum(steps, axis=0), yaw)
 
 
 def blind_drift(
     run: Run,
-    reference: tuple[Path, str] | None = None,
+    reference: tuple[Trajectory2D, str] | None = None,
     from_s: float = SETTLING_S,
     span_s: float = SPAN_S,
     fitted: bool = False,
@@ -170,7 +170,7 @@ def blind_drift(
     without = without - np.einsum('sk,sk->s', history.columns, history.coefficients)
     turned = np.cumsum(np.where(moving, without, 0.0))
     columns = np.cumsum(np.where(moving[:, None], history.columns, 0.0), axis=0)
-    told_s = np.cumsum(np.where(moving, history.told_s, 0.0))
+    gyro_valid_s = np.cumsum(np.where(moving, history.gyro_valid_s, 0.0))
     latest = min(time_s[-1], path.time_s[-1]) - span_s
     start_s = np.arange(from_s, max(latest, from_s - 1.0), STRIDE_S)
     first, last = np.searchsorted(time_s, start_s), np.searchsorted(time_s, start_s + span_s)
@@ -180,7 +180,7 @@ def blind_drift(
     known = history.coefficients[np.full_like(first, -1) if fitted else first]
     by_gyro = turned[last] - turned[first]
     by_gyro += np.einsum('nk,nk->n', columns[last] - columns[first], known)
-    by_gyro += history.mean[first, YAW_BIAS] * (told_s[last] - told_s[first])
+    by_gyro += history.mean[first, YAW_BIAS] * (gyro_valid_s[last] - gyro_valid_s[first])
     heading = np.interp(time_s, path.time_s, path.yaw_rad)
     return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name)
 

@@ -3,7 +3,7 @@
 Its state is how far the heading has run away from the gyro, and the bias. Unlike the whole filter it
 takes no time, so hundreds of questions can be put to it: by how much is the gyro off in this regime,
 in these ten seconds, at that temperature? What it says of a rate error agrees with the evidence of
-the whole filter within a few per cent of the likelihood, and is the same kind of `Evidence`.
+the whole filter within a few per cent of the likelihood, and is the same kind of `ScoreStatistics`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import turns
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.score_statistics import BLOCK_S, Evidence
+from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 
 MAP_WALK_DEG = 0.005
@@ -34,9 +34,9 @@ class Headings:
 
     time_s: Array
     dt_s: Array
-    told_s: Array
+    gyro_valid_s: Array
     """How long the gyro was not blind."""
-    lost_rad: Array
+    unobserved_turn_std_rad: Array
     """Standard deviation of the turn that nobody could tell."""
     turn_rad: Array
     """By the gyro with the final coefficients, the bias not added."""
@@ -53,13 +53,16 @@ def headings(run: Run) -> Headings:
     history, gyro = run.history, run.config.gyro
     earlier = np.concatenate([history.mean[:1], history.mean[:-1]])
     learned = np.einsum('sk,sk->s', history.columns, (history.mean - earlier)[:, COEFFICIENTS_START:])
-    by_gyro = history.turn_rad + history.correction_rad - learned + earlier[:, YAW_BIAS] * history.told_s
+    by_gyro = (
+        history.turn_rad + history.correction_rad - learned + earlier[:, YAW_BIAS] * history.gyro_valid_s
+    )
     expected = earlier[:, YAW] + np.where(history.resting > 0, 0.0, by_gyro + history.tilt_rad)
     return Headings(
         time_s=history.time_s,
         dt_s=history.dt_s,
-        told_s=history.told_s,
-        lost_rad=history.lost_rad + math.radians(gyro.gap_rate_std_deg_s) * history.gap_s,
+        gyro_valid_s=history.gyro_valid_s,
+        unobserved_turn_std_rad=history.unobserved_turn_std_rad
+        + math.radians(gyro.gap_rate_std_deg_s) * history.gap_s,
         turn_rad=turns(run, run.state.coefficients),
         seen_rad=expected + history.heading_innovation_rad,
         std_rad=history.heading_innovation_std_rad,
@@ -68,7 +71,7 @@ def headings(run: Run) -> Headings:
     )
 
 
-def heading_evidence(seen: Headings, columns: Array) -> Evidence:
+def heading_scores(seen: Headings, columns: Array) -> ScoreStatistics:
     """What the headings say of errors of the rate.
 
     Args:
@@ -83,7 +86,7 @@ def heading_evidence(seen: Headings, columns: Array) -> Evidence:
     block = (seen.time_s / BLOCK_S).astype(int)
     edges = np.searchsorted(block, np.arange(block[-1] + 2))
     parts = [slice(first, last) for first, last in zip(edges, edges[1:], strict=False)]
-    return Evidence(
+    return ScoreStatistics(
         candidates=(),
         start_s=BLOCK_S * np.arange(len(parts)),
         information=np.array([weighted[part].T @ sensitivity[part] for part in parts]),
@@ -99,12 +102,12 @@ def misfits(seen: Headings, columns: Array) -> Array:
     """
     block = (seen.time_s / BLOCK_S).astype(int)
     blocks = (block[:, None] == np.arange(block[-1] + 1)).astype(float)
-    evidence = heading_evidence(seen, np.concatenate([blocks, columns], axis=1))
+    scores = heading_scores(seen, np.concatenate([blocks, columns], axis=1))
     own, count = np.arange(blocks.shape[1]), blocks.shape[1]
-    score, information = evidence.score.sum(axis=0), evidence.information.sum(axis=0)
+    score, information = scores.score.sum(axis=0), scores.information.sum(axis=0)
     values = np.linalg.lstsq(information[count:, count:], score[count:])[0]
-    score = evidence.score[own, own] - evidence.information[own, own, count:] @ values
-    information = evidence.information[own, own, own]
+    score = scores.score[own, own] - scores.information[own, own, count:] @ values
+    information = scores.information[own, own, own]
     known = information > 0.0
     left: Array = score[known] / np.sqrt(information[known])
     return left
@@ -119,17 +122,19 @@ def _innovations(seen: Headings, added_rad: Array) -> tuple[Array, Array, Array]
     sensitivities, innovations, variances = np.zeros((steps, count)), np.zeros(steps), np.ones(steps)
     measured = (seen.seen_rad - np.cumsum(seen.turn_rad)).tolist()
     noise = np.square(seen.std_rad).tolist()
-    lost = np.square(seen.lost_rad).tolist()
+    lost = np.square(seen.unobserved_turn_std_rad).tolist()
     walk = seen.rate_noise_rad_s**2 + math.radians(MAP_WALK_DEG) ** 2
     away, bias = 0.0, 0.0
     p_away, p_both, p_bias = math.inf, 0.0, math.radians(1.0) ** 2
     x_away, x_bias = np.zeros(count), np.zeros(count)
-    for step, (dt_s, told_s) in enumerate(zip(seen.dt_s.tolist(), seen.told_s.tolist(), strict=True)):
-        away += bias * told_s
-        x_away += x_bias * told_s
+    for step, (dt_s, gyro_valid_s) in enumerate(
+        zip(seen.dt_s.tolist(), seen.gyro_valid_s.tolist(), strict=True)
+    ):
+        away += bias * gyro_valid_s
+        x_away += x_bias * gyro_valid_s
         x_away += added_rad[step]
-        p_away += (2.0 * p_both + p_bias * told_s) * told_s + walk * dt_s + lost[step]
-        p_both += p_bias * told_s
+        p_away += (2.0 * p_both + p_bias * gyro_valid_s) * gyro_valid_s + walk * dt_s + lost[step]
+        p_both += p_bias * gyro_valid_s
         p_bias += seen.bias_walk_rad_s**2 * dt_s
         if math.isnan(measured[step]):
             continue

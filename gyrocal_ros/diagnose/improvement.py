@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 from gyrocal_ros.diagnose.drift import (
     BlindDrift,
-    Path,
+    Trajectory2D,
     better_sigma,
     blind_drift,
     held_out_from_s,
     reference_path,
 )
-from gyrocal_ros.diagnose.predictive_gain import certainty, foreseen
-from gyrocal_ros.diagnose.search import Change, Search, Stage
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain, vuong_sigma
+from gyrocal_ros.diagnose.search import Addition, ExaminedModel, Search
 from gyrocal_ros.model.sensor import Effect
 
 CHANCE_SIGMA = 2.0
@@ -30,7 +30,7 @@ class Revision:
     """`0_default`, `1_scale_asymmetry`: the name of its folder."""
     effect: Effect | None
     """What was added to the revision that it builds on; None for the model as it was."""
-    stage: Stage
+    stage: ExaminedModel
     is_kept: bool
     held_out: BlindDrift
     """Each span begins with what was known by then."""
@@ -83,7 +83,7 @@ def revision_label(number: int, name: str) -> str:
     return f'{number}_{plain}'
 
 
-def first_revision(stage: Stage, reference: tuple[Path, str]) -> Revision:
+def first_revision(stage: ExaminedModel, reference: tuple[Trajectory2D, str]) -> Revision:
     """The model as it was.
 
     Args:
@@ -97,7 +97,7 @@ def first_revision(stage: Stage, reference: tuple[Path, str]) -> Revision:
     )  # fmt: skip
 
 
-def revision(change: Change, label: str, reference: tuple[Path, str], is_kept: bool) -> Revision:
+def revision(change: Addition, label: str, reference: tuple[Trajectory2D, str], is_kept: bool) -> Revision:
     """The model with one more effect.
 
     Args:
@@ -111,7 +111,7 @@ def revision(change: Change, label: str, reference: tuple[Path, str], is_kept: b
     why = f'{"kept" if is_kept else "left out"}: {_reason(change)}'
     if change.before is not None:
         before = _drifts(change.before, reference)[0]
-        gain_sigma = certainty(foreseen(change.before.run, change.after.run))
+        gain_sigma = vuong_sigma(predictive_gain(change.before.run, change.after.run))
         drift_sigma = better_sigma(before, held_out)
         why = f'{why}; {_drift_in_words(before, held_out)}'
     return Revision(
@@ -121,22 +121,22 @@ def revision(change: Change, label: str, reference: tuple[Path, str], is_kept: b
         is_kept=is_kept,
         held_out=held_out,
         fitted=fitted,
-        gain=change.foreseen,
+        gain=change.predictive_gain,
         gain_sigma=gain_sigma,
         drift_sigma=drift_sigma,
         why=why,
     )
 
 
-def _reason(change: Change) -> str:
+def _reason(change: Addition) -> str:
     if change.before is None:
         return 'without it the filter loses the measurements'
-    size = f'{abs(change.foreseen):.1f}'
+    size = f'{abs(change.predictive_gain):.1f}'
     if change.is_kept:
         return f'what follows is foreseen better (log-likelihood +{size})'
     if not change.stands_out:
         return 'beside the other coefficients it cannot be told from zero'
-    if change.foreseen < 0.0:
+    if change.predictive_gain < 0.0:
         return f'what follows is foreseen worse (log-likelihood -{size})'
     return f'what follows is foreseen hardly better (log-likelihood +{size})'
 
@@ -152,7 +152,7 @@ def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:
     return f'the held-out drift {word} from {old} to {new} deg ({abs(sigma):.1f} sigma)'
 
 
-def _drifts(stage: Stage, reference: tuple[Path, str]) -> tuple[BlindDrift, BlindDrift]:
+def _drifts(stage: ExaminedModel, reference: tuple[Trajectory2D, str]) -> tuple[BlindDrift, BlindDrift]:
     """Held out and fitted, of the same spans."""
     from_s = held_out_from_s(stage.run)
     held_out, fitted = (blind_drift(stage.run, reference, from_s, fitted=end) for end in (False, True))

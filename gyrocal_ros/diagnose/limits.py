@@ -16,7 +16,7 @@ import numpy as np
 from gyrocal_ros.data import NS_PER_S, Array
 from gyrocal_ros.diagnose.candidate_fit import Fit, fit
 from gyrocal_ros.diagnose.candidates import with_means
-from gyrocal_ros.diagnose.heading_filter import Headings, heading_evidence
+from gyrocal_ros.diagnose.heading_filter import Headings, heading_scores
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.ekf.run import Run
@@ -79,7 +79,7 @@ def stuck(recorded: Recorded) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Proposal:
+class LimitProposal:
     """A limit to judge by a run of the filter."""
 
     effect: Effect
@@ -94,7 +94,7 @@ def proposals(
     odd_gain: float,
     rival_gain: float,
     has_jumped: bool = False,
-) -> Iterator[Proposal]:
+) -> Iterator[LimitProposal]:
     """Limits that the readings suggest and the headings do not contradict.
 
     Args:
@@ -110,14 +110,14 @@ def proposals(
     if 'rate_saturation' not in present:
         limit = pile(recorded)
         if limit is not None and _may_saturate(run, seen, recorded, limit, odd_gain, rival_gain):
-            yield Proposal(with_limit('rate_saturation', limit))
+            yield LimitProposal(with_limit('rate_saturation', limit))
     if 'rate_deadband' not in present:
         width = stuck(recorded)
         is_read = width is not None
         if width is None and odd_gain > 0.0 and not has_jumped:
             width = _band(run, seen, recorded, max(MIN_GAIN, ODD_PART * max(odd_gain, rival_gain)))
         if width is not None:
-            yield Proposal(with_limit('rate_deadband', width), is_read)
+            yield LimitProposal(with_limit('rate_deadband', width), is_read)
 
 
 def with_limit(name: str, value: float) -> Effect:
@@ -172,8 +172,8 @@ def _is_dead(recorded: Recorded, width: float) -> bool:
 def _beside_scale(run: Run, seen: Headings, error_rad_s: Array) -> Fit | None:
     """Fit an error of the rate (s,), with the scale free to give way."""
     rate = run.history.turn_rad / run.history.dt_s
-    evidence = heading_evidence(seen, np.stack([error_rad_s, rate], axis=1))
-    return fit(evidence, np.array([0]), given=np.array([1]))
+    scores = heading_scores(seen, np.stack([error_rad_s, rate], axis=1))
+    return fit(scores, np.array([0]), given=np.array([1]))
 
 
 def _over_steps(run: Run, recorded: Recorded, values: Array) -> Array:

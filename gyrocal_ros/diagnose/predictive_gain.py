@@ -9,7 +9,7 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S
 
 
-def foreseen(before: Run, after: Run) -> Array:
+def predictive_gain(before: Run, after: Run) -> Array:
     """Log-likelihood that one run gains over another of the same recording, (B,) by blocks of time.
 
     It is that of each measurement given all before it, so what a further coefficient costs is paid
@@ -25,7 +25,7 @@ def foreseen(before: Run, after: Run) -> Array:
     return np.subtract(second, first, dtype=float)
 
 
-def certainty(gains: Array) -> float:
+def vuong_sigma(gains: Array) -> float:
     """By how many sigma a gain (B,) is more than chance (Vuong 1989): mean over scatter."""
     scatter = float(gains.std(ddof=1)) * float(np.sqrt(len(gains))) if len(gains) > 1 else 0.0
     return float(gains.sum()) / scatter if scatter > 0.0 else 0.0

@@ -11,7 +11,7 @@ from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.candidate_fit import SIGNIFICANT_SIGMA, Fit, fit, preference
 from gyrocal_ros.diagnose.candidates import columns_of, with_means
 from gyrocal_ros.diagnose.profile import Profile, profile
-from gyrocal_ros.ekf.score_statistics import Evidence
+from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.sensor import Effect
 
 PRICE = 4.0
@@ -30,7 +30,7 @@ NEARBY = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Suspect:
+class RankedEffect:
     """One candidate effect as the recording sees it."""
 
     effect: Effect
@@ -64,24 +64,24 @@ class Suspect:
         return bool(np.any((usual > SIGNIFICANT_SIGMA * stds)[self.places]))
 
 
-def rank(evidence: Evidence) -> list[Suspect]:
+def rank(scores: ScoreStatistics) -> list[RankedEffect]:
     """Every candidate that the recording excites, the best first; the best variant of each name.
 
     The significant ones come before all others; among them counts how much they explain, for what
     is most certain need not explain most.
     """
-    variants: dict[str, list[Suspect]] = {}
-    for effect, columns in zip(evidence.candidates, columns_of(evidence.candidates), strict=True):
-        fitted = fit(evidence, columns)
+    variants: dict[str, list[RankedEffect]] = {}
+    for effect, columns in zip(scores.candidates, columns_of(scores.candidates), strict=True):
+        fitted = fit(scores, columns)
         if fitted is not None:
-            variants.setdefault(effect.name, []).append(Suspect(effect, columns, fitted))
-    best = [_best_of(items, evidence) for items in variants.values()]
+            variants.setdefault(effect.name, []).append(RankedEffect(effect, columns, fitted))
+    best = [_best_of(items, scores) for items in variants.values()]
     return sorted(best, key=_order, reverse=True)
 
 
 def best_explanation(
-    suspects: Sequence[Suspect], evidence: Evidence, tried: Collection[str]
-) -> Suspect | None:
+    ranked: Sequence[RankedEffect], scores: ScoreStatistics, tried: Collection[str]
+) -> RankedEffect | None:
     """The effect that explains most; None where nothing is significant.
 
     Two effects at once may look like a third. So where two together explain more than chance beyond
@@ -92,15 +92,15 @@ def best_explanation(
         evidence: what they were ranked by.
         tried: names that are out of the question.
     """
-    open_to_choice = [suspect for suspect in suspects if suspect.effect.name not in tried]
-    alone = [suspect for suspect in open_to_choice if suspect.is_significant]
+    open_to_choice = [ranked_effect for ranked_effect in ranked if ranked_effect.effect.name not in tried]
+    alone = [ranked_effect for ranked_effect in open_to_choice if ranked_effect.is_significant]
     if not alone:
         return None
     best = alone[0]
     most = (1.0 + PAIR_PART) * best.merit + 0.5 * SIGNIFICANT_SIGMA**2
     for first in alone:
         for second in open_to_choice:
-            both = _beside(first, second, evidence) if second is not first else None
+            both = _beside(first, second, scores) if second is not first else None
             if both is not None and both.merit > most:
                 best, most = both.stronger, both.merit
     return best
@@ -110,21 +110,23 @@ def best_explanation(
 class _Pair:
     """Two effects that explain a recording together."""
 
-    stronger: Suspect
+    stronger: RankedEffect
     merit: float
 
 
-def _beside(first: Suspect, second: Suspect, evidence: Evidence) -> _Pair | None:
+def _beside(first: RankedEffect, second: RankedEffect, scores: ScoreStatistics) -> _Pair | None:
     """Both together; None where one of them is chance beside the other."""
     a, b = first.fit.columns, second.fit.columns
-    joint, more, less = fit(evidence, np.concatenate([a, b])), fit(evidence, a, b), fit(evidence, b, a)
+    joint, more, less = fit(scores, np.concatenate([a, b])), fit(scores, a, b), fit(scores, b, a)
     if joint is None or more is None or less is None or min(more.sigma, less.sigma) < SIGNIFICANT_SIGMA:
         return None
     price = first.fit.gain - first.merit + second.fit.gain - second.merit
     return _Pair(first if more.gain >= less.gain else second, joint.gain - price)
 
 
-def twins(suspect: Suspect, others: Iterable[Suspect], evidence: Evidence, beside: IntArray) -> list[str]:
+def twins(
+    ranked_effect: RankedEffect, others: Iterable[RankedEffect], scores: ScoreStatistics, beside: IntArray
+) -> list[str]:
     """Names of the effects that could stand in place of one, and would explain nearly as much.
 
     Args:
@@ -133,10 +135,10 @@ def twins(suspect: Suspect, others: Iterable[Suspect], evidence: Evidence, besid
         evidence: of all of them.
         beside: (q,) columns of the effects that were found as well.
     """
-    found = fit(evidence, suspect.fit.columns, beside)
+    found = fit(scores, ranked_effect.fit.columns, beside)
     if found is None:
         return []
-    instead = {other.effect.name: fit(evidence, other.fit.columns, beside) for other in others}
+    instead = {other.effect.name: fit(scores, other.fit.columns, beside) for other in others}
     return [
         name
         for name, other in instead.items()
@@ -146,19 +148,23 @@ def twins(suspect: Suspect, others: Iterable[Suspect], evidence: Evidence, besid
     ]
 
 
-def with_estimate(suspect: Suspect, evidence: Evidence) -> Effect:
+def with_estimate(ranked_effect: RankedEffect, scores: ScoreStatistics) -> Effect:
     """The effect, expected where the first half of the recording puts it, so that the rest tests it.
 
     The filter has to begin near: where an effect is doubtful by its usual size, some steps about the wrong
     place can lead it astray. How near is told by both halves. A time constant is told by the whole.
     """
-    if suspect.profile is not None:
-        told = suspect.profile
+    if ranked_effect.profile is not None:
+        told = ranked_effect.profile
         near = (max(abs(told.amplitude), told.amplitude_std), NEARBY * told.value)
-        return _expected(suspect.effect, estimate(suspect), np.array(near))
-    values = np.array([item.prior_mean for item in suspect.effect.coefficients])
-    stds = np.array([item.prior_std for item in suspect.effect.coefficients])
-    half, whole, places = fit(evidence.first_half(), suspect.fit.columns), suspect.fit, suspect.places
+        return _expected(ranked_effect.effect, estimate(ranked_effect), np.array(near))
+    values = np.array([item.prior_mean for item in ranked_effect.effect.coefficients])
+    stds = np.array([item.prior_std for item in ranked_effect.effect.coefficients])
+    half, whole, places = (
+        fit(scores.first_half(), ranked_effect.fit.columns),
+        ranked_effect.fit,
+        ranked_effect.places,
+    )
     if half is not None and len(half.values) == len(whole.values):
         values[places] += half.values
         at_least = [
@@ -167,7 +173,7 @@ def with_estimate(suspect: Suspect, evidence: Evidence) -> Effect:
             AT_LEAST_PART * np.abs(whole.values),
         ]
         stds[places] = np.minimum(stds[places], np.max(at_least, axis=0))
-    return _expected(suspect.effect, values, stds)
+    return _expected(ranked_effect.effect, values, stds)
 
 
 def _expected(effect: Effect, values: Array, stds: Array) -> Effect:
@@ -176,25 +182,25 @@ def _expected(effect: Effect, values: Array, stds: Array) -> Effect:
     return replace(effect, coefficients=coefficients)  # type: ignore[type-var]
 
 
-def estimate(suspect: Suspect) -> Array:
+def estimate(ranked_effect: RankedEffect) -> Array:
     """Coefficients (k,) by the evidence of the whole recording."""
-    if suspect.profile is not None:
-        return np.array([suspect.profile.amplitude, suspect.profile.value])
-    values = np.array([item.prior_mean for item in suspect.effect.coefficients])
-    values[suspect.places] += suspect.fit.values
+    if ranked_effect.profile is not None:
+        return np.array([ranked_effect.profile.amplitude, ranked_effect.profile.value])
+    values = np.array([item.prior_mean for item in ranked_effect.effect.coefficients])
+    values[ranked_effect.places] += ranked_effect.fit.values
     return values
 
 
-def doubts(suspect: Suspect) -> Array:
+def doubts(ranked_effect: RankedEffect) -> Array:
     """Standard deviations (k,) of the coefficients by the evidence; zero for one that was not fitted."""
-    if suspect.profile is not None:
-        return np.array([suspect.profile.amplitude_std, suspect.profile.std])
-    stds = np.zeros(len(suspect.effect.coefficients))
-    stds[suspect.places] = np.sqrt(np.diagonal(suspect.fit.covariance))
+    if ranked_effect.profile is not None:
+        return np.array([ranked_effect.profile.amplitude_std, ranked_effect.profile.std])
+    stds = np.zeros(len(ranked_effect.effect.coefficients))
+    stds[ranked_effect.places] = np.sqrt(np.diagonal(ranked_effect.fit.covariance))
     return stds
 
 
-def _best_of(variants: list[Suspect], evidence: Evidence) -> Suspect:
+def _best_of(variants: list[RankedEffect], scores: ScoreStatistics) -> RankedEffect:
     """The best variant of an effect; of one with a time constant, with what the others say of that."""
     best = max(variants, key=_order)
     if len(variants) == 1:
@@ -203,10 +209,10 @@ def _best_of(variants: list[Suspect], evidence: Evidence) -> Suspect:
     series = [item for item in variants if with_means(item.effect, (0.0, 0.0)) == form]
     place = series.index(best)
     neighbour = max(series[max(place - 1, 0) : place] + series[place + 1 : place + 2], key=_order)
-    between = fit(evidence, np.concatenate([best.fit.columns, neighbour.fit.columns]))
+    between = fit(scores, np.concatenate([best.fit.columns, neighbour.fit.columns]))
     times_s = [item.effect.coefficients[1].prior_mean for item in series]
     return replace(best, fit=between or best.fit, profile=profile(times_s, [item.fit for item in series]))
 
 
-def _order(suspect: Suspect) -> tuple[bool, float]:
-    return suspect.is_significant, suspect.merit if np.isfinite(suspect.merit) else -np.inf
+def _order(ranked_effect: RankedEffect) -> tuple[bool, float]:
+    return ranked_effect.is_significant, ranked_effect.merit if np.isfinite(ranked_effect.merit) else -np.inf

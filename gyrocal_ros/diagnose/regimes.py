@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.heading_filter import TURNING_RAD_S, Headings, heading_evidence, misfits
+from gyrocal_ros.diagnose.heading_filter import TURNING_RAD_S, Headings, heading_scores, misfits
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S
 
@@ -120,7 +120,7 @@ def _of_signal(name: str, values: Array, turning_rad_s: Array) -> Iterator[Regim
 
 def _in_regimes(regimes: list[Regime], seen: Headings, chance: float) -> Iterator[Failure]:
     columns = np.stack([regime.column for regime in regimes], axis=1).astype(float)
-    total = heading_evidence(seen, columns)
+    total = heading_scores(seen, columns)
     information, score = np.einsum('bcc->c', total.information), total.score.sum(axis=0)
     for place in np.flatnonzero(information > 0.0):
         regime, value = regimes[place], float(score[place] / information[place])
@@ -138,10 +138,10 @@ def _in_time(seen: Headings, chance: float) -> Iterator[Failure]:
     """Stretches in which the rate is off; blocks that follow each other are one."""
     block = (seen.time_s / BLOCK_S).astype(int)
     columns = (block[:, None] == np.arange(block[-1] + 1)).astype(float)
-    evidence = heading_evidence(seen, columns)
+    scores = heading_scores(seen, columns)
     # Each block by what it says of itself: a jump is then where it happened, not wherever it lasts.
-    information = np.einsum('bbb->b', evidence.information)
-    score = np.einsum('bb->b', evidence.score)
+    information = np.einsum('bbb->b', scores.information)
+    score = np.einsum('bb->b', scores.score)
     information = np.where(information > 0.0, information, 1.0)
     sigma = np.abs(score) / np.sqrt(information) / chance
     off = np.flatnonzero(sigma > FAILURE_SIGMA)

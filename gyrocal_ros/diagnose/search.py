@@ -11,13 +11,13 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.candidate_fit import chi_square_tail, sigma_of
-from gyrocal_ros.diagnose.candidates import docket
+from gyrocal_ros.diagnose.candidates import candidate_set
 from gyrocal_ros.diagnose.heading_filter import Headings, headings
-from gyrocal_ros.diagnose.limits import Proposal, pile, proposals, with_limit
-from gyrocal_ros.diagnose.predictive_gain import certainty, foreseen
+from gyrocal_ros.diagnose.limits import LimitProposal, pile, proposals, with_limit
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain, vuong_sigma
 from gyrocal_ros.diagnose.ranking import (
     TWIN_SIGMA,
-    Suspect,
+    RankedEffect,
     best_explanation,
     doubts,
     rank,
@@ -25,10 +25,10 @@ from gyrocal_ros.diagnose.ranking import (
     with_estimate,
 )
 from gyrocal_ros.diagnose.recorded import Recorded
-from gyrocal_ros.diagnose.shapes import INFLATION, Oddity, oddity
+from gyrocal_ros.diagnose.shapes import INFLATION, UnexplainedStructure, unexplained_structure
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.score_statistics import Evidence
+from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
@@ -63,28 +63,28 @@ RIVALS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stage:
+class ExaminedModel:
     """One model on a recording, and what the recording says that it lacks."""
 
     model: SensorModel
     run: Run
-    evidence: Evidence
-    suspects: tuple[Suspect, ...]
+    scores: ScoreStatistics
+    ranked: tuple[RankedEffect, ...]
     """The best first."""
     seen: Headings
-    oddity: Oddity | None
+    unexplained_structure: UnexplainedStructure | None
     """What is left over as a function of something recorded, where it is more than chance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Change:
+class Addition:
     """An effect that was put into the model."""
 
     effect: Effect
     """Its prior means are what the evidence said of it before it was put in."""
-    before: Stage | None
+    before: ExaminedModel | None
     """None where the filter could not run without it."""
-    after: Stage
+    after: ExaminedModel
     gain: float
     """Log-likelihood that the evidence promised; for a limit, what the run gained."""
     sigma: float
@@ -97,9 +97,11 @@ class Change:
     """Effects that looked like it, until a run with each foresaw the recording clearly worse."""
 
     @property
-    def foreseen(self) -> float:
+    def predictive_gain(self) -> float:
         """Log-likelihood of each measurement, given those before it, that the effect gained."""
-        return math.inf if self.before is None else float(foreseen(self.before.run, self.after.run).sum())
+        return (
+            math.inf if self.before is None else float(predictive_gain(self.before.run, self.after.run).sum())
+        )
 
     @property
     def stands_out(self) -> bool:
@@ -114,24 +116,24 @@ class Change:
     @property
     def is_kept(self) -> bool:
         """Whether the recording was foreseen better with the effect than without, and it is there at all."""
-        return self.foreseen > MIN_FORESEEN and self.stands_out
+        return self.predictive_gain > MIN_FORESEEN and self.stands_out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search:
     """A finished search."""
 
-    first: Stage
-    changes: tuple[Change, ...]
+    first: ExaminedModel
+    changes: tuple[Addition, ...]
     """Kept and rejected ones, in the order in which they were tried."""
 
     @property
-    def kept(self) -> tuple[Change, ...]:
+    def kept(self) -> tuple[Addition, ...]:
         """Those that helped."""
         return tuple(change for change in self.changes if change.is_kept)
 
     @property
-    def last(self) -> Stage:
+    def last(self) -> ExaminedModel:
         """With all that helped."""
         return self.kept[-1].after if self.kept else self.first
 
@@ -149,11 +151,11 @@ def search(model: SensorModel, recorded: Recorded, calibrate: Calibrate, most: i
     Raises:
         FilterDivergedError: the filter cannot run with this model.
     """
-    changes: list[Change] = []
+    changes: list[Addition] = []
     try:
         first = stage = examine(model, recorded, calibrate)
     except FilterDivergedError:
-        rescued = rescue(model, recorded, calibrate)
+        rescued = recover(model, recorded, calibrate)
         if rescued is None:
             raise
         changes.append(rescued)
@@ -171,8 +173,8 @@ def search(model: SensorModel, recorded: Recorded, calibrate: Calibrate, most: i
 
 
 def _continued(
-    changes: list[Change], stage: Stage, recorded: Recorded, calibrate: Calibrate, most: int
-) -> list[Change]:
+    changes: list[Addition], stage: ExaminedModel, recorded: Recorded, calibrate: Calibrate, most: int
+) -> list[Addition]:
     """Put in one effect after the other, until nothing more is found or so many were tried."""
     changes = [*changes]
     while len(changes) < most:
@@ -197,52 +199,54 @@ def trial(model: SensorModel, recorded: Recorded, calibrate: Calibrate, effect: 
     return Search(first, (change_made(first, examine(wider_model(first, effect), recorded, calibrate)),))
 
 
-def wider_model(stage: Stage, effect: Effect) -> SensorModel:
+def wider_model(stage: ExaminedModel, effect: Effect) -> SensorModel:
     """The model of a stage with one more effect, expected where its evidence puts it."""
-    suspect = _suspect(stage, effect.name)
-    return with_effect(stage.model, effect if suspect is None else with_estimate(suspect, stage.evidence))
-
-
-def change_made(before: Stage, after: Stage) -> Change:
-    """What the last effect of the model `after` changed, which is not in the model before."""
-    effect = after.model.effects[-1]
-    suspect = _suspect(before, effect.name)
-    if suspect is None:
-        return Change(effect, before, after, 0.0, 0.0, 1.0, np.zeros(len(effect.coefficients)), NONE)
-    return Change(
-        effect=effect,
-        before=before,
-        after=after,
-        gain=suspect.fit.gain,
-        sigma=suspect.fit.sigma,
-        p_value=suspect.fit.p_value,
-        stds=doubts(suspect),
-        strengths=suspect.places,
+    ranked_effect = _suspect(stage, effect.name)
+    return with_effect(
+        stage.model, effect if ranked_effect is None else with_estimate(ranked_effect, stage.scores)
     )
 
 
-def _suspect(stage: Stage, name: str) -> Suspect | None:
-    return next((item for item in stage.suspects if item.effect.name == name), None)
+def change_made(before: ExaminedModel, after: ExaminedModel) -> Addition:
+    """What the last effect of the model `after` changed, which is not in the model before."""
+    effect = after.model.effects[-1]
+    ranked_effect = _suspect(before, effect.name)
+    if ranked_effect is None:
+        return Addition(effect, before, after, 0.0, 0.0, 1.0, np.zeros(len(effect.coefficients)), NONE)
+    return Addition(
+        effect=effect,
+        before=before,
+        after=after,
+        gain=ranked_effect.fit.gain,
+        sigma=ranked_effect.fit.sigma,
+        p_value=ranked_effect.fit.p_value,
+        stds=doubts(ranked_effect),
+        strengths=ranked_effect.places,
+    )
 
 
-def examine(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Stage:
+def _suspect(stage: ExaminedModel, name: str) -> RankedEffect | None:
+    return next((item for item in stage.ranked if item.effect.name == name), None)
+
+
+def examine(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> ExaminedModel:
     """Run the filter with a model, everything else on trial."""
-    trials = docket(model, recorded)
+    trials = candidate_set(model, recorded)
     run = calibrate(model, trials.carried)
-    assert run.evidence is not None
-    evidence, seen = trials.judged(run.evidence), headings(run)
-    suspects = tuple(rank(evidence))
-    return Stage(model, run, evidence, suspects, seen, _shown(oddity(run, seen), suspects))
+    assert run.scores is not None
+    scores, seen = trials.judged(run.scores), headings(run)
+    ranked = tuple(rank(scores))
+    return ExaminedModel(model, run, scores, ranked, seen, _shown(unexplained_structure(run, seen), ranked))
 
 
-def _shown(odd: Oddity | None, suspects: Sequence[Suspect]) -> Oddity | None:
+def _shown(odd: UnexplainedStructure | None, ranked: Sequence[RankedEffect]) -> UnexplainedStructure | None:
     """An oddity that the whole filter sees too: some effect or other then explains a part of it.
 
     The headings alone know nothing of the map's own errors, which come and go with its features.
     """
     if odd is None:
         return None
-    most = max((suspect.fit.gain for suspect in suspects), default=0.0)
+    most = max((ranked_effect.fit.gain for ranked_effect in ranked), default=0.0)
     return odd if most >= min(SHOWN_PART * odd.gain, SHOWN_GAIN) else None
 
 
@@ -251,9 +255,11 @@ def with_effect(model: SensorModel, effect: Effect) -> SensorModel:
     return replace(model, effects=(*model.effects, effect), version=model.version + 1)
 
 
-def suspected_limits(stage: Stage, recorded: Recorded, best: Suspect | None) -> list[Proposal]:
+def suspected_limits(
+    stage: ExaminedModel, recorded: Recorded, best: RankedEffect | None
+) -> list[LimitProposal]:
     """Limits that the readings suggest, beside the best explanation of another kind."""
-    odd = stage.oddity
+    odd = stage.unexplained_structure
     return list(
         proposals(
             stage.run,
@@ -267,14 +273,14 @@ def suspected_limits(stage: Stage, recorded: Recorded, best: Suspect | None) -> 
 
 
 def _next_change(
-    stage: Stage, recorded: Recorded, calibrate: Calibrate, tried: set[str], least_gain: float
-) -> Change | None:
+    stage: ExaminedModel, recorded: Recorded, calibrate: Calibrate, tried: set[str], least_gain: float
+) -> Addition | None:
     """Put the best explanation into the model, unless nothing is missing or nothing known explains it."""
-    best = best_explanation(stage.suspects, stage.evidence, tried)
+    best = best_explanation(stage.ranked, stage.scores, tried)
     if best is not None and best.fit.gain < least_gain:
         best = None
     rival_gain = best.fit.gain if best is not None else 0.0
-    odd_gain = stage.oddity.gain if stage.oddity is not None else 0.0
+    odd_gain = stage.unexplained_structure.gain if stage.unexplained_structure is not None else 0.0
     limits = [limit for limit in suspected_limits(stage, recorded, best) if limit.effect.name not in tried]
     for limit in (limit for limit in limits if limit.is_read):
         change = _limited(stage, limit.effect, recorded, calibrate, MIN_FORESEEN)
@@ -286,7 +292,7 @@ def _next_change(
         with suppress(FilterDivergedError):
             rival = change_made(stage, examine(wider_model(stage, best.effect), recorded, calibrate))
     # A limit makes the filter doubt its gyro, which helps against anything: it has to beat a run, too.
-    at_least = max(LIMIT_PART * (odd_gain if rival is None else rival.foreseen), MIN_FORESEEN)
+    at_least = max(LIMIT_PART * (odd_gain if rival is None else rival.predictive_gain), MIN_FORESEEN)
     for limit in (limit for limit in limits if not limit.is_read):
         change = _limited(stage, limit.effect, recorded, calibrate, at_least)
         if change is not None:
@@ -294,7 +300,7 @@ def _next_change(
     return rival
 
 
-def _contested(change: Change, recorded: Recorded, calibrate: Calibrate, tried: set[str]) -> Change:
+def _contested(change: Addition, recorded: Recorded, calibrate: Calibrate, tried: set[str]) -> Addition:
     """The last effect found, or one that looks like it where a run with that foresees clearly more.
 
     To first order the wrong effect may look like the true one, and even a little better; not in a run.
@@ -306,47 +312,47 @@ def _contested(change: Change, recorded: Recorded, calibrate: Calibrate, tried: 
         with suppress(FilterDivergedError):
             after = examine(wider_model(change.before, rival.effect), recorded, calibrate)
             changes.append(change_made(change.before, after))
-    best = max((item for item in changes if item.is_kept), key=lambda item: item.foreseen)
-    if best.foreseen <= change.foreseen + MIN_FORESEEN:
+    best = max((item for item in changes if item.is_kept), key=lambda item: item.predictive_gain)
+    if best.predictive_gain <= change.predictive_gain + MIN_FORESEEN:
         best = change
     outdone = (
         item.effect.name
         for item in changes
-        if item is not best and certainty(foreseen(item.after.run, best.after.run)) > TWIN_SIGMA
+        if item is not best and vuong_sigma(predictive_gain(item.after.run, best.after.run)) > TWIN_SIGMA
     )
     return replace(best, outdone=tuple(outdone))
 
 
-def _rivals(stage: Stage, name: str, tried: set[str]) -> list[Suspect]:
+def _rivals(stage: ExaminedModel, name: str, tried: set[str]) -> list[RankedEffect]:
     """Effects not tried yet that look like one of that name, the likeliest first.
 
     Not where a time constant is to be found: the filter finds it only from near, so a run is no fair test.
     """
-    suspect = _suspect(stage, name)
-    if suspect is None or suspect.profile is not None:
+    ranked_effect = _suspect(stage, name)
+    if ranked_effect is None or ranked_effect.profile is not None:
         return []
-    others = [item for item in stage.suspects if item.effect.name not in tried and item.profile is None]
-    names = set(twins(suspect, others, stage.evidence, NONE))
+    others = [item for item in stage.ranked if item.effect.name not in tried and item.profile is None]
+    names = set(twins(ranked_effect, others, stage.scores, NONE))
     return [item for item in others if item.effect.name in names][:RIVALS]
 
 
 def _limited(
-    stage: Stage, limit: Effect, recorded: Recorded, calibrate: Calibrate, least_gain: float
-) -> Change | None:
+    stage: ExaminedModel, limit: Effect, recorded: Recorded, calibrate: Calibrate, least_gain: float
+) -> Addition | None:
     """Put a limit into the model, if a run with it foresees the recording so much better."""
     model = with_effect(stage.model, limit)
     try:
-        gain = float(foreseen(stage.run, calibrate(model, ())).sum())
+        gain = float(predictive_gain(stage.run, calibrate(model, ())).sum())
         if gain < least_gain:
             return None
         after = examine(model, recorded, calibrate)
     except FilterDivergedError:
         return None
     p_value = chi_square_tail(2.0 * gain / INFLATION, 1)
-    return Change(limit, stage, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
+    return Addition(limit, stage, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
 
 
-def rescue(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Change | None:
+def recover(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Addition | None:
     """Where the filter cannot run, one effect may be why: that with which it runs best.
 
     None where there is no such effect.
@@ -368,4 +374,4 @@ def rescue(model: SensorModel, recorded: Recorded, calibrate: Calibrate) -> Chan
     after = examine(with_effect(model, effect), recorded, calibrate)
     count = len(effect.coefficients)
     strengths = NONE if effect in limits else np.arange(count)
-    return Change(effect, None, after, math.inf, math.inf, 0.0, np.zeros(count), strengths)
+    return Addition(effect, None, after, math.inf, math.inf, 0.0, np.zeros(count), strengths)

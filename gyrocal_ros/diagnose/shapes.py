@@ -14,7 +14,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidate_fit import Fit, chi_square_tail, fit, sigma_of
-from gyrocal_ros.diagnose.heading_filter import TURNING_RAD_S, Headings, heading_evidence, misfits
+from gyrocal_ros.diagnose.heading_filter import TURNING_RAD_S, Headings, heading_scores, misfits
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW
 
@@ -56,7 +56,7 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Oddity:
+class UnexplainedStructure:
     """Something left over that goes with something recorded, whatever it is."""
 
     what: str
@@ -69,37 +69,37 @@ class Oddity:
     """When, where the bias jumped."""
 
 
-def oddity(run: Run, seen: Headings) -> Oddity | None:
+def unexplained_structure(run: Run, seen: Headings) -> UnexplainedStructure | None:
     """The shape that explains most of what is left over, where it is more than chance."""
     odd = max(_oddities(seen, shapes(run, seen)), key=lambda item: item[0], default=(0.0, None))[1]
     return odd if odd is not None and odd.sigma > ODD_SIGMA else None
 
 
-def _oddities(seen: Headings, found: list[Shape]) -> Iterator[tuple[float, Oddity]]:
+def _oddities(seen: Headings, found: list[Shape]) -> Iterator[tuple[float, UnexplainedStructure]]:
     """What may be odd, with its merit: what it gains, less one for every number that it takes."""
     for shape in found[:1]:
         kind, numbers = 'scale' if shape.of_scale else 'bias', len(shape.fit.values)
         sigma = _sigma(seen, shape.fit, shape.columns, numbers)
         what = f'the {kind} goes with {shape.signal}'
-        yield shape.fit.gain - numbers, Oddity(what, shape.fit.gain, sigma, shape)
+        yield shape.fit.gain - numbers, UnexplainedStructure(what, shape.fit.gain, sigma, shape)
     for shape in found:
         if shape.signal == TIME and not shape.of_scale:
             yield from _over_time(seen, shape)
 
 
-def _over_time(seen: Headings, shape: Shape) -> Iterator[tuple[float, Oddity]]:
+def _over_time(seen: Headings, shape: Shape) -> Iterator[tuple[float, UnexplainedStructure]]:
     jumped, swung = jump(seen), swing(seen)
     if jumped is not None:
         at_s, fitted = jumped
         sigma = _sigma(seen, fitted, _after(seen, np.array([at_s])), 2)
         what = f'the bias jumped by {math.degrees(float(fitted.values[0])):+.3f} deg/s at {at_s:.0f} s'
-        yield fitted.gain - 2.0, Oddity(what, fitted.gain, sigma, shape, at_s)
+        yield fitted.gain - 2.0, UnexplainedStructure(what, fitted.gain, sigma, shape, at_s)
     if swung is not None:
         period_s, fitted = swung
         sigma = _sigma(seen, fitted, _waves(seen, np.array([1.0 / period_s])), 3)
         size = f'{math.degrees(float(np.hypot(*fitted.values))):.3f} deg/s'
         what = f'the bias swings by {size} to either side, once in {period_s:.1f} s'
-        yield SWING_PART * fitted.gain - 3.0, Oddity(what, fitted.gain, sigma, shape)
+        yield SWING_PART * fitted.gain - 3.0, UnexplainedStructure(what, fitted.gain, sigma, shape)
 
 
 def shapes(run: Run, seen: Headings) -> list[Shape]:
@@ -117,11 +117,11 @@ def shapes(run: Run, seen: Headings) -> list[Shape]:
         for of_scale in (False, True)
         if not (of_scale and name in (RATE, HEADING))
     ]
-    evidence = heading_evidence(seen, np.concatenate([rate[:, None], *(item[3] for item in asked)], axis=1))
+    scores = heading_scores(seen, np.concatenate([rate[:, None], *(item[3] for item in asked)], axis=1))
     found, start = [], 1
     for name, of_scale, knots, columns in asked:
         end = start + columns.shape[1]
-        fitted = fit(evidence, np.arange(start, end), given=np.array([0]))
+        fitted = fit(scores, np.arange(start, end), given=np.array([0]))
         if fitted is not None:
             values, stds = np.full((2, len(knots)), np.nan)
             values[0] = stds[0] = 0.0
@@ -166,9 +166,9 @@ def _best_swing(seen: Headings, hz: Array) -> tuple[float, Fit] | None:
 
 def _best(seen: Headings, names: list[float], columns: Array) -> tuple[float, Fit] | None:
     """The best of several questions; columns (s, n q), one of each question, then the next of each."""
-    evidence, count = heading_evidence(seen, columns), len(names)
+    scores, count = heading_scores(seen, columns), len(names)
     places = [np.arange(place, columns.shape[1], count) for place in range(count)]
-    fits = [(name, fit(evidence, place)) for name, place in zip(names, places, strict=True)]
+    fits = [(name, fit(scores, place)) for name, place in zip(names, places, strict=True)]
     told = [(name, fitted) for name, fitted in fits if fitted is not None]
     return max(told, key=lambda item: item[1].gain, default=None)
 

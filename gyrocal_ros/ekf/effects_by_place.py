@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount
-from gyrocal_ros.model.features.base import Prediction, View
+from gyrocal_ros.model.features.base import PosedCamera, Prediction
 from gyrocal_ros.model.gyro import Correction
-from gyrocal_ros.model.kinematics import Motion
+from gyrocal_ros.model.kinematics import PoseStep
 from gyrocal_ros.model.sensor import (
     CameraEffect,
     Effect,
@@ -24,7 +24,7 @@ from gyrocal_ros.model.sensor import (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Parts:
+class EffectsByPlace:
     """Effects by place, each with where its coefficients stand among all K."""
 
     count: int
@@ -47,10 +47,10 @@ class Parts:
         return (None,) * len(self.gyro)
 
 
-def sort_effects(effects: tuple[Effect, ...]) -> Parts:
+def sort_effects(effects: tuple[Effect, ...]) -> EffectsByPlace:
     """Sort effects by place."""
     means = [item.prior_mean for effect in effects for item in effect.coefficients]
-    return Parts(
+    return EffectsByPlace(
         count=len(means),
         prior_means=np.array(means, float),
         gyro=placed(effects, 'gyro'),
@@ -62,7 +62,7 @@ def sort_effects(effects: tuple[Effect, ...]) -> Parts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contribution:
+class MotionContribution:
     """What all effects add to the motion of one block."""
 
     correction: Correction
@@ -77,8 +77,8 @@ class Contribution:
 
 
 def contribute(
-    parts: Parts, block: MotionBlock, correction: Correction, rate_rad_s: Array, values: Array
-) -> Contribution:
+    parts: EffectsByPlace, block: MotionBlock, correction: Correction, rate_rad_s: Array, values: Array
+) -> MotionContribution:
     """Ask every effect on wheels and ground what it adds; how that follows the rate is left out.
 
     Args:
@@ -102,10 +102,10 @@ def contribute(
         added, by_values = ground_effect.contribute(block, values[place])
         drift = drift + added
         drift_by[:, place] = by_values  # type: ignore[index]
-    return Contribution(correction, distance, distance_by, drift, drift_by)
+    return MotionContribution(correction, distance, distance_by, drift, drift_by)
 
 
-def pose_by_values(motion: Motion, yaw_gain: Array, contribution: Contribution) -> Array:
+def pose_by_values(motion: PoseStep, yaw_gain: Array, contribution: MotionContribution) -> Array:
     """Derivative (6, K) of the pose at the end of a block with respect to the coefficients.
 
     `yaw_gain` (6, N) is that with respect to the corrected yaw rate of each interval.
@@ -119,7 +119,7 @@ def pose_by_values(motion: Motion, yaw_gain: Array, contribution: Contribution) 
 
 
 def true_camera(
-    parts: Parts, camera: CameraIntrinsics, mount: Mount, values: Array
+    parts: EffectsByPlace, camera: CameraIntrinsics, mount: Mount, values: Array
 ) -> tuple[CameraIntrinsics, Mount]:
     """The camera that is believed, corrected by all effects on it."""
     for effect, place in parts.camera:
@@ -128,7 +128,7 @@ def true_camera(
 
 
 def measurement_by_values(
-    parts: Parts, view: View, prediction: Prediction, pose_rate: Array, values: Array
+    parts: EffectsByPlace, view: PosedCamera, prediction: Prediction, pose_rate: Array, values: Array
 ) -> Array:
     """Derivative (m, 2, K) of predicted pixels with respect to the coefficients.
 

@@ -42,7 +42,7 @@ def inliers(distances: Array, dof: int, outlier_probability: float) -> np.ndarra
     return distances <= bound
 
 
-class NoiseFollower:
+class AdaptiveNoise:
     """Follows the standard deviation of a measurement by the median of its innovations.
 
     Half of the squared innovations should lie below the median of their distribution; each one

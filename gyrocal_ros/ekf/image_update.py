@@ -9,13 +9,13 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, SearchRegions
-from gyrocal_ros.ekf.effects_by_place import Parts, first_sight_by_values, measurement_by_values
+from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, first_sight_by_values, measurement_by_values
 from gyrocal_ros.ekf.gating import inliers
-from gyrocal_ros.ekf.landmarks import augment, make_room, note_sighting
+from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest
 from gyrocal_ros.ekf.state import YAW, State
-from gyrocal_ros.ekf.update import Innovation, Lesson, innovate, mahalanobis, own_precisions, update
+from gyrocal_ros.ekf.update import Innovation, UpdateStats, innovate, mahalanobis, own_precisions, update
 from gyrocal_ros.model.camera import project_with_jacobian
-from gyrocal_ros.model.features.base import Parametrisation, Prediction, View
+from gyrocal_ros.model.features.base import Parametrisation, PosedCamera, Prediction
 
 MIN_SIGHTING_DEPTH = 1e-3
 SEEN_NUMBERS = 2
@@ -23,13 +23,13 @@ SEEN_NUMBERS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class ImageUpdate:
     """What one measurement said. Empty where nothing was seen."""
 
     used: int = 0
     rejected: int = 0
     added: int = 0
-    lesson: Lesson = Lesson()
+    lesson: UpdateStats = UpdateStats()
     """What the update taught."""
     heading_rad: float = 0.0
     """The innovation as a heading: the rotation about the vertical that fits it best."""
@@ -39,18 +39,18 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Eye:
+class ImageModel:
     """Everything a look at an image needs beside state and image."""
 
-    view: View
+    view: PosedCamera
     """The camera at the state, corrected by the model's effects on it."""
     form: Parametrisation
     config: Config
     noise_px: float
     """Present standard deviation of the pixels."""
-    parts: Parts
+    parts: EffectsByPlace
     """Effects in the model."""
-    candidates: Parts
+    candidates: EffectsByPlace
     """Effects that the model lacks."""
     pose_rate: Array
     """(6,) rate of the robot's pose."""
@@ -64,7 +64,9 @@ class Eye:
         return _image_derivative(self.candidates, self, prediction, self.candidates.prior_means)
 
 
-def see(state: State, eye: Eye, observations: FeatureObservations) -> tuple[State, Sighting]:
+def update_from_image(
+    state: State, eye: ImageModel, observations: FeatureObservations
+) -> tuple[State, ImageUpdate]:
     """Correct the state by those of the features seen that the map knows.
 
     Args:
@@ -76,7 +78,7 @@ def see(state: State, eye: Eye, observations: FeatureObservations) -> tuple[Stat
     row_of = {feature: row for row, feature in enumerate(state.landmarks.ids.tolist())}
     known = [i for i, feature in enumerate(observations.ids.tolist()) if feature in row_of]
     if not known:
-        return state, Sighting()
+        return state, ImageUpdate()
     rows = np.array([row_of[int(observations.ids[i])] for i in known])
     prediction = form.predict(eye.view, state.features[rows], state.landmarks.anchors[rows])
     measured, noise = form.measure(eye.view, observations.pixels[known], eye.noise_px, features)
@@ -89,12 +91,12 @@ def see(state: State, eye: Eye, observations: FeatureObservations) -> tuple[Stat
     good &= prediction.points_c[:, 2] > MIN_SIGHTING_DEPTH
     used = innovation if good.all() else innovation[np.flatnonzero(good)]
     heading_rad, heading_std_rad = _as_heading(used, precisions[good])
-    lesson = Lesson()
+    lesson = UpdateStats()
     if good.any():
         state, lesson = update(state, used)
         lesson = replace(lesson, dof=SEEN_NUMBERS * len(used.rows))
-    state = note_sighting(state, rows[good], rows[~good], features.drop_after_rejections)
-    return state, Sighting(
+    state = count_matches(state, rows[good], rows[~good], features.drop_after_rejections)
+    return state, ImageUpdate(
         used=int(good.sum()),
         rejected=int((~good).sum()),
         lesson=lesson,
@@ -104,7 +106,7 @@ def see(state: State, eye: Eye, observations: FeatureObservations) -> tuple[Stat
     )
 
 
-def newcomers(state: State, observations: FeatureObservations, map_size: int) -> list[int]:
+def unmapped(state: State, observations: FeatureObservations, map_size: int) -> list[int]:
     """Which of the features seen the map does not know and has room for.
 
     None that was just seen makes room for another: one known for longer is worth more.
@@ -115,10 +117,12 @@ def newcomers(state: State, observations: FeatureObservations, map_size: int) ->
     return fresh[: max(map_size - just_seen, 0)]
 
 
-def meet(state: State, eye: Eye, observations: FeatureObservations, fresh: list[int]) -> State:
+def add_landmarks(
+    state: State, eye: ImageModel, observations: FeatureObservations, fresh: list[int]
+) -> State:
     """Add new features of an image to the map, those at the places `fresh` of the observations."""
     features = eye.config.features
-    state = make_room(state, len(fresh), features.map_size)
+    state = evict_oldest(state, len(fresh), features.map_size)
     new = eye.form.initialise(eye.view, observations.pixels[fresh], eye.noise_px, features)
     by_values = by_candidates = None
     if eye.parts.act_on_images or eye.candidates.act_on_images:
@@ -128,7 +132,7 @@ def meet(state: State, eye: Eye, observations: FeatureObservations, fresh: list[
     return augment(state, observations.ids[fresh], new, by_values, by_candidates)
 
 
-def search_regions(state: State, view: View, form: Parametrisation, noise_px: float) -> SearchRegions:
+def search_regions(state: State, view: PosedCamera, form: Parametrisation, noise_px: float) -> SearchRegions:
     """Where the mapped features should appear, with the covariance of the innovation there."""
     prediction = form.predict(view, state.features, state.landmarks.anchors)
     pixels, by_point = project_with_jacobian(view.camera, prediction.points_c)
@@ -147,7 +151,9 @@ def search_regions(state: State, view: View, form: Parametrisation, noise_px: fl
     )
 
 
-def _image_derivative(parts: Parts, eye: Eye, prediction: Prediction, values: Array) -> Array | None:
+def _image_derivative(
+    parts: EffectsByPlace, eye: ImageModel, prediction: Prediction, values: Array
+) -> Array | None:
     if not parts.act_on_images:
         return None
     return measurement_by_values(parts, eye.view, prediction, eye.pose_rate, values)

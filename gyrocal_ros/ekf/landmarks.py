@@ -72,7 +72,7 @@ def forget_all(state: State) -> State:
     return keep(state, np.zeros(len(state.landmarks.ids), bool))
 
 
-def note_sighting(state: State, accepted: IntArray, rejected: IntArray, drop_after: int) -> State:
+def count_matches(state: State, accepted: IntArray, rejected: IntArray, drop_after: int) -> State:
     """Count who was seen and who was an outlier; drop those that were outliers too often in a row."""
     landmarks = state.landmarks
     last_seen_ns, rejections = landmarks.last_seen_ns.copy(), landmarks.rejections.copy()
@@ -83,7 +83,7 @@ def note_sighting(state: State, accepted: IntArray, rejected: IntArray, drop_aft
     return keep(state, rejections < drop_after)
 
 
-def make_room(state: State, wanted: int, map_size: int) -> State:
+def evict_oldest(state: State, wanted: int, map_size: int) -> State:
     """Drop the features unseen for longest until `wanted` new ones fit into the map."""
     surplus = len(state.landmarks.ids) + wanted - map_size
     if surplus <= 0:

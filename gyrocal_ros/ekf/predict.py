@@ -10,10 +10,10 @@ import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.ekf.effects_by_place import Contribution, Parts, contribute, pose_by_values
+from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, MotionContribution, contribute, pose_by_values
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
 from gyrocal_ros.model.gyro import body_rates, correct
-from gyrocal_ros.model.kinematics import Motion, integrate
+from gyrocal_ros.model.kinematics import PoseStep, integrate
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import Memory, SensorModel
 
@@ -27,8 +27,8 @@ class Transition:
 
     matrix: Array
     """(r, r)"""
-    motion: Motion
-    contribution: Contribution
+    motion: PoseStep
+    contribution: MotionContribution
     """Of the effects in the model."""
     rate_rad_s: Array
     """(N, 3) corrected body rates."""
@@ -40,7 +40,7 @@ def predict(
     state: State,
     block: MotionBlock,
     model: SensorModel,
-    parts: Parts,
+    parts: EffectsByPlace,
     memories: Sequence[Memory],
     gyro: GyroConfig,
     wheels: WheelConfig,
@@ -92,7 +92,7 @@ def predict_sensitivity(
     state: State,
     transition: Transition,
     block: MotionBlock,
-    candidates: Parts,
+    candidates: EffectsByPlace,
     memories: Sequence[Memory],
 ) -> tuple[State, tuple[Memory, ...]]:
     """`X(k+1) = F X(k) + df / dtheta`: how the prediction depends on effects that the model lacks.
@@ -120,7 +120,7 @@ def predict_sensitivity(
 
 def _process_noise(
     block: MotionBlock,
-    motion: Motion,
+    motion: PoseStep,
     model: SensorModel,
     gyro: GyroConfig,
     wheels: WheelConfig,

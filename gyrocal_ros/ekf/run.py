@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ClockStep, IntArray, Rig, Span, TruthSample, seconds
-from gyrocal_ros.ekf.score_statistics import Evidence, EvidenceRecorder
+from gyrocal_ros.ekf.score_statistics import ScoreRecorder, ScoreStatistics
 from gyrocal_ros.ekf.slam import StepRecord
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.model.sensor import Effect, SensorModel
@@ -49,9 +49,9 @@ class History:
     """(s,) what rolling and pitching added: the heading turns by more than a gyro that leans feels."""
     columns: Array
     """(s, k) derivative of the correction with respect to the coefficients."""
-    told_s: Array
+    gyro_valid_s: Array
     """(s,) how long the gyro was not blind: only there the bias counts."""
-    lost_rad: Array
+    unobserved_turn_std_rad: Array
     """(s,) standard deviation of the turn that an effect could not tell."""
     distance_m: Array
     temperature_c: Array
@@ -71,7 +71,7 @@ class History:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class GroundTruth:
     """Ground truth, in a frame of its own. Only ever compared with."""
 
     time_s: Array
@@ -83,7 +83,7 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class RunEvent:
     """Something that happened during the run and that a person should know."""
 
     t_ns: int
@@ -102,9 +102,9 @@ class Run:
     history: History
     state: State
     """The last one, with the map."""
-    truth: Truth | None
-    events: tuple[Event, ...]
-    evidence: Evidence | None = None
+    truth: GroundTruth | None
+    events: tuple[RunEvent, ...]
+    scores: ScoreStatistics | None = None
     """Of effects that the model lacks, where some were on trial."""
     signal_names: tuple[str, ...] = ()
     """Of the q other recorded numbers of the history."""
@@ -119,14 +119,14 @@ class Recorder:
 
     def __init__(self, coefficient_count: int, candidates: tuple[Effect, ...] = ()) -> None:
         self._count = coefficient_count
-        self._evidence = EvidenceRecorder(candidates) if candidates else None
+        self._evidence = ScoreRecorder(candidates) if candidates else None
         self._t_ns: list[int] = []
         self._times_ns: list[int] = []
         self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 19))
         self._signals: dict[str, list[float]] = {}
         self._truth_ns: list[int] = []
         self._truth: list[tuple[float, float, float, float]] = []
-        self._events: list[Event] = []
+        self._events: list[RunEvent] = []
         self._stepped_ns = 0
 
     def running_ns(self, t_ns: int) -> int:
@@ -137,28 +137,28 @@ class Recorder:
         """Take in one step of the filter."""
         if len(self._times_ns) == len(self._rows):
             self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
-        block, sighting = record.block, record.sighting
-        measured = sighting.lesson.dof > 0
+        block, image = record.block, record.image
+        measured = image.lesson.dof > 0
         self._rows[len(self._times_ns)] = np.concatenate(
             [
                 record.mean,
                 record.std,
                 record.columns,
                 (
-                    sighting.lesson.nis,
-                    sighting.lesson.dof,
-                    sighting.lesson.log_likelihood + record.resting.log_likelihood,
-                    sighting.used,
-                    sighting.rejected,
-                    sighting.heading_rad if measured else np.nan,
-                    sighting.heading_std_rad if measured else np.nan,
+                    image.lesson.nis,
+                    image.lesson.dof,
+                    image.lesson.log_likelihood + record.resting.log_likelihood,
+                    image.used,
+                    image.rejected,
+                    image.heading_rad if measured else np.nan,
+                    image.heading_std_rad if measured else np.nan,
                     record.pixel_noise_px,
                     block.duration_s,
                     block.rate_rad_s[:, 2] @ block.dt_s,
                     record.correction_rad,
                     record.tilt_rad,
-                    record.told_s,
-                    record.lost_rad,
+                    record.gyro_valid_s,
+                    record.unobserved_turn_std_rad,
                     block.distance_m.sum(),
                     block.temperature_c[-1],
                     block.specific_force_m_s2[:, 0] @ block.dt_s / block.duration_s,
@@ -174,9 +174,9 @@ class Recorder:
         self._t_ns.append(record.t_ns)
         self._times_ns.append(self.running_ns(record.t_ns))
         if record.event:
-            self._events.append(Event(record.t_ns, record.event))
+            self._events.append(RunEvent(record.t_ns, record.event))
         if self._evidence:
-            self._evidence.add(self._times_ns[-1] - self._times_ns[0], (record.resting, sighting.lesson))
+            self._evidence.add(self._times_ns[-1] - self._times_ns[0], (record.resting, image.lesson))
 
     def add_truth(self, sample: TruthSample) -> None:
         """Take in one pose of the ground truth."""
@@ -189,10 +189,10 @@ class Recorder:
         """Take in that the clock of the stamps has stepped: what follows is on the new one."""
         self._stepped_ns += step.step_ns
         text = f'the clock stepped by {seconds(step.step_ns):+.1f} s; pose and map were begun anew'
-        self._events.append(Event(step.t_ns, text))
+        self._events.append(RunEvent(step.t_ns, text))
 
     @property
-    def events(self) -> tuple[Event, ...]:
+    def events(self) -> tuple[RunEvent, ...]:
         """What happened so far."""
         return tuple(self._events)
 
@@ -225,8 +225,8 @@ class Recorder:
             turn_rad=scalars[9],
             correction_rad=scalars[10],
             tilt_rad=scalars[11],
-            told_s=scalars[12],
-            lost_rad=scalars[13],
+            gyro_valid_s=scalars[12],
+            unobserved_turn_std_rad=scalars[13],
             distance_m=scalars[14],
             temperature_c=scalars[15],
             forward_m_s2=scalars[16],
@@ -235,17 +235,17 @@ class Recorder:
             signals=np.array([_filled(column, len(rows)) for column in self._signals.values()]).T,
         )
 
-    def evidence(self) -> Evidence | None:
+    def scores(self) -> ScoreStatistics | None:
         """Of the candidates so far, where there are any."""
-        return self._evidence.evidence() if self._evidence else None
+        return self._evidence.scores() if self._evidence else None
 
-    def truth(self) -> Truth | None:
+    def truth(self) -> GroundTruth | None:
         """Ground truth so far, if any came."""
         if len(self._truth_ns) < 2 or not self._times_ns:
             return None
         poses = np.array(self._truth)
         time_s = _since_first(self._truth_ns, self._times_ns)
-        return Truth(time_s, poses[:, :3], np.unwrap(poses[:, 3]))
+        return GroundTruth(time_s, poses[:, :3], np.unwrap(poses[:, 3]))
 
 
 def _since_first(times_ns: list[int], steps_ns: list[int]) -> Array:

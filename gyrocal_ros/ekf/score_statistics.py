@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.ekf.update import Lesson
+from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.model.sensor import Effect
 
 BLOCK_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class ScoreStatistics:
     """Sums over B blocks of time for c candidate coefficients."""
 
     candidates: tuple[Effect, ...]
@@ -31,13 +31,15 @@ class Evidence:
     score: Array
     """(B, c) b of each block."""
 
-    def first_half(self) -> Evidence:
+    def first_half(self) -> ScoreStatistics:
         """That of the first half of the blocks."""
         half = (len(self.start_s) + 1) // 2
-        return Evidence(self.candidates, self.start_s[:half], self.information[:half], self.score[:half])
+        return ScoreStatistics(
+            self.candidates, self.start_s[:half], self.information[:half], self.score[:half]
+        )
 
 
-class EvidenceRecorder:
+class ScoreRecorder:
     """Adds up lessons, block by block."""
 
     def __init__(self, candidates: tuple[Effect, ...]) -> None:
@@ -46,7 +48,7 @@ class EvidenceRecorder:
         self._information: list[Array] = []
         self._score: list[Array] = []
 
-    def add(self, time_ns: int, lessons: tuple[Lesson, ...]) -> None:
+    def add(self, time_ns: int, lessons: tuple[UpdateStats, ...]) -> None:
         """Take in what one step of the filter taught, so long after the first one."""
         block = int(time_ns / (BLOCK_S * NS_PER_S))
         while len(self._score) <= block:
@@ -57,7 +59,7 @@ class EvidenceRecorder:
                 self._information[block] += lesson.information
                 self._score[block] += lesson.score
 
-    def evidence(self) -> Evidence:
+    def scores(self) -> ScoreStatistics:
         """All so far."""
         start_s = BLOCK_S * np.arange(len(self._score))
-        return Evidence(self._candidates, start_s, np.array(self._information), np.array(self._score))
+        return ScoreStatistics(self._candidates, start_s, np.array(self._information), np.array(self._score))

@@ -29,17 +29,24 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.ekf.effects_by_place import sort_effects, true_camera
-from gyrocal_ros.ekf.gating import NoiseFollower, chi_square_quantile
-from gyrocal_ros.ekf.image_update import Eye, Sighting, meet, newcomers, search_regions, see
+from gyrocal_ros.ekf.gating import AdaptiveNoise, chi_square_quantile
+from gyrocal_ros.ekf.image_update import (
+    ImageModel,
+    ImageUpdate,
+    add_landmarks,
+    search_regions,
+    unmapped,
+    update_from_image,
+)
 from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.motion import MotionBuffer
 from gyrocal_ros.ekf.predict import Transition, predict, predict_sensitivity
-from gyrocal_ros.ekf.start import Start, initial_state, moved_unseen
+from gyrocal_ros.ekf.start import Start, inflate_after_gap, initial_state
 from gyrocal_ros.ekf.state import POSE, YAW, State
-from gyrocal_ros.ekf.update import Lesson, heading_update, zero_rate_update
+from gyrocal_ros.ekf.update import UpdateStats, heading_update, zero_rate_update
 from gyrocal_ros.errors import ConfigError, FilterDivergedError
 from gyrocal_ros.model.features import PARAMETRISATIONS
-from gyrocal_ros.model.features.base import View, view_from_pose
+from gyrocal_ros.model.features.base import PosedCamera, posed_camera
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
 MAX_BLOCK_NS = 250_000_000
@@ -63,8 +70,8 @@ class StepRecord:
     """(9 + k,) robot part of the state."""
     std: Array
     """(9 + k,)"""
-    sighting: Sighting
-    resting: Lesson
+    image: ImageUpdate
+    resting: UpdateStats
     """What standing still taught."""
     block: MotionBlock
     """The motion that led here."""
@@ -75,9 +82,9 @@ class StepRecord:
     """By how much more the heading turned than the body about its own z axis, which is not upright."""
     columns: Array
     """(k,) its derivative with respect to the coefficients, rad per unit."""
-    told_s: float
+    gyro_valid_s: float
     """How long the gyro was not blind in this block: only there the bias counts."""
-    lost_rad: float
+    unobserved_turn_std_rad: float
     """Standard deviation of the turn that an effect could not tell, as beyond the range of the gyro."""
     pixel_noise_px: float
     """Present estimate."""
@@ -111,7 +118,7 @@ class EkfSlam:
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
         self.expect_pixel_noise(config.camera.pixel_noise_px)
         reference_std = math.radians(config.reference.heading_noise_deg)
-        self.reference_noise = NoiseFollower(reference_std, 1e-3 * reference_std, 1e3 * reference_std)
+        self.reference_noise = AdaptiveNoise(reference_std, 1e-3 * reference_std, 1e3 * reference_std)
         self.has_started = False
         self._parts, self._candidates = sort_effects(model.effects), sort_effects(candidates)
         if self.parametrisation.rows != 2 and (self._parts.act_on_images or self._candidates.act_on_images):
@@ -136,7 +143,7 @@ class EkfSlam:
     def expect_pixel_noise(self, std_px: float) -> None:
         """Begin the estimation of the pixels' noise (anew) with this standard deviation."""
         highest_px = max(HIGHEST_PIXEL_NOISE_PX, 5.0 * std_px)
-        self.pixel_noise = NoiseFollower(std_px, LOWEST_PIXEL_NOISE_PX, highest_px)
+        self.pixel_noise = AdaptiveNoise(std_px, LOWEST_PIXEL_NOISE_PX, highest_px)
 
     def step(self, measurement: Measurement) -> list[StepRecord]:
         """Take one measurement; return the steps that have become possible by it (often none).
@@ -168,12 +175,12 @@ class EkfSlam:
         """How long the gyro has been running, as far as is known."""
         return self._buffer.running_s(self.state.t_ns)
 
-    def view(self) -> View:
+    def view(self) -> PosedCamera:
         """The camera at the present estimate."""
         assert self.rig.camera is not None
         state = self.state
         camera, mount = true_camera(self._parts, self.rig.camera, self.rig.camera_mount, state.coefficients)
-        return view_from_pose(camera, mount, state.position_m, state.euler_rad)
+        return posed_camera(camera, mount, state.position_m, state.euler_rad)
 
     def regions(self) -> SearchRegions:
         """Where the mapped features are expected in an image taken now."""
@@ -215,32 +222,32 @@ class EkfSlam:
             self.state, self._candidate_memories = predict_sensitivity(
                 self.state, transition, block, self._candidates, self._candidate_memories
             )
-        resting = Lesson()
+        resting = UpdateStats()
         if self._is_resting(block):
             std = math.radians(config.rest.rotation_noise_deg)
             gate = chi_square_quantile(1.0 - config.features.outlier_probability, 3)
             self.state, resting = zero_rate_update(before, self.state, transition.matrix, std, gate)
 
-        sighting, event = Sighting(), ''
+        image, event = ImageUpdate(), ''
         if isinstance(seen, HeadingSample):
-            sighting = self._compare_heading(seen)
+            image = self._compare_heading(seen)
         elif seen is not None:
-            sighting = self._see(seen)
-            event = self._watch(sighting)
+            image = self._see(seen)
+            event = self._watch(image)
         r, columns = self.state.robot_size, block.dt_s @ correction.by_values
         learned = self.state.coefficients - before.coefficients
         return StepRecord(
             t_ns=t_ns,
             mean=self.state.mean[:r],
             std=np.sqrt(np.diagonal(self.state.covariance)[:r]),
-            sighting=sighting,
+            image=image,
             resting=resting,
             block=block,
             correction_rad=float(block.dt_s @ correction.rate_rad_s + columns @ learned),
             tilt_rad=_turned_by_tilt(before, transition, block),
             columns=columns,
-            told_s=float(np.sum(block.dt_s * correction.sees)),
-            lost_rad=float(np.sum(block.dt_s * correction.noise_rad_s)),
+            gyro_valid_s=float(np.sum(block.dt_s * correction.sees)),
+            unobserved_turn_std_rad=float(np.sum(block.dt_s * correction.noise_rad_s)),
             pixel_noise_px=self.pixel_noise.std,
             event=event,
         )
@@ -254,8 +261,8 @@ class EkfSlam:
             self._resting_since_ns = block.start_ns
         return seconds(block.end_ns - self._resting_since_ns) > self.config.rest.settle_s
 
-    def _eye(self) -> Eye:
-        return Eye(
+    def _eye(self) -> ImageModel:
+        return ImageModel(
             view=self.view(),
             form=self.parametrisation,
             config=self.config,
@@ -265,17 +272,17 @@ class EkfSlam:
             pose_rate=self._pose_rate,
         )
 
-    def _see(self, observations: FeatureObservations) -> Sighting:
+    def _see(self, observations: FeatureObservations) -> ImageUpdate:
         if self.parametrisation.needs_motion_gate and not self._has_moved():
-            return Sighting()
+            return ImageUpdate()
         self._updated_at = self.state.mean[POSE].copy()
-        self.state, sighting = see(self.state, self._eye(), observations)
-        fresh = newcomers(self.state, observations, self.config.features.map_size)
+        self.state, image = update_from_image(self.state, self._eye(), observations)
+        fresh = unmapped(self.state, observations, self.config.features.map_size)
         if fresh:
-            self.state = meet(self.state, self._eye(), observations, fresh)
+            self.state = add_landmarks(self.state, self._eye(), observations, fresh)
         if self.config.camera.estimate_pixel_noise:
-            self.pixel_noise.follow(sighting.noise_distances, 2)
-        return replace(sighting, added=len(fresh))
+            self.pixel_noise.follow(image.noise_distances, 2)
+        return replace(image, added=len(fresh))
 
     def _has_moved(self) -> bool:
         """The motion gate of the paper's parametrisation: some parallax or turn since the last update."""
@@ -286,14 +293,14 @@ class EkfSlam:
         far = float(np.linalg.norm(moved[:3])) >= features.motion_gate_m
         return far or abs(moved[YAW]) >= math.radians(features.motion_gate_deg)
 
-    def _watch(self, sighting: Sighting) -> str:
+    def _watch(self, image: ImageUpdate) -> str:
         """Give the map up when image after image contradicts it; give up altogether in the end."""
         if self.pixel_noise.is_at_the_top:
             raise FilterDivergedError(
                 f'the images miss what is expected of them by {self.pixel_noise.std:.0f} px and more',
                 todo=CHECK_THE_CAMERA,
             )
-        contradicted = sighting.rejected > 2 * sighting.used and sighting.rejected >= 3
+        contradicted = image.rejected > 2 * image.used and image.rejected >= 3
         self._lost_frames = self._lost_frames + 1 if contradicted else 0
         if self._lost_frames < LOST_FRAMES:
             return ''
@@ -307,7 +314,7 @@ class EkfSlam:
         self.state = forget_all(self.state)
         return 'the images contradicted the map; a new map was begun'
 
-    def _compare_heading(self, sample: HeadingSample) -> Sighting:
+    def _compare_heading(self, sample: HeadingSample) -> ImageUpdate:
         """Correct by another heading reference, aligned to the map when it first speaks."""
         state, noise = self.state, self.reference_noise
         if self._reference_offset is None:
@@ -315,7 +322,7 @@ class EkfSlam:
             covariance = state.covariance.copy()
             covariance[YAW, YAW] += noise.std**2
             self.state = replace(state, covariance=covariance)
-            return Sighting()
+            return ImageUpdate()
         by_values, by_candidates = np.zeros(self._parts.count), np.zeros(self._candidates.count)
         for derivative, parts in ((by_values, self._parts), (by_candidates, self._candidates)):
             for _, place in parts.time:
@@ -326,7 +333,7 @@ class EkfSlam:
         )
         if std < 2.0 * noise.std:
             noise.follow(np.array([lesson.nis]), 1)
-        return Sighting(lesson=lesson, heading_rad=residual, heading_std_rad=std)
+        return ImageUpdate(lesson=lesson, heading_rad=residual, heading_std_rad=std)
 
     def _start_new_time_base(self, step: ClockStep) -> list[StepRecord]:
         """Keep the calibration; forget where the robot is, for nobody saw it move meanwhile."""
@@ -334,7 +341,7 @@ class EkfSlam:
         self._waiting.clear()
         self._buffer = MotionBuffer(self.running_s)
         self._resting_since_ns = self._reference_offset = None
-        self.state = moved_unseen(forget_all(self.state), step.t_ns)
+        self.state = inflate_after_gap(forget_all(self.state), step.t_ns)
         self.has_started = False
         return records
 

@@ -54,7 +54,7 @@ def initial_state(model: SensorModel, config: Config, start: Start | None, candi
     return State(0, mean, covariance, len(coefficients), no_landmarks(), np.zeros((size, candidate_count)))
 
 
-def moved_unseen(state: State, t_ns: int) -> State:
+def inflate_after_gap(state: State, t_ns: int) -> State:
     """The robot part of a state without a map, carried over a time in which nobody saw the robot."""
     covariance = state.covariance.copy()
     covariance[POSITION, POSITION] += LOST_POSITION_STD_M**2 * np.eye(3)
@@ -62,11 +62,11 @@ def moved_unseen(state: State, t_ns: int) -> State:
     return replace(state, t_ns=t_ns, covariance=covariance)
 
 
-def begun_anew(start: State, state: State) -> State:
+def restarted_at(start: State, state: State) -> State:
     """A start at about the pose of another state, so that the robot does not jump to the origin of the map.
 
     Height and tilt begin anew: the new map is as level as the robot is.
     """
     mean = start.mean.copy()
     mean[:2], mean[YAW] = state.mean[:2], state.mean[YAW]
-    return moved_unseen(replace(start, mean=mean), state.t_ns)
+    return inflate_after_gap(replace(start, mean=mean), state.t_ns)

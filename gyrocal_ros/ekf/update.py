@@ -50,7 +50,7 @@ class Innovation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lesson:
+class UpdateStats:
     """What an update taught, beside the new state."""
 
     nis: float = 0.0
@@ -131,7 +131,7 @@ def mahalanobis(residual: Array, precisions: Array) -> Array:
     return distances
 
 
-def update(state: State, innovation: Innovation) -> tuple[State, Lesson]:
+def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
     """One stacked update with all features of an image.
 
     With L L^T = S and W = L^-1 H P, the covariance loses W^T W: symmetric by construction, and it
@@ -152,7 +152,7 @@ def update(state: State, innovation: Innovation) -> tuple[State, Lesson]:
 
 def zero_rate_update(
     before: State, after: State, matrix: Array, rotation_std_rad: float, gate: float
-) -> tuple[State, Lesson]:
+) -> tuple[State, UpdateStats]:
     """At rest the robot does not turn: between two moments the Euler angles change by nothing.
 
     The measurement `euler(after) - euler(before) = 0` shares the gyro noise with the prediction;
@@ -173,14 +173,14 @@ def zero_rate_update(
     change_covariance = change_covariance + rotation_std_rad**2 * np.eye(3)
     residual = before.euler_rad - after.euler_rad
     if residual @ np.linalg.solve(change_covariance, residual) > gate:
-        return after, Lesson()
+        return after, UpdateStats()
     sensitivity = after.sensitivity[EULER] - before.sensitivity[EULER]
     return _correct(after, residual, with_change, change_covariance, sensitivity)
 
 
 def heading_update(
     state: State, yaw_rad: float, std_rad: float, by_values: Array, by_candidates: Array
-) -> tuple[State, Lesson, float, float]:
+) -> tuple[State, UpdateStats, float, float]:
     """A heading by an outside reference, already in the map's frame.
 
     Args:
@@ -207,7 +207,7 @@ def heading_update(
 
 def _correct(
     state: State, residual: Array, numerator: Array, covariance: Array, sensitivity: Array
-) -> tuple[State, Lesson]:
+) -> tuple[State, UpdateStats]:
     """The update itself, for q measured numbers.
 
     Args:
@@ -229,7 +229,7 @@ def _correct(
         raise FilterDivergedError('the estimate is no longer finite', todo='check the noise settings')
     after = replace(state, mean=mean, covariance=state.covariance - gain.T @ gain)
     log_determinant = 2.0 * float(np.log(np.diagonal(factor)).sum())
-    lesson = Lesson(float(score @ score), len(residual), log_determinant)
+    lesson = UpdateStats(float(score @ score), len(residual), log_determinant)
     if trial.shape[1] == 0:
         return after, lesson
     after = replace(after, sensitivity=state.sensitivity - gain.T @ trial)

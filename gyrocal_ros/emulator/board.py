@@ -13,7 +13,7 @@ from itertools import chain
 
 from gyrocal_ros.board.clock import NS_PER_US
 from gyrocal_ros.board.counts import imu_counts, supply_counts, wheel_counts
-from gyrocal_ros.board.messages import Acknowledgement, Message, Result, SetRates, Three, Wheels, Zero
+from gyrocal_ros.board.messages import Acknowledgement, CommandResult, Message, SetRates, Three, Wheels, Zero
 from gyrocal_ros.board.protocol import Decoder, encode
 from gyrocal_ros.config.sections import BoardConfig
 from gyrocal_ros.data import (
@@ -161,7 +161,7 @@ class EmulatedBoard:
             if result is not None:
                 frames.append(self._answer(packet.sequence, packet.message.TYPE, result, t_ns))
         for kind, sequence in self._unknown:
-            frames.append(self._answer(sequence, kind, Result.UNKNOWN, t_ns))
+            frames.append(self._answer(sequence, kind, CommandResult.UNKNOWN, t_ns))
         self._unknown.clear()
         return frames
 
@@ -198,18 +198,18 @@ class EmulatedBoard:
         if zeroing is None or t_ns < zeroing.until_ns:
             return
         self._zeroing = None
-        result = Result.REFUSED
+        result = CommandResult.REFUSED
         if zeroing.readings and zeroing.wheels == self._wheels():
-            self._zero, result = _mean(zeroing.readings), Result.DONE
+            self._zero, result = _mean(zeroing.readings), CommandResult.DONE
         yield self._answer(zeroing.answers, Zero.TYPE, result, t_ns)
 
-    def _obey(self, message: Message, sequence: int, t_ns: int) -> Result | None:
+    def _obey(self, message: Message, sequence: int, t_ns: int) -> CommandResult | None:
         """Carry a command out; None where the answer comes later, or what came is none."""
         if isinstance(message, SetRates):
             if not self._sensors.can(message):
-                return Result.OUT_OF_RANGE
+                return CommandResult.OUT_OF_RANGE
             self._rates, self._supply_ns = message, None
-            return Result.DONE
+            return CommandResult.DONE
         if isinstance(message, Zero):
             self._zeroing = Zeroing(sequence, t_ns + message.duration * NS_PER_MS, self._wheels())
         return None
@@ -222,7 +222,7 @@ class EmulatedBoard:
         self._readings[kind] += 1
         return rate_hz > 0 and self._readings[kind] % max(most_hz // rate_hz, 1) == 0
 
-    def _answer(self, sequence: int, command: int, result: Result, t_ns: int) -> bytes:
+    def _answer(self, sequence: int, command: int, result: CommandResult, t_ns: int) -> bytes:
         return self._frame(Acknowledgement(sequence, command, result), t_ns)
 
     def _frame(self, message: Message, t_ns: int) -> bytes:

@@ -83,7 +83,7 @@ class Port:
         return b''
 
 
-class Player:
+class TerminalPlayer:
     """Plays on a port, in real time.
 
     Args:

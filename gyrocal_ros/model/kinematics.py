@@ -16,7 +16,7 @@ from gyrocal_ros.model.rotation import euler_rate_matrices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class PoseStep:
     """Pose at the end of a block and its derivatives; a pose is (position, Euler angles), 6 values."""
 
     position_m: Array
@@ -48,7 +48,7 @@ class _Trig(NamedTuple):
 
 def integrate(
     position_m: Array, euler_rad: Array, rate_rad_s: Array, dt_s: Array, distance_m: Array
-) -> Motion:
+) -> PoseStep:
     """Eq. (2): carry the pose over a block of N intervals, Eq. (1) being its continuous form.
 
     The Euler angles follow the midpoint rule, for all intervals at once: a guess that is exact to
@@ -90,7 +90,7 @@ def integrate(
     rate_gain[:3] = np.einsum('ijn,jkn->ikn', steps_after, euler_gain)
     forward = _forward(trig)
     last_step = np.concatenate([forward[:, -1] * distance_m[-1], increments[:, -1]])
-    return Motion(
+    return PoseStep(
         position_m=position_m + forward @ distance_m,
         euler_rad=euler_rad + ends[:, -1],
         transition=transition,

@@ -21,7 +21,7 @@ class Severity(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class BagIssue:
     """One thing that is wrong or odd."""
 
     severity: Severity
@@ -39,7 +39,7 @@ class Finding:
         return f'{where}{self.text}; {self.todo}' if self.todo else f'{where}{self.text}'
 
 
-def refuse_errors(findings: Iterable[Finding], where: str) -> None:
+def refuse_errors(findings: Iterable[BagIssue], where: str) -> None:
     """Raise the first finding that leaves nothing to calibrate.
 
     Args:
@@ -55,10 +55,10 @@ def refuse_errors(findings: Iterable[Finding], where: str) -> None:
             raise RecordingError(finding.text, where=place, todo=finding.todo)
 
 
-def one_a_kind(findings: Iterable[Finding]) -> list[Finding]:
+def one_a_kind(findings: Iterable[BagIssue]) -> list[BagIssue]:
     """Return one finding a kind, the worst of each: enough for a person who wants to get on."""
     order = list(Severity)
-    worst: dict[str, Finding] = {}
+    worst: dict[str, BagIssue] = {}
     for finding in findings:
         known = worst.setdefault(finding.kind, finding)
         if order.index(finding.severity) < order.index(known.severity):

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import CameraConfig
 from gyrocal_ros.data import NS_PER_S, Array, ImuSample, Mount
-from gyrocal_ros.msgs.issues import Finding, Severity
+from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import BODY_FRAME
 from gyrocal_ros.msgs.transforms import (
     IDENTITY,
@@ -40,9 +40,9 @@ def mount_of_frame(links: Sequence[Transform], frame: str) -> Mount | None:
     return next((mount for mount in mounts if mount), None)
 
 
-def no_camera_transform(topic: str, frame: str) -> Finding:
+def no_camera_transform(topic: str, frame: str) -> BagIssue:
     """That the settings have to say how the camera sits."""
-    return Finding(
+    return BagIssue(
         Severity.WARNING,
         'camera_mount',
         topic,
@@ -57,7 +57,7 @@ def imu_rotation(
     links: Sequence[Transform],
     force_m_s2: Array,
     turned_against: Callable[[Array], str] = lambda R_bi: '',
-) -> tuple[Array, list[Finding]]:
+) -> tuple[Array, list[BagIssue]]:
     """The rotation from an IMU's axes to body axes.
 
     A transform says it; without one, gravity tells an IMU that is upside down or on its side.
@@ -77,21 +77,21 @@ def imu_rotation(
     force = R_bi @ force_m_s2
     if not force.any():
         return R_bi, []
-    evidence = 'at rest it reads ({:.1f}, {:.1f}, {:.1f}) m/s^2 where (0, 0, 9.8) is expected'.format(*force)
+    scores = 'at rest it reads ({:.1f}, {:.1f}, {:.1f}) m/s^2 where (0, 0, 9.8) is expected'.format(*force)
     mending = upright_rotation(force)
     if mending and (witness := turned_against(mending.R_bs @ R_bi)):
         mending = upright_rotation(-force)
-        evidence = f'{witness} turns the other way, whatever the accelerometer says'
+        scores = f'{witness} turns the other way, whatever the accelerometer says'
     if mending is UPRIGHT:
         return R_bi, []
     where = f'from {BODY_FRAME} to {frame or "its frame"}'
     if mending is None or mount:
         problem = 'is tilted' if mending is None else 'contradicts its transform'
         todo = f'check its mounting and the transform {where}'
-        return R_bi, [Finding(Severity.WARNING, 'imu_mount', topic, f'{problem}: {evidence}', todo)]
+        return R_bi, [BagIssue(Severity.WARNING, 'imu_mount', topic, f'{problem}: {scores}', todo)]
     problem = 'is upside down' if mending is UPSIDE_DOWN else 'lies on its side'
     todo = f'it is turned by {mending.words} here; better publish that {where} on /tf_static'
-    return mending.R_bs, [Finding(Severity.WARNING, 'imu_mount', topic, f'{problem}: {evidence}', todo)]
+    return mending.R_bs, [BagIssue(Severity.WARNING, 'imu_mount', topic, f'{problem}: {scores}', todo)]
 
 
 def into_body_axes(R_bi: Array) -> Callable[[ImuSample], ImuSample]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal_ros.data import Array, CalibratedSample, IntArray, Mount, Whereabouts
+from gyrocal_ros.data import Array, CalibratedSample, IntArray, Mount, OdometryEstimate
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.to_ros import MessageMaker
@@ -44,7 +44,7 @@ def calibrated_imu(make: MessageMaker, sample: CalibratedSample, frame: str) -> 
     )
 
 
-def whereabouts(make: MessageMaker, place: Whereabouts, frame: str, body_frame: str) -> Any:
+def whereabouts(make: MessageMaker, place: OdometryEstimate, frame: str, body_frame: str) -> Any:
     """Make an Odometry with covariances."""
     twist_covariance = np.zeros(36)
     twist_covariance[::7] = (*place.speed_variances, *place.rate_variances)
@@ -69,7 +69,7 @@ def whereabouts(make: MessageMaker, place: Whereabouts, frame: str, body_frame: 
     )
 
 
-def map_to_odom(place: Whereabouts, in_odom: Mount, frame: str, odom_frame: str) -> Transform:
+def map_to_odom(place: OdometryEstimate, in_odom: Mount, frame: str, odom_frame: str) -> Transform:
     """How `odom` lies in the map, by where the body is in both at one moment."""
     in_map = Mount(rotation_from_euler(np.array(place.euler_rad)), np.array(place.position_m))
     return Transform(frame, odom_frame, between(in_map, in_odom))

@@ -37,7 +37,7 @@ from gyrocal_ros.robot.map_points import Ceiling, ceiling
 SECTIONS = ('gyro', 'wheels', 'camera', 'features', 'rest', 'convergence')
 
 
-class Calibrator:
+class CalibratorNode:
     """The node."""
 
     def __init__(self) -> None:
@@ -189,10 +189,10 @@ def _model(path: str, effects_from: str) -> SensorModel:
     return load_model(Path(path).expanduser() if path else None)
 
 
-def make() -> Calibrator:
+def make() -> CalibratorNode:
     """Make the node.
 
     Raises:
         ConfigError: a parameter, the model or the file of the calibration cannot be used.
     """
-    return Calibrator()
+    return CalibratorNode()

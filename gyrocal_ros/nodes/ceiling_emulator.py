@@ -58,7 +58,7 @@ class CeilingSections:
     ceiling: CeilingConfig = CeilingConfig()
 
 
-class CeilingEmulator:
+class CeilingEmulatorNode:
     """The node; it stays when the last image is taken, for its transforms are still needed."""
 
     def __init__(self) -> None:
@@ -123,6 +123,6 @@ class CeilingEmulator:
         return status(fine, complaints, {'images': self._taken, 'left_out': self._left_out})
 
 
-def make() -> CeilingEmulator:
+def make() -> CeilingEmulatorNode:
     """Start the node."""
-    return CeilingEmulator()
+    return CeilingEmulatorNode()

@@ -25,7 +25,7 @@ TRANSFORMS = QoSProfile(depth=100)
 """As tf2 has it."""
 
 
-class Driver:
+class DriverNode:
     """Shell round a `BoardDriver`, which publishes in the thread that reads."""
 
     def __init__(self) -> None:
@@ -94,6 +94,6 @@ class Driver:
         return response
 
 
-def make() -> Driver:
+def make() -> DriverNode:
     """Start the node."""
-    return Driver()
+    return DriverNode()

@@ -26,7 +26,7 @@ IMAGE_EVERY_S = 0.5
 """A person needs no more images than that."""
 
 
-class Listener:
+class ListenerNode:
     """Hears the calibration, the health of the nodes and the tracks."""
 
     def __init__(self, node: Node, feed: Feed) -> None:
@@ -68,7 +68,7 @@ def listening(namespace: str = '', domain: int | None = None) -> Iterator[Feed]:
     rclpy.init(context=context, domain_id=domain)
     node = rclpy.create_node(f'gyrocal_studio_{os.getpid()}', context=context, namespace=namespace)
     feed = Feed(time.monotonic())
-    listener = Listener(node, feed)
+    listener = ListenerNode(node, feed)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 

@@ -8,12 +8,12 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from tf2_msgs.msg import TFMessage
 
-from gyrocal_ros.data import Mount, Whereabouts
+from gyrocal_ros.data import Mount, OdometryEstimate
 from gyrocal_ros.msgs.outputs import map_to_odom
 from gyrocal_ros.msgs.to_ros import MessageMaker, transform
 from gyrocal_ros.msgs.topics import ODOM_FRAME, stamp_ns
 from gyrocal_ros.nodes.endpoints import mailbox, publish, waiting
-from gyrocal_ros.robot.odom_parent import OdomParents
+from gyrocal_ros.robot.odom_parent import OdomParentGuard
 
 EVERY_NS = 45_000_000
 """So long between two: 20 in a second are enough for whoever looks up where the robot is."""
@@ -31,7 +31,7 @@ class MapFrame:
 
     def __init__(self, node: Node, make: MessageMaker) -> None:
         self._make, self._odom_frame = make, ODOM_FRAME
-        self._parents = OdomParents(time.monotonic())
+        self._parents = OdomParentGuard(time.monotonic())
         self._sent_ns = 0
         self._publisher = publish(node, TFMessage, '/tf', QoSProfile(depth=100))
         self._others = mailbox(node, TFMessage, '/tf', SOME)
@@ -41,7 +41,7 @@ class MapFrame:
         """What is in the way, empty for nothing."""
         return self._parents.complaint(time.monotonic())
 
-    def send(self, place: Whereabouts, in_odom: Mount, frame: str, odom_frame: str) -> None:
+    def send(self, place: OdometryEstimate, in_odom: Mount, frame: str, odom_frame: str) -> None:
         """Send it, by where the body is in both frames at one moment, unless that was done just now."""
         self._odom_frame = odom_frame
         if abs(place.t_ns - self._sent_ns) < EVERY_NS or not self._parents.may_send(time.monotonic()):

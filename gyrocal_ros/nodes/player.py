@@ -53,7 +53,7 @@ class PlayerSections:
     player: PlayerConfig = PlayerConfig()
 
 
-class Player:
+class PlayerNode:
     """The node; it ends with the recording."""
 
     def __init__(self) -> None:
@@ -153,6 +153,6 @@ class Player:
         self._timer.reset()
 
 
-def make() -> Player:
+def make() -> PlayerNode:
     """Start the node."""
-    return Player()
+    return PlayerNode()

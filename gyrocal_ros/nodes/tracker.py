@@ -38,7 +38,7 @@ QUEUED_S = 1.0
 """An image does not wait longer than this to be heard."""
 
 
-class Tracker:
+class TrackerNode:
     """The node."""
 
     def __init__(self) -> None:
@@ -140,6 +140,6 @@ class Tracker:
             )
 
 
-def make() -> Tracker:
+def make() -> TrackerNode:
     """Start the node."""
-    return Tracker()
+    return TrackerNode()

@@ -22,14 +22,20 @@ from gyrocal_ros.data import (
     TruthSample,
     seconds,
 )
-from gyrocal_ros.ekf.run import Event, Recorder, Run
+from gyrocal_ros.ekf.run import Recorder, Run, RunEvent
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
 from gyrocal_ros.errors import FilterDivergedError, NotObservableError, RecordingError
 from gyrocal_ros.model.sensor import Effect, SensorModel, signals_of
-from gyrocal_ros.pipeline.heading_reference import WALKS_DEG, Preview, log_likelihood, on_time, preview
-from gyrocal_ros.pipeline.visual_slam import SeeingFilter
+from gyrocal_ros.pipeline.heading_reference import (
+    WALKS_DEG,
+    ReferenceFit,
+    fit_reference,
+    log_likelihood,
+    on_time,
+)
+from gyrocal_ros.pipeline.visual_slam import VisualSlam
 
 MAX_MISFIT_DEG = 2.0
 """A heading reference that differs more than this from the best fit of the gyro is no good."""
@@ -50,7 +56,7 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Held:
+class InMemorySource:
     """A source whose measurements are in memory."""
 
     name: str
@@ -96,7 +102,7 @@ def calibrate(
     return replace(run, events=(*run.events, *_unrecorded_signals(run)))
 
 
-def hold(
+def preload(
     source: Source,
     config: Config,
     model: SensorModel,
@@ -120,10 +126,10 @@ def hold(
         return source, config
     held: list[Measurement] = []
     followed: list[Measurement] = []
-    seeing: SeeingFilter | None = None
+    seeing: VisualSlam | None = None
     for measurement in _telling(source, report):
         if isinstance(measurement, Frame) and seeing is None:
-            seeing = SeeingFilter(EkfSlam(model, config, source.rig), followed.append)
+            seeing = VisualSlam(EkfSlam(model, config, source.rig), followed.append)
             for earlier in held:
                 seeing.step(earlier)
         if seeing is not None:
@@ -131,23 +137,23 @@ def hold(
         if not isinstance(measurement, Frame):
             held.append(measurement)
     if seeing is None:
-        return Held(source.name, source.rig, source.span, held), config
+        return InMemorySource(source.name, source.rig, source.span, held), config
     if any(isinstance(measurement, ClockStep) for measurement in held):
         return source, config
     seeing.finish()
     merged = sorted([*held, *followed], key=attrgetter('t_ns'))
     noise = replace(config.camera, pixel_noise_px=config.tracker.noise_px)
-    return Held(source.name, source.rig, source.span, merged), replace(config, camera=noise)
+    return InMemorySource(source.name, source.rig, source.span, merged), replace(config, camera=noise)
 
 
 def _telling(source: Source, report: Callable[[Progress], None] | None) -> Iterator[Measurement]:
     """Yield the measurements and tell about once a second how far they are."""
-    told_s = 0.0
+    gyro_valid_s = 0.0
     for measurement in source.measurements():
         yield measurement
         done_s = seconds(measurement.t_ns - source.span.start_ns)
-        if report is not None and done_s - told_s >= 1.0:
-            told_s = done_s
+        if report is not None and done_s - gyro_valid_s >= 1.0:
+            gyro_valid_s = done_s
             report(Progress(done_s, source.span.duration_s))
 
 
@@ -162,7 +168,7 @@ def _run(
 ) -> Run:
     """One pass of the filter."""
     slam = EkfSlam(model, config, source.rig, start, candidates)
-    seeing = SeeingFilter(slam)
+    seeing = VisualSlam(slam)
     recorder = Recorder(len(model.coefficients), candidates)
     span, told_ns = source.span, source.span.start_ns
 
@@ -177,7 +183,7 @@ def _run(
             state=slam.state,
             truth=recorder.truth(),
             events=recorder.events,
-            evidence=recorder.evidence(),
+            scores=recorder.scores(),
             signal_names=recorder.signal_names,
         )
 
@@ -200,7 +206,7 @@ def _run(
     return so_far()
 
 
-def _unrecorded_signals(run: Run) -> Iterator[Event]:
+def _unrecorded_signals(run: Run) -> Iterator[RunEvent]:
     """Effects of the model that follow what was not recorded, and so stay as they were."""
     recorded = set(run.signal_names)
     if np.isfinite(run.history.temperature_c).any():
@@ -208,7 +214,7 @@ def _unrecorded_signals(run: Run) -> Iterator[Event]:
     for signal, names in signals_of(run.model).items():
         if signal not in recorded:
             text = f'{signal} is not recorded: nothing can be learned of {", ".join(names)}'
-            yield Event(run.span.start_ns, text)
+            yield RunEvent(run.span.start_ns, text)
 
 
 def _calibrate_by_heading(
@@ -223,7 +229,7 @@ def _calibrate_by_heading(
 
     A reference of unknown make drifts; taken for white, its drift would make the filter far too sure.
     """
-    first_look = preview(source.measurements(), source.name)
+    first_look = fit_reference(source.measurements(), source.name)
     stream = [
         on_time(sample, first_look.time_offset_s) if isinstance(sample, HeadingSample) else sample
         for sample in source.measurements()
@@ -251,18 +257,18 @@ def _widened(run: Run, scale_std: float) -> Run:
     )
 
 
-def _reference_events(first_look: Preview, span: Span) -> Iterator[Event]:
+def _reference_events(first_look: ReferenceFit, span: Span) -> Iterator[RunEvent]:
     """What a person should know of the reference."""
     if abs(first_look.time_offset_s) >= 0.02:
         late = 'late' if first_look.time_offset_s > 0.0 else 'early'
         text = (
             f'the reference is stamped {abs(first_look.time_offset_s) * 1e3:.0f} ms too {late}; allowed for'
         )
-        yield Event(span.start_ns, text)
+        yield RunEvent(span.start_ns, text)
     misfit_deg = math.degrees(first_look.residual_rms_rad)
     if misfit_deg > MAX_MISFIT_DEG:
         text = f'the reference does not fit the gyro: {misfit_deg:.1f} deg rms are left over at best'
-        yield Event(span.start_ns, text)
+        yield RunEvent(span.start_ns, text)
 
 
 def _require_observable(run: Run) -> None:

@@ -25,7 +25,7 @@ WALKS_DEG = (0.01, 0.03, 0.1, 0.3, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Preview:
+class ReferenceFit:
     """How a heading reference goes with the gyro, by least squares over the whole recording."""
 
     scale_factor: float
@@ -38,7 +38,7 @@ class Preview:
     whatever the reference's errors are, as long as they do not last longer than a block."""
 
 
-def preview(measurements: Iterable[Measurement], where: str) -> Preview:
+def fit_reference(measurements: Iterable[Measurement], where: str) -> ReferenceFit:
     """Fit the reference heading by scale, bias, offset in time and offset in heading.
 
     Raises:
@@ -95,14 +95,14 @@ def _columns(samples: list[tuple[int, float]], start_ns: int) -> tuple[Array, Ar
     )
 
 
-def _fit(heading_s: Array, yaw: Array, imu_s: Array, turned: Array, offset_s: float) -> Preview:
+def _fit(heading_s: Array, yaw: Array, imu_s: Array, turned: Array, offset_s: float) -> ReferenceFit:
     inside = (heading_s >= imu_s[0]) & (heading_s <= imu_s[-1])
     time_s, yaw = heading_s[inside], yaw[inside]
     columns = np.stack([np.interp(time_s, imu_s, turned), time_s, np.ones(len(time_s))], axis=1)
     solution = np.linalg.lstsq(columns, yaw, rcond=None)[0]
     residual = yaw - columns @ solution
     rms = float(np.sqrt(np.mean(residual**2)))
-    return Preview(float(solution[0]), float(solution[1]), float(offset_s), rms, math.nan)
+    return ReferenceFit(float(solution[0]), float(solution[1]), float(offset_s), rms, math.nan)
 
 
 def _scale_std(heading_s: Array, yaw: Array, imu_s: Array, turned: Array) -> float:

@@ -10,7 +10,7 @@ from gyrocal_ros.ekf.slam import EkfSlam, StepRecord
 from gyrocal_ros.vision.follower import Follower
 
 
-class SeeingFilter:
+class VisualSlam:
     """The filter with the tracker before it, as the nodes of these names work together on a robot.
 
     Args:
@@ -43,7 +43,7 @@ class SeeingFilter:
                 records += self._look(self._follower)
         elif self._follower and isinstance(measurement, ClockStep):
             records += self._look_at_all()
-            self._follower.start_anew()
+            self._follower.restart()
         return records + self._step(measurement)
 
     def finish(self) -> list[StepRecord]:

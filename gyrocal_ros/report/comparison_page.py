@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gyrocal_ros import __version__
-from gyrocal_ros.diagnose.comparison import Comparison, Rival
+from gyrocal_ros.diagnose.comparison import Comparison, ModelResult
 from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.effects.model_file import model_to_yaml
@@ -71,7 +71,7 @@ def comparison_page(comparison: Comparison, findings: Sequence[tuple[str, str]] 
     )
 
 
-def _row(rival: Rival, comparison: Comparison) -> tuple[str, ...]:
+def _row(rival: ModelResult, comparison: Comparison) -> tuple[str, ...]:
     is_first = rival is comparison.rivals[0]
     rms_deg = rival.heading_rms_deg
     return (
@@ -113,7 +113,7 @@ def comparison_sections(comparison: Comparison) -> Iterator[Section]:
     yield Section('innovations', figure, CAPTIONS['innovations'])
 
 
-def _failures(rival: Rival) -> str:
+def _failures(rival: ModelResult) -> str:
     """Where a model fails, against the camera and against the ground truth."""
     heads = ('place, and what would have to be added', 'sigma')
     sets = [(f'Where {rival.label} fails against the camera', rival.fails_where)]

@@ -7,10 +7,10 @@ from html import escape
 
 from gyrocal_ros import __version__
 from gyrocal_ros.diagnose.advice import grouped
-from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift
 from gyrocal_ros.diagnose.regimes import Failure
-from gyrocal_ros.diagnose.search import Search, Stage
+from gyrocal_ros.diagnose.search import ExaminedModel, Search
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.report import diagnosis_series as series
@@ -85,7 +85,7 @@ def diagnosis_sections(searched: Search, diagnosis: Diagnosis) -> Iterator[Secti
     yield from _left_over(searched)
 
 
-def _card(finding: Finding) -> str:
+def _card(finding: MissingEffect) -> str:
     about = find_effect(finding.effect.name).about
     heads = ('coefficient', 'found', 'unit', 'which means')
     return (
@@ -105,7 +105,7 @@ def _sections(searched: Search, diagnosis: Diagnosis) -> Iterator[Section]:
     yield heading_section(title, seen, first.run.history, stretches, jump_s)
     candidates = series.candidates(searched, diagnosis)
     has_diamonds = any(row.role == 'found' for row in candidates)
-    yield _section('evidence', figures.evidence(candidates), diamonds=DIAMONDS_SAY if has_diamonds else '')
+    yield _section('evidence', figures.scores(candidates), diamonds=DIAMONDS_SAY if has_diamonds else '')
     for number, finding in enumerate(diagnosis.missing, start=1):
         drawn = series.contribution(finding)
         if drawn is not None:
@@ -114,7 +114,7 @@ def _sections(searched: Search, diagnosis: Diagnosis) -> Iterator[Section]:
     yield from _drift_sections(series.held_out_drifts(searched), diagnosis.drift_reference)
 
 
-def _first_and_last(searched: Search) -> dict[str, Stage]:
+def _first_and_last(searched: Search) -> dict[str, ExaminedModel]:
     """The model as it was, where it ran at all, and that with all that was found."""
     (name, first), *more = series.stages(searched).items()
     return {name: first, 'with all that was found': searched.last} if more else {name: first}

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s, reference_path
 from gyrocal_ros.diagnose.heading_filter import MAP_WALK_DEG, TURNING_RAD_S, Headings
-from gyrocal_ros.diagnose.search import Search, Stage
+from gyrocal_ros.diagnose.search import ExaminedModel, Search
 from gyrocal_ros.diagnose.shapes import RATE, Shape, axes, hats, shapes
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.sketch import sketch
@@ -42,7 +42,7 @@ class Wander:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class CandidateRow:
     """One effect that was on trial, and how it looks once the found ones are in the model."""
 
     name: str
@@ -89,7 +89,7 @@ def wander(seen: Headings) -> Wander:
     away = np.cumsum(seen.turn_rad)[told] - seen.seen_rad[told]
     time_s, error = seen.time_s[rows], _without_strays(away)[chosen]
     covariance = _wander_covariance(seen, rows)
-    basis = np.stack([np.ones(len(rows)), np.cumsum(seen.told_s)[rows]], axis=1)
+    basis = np.stack([np.ones(len(rows)), np.cumsum(seen.gyro_valid_s)[rows]], axis=1)
     without = np.eye(len(rows)) - basis @ np.linalg.pinv(basis)
     left, spread = without @ error, without @ covariance @ without.T
     edges = np.arange(time_s[0], time_s[-1], WINDOW_S)
@@ -116,38 +116,40 @@ def _without_strays(values: Array) -> Array:
 def _wander_covariance(seen: Headings, rows: IntArray) -> Array:
     """(m, m) of the heading error by noise alone."""
     walk = seen.rate_noise_rad_s**2 + math.radians(MAP_WALK_DEG) ** 2
-    variance = np.cumsum(walk * seen.dt_s + seen.lost_rad**2)[rows]
+    variance = np.cumsum(walk * seen.dt_s + seen.unobserved_turn_std_rad**2)[rows]
     time_s = seen.time_s[rows]
     first, last = np.minimum(time_s[:, None], time_s), np.maximum(time_s[:, None], time_s)
     by_bias = seen.bias_walk_rad_s**2 * first**2 * (3.0 * last - first) / 6.0
     return np.minimum(variance[:, None], variance) + by_bias + np.diag(seen.std_rad[rows] ** 2)
 
 
-def candidates(searched: Search, diagnosis: Diagnosis) -> list[Candidate]:
+def candidates(searched: Search, diagnosis: Diagnosis) -> list[CandidateRow]:
     """All significant effects and the next ones, the one that explains most first."""
     found = {finding.effect.name for finding in diagnosis.missing}
     twins = {name for finding in diagnosis.missing for name in finding.confused_with}
-    left = {suspect.effect.name: suspect.fit.sigma for suspect in searched.last.suspects}
+    left = {ranked_effect.effect.name: ranked_effect.fit.sigma for ranked_effect in searched.last.ranked}
     table = [
-        Candidate(
-            name=suspect.effect.name,
-            role=_role(suspect.effect.name, suspect.is_significant, found, twins),
-            gain=suspect.fit.gain,
-            sigma=suspect.fit.sigma,
-            sigma_left=left.get(suspect.effect.name, math.nan),
+        CandidateRow(
+            name=ranked_effect.effect.name,
+            role=_role(ranked_effect.effect.name, ranked_effect.is_significant, found, twins),
+            gain=ranked_effect.fit.gain,
+            sigma=ranked_effect.fit.sigma,
+            sigma_left=left.get(ranked_effect.effect.name, math.nan),
         )
-        for suspect in diagnosis.ranked
+        for ranked_effect in diagnosis.ranked
     ]
     tried = {row.name for row in table}
     table += [
-        Candidate(finding.effect.name, 'found', finding.gain, finding.sigma, math.nan)
+        CandidateRow(finding.effect.name, 'found', finding.gain, finding.sigma, math.nan)
         for finding in diagnosis.missing
         if finding.effect.name not in tried and math.isfinite(finding.gain)
     ]
     return _most_telling(table, MOST_CANDIDATES)
 
 
-def open_candidates(stage: Stage, best: str | None, twins: Collection[str], most: int) -> list[Candidate]:
+def open_candidates(
+    stage: ExaminedModel, best: str | None, twins: Collection[str], most: int
+) -> list[CandidateRow]:
     """All effects that a model may lack and that are significant, and the next ones up to `most`.
 
     Args:
@@ -157,14 +159,14 @@ def open_candidates(stage: Stage, best: str | None, twins: Collection[str], most
         most: beside the significant ones, no more than fill the list up to this.
     """
     table = []
-    for suspect in stage.suspects:
-        name, fit = suspect.effect.name, suspect.fit
-        role = 'best' if name == best else _role(name, suspect.is_significant, (), twins)
-        table.append(Candidate(name, role, fit.gain, fit.sigma, math.nan))
+    for ranked_effect in stage.ranked:
+        name, fit = ranked_effect.effect.name, ranked_effect.fit
+        role = 'best' if name == best else _role(name, ranked_effect.is_significant, (), twins)
+        table.append(CandidateRow(name, role, fit.gain, fit.sigma, math.nan))
     return _most_telling(table, most)
 
 
-def _most_telling(table: list[Candidate], most: int) -> list[Candidate]:
+def _most_telling(table: list[CandidateRow], most: int) -> list[CandidateRow]:
     table.sort(key=lambda row: row.gain, reverse=True)
     room = max(most - sum(row.role != 'chance' for row in table), 0)
     chance = [row for row in table if row.role == 'chance'][:room]
@@ -249,7 +251,7 @@ def _question(shape: Shape) -> tuple[str, bool]:
     return shape.signal, shape.of_scale
 
 
-def stages(searched: Search) -> dict[str, Stage]:
+def stages(searched: Search) -> dict[str, ExaminedModel]:
     """The models that were run with success, by name: as it was, and with each effect that was kept.
 
     The model as it was is not among them where the filter could not run with it.
@@ -270,7 +272,7 @@ def held_out_drifts(searched: Search) -> dict[str, BlindDrift]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contribution:
+class EffectCurve:
     """What a found effect does, with its doubt."""
 
     x_label: str
@@ -281,7 +283,7 @@ class Contribution:
     std: Array
 
 
-def contribution(finding: Finding) -> Contribution | None:
+def contribution(finding: MissingEffect) -> EffectCurve | None:
     """What a found effect does against what brings it out; None where the library has no picture of it.
 
     The doubt is that of the coefficients one by one, as if they were independent.
@@ -295,4 +297,4 @@ def contribution(finding: Finding) -> Contribution | None:
 
     drawn, y = sketch(effect, [tuple(finding.values.tolist())]), curve(finding.values)
     moved = [curve(finding.values + step) - y for step in np.diag(finding.stds)]
-    return Contribution(drawn.x_label, drawn.y_label, drawn.x, y, np.sqrt(np.sum(np.square(moved), axis=0)))
+    return EffectCurve(drawn.x_label, drawn.y_label, drawn.x, y, np.sqrt(np.sum(np.square(moved), axis=0)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.comparison import Rival
+from gyrocal_ros.diagnose.comparison import ModelResult
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.pipeline.calibration import conclude
@@ -19,7 +19,7 @@ MOST_PLACES = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class CoefficientOfModel:
     """What one model says of a coefficient."""
 
     model: str
@@ -28,23 +28,23 @@ class Told:
     is_kept: bool = True
 
 
-def coefficients(runs: Iterable[tuple[str, Run, bool]]) -> dict[str, list[Told]]:
+def coefficients(runs: Iterable[tuple[str, Run, bool]]) -> dict[str, list[CoefficientOfModel]]:
     """What each model says of each coefficient, by the coefficient's name with its unit, angles in degrees.
 
     Args:
         runs: name of the model, its run, and whether it was kept.
     """
-    told: dict[str, list[Told]] = {}
+    told: dict[str, list[CoefficientOfModel]] = {}
     for model, run, is_kept in runs:
         known = conclude(run)
         for name, unit, value, std in zip(known.names, known.units, known.values, known.stds, strict=True):
             size, shown = (np.degrees(1.0), f'deg{unit[3:]}') if unit.startswith('rad') else (1.0, unit)
-            item = Told(model, float(size * value), float(size * std), is_kept)
+            item = CoefficientOfModel(model, float(size * value), float(size * std), is_kept)
             told.setdefault(f'{name} ({shown})', []).append(item)
     return told
 
 
-def slam_errors_deg(rivals: Iterable[Rival]) -> dict[str, tuple[Array, Array]]:
+def slam_errors_deg(rivals: Iterable[ModelResult]) -> dict[str, tuple[Array, Array]]:
     """Heading error of the filter against the ground truth, where it is recorded: times and errors."""
     errors = {rival.label: heading_error(rival.run) for rival in rivals}
     return {
@@ -54,7 +54,7 @@ def slam_errors_deg(rivals: Iterable[Rival]) -> dict[str, tuple[Array, Array]]:
     }
 
 
-def failures_by_model(rivals: Iterable[Rival]) -> dict[str, dict[str, float]]:
+def failures_by_model(rivals: Iterable[ModelResult]) -> dict[str, dict[str, float]]:
     """Sigma by regime in which a model fails, by the model's label; a few regimes, the worst ones."""
     found = {rival.label: _by_regime(rival.fails_where) for rival in rivals}
     worst: dict[str, float] = {}

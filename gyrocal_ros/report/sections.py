@@ -6,7 +6,14 @@ from collections.abc import Iterator
 from typing import Any
 
 from gyrocal_ros.diagnose.ceiling import ceiling_map
-from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift, Path, dead_reckoning, slam_path, truth_path
+from gyrocal_ros.diagnose.drift import (
+    REFERENCES,
+    BlindDrift,
+    Trajectory2D,
+    dead_reckoning,
+    slam_path,
+    truth_path,
+)
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.report import series
@@ -90,7 +97,7 @@ def _section(name: str, figure: Any, half: bool = False, **facts: float | str) -
     return Section(name, figure, CAPTIONS[name].format(**facts), half)
 
 
-def _paths(run: Run) -> dict[str, Path]:
+def _paths(run: Run) -> dict[str, Trajectory2D]:
     coefficients, bias = run.state.coefficients, float(run.state.bias_rad_s[2])
     return {
         'SLAM': slam_path(run),

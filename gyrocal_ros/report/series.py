@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.drift import Path, slam_path, truth_path
+from gyrocal_ros.diagnose.drift import Trajectory2D, slam_path, truth_path
 from gyrocal_ros.ekf.gating import chi_square_quantile
 from gyrocal_ros.ekf.run import History, Run
 from gyrocal_ros.ekf.state import YAW
@@ -108,7 +108,7 @@ def heading_error(run: Run) -> HeadingError | None:
     return HeadingError(time_s, error, run.history.std[both, YAW])
 
 
-def distances_m(tracks: Mapping[str, Path], truth: Path) -> tuple[Array, dict[str, Array]]:
+def distances_m(tracks: Mapping[str, Trajectory2D], truth: Trajectory2D) -> tuple[Array, dict[str, Array]]:
     """How far paths are from the ground truth.
 
     Returns:

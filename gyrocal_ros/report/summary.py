@@ -6,14 +6,14 @@ from typing import Any
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.advice import CAUTION, advice
-from gyrocal_ros.diagnose.comparison import Comparison, Rival
-from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
+from gyrocal_ros.diagnose.comparison import Comparison, ModelResult
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, heading_rms_deg, held_out_from_s
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
-from gyrocal_ros.diagnose.ranking import Suspect, doubts, estimate
+from gyrocal_ros.diagnose.ranking import RankedEffect, doubts, estimate
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search
-from gyrocal_ros.diagnose.shapes import Oddity
+from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration, coefficient_table, conclude
@@ -54,7 +54,7 @@ def summarise_diagnosis(searched: Search, diagnosis: Diagnosis) -> dict[str, Any
         'unexplained': _oddity(diagnosis.unexplained),
         'advice': advice(diagnosis),
         'not_judged': diagnosis.not_judged,
-        'ranked': [_suspect(suspect) for suspect in diagnosis.ranked],
+        'ranked': [_suspect(ranked_effect) for ranked_effect in diagnosis.ranked],
         'drift_reference': diagnosis.drift_reference,
         'duration_s': run.span.duration_s,
     }
@@ -81,7 +81,7 @@ def summarise_improvement(improved: Improvement) -> dict[str, Any]:
         'effects': [effect.name for effect in run.model.effects],
         'coefficients': coefficient_table(conclude(run)),
         'revisions': [merit(revision) for revision in improved.revisions],
-        'unexplained': _oddity(improved.final.stage.oddity),
+        'unexplained': _oddity(improved.final.stage.unexplained_structure),
         'drift_reference': improved.drift_reference,
         'duration_s': run.span.duration_s,
     }
@@ -114,7 +114,7 @@ def nis_per_dof(run: Run) -> float:
     return float(run.history.nis.sum() / run.history.dof.sum())
 
 
-def _finding(finding: Finding) -> dict[str, Any]:
+def _finding(finding: MissingEffect) -> dict[str, Any]:
     return {
         'effect': finding.effect.name,
         'coefficients': _coefficients(finding.effect, finding.values, finding.stds),
@@ -127,14 +127,14 @@ def _finding(finding: Finding) -> dict[str, Any]:
     }
 
 
-def _suspect(suspect: Suspect) -> dict[str, Any]:
+def _suspect(ranked_effect: RankedEffect) -> dict[str, Any]:
     return {
-        'effect': suspect.effect.name,
-        'coefficients': _coefficients(suspect.effect, estimate(suspect), doubts(suspect)),
-        'log_likelihood_gain': suspect.fit.gain,
-        'significance_sigma': suspect.fit.sigma,
-        'p_value': suspect.fit.p_value,
-        'significant': suspect.is_significant,
+        'effect': ranked_effect.effect.name,
+        'coefficients': _coefficients(ranked_effect.effect, estimate(ranked_effect), doubts(ranked_effect)),
+        'log_likelihood_gain': ranked_effect.fit.gain,
+        'significance_sigma': ranked_effect.fit.sigma,
+        'p_value': ranked_effect.fit.p_value,
+        'significant': ranked_effect.is_significant,
     }
 
 
@@ -151,7 +151,7 @@ def _failure(failure: Failure) -> dict[str, Any]:
     return {'what': failure.what, **place, 'sigma': failure.sigma}
 
 
-def _oddity(odd: Oddity | None) -> dict[str, Any] | None:
+def _oddity(odd: UnexplainedStructure | None) -> dict[str, Any] | None:
     if odd is None:
         return None
     shape = odd.shape
@@ -170,7 +170,7 @@ def _oddity(odd: Oddity | None) -> dict[str, Any] | None:
     }
 
 
-def _rival(rival: Rival) -> dict[str, Any]:
+def _rival(rival: ModelResult) -> dict[str, Any]:
     calibration = conclude(rival.run)
     by_truth = rival.fails_by_truth
     return {

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.diagnosis import Finding
+from gyrocal_ros.diagnose.diagnosis import MissingEffect
 from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift
 from gyrocal_ros.effects.base import with_unit
 from gyrocal_ros.effects.describe import UNTOLD
@@ -80,7 +80,7 @@ def coefficient_rows(calibration: Calibration, history: History) -> list[Row]:
     ]
 
 
-def estimate_rows(finding: Finding) -> Iterator[tuple[str, str, str, str]]:
+def estimate_rows(finding: MissingEffect) -> Iterator[tuple[str, str, str, str]]:
     """Name, value and unit of each coefficient of an effect that was found, and what that means."""
     items = zip(finding.effect.coefficients, finding.names, finding.values, finding.stds, strict=True)
     for item, name, value, std in items:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.advice import join
-from gyrocal_ros.diagnose.diagnosis import Diagnosis, Finding
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.drift import BlindDrift
 from gyrocal_ros.diagnose.improvement import Improvement
 from gyrocal_ros.diagnose.regimes import Failure
@@ -42,7 +42,7 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
     return f'The model lacks {lacks}, {"; ".join(map(_either, doubtful))}.'
 
 
-def _either(finding: Finding) -> str:
+def _either(finding: MissingEffect) -> str:
     others = join([*finding.confused_with], 'or')
     return f'most likely {finding.effect.name}; but it may as well be {others}'
 

@@ -10,11 +10,11 @@ from dataclasses import replace
 from gyrocal_ros.board.clock import Restart
 from gyrocal_ros.board.commands import Commands
 from gyrocal_ros.board.link import Link, LinkError
-from gyrocal_ros.board.messages import Acknowledgement, Result, SetRates
+from gyrocal_ros.board.messages import Acknowledgement, CommandResult, SetRates
 from gyrocal_ros.board.reader import BoardReader, Reading
 from gyrocal_ros.config.sections import BoardConfig, DriverConfig
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.robot.board_health import BoardHealth, Line, tally
+from gyrocal_ros.robot.board_health import BoardHealth, PortState, tally
 from gyrocal_ros.robot.health import Complaint, Level, Status, status
 
 RETRY_S = 0.5
@@ -52,7 +52,7 @@ class BoardDriver:
         self._reader = BoardReader(board, driver.baud_rate)
         self._commands = Commands(rates_of(driver))
         self._connections = 0
-        self._line = Line(is_open=False, since_s=time.monotonic(), why='not tried yet')
+        self._line = PortState(is_open=False, since_s=time.monotonic(), why='not tried yet')
         self._heard_s = 0.0
         self._health = BoardHealth(tally(self._reader, 0, time.monotonic()))
         self._ending = threading.Event()
@@ -87,9 +87,9 @@ class BoardDriver:
             self._commands.forget_zero()
         if order.result is None:
             raise BoardError('the board does not answer', todo='see /diagnostics')
-        if order.result == Result.REFUSED:
+        if order.result == CommandResult.REFUSED:
             raise BoardError('the board refuses', todo='let the robot stand still')
-        if order.result != Result.DONE:
+        if order.result != CommandResult.DONE:
             raise BoardError("the board's program knows no zero", todo='update it')
 
     def tell(self) -> Status:
@@ -119,7 +119,7 @@ class BoardDriver:
         now_s = time.monotonic()
         with self._changed:
             self._connections += 1
-            self._line = Line(is_open=True, since_s=now_s)
+            self._line = PortState(is_open=True, since_s=now_s)
             self._reader.join()
             self._commands.repeat_rates()
 
@@ -127,7 +127,7 @@ class BoardDriver:
         now_s = time.monotonic()
         with self._changed:
             since_s = now_s if self._line.is_open else self._line.since_s
-            self._line = Line(is_open=False, since_s=since_s, why=why)
+            self._line = PortState(is_open=False, since_s=since_s, why=why)
 
     def _serve(self, link: Link) -> None:
         """Read once, and send what there is to send."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from gyrocal_ros.board.clock import Restart
 from gyrocal_ros.board.commands import Order
-from gyrocal_ros.board.messages import Imu, Result, SetRates, Supply, Wheels
+from gyrocal_ros.board.messages import CommandResult, Imu, SetRates, Supply, Wheels
 from gyrocal_ros.board.protocol import Counts
 from gyrocal_ros.board.reader import BoardReader
 from gyrocal_ros.robot.health import Complaint, Level, Status, status
@@ -29,7 +29,7 @@ MANY_TRIES = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class PortState:
     """Whether the port is open."""
 
     is_open: bool
@@ -94,7 +94,7 @@ class BoardHealth:
         self._asked: SetRates | None = None
         self._asked_s = start.time_s
 
-    def tell(self, now: Tally, line: Line, heard_s: float, rates: Order[SetRates]) -> Status:
+    def tell(self, now: Tally, line: PortState, heard_s: float, rates: Order[SetRates]) -> Status:
         """Judge by the counts, the port, when something came last, and the rates asked for."""
         while len(self._tallies) > 1 and self._tallies[1].time_s <= now.time_s - RECENT_S:
             self._tallies.popleft()
@@ -112,7 +112,7 @@ class BoardHealth:
         return status(comes, complaints, _numbers(now, recent, rates.command))
 
 
-def _of_line(now_s: float, line: Line, heard_s: float, recent: Tally) -> Iterator[Complaint]:
+def _of_line(now_s: float, line: PortState, heard_s: float, recent: Tally) -> Iterator[Complaint]:
     """What keeps everything from coming."""
     quiet_s = now_s - max(line.since_s, heard_s)
     if not line.is_open:
@@ -162,7 +162,7 @@ def _of_rates(recent: Tally, order: Order[SetRates], *, is_steady: bool) -> Iter
     asked = order.command
     if order.result is None and order.tries >= MANY_TRIES:
         yield Complaint(Level.WARN, 'the board does not answer commands')
-    elif order.result not in (None, Result.DONE):
+    elif order.result not in (None, CommandResult.DONE):
         yield Complaint(
             Level.WARN,
             f'the board cannot send {asked.imu} IMU, {asked.wheels} wheel and {asked.supply} supply '

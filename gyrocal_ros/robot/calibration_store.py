@@ -12,7 +12,7 @@ UNUSABLE, FORGOTTEN = '.bad', '.old'
 """What is put behind the name of a file that was set aside."""
 
 
-class Keeper:
+class CalibrationStore:
     """Keeps a calibration in a file.
 
     Args:

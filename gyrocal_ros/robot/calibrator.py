@@ -17,10 +17,10 @@ from gyrocal_ros.data import (
     FeatureObservations,
     ImuSample,
     Measurement,
+    OdometryEstimate,
     SearchRegions,
     TemperatureSample,
     WheelSample,
-    Whereabouts,
     nanoseconds,
     seconds,
 )
@@ -31,12 +31,12 @@ from gyrocal_ros.msgs.mounts import into_body_axes
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
 from gyrocal_ros.pipeline.calibration import Calibration
-from gyrocal_ros.robot.calibration_store import Keeper
+from gyrocal_ros.robot.calibration_store import CalibrationStore
 from gyrocal_ros.robot.calibrator_health import CalibratorHealth, Facts
-from gyrocal_ros.robot.dead_reckoning import Reckoner
+from gyrocal_ros.robot.dead_reckoning import DeadReckoning
 from gyrocal_ros.robot.estimator import Estimator
 from gyrocal_ros.robot.health import Status
-from gyrocal_ros.robot.input_queue import STEP_S, Intake
+from gyrocal_ros.robot.input_queue import STEP_S, InputQueue
 from gyrocal_ros.robot.mounting import Mounting
 
 LARGEST = 1e5
@@ -75,11 +75,11 @@ class LiveCalibrator:
         now_s: float,
     ) -> None:
         self._live, self._steady, self._clock_step_s = live, steady, config.recording.clock_step_s
-        self._keeper = Keeper(Path(live.calibration).expanduser() if live.calibration else None)
+        self._keeper = CalibrationStore(Path(live.calibration).expanduser() if live.calibration else None)
         known = self._keeper.load(config)
         self._estimator = Estimator(model, config, known, name, lambda: self._reckoner.ahead)
         self._served = self._estimator.served
-        self._reckoner = Reckoner(model, config, self._served, 1.25 * live.reorder_window_s)
+        self._reckoner = DeadReckoning(model, config, self._served, 1.25 * live.reorder_window_s)
         self._mounting = Mounting(config.camera)
         self._rig, self._R_bi = self._mounting.rig, self._mounting.R_bi
         self._streams = [str(role) for role in Role]
@@ -104,7 +104,7 @@ class LiveCalibrator:
         self.newest_ns = sample.t_ns
         return None if self._R_bi is None else self._reckoner.imu(self._turn(sample))
 
-    def wheels(self, sample: WheelSample, now_s: float) -> Whereabouts | None:
+    def wheels(self, sample: WheelSample, now_s: float) -> OdometryEstimate | None:
         """Take a reading of the encoders; return where the robot was then, None while nobody knows."""
         if not self._is_sound(Role.WHEELS, sample.speed_m_s, sample.yaw_rate_rad_s):
             return None
@@ -273,11 +273,11 @@ class LiveCalibrator:
             arrival_ns = nanoseconds(now_s) if self._steady else 0
             self._intake.push(self._streams.index(topic), samples, arrival_ns)
 
-    def _new_intake(self) -> Intake:
+    def _new_intake(self) -> InputQueue:
         clock_step_s = STEP_S if self._steady else self._clock_step_s
         window_s = self._live.reorder_window_s
         punctual = [self._streams.index(role) for role in PUNCTUAL]
-        return Intake(window_s, max(clock_step_s, 1.5 * window_s), punctual)
+        return InputQueue(window_s, max(clock_step_s, 1.5 * window_s), punctual)
 
     def _look_at_mounting(self) -> None:
         """Begin with what is known now of the mounting of the sensors, if that is new."""

@@ -12,7 +12,7 @@ from gyrocal_ros.model.sensor import SensorModel, signals_of
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.robot.health import Complaint, Level, Status, status
-from gyrocal_ros.robot.health_log import RECENT_S, Journal
+from gyrocal_ros.robot.health_log import RECENT_S, HealthLog
 
 SILENT_S = {Role.IMU: 0.5, Role.WHEELS: 1.0, Role.FEATURES: 2.0}
 """What says nothing for so long is missed."""
@@ -61,7 +61,7 @@ class CalibratorHealth:
 
     def __init__(self, model: SensorModel, start_s: float) -> None:
         self._model = model
-        self._journal = Journal(SILENT_S, start_s)
+        self._journal = HealthLog(SILENT_S, start_s)
         self._counts: Counter[str] = Counter()
         self._why_spoiled: dict[str, str] = {}
         self._seen_s = start_s

@@ -22,9 +22,9 @@ from gyrocal_ros.data import (
     CovariateSample,
     ImuSample,
     MotionBlock,
+    OdometryEstimate,
     TemperatureSample,
     WheelSample,
-    Whereabouts,
     nanoseconds,
     seconds,
 )
@@ -32,7 +32,7 @@ from gyrocal_ros.ekf.effects_by_place import sort_effects
 from gyrocal_ros.ekf.motion import GAP_NS, SPEED_SIGNAL, MotionBuffer
 from gyrocal_ros.ekf.predict import predict
 from gyrocal_ros.ekf.slam import MAX_BLOCK_NS
-from gyrocal_ros.ekf.start import moved_unseen
+from gyrocal_ros.ekf.start import inflate_after_gap
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, YAW_BIAS, State
 from gyrocal_ros.model.gyro import correct
 from gyrocal_ros.model.sensor import Memory, SensorModel
@@ -60,7 +60,7 @@ class _Step:
     """Mean of the two, calibrated."""
 
 
-class Reckoner:
+class DeadReckoning:
     """Dead reckoning with the calibration, a sample at a time, in the order of arrival.
 
     Args:
@@ -116,7 +116,7 @@ class Reckoner:
             euler_covariance=self.ahead.covariance[EULER, EULER],
         )
 
-    def wheels(self, sample: WheelSample) -> Whereabouts | None:
+    def wheels(self, sample: WheelSample) -> OdometryEstimate | None:
         """Take one reading of the encoders and return where the robot was then; None without an IMU."""
         before, self._wheels = self._wheels, sample
         self._speed_m_s, self._wheel_rate_rad_s = sample.speed_m_s, sample.yaw_rate_rad_s
@@ -126,7 +126,7 @@ class Reckoner:
         self._buffer.add(sample)
         interval_s = seconds(sample.t_ns - before.t_ns) if before is not None else 0.1
         pose = self._pose_at(sample.t_ns)
-        return Whereabouts(
+        return OdometryEstimate(
             t_ns=sample.t_ns,
             position_m=pose[:3],
             euler_rad=pose[3:],
@@ -286,7 +286,7 @@ class Reckoner:
         mean = self.ahead.mean.copy()
         mean[POSE] = self._track[-1][1]
         state = replace(self.ahead, t_ns=t_ns, mean=mean)
-        self._base = moved_unseen(state, t_ns) if moved_on else state
+        self._base = inflate_after_gap(state, t_ns) if moved_on else state
         self._base_memories = self._memories
         self._last = None
         self._steps.clear()

@@ -12,7 +12,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, Rig
 from gyrocal_ros.ekf.convergence import Convergence
 from gyrocal_ros.ekf.slam import EkfSlam, StepRecord
-from gyrocal_ros.ekf.start import Start, begun_anew, initial_state
+from gyrocal_ros.ekf.start import Start, initial_state, restarted_at
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
@@ -166,7 +166,7 @@ class Estimator:
         self._end()
         self.slam = EkfSlam(self.model, self._config, self._rig, start=self._start, running_s=self._running_s)
         if not at_origin:
-            self.slam.state = begun_anew(self.slam.state, self._where())
+            self.slam.state = restarted_at(self.slam.state, self._where())
         self._begin_watch()
 
     def _end(self) -> None:
@@ -207,7 +207,7 @@ class Estimator:
     def _judge(self, record: StepRecord) -> None:
         if not (np.isfinite(record.mean).all() and (record.std[YAW_BIAS:] > 0.0).all()):
             raise FilterDivergedError('the estimate is no longer finite')
-        lesson = record.sighting.lesson
+        lesson = record.image.lesson
         if self._has_stepped:  # time counts from the first step, as in a replay
             self._time_s += record.block.duration_s
         self._has_stepped = True

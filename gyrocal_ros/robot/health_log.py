@@ -12,7 +12,7 @@ RECENT_S = 10.0
 MAX_EVENTS = 20
 
 
-class Journal:
+class HealthLog:
     """Keeps what a judgement of the present moment is made of.
 
     Args:

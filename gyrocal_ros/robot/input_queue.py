@@ -19,7 +19,7 @@ MAX_WAITING = 10_000
 """So many measurements wait at most, some 30 seconds of them; the oldest go first."""
 
 
-class Intake:
+class InputQueue:
     """Sorts what arrives, and keeps its memory bounded whatever stays away.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import CameraConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, ImuSample, Rig
-from gyrocal_ros.msgs.issues import Finding
+from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.msgs.mounts import (
     REST_NS,
     imu_rotation,
@@ -35,7 +35,7 @@ class Mounting:
         """(3, 3) from the IMU's axes to body axes; None while it is not known."""
         self.rig: Rig | None = None
         """None while there is no calibrated camera, or nobody knows where it sits."""
-        self.findings: tuple[Finding, ...] = ()
+        self.findings: tuple[BagIssue, ...] = ()
         """What had to be assumed, or is contradictory."""
         self._config = config
         self._camera: CameraIntrinsics | None = None
@@ -85,7 +85,7 @@ class Mounting:
         findings = [*self._decide_imu(links), *self._decide_camera(links)]
         self.findings = tuple(findings)
 
-    def _decide_imu(self, links: list[Transform]) -> list[Finding]:
+    def _decide_imu(self, links: list[Transform]) -> list[BagIssue]:
         if self._imu_frame is None:
             return []
         if not self._has_rested and mount_of_frame(links, self._imu_frame) is None:
@@ -96,7 +96,7 @@ class Mounting:
             self.R_bi = R_bi
         return findings
 
-    def _decide_camera(self, links: list[Transform]) -> list[Finding]:
+    def _decide_camera(self, links: list[Transform]) -> list[BagIssue]:
         if self._camera is None:
             return []
         frame = self._camera_frame or self._frame_of_info or ''

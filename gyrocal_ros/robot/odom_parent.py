@@ -10,7 +10,7 @@ HELD_BACK_S = 10.0
 """Who has not spoken for so long has stopped."""
 
 
-class OdomParents:
+class OdomParentGuard:
     """Listens to the transforms of others and tells whether ours may be sent.
 
     Args:

@@ -212,4 +212,4 @@ class LiveTracker:
         self._waiting.clear()
         self._last_ns, self._due_regions_ns = None, 0
         if self._follower is not None:
-            self._follower.start_anew()
+            self._follower.restart()

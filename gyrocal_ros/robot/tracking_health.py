@@ -10,7 +10,7 @@ import numpy as np
 from gyrocal_ros.data import FeatureObservations, Frame, seconds
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.robot.health import Complaint, Level, Status, status
-from gyrocal_ros.robot.health_log import RECENT_S, Journal
+from gyrocal_ros.robot.health_log import RECENT_S, HealthLog
 
 SILENT_S = {Role.CAMERA_INFO: 2.0, Role.IMAGE: 2.0, Role.IMU: 0.5}
 """What says nothing for so long is missed."""
@@ -36,7 +36,7 @@ class TrackingHealth:
 
     def __init__(self, start_s: float) -> None:
         self._counts: Counter[str] = Counter()
-        self._journal = Journal(SILENT_S, start_s)
+        self._journal = HealthLog(SILENT_S, start_s)
         self._seen_s = start_s
         self._why_spoiled = ''
         self._stamps_ns: deque[int] = deque(maxlen=SOME)

@@ -22,7 +22,7 @@ from gyrocal_ros.model.sensor import (
     RelativeEffect,
     SignalEffect,
 )
-from gyrocal_ros.sim.trajectory import Motion
+from gyrocal_ros.sim.trajectory import TrueMotion
 
 MAX_ROUNDS = 60
 SOLVED_RAD_S = 1e-13
@@ -142,20 +142,22 @@ def stamp_error_s(hidden: Hidden) -> float:
     return sum(float(values[0]) for _, values in _acting_on(hidden, 'time'))
 
 
-def at_readings(motion: Motion) -> MotionBlock:
+def at_readings(motion: TrueMotion) -> MotionBlock:
     """What is true of n moments, as a block with one interval about each of them."""
     dt_s = np.gradient(motion.time_s)
     return _block(motion, motion.time_s, dt_s, motion.rate_rad_s, motion.speed_m_s * dt_s)
 
 
-def between(motion: Motion) -> MotionBlock:
+def between(motion: TrueMotion) -> MotionBlock:
     """What is true between n moments, as a block of n - 1 intervals."""
     middle_s = 0.5 * (motion.time_s[1:] + motion.time_s[:-1])
     rate = 0.5 * (motion.rate_rad_s[1:] + motion.rate_rad_s[:-1])
     return _block(motion, middle_s, np.diff(motion.time_s), rate, np.diff(motion.travelled_m))
 
 
-def _block(motion: Motion, time_s: Array, dt_s: Array, rate_rad_s: Array, distance_m: Array) -> MotionBlock:
+def _block(
+    motion: TrueMotion, time_s: Array, dt_s: Array, rate_rad_s: Array, distance_m: Array
+) -> MotionBlock:
     return MotionBlock(
         start_ns=nanoseconds(float(motion.time_s[0])),
         end_ns=nanoseconds(float(motion.time_s[-1])),

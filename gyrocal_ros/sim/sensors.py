@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.sim.trajectory import HALF_TRACK_M, Motion
+from gyrocal_ros.sim.trajectory import HALF_TRACK_M, TrueMotion
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ def read_gyro(nominal_rad_s: Array, rate_hz: float, errors: SensorErrors, rng: n
     return _quantised(nominal_rad_s + noise, np.radians(errors.rate_step_deg_s))
 
 
-def shaking(motion: Motion, fan_speed: Array, errors: SensorErrors) -> Array:
+def shaking(motion: TrueMotion, fan_speed: Array, errors: SensorErrors) -> Array:
     """Return the standard deviation (n,) of the vibration in m/s^2 that fan and floor cause."""
     return errors.vibration_m_s2 * np.hypot(fan_speed, motion.speed_m_s / 0.3)
 
@@ -229,7 +229,7 @@ def draw_fan(rng: np.random.Generator, start_s: float, duration_s: float) -> Fan
     return Fan(start_s, ends)
 
 
-def covariates(motion: Motion, fan_speed: Array) -> dict[str, Array]:
+def covariates(motion: TrueMotion, fan_speed: Array) -> dict[str, Array]:
     """Return the true values (n,) of the other recorded numbers: V, A (discharging: negative), 1/min."""
     driving = 0.5 * np.abs(motion.speed_m_s) / 0.3 + 0.4 * np.abs(motion.rate_rad_s[:, 2])
     speeding_up = 0.8 * np.maximum(motion.acceleration_m_s2, 0.0)

@@ -79,7 +79,7 @@ FLAT_FLOOR = Floor(np.zeros(0), np.zeros((2, 0)), np.zeros((2, 0)), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class TrueMotion:
     """The true motion at n moments."""
 
     time_s: Array
@@ -148,7 +148,7 @@ class Trajectory:
         x, y, _ = self._grid_position[-1]
         return float(x), float(y), float(self._yaw[-1])
 
-    def motion(self, time_s: Array) -> Motion:
+    def motion(self, time_s: Array) -> TrueMotion:
         """Evaluate everything but the position at times (n,)."""
         leg, u = self._locate(time_s)
         length = self._length_s[leg]
@@ -168,7 +168,7 @@ class Trajectory:
         roll, pitch, d_roll, d_pitch = self.floor.tilt(path)
         euler = np.stack([roll, pitch, self._yaw[leg] + turned], axis=1)
         euler_rate = np.stack([d_roll * path_rate, d_pitch * path_rate, yaw_rate], axis=1)
-        return Motion(
+        return TrueMotion(
             time_s=time_s,
             speed_m_s=speed,
             acceleration_m_s2=d_speed * glide_rate,

@@ -73,7 +73,7 @@ WHEEL_PHASE_S, CAMERA_PHASE_S, SLOW_PHASE_S = 0.003, 0.011, 0.017
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class SimTruth:
     """What only the simulator knows; benches and tests compare with it."""
 
     trajectory: Trajectory
@@ -147,13 +147,13 @@ class SimSource:
         return Span(START_NS, START_NS + nanoseconds(self.scenario.duration_s))
 
     @cached_property
-    def truth(self) -> Truth:
+    def truth(self) -> SimTruth:
         """The world this recording is made in."""
         scenario, rig = self.scenario, self.rig
         assert rig.camera is not None
         camera, mount = true_camera(rig.camera, rig.camera_mount, self.hidden)
         bias_s = _times(scenario.imu_hz, scenario.duration_s)
-        return Truth(
+        return SimTruth(
             trajectory=self._trajectory,
             scene=draw_scene(
                 stream(self.seed, 'scene'),

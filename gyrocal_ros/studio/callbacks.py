@@ -15,8 +15,8 @@ from gyrocal_ros.studio import panels, pictures
 from gyrocal_ros.studio.export import export
 from gyrocal_ros.studio.layout import MARKS
 from gyrocal_ros.studio.lesson import NOTHING, STRANGER
-from gyrocal_ros.studio.state import View
-from gyrocal_ros.studio.workspace import Desk
+from gyrocal_ros.studio.state import StudioState
+from gyrocal_ros.studio.workspace import Workspace
 
 BUTTONS = ('add', 'undo', 'write', 'export', 'go-to', 'cancel', 'resume', 'riddle', 'reveal')
 WAIT = 'The first run is under way.'
@@ -24,7 +24,7 @@ FORECAST_STEP = 10
 """How finely the progress of a trial in advance is shown, %."""
 
 
-def connect(app: Dash, desk: Desk) -> None:
+def connect(app: Dash, desk: Workspace) -> None:
     """Bring the page to life."""
     _follow(app, desk)
     _act(app, desk)
@@ -39,7 +39,7 @@ def connect(app: Dash, desk: Desk) -> None:
     )
 
 
-def marks(view: View) -> dict[str, str]:
+def marks(view: StudioState) -> dict[str, str]:
     """What each part of the page follows, as a text that changes when it has to be drawn anew."""
     ran = [trial.label for trial in view.trials.every if trial.examined is not None]
     model = f'{view.title} {view.trials.present} {ran}'
@@ -58,7 +58,7 @@ def marks(view: View) -> dict[str, str]:
     }
 
 
-def _follow(app: Dash, desk: Desk) -> None:
+def _follow(app: Dash, desk: Workspace) -> None:
     """The state, asked for again and again."""
 
     @app.callback(
@@ -100,7 +100,7 @@ def _follow(app: Dash, desk: Desk) -> None:
         )
 
 
-def _act(app: Dash, desk: Desk) -> None:
+def _act(app: Dash, desk: Workspace) -> None:
     """Buttons and choices that change the session."""
 
     @app.callback(
@@ -172,7 +172,7 @@ def _triggered() -> list[Any]:
     return [ids[one['prop_id']] for one in ctx.triggered if one['value'] is not None]
 
 
-def _export(desk: Desk) -> None:
+def _export(desk: Workspace) -> None:
     """Write the report while the page goes on."""
     session, view = desk.session, desk.view
 
@@ -186,7 +186,7 @@ def _export(desk: Desk) -> None:
     Thread(target=work, name='report').start()
 
 
-def _show_words(app: Dash, desk: Desk) -> None:
+def _show_words(app: Dash, desk: Workspace) -> None:
     @app.callback(Output('title', 'children'), Input('mark-session', 'data'))
     def title(_mark: Any) -> str:
         return desk.view.title
@@ -241,12 +241,12 @@ def _show_words(app: Dash, desk: Desk) -> None:
     )
     def lesson(_mark: Any, _model: Any) -> Any:
         view = desk.view
-        followers = [] if view.examined is None else view.examined.stage.suspects
+        followers = [] if view.examined is None else view.examined.stage.ranked
         covariates = [one.effect.name for one in followers if ':' in one.effect.name]
         return panels.lesson(view), [NOTHING, STRANGER, *EFFECTS, *sorted(covariates)]
 
 
-def _show_figures(app: Dash, desk: Desk) -> None:
+def _show_figures(app: Dash, desk: Workspace) -> None:
     @app.callback(*_figure('model-figure'), Input('mark-model', 'data'), Input('kind', 'value'))
     def model(mark: str, kind: str) -> Any:
         view = desk.view
@@ -275,8 +275,8 @@ def _show_figures(app: Dash, desk: Desk) -> None:
         return _shown(figure, 'This recording cannot tell.' if chosen else WAIT, chosen)
 
     @app.callback(*_figure('evidence-figure'), Input('mark-missing', 'data'))
-    def evidence(_mark: Any) -> Any:
-        return _shown(pictures.evidence(desk.view), WAIT)
+    def scores(_mark: Any) -> Any:
+        return _shown(pictures.scores(desk.view), WAIT)
 
     @app.callback(*_figure('history-figure'), Input('mark-missing', 'data'))
     def history(_mark: Any) -> Any:
@@ -285,7 +285,7 @@ def _show_figures(app: Dash, desk: Desk) -> None:
         return _shown(pictures.revisions(view), words)
 
 
-def _compare(app: Dash, desk: Desk) -> None:
+def _compare(app: Dash, desk: Workspace) -> None:
     @app.callback(
         Output('left', 'options'),
         Output('left', 'value'),

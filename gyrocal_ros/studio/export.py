@@ -11,12 +11,12 @@ from gyrocal_ros.files import new_folder
 from gyrocal_ros.report.figures.png import save_png
 from gyrocal_ros.report.write import fill_diagnosis, fill_improvement
 from gyrocal_ros.studio import pictures
-from gyrocal_ros.studio.state import View
+from gyrocal_ros.studio.state import StudioState
 
 NAME = 'report'
 
 
-def export(view: View, folder: Path) -> str:
+def export(view: StudioState, folder: Path) -> str:
     """Write `report/` into the folder of a session; returns what a person should know of it.
 
     It holds the history with all models, `report.html` about it, `present/report.html` about what the

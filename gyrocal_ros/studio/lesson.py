@@ -15,7 +15,7 @@ NOTHING, STRANGER = 'nothing', 'something unknown'
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class GuessRow:
     """One number of the truth, and what the present model says of it."""
 
     name: str
@@ -45,7 +45,7 @@ class Reveal:
     """Hidden effects that the model lacks."""
     needless: tuple[str, ...]
     """Effects of the model that the robot does not have."""
-    lines: tuple[Line, ...]
+    lines: tuple[GuessRow, ...]
 
 
 def reveal(
@@ -78,12 +78,12 @@ def reveal(
     )
 
 
-def _lines(answer: Mapping[str, Any], found: Calibration) -> Iterator[Line]:
+def _lines(answer: Mapping[str, Any], found: Calibration) -> Iterator[GuessRow]:
     estimates = dict(
         zip(found.names, zip(found.values.tolist(), found.stds.tolist(), strict=True), strict=True)
     )
     truth = answer['scale_factor']
-    yield Line('scale factor', truth, '1', found.scale_factor, found.scale_factor_std)
+    yield GuessRow('scale factor', truth, '1', found.scale_factor, found.scale_factor_std)
     in_model = {effect.name: effect for effect in found.model.effects}
     for item in answer['effects']:
         name = str(item['effect'])
@@ -97,10 +97,10 @@ def _lines(answer: Mapping[str, Any], found: Calibration) -> Iterator[Line]:
         for coefficient, about in item['coefficients'].items():
             value, std = estimates.get(short.get(coefficient, ''), (None, None))
             label = f'{name}.{coefficient}'
-            yield Line(label, float(about['value']), str(about['unit']), value, std)
+            yield GuessRow(label, float(about['value']), str(about['unit']), value, std)
 
 
-def off_in_words(line: Line) -> str:
+def off_in_words(line: GuessRow) -> str:
     """By how much an estimate is off."""
     if line.found is None:
         return 'not in the model'

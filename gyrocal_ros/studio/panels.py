@@ -11,7 +11,7 @@ from dash import html
 
 from gyrocal_ros.diagnose.advice import join
 from gyrocal_ros.diagnose.candidate_fit import held_out_gain
-from gyrocal_ros.diagnose.ranking import Suspect, doubts, estimate
+from gyrocal_ros.diagnose.ranking import RankedEffect, doubts, estimate
 from gyrocal_ros.diagnose.separability import to_tell_apart
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation
@@ -20,7 +20,7 @@ from gyrocal_ros.report.tables import with_gain
 from gyrocal_ros.report.words import coefficients_in_words, drift_in_words, sigma_in_words
 from gyrocal_ros.studio.lesson import off_in_words
 from gyrocal_ros.studio.pictures import drift_deg
-from gyrocal_ros.studio.state import View
+from gyrocal_ros.studio.state import StudioState
 from gyrocal_ros.studio.worker import Examined
 
 MOST_LISTED = 8
@@ -28,24 +28,24 @@ MOST_FAILURES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class EffectChoice:
     """One effect that may be added."""
 
     effect: Effect
-    suspect: Suspect | None
+    ranked_effect: RankedEffect | None
     """None for a limit, which only a run can judge."""
 
 
-def choices(examined: Examined) -> list[Choice]:
+def choices(examined: Examined) -> list[EffectChoice]:
     """What may be added, the most telling first: all that is significant, and what comes next."""
-    ranked = [Choice(suspect.effect, suspect) for suspect in examined.stage.suspects]
-    ranked.sort(key=lambda one: one.suspect is not examined.best)
-    certain = sum(one.suspect is not None and one.suspect.is_significant for one in ranked)
-    limits = [Choice(effect, None) for effect in examined.limits]
+    ranked = [EffectChoice(ranked_effect.effect, ranked_effect) for ranked_effect in examined.stage.ranked]
+    ranked.sort(key=lambda one: one.ranked_effect is not examined.best)
+    certain = sum(one.ranked_effect is not None and one.ranked_effect.is_significant for one in ranked)
+    limits = [EffectChoice(effect, None) for effect in examined.limits]
     return [*ranked[:certain], *limits, *ranked[certain : max(certain, MOST_LISTED)]]
 
 
-def bag(view: View) -> list[Any]:
+def bag(view: StudioState) -> list[Any]:
     """What is in the recording, and what is wrong with it."""
     contents = view.contents
     if contents is None:
@@ -72,7 +72,7 @@ def bag(view: View) -> list[Any]:
     ]
 
 
-def failures(view: View) -> list[Any]:
+def failures(view: StudioState) -> list[Any]:
     """Where the present model is off by more than chance."""
     now = view.examined
     if now is None:
@@ -93,12 +93,12 @@ def failures(view: View) -> list[Any]:
     ]
 
 
-def verdict(view: View) -> str:
+def verdict(view: StudioState) -> str:
     """What the recording says of the present model, in a sentence."""
     now = view.examined
     if now is None:
         return ''
-    best, odd = now.best, now.stage.oddity
+    best, odd = now.best, now.stage.unexplained_structure
     if best is not None:
         likely = f'{best.effect.name} explains most of what is left ({sigma_in_words(best.fit.sigma)} sigma)'
         others = f'; it may as well be {join([*now.twins], "or")}' if now.twins else ''
@@ -110,7 +110,7 @@ def verdict(view: View) -> str:
     return 'No effect of the library explains more than chance would.'
 
 
-def candidate_list(view: View) -> list[Any]:
+def candidate_list(view: StudioState) -> list[Any]:
     """A button for every effect that may be added, with a bar: the logarithm of what it explains."""
     now = view.examined
     if now is None:
@@ -133,18 +133,18 @@ def candidate_list(view: View) -> list[Any]:
     ]
 
 
-def _log_gain(choice: Choice) -> float:
-    return 0.0 if choice.suspect is None else math.log10(1.0 + max(choice.suspect.fit.gain, 0.0))
+def _log_gain(choice: EffectChoice) -> float:
+    return 0.0 if choice.ranked_effect is None else math.log10(1.0 + max(choice.ranked_effect.fit.gain, 0.0))
 
 
-def _strength(choice: Choice) -> str:
-    if choice.suspect is None:
+def _strength(choice: EffectChoice) -> str:
+    if choice.ranked_effect is None:
         return 'by the readings'
-    fit = choice.suspect.fit
+    fit = choice.ranked_effect.fit
     return f'+{max(fit.gain, 0.0):.0f}, {sigma_in_words(fit.sigma)} sigma'
 
 
-def candidate_card(view: View, chosen: str | None) -> list[Any]:
+def candidate_card(view: StudioState, chosen: str | None) -> list[Any]:
     """All about one effect that may be added."""
     now = view.examined
     if now is None:
@@ -154,8 +154,8 @@ def candidate_card(view: View, chosen: str | None) -> list[Any]:
         return [html.P('Choose an effect above to see what it is and what it would do.')]
     about: Explanation = find_effect(choice.effect.name).about
     rows: list[tuple[str, Any]] = [('equation', html.Code(about.equation))]
-    if choice.suspect is not None:
-        rows += _evidence(choice.suspect, now, chosen)
+    if choice.ranked_effect is not None:
+        rows += _evidence(choice.ranked_effect, now, chosen)
     rows.append(('held-out drift', html.Span(_forecast(view, choice.effect.name), id='forecast')))
     return [
         html.H3(choice.effect.name, id='candidate-name'),
@@ -164,22 +164,22 @@ def candidate_card(view: View, chosen: str | None) -> list[Any]:
     ]
 
 
-def _evidence(suspect: Suspect, examined: Examined, chosen: str | None) -> list[tuple[str, Any]]:
-    found = coefficients_in_words(suspect.effect, estimate(suspect), doubts(suspect))
-    gain = held_out_gain(examined.stage.evidence, suspect.fit.columns)
+def _evidence(ranked_effect: RankedEffect, examined: Examined, chosen: str | None) -> list[tuple[str, Any]]:
+    found = coefficients_in_words(ranked_effect.effect, estimate(ranked_effect), doubts(ranked_effect))
+    gain = held_out_gain(examined.stage.scores, ranked_effect.fit.columns)
     rows: list[tuple[str, Any]] = [
         ('coefficients', found),
-        ('log-likelihood', with_gain(suspect.fit.gain, suspect.fit.sigma)),
+        ('log-likelihood', with_gain(ranked_effect.fit.gain, ranked_effect.fit.sigma)),
     ]
     if gain is not None:
         rows.append(('on the second half', f'{gain:+.1f} log-likelihood, fitted on the first half alone'))
     if examined.best is not None and chosen == examined.best.effect.name and examined.twins:
-        apart = ' '.join(to_tell_apart(suspect.effect.name, examined.twins))
+        apart = ' '.join(to_tell_apart(ranked_effect.effect.name, examined.twins))
         rows.append(('or else', f'{join([*examined.twins], "or")}. {apart}'))
     return rows
 
 
-def _forecast(view: View, effect: str) -> str:
+def _forecast(view: StudioState, effect: str) -> str:
     """What adding the effect would do to the held-out error."""
     improved, ahead = view.improvement, view.forecast(effect)
     if improved is None or not len(improved.final.held_out.error_rad):
@@ -193,7 +193,7 @@ def _forecast(view: View, effect: str) -> str:
     return f'now {before:.2f} deg'
 
 
-def revision_table(view: View) -> list[Any]:
+def revision_table(view: StudioState) -> list[Any]:
     """The revisions with their figures of merit."""
     improved = view.improvement
     if improved is None:
@@ -214,7 +214,7 @@ def revision_table(view: View) -> list[Any]:
     ]
 
 
-def lesson(view: View) -> list[Any]:
+def lesson(view: StudioState) -> list[Any]:
     """The truth, once it is wanted."""
     told = view.revealed
     if told is None:

@@ -17,8 +17,8 @@ from gyrocal_ros.report.figures import models
 from gyrocal_ros.report.figures.models import Mark
 from gyrocal_ros.report.model_series import coefficients
 from gyrocal_ros.report.series import camera_off, windows
-from gyrocal_ros.studio.revisions import Trial
-from gyrocal_ros.studio.state import View
+from gyrocal_ros.studio.revisions import TriedModel
+from gyrocal_ros.studio.state import StudioState
 from gyrocal_ros.studio.worker import Examined
 
 STRETCHES = 5
@@ -36,7 +36,7 @@ KINDS = {
 COMPARED = {'heading': 'Heading error', 'drift': 'Blind drift', 'innovations': 'Innovations'}
 
 
-def against_measurement(view: View, kind: str) -> Any | None:
+def against_measurement(view: StudioState, kind: str) -> Any | None:
     """Model against measurement over time; while a first run is under way, as far as that has come.
 
     Args:
@@ -51,7 +51,7 @@ def against_measurement(view: View, kind: str) -> Any | None:
     return _held_against(kind, dict(zip(names, shown, strict=True)), improved)
 
 
-def side_by_side(view: View, labels: tuple[str, str], kind: str) -> Any | None:
+def side_by_side(view: StudioState, labels: tuple[str, str], kind: str) -> Any | None:
     """Two revisions side by side; None where one of them has not run.
 
     Args:
@@ -66,7 +66,7 @@ def side_by_side(view: View, labels: tuple[str, str], kind: str) -> Any | None:
     return _held_against(kind, chosen, view.improvement)
 
 
-def _held_against(kind: str, trials: Mapping[str, Trial], improved: Improvement) -> Any | None:
+def _held_against(kind: str, trials: Mapping[str, TriedModel], improved: Improvement) -> Any | None:
     """Several trials over time, the last one being the one whose failures are marked."""
     examined = {name: _examined(trial) for name, trial in trials.items()}
     revisions = {name: _revision(improved, trial.label) for name, trial in trials.items()}
@@ -88,7 +88,7 @@ def _held_against(kind: str, trials: Mapping[str, Trial], improved: Improvement)
 
 def _heading(wanders: Mapping[str, Wander], examined: Examined, drift: BlindDrift) -> Any:
     run = examined.stage.run
-    history, odd = run.history, examined.stage.oddity
+    history, odd = run.history, examined.stage.unexplained_structure
     stretches = [failure for failure in examined.failures if failure.from_s is not None]
     return figures.where_it_fails(
         'Heading by the gyro alone, less the heading that was seen',
@@ -102,7 +102,7 @@ def _heading(wanders: Mapping[str, Wander], examined: Examined, drift: BlindDrif
     )
 
 
-def _glimpse(view: View) -> Any | None:
+def _glimpse(view: StudioState) -> Any | None:
     glimpse = view.glimpse
     if glimpse is None:
         return None
@@ -113,7 +113,7 @@ def _glimpse(view: View) -> Any | None:
     return figure
 
 
-def left_over(view: View, signal: str, of_scale: bool) -> Any | None:
+def left_over(view: StudioState, signal: str, of_scale: bool) -> Any | None:
     """What is left over as a function of a signal; None where the recording cannot tell."""
     chain = view.trials.chain
     if not chain or chain[0].examined is None or chain[-1].examined is None:
@@ -129,22 +129,22 @@ def left_over(view: View, signal: str, of_scale: bool) -> Any | None:
     return figures.bend(Bend(signal, of_scale, before, after, told), (AS_IT_WAS, NOW))
 
 
-def signals(view: View) -> list[tuple[str, bool]]:
+def signals(view: StudioState) -> list[tuple[str, bool]]:
     """What the rest can be told by, and whether as an error of the scale, the most telling first."""
     return [] if view.examined is None else list(view.examined.left_over)
 
 
-def evidence(view: View) -> Any | None:
+def scores(view: StudioState) -> Any | None:
     """What every effect that the present model lacks would explain."""
     examined = view.examined
     if examined is None:
         return None
     best = None if examined.best is None else examined.best.effect.name
     table = open_candidates(examined.stage, best, examined.twins, MOST_CANDIDATES)
-    return figures.evidence(table) if table else None
+    return figures.scores(table) if table else None
 
 
-def revisions(view: View) -> Any | None:
+def revisions(view: StudioState) -> Any | None:
     """The error falling, revision by revision."""
     improved = view.improvement
     if improved is None or not all(len(one.held_out.error_rad) for one in improved.revisions):
@@ -157,16 +157,16 @@ def revisions(view: View) -> Any | None:
     return models.drift_by_model('Drift in 60 s without the camera', marks)
 
 
-def all_of(view: View) -> dict[str, Any]:
+def all_of(view: StudioState) -> dict[str, Any]:
     """All figures that the page can show of the present model, by name."""
     found = {kind: against_measurement(view, kind) for kind in KINDS}
-    found |= {'evidence': evidence(view), 'revisions': revisions(view)}
+    found |= {'evidence': scores(view), 'revisions': revisions(view)}
     for place, (signal, of_scale) in enumerate(signals(view)[:MOST_SIGNALS], start=1):
         found[f'left_over_{place}'] = left_over(view, signal, of_scale)
     return {name: figure for name, figure in found.items() if figure is not None}
 
 
-def drift_deg(examined: Examined, view: View) -> float:
+def drift_deg(examined: Examined, view: StudioState) -> float:
     """Held-out drift of something that may become a revision, told as the revisions are."""
     now = view.examined
     if now is None:
@@ -175,7 +175,7 @@ def drift_deg(examined: Examined, view: View) -> float:
     return blind_drift(run, reference_path(now.stage.run), held_out_from_s(run)).rms_deg
 
 
-def _examined(trial: Trial) -> Examined:
+def _examined(trial: TriedModel) -> Examined:
     assert trial.examined is not None
     return trial.examined
 

@@ -15,7 +15,7 @@ from gyrocal_ros.diagnose.recorded import Recorded, look_at
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.issues import refuse_errors
-from gyrocal_ros.pipeline.calibrate import Progress, hold
+from gyrocal_ros.pipeline.calibrate import Progress, preload
 from gyrocal_ros.sim.hidden import draw_hidden, draw_scale_factor, hide
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sealed import answer_of
@@ -41,7 +41,7 @@ class Bag:
 
 
 @dataclass(frozen=True, slots=True)
-class Riddle:
+class HiddenEffectTask:
     """A simulated robot that hides what its seed decides."""
 
     seed: int
@@ -88,20 +88,20 @@ class Contents:
         return tuple((finding.severity, str(finding)) for finding in found)
 
 
-def look_into(what: Bag | Riddle) -> Contents:
+def look_into(what: Bag | HiddenEffectTask) -> Contents:
     """See what a recording holds.
 
     Raises:
         GyrocalError: it cannot be read.
     """
-    if isinstance(what, Riddle):
+    if isinstance(what, HiddenEffectTask):
         return Contents(what.duration_s, None)
     report = check_bag(what.path, what.config, **what.options)
     return Contents(report.duration_s, report)
 
 
 def read(
-    what: Bag | Riddle, contents: Contents, model: SensorModel, report: Callable[[Progress], None]
+    what: Bag | HiddenEffectTask, contents: Contents, model: SensorModel, report: Callable[[Progress], None]
 ) -> Opened:
     """Read a recording, and follow its images once.
 
@@ -114,12 +114,12 @@ def read(
     Raises:
         GyrocalError: it cannot be calibrated from.
     """
-    if isinstance(what, Riddle):
+    if isinstance(what, HiddenEffectTask):
         riddle = what.source()
-        held, config = hold(riddle, what.config, model, report)
+        held, config = preload(riddle, what.config, model, report)
         return Opened(held, config, look_at(held), answer_of(riddle))
     assert contents.check is not None
     refuse_errors(contents.check.findings, str(what.path))
     source = open_bag(what.path, what.config, with_covariates=True, **what.options)
-    held, config = hold(source, what.config, model, report)
+    held, config = preload(source, what.config, model, report)
     return Opened(held, config, look_at(held), None)

@@ -18,7 +18,7 @@ from gyrocal_ros.studio.worker import Examined
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trial:
+class TriedModel:
     """One model that was tried."""
 
     label: str
@@ -31,25 +31,25 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trials:
+class ModelTree:
     """All that were tried, in the order in which they were, and which is the present one."""
 
-    every: tuple[Trial, ...] = ()
+    every: tuple[TriedModel, ...] = ()
     present: str | None = None
 
-    def find(self, label: str | None) -> Trial | None:
+    def find(self, label: str | None) -> TriedModel | None:
         """The trial of that label."""
         return next((trial for trial in self.every if trial.label == label), None)
 
     @property
-    def now(self) -> Trial | None:
+    def now(self) -> TriedModel | None:
         """The present one."""
         return self.find(self.present)
 
     @property
-    def chain(self) -> tuple[Trial, ...]:
+    def chain(self) -> tuple[TriedModel, ...]:
         """The present trial and all that it builds on, the first one first."""
-        chain: list[Trial] = []
+        chain: list[TriedModel] = []
         trial = self.now
         while trial is not None:
             chain.insert(0, trial)
@@ -57,13 +57,13 @@ class Trials:
         return tuple(chain)
 
     @property
-    def waiting(self) -> Trial | None:
+    def waiting(self) -> TriedModel | None:
         """The next one that has to run, the present one before all others."""
         return next(
             (one for one in (self.now, *self.every) if one is not None and one.examined is None), None
         )
 
-    def known(self, effect: str) -> Trial | None:
+    def known(self, effect: str) -> TriedModel | None:
         """That which adds the effect to the present one, if it was tried."""
         return next(
             (
@@ -76,20 +76,20 @@ class Trials:
             None,
         )
 
-    def begun(self, examined: Examined) -> Trials:
+    def begun(self, examined: Examined) -> ModelTree:
         """With the first model, which has run."""
         model = examined.stage.model
-        return Trials(
-            (Trial(revision_label(0, model.name), None, model, examined),), revision_label(0, model.name)
+        return ModelTree(
+            (TriedModel(revision_label(0, model.name), None, model, examined),), revision_label(0, model.name)
         )
 
-    def added(self, examined: Examined) -> Trials:
+    def added(self, examined: Examined) -> ModelTree:
         """With one more, which builds on the present one and takes its place."""
         model = examined.stage.model
         label = revision_label(len(self.every), model.effects[-1].name)
-        return Trials((*self.every, Trial(label, self.present, model, examined)), label)
+        return ModelTree((*self.every, TriedModel(label, self.present, model, examined)), label)
 
-    def ran(self, label: str, examined: Examined) -> Trials:
+    def ran(self, label: str, examined: Examined) -> ModelTree:
         """With what came of running one of them."""
         every = [replace(one, examined=examined) if one.label == label else one for one in self.every]
         return replace(self, every=tuple(every))

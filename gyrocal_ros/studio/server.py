@@ -25,7 +25,7 @@ from gyrocal_ros.robot.feed import Overview
 from gyrocal_ros.studio import live_page
 from gyrocal_ros.studio.callbacks import connect
 from gyrocal_ros.studio.layout import layout
-from gyrocal_ros.studio.workspace import Desk
+from gyrocal_ros.studio.workspace import Workspace
 
 COOKIE = 'gyrocal_studio'
 POLICY = (
@@ -37,7 +37,7 @@ DOOR = """<!doctype html><html lang="en"><meta charset="utf-8"><title>gyrocal st
 <button>Open</button></p></form></html>"""
 
 
-def make_app(desk: Desk, token: str | None = None, names: frozenset[str] | None = None) -> Dash:
+def make_app(desk: Workspace, token: str | None = None, names: frozenset[str] | None = None) -> Dash:
     """The page about recordings as an application.
 
     Args:

@@ -22,18 +22,18 @@ from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.sim.sealed import sealed_path, unseal
 from gyrocal_ros.studio import store
 from gyrocal_ros.studio.lesson import reveal
-from gyrocal_ros.studio.recordings import Bag, Contents, Riddle
-from gyrocal_ros.studio.revisions import Trials
-from gyrocal_ros.studio.state import Doing, View
+from gyrocal_ros.studio.recordings import Bag, Contents, HiddenEffectTask
+from gyrocal_ros.studio.revisions import ModelTree
+from gyrocal_ros.studio.state import Doing, StudioState
 from gyrocal_ros.studio.worker import (
     Advance,
     Examine,
     Examined,
     Failed,
-    Glimpse,
-    Look,
     News,
+    OpenRecording,
     Ready,
+    RunPreview,
     Stopped,
     Task,
 )
@@ -53,7 +53,9 @@ class Works(Protocol):
 class Session:
     """One recording on the desk. Safe to use from several threads."""
 
-    def __init__(self, recording: Bag | Riddle, model: SensorModel, folder: Path, worker: Works) -> None:
+    def __init__(
+        self, recording: Bag | HiddenEffectTask, model: SensorModel, folder: Path, worker: Works
+    ) -> None:
         """Begin to read the recording.
 
         Args:
@@ -70,13 +72,13 @@ class Session:
         self._answer: Mapping[str, Any] | None = None
         self._open = ExitStack()
         self._open.enter_context(store.locked(folder))
-        has_answer = isinstance(recording, Riddle) or sealed_path(recording.path).is_file()
-        self._view = View(title=recording.title, has_answer=has_answer)
+        has_answer = isinstance(recording, HiddenEffectTask) or sealed_path(recording.path).is_file()
+        self._view = StudioState(title=recording.title, has_answer=has_answer)
         with self._changed:
-            self._begin('open', recording.title, Look(recording, model))
+            self._begin('open', recording.title, OpenRecording(recording, model))
 
     @property
-    def view(self) -> View:
+    def view(self) -> StudioState:
         """The present state."""
         return self._view
 
@@ -85,7 +87,7 @@ class Session:
         """Where everything is written."""
         return self._folder
 
-    def wait(self, reached: Callable[[View], bool], timeout_s: float) -> View:
+    def wait(self, reached: Callable[[StudioState], bool], timeout_s: float) -> StudioState:
         """Wait until the state is as wanted, or the time is up; returns the state."""
         with self._changed:
             self._changed.wait_for(lambda: reached(self._view), timeout_s)
@@ -173,7 +175,7 @@ class Session:
         with self._changed:
             self._refuse_while_busy()
             if self._view.recorded is None:
-                self._begin('open', self._recording.title, Look(self._recording, self._model))
+                self._begin('open', self._recording.title, OpenRecording(self._recording, self._model))
             else:
                 self._replay()
 
@@ -237,7 +239,7 @@ class Session:
                 self._publish(doing=replace(doing, advance=news))
             elif isinstance(news, Contents):
                 self._publish(contents=news)
-            elif isinstance(news, Glimpse):
+            elif isinstance(news, RunPreview):
                 if doing.what != 'forecast':
                     self._publish(glimpse=news)
             elif isinstance(news, Failed | Stopped):
@@ -302,7 +304,7 @@ class Session:
     def _set_present(self, label: str, message: str) -> None:
         self._commit(replace(self._view.trials, present=label), message)
 
-    def _commit(self, trials: Trials, message: str) -> None:
+    def _commit(self, trials: ModelTree, message: str) -> None:
         """Make it so, on disk first."""
         new = {trial.label for trial in trials.every} - {trial.label for trial in self._view.trials.every}
         improved = trials.improvement()
@@ -316,7 +318,7 @@ class Session:
         """What tells the recording from others."""
         contents = self._view.contents
         assert contents is not None
-        if isinstance(self._recording, Riddle):
+        if isinstance(self._recording, HiddenEffectTask):
             return {'seed': self._recording.seed, 'duration_s': contents.duration_s}
         assert contents.check is not None
         topics = {topic.name: topic.count for topic in contents.check.topics}

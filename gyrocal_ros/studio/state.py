@@ -10,8 +10,8 @@ from gyrocal_ros.diagnose.improvement import Improvement
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.studio.lesson import Reveal
 from gyrocal_ros.studio.recordings import Contents
-from gyrocal_ros.studio.revisions import Trials
-from gyrocal_ros.studio.worker import Advance, Examined, Glimpse
+from gyrocal_ros.studio.revisions import ModelTree
+from gyrocal_ros.studio.worker import Advance, Examined, RunPreview
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Doing:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class StudioState:
     """The state of a session at one moment. Nothing in it changes."""
 
     version: int = 0
@@ -39,8 +39,8 @@ class View:
     contents: Contents | None = None
     recorded: Recorded | None = None
     doing: Doing | None = None
-    glimpse: Glimpse | None = None
-    trials: Trials = field(default_factory=Trials)
+    glimpse: RunPreview | None = None
+    trials: ModelTree = field(default_factory=ModelTree)
     forecasts: Mapping[tuple[str, str], Examined] = field(default_factory=dict)
     """By label of the trial and name of the effect: what would come of adding it."""
     message: str = ''

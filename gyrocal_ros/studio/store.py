@@ -23,13 +23,13 @@ from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import json_text, new_folder, write_text_atomic
 from gyrocal_ros.report.history import fill_result, fill_revision
-from gyrocal_ros.studio.revisions import Trial, Trials
+from gyrocal_ros.studio.revisions import ModelTree, TriedModel
 
 STATE = 'studio.json'
 LOCK = '.lock'
 
 
-def load(folder: Path, recording: Mapping[str, Any]) -> Trials:
+def load(folder: Path, recording: Mapping[str, Any]) -> ModelTree:
     """What was tried before; nothing where the folder is new.
 
     Args:
@@ -41,7 +41,7 @@ def load(folder: Path, recording: Mapping[str, Any]) -> Trials:
     """
     path = folder / STATE
     if not path.is_file():
-        return Trials()
+        return ModelTree()
     todo = 'give another folder with -o, or move this one away'
     try:
         saved = json.loads(path.read_text(encoding='utf-8'))
@@ -55,9 +55,9 @@ def load(folder: Path, recording: Mapping[str, Any]) -> Trials:
     if not {label for label, _ in names} <= known or present not in dict(names):
         raise GyrocalError('names revisions that are not there', where=str(path), todo=todo)
     every = tuple(
-        Trial(label, builds_on, load_model(folder / label / 'model.yaml')) for label, builds_on in names
+        TriedModel(label, builds_on, load_model(folder / label / 'model.yaml')) for label, builds_on in names
     )
-    return Trials(every, present)
+    return ModelTree(every, present)
 
 
 def save_revision(folder: Path, revision: Revision) -> None:
@@ -70,7 +70,7 @@ def save_revision(folder: Path, revision: Revision) -> None:
         fill_revision(part, revision)
 
 
-def save_state(folder: Path, recording: Mapping[str, Any], trials: Trials) -> None:
+def save_state(folder: Path, recording: Mapping[str, Any], trials: ModelTree) -> None:
     """Write which revisions count, and which one is the present one.
 
     Raises:

@@ -21,10 +21,10 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.heading_filter import headings
-from gyrocal_ros.diagnose.ranking import Suspect, best_explanation, twins
+from gyrocal_ros.diagnose.ranking import RankedEffect, best_explanation, twins
 from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.regimes import Failure, failures
-from gyrocal_ros.diagnose.search import NONE, Stage, examine, rescue, suspected_limits
+from gyrocal_ros.diagnose.search import NONE, ExaminedModel, examine, recover, suspected_limits
 from gyrocal_ros.diagnose.shapes import shapes
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError, GyrocalError
@@ -32,7 +32,7 @@ from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import Progress, calibrate
 from gyrocal_ros.report.diagnosis_series import Curve, Wander, centred, wander
 from gyrocal_ros.report.series import kept
-from gyrocal_ros.studio.recordings import Bag, Contents, Opened, Riddle, look_into, read
+from gyrocal_ros.studio.recordings import Bag, Contents, HiddenEffectTask, Opened, look_into, read
 
 GLIMPSE_S = 0.8
 """How often a run that is under way shows itself."""
@@ -43,10 +43,10 @@ SHORTEST_S = 15.0
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class OpenRecording:
     """See what is in a recording, and read it."""
 
-    recording: Bag | Riddle
+    recording: Bag | HiddenEffectTask
     model: SensorModel
 
 
@@ -59,7 +59,7 @@ class Examine:
     """Where the filter cannot run with it, look for an effect with which it can."""
 
 
-Task: TypeAlias = Look | Examine
+Task: TypeAlias = OpenRecording | Examine
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class Advance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Glimpse:
+class RunPreview:
     """The heading so far, as far as a run that is under way can tell."""
 
     wander: Wander
@@ -83,8 +83,8 @@ class Glimpse:
 class Examined:
     """A model on the recording, with all that takes a while to tell of it."""
 
-    stage: Stage
-    best: Suspect | None
+    stage: ExaminedModel
+    best: RankedEffect | None
     """The effect that explains most of what is left over; None where that is no more than chance."""
     limits: tuple[Effect, ...]
     """Limits that the readings suggest; only a run can tell what they explain."""
@@ -116,7 +116,7 @@ class Stopped:
     """A task that was cancelled."""
 
 
-News: TypeAlias = Advance | Contents | Ready | Glimpse | Examined | Failed | Stopped
+News: TypeAlias = Advance | Contents | Ready | RunPreview | Examined | Failed | Stopped
 Listener: TypeAlias = Callable[[int, News], None]
 """Told the number of a task, and news of it."""
 
@@ -188,7 +188,7 @@ def _serve(pipe: Connection, other_end: Connection, cancelled: Any) -> None:
     other_end.close()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the studio decides when to end
-    desk = _Desk()
+    desk = _Workbench()
     with suppress(EOFError, OSError):
         while True:
             number, task = pipe.recv()
@@ -201,10 +201,10 @@ def _serve(pipe: Connection, other_end: Connection, cancelled: Any) -> None:
             pipe.send((number, _outcome(desk, task, tell)))
 
 
-def _outcome(desk: _Desk, task: Task, tell: Callable[[News], None]) -> News:
+def _outcome(desk: _Workbench, task: Task, tell: Callable[[News], None]) -> News:
     try:
         tell(Advance(0.0, 'beginning'))
-        return desk.look(task, tell) if isinstance(task, Look) else desk.examine(task, tell)
+        return desk.look(task, tell) if isinstance(task, OpenRecording) else desk.examine(task, tell)
     except _Cancelled:
         return Stopped()
     except GyrocalError as error:
@@ -213,13 +213,13 @@ def _outcome(desk: _Desk, task: Task, tell: Callable[[News], None]) -> News:
         return Failed('the memory of this machine does not suffice')
 
 
-class _Desk:
+class _Workbench:
     """What the process has before it."""
 
     def __init__(self) -> None:
         self._opened: Opened | None = None
 
-    def look(self, task: Look, tell: Callable[[News], None]) -> Ready:
+    def look(self, task: OpenRecording, tell: Callable[[News], None]) -> Ready:
         self._opened = None
         tell(Advance(0.0, 'looking into the recording'))
         contents = look_into(task.recording)
@@ -234,51 +234,51 @@ class _Desk:
     def examine(self, task: Examine, tell: Callable[[News], None]) -> Examined:
         assert self._opened is not None
         opened = self._opened
-        told_s = 0.0
+        gyro_valid_s = 0.0
 
         def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
             doing = f'running with {", ".join(effect.name for effect in model.effects)}'
 
             def report(state: Progress) -> None:
-                nonlocal told_s
+                nonlocal gyro_valid_s
                 tell(Advance(state.done_s / max(state.total_s, 1.0), doing))
-                if state.so_far is not None and time.monotonic() - told_s > GLIMPSE_S:
+                if state.so_far is not None and time.monotonic() - gyro_valid_s > GLIMPSE_S:
                     glimpse = _glimpse(state.so_far())
                     if glimpse is not None:
                         tell(glimpse)
-                        told_s = time.monotonic()
+                        gyro_valid_s = time.monotonic()
 
             return calibrate(opened.source, opened.config, model, report=report, candidates=candidates)
 
         try:
             stage = examine(task.model, opened.recorded, run)
         except FilterDivergedError:
-            change = rescue(task.model, opened.recorded, run) if task.is_first else None
+            change = recover(task.model, opened.recorded, run) if task.is_first else None
             if change is None:
                 raise
             stage = change.after
         return _examined(stage, opened.recorded)
 
 
-def _examined(stage: Stage, recorded: Recorded) -> Examined:
-    best = best_explanation(stage.suspects, stage.evidence, ())
-    others = [suspect for suspect in stage.suspects if suspect is not best]
+def _examined(stage: ExaminedModel, recorded: Recorded) -> Examined:
+    best = best_explanation(stage.ranked, stage.scores, ())
+    others = [ranked_effect for ranked_effect in stage.ranked if ranked_effect is not best]
     return Examined(
         stage=stage,
         best=best,
         limits=tuple(limit.effect for limit in suspected_limits(stage, recorded, best)),
-        twins=() if best is None else tuple(twins(best, others, stage.evidence, NONE)),
+        twins=() if best is None else tuple(twins(best, others, stage.scores, NONE)),
         failures=tuple(failures(stage.run, stage.seen)),
         wander=wander(stage.seen),
         left_over={(item.signal, item.of_scale): centred(item) for item in shapes(stage.run, stage.seen)},
     )
 
 
-def _glimpse(run: Run) -> Glimpse | None:
+def _glimpse(run: Run) -> RunPreview | None:
     history = run.history
     seen = np.isfinite(history.heading_innovation_rad).sum()
     if not len(history.time_s) or history.time_s[-1] < SHORTEST_S or seen < FEWEST_SEEN:
         return None
     rate_deg_s = np.degrees(history.turn_rad / history.dt_s)
     rows = kept(rate_deg_s[:, None], GLIMPSE_POINTS)
-    return Glimpse(wander(headings(run)), history.time_s[rows], rate_deg_s[rows])
+    return RunPreview(wander(headings(run)), history.time_s[rows], rate_deg_s[rows])

@@ -11,9 +11,9 @@ from typing import Protocol
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.studio.recordings import Bag, Riddle
+from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask
 from gyrocal_ros.studio.session import Session, Works
-from gyrocal_ros.studio.state import View
+from gyrocal_ros.studio.state import StudioState
 from gyrocal_ros.studio.worker import Listener, News
 
 SEEDS = 10_000
@@ -28,7 +28,7 @@ class Helper(Works, Protocol):
     def close(self) -> None: ...
 
 
-class Desk:
+class Workspace:
     """The recordings by number, so that a browser can name none that was not given."""
 
     def __init__(
@@ -70,7 +70,7 @@ class Desk:
         return self._session
 
     @property
-    def view(self) -> View:
+    def view(self) -> StudioState:
         """The state of the open session."""
         return self._session.view
 
@@ -101,10 +101,10 @@ class Desk:
         self._session.close()
         self._worker.close()
 
-    def _riddle(self, seed: int | None = None) -> Riddle:
-        return Riddle(secrets.randbelow(SEEDS) if seed is None else seed, self._config)
+    def _riddle(self, seed: int | None = None) -> HiddenEffectTask:
+        return HiddenEffectTask(secrets.randbelow(SEEDS) if seed is None else seed, self._config)
 
-    def _change(self, recording: Bag | Riddle) -> None:
+    def _change(self, recording: Bag | HiddenEffectTask) -> None:
         with self._lock:
             if recording.title != self._session.view.title:
                 self._worker.cancel()
@@ -112,7 +112,7 @@ class Desk:
                 self._session.close()
                 self._session = opened
 
-    def _opened(self, recording: Bag | Riddle) -> Session:
+    def _opened(self, recording: Bag | HiddenEffectTask) -> Session:
         return Session(recording, self._model, self._out / recording.title, self._worker)
 
     def _hear(self, number: int, news: News) -> None:

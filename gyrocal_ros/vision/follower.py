@@ -78,7 +78,7 @@ class Follower:
         self._gain_and_bias: Array = np.array([1.0, 0.0])
         self._information = np.diag([TURN_GAIN_STD**-2.0, TURN_BIAS_STD_RAD_S**-2.0])
 
-    def start_anew(self) -> None:
+    def restart(self) -> None:
         """Forget attitudes and regions: the clock of the stamps has stepped."""
         self.turning, self.regions, self._last = Turning(), None, None
 

@@ -32,7 +32,7 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.files import shipped
 from gyrocal_ros.msgs.topics import stamp_ns
 from gyrocal_ros.nodes.qos import LATCHED, SENSOR_OUT, STATIC
-from gyrocal_ros.pipeline.calibrate import Held, calibrate
+from gyrocal_ros.pipeline.calibrate import InMemorySource, calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 
 BAG = shipped('bags/cleaning')
@@ -65,7 +65,7 @@ def replayed(duration_s: float) -> Calibration:
     bag = open_bag(BAG, config)
     end_ns = bag.span.start_ns + round(duration_s * NS_PER_S)
     start = [item for item in bag.measurements() if item.t_ns < end_ns]
-    return conclude(calibrate(Held(bag.name, bag.rig, bag.span, start), config, default_model()))
+    return conclude(calibrate(InMemorySource(bag.name, bag.rig, bag.span, start), config, default_model()))
 
 
 def fast(**parameters: Any) -> dict[str, Any]:

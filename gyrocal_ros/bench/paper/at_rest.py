@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.bench.paper.experiment import Claim, Mapper, judged
+from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
 from gyrocal_ros.data import NS_PER_S, Array, ImuSample
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.sim.forward import HiddenEffect
@@ -57,7 +57,7 @@ def figure_9(each: Mapper, seeds: int) -> AtRest:
     truths = (C1_DEG_S, C2_DEG_S, T_S)
     names = ('C1 (deg/s)', 'C2 (deg/s)', 'T (s)')
     claims = tuple(
-        judged(
+        assessed(
             f'{name} by least squares',
             f'{truth:g}',
             f'{mean:.{digits}f}, sd {sd:.{digits}f} over {seeds} seeds',

@@ -16,7 +16,7 @@ from gyrocal_ros.bench.paper.tracks import figure_12, figure_13
 from gyrocal_ros.bench.paper.unseen import figure_11, table_1
 
 
-class Result(Protocol):
+class PaperResult(Protocol):
     """Numbers, and what they say of the paper's claims."""
 
     @property
@@ -28,7 +28,7 @@ class Experiment:
     """One figure or table of the paper."""
 
     title: str
-    make: Callable[[Mapper, int], Result]
+    make: Callable[[Mapper, int], PaperResult]
     seeds: int
     """As many as are used unless another number is asked for."""
     least: int = 1

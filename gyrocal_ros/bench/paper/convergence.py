@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.bench.accuracy import OURS, PAPER, PAPER_GATED
 from gyrocal_ros.bench.bench_run import Variant, settled_after_s
-from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, TRUE_VOLT, Claim, Mapper, judged
+from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, TRUE_VOLT, Claim, Mapper, assessed
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
@@ -51,21 +51,21 @@ class Variety:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Convergence:
+class ConvergenceFigure:
     """The figure."""
 
     varieties: tuple[Variety, ...]
     claims: tuple[Claim, ...]
 
 
-def figure_10(each: Mapper, seeds: int) -> Convergence:
+def figure_10(each: Mapper, seeds: int) -> ConvergenceFigure:
     """Our filter, the paper's as it is written, and the paper's with updates only after some motion."""
     tasks = [(variant, seed) for variant in VARIANTS for seed in range(seeds)]
     every = list(each(_course, tasks))
     varieties = tuple(
         _variety(variant.name, every[i * seeds : (i + 1) * seeds]) for i, variant in enumerate(VARIANTS)
     )
-    return Convergence(varieties, tuple(map(_claim, varieties)))
+    return ConvergenceFigure(varieties, tuple(map(_claim, varieties)))
 
 
 def _variety(name: str, courses: list[Course | None]) -> Variety:
@@ -80,7 +80,7 @@ def _claim(variety: Variety) -> Claim:
     times = f', median {np.median(reached):.1f} s, last {reached.max():.1f} s' if len(reached) else ''
     final = variety.final_volt[np.isfinite(variety.final_volt)]
     rms = math.sqrt(float(np.mean((final - TRUE_VOLT) ** 2))) if len(final) else math.nan
-    return judged(
+    return assessed(
         f'reaches {TRUE_VOLT} deg/s/V within 20 s of motion: {variety.name}',
         'one run, to the eye',
         f'to {100.0 * WITHIN:g} % and for good: {soon} of {seeds} runs{times}; rms error after '

@@ -33,6 +33,6 @@ class Claim:
     verdict: Holds
 
 
-def judged(what: str, paper: str, here: str, holds: bool) -> Claim:
+def assessed(what: str, paper: str, here: str, holds: bool) -> Claim:
     """A claim that holds or does not."""
     return Claim(what, paper, here, 'holds' if holds else 'does not hold')

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.bench.paper.experiment import Claim, Mapper, judged
+from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
 from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.ekf.landmarks import augment
@@ -19,7 +19,7 @@ from gyrocal_ros.ekf.update import innovate, update
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.camera import project
 from gyrocal_ros.model.features import PARAMETRISATIONS
-from gyrocal_ros.model.features.base import Parametrisation, view_from_pose
+from gyrocal_ros.model.features.base import Parametrisation, posed_camera
 from gyrocal_ros.sim.sensors import stream
 
 FORMS = {'proposed': 'camera_frame', 'inverse depth': 'inverse_depth', 'conventional': 'pixel'}
@@ -83,7 +83,7 @@ def figure_14(each: Mapper, seeds: int) -> LandmarkErrors:
     methods = _methods(each, 1, 0.0)
     proposed, inverse, conventional = (method.errors_cm[0] for method in methods)
     claims = (
-        judged(
+        assessed(
             'proposed method, after one step of 5 cm',
             'almost no error',
             f'{proposed[1]:.2f} cm',
@@ -95,7 +95,7 @@ def figure_14(each: Mapper, seeds: int) -> LandmarkErrors:
             f'{inverse[1]:.1f} cm, {inverse[2]:.1f} cm after 10 cm',
             'in part',
         ),
-        judged(
+        assessed(
             'conventional method, after 5 and 50 cm',
             'large',
             f'{conventional[1]:.0f} cm, {conventional[-1]:.0f} cm',
@@ -112,20 +112,20 @@ def figure_15(each: Mapper, seeds: int) -> LandmarkErrors:
     bound = bound_cm()
     ratios = inverse.mean_cm[list(SHOWN)] / proposed.mean_cm[list(SHOWN)]
     claims = (
-        judged(
+        assessed(
             'proposed method, mean error after 5, 10, 25, 50 cm',
             'no number; falls at once',
             f'{_at(proposed.mean_cm)} cm (rms {_at(proposed.rms_cm)} cm, its Cramer-Rao bound '
             f'{_at(bound)} cm)',
             bool(proposed.mean_cm[2] < 30.0 and proposed.mean_cm[-1] < 5.0),
         ),
-        judged(
+        assessed(
             'inverse depth beside it',
             'the same',
             f'{_at(inverse.mean_cm)} cm, {ratios.min():.2f} to {ratios.max():.2f} times it',
             bool(ratios.max() < 1.15 and ratios.min() > 0.85),
         ),
-        judged(
+        assessed(
             'conventional method',
             'large',
             f'{conventional.failed} of {seeds} runs fail outright; median of the others '
@@ -154,7 +154,7 @@ def follow(form: Parametrisation, noise_px: float, seed: int) -> Array:
         mean = state.mean.copy()
         mean[POSITION] = [step * STEP_M, 0.0, 0.0]
         state = replace(state, mean=mean)
-        view = view_from_pose(CAMERA, AT_THE_ORIGIN, state.position_m, state.euler_rad)
+        view = posed_camera(CAMERA, AT_THE_ORIGIN, state.position_m, state.euler_rad)
         pixels = project(CAMERA, LANDMARK_M - state.position_m) + noise_px * rng.standard_normal((1, 2))
         if step == 0:
             new = form.initialise(view, pixels, NOISE_PX, FEATURES)

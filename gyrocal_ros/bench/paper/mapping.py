@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.bench.paper.experiment import Claim, Mapper, judged
+from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.ceiling import CeilingMap, ceiling_map
-from gyrocal_ros.diagnose.drift import Path, slam_path
+from gyrocal_ros.diagnose.drift import Trajectory2D, slam_path
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.manoeuvres import drive, rest, turn
@@ -29,7 +29,7 @@ class FeatureMap:
 
     ceiling: CeilingMap
     """Of the first seed, in the frame of its start."""
-    path: Path
+    path: Trajectory2D
     corners_m: Array
     """(c, 2) where the corners of the simulated ceiling truly are, in the same frame."""
     turned_std_m: Array
@@ -52,19 +52,19 @@ def figure_7(each: Mapper, seeds: int) -> FeatureMap:
     turned, driven = doubts.T
     inside = [100.0 * float(np.mean(errors_sigma < sigmas)) for sigmas in (1.0, 3.0)]
     claims = (
-        judged(
+        assessed(
             'the depth cannot be told by a rotation alone',
             'said, not measured',
             f'after a full turn each height is known to {_metres(turned)}, hardly better than was assumed',
             bool(np.median(turned) > 0.5),
         ),
-        judged(
+        assessed(
             'it is told when the robot moves forward',
             'said, not measured',
             f'after {DRIVEN_M:g} m more to {_metres(driven)}',
             bool(np.median(driven) < 0.1 * np.median(turned)),
         ),
-        judged(
+        assessed(
             'the ellipses are bounds of 1 sigma',
             'drawn as such',
             f'{inside[0]:.0f} % of {len(errors_sigma)} features lie inside theirs (39 % would be right), '
@@ -75,7 +75,7 @@ def figure_7(each: Mapper, seeds: int) -> FeatureMap:
     return FeatureMap(ceiling, path, corners, turned, driven, errors_m, errors_sigma, claims)
 
 
-def _lanes(seed: int) -> tuple[CeilingMap, Path, Array, Array]:
+def _lanes(seed: int) -> tuple[CeilingMap, Trajectory2D, Array, Array]:
     """Map, path, true corners, errors in m and in sigma; in the body's frame at the start, the map's own."""
     scenario = replace(find_scenario('lanes'), duration_s=120.0, features=FEATURES)
     source = SimSource(scenario, seed)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, Claim, Mapper, judged
+from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, Claim, Mapper, assessed
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ImuSample
 from gyrocal_ros.diagnose.diagnosis import diagnose
@@ -19,7 +19,7 @@ from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.scale import FULL_RATE_RAD_S, scale_power
-from gyrocal_ros.pipeline.calibrate import calibrate, hold
+from gyrocal_ros.pipeline.calibrate import calibrate, preload
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.trajectory import Leg
@@ -92,19 +92,19 @@ def figure_8(each: Mapper, seeds: int) -> RateTable:
     straight, bent = results[:-1], results[-1]
     spread = max(float(np.ptp(result.volt)) for result in straight)
     claims = (
-        judged(
+        assessed(
             'the scale factor is the same at all rates, 20 to 90 deg/s',
             'almost; drawn between 135.3 and 135.7',
             f'within {spread:.3f} deg/s/V at worst',
             spread < 0.1,
         ),
-        judged(
+        assessed(
             'so a function of first order is enough, for the diagnosis too',
             'by looking at the figure',
             '; '.join(_words(result) for result in straight),
             all(result.verdict == 'nothing_missing' for result in straight),
         ),
-        judged(
+        assessed(
             f'a part bent by {100.0 * BEND:.1f} % at 100 deg/s is found out without a rate table',
             'not tried',
             _words(bent),
@@ -165,13 +165,13 @@ def _examine(task: tuple[int, Sample]) -> SampleResult:
     volt, volt_std = on_the_table(sample, seed)
     scenario = sample.put_in(find_scenario('cleaning'))
     simulated = SimSource(scenario, seed, hidden=sample.hidden)
-    source, config = hold(simulated, Config(), default_model())
+    source, config = preload(simulated, Config(), default_model())
     recorded = look_at(source)
     searched = search(
         default_model(), recorded, lambda model, tried: calibrate(source, config, model, candidates=tried)
     )
     found = diagnose(searched, recorded)
-    cubic = next(item for item in searched.first.suspects if item.effect.name == 'scale_cubic')
+    cubic = next(item for item in searched.first.ranked if item.effect.name == 'scale_cubic')
     to_percent = 100.0 * FULL_RATE_RAD_S**2
     return SampleResult(
         sample=sample,

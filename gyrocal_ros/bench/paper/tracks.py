@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.bench.camera_off import laid_on_truth, nominal_path
-from gyrocal_ros.bench.paper.experiment import Claim, Mapper, judged
+from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
 from gyrocal_ros.bench.paper.unseen import NOMINAL_ERROR
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.drift import Path, slam_path
+from gyrocal_ros.diagnose.drift import Trajectory2D, slam_path
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
@@ -34,7 +34,7 @@ GYRO, NOMINAL, SLAM, TRUTH = 'calibrated gyro', 'nominal gyro', 'SLAM', 'ground 
 class Tracks:
     """One of the two figures."""
 
-    tracks: dict[str, Path]
+    tracks: dict[str, Trajectory2D]
     """Of the first seed by name, laid on the truth where they begin."""
     end_errors_m: dict[str, Array]
     """(seeds,) by name, distance from the truth at the end."""
@@ -47,13 +47,13 @@ def figure_12(each: Mapper, seeds: int) -> Tracks:
     ends = _end_errors(results)
     calibrated, nominal = ends[GYRO], ends[NOMINAL]
     claims = (
-        judged(
+        assessed(
             'end position by dead reckoning, calibrated',
             '13.8 cm',
             _centimetres(calibrated),
             float(calibrated.mean()) < 0.138,
         ),
-        judged(
+        assessed(
             'not calibrated',
             '66.0 cm',
             f'{_centimetres(nominal)}; scale factor off by {100.0 * NOMINAL_ERROR:.2f} % as in Table 1',
@@ -68,13 +68,13 @@ def figure_13(each: Mapper, seeds: int) -> Tracks:
     seen = list(each(_seen, list(range(seeds))))
     ends = _end_errors(seen)
     claims = (
-        judged(
+        assessed(
             'SLAM stays on the ground truth',
             'to the eye',
             f'{_centimetres(ends[SLAM])} off at the end of 5 minutes',
             float(ends[SLAM].max()) < 0.10,
         ),
-        judged(
+        assessed(
             'dead reckoning with the calibrated gyro does not',
             'to the eye',
             f'{_centimetres(ends[GYRO])} off after {END_S - OFF_S:.0f} s without the camera',
@@ -91,31 +91,33 @@ def _scenario(camera_until_s: float) -> Scenario:
     return replace(lanes, duration_s=END_S + 1.0, camera_until_s=camera_until_s, errors=errors, habits=habits)
 
 
-def _covered(seed: int) -> dict[str, Path]:
+def _covered(seed: int) -> dict[str, Trajectory2D]:
     """From when the camera is covered."""
     source = SimSource(_scenario(OFF_S), seed)
     run = calibrate(source, Config(), default_model())
     time_s = np.arange(OFF_S, END_S, STEP_S)
     paths = {GYRO: slam_path(run), NOMINAL: nominal_path(source, run)}
-    laid = {name: Path(time_s, *laid_on_truth(source, run, path, time_s)) for name, path in paths.items()}
+    laid = {
+        name: Trajectory2D(time_s, *laid_on_truth(source, run, path, time_s)) for name, path in paths.items()
+    }
     return {TRUTH: _truth(source, time_s)} | laid
 
 
-def _seen(seed: int) -> dict[str, Path]:
+def _seen(seed: int) -> dict[str, Trajectory2D]:
     """From the start, the camera on; the dead reckoning from when it is covered in the other recording."""
     source = SimSource(_scenario(math.inf), seed)
     run = calibrate(source, Config(), default_model())
     time_s = np.arange(SETTLED_S, END_S, STEP_S)
-    slam = Path(time_s, *laid_on_truth(source, run, slam_path(run), time_s))
+    slam = Trajectory2D(time_s, *laid_on_truth(source, run, slam_path(run), time_s))
     return {TRUTH: _truth(source, time_s), SLAM: slam, GYRO: _covered(seed)[GYRO]}
 
 
-def _truth(source: SimSource, time_s: Array) -> Path:
+def _truth(source: SimSource, time_s: Array) -> Trajectory2D:
     yaw = source.truth.trajectory.motion(time_s).euler_rad[:, 2]
-    return Path(time_s, source.truth.position(time_s)[:, :2], yaw)
+    return Trajectory2D(time_s, source.truth.position(time_s)[:, :2], yaw)
 
 
-def _end_errors(results: list[dict[str, Path]]) -> dict[str, Array]:
+def _end_errors(results: list[dict[str, Trajectory2D]]) -> dict[str, Array]:
     """Distance from the truth at the end, by name."""
     return {
         name: np.array(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.bench.camera_off import Drift, minutes, rotations
-from gyrocal_ros.bench.paper.experiment import Claim, Mapper, judged
+from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
@@ -110,21 +110,21 @@ def table_1(each: Mapper, seeds: int) -> HeadingTable:
     mean_std = float(np.abs(every).std(ddof=1) / math.sqrt(len(every)))
     share = float(np.abs(calibrated).mean() / np.abs(nominal).mean())
     claims = (
-        judged(
+        assessed(
             'nominal scale factor: mean absolute error after ten rotations',
             f'{np.abs(PAPER_NOMINAL_DEG).mean():.2f} deg (printed: 24.83)',
             f'{np.abs(nominal).mean():.2f} deg, with the error of {100.0 * NOMINAL_ERROR:.2f} % that the '
             'table implies',
             abs(float(np.abs(nominal).mean()) - 24.83) < 1.0,
         ),
-        judged(
+        assessed(
             'calibrated: mean absolute error',
             f'{np.abs(PAPER_CALIBRATED_DEG).mean():.2f} deg (printed: 0.99)',
             f'{np.abs(calibrated).mean():.2f} deg, worst {np.abs(calibrated).max():.2f}; over '
             f'{len(every)} spins {mean:.2f} ± {mean_std:.2f}, worst {np.abs(every).max():.2f}',
             float(np.abs(calibrated).mean()) < 0.99,
         ),
-        judged(
+        assessed(
             'the error falls to 0.4 % of what it was',
             '0.4 % in the text, 4.0 % by its table',
             f'{100.0 * share:.1f} %',
@@ -146,7 +146,7 @@ def figure_11(each: Mapper, seeds: int) -> Histograms:
     )
     calibrated = tuple(_after_ten_minutes(kind) for kind in kinds)
     nominal = kinds[0].nominal_deg
-    uncalibrated = judged(
+    uncalibrated = assessed(
         'uncalibrated: varies much from part to part',
         'histogram within ±10 deg',
         f'mean {nominal.mean():.1f}, sd {nominal.std(ddof=1):.1f} deg',
@@ -162,7 +162,7 @@ def part_of(number: int) -> float:
 
 def _after_ten_minutes(kind: TenMinutes) -> Claim:
     mean, sd = float(kind.calibrated_deg.mean()), float(kind.calibrated_deg.std(ddof=1))
-    return judged(
+    return assessed(
         f'calibrated, with the noise of {kind.gyro.name} ({kind.gyro.noise_deg_s:g} deg/s/sqrt(Hz), '
         f'{kind.gyro.stability_deg_h:g} deg/h)',
         'mean -0.18, sd 0.91 deg',

@@ -13,7 +13,7 @@ from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class PosedCamera:
     """A camera at a robot pose, with what the derivatives by that pose need."""
 
     camera: CameraIntrinsics
@@ -36,11 +36,11 @@ class View:
         return self.p_wb + self.R_wb @ self.p_bc
 
 
-def view_from_pose(camera: CameraIntrinsics, mount: Mount, position_m: Array, euler_rad: Array) -> View:
+def posed_camera(camera: CameraIntrinsics, mount: Mount, position_m: Array, euler_rad: Array) -> PosedCamera:
     """Put the camera at a robot pose (position (3,), Euler angles (3,))."""
     R_wb, dR_wb = rotation_from_euler(euler_rad), rotation_derivatives(euler_rad)
     R_bc = mount.R_bs
-    return View(camera, position_m, R_wb, dR_wb, R_wb @ R_bc, dR_wb @ R_bc, R_bc, mount.p_bs)
+    return PosedCamera(camera, position_m, R_wb, dR_wb, R_wb @ R_bc, dR_wb @ R_bc, R_bc, mount.p_bs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,22 +120,24 @@ class Parametrisation(Protocol):
     def needs_motion_gate(self) -> bool:
         """Whether camera updates must wait until the robot has moved."""
 
-    def initialise(self, view: View, pixels: Array, noise_px: float, config: FeatureConfig) -> NewFeatures:
+    def initialise(
+        self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
+    ) -> NewFeatures:
         """Undelayed initialisation from one sighting (m, 2)."""
 
     def measure(
-        self, view: View, pixels: Array, noise_px: float, config: FeatureConfig
+        self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> tuple[Array, Array]:
         """What is measured (m, r), and its noise covariance (m, r, r)."""
 
-    def predict(self, view: View, parameters: Array, anchors: Anchors) -> Prediction:
+    def predict(self, view: PosedCamera, parameters: Array, anchors: Anchors) -> Prediction:
         """What should be measured."""
 
     def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
         """Points in the world (m, 3) and their derivatives by the parameters (m, 3, 3)."""
 
 
-def points_in_camera(view: View, points_w: Array) -> tuple[Array, Array, Array]:
+def points_in_camera(view: PosedCamera, points_w: Array) -> tuple[Array, Array, Array]:
     """Eq. (13): world points in the optical frame, `m_c = C_cw (m_w - p) - C_cb p_offset`.
 
     Returns:
@@ -150,7 +152,7 @@ def points_in_camera(view: View, points_w: Array) -> tuple[Array, Array, Array]:
     return points_c, by_pose, R_cw
 
 
-def points_in_world(view: View, points_c: Array) -> tuple[Array, Array]:
+def points_in_world(view: PosedCamera, points_c: Array) -> tuple[Array, Array]:
     """Eq. (15): points of the optical frame in the world, `m_w = p + C_wb (p_offset + C_bc m_c)`.
 
     Returns:

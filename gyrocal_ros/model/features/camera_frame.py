@@ -11,8 +11,8 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.model.features.base import (
     Anchors,
     NewFeatures,
+    PosedCamera,
     Prediction,
-    View,
     no_anchors,
     points_in_camera,
     points_in_world,
@@ -32,21 +32,23 @@ class CameraFramePoint:
     rows: int = 3
     needs_motion_gate: bool = True
 
-    def initialise(self, view: View, pixels: Array, noise_px: float, config: FeatureConfig) -> NewFeatures:
+    def initialise(
+        self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
+    ) -> NewFeatures:
         """The point at the assumed range, its doubt turned from the ray into the world."""
         points_c, noise_c = self.measure(view, pixels, noise_px, config)
         points_w, by_pose = points_in_world(view, points_c)
         return NewFeatures(points_w, by_pose, view.R_wc @ noise_c @ view.R_wc.T, no_anchors(len(points_w)))
 
     def measure(
-        self, view: View, pixels: Array, noise_px: float, config: FeatureConfig
+        self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> tuple[Array, Array]:
         """The point at the assumed range, (m, 3), and the noise of its ray."""
         points_c = ray_points(view.camera, pixels, config.prior_depth_m)
         cross = cross_std(view.camera, noise_px, config)
         return points_c, ray_covariances(points_c, cross, ray_std(config))
 
-    def predict(self, view: View, parameters: Array, anchors: Anchors) -> Prediction:
+    def predict(self, view: PosedCamera, parameters: Array, anchors: Anchors) -> Prediction:
         """The mapped points in the camera frame."""
         points_c, by_pose, R_cw = points_in_camera(view, parameters)
         each = (len(points_c), 3, 3)

@@ -13,7 +13,7 @@ import numpy as np
 from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array
 from gyrocal_ros.model.camera import bearing, bearing_jacobian, project_with_jacobian
-from gyrocal_ros.model.features.base import Anchors, NewFeatures, Prediction, View, points_in_world
+from gyrocal_ros.model.features.base import Anchors, NewFeatures, PosedCamera, Prediction, points_in_world
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,9 @@ class AnchoredInverseDepth:
     rows: int = 2
     needs_motion_gate: bool = False
 
-    def initialise(self, view: View, pixels: Array, noise_px: float, config: FeatureConfig) -> NewFeatures:
+    def initialise(
+        self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
+    ) -> NewFeatures:
         """Bearing from the pixel, inverse depth from the prior."""
         normalised = bearing(view.camera, pixels)
         inverse_depth = 1.0 / config.prior_depth_m
@@ -52,12 +54,12 @@ class AnchoredInverseDepth:
         return NewFeatures(parameters, by_pose, noise, anchors)
 
     def measure(
-        self, view: View, pixels: Array, noise_px: float, config: FeatureConfig
+        self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> tuple[Array, Array]:
         """The pixels themselves."""
         return pixels, np.broadcast_to(noise_px**2 * np.eye(2), (len(pixels), 2, 2))
 
-    def predict(self, view: View, parameters: Array, anchors: Anchors) -> Prediction:
+    def predict(self, view: PosedCamera, parameters: Array, anchors: Anchors) -> Prediction:
         """Pixels of `R_cw (R_a (a, b, 1) + r (p_a - p_c))`, the point scaled by r."""
         R_wc = view.R_wc
         inverse_depth = parameters[:, 2:]

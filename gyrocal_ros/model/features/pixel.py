@@ -9,7 +9,7 @@ import numpy as np
 from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array
 from gyrocal_ros.model.camera import project_with_jacobian
-from gyrocal_ros.model.features.base import Anchors, NewFeatures, Prediction, View, points_in_camera
+from gyrocal_ros.model.features.base import Anchors, NewFeatures, PosedCamera, Prediction, points_in_camera
 from gyrocal_ros.model.features.camera_frame import CameraFramePoint
 
 
@@ -24,17 +24,19 @@ class PixelPoint:
     rows: int = 2
     needs_motion_gate: bool = False
 
-    def initialise(self, view: View, pixels: Array, noise_px: float, config: FeatureConfig) -> NewFeatures:
+    def initialise(
+        self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
+    ) -> NewFeatures:
         """The paper's start, eq. (18)."""
         return CameraFramePoint().initialise(view, pixels, noise_px, config)
 
     def measure(
-        self, view: View, pixels: Array, noise_px: float, config: FeatureConfig
+        self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> tuple[Array, Array]:
         """The pixels themselves."""
         return pixels, np.broadcast_to(noise_px**2 * np.eye(2), (len(pixels), 2, 2))
 
-    def predict(self, view: View, parameters: Array, anchors: Anchors) -> Prediction:
+    def predict(self, view: PosedCamera, parameters: Array, anchors: Anchors) -> Prediction:
         """Pixels of the mapped points."""
         points_c, by_pose, R_cw = points_in_camera(view, parameters)
         pixels, by_point = project_with_jacobian(view.camera, points_c)

@@ -13,7 +13,7 @@ from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.ceiling import CeilingMap
-from gyrocal_ros.diagnose.drift import Path
+from gyrocal_ros.diagnose.drift import Trajectory2D
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.pipeline.calibration import Calibration
@@ -167,7 +167,7 @@ PATH_STYLES = {
 }
 
 
-def paths(tracks: Mapping[str, Path]) -> go.Figure:
+def paths(tracks: Mapping[str, Trajectory2D]) -> go.Figure:
     """Where the robot went, by several ways of knowing it, as in the paper's Figs. 12 and 13.
 
     Args:
@@ -209,7 +209,7 @@ def distances(time_s: Array, distances_m: Mapping[str, Array]) -> go.Figure:
     return figure
 
 
-def ceiling_map(ceiling: CeilingMap, track: Path) -> go.Figure:
+def ceiling_map(ceiling: CeilingMap, track: Trajectory2D) -> go.Figure:
     """The features of the map from above with their 3-sigma ellipses, as in the paper's Fig. 7."""
     figure = floor_plan('Map of the ceiling')
     outlines = ceiling.outlines(SIGMAS)

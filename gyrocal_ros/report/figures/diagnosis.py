@@ -13,7 +13,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidate_fit import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.drift import BlindDrift
 from gyrocal_ros.diagnose.regimes import Failure
-from gyrocal_ros.report.diagnosis_series import Bend, Candidate, Contribution, Wander
+from gyrocal_ros.report.diagnosis_series import Bend, CandidateRow, EffectCurve, Wander
 from gyrocal_ros.report.figures.drawing import (
     AFTER,
     BEFORE,
@@ -119,7 +119,7 @@ def _worst_span(figure: go.Figure, drift: BlindDrift) -> None:
     _note(figure, float(ends_s.mean()), words, PURPLE, y=0.05, yanchor='bottom')
 
 
-def evidence(table: Sequence[Candidate]) -> go.Figure:
+def scores(table: Sequence[CandidateRow]) -> go.Figure:
     """What every candidate would explain, and how far beyond chance that is."""
     figure = make_subplots(rows=1, cols=2, shared_yaxes=True, horizontal_spacing=0.04)
     dress(figure, 'What would explain it', 150 + 36 * len(table))
@@ -181,7 +181,7 @@ def evidence(table: Sequence[Candidate]) -> go.Figure:
     return figure
 
 
-def contribution(name: str, drawn: Contribution) -> go.Figure:
+def contribution(name: str, drawn: EffectCurve) -> go.Figure:
     """What a found effect does, with its doubt."""
     figure = panels(f'What {name} does', [drawn.y_label], 300)
     rows = kept(drawn.y, drawn.std)

@@ -31,7 +31,7 @@ Place = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class LineStyle:
     """How one of several things that are compared is drawn everywhere."""
 
     colour: str
@@ -39,14 +39,14 @@ class Look:
     dash: str
 
 
-BEFORE, AFTER = Look(VERMILLION, 'x', 'dot'), Look(GREEN, 'circle', 'solid')
+BEFORE, AFTER = LineStyle(VERMILLION, 'x', 'dot'), LineStyle(GREEN, 'circle', 'solid')
 LOOKS = (
     BEFORE,
     AFTER,
-    Look(BLUE, 'square', 'dash'),
-    Look(PURPLE, 'diamond', 'dashdot'),
-    Look('#E69F00', 'triangle-up', 'longdash'),
-    Look('#56B4E9', 'star', 'longdashdot'),
+    LineStyle(BLUE, 'square', 'dash'),
+    LineStyle(PURPLE, 'diamond', 'dashdot'),
+    LineStyle('#E69F00', 'triangle-up', 'longdash'),
+    LineStyle('#56B4E9', 'star', 'longdashdot'),
 )
 """For several models side by side; a seventh looks like the first."""
 
@@ -210,7 +210,7 @@ def points(
     name: str,
     digits: str,
     place: Place,
-    look: Look,
+    look: LineStyle,
     joined: bool = False,
 ) -> None:
     """Add points with their error bars to a panel.

@@ -17,14 +17,14 @@ from gyrocal_ros.report.figures.drawing import (
     GREY,
     LOOKS,
     SIGMAS,
-    Look,
+    LineStyle,
     dress,
     kept,
     line,
     panels,
     points,
 )
-from gyrocal_ros.report.model_series import Told
+from gyrocal_ros.report.model_series import CoefficientOfModel
 from gyrocal_ros.report.series import Windows
 
 LOG_FROM = 8.0
@@ -33,7 +33,7 @@ BEYOND = 10.0
 """An interval without end leaves the panel: it is drawn so many times as long as its value."""
 
 
-def drift_by_span(drifts: Mapping[str, BlindDrift], looks: Sequence[Look] = LOOKS) -> go.Figure:
+def drift_by_span(drifts: Mapping[str, BlindDrift], looks: Sequence[LineStyle] = LOOKS) -> go.Figure:
     """Heading error after spans without the camera, all over the run, by name of the model."""
     span_s = next(iter(drifts.values())).span_s
     figure = panels('Drift span by span', [f'heading error after {span_s:.0f} s (deg)'], 320)
@@ -85,7 +85,7 @@ def drift_by_model(title: str, marks: Sequence[Mark], joined: bool = True) -> go
 
 
 def coefficients_by_model(
-    told: Mapping[str, Sequence[Told]], models: Sequence[str], joined: bool = True
+    told: Mapping[str, Sequence[CoefficientOfModel]], models: Sequence[str], joined: bool = True
 ) -> go.Figure:
     """Coefficients with three standard deviations, model by model, a panel each.
 
@@ -154,7 +154,7 @@ def _add_series(
     models: Sequence[str],
     marks: Sequence[Mark],
     name: str,
-    look: Look,
+    look: LineStyle,
     aside: float,
     joined: bool,
 ) -> None:

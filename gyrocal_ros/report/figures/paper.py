@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.ceiling import CeilingMap
-from gyrocal_ros.diagnose.drift import Path
+from gyrocal_ros.diagnose.drift import Trajectory2D
 from gyrocal_ros.report.figures import calibration
 from gyrocal_ros.report.figures.drawing import (
     AFTER,
@@ -22,7 +22,7 @@ from gyrocal_ros.report.figures.drawing import (
     LOOKS,
     SIGMAS,
     VERMILLION,
-    Look,
+    LineStyle,
     band,
     dress,
     kept,
@@ -34,10 +34,10 @@ from gyrocal_ros.report.figures.drawing import (
     xy,
 )
 
-OF_THE_PAPER = Look(GREY, 'diamond-open', 'dot')
+OF_THE_PAPER = LineStyle(GREY, 'diamond-open', 'dot')
 
 
-def feature_map(ceiling: CeilingMap, path: Path, corners_m: Array) -> go.Figure:
+def feature_map(ceiling: CeilingMap, path: Trajectory2D, corners_m: Array) -> go.Figure:
     """The map with its ellipses, over the corners (c, 2) as they truly are."""
     figure = calibration.ceiling_map(ceiling, path)
     marker = {'symbol': 'cross-thin-open', 'size': 13, 'color': GREEN}
@@ -167,7 +167,7 @@ def end_errors(title: str, errors_m: Mapping[str, Array]) -> go.Figure:
     return figure
 
 
-def tracks(title: str, paths: Mapping[str, Path]) -> go.Figure:
+def tracks(title: str, paths: Mapping[str, Trajectory2D]) -> go.Figure:
     """Where the robot went, by several ways of knowing it."""
     figure = calibration.paths(paths)
     figure.update_layout(title_text=title)

@@ -27,7 +27,7 @@ setup(
     author='gyrocal_ros maintainers',
     python_requires='>=3.11',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'bench/kept.json', 'diagnose/motions.json', 'studio/assets/*']},
+    package_data={NAME: ['py.typed', 'bench/kept.json', 'diagnose/separability.json', 'studio/assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (str(SHARE), ['package.xml']),

@@ -11,11 +11,11 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, IntArray, Mount, Rig, Span
 from gyrocal_ros.diagnose.heading_filter import Headings, headings
-from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import History, Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import YAW, State, no_landmarks
+from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect
 
 DT_S = 0.1
@@ -122,11 +122,11 @@ def drive(
     return Drive(run, headings(run))
 
 
-def readings(rate_rad_s: Array, hz: float = 1.0 / DT_S, *, start_s: float = 0.0) -> Recorded:
+def readings(rate_rad_s: Array, hz: float = 1.0 / DT_S, *, start_s: float = 0.0) -> RecordingSummary:
     """A recording of nothing but readings (n,) of the yaw rate."""
     time_s = start_s + np.arange(len(rate_rad_s)) / hz
     duration_s = len(rate_rad_s) / hz
-    return Recorded(RIG, (), (), False, duration_s, _ns(time_s), rate_rad_s)
+    return RecordingSummary(RIG, (), (), False, duration_s, _ns(time_s), rate_rad_s)
 
 
 def _ns(time_s: Array) -> IntArray:

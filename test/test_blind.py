@@ -30,8 +30,8 @@ from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.sim.forward import HiddenEffect
-from gyrocal_ros.sim.hidden import RANGES, STRANGE_RANGES
-from gyrocal_ros.sim.out_of_library import STRANGERS
+from gyrocal_ros.sim.hidden import LIBRARY_RANGES, OUT_OF_LIBRARY_RANGES
+from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import find_scenario
 
 
@@ -40,10 +40,13 @@ class TestCases:
         every = cases()
         assert [case.label for case in every if not case.names and case.noise == 1.0] == ['none']
         assert sorted(case.noise for case in every if case.noise != 1.0) == [1.0 / WRONG_NOISE, WRONG_NOISE]
-        assert {case.names[0] for case in every if len(case.names) == 1} == {*RANGES, *STRANGE_RANGES}
+        assert {case.names[0] for case in every if len(case.names) == 1} == {
+            *LIBRARY_RANGES,
+            *OUT_OF_LIBRARY_RANGES,
+        }
         pairs = [case.names for case in every if len(case.names) == 2]
         assert len(pairs) == PAIRS and all(first != second for first, second in pairs)
-        assert {name for pair in pairs for name in pair} <= set(RANGES)
+        assert {name for pair in pairs for name in pair} <= set(LIBRARY_RANGES)
         assert len({case.label for case in every}) == len(every)
         assert cases() == every, 'the same each time'
 
@@ -52,7 +55,7 @@ class TestCases:
         assert cases(['no such case']) == []
 
     def test_every_effect_of_the_library_can_be_hidden(self) -> None:
-        assert {name for name in RANGES if ':' not in name} == set(EFFECTS) - {'scale_factor'}
+        assert {name for name in LIBRARY_RANGES if ':' not in name} == set(EFFECTS) - {'scale_factor'}
 
 
 def finding(effect: Effect, *confused_with: str, **changes: Any) -> MissingEffect:
@@ -67,7 +70,7 @@ def said(*names: str, verdict: str = 'effect_found', left: UnexplainedStructure 
 
 
 def hidden(*names: str) -> tuple[Case, list[HiddenEffect]]:
-    effects = [STRANGERS.get(name) or find_effect(name) for name in names]
+    effects = [OUT_OF_LIBRARY.get(name) or find_effect(name) for name in names]
     items = [HiddenEffect(effect, (1.0,) * len(effect.coefficients)) for effect in effects]
     return Case(' + '.join(names), names), items
 
@@ -117,7 +120,7 @@ class TestIsRight:
         assert not is_right(*stranger, said(verdict='nothing_missing'))
 
     def test_every_stranger_can_be_met(self) -> None:
-        assert {'stranger_knock', *MET_BY} == set(STRANGE_RANGES)
+        assert {'stranger_knock', *MET_BY} == set(OUT_OF_LIBRARY_RANGES)
 
 
 LAG = Case('gyro_lag', ('gyro_lag',))
@@ -212,7 +215,7 @@ def short() -> BlindResult:
 
 def test_a_trial_knows_what_was_hidden_and_what_was_said(short: BlindResult) -> None:
     ((name, (lag_s,)),) = short.hidden
-    assert name == 'gyro_lag' and RANGES[name][0].visible <= lag_s <= RANGES[name][0].large
+    assert name == 'gyro_lag' and LIBRARY_RANGES[name][0].visible <= lag_s <= LIBRARY_RANGES[name][0].large
     assert short.named[0] == 'gyro_lag' and short.is_right and not short.is_excused
     assert len(short.errors_sigma) == 1 and abs(short.errors_sigma[0]) < 4.0
     drifts = [short.drift_known_deg, short.drift_before_deg, short.drift_after_deg]

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from contracts import SIGNAL, eventful_blocks
+from gyrocal_ros.diagnose.banks import Hystereses, Warmups
 from synthetic import RIG, evidence_of, readings
 
 from gyrocal_ros.data import Array, Mount
-from gyrocal_ros.diagnose.banks import Hystereses, Warmups
 from gyrocal_ros.diagnose.candidates import (
     HYSTERESIS_TIMES_S,
     LIMITS,
@@ -22,11 +22,11 @@ from gyrocal_ros.diagnose.candidates import (
     needs,
     with_means,
 )
-from gyrocal_ros.diagnose.recorded import Recorded, Signal
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.covariate import covariate_bias
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
+from gyrocal_ros.model.recording import RecordingSummary, Signal
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.sim.scenarios import CAMERA
 
@@ -49,7 +49,7 @@ def contributed(effect: Any) -> Array:
 
 
 class TestDocket:
-    def offering(self, *signals: str, has_temperature: bool = True, lever_m: float = 0.1) -> Recorded:
+    def offering(self, *signals: str, has_temperature: bool = True, lever_m: float = 0.1) -> RecordingSummary:
         rig = replace(RIG, camera=CAMERA, camera_mount=Mount(np.eye(3), np.array([lever_m, 0.0, 0.1])))
         offered = tuple(Signal(name, MEAN, SPREAD) for name in signals)
         return replace(readings(np.zeros(2)), rig=rig, signals=offered, has_temperature=has_temperature)

@@ -20,7 +20,7 @@ from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
-from gyrocal_ros.sim.out_of_library import STRANGERS
+from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.sensors import SensorErrors, without_noise
 from gyrocal_ros.sim.world import SimSource
@@ -63,7 +63,7 @@ HIDDEN: dict[str, tuple[Effect, tuple[float, ...]]] = {
 }
 HIDDEN['turn_hysteresis by side'] = TurnHysteresis(driven_by='side'), (0.2 * DEG, 5.0)
 HIDDEN |= {
-    name: (STRANGERS[name], values)
+    name: (OUT_OF_LIBRARY[name], values)
     for name, values in {
         'stranger_knock': (0.3 * DEG, 9.0),
         'stranger_speed_bias': (DEG,),
@@ -115,7 +115,7 @@ def scale_error_sigma(run: Run, scale_factor: float) -> float:
 
 def test_every_effect_of_the_library_is_tried() -> None:
     assert set(HIDDEN) >= set(EFFECTS) - {'scale_factor'}
-    assert set(HIDDEN) >= set(STRANGERS)
+    assert set(HIDDEN) >= set(OUT_OF_LIBRARY)
 
 
 @pytest.mark.parametrize('name', HIDDEN)

@@ -14,21 +14,21 @@ from gyrocal_ros.cli.main import main
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.errors import ConfigError, RecordingError
 from gyrocal_ros.sim.hidden import (
-    RANGES,
+    LIBRARY_RANGES,
+    OUT_OF_LIBRARY_RANGES,
     SCALE_ERROR,
-    STRANGE_RANGES,
-    Drawn,
+    DrawnEffect,
     draw_hidden,
     draw_scale_factor,
     draw_values,
     hide,
 )
-from gyrocal_ros.sim.out_of_library import STRANGERS
+from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.sealed import answer_of, sealed_path, unseal
 from gyrocal_ros.sim.world import SimSource
 
-SIZED = {**RANGES, **STRANGE_RANGES}
+SIZED = {**LIBRARY_RANGES, **OUT_OF_LIBRARY_RANGES}
 
 
 def simulate(out: Path, *options: str) -> int:
@@ -43,15 +43,15 @@ def digest(bag: Path) -> str:
 
 
 def test_every_effect_can_be_drawn() -> None:
-    assert set(EFFECTS) - {'scale_factor'} <= set(RANGES)
-    assert set(STRANGE_RANGES) == set(STRANGERS)
+    assert set(EFFECTS) - {'scale_factor'} <= set(LIBRARY_RANGES)
+    assert set(OUT_OF_LIBRARY_RANGES) == set(OUT_OF_LIBRARY)
 
 
 @pytest.mark.parametrize('name', SIZED)
 def test_sizes_run_from_just_visible_to_large(name: str) -> None:
     rng = np.random.default_rng(0)
     draws = np.array([draw_values(name, rng, 1.0).values for _ in range(200)])
-    assert draws.shape[1] == len(hide([Drawn(name, tuple(draws[0]))], find_effect)[0].values)
+    assert draws.shape[1] == len(hide([DrawnEffect(name, tuple(draws[0]))], find_effect)[0].values)
     for values, item in zip(draws.T, SIZED[name], strict=True):
         low, high = sorted((item.visible, item.large))
         assert np.all((np.abs(values) >= low * 0.999) & (np.abs(values) <= high * 1.001))
@@ -72,7 +72,7 @@ def test_draws_depend_on_the_seed_alone() -> None:
 
 def test_nothing_one_two_and_strangers_come_up() -> None:
     draws = [draw_hidden(seed, 300.0) for seed in range(1000)]
-    strange = sum(bool(drawn) and drawn[0].name in STRANGERS for drawn in draws)
+    strange = sum(bool(drawn) and drawn[0].name in OUT_OF_LIBRARY for drawn in draws)
     counts = Counter(len(drawn) for drawn in draws)
     assert [counts[0], counts[1] - strange, counts[2], strange] == pytest.approx([200, 450, 150, 200], abs=45)
     assert {item.name for drawn in draws for item in drawn} == set(SIZED)
@@ -138,7 +138,7 @@ def test_nothing_hidden_is_an_answer_too(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_the_answer_holds_the_truth_of_the_source() -> None:
-    hidden = hide([Drawn('stranger_knock', (0.01, 2.0))], find_effect)
+    hidden = hide([DrawnEffect('stranger_knock', (0.01, 2.0))], find_effect)
     source = SimSource(SCENARIOS['demo'], 1, hidden=hidden)
     answer = answer_of(source)
     assert answer['scale_factor'] == source.truth.scale_factor

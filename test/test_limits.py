@@ -20,9 +20,9 @@ from gyrocal_ros.diagnose.limits import (
     stuck,
     with_limit,
 )
-from gyrocal_ros.diagnose.recorded import Recorded
 from gyrocal_ros.diagnose.search import with_effect
 from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.model.recording import RecordingSummary
 
 HZ = 100.0
 TOP = math.radians(85.0)
@@ -32,7 +32,7 @@ def deg(value: float) -> float:
     return math.radians(value)
 
 
-def read_by(made: Drive) -> Recorded:
+def read_by(made: Drive) -> RecordingSummary:
     """The readings that a drive was run on, one in the middle of each step."""
     history = made.run.history
     return readings(history.turn_rad / history.dt_s, start_s=0.5 * DT_S)

@@ -24,9 +24,9 @@ from gyrocal_ros.data import TruthSample
 from gyrocal_ros.diagnose.advice import advice
 from gyrocal_ros.diagnose.candidates import with_means
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
-from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import Search, search
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.covariate import covariate_bias
 from gyrocal_ros.effects.model_file import load_model
@@ -38,14 +38,14 @@ from gyrocal_ros.pipeline.calibrate import InMemorySource, calibrate, preload
 from gyrocal_ros.pipeline.calibration import load_calibration
 from gyrocal_ros.report.summary import summarise_diagnosis
 from gyrocal_ros.report.words import diagnosis_headline
-from gyrocal_ros.sim.hidden import Drawn, hide
+from gyrocal_ros.sim.hidden import DrawnEffect, hide
 
 Output = pytest.CaptureFixture[str]
 ASYMMETRY = 0.01
 DURATION_S = 100.0
 
 
-def bag_of(path: Path, *drawn: Drawn, with_truth: bool = True) -> Path:
+def bag_of(path: Path, *drawn: DrawnEffect, with_truth: bool = True) -> Path:
     """A short bag that hides something."""
     source = recording('cleaning', 3, DURATION_S, hide(drawn, find_effect))
     with new_bag(path) as bag:
@@ -59,7 +59,7 @@ def bag_of(path: Path, *drawn: Drawn, with_truth: bool = True) -> Path:
 @pytest.fixture(scope='module')
 def skewed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag whose gyro reads turns to one side larger."""
-    return bag_of(tmp_path_factory.mktemp('bags') / 'skewed', Drawn('scale_asymmetry', (ASYMMETRY,)))
+    return bag_of(tmp_path_factory.mktemp('bags') / 'skewed', DrawnEffect('scale_asymmetry', (ASYMMETRY,)))
 
 
 @pytest.fixture(scope='module')
@@ -81,9 +81,11 @@ def read_json(capsys: Output) -> dict[str, Any]:
 @pytest.fixture(scope='module')
 def searched() -> tuple[Search, Diagnosis]:
     """The same as the bag `skewed`, by the library."""
-    source = recording('cleaning', 3, DURATION_S, hide([Drawn('scale_asymmetry', (ASYMMETRY,))], find_effect))
+    source = recording(
+        'cleaning', 3, DURATION_S, hide([DrawnEffect('scale_asymmetry', (ASYMMETRY,))], find_effect)
+    )
     held, config = preload(source, Config(), default_model())
-    recorded = look_at(held)
+    recorded = summarise_recording(held)
     found = search(
         default_model(), recorded, lambda model, trials: calibrate(held, config, model, candidates=trials)
     )
@@ -127,7 +129,9 @@ class TestDiagnose:
 
     def test_without_a_camera_its_faults_cannot_be_judged(self, searched: tuple[Search, Diagnosis]) -> None:
         source = recording('cleaning', 3, 5.0)
-        recorded = look_at(InMemorySource(source.name, replace(source.rig, camera=None), source.span, ()))
+        recorded = summarise_recording(
+            InMemorySource(source.name, replace(source.rig, camera=None), source.span, ())
+        )
         not_judged = diagnose(searched[0], recorded).not_judged
         assert not_judged['camera_tilt'] == 'not recorded: images of the ceiling'
         assert 'gyro_lag' not in not_judged
@@ -162,7 +166,7 @@ class TestDiagnose:
     def test_steps_of_the_converter_are_an_excuse(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched
         source = recording('cleaning', 3, DURATION_S)
-        fine = look_at(preload(source, Config(), default_model())[0])
+        fine = summarise_recording(preload(source, Config(), default_model())[0])
         step = math.radians(0.5)
         coarse = replace(fine, rate_rad_s=step * np.round(fine.rate_rad_s / step) + math.radians(0.1))
         assert diagnose(search_, fine).verdict == 'effect_found'

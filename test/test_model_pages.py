@@ -18,10 +18,10 @@ from gyrocal_ros.diagnose.comparison import Comparison, compare
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.heading_filter import Headings
 from gyrocal_ros.diagnose.improvement import Improvement, improvement
-from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search, search
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.pipeline.calibrate import calibrate, preload
 from gyrocal_ros.report import conclusions, model_series, write
@@ -48,7 +48,7 @@ def searched_and_diagnosed() -> tuple[Search, Diagnosis]:
     hidden = (HiddenEffect(find_effect('scale_asymmetry'), (ASYMMETRY,)),)
     config = with_settings(Config(), {'tracker': {'features': 12}})
     source, config = preload(SimSource(scenario, 3, hidden=hidden), config, default_model())
-    recorded = look_at(source)
+    recorded = summarise_recording(source)
     searched = search(
         default_model(),
         recorded,
@@ -205,7 +205,7 @@ class TestSeries:
 
     def test_a_model_that_could_not_run_is_not_shown(self, searched: Search) -> None:
         assert list(series.stages(searched)) == ['the model as it was', 'with scale_asymmetry']
-        rescue = replace(searched.changes[0], before=None)
+        rescue = replace(searched.additions[0], before=None)
         rescued = Search(rescue.after, (rescue,))
         assert (
             list(series.stages(rescued)) == list(series.held_out_drifts(rescued)) == ['with scale_asymmetry']
@@ -237,7 +237,7 @@ class TestSeries:
 
     def test_the_worst_places_of_any_model_are_compared(self, comparison: Comparison) -> None:
         places = [Failure(f'{place}: off', 5.0 + place, regime=f'{place}') for place in range(20)]
-        rivals = [replace(rival, fails_where=tuple(places)) for rival in comparison.rivals]
+        rivals = [replace(rival, fails_where=tuple(places)) for rival in comparison.results]
         in_time = Failure('10 to 20 s: off', 99.0, from_s=10.0, to_s=20.0)
         rivals[1] = replace(rivals[1], fails_where=(in_time,))
         found = model_series.failures_by_model(rivals)
@@ -262,7 +262,7 @@ class TestFigures:
             models.drift_by_model('it', [Mark('a', 'held out', revision.held_out)]),
             models.drift_by_span({'a': revision.held_out}),
             models.coefficients_by_model(model_series.coefficients([('a', run, True)]), ['a']),
-            models.heading_errors('it', model_series.slam_errors_deg(comparison.rivals)),
+            models.heading_errors('it', model_series.slam_errors_deg(comparison.results)),
         ]
         for figure in every:
             assert figure.layout.title.text
@@ -351,9 +351,11 @@ class TestPages:
     def test_pages_of_short_recordings_do_without_drift(
         self, comparison: Comparison, improved: Improvement
     ) -> None:
-        drift = comparison.rivals[0].drift
+        drift = comparison.results[0].drift
         empty = replace(drift, start_s=drift.start_s[:0], error_rad=drift.error_rad[:0])
-        short = replace(comparison, rivals=tuple(replace(rival, drift=empty) for rival in comparison.rivals))
+        short = replace(
+            comparison, results=tuple(replace(rival, drift=empty) for rival in comparison.results)
+        )
         assert '<div id="drift' not in comparison_page(short)
         revisions = tuple(replace(item, held_out=empty, fitted=empty) for item in improved.revisions)
         assert '<div id="drift' not in improvement_page(replace(improved, revisions=revisions))
@@ -399,20 +401,20 @@ class TestConclusions:
         assert 'drifts 2.00 deg without it and 0.25 deg with it' in ' '.join(words.sentences)
 
     def test_comparison_says_whether_it_is_chance(self, comparison: Comparison) -> None:
-        old, new = comparison.rivals
-        sure = replace(comparison, rivals=(old, replace(new, gain=50.0, gain_sigma=6.0)))
+        old, new = comparison.results
+        sure = replace(comparison, results=(old, replace(new, gain=50.0, gain_sigma=6.0)))
         assert 'new.yaml foresees the recording better than' in conclusions.of_comparison(sure).headline
-        by_chance = replace(comparison, rivals=(old, replace(new, gain=0.5, gain_sigma=0.4)))
+        by_chance = replace(comparison, results=(old, replace(new, gain=0.5, gain_sigma=0.4)))
         assert 'hardly better' in conclusions.of_comparison(by_chance).headline
-        worse = replace(comparison, rivals=(old, replace(new, gain=-5.0)))
+        worse = replace(comparison, results=(old, replace(new, gain=-5.0)))
         assert conclusions.of_comparison(worse).headline.startswith('No other model is better')
 
     def test_one_model_alone(self, comparison: Comparison) -> None:
-        old = comparison.rivals[0]
-        words = conclusions.of_comparison(replace(comparison, rivals=(old,)))
+        old = comparison.results[0]
+        words = conclusions.of_comparison(replace(comparison, results=(old,)))
         assert not words.good
         assert 'diagnose' in words.todo[0]
-        fine = replace(comparison, rivals=(replace(old, fails_where=()),))
+        fine = replace(comparison, results=(replace(old, fails_where=()),))
         assert conclusions.of_comparison(fine).good
 
     def test_improvement_says_how_far_it_fell(self, improved: Improvement) -> None:

@@ -15,9 +15,9 @@ from gyrocal_ros.bench import separability as bench
 from gyrocal_ros.bench.separability import Figures, Lost, figures
 from gyrocal_ros.cli.output import print_row
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import examine
 from gyrocal_ros.diagnose.separability import MIN_APART, kind_of, table, tell_apart, to_tell_apart
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, default_model, find_effect
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.pipeline.calibrate import calibrate
@@ -121,7 +121,9 @@ def test_a_diagnosis_follows_the_advice() -> None:
     drive = TEST_DRIVES[tell_apart(effect.name, twin).drive]
     source = SimSource(drive, seed=3, hidden=(HiddenEffect(effect, (math.radians(0.02),)),))
     stage = examine(
-        default_model(), look_at(source), lambda model, on: calibrate(source, Config(), model, candidates=on)
+        default_model(),
+        summarise_recording(source),
+        lambda model, on: calibrate(source, Config(), model, candidates=on),
     )
     gains = {ranked_effect.effect.name: ranked_effect.fit.gain for ranked_effect in stage.ranked}
     assert stage.ranked[0].effect.name == effect.name
@@ -152,7 +154,7 @@ def test_the_table_is_made_of_what_the_drives_tell(monkeypatch: pytest.MonkeyPat
 
 
 def test_the_page_shows_the_figures(capsys: pytest.CaptureFixture[str]) -> None:
-    text = files('gyrocal_ros.diagnose').joinpath('motions.json').read_text(encoding='utf-8')
+    text = files('gyrocal_ros.diagnose').joinpath('separability.json').read_text(encoding='utf-8')
     for number, row in enumerate(json.loads(text)['rows']):
         print_row(row, header=number == 0)
     page = PAGE.read_text(encoding='utf-8')

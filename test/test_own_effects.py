@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from gyrocal_ros.cli.main import main
-from gyrocal_ros.effects import EFFECTS, find_effect
-from gyrocal_ros.effects import user as own
-from gyrocal_ros.effects.user import load_file
+from gyrocal_ros.effects import EFFECTS, find_effect, registry
+from gyrocal_ros.effects.registry import load_file
 from gyrocal_ros.errors import ConfigError
 
 GUIDE = Path(__file__).parent.parent / 'docs' / 'your_own_effect.md'
@@ -83,7 +82,7 @@ def test_the_example_of_the_guide_works(
 
 def test_the_entry_point_of_the_guide_names_the_group() -> None:
     (toml,) = blocks_of_the_guide('toml')
-    assert f"[project.entry-points.'{own.ENTRY_POINTS}']" in toml
+    assert f"[project.entry-points.'{registry.ENTRY_POINTS}']" in toml
 
 
 def test_a_file_is_loaded_once(write: Write) -> None:
@@ -163,14 +162,14 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
 
 def test_installed_effects_are_found(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(write(EFFECT).parent)
-    point = EntryPoint('mine', 'my_effects:Mine', own.ENTRY_POINTS)
-    monkeypatch.setattr(own, 'entry_points', lambda group: [point])
+    point = EntryPoint('mine', 'my_effects:Mine', registry.ENTRY_POINTS)
+    monkeypatch.setattr(registry, 'entry_points', lambda group: [point])
     assert find_effect('mine').about.physics == 'It is.'
-    own.load_installed()
+    registry.load_installed()
 
 
 def test_an_installed_effect_that_cannot_be_loaded_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint('mine', 'not_there_at_all:Mine', own.ENTRY_POINTS)
-    monkeypatch.setattr(own, 'entry_points', lambda group: [point])
+    point = EntryPoint('mine', 'not_there_at_all:Mine', registry.ENTRY_POINTS)
+    monkeypatch.setattr(registry, 'entry_points', lambda group: [point])
     with pytest.raises(ConfigError, match='entry point not_there_at_all:Mine: cannot be loaded'):
         find_effect('mine')

@@ -25,7 +25,6 @@ from gyrocal_ros.diagnose.candidates import candidate_set
 from gyrocal_ros.diagnose.limits import with_limit
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain, vuong_sigma
 from gyrocal_ros.diagnose.ranking import PRICE
-from gyrocal_ros.diagnose.recorded import MAX_SIGNALS, Recorded, coarse_step, look_at
 from gyrocal_ros.diagnose.search import (
     BESIDES,
     MIN_FORESEEN,
@@ -36,12 +35,14 @@ from gyrocal_ros.diagnose.search import (
     trial,
     with_effect,
 )
+from gyrocal_ros.diagnose.summarise import MAX_SIGNALS, coarse_step, summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import InMemorySource
 
@@ -111,8 +112,8 @@ class TestSearch:
     def test_what_is_missing_is_put_in_and_nothing_more(self) -> None:
         robot = Robot({'gyro_lag': 2.0}, {'gyro_lag': 400.0})
         found = search(default_model(), NOTHING_READ, robot)
-        (change,) = found.changes
-        assert change.effect.name == 'gyro_lag' and change.is_kept and found.kept == found.changes
+        (change,) = found.additions
+        assert change.effect.name == 'gyro_lag' and change.is_kept and found.kept == found.additions
         assert change.predictive_gain == pytest.approx(400.0) and change.gain > 100.0 and change.sigma > 4.0
         assert change.before is found.first and change.after is found.last
         assert [effect.name for effect in found.last.model.effects] == ['scale_factor', 'gyro_lag']
@@ -123,16 +124,18 @@ class TestSearch:
         found = search(default_model(), NOTHING_READ, Robot(sizes, {'gyro_lag': 90.0, 'scale_cubic': 300.0}))
         assert [change.effect.name for change in found.kept] == ['scale_cubic', 'gyro_lag']
         assert found.last.model.version == default_model().version + 2
-        assert found.changes[1].before is found.changes[0].after
+        assert found.additions[1].before is found.additions[0].after
 
     def test_nothing_is_made_of_chance(self) -> None:
         found = search(default_model(), NOTHING_READ, Robot({}, {}))
-        assert found.changes == () and found.last is found.first and found.first.unexplained_structure is None
+        assert (
+            found.additions == () and found.last is found.first and found.first.unexplained_structure is None
+        )
 
     @pytest.mark.parametrize('gained', [-50.0, 0.0, 0.9 * MIN_FORESEEN])
     def test_what_does_not_help_is_not_kept_and_is_said(self, gained: float) -> None:
         found = search(default_model(), NOTHING_READ, Robot({'gyro_lag': 2.0}, {'gyro_lag': gained}))
-        (change,) = found.changes
+        (change,) = found.additions
         assert change.effect.name == 'gyro_lag' and not change.is_kept
         assert change.predictive_gain == pytest.approx(gained) and change.gain > PRICE
         assert found.kept == () and found.last is found.first
@@ -157,13 +160,13 @@ class TestSearch:
         strong = math.sqrt(2.0 * alone.gain / (part * BESIDES) / 200.0)
         sizes = {'scale_cubic': strong, 'gyro_lag': weak}
         found = search(default_model(), NOTHING_READ, Robot(sizes, {'scale_cubic': 1e4, 'gyro_lag': 50.0}))
-        names = [change.effect.name for change in found.changes]
+        names = [change.effect.name for change in found.additions]
         assert names[0] == 'scale_cubic' and ('gyro_lag' in names) == tried
 
     def test_after_a_rejected_one_the_next_is_tried_without_it(self) -> None:
         robot = Robot({'gyro_lag': 2.0, 'scale_cubic': 1.0}, {'gyro_lag': -9.0, 'scale_cubic': 90.0})
         found = search(default_model(), NOTHING_READ, robot)
-        assert [(change.effect.name, change.is_kept) for change in found.changes] == [
+        assert [(change.effect.name, change.is_kept) for change in found.additions] == [
             ('gyro_lag', False),
             ('scale_cubic', True),
         ]
@@ -188,14 +191,14 @@ class TestSearch:
 
     def test_an_effect_begins_where_the_evidence_puts_it(self) -> None:
         found = search(default_model(), NOTHING_READ, Robot({'gyro_lag': 2.0}, {'gyro_lag': 400.0}))
-        (item,) = found.changes[0].effect.coefficients
+        (item,) = found.additions[0].effect.coefficients
         assert item.prior_mean == pytest.approx(2.0, abs=0.3)
-        assert found.changes[0].stds[0] == pytest.approx(1.0 / math.sqrt(200.0), rel=0.5)
+        assert found.additions[0].stds[0] == pytest.approx(1.0 / math.sqrt(200.0), rel=0.5)
 
     def test_something_unknown_that_explains_more_is_not_forced_into_an_effect(self) -> None:
         robot = Robot({'gyro_lag': 0.8}, {'gyro_lag': 40.0}, knocked())
         found = search(default_model(), NOTHING_READ, robot)
-        assert found.changes == ()
+        assert found.additions == ()
         assert (
             found.first.unexplained_structure is not None
             and found.first.unexplained_structure.at_s is not None
@@ -204,7 +207,7 @@ class TestSearch:
 
     def test_what_the_headings_alone_see_is_not_believed(self) -> None:
         found = search(default_model(), NOTHING_READ, Robot({}, {}, knocked()))
-        assert found.changes == () and found.first.unexplained_structure is None
+        assert found.additions == () and found.first.unexplained_structure is None
 
     def test_a_filter_that_cannot_run_is_an_error(self) -> None:
         robot = Robot({}, {}, diverges_without='scale_cubic')
@@ -223,7 +226,7 @@ def saturated() -> Drive:
     return drive(duration_s=DURATION_S, read_rad_s=read)
 
 
-def read_by(made: Drive) -> Recorded:
+def read_by(made: Drive) -> RecordingSummary:
     """The readings that a drive was run on."""
     history = made.run.history
     return readings(history.turn_rad / history.dt_s, start_s=0.5 * DT_S)
@@ -234,7 +237,7 @@ class TestLimits:
         made = saturated()
         robot = Robot({'gyro_lag': 2.0}, {'gyro_lag': 100.0}, made, diverges_without='rate_saturation')
         found = search(default_model(), read_by(made), robot)
-        rescue, lag = found.changes
+        rescue, lag = found.additions
         assert rescue.effect.name == 'rate_saturation' and rescue.before is None and rescue.is_kept
         assert rescue.gain == rescue.predictive_gain == math.inf and rescue.p_value == 0.0
         assert rescue.effect.coefficients[0].prior_mean == pytest.approx(LIMIT_RAD_S, rel=0.01)
@@ -274,14 +277,14 @@ class TestLimits:
         assert ('scale_factor', 'rate_saturation') in robot.models
         assert [change.effect.name for change in found.kept] == ['rate_saturation'] * is_in
         if is_in:
-            assert found.changes[0].gain == pytest.approx(gained)
+            assert found.additions[0].gain == pytest.approx(gained)
 
 
 class TestTrial:
     def test_one_effect_is_tried_whatever_is_said_of_it(self) -> None:
         robot = Robot({'gyro_lag': 2.0}, {'scale_cubic': -3.0})
         found = trial(default_model(), NOTHING_READ, robot, find_effect('scale_cubic'))
-        (change,) = found.changes
+        (change,) = found.additions
         assert change.effect.name == 'scale_cubic' and not change.is_kept and change.sigma < 4.0
         assert found.last is found.first and len(robot.models) == 2
 
@@ -340,7 +343,7 @@ class TestLookAt:
         return [CovariateSample(place, name, value) for place, value in enumerate(values)]
 
     def test_signals_and_readings(self) -> None:
-        recorded = look_at(
+        recorded = summarise_recording(
             self.source(
                 *(ImuSample(t_ns, (9.0, 9.0, 0.1 * t_ns), (0.0, 0.0, 9.8)) for t_ns in range(3)),
                 *self.signal('fan', 1.0, 3.0),
@@ -362,16 +365,16 @@ class TestLookAt:
         many = [f'lively{place}' for place in range(MAX_SIGNALS)]
         measurements = [item for name in few for item in self.signal(name, 10.0, 10.1)]
         measurements += [item for name in many for item in self.signal(name, 1.0, -1.0)]
-        recorded = look_at(self.source(*measurements))
+        recorded = summarise_recording(self.source(*measurements))
         assert {signal.name for signal in recorded.signals} == set(many)
         assert sorted(recorded.left_out) == few
 
     def test_nothing_but_what_is_there(self) -> None:
-        recorded = look_at(self.source())
+        recorded = summarise_recording(self.source())
         assert recorded.signals == () and recorded.extras == set() and len(recorded.rate_rad_s) == 0
 
     def test_a_recording_offers_its_covariates(self) -> None:
-        recorded = look_at(recording('cleaning', 1, 20.0))
+        recorded = summarise_recording(recording('cleaning', 1, 20.0))
         names = {signal.name for signal in recorded.signals}
         assert {SPEED_SIGNAL, 'battery_state.current'} <= names
         tried = {item.effect.name for item in candidate_set(default_model(), recorded).trials}

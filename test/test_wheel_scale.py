@@ -15,8 +15,8 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, WheelSample
 from gyrocal_ros.diagnose.candidate_fit import correlation
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import ExaminedModel, Search, examine
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION
@@ -55,7 +55,7 @@ def estimate(run: Run, name: str) -> tuple[float, float]:
 
 def looked_at(source: SimSource) -> tuple[ExaminedModel, dict[str, str]]:
     """What everything on trial explains, and what is not judged."""
-    recorded = look_at(source)
+    recorded = summarise_recording(source)
     stage = examine(
         default_model(), recorded, lambda model, trials: calibrate(source, Config(), model, candidates=trials)
     )

@@ -10,7 +10,7 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
 from gyrocal_ros.diagnose.drift import heading_rms_deg
-from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects import SCALE_FACTOR, default_model
 from gyrocal_ros.effects.scale import scale_power
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.start import Start
@@ -124,7 +124,7 @@ def bound_std(scenario: Scenario, seed: int) -> float:
     config = replace(config, camera=replace(config.camera, estimate_pixel_noise=False))
     prior = model.coefficients[0].prior_std
     true_scale = source.truth.scale_factor
-    truth = Start(('scale_factor',), np.array([true_scale - 1.0]), np.array([[prior**2]]))
+    truth = Start((SCALE_FACTOR,), np.array([true_scale - 1.0]), np.array([[prior**2]]))
     run = calibrate(source, config, model, truth)
     return float(run.history.std[-1, COEFFICIENTS_START]) / true_scale
 

@@ -15,20 +15,18 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.candidates import with_means
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.drift import blind_drift
-from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import Search, search, with_effect
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
-from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.model.sensor import SensorModel, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate, preload
 from gyrocal_ros.sim.forward import HiddenEffect
-from gyrocal_ros.sim.hidden import RANGES, STRANGE_RANGES, draw_hidden, draw_scale_factor, hide
-from gyrocal_ros.sim.out_of_library import VOLTAGE
+from gyrocal_ros.sim.hidden import LIBRARY_RANGES, OUT_OF_LIBRARY_RANGES, draw_hidden, draw_scale_factor, hide
+from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sensors import stream
 from gyrocal_ros.sim.world import SimSource
@@ -41,12 +39,6 @@ PAIRS = 20
 """Cases of two effects at once."""
 MOMENT_S = 5.0
 """A jump has to be told within this."""
-
-MET_BY = {
-    'stranger_speed_bias': (f'covariate_bias:{SPEED_SIGNAL}', SPEED_SIGNAL),
-    'stranger_supply_kink': (f'covariate_scale:{VOLTAGE}', VOLTAGE),
-}
-"""What is right to say of effects that the library does not have: an effect, or what the rest follows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +85,12 @@ def cases(only: Sequence[str] = ()) -> list[Case]:
     library does not have, and of two effects at once.
     """
     rng = stream(0, 'pairs of effects')
-    pairs = [rng.choice(list(RANGES), 2, replace=False).tolist() for _ in range(PAIRS)]
+    pairs = [rng.choice(list(LIBRARY_RANGES), 2, replace=False).tolist() for _ in range(PAIRS)]
     every = [
         Case('none'),
         Case('none, noise set too high', noise=WRONG_NOISE),
         Case('none, noise set too low', noise=1.0 / WRONG_NOISE),
-        *(Case(name, (name,)) for name in (*RANGES, *STRANGE_RANGES)),
+        *(Case(name, (name,)) for name in (*LIBRARY_RANGES, *OUT_OF_LIBRARY_RANGES)),
         *(Case(' + '.join(pair), tuple(pair)) for pair in pairs),
     ]
     return [case for case in every if not only or case.label in only]
@@ -145,7 +137,7 @@ def run_blind(case: Case, seed: int) -> BlindResult:
     simulated = SimSource(scenario, seed, hidden=hide(drawn, find_effect))
     source, config = preload(simulated, config, default_model())
     run, hidden = partial(calibrate, source, config), simulated.hidden
-    recorded = look_at(source)
+    recorded = summarise_recording(source)
     try:
         searched = search(default_model(), recorded, lambda model, tried: run(model, candidates=tried))
     except FilterDivergedError:
@@ -220,14 +212,15 @@ def is_right(case: Case, hidden: Sequence[HiddenEffect], found: Diagnosis) -> bo
     named = [finding.effect.name for finding in found.missing]
     if not hidden:
         return found.verdict == 'nothing_missing'
-    if case.names[0] not in STRANGE_RANGES:
+    if case.names[0] not in OUT_OF_LIBRARY:
         return set(named) == set(case.names) if len(hidden) > 1 else named[:1] == list(case.names)
-    left = found.unexplained
-    if case.names[0] == 'stranger_knock':
+    left, unknown = found.unexplained, OUT_OF_LIBRARY[case.names[0]]
+    if unknown.right_signal is None:
         moment_s = hidden[0].values[1]
         return left is not None and left.at_s is not None and abs(left.at_s - moment_s) < MOMENT_S
-    effect, signal = MET_BY[case.names[0]]
-    return named[:1] == [effect] or (left is not None and left.shape.signal == signal)
+    if named[:1] == [unknown.right_effect]:
+        return True
+    return left is not None and left.shape.signal == unknown.right_signal
 
 
 def _errors_sigma(hidden: Sequence[HiddenEffect], found: Diagnosis) -> Iterator[float]:

@@ -23,10 +23,10 @@ from gyrocal_ros.bench.paper.experiment import Mapper
 from gyrocal_ros.bench.paper.landmark import NOISE_PX, follow
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.ranking import estimate
-from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import examine
-from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.effects.scale import FULL_RATE_RAD_S
+from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects.scale import FULL_RATE_RAD_S, scale_power
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.pipeline.calibrate import calibrate, preload
 from gyrocal_ros.sim.forward import HiddenEffect
@@ -129,7 +129,7 @@ def landmark(seed: int) -> dict[str, float]:
 
 def bent(seed: int) -> dict[str, float]:
     """What a robot with a bent gyro is told after two minutes, beside one without fault."""
-    cubic = HiddenEffect(find_effect('scale_cubic'), (HIDDEN_CUBIC,))
+    cubic = HiddenEffect(scale_power(3), (HIDDEN_CUBIC,))
     value, sigma = _cubic(seed, (cubic,))
     _, nothing_sigma = _cubic(seed, ())
     return {
@@ -208,8 +208,8 @@ def _cubic(seed: int, hidden: Iterable[HiddenEffect]) -> tuple[float, float]:
     source, config = preload(simulated, Config(), default_model())
     stage = examine(
         default_model(),
-        look_at(source),
+        summarise_recording(source),
         lambda model, tried: calibrate(source, config, model, candidates=tried),
     )
-    ranked_effect = next(item for item in stage.ranked if item.effect.name == 'scale_cubic')
+    ranked_effect = next(item for item in stage.ranked if item.effect.name == scale_power(3).name)
     return float(estimate(ranked_effect)[0]), ranked_effect.fit.sigma

@@ -17,22 +17,26 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, IntArray, MotionBlock
-from gyrocal_ros.diagnose.candidate_fit import SIGNIFICANT_SIGMA, correlation
-from gyrocal_ros.diagnose.candidates import LIMITS, Candidate, CandidateSet, candidate_set, columns_of
-from gyrocal_ros.diagnose.recorded import Signal, look_at
-from gyrocal_ros.diagnose.separability import ALIKE, DRIVES, kind_of
-from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS
+from gyrocal_ros.diagnose.candidate_fit import correlation
+from gyrocal_ros.diagnose.candidates import Candidate, CandidateSet, candidates_for, columns_of
+from gyrocal_ros.diagnose.separability import MAX_UNLISTED_CORRELATION, kind_of
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
+from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, SCALE_FACTOR
 from gyrocal_ros.effects.base import LinearGyroEffect, column
+from gyrocal_ros.effects.traits import is_limit, scanned_coefficient
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.bias import BiasModel
+from gyrocal_ros.model.recording import Signal
 from gyrocal_ros.model.sensor import Coefficient, Effect, GyroEffectOnReadings, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
-from gyrocal_ros.sim.drives import CONTROLS
+from gyrocal_ros.sim.drives import CONTROLS, EVERYDAY, TEST_DRIVES
 from gyrocal_ros.sim.scenarios import Scenario
 from gyrocal_ros.sim.world import SimSource
 
 BARE = SensorModel('bare', BiasModel(), ())
 """Without a scale factor, so that the likeness of other effects to it can be told."""
+DRIVES: dict[str, Scenario] = {EVERYDAY.name: EVERYDAY, **TEST_DRIVES}
 COLUMNS: dict[str, Scenario] = {**DRIVES, **CONTROLS}
 """Of the table."""
 SIGNAL = Signal('fan_speed.data', mean=10000.0, spread=3200.0)
@@ -78,20 +82,20 @@ def figures(drive: str) -> Figures:
     for effect, columns in zip(scores.candidates, columns_of(scores.candidates), strict=True):
         variants.setdefault(kind_of(effect.name), []).append((effect, columns))
     usual = {name: min(found, key=_unusual) for name, found in variants.items()}
-    scale_free = _given(scores, usual['scale_factor'][1])
+    scale_free = _given(scores, usual[SCALE_FACTOR][1])
     at_all = {name: _sigma(scores, variant) for name, variant in usual.items()}
     beside_scale = {name: _sigma(scale_free, variant) for name, variant in usual.items()}
     alike = {}
     for first, second in combinations(sorted(usual), 2):
-        with_scale = 'scale_factor' in (first, second)
+        with_scale = SCALE_FACTOR in (first, second)
         information, shows = (scores, at_all) if with_scale else (scale_free, beside_scale)
-        if min(shows[first], shows[second]) > SIGNIFICANT_SIGMA:
+        if min(shows[first], shows[second]) > DEFAULT_SETTINGS.significant_sigma:
             alike[first, second] = max(
                 correlation(information, usual[one][1], columns)
                 for one, other in ((first, second), (second, first))
                 for _, columns in variants[other]
             )
-    return Figures(beside_scale | {'scale_factor': at_all['scale_factor']}, alike)
+    return Figures(beside_scale | {SCALE_FACTOR: at_all[SCALE_FACTOR]}, alike)
 
 
 def motions() -> Iterator[dict[str, Any]]:
@@ -115,12 +119,13 @@ def _evidence(drive: str) -> ScoreStatistics:
     """Of every effect, from a robot whose scale factor is right."""
     scenario = COLUMNS[drive]
     source = SimSource(replace(scenario, errors=replace(scenario.errors, scale_factor=1.0)), seed=0)
-    trials = candidate_set(BARE, replace(look_at(source), signals=(SIGNAL,))).trials
-    lost = [Lost(EFFECTS[name], EFFECTS[name].about.example, name) for name in LIMITS]  # type: ignore[arg-type]
-    on_trial = CandidateSet((*trials, *(Candidate(effect, effect, np.eye(1)) for effect in lost)))
-    run = calibrate(source, Config(), BARE, candidates=on_trial.carried)
+    candidates = candidates_for(BARE, replace(summarise_recording(source), signals=(SIGNAL,))).candidates
+    limits = [effect for effect in EFFECTS.values() if is_limit(effect)]
+    lost = [Lost(effect, effect.about.example, effect.name) for effect in limits]  # type: ignore[arg-type]
+    every = CandidateSet((*candidates, *(Candidate(effect, effect, np.eye(1)) for effect in lost)))
+    run = calibrate(source, Config(), BARE, candidates=every.carried)
     assert run.scores is not None
-    return on_trial.judged(run.scores)
+    return every.project(run.scores)
 
 
 def _given(scores: ScoreStatistics, columns: IntArray) -> ScoreStatistics:
@@ -147,9 +152,10 @@ def _usual_values(effect: Effect) -> Array:
 def _unusual(variant: Variant) -> float:
     """How far a time constant is from its usual value; zero where there is none."""
     effect, _ = variant
-    if len(effect.coefficients) < 2 or not effect.coefficients[1].prior_mean:
+    place = None if isinstance(effect, Lost) else scanned_coefficient(effect)
+    if place is None:
         return 0.0
-    return abs(math.log(effect.coefficients[1].prior_mean / EFFECTS[effect.name].about.example[1]))
+    return abs(math.log(effect.coefficients[place].prior_mean / EFFECTS[effect.name].about.example[place]))
 
 
 def _declared_twins() -> set[tuple[str, str]]:
@@ -160,4 +166,9 @@ def _declared_twins() -> set[tuple[str, str]]:
 
 
 def _found_twins(every: dict[str, Figures]) -> set[tuple[str, str]]:
-    return {pair for drive in DRIVES for pair, value in every[drive].alike.items() if value > ALIKE}
+    return {
+        pair
+        for drive in DRIVES
+        for pair, value in every[drive].alike.items()
+        if value > MAX_UNLISTED_CORRELATION
+    }

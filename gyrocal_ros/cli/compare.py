@@ -90,12 +90,12 @@ def in_words(comparison: Comparison) -> Iterator[str]:
     """The comparison in lines for a person."""
     yield from table(
         ('model', 'drift in 60 s (deg)', 'heading (deg rms)', 'foreseen', 'NIS/dof', 'scale factor'),
-        [_row(rival) for rival in comparison.rivals],
+        [_row(rival) for rival in comparison.results],
     )
     yield f'(drift rms and interval, held out, against {REFERENCES[comparison.drift_reference]})'
     for label, why in comparison.diverged.items():
         yield f'{label}: the filter cannot run with it: {why}'
-    for rival in comparison.rivals:
+    for rival in comparison.results:
         yield ''
         yield f'Where {rival.label} fails, worst first:'
         yield from failures_in_words(rival.fails_where)

@@ -20,8 +20,8 @@ from gyrocal_ros.cli.passes import add_pass_options, open_passes, result_folder,
 from gyrocal_ros.diagnose.advice import advice, grouped, join
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.drift import REFERENCES
-from gyrocal_ros.diagnose.recorded import look_at
 from gyrocal_ros.diagnose.search import search
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.model_file import options_of
 from gyrocal_ros.model.sensor import Effect
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> None:
     model = read_model(args)
     with result_folder(args) as folder:
         passes = open_passes(args, model)
-        recorded = look_at(passes.source)
+        recorded = summarise_recording(passes.source)
         searched = search(model, recorded, passes.calibrate)
         diagnosis = diagnose(searched, recorded)
         if folder is not None:

@@ -19,8 +19,8 @@ from gyrocal_ros.cli.output import print_json, table, tell
 from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
-from gyrocal_ros.diagnose.recorded import look_at
-from gyrocal_ros.diagnose.search import Calibrate, search, trial
+from gyrocal_ros.diagnose.search import Calibrate, search, try_effect
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import ConfigError
@@ -59,11 +59,11 @@ def run(args: argparse.Namespace) -> None:
     effect = _asked_for(args.effect, model)
     with result_folder(args) as folder:
         passes = open_passes(args, model)
-        recorded, calibrate = look_at(passes.source), _telling(passes)
+        recorded, calibrate = summarise_recording(passes.source), _telling(passes)
         if effect is None:
             searched = search(model, recorded, calibrate, MOST)
         else:
-            searched = trial(model, recorded, calibrate, effect)
+            searched = try_effect(model, recorded, calibrate, effect)
         improved = improvement(searched)
         if folder is not None:
             # Only a page needs the plotting library.
@@ -109,19 +109,19 @@ def in_words(improved: Improvement) -> Iterator[str]:
     yield f'(drift in 60 s, rms and interval, against {reference})'
     yield ''
     yield from (f'{revision.label}: {revision.why}' for revision in improved.revisions)
-    odd = improved.final.stage.unexplained_structure
+    odd = improved.final.examined.unexplained_structure
     if odd is not None:
         yield f'still there, and no effect explains it: {odd.what} ({odd.sigma:.0f} sigma)'
 
 
 def _row(revision: Revision) -> tuple[str, ...]:
-    scale = conclude(revision.stage.run)
+    scale = conclude(revision.examined.run)
     return (
         revision.label,
         'kept' if revision.is_kept else 'left out',
         drift_in_words(revision.held_out),
         drift_in_words(revision.fitted),
         f'{revision.gain:+.1f}' if revision.effect is not None else '-',
-        f'{nis_per_dof(revision.stage.run):.2f}',
+        f'{nis_per_dof(revision.examined.run):.2f}',
         with_std(scale.scale_factor, scale.scale_factor_std),
     )

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from gyrocal_ros.effects.model_file import load_model
-from gyrocal_ros.effects.user import load_file, load_installed
+from gyrocal_ros.effects.registry import load_file, load_installed
 from gyrocal_ros.model.sensor import SensorModel
 
 

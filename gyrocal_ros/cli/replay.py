@@ -24,11 +24,12 @@ from gyrocal_ros.cli.options import (
 from gyrocal_ros.cli.output import print_json, progress, warn
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects.model_file import load_model
+from gyrocal_ros.effects.traits import followers_by_signal
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import new_folder
-from gyrocal_ros.model.sensor import SensorModel, signals_of
+from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.issues import BagIssue, one_a_kind, refuse_errors
 from gyrocal_ros.pipeline.calibrate import Progress, calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
@@ -148,7 +149,7 @@ def verdict(summary: dict[str, Any]) -> str:
 def _calibrate(
     bag: Path, config: Config, model: SensorModel, options: BagOptions, start: Start | None
 ) -> Run:
-    source = open_bag(bag, config, with_covariates=bool(signals_of(model)), **options)
+    source = open_bag(bag, config, with_covariates=bool(followers_by_signal(model)), **options)
     with progress('calibrating', total=round(source.span.duration_s), unit='s') as bar:
 
         def report(state: Progress) -> None:

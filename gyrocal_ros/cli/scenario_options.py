@@ -11,8 +11,8 @@ from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.errors import ConfigError, GyrocalError, did_you_mean
 from gyrocal_ros.model.sensor import RelativeEffect
-from gyrocal_ros.sim.hidden import Drawn, draw_hidden, draw_scale_factor, hide
-from gyrocal_ros.sim.out_of_library import STRANGERS
+from gyrocal_ros.sim.hidden import DrawnEffect, draw_hidden, draw_scale_factor, hide
+from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -73,17 +73,17 @@ def scenario_source(
     return SimSource(scenario, args.seed, images=images, hidden=effects)
 
 
-def parse_effect(text: str) -> Drawn:
+def parse_effect(text: str) -> DrawnEffect:
     """Read `NAME`, `NAME=VALUE,VALUE` or `NAME=coefficient:value,...`.
 
     Raises:
         ConfigError: the effect or a coefficient is not known, or a value is no number.
     """
     name, has_values, given = text.partition('=')
-    effect = STRANGERS.get(name) or find_effect(name, '--effect')
+    effect = OUT_OF_LIBRARY.get(name) or find_effect(name, '--effect')
     if not has_values:
         if isinstance(effect, LibraryEffect) and not isinstance(effect, RelativeEffect):
-            return Drawn(name, effect.about.example)
+            return DrawnEffect(name, effect.about.example)
         raise ConfigError('has no usual size', where=f'--effect {name}', todo=f'give it, as in {name}=VALUE')
     parts = given.split(',')
     if all(':' in part for part in parts):
@@ -100,7 +100,7 @@ def parse_effect(text: str) -> Drawn:
         values = (math.nan,)
     if not all(map(math.isfinite, values)):
         raise ConfigError(f'{given!r} is not a list of numbers', where=f'--effect {name}', todo='see --help')
-    return Drawn(name, values)
+    return DrawnEffect(name, values)
 
 
 def check_bounds(option: str, value: float, low: float, high: float, unit: str = '') -> None:

@@ -1,29 +1,29 @@
-"""What the evidence says: estimates, honest significance, likelihood gains, twins.
+"""Fits of candidate effects to the score statistics: estimates, significance, likelihood gains.
 
-All of it follows from Lambda and b of the blocks (`ekf.scores`), without another replay.
+Everything follows from Lambda and b of the blocks (`ekf.score_statistics`), without another run.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
 
 LAGS = 2
-"""Blocks whose scores may depend on each other: what wanders slowly outlasts a block."""
-SIGNIFICANT_SIGMA = 4.0
-"""Below this an estimate counts as chance: many are looked at."""
+"""Number of following blocks whose scores may be correlated with a block: slow errors outlast a block."""
 NOT_EXCITED = 1e-12
+"""Information below which a recording does not excite a coefficient."""
 SINGULAR = 1e-12
+"""Ratio of eigenvalues below which a covariance is singular but for rounding."""
+MAX_CONDITION = 1e10
+"""Condition number above which coefficients cannot be fitted together."""
 MAX_LEVERAGE = 0.98
-"""A block that alone decides an estimate leaves no scatter to judge it by."""
-SMALLEST = 1e-300
-"""Chance, as far as numbers reach."""
+"""Largest leverage of a block: one that alone decides an estimate leaves no scatter to judge it by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,44 +31,44 @@ class Fit:
     """Some candidate coefficients, fitted together."""
 
     columns: IntArray
-    """(q,) which coefficients."""
+    """(q,) indices of the coefficients among all candidates'."""
     values: Array
-    """(q,)"""
+    """(q,) estimates."""
     covariance: Array
-    """(q, q) by the scatter of the blocks, whatever the filter's noise settings are."""
+    """(q, q) covariance by the scatter of the blocks, independent of the filter's noise settings."""
     gain: float
     """Log-likelihood gained, by the filter's own S."""
     block_gains: Array
-    """(B,) where it is gained."""
+    """(B,) contribution of each block to the gain."""
 
     @property
     def wald(self) -> float:
-        """Squared distance of the estimate from zero by its covariance."""
+        """Wald statistic: squared distance of the estimate from zero by its covariance."""
         return float(self.values @ np.linalg.solve(self.covariance, self.values))
 
     @property
     def sigma(self) -> float:
-        """Significance as that of a normal variable."""
+        """Significance in standard deviations of a normal variable."""
         return sigma_of(self.p_value)
 
     @property
     def p_value(self) -> float:
-        """Chance of so large an estimate where there is nothing.
+        """Probability of so large an estimate where the effect is absent.
 
-        A doubt that comes from the scatter of few blocks is itself in doubt: Student's t, here and for
-        several coefficients by the logarithm, which for two is Hotelling's test exactly.
+        The covariance of few blocks is itself uncertain, so one coefficient has Student's t distribution.
+        The logarithm approximates that; for two coefficients it is Hotelling's test exactly.
         """
         dof = max(len(self.block_gains) - len(self.values), 1)
         return chi_square_tail(dof * math.log1p(self.wald / dof), len(self.values))
 
 
 def fit(scores: ScoreStatistics, columns: IntArray, given: IntArray | None = None) -> Fit | None:
-    """Fit candidate coefficients; None where the recording does not excite them.
+    """Fit candidate coefficients; return None where the recording does not excite them.
 
     Args:
-        evidence: of c candidate coefficients.
-        columns: (q,) those to fit.
-        given: further ones to fit along, whose effect is not counted as gain.
+        scores: score statistics of c candidate coefficients.
+        columns: (q,) coefficients to fit.
+        given: further coefficients to fit along; their gain does not count.
     """
     others = np.empty(0, np.int64) if given is None else given
     every = np.concatenate([columns, others]).astype(np.int64)
@@ -82,7 +82,7 @@ def fit(scores: ScoreStatistics, columns: IntArray, given: IntArray | None = Non
     kept = np.flatnonzero(excited)
     information = (information / (scale[:, None] * scale))[:, kept[:, None], kept]
     score, total = (score / scale)[:, kept], (total / (scale[:, None] * scale))[np.ix_(kept, kept)]
-    if np.linalg.cond(total) > 1e10:
+    if np.linalg.cond(total) > MAX_CONDITION:
         return None
     inverse = np.linalg.inv(total)
     values = inverse @ score.sum(axis=0)
@@ -102,7 +102,7 @@ def fit(scores: ScoreStatistics, columns: IntArray, given: IntArray | None = Non
 
 
 def held_out_gain(scores: ScoreStatistics, columns: IntArray) -> float | None:
-    """Log-likelihood that candidates (q,) gain on the second half, fitted on the first half alone.
+    """Return the log-likelihood that candidates (q,) gain on the second half, fitted on the first half.
 
     None where the first half does not excite them.
     """
@@ -116,7 +116,7 @@ def held_out_gain(scores: ScoreStatistics, columns: IntArray) -> float | None:
 
 
 def _gains_of(information: Array, score: Array, chosen: np.ndarray) -> Array:
-    """Gain by block of the chosen columns alone."""
+    """Return the gain of the chosen columns alone in each block."""
     part = np.flatnonzero(chosen)
     information, score = information[:, part[:, None], part], score[:, part]
     values = np.linalg.solve(information.sum(axis=0), score.sum(axis=0))
@@ -125,12 +125,12 @@ def _gains_of(information: Array, score: Array, chosen: np.ndarray) -> Array:
 
 
 def _covariance(information: Array, score: Array, values: Array, inverse: Array) -> Array:
-    """Covariance of the estimate: the most cautious of three views of it.
+    """Return the covariance of the estimate: of three estimates, the one that makes it least significant.
 
     The filter's own S may be wrong, so the scatter of the blocks' scores counts (a sandwich,
     heteroscedasticity-consistent with the small-sample correction HC3 of MacKinnon and White 1985).
-    Neighbouring blocks may depend on each other (Bartlett weights, Newey and West 1987). And what
-    shows in one block alone has no scatter, so the filter's own S is the least.
+    Neighbouring blocks may be correlated (Bartlett weights, Newey and West 1987). An effect that shows in
+    one block alone has no scatter, so the covariance by the filter's own S is a lower bound.
     """
     left = score - information @ values
     leverage = MAX_LEVERAGE * (information @ inverse)
@@ -140,19 +140,19 @@ def _covariance(information: Array, score: Array, values: Array, inverse: Array)
     for lag in range(1, min(LAGS, len(left) - 1) + 1):
         cross = corrected[lag:].T @ corrected[:-lag]
         neighbours += (1.0 - lag / (LAGS + 1.0)) * (cross + cross.T)
-    views = [inverse, inverse @ alone @ inverse, inverse @ neighbours @ inverse]
-    sound = [view for view in views if _is_sound(view)]
-    return min(sound, key=lambda view: float(values @ np.linalg.solve(view, values)))
+    estimates = [inverse, inverse @ alone @ inverse, inverse @ neighbours @ inverse]
+    sound = [estimate for estimate in estimates if _is_sound(estimate)]
+    return min(sound, key=lambda estimate: float(values @ np.linalg.solve(estimate, values)))
 
 
 def _is_sound(covariance: Array) -> bool:
-    """Whether a covariance is positive definite by more than rounding: few blocks give fewer directions."""
+    """Return True if a covariance is positive definite by more than rounding, which few blocks may not give."""
     spread = np.linalg.eigvalsh(covariance)
     return bool(spread[0] > SINGULAR * spread[-1])
 
 
 def correlation(scores: ScoreStatistics, first: IntArray, second: IntArray) -> float:
-    """How far two candidates are the same to this recording: largest canonical correlation."""
+    """Return the largest canonical correlation of two candidates in this recording."""
     total = scores.information.sum(axis=0)
     a, b = total[np.ix_(first, first)], total[np.ix_(second, second)]
     excited_a, excited_b = np.diagonal(a) > NOT_EXCITED, np.diagonal(b) > NOT_EXCITED
@@ -166,22 +166,5 @@ def correlation(scores: ScoreStatistics, first: IntArray, second: IntArray) -> f
 
 
 def preference(better: Fit, worse: Fit) -> float:
-    """By how many sigma one explanation gains more than another (Vuong 1989): mean over scatter."""
-    difference = better.block_gains - worse.block_gains
-    scatter = float(difference.std(ddof=1)) * math.sqrt(len(difference))
-    return float(difference.sum()) / scatter if scatter > 0.0 else 0.0
-
-
-def chi_square_tail(value: float, dof: int) -> float:
-    """Chance that a chi-square variable exceeds a value; exact for 1 and 2 degrees of freedom."""
-    if dof == 1:
-        return math.erfc(math.sqrt(max(value, 0.0) / 2.0))
-    if dof == 2:
-        return math.exp(-max(value, 0.0) / 2.0)
-    width = 2.0 / (9.0 * dof)
-    return NormalDist().cdf(-((max(value, 0.0) / dof) ** (1.0 / 3.0) - 1.0 + width) / math.sqrt(width))
-
-
-def sigma_of(p_value: float) -> float:
-    """Two-sided normal quantile; chances too small for a number count as the smallest one."""
-    return -NormalDist().inv_cdf(min(max(p_value, SMALLEST) / 2.0, 0.5))
+    """Return by how many sigma one explanation gains more than another (Vuong 1989)."""
+    return vuong_sigma(better.block_gains - worse.block_gains)

@@ -1,142 +1,151 @@
-"""Which effects are put on trial: all that the model lacks and the recording can speak of."""
+"""The candidate effects of a diagnosis: all that the model lacks and the recording can show."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray, Rig
-from gyrocal_ros.diagnose.banks import Followers, Hystereses, Warmups
-from gyrocal_ros.diagnose.recorded import Recorded, Signal
+from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.bias_warmup import BiasWarmup
-from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
-from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
+from gyrocal_ros.effects.covariate import CovariateBank, covariate_effects
+from gyrocal_ros.effects.traits import forms_of, is_limit, scanned_coefficient, strengths, why_unobservable
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
-from gyrocal_ros.model.sensor import Effect, SensorModel
-
-WARMUP_TIMES_S = (40.0, 65.0, 105.0, 170.0, 275.0, 445.0, 720.0, 1160.0)
-HYSTERESIS_TIMES_S = (2.5, 4.0, 6.5, 10.5, 17.0, 27.5, 44.5)
-"""Geometric series."""
-E = TypeVar('E', bound=Effect)
-
-LIMITS = ('rate_saturation', 'rate_deadband')
-"""Effects that enter by a limit: told by the readings, not by sensitivities."""
-MIN_LEVER_M = 0.01
-"""A distance from the turning centre that is shorter is not known well enough to measure others by."""
+from gyrocal_ros.model.recording import RecordingSummary, Signal
+from gyrocal_ros.model.sensor import (
+    Coefficient,
+    Effect,
+    GyroTerm,
+    Memory,
+    Place,
+    ScannedColumns,
+    SensorModel,
+    with_means,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One effect on trial, as a mixture of what the filter carries."""
+    """One effect, as a linear combination of the columns that the filter carries."""
 
     effect: Effect
-    """As it would join the model."""
+    """The effect as it would join the model."""
     carried: Effect
     weights: Array
-    """(c, k) how much of each of the c columns of `carried` one unit of each coefficient is."""
+    """(c, k) share of each of the c columns of `carried` in one unit of each coefficient of `effect`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateSet:
-    """All effects on trial."""
+    """All candidates of a diagnosis."""
 
-    trials: tuple[Candidate, ...]
+    candidates: tuple[Candidate, ...]
 
     @property
     def carried(self) -> tuple[Effect, ...]:
-        """What the filter has to carry along for them, each once."""
-        return tuple({id(trial.carried): trial.carried for trial in self.trials}.values())
+        """Effects that the filter carries for them, each once."""
+        return tuple({id(item.carried): item.carried for item in self.candidates}.values())
 
-    def judged(self, scores: ScoreStatistics) -> ScoreStatistics:
-        """The evidence of what was carried, as evidence of the effects on trial."""
+    def project(self, scores: ScoreStatistics) -> ScoreStatistics:
+        """Convert the score statistics of what was carried to those of the candidates."""
         carried = zip(scores.candidates, columns_of(scores.candidates), strict=True)
         places = {id(effect): columns for effect, columns in carried}
-        mixing = np.zeros((scores.score.shape[1], sum(trial.weights.shape[1] for trial in self.trials)))
-        effects = tuple(trial.effect for trial in self.trials)
-        for trial, columns in zip(self.trials, columns_of(effects), strict=True):
-            mixing[np.ix_(places[id(trial.carried)], columns)] = trial.weights
+        effects = tuple(item.effect for item in self.candidates)
+        mixing = np.zeros((scores.score.shape[1], sum(item.weights.shape[1] for item in self.candidates)))
+        for item, columns in zip(self.candidates, columns_of(effects), strict=True):
+            mixing[np.ix_(places[id(item.carried)], columns)] = item.weights
         information = mixing.T @ scores.information @ mixing
         return ScoreStatistics(effects, scores.start_s, information, scores.score @ mixing)
 
 
-def candidate_set(model: SensorModel, recorded: Recorded) -> CandidateSet:
-    """Every effect to try beside a model; one with a time constant is tried at several values of it."""
-    present = {effect.name for effect in model.effects}
-    trials: list[Candidate] = []
-    for name, effect in EFFECTS.items():
-        if name in present or name in LIMITS or not set(needs(effect)) <= recorded.extras:
-            continue
-        if name == 'wheel_scale' and not has_lever(recorded.rig):
-            continue
-        if isinstance(effect, BiasWarmup):
-            trials.extend(_warmups(effect))
-        elif isinstance(effect, TurnHysteresis):
-            trials.extend(_hystereses(effect))
+@dataclass(frozen=True)
+class ScanBank:
+    """A gyro effect at every value of its scan as one effect, with a coefficient for each column."""
+
+    acts_on: ClassVar[Place] = 'gyro'
+    effect: Effect
+    name: str
+
+    @property
+    def coefficients(self) -> tuple[Coefficient, ...]:
+        """The linear coefficients of the effect, once for each value of the scan."""
+        linear = [self.effect.coefficients[place] for place in strengths(self.effect)]
+        return tuple(
+            Coefficient(f'{item.name}_{row}', item.unit, item.prior_std)
+            for row in range(len(self.scan))
+            for item in linear
+        )
+
+    @property
+    def scan(self) -> Array:
+        """(q,) values of the scanned coefficient."""
+        place = scanned_coefficient(self.effect)
+        assert place is not None
+        return np.array(self.effect.coefficients[place].scan)
+
+    def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
+        """Contribution and its derivative (N, q s) for s linear coefficients."""
+        if isinstance(self.effect, ScannedColumns):
+            columns, memory = self.effect.columns_at(block, self.scan, memory)
         else:
-            trials.append(_plain(effect))
-    trials.extend(trial for trial in _followers(recorded.signals) if trial.effect.name not in present)
-    return CandidateSet(tuple(trials))
+            columns, memory = self._one_by_one(block, memory)
+        return GyroTerm(columns @ values, columns, memory)
+
+    def _one_by_one(self, block: MotionBlock, memory: Memory) -> tuple[Array, Memory]:
+        place, linear = scanned_coefficient(self.effect), strengths(self.effect)
+        memories = memory if memory is not None else [None] * len(self.scan)
+        values = np.zeros(len(self.effect.coefficients))
+        columns, kept = [], []
+        for value, before in zip(self.scan.tolist(), memories, strict=True):
+            values[place] = value
+            term = self.effect.contribute(block, values, before)  # type: ignore[attr-defined]
+            columns.append(term.by_values[:, linear])
+            kept.append(term.memory)
+        return np.concatenate(columns, axis=1), kept
+
+
+def candidates_for(model: SensorModel, recording: RecordingSummary) -> CandidateSet:
+    """Collect every effect to try beside a model, one with a scan at each value of it."""
+    present = {effect.name for effect in model.effects}
+    found: list[Candidate] = []
+    for name, effect in EFFECTS.items():
+        if name in present or is_limit(effect) or why_unobservable(effect, recording):
+            continue
+        for form in forms_of(effect):
+            if scanned_coefficient(form) is None:
+                found.append(Candidate(form, form, np.eye(len(form.coefficients))))
+            else:
+                found.extend(_scanned(form))
+    if recording.signals:
+        found.extend(item for item in _covariates(recording.signals) if item.effect.name not in present)
+    return CandidateSet(tuple(found))
 
 
 def columns_of(effects: Sequence[Effect]) -> list[IntArray]:
-    """Where the coefficients of each effect stand among all, as index arrays."""
+    """Return the indices of the coefficients of each effect among all."""
     ends = np.cumsum([0, *(len(effect.coefficients) for effect in effects)])
     return [np.arange(start, end) for start, end in zip(ends, ends[1:], strict=False)]
 
 
-def needs(effect: Effect) -> tuple[str, ...]:
-    """What an effect needs beside IMU, wheels and camera."""
-    about = getattr(effect, 'about', None)
-    return about.needs if about is not None else ()
+def _scanned(effect: Effect) -> Iterator[Candidate]:
+    """Yield a candidate for each value of the scan; all share one bank."""
+    bank, linear = ScanBank(effect, f'{effect.name} scan'), strengths(effect)
+    place = scanned_coefficient(effect)
+    assert place is not None
+    for row, value in enumerate(bank.scan.tolist()):
+        values, weights = (
+            np.zeros(len(effect.coefficients)),
+            np.zeros((len(bank.coefficients), len(linear) + 1)),
+        )
+        values[place] = value
+        weights[len(linear) * row + np.arange(len(linear)), linear] = 1.0
+        yield Candidate(with_means(effect, values.tolist()), bank, weights)
 
 
-def has_lever(rig: Rig) -> bool:
-    """Whether a camera is far enough from the turning centre to show how long the odometer's metre is."""
-    return rig.camera is not None and bool(np.hypot(*rig.camera_mount.p_bs[:2]) >= MIN_LEVER_M)
-
-
-def _plain(effect: Effect) -> Candidate:
-    return Candidate(effect, effect, np.eye(len(effect.coefficients)))
-
-
-def _warmups(effect: BiasWarmup) -> list[Candidate]:
-    bank = Warmups(WARMUP_TIMES_S)
-    return [
-        Candidate(with_means(effect, (0.0, time_s)), bank, _one_of(row, len(WARMUP_TIMES_S), 2))
-        for row, time_s in enumerate(WARMUP_TIMES_S)
-    ]
-
-
-def _hystereses(effect: TurnHysteresis) -> list[Candidate]:
-    forms = (replace(effect, driven_by='rate'), replace(effect, driven_by='side'))
-    variants = tuple(with_means(form, (0.0, time_s)) for form in forms for time_s in HYSTERESIS_TIMES_S)
-    bank = Hystereses(variants)
-    return [Candidate(variant, bank, _one_of(row, len(variants), 2)) for row, variant in enumerate(variants)]
-
-
-def _one_of(row: int, count: int, coefficients: int) -> Array:
-    """(count, coefficients): the first is column `row` of a bank; nothing depends on a time constant yet."""
-    weights = np.zeros((count, coefficients))
-    weights[row, 0] = 1.0
-    return weights
-
-
-def _followers(signals: Sequence[Signal]) -> list[Candidate]:
-    bank = Followers(tuple((signal.name, signal.mean) for signal in signals))
-    effects = [
-        make(signal.name, signal.mean, signal.spread)
-        for make in (covariate_bias, covariate_scale)
-        for signal in signals
-    ]
-    return [Candidate(effect, bank, _one_of(row, len(effects), 1)) for row, effect in enumerate(effects)]
-
-
-def with_means(effect: E, values: Sequence[float]) -> E:
-    """The effect, its coefficients expected at other values; the doubts stay."""
-    items = zip(effect.coefficients, values, strict=True)
-    moved = tuple(replace(item, prior_mean=float(value)) for item, value in items)
-    return replace(effect, coefficients=moved)  # type: ignore[type-var,no-any-return]
+def _covariates(signals: tuple[Signal, ...]) -> Iterator[Candidate]:
+    """Yield the candidates that follow a recorded signal; all share one bank."""
+    bank, effects = CovariateBank(signals), covariate_effects(signals)
+    for row, effect in enumerate(effects):
+        yield Candidate(effect, bank, np.eye(len(effects))[:, row : row + 1])

@@ -1,4 +1,4 @@
-"""Several models on one recording: which foresees it best, how far each drifts, where each fails."""
+"""Comparison of several models on one recording: predictive log-likelihood, drift, where each fails."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from gyrocal_ros.diagnose.drift import (
     truth_path,
 )
 from gyrocal_ros.diagnose.heading_filter import Headings, headings
-from gyrocal_ros.diagnose.predictive_gain import predictive_gain, vuong_sigma
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.statistics import vuong_sigma
 
 TRUTH_STD_DEG = 0.05
-"""How well a ground truth knows the heading."""
+"""Assumed standard deviation of the heading of a ground truth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,47 +32,46 @@ class ModelResult:
     """One model on the recording."""
 
     label: str
-    """Its file, or `default`."""
+    """File of the model, or `default`."""
     run: Run
     heading_rms_deg: float | None
-    """Of the filter against the ground truth, where there is one."""
+    """Heading error of the filter against the ground truth; None without one."""
     drift: BlindDrift
-    """Each span begins with what was known by then."""
+    """Held-out blind drift: each span starts with what was known by then."""
     gain: float
-    """Log-likelihood by which it foresees the recording better than the first model; 0 for that one."""
+    """Predictive log-likelihood gained over the first model; 0 for that one."""
     gain_sigma: float
-    """By how many sigma that is more than chance."""
+    """Significance of that gain."""
     drift_sigma: float
-    """By how many sigma its squared drift is smaller than the first model's."""
+    """Significance of the decrease of the drift relative to the first model."""
     fails_where: tuple[Failure, ...]
-    """Where its gyro and the camera differ by more than chance, worst first."""
+    """Where gyro and camera differ by more than chance, worst first."""
     fails_by_truth: tuple[Failure, ...] | None
-    """Where its gyro and the ground truth differ; None where no truth is recorded."""
+    """Where gyro and ground truth differ; None without ground truth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """Models that ran over one recording, in the order in which they were named."""
+    """Models that ran over one recording, in the order given."""
 
-    rivals: tuple[ModelResult, ...]
+    results: tuple[ModelResult, ...]
     drift_reference: str
-    """What headings were compared with for the drift: `ground truth`, or `slam` by the best model."""
+    """Reference of the drift: `ground truth`, or `slam` by the best model."""
     diverged: Mapping[str, str] = field(default_factory=dict)
-    """Models with which the filter cannot run, and why."""
+    """Models with which the filter diverged, and why."""
 
     @property
     def best(self) -> ModelResult:
-        """The one that foresees the recording best."""
-        return max(self.rivals, key=lambda rival: rival.gain)
+        """The model that predicts the recording best."""
+        return max(self.results, key=lambda result: result.gain)
 
 
 def compare(runs: Mapping[str, Run], diverged: Mapping[str, str] | None = None) -> Comparison:
-    """Judge runs of the same recording.
+    """Compare runs of the same recording.
 
     Args:
-        runs: one or more finished runs by the label of their model; the first is what others are
-            measured by.
-        diverged: models with which the filter could not run, and why.
+        runs: one or more finished runs by the label of their model; gains are relative to the first.
+        diverged: models with which the filter diverged, and why.
     """
     first = next(iter(runs.values()))
     gains = {label: predictive_gain(first, run) for label, run in runs.items()}
@@ -79,10 +79,10 @@ def compare(runs: Mapping[str, Run], diverged: Mapping[str, str] | None = None) 
     reference = reference_path(runs[best])
     from_s = held_out_from_s(first)
     drifts = {label: blind_drift(run, reference, from_s) for label, run in runs.items()}
-    rivals = []
+    results = []
     for label, run in runs.items():
         by_truth = headings_by_truth(run)
-        rivals.append(
+        results.append(
             ModelResult(
                 label=label,
                 run=run,
@@ -95,11 +95,11 @@ def compare(runs: Mapping[str, Run], diverged: Mapping[str, str] | None = None) 
                 fails_by_truth=None if by_truth is None else tuple(failures(run, by_truth)),
             )
         )
-    return Comparison(tuple(rivals), reference[1], dict(diverged or {}))
+    return Comparison(tuple(results), reference[1], dict(diverged or {}))
 
 
 def headings_by_truth(run: Run) -> Headings | None:
-    """The headings of a run with the ground truth in place of the camera, where it is recorded."""
+    """Return the headings of a run with the ground truth in place of the camera; None without one."""
     truth = truth_path(run)
     if truth is None:
         return None

@@ -1,38 +1,42 @@
-"""Heading and position by the gyro alone: how far dead reckoning goes astray."""
+"""Blind drift: the heading error of the gyro alone after a span without the camera."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS
+from gyrocal_ros.statistics import chi_square_quantile, trigamma
 
 REFERENCES = {
     'ground truth': 'the ground truth',
     'slam': 'the heading by SLAM',
     'heading reference': 'the filtered heading reference',
 }
-"""What headings are compared with, and in words."""
+"""References that headings are compared with: name and description."""
 SPAN_S = 60.0
+"""Length of a span without the camera."""
 STRIDE_S = 5.0
+"""Distance of the beginnings of spans."""
 SETTLING_S = 10.0
-"""Spans begin no earlier than this: until then the gyro is hardly known."""
+"""Earliest beginning of a span: before, the gyro is hardly calibrated."""
 MIN_INDEPENDENT = 2.0
-WITHIN = NormalDist().inv_cdf(0.95)
-"""Intervals hold in 90 of 100 recordings."""
+"""Minimum number of independent spans for an upper end of the interval."""
+TAIL = 0.05
+"""Probability beyond each end of an interval."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlindDrift:
-    """Heading error after so long without the camera."""
+    """Heading errors at the ends of spans without the camera."""
 
     span_s: float
     start_s: Array
-    """(n,) beginnings of the spans, since the first step."""
+    """(n,) beginnings of the spans, in s since the first step."""
     error_rad: Array
     """(n,) heading by the gyro less heading by the reference, at the end of each span."""
     reference: str
@@ -50,28 +54,28 @@ class BlindDrift:
 
     @property
     def independent(self) -> float:
-        """How many spans that do not overlap would tell as much of the rms (Satterthwaite 1946)."""
+        """Number of spans without overlap that would determine the rms as well (Satterthwaite 1946)."""
         apart_s = np.abs(self.start_s[:, None] - self.start_s)
         shared = np.maximum(1.0 - apart_s / self.span_s, 0.0)
         return float(len(self.start_s) ** 2 / np.sum(shared**2)) if len(self.start_s) else 0.0
 
     @property
     def interval_deg(self) -> tuple[float, float]:
-        """Where the rms of very many such spans would lie, in 90 of 100 recordings.
+        """Interval (90 %) of the rms of very many such spans, by the chi-square distribution.
 
-        Its upper end is infinite where all spans together are hardly more than one.
+        The upper end is infinite where all spans together are hardly more than one.
         """
         if not len(self.error_rad):
             return float('nan'), float('nan')
-        width = 2.0 / (9.0 * self.independent)  # the chi-square quantile of Wilson and Hilferty (1931)
-        most, least = (1.0 - width + side * WITHIN * width**0.5 for side in (1.0, -1.0))
-        high = self.rms_deg / least**1.5 if self.independent >= MIN_INDEPENDENT else float('inf')
-        return self.rms_deg / most**1.5, high
+        dof = self.independent
+        least, most = (chi_square_quantile(tail, dof) / dof for tail in (TAIL, 1.0 - TAIL))
+        high = self.rms_deg / math.sqrt(least) if dof >= MIN_INDEPENDENT else float('inf')
+        return self.rms_deg / math.sqrt(most), high
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory2D:
-    """Where the robot was, by one way of knowing it."""
+    """Position and heading over time, by one source."""
 
     time_s: Array
     position_m: Array
@@ -81,13 +85,13 @@ class Trajectory2D:
 
 
 def slam_path(run: Run) -> Trajectory2D:
-    """The path by the filter."""
+    """Return the trajectory by the filter."""
     history = run.history
     return Trajectory2D(history.time_s, history.mean[:, :2], history.mean[:, YAW])
 
 
 def truth_path(run: Run) -> Trajectory2D | None:
-    """The ground truth, brought into the map's frame at the first common moment."""
+    """Return the ground truth, aligned to the map's frame at the first common moment."""
     if run.truth is None:
         return None
     slam = slam_path(run)
@@ -104,7 +108,7 @@ def truth_path(run: Run) -> Trajectory2D | None:
 
 
 def reference_path(run: Run) -> tuple[Trajectory2D, str]:
-    """What headings are compared with, and what it is called."""
+    """Return the trajectory that headings are compared with, and its name in `REFERENCES`."""
     truth = truth_path(run)
     if truth is not None:
         return truth, 'ground truth'
@@ -112,7 +116,7 @@ def reference_path(run: Run) -> tuple[Trajectory2D, str]:
 
 
 def heading_rms_deg(run: Run) -> float | None:
-    """Heading error of the filter against the ground truth, where there is one."""
+    """Return the rms heading error of the filter against the ground truth; None without ground truth."""
     truth = truth_path(run)
     if truth is None:
         return None
@@ -123,7 +127,7 @@ def heading_rms_deg(run: Run) -> float | None:
 
 
 def turns(run: Run, coefficients: Array) -> Array:
-    """Turn of each step (s,) by the gyro with the given coefficients (k,), the bias not yet added.
+    """Return the turn of each step (s,) by the gyro with the given coefficients (k,), without the bias.
 
     Exact for effects that are linear in their coefficients, first order for the others.
     """
@@ -133,7 +137,7 @@ def turns(run: Run, coefficients: Array) -> Array:
 
 
 def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Trajectory2D:
-    """The path by gyro and wheels alone, with fixed coefficients and bias."""
+    """Return the trajectory by gyro and wheels alone, with fixed coefficients and bias."""
     history = run.history
     increments = turns(run, coefficients) + bias_rad_s * history.gyro_valid_s
     yaw = history.mean[0, YAW] + np.cumsum(increments) - increments[0]
@@ -149,18 +153,18 @@ def blind_drift(
     span_s: float = SPAN_S,
     fitted: bool = False,
 ) -> BlindDrift:
-    """Heading error after spans without the camera, all over the run.
+    """Compute the heading errors at the ends of spans without the camera, all over the run.
 
-    A span begins with the filter's heading, bias and coefficients of that moment, so nothing was
-    fitted on what follows; then the gyro is alone, but for standing still, when the robot knows that
-    it does not turn. Spans in which IMU samples are missing do not count.
+    A span starts with the filter's heading, bias and coefficients of that moment, so nothing was fitted on
+    what follows. Then the gyro is alone, except at rest, where the robot knows that it does not turn. Spans
+    with missing IMU samples do not count.
 
     Args:
         run: a finished run.
-        reference: headings to compare with, and what they are called; the run's own where None.
-        from_s: when the first span may begin.
+        reference: trajectory to compare with, and its name; None for the run's own.
+        from_s: earliest beginning of a span.
         span_s: length of a span.
-        fitted: begin each span with the final coefficients instead, which were fitted on it too.
+        fitted: start each span with the final coefficients instead, which were fitted on it, too.
     """
     history = run.history
     time_s, moving = history.time_s, history.resting == 0
@@ -186,23 +190,18 @@ def blind_drift(
 
 
 def held_out_from_s(run: Run) -> float:
-    """When the spans begin on which models are judged: in the second half, or earlier in a short run."""
+    """Return the beginning of the held-out spans: the second half, or earlier in a short run."""
     end_s = float(run.history.time_s[-1])
     return max(SETTLING_S, min(0.5 * end_s, end_s - SPAN_S - 3.0 * STRIDE_S))
 
 
 def better_sigma(before: BlindDrift, after: BlindDrift) -> float:
-    """By how many sigma the drift became smaller; NaN where there is no span.
+    """Return by how many sigma the drift became smaller; NaN where there is no span.
 
-    The logarithm of a mean of squares over n spans scatters by the trigamma function of n/2. Errors of
-    the same spans go together, so this is cautious.
+    The logarithm of a mean of squares over n spans has the variance trigamma(n / 2). Errors of the same
+    spans are correlated, so this is conservative.
     """
     if not len(before.error_rad) or not len(after.error_rad) or not after.rms_deg > 0.0:
         return float('nan')
-    scatter = sum(_trigamma(0.5 * drift.independent) for drift in (before, after)) ** 0.5
+    scatter = sum(trigamma(0.5 * drift.independent) for drift in (before, after)) ** 0.5
     return 2.0 * float(np.log(before.rms_deg / after.rms_deg)) / scatter
-
-
-def _trigamma(x: float) -> float:
-    """By its asymptotic series, within 8 % from a half on."""
-    return 1.0 / x + 1.0 / (2.0 * x**2) + 1.0 / (6.0 * x**3)

@@ -1,9 +1,8 @@
-"""The heading that the camera saw against that by the gyro: a small filter of its own.
+"""A small filter that compares the heading by the camera with the heading by the gyro.
 
-Its state is how far the heading has run away from the gyro, and the bias. Unlike the whole filter it
-takes no time, so hundreds of questions can be put to it: by how much is the gyro off in this regime,
-in these ten seconds, at that temperature? What it says of a rate error agrees with the evidence of
-the whole filter within a few per cent of the likelihood, and is the same kind of `ScoreStatistics`.
+Its state is the difference of the two headings, and the bias. It takes almost no time, so hundreds of
+hypotheses can be tested: by how much is the gyro off in this regime, in these ten seconds, at that
+temperature? Its log-likelihood of a rate error agrees with that of the full filter within a few per cent.
 """
 
 from __future__ import annotations
@@ -15,41 +14,44 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import turns
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 
-MAP_WALK_DEG = 0.005
-"""deg/sqrt(s): how far the map's own heading wanders."""
-UNBELIEVABLE = 3.0
-"""Innovations beyond so many sigma count the less, the larger they are: few features, a new map."""
-
 TURNING_RAD_S = math.radians(5.0)
-"""From here on the robot counts as turning; on a straight line the rate is noise."""
+"""Rate above which the robot counts as turning; on a straight line the rate is noise."""
+INITIAL_BIAS_STD_RAD_S = math.radians(1.0)
+"""Prior standard deviation of the bias."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Headings:
-    """Turns by the gyro and headings by the camera, one a step of the filter (s,)."""
+    """Turns by the gyro and headings by the camera, one for each step of the filter (s,)."""
 
     time_s: Array
     dt_s: Array
     gyro_valid_s: Array
-    """How long the gyro was not blind."""
+    """Time with a valid gyro reading."""
     unobserved_turn_std_rad: Array
-    """Standard deviation of the turn that nobody could tell."""
+    """Standard deviation of the turn that no sensor observed."""
     turn_rad: Array
-    """By the gyro with the final coefficients, the bias not added."""
+    """Turn by the gyro with the final coefficients, without the bias."""
     seen_rad: Array
-    """By the camera; NaN where it saw nothing."""
+    """Heading by the camera; NaN where it saw nothing."""
     std_rad: Array
     rate_noise_rad_s: float
     """White noise of the gyro, a density."""
     bias_walk_rad_s: float
+    """Random walk of the bias, rad/s/sqrt(s)."""
+    map_walk_rad: float
+    """Random walk of the map's own heading, rad/sqrt(s)."""
+    outlier_sigma: float
+    """Innovations beyond this count less, the larger they are."""
 
 
-def headings(run: Run) -> Headings:
-    """Take a run apart into what the gyro and what the camera said."""
+def headings(run: Run, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> Headings:
+    """Separate a run into turns by the gyro and headings by the camera."""
     history, gyro = run.history, run.config.gyro
     earlier = np.concatenate([history.mean[:1], history.mean[:-1]])
     learned = np.einsum('sk,sk->s', history.columns, (history.mean - earlier)[:, COEFFICIENTS_START:])
@@ -68,18 +70,20 @@ def headings(run: Run) -> Headings:
         std_rad=history.heading_innovation_std_rad,
         rate_noise_rad_s=math.radians(gyro.rate_noise_deg_s),
         bias_walk_rad_s=math.radians(gyro.bias_walk_deg_s),
+        map_walk_rad=math.radians(settings.map_walk_deg),
+        outlier_sigma=settings.outlier_sigma,
     )
 
 
 def heading_scores(seen: Headings, columns: Array) -> ScoreStatistics:
-    """What the headings say of errors of the rate.
+    """Compute the score statistics of errors of the rate from the headings.
 
     Args:
         seen: s steps.
         columns: (s, c) rate error (rad/s) of each step per unit of each of c coefficients.
 
     Returns:
-        Evidence by blocks of time, its candidates without names.
+        Score statistics by block of time; the candidates have no names.
     """
     sensitivity, innovation, variance = _innovations(seen, columns * seen.dt_s[:, None])
     weighted = sensitivity / variance[:, None]
@@ -95,10 +99,10 @@ def heading_scores(seen: Headings, columns: Array) -> ScoreStatistics:
 
 
 def misfits(seen: Headings, columns: Array) -> Array:
-    """What each block of time still says of the rate when columns (s, q) are fitted, (B,) in its own sigma.
+    """Return the rate error left in each block of time (B,), in its own sigma, when columns (s, q) are fitted.
 
-    That a gyro is noisier than its settings hardly shows in a single innovation, for images come
-    often; over a block it does. Blocks that say nothing are left out.
+    Excess noise of the gyro hardly shows in a single innovation, for images come often; over a block it
+    does. Blocks without information are left out.
     """
     block = (seen.time_s / BLOCK_S).astype(int)
     blocks = (block[:, None] == np.arange(block[-1] + 1)).astype(float)
@@ -114,18 +118,18 @@ def misfits(seen: Headings, columns: Array) -> Array:
 
 
 def _innovations(seen: Headings, added_rad: Array) -> tuple[Array, Array, Array]:
-    """Sensitivity (s, c), innovation (s,) and its variance (s,); zero, zero, one where nothing is seen.
+    """Return sensitivity (s, c), innovation (s,) and its variance (s,); zero, zero, one where nothing is seen.
 
-    A Kalman filter of two states written out: the heading less the gyro's, and the bias.
+    A Kalman filter with two states, written out: the heading less the gyro's heading, and the bias.
     """
     steps, count = added_rad.shape
     sensitivities, innovations, variances = np.zeros((steps, count)), np.zeros(steps), np.ones(steps)
     measured = (seen.seen_rad - np.cumsum(seen.turn_rad)).tolist()
     noise = np.square(seen.std_rad).tolist()
     lost = np.square(seen.unobserved_turn_std_rad).tolist()
-    walk = seen.rate_noise_rad_s**2 + math.radians(MAP_WALK_DEG) ** 2
+    walk = seen.rate_noise_rad_s**2 + seen.map_walk_rad**2
     away, bias = 0.0, 0.0
-    p_away, p_both, p_bias = math.inf, 0.0, math.radians(1.0) ** 2
+    p_away, p_both, p_bias = math.inf, 0.0, INITIAL_BIAS_STD_RAD_S**2
     x_away, x_bias = np.zeros(count), np.zeros(count)
     for step, (dt_s, gyro_valid_s) in enumerate(
         zip(seen.dt_s.tolist(), seen.gyro_valid_s.tolist(), strict=True)
@@ -143,7 +147,7 @@ def _innovations(seen: Headings, added_rad: Array) -> tuple[Array, Array, Array]
             x_away[:] = 0.0
             continue
         innovation, variance = measured[step] - away, p_away + noise[step]
-        variance = max(variance, (innovation / UNBELIEVABLE) ** 2)
+        variance = max(variance, (innovation / seen.outlier_sigma) ** 2)
         sensitivities[step], innovations[step], variances[step] = x_away, innovation, variance
         gain_away, gain_bias = p_away / variance, p_both / variance
         away += gain_away * innovation

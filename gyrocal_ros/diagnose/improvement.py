@@ -1,4 +1,4 @@
-"""The error falling, revision by revision: what a search has tried, with its figures of merit."""
+"""The revisions of a model that a search has tried, with their figures of merit."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from gyrocal_ros.diagnose.drift import (
     held_out_from_s,
     reference_path,
 )
-from gyrocal_ros.diagnose.predictive_gain import predictive_gain, vuong_sigma
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search import Addition, ExaminedModel, Search
 from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.statistics import vuong_sigma
 
 CHANCE_SIGMA = 2.0
-"""A difference of less than this may be chance."""
+"""Difference below which two revisions may differ by chance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,23 +28,23 @@ class Revision:
     """One model that was tried."""
 
     label: str
-    """`0_default`, `1_scale_asymmetry`: the name of its folder."""
+    """Name of its folder: `0_default`, `1_scale_asymmetry`."""
     effect: Effect | None
-    """What was added to the revision that it builds on; None for the model as it was."""
-    stage: ExaminedModel
+    """Effect added to the revision that it builds on; None for the first model."""
+    examined: ExaminedModel
     is_kept: bool
     held_out: BlindDrift
-    """Each span begins with what was known by then."""
+    """Held-out blind drift: each span starts with what was known by then."""
     fitted: BlindDrift
-    """The same spans with the final coefficients."""
+    """Blind drift of the same spans with the final coefficients."""
     gain: float
-    """Log-likelihood by which it foresees the recording better than what it builds on; 0 for the first."""
+    """Predictive log-likelihood gained over the revision that it builds on; 0 for the first."""
     gain_sigma: float
-    """By how many sigma that is more than chance."""
+    """Significance of that gain."""
     drift_sigma: float
-    """By how many sigma its held-out drift is smaller than that of what it builds on; NaN where not known."""
+    """Significance of the decrease of the held-out drift; NaN where unknown."""
     why: str
-    """In one sentence, why it was kept or not."""
+    """Sentence that says why it was kept or not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,99 +53,107 @@ class Improvement:
 
     revisions: tuple[Revision, ...]
     drift_reference: str
-    """What headings were compared with for the drift: `ground truth`, or `slam` by the final model."""
+    """Reference of the drift: `ground truth`, or `slam` by the final model."""
 
     @property
     def kept(self) -> tuple[Revision, ...]:
-        """The revisions that make up the final model, the model as it was among them."""
+        """Revisions that make up the final model, the first model included."""
         return tuple(revision for revision in self.revisions if revision.is_kept)
 
     @property
     def final(self) -> Revision:
-        """The last one that was kept."""
+        """The last revision that was kept."""
         return self.kept[-1]
 
 
 def improvement(searched: Search) -> Improvement:
-    """Take a finished search apart into revisions."""
+    """List the revisions of a finished search."""
     reference = reference_path(searched.last.run)
     revisions: list[Revision] = []
-    if not searched.changes or searched.changes[0].before is not None:
+    if not searched.additions or searched.additions[0].before is not None:
         revisions.append(first_revision(searched.first, reference))
-    for number, change in enumerate(searched.changes, start=1):
-        label = revision_label(number, change.effect.name)
-        revisions.append(revision(change, label, reference, change.is_kept))
+    for number, item in enumerate(searched.additions, start=1):
+        label = revision_label(number, item.effect.name)
+        revisions.append(revision(item, label, reference, item.is_kept))
     return Improvement(tuple(revisions), reference[1])
 
 
 def revision_label(number: int, name: str) -> str:
-    """`1_scale_asymmetry`, in letters that every file system takes."""
+    """Return a label such as `1_scale_asymmetry`, with characters that every file system accepts."""
     plain = re.sub(r'[^\w.]+', '_', name)
     return f'{number}_{plain}'
 
 
-def first_revision(stage: ExaminedModel, reference: tuple[Trajectory2D, str]) -> Revision:
-    """The model as it was.
+def first_revision(examined: ExaminedModel, reference: tuple[Trajectory2D, str]) -> Revision:
+    """Describe the first model.
 
     Args:
-        stage: that model on the recording.
-        reference: headings to compare with, and what they are called.
+        examined: that model on the recording.
+        reference: trajectory to compare with, and its name.
     """
-    held_out, fitted = _drifts(stage, reference)
-    label = revision_label(0, stage.model.name)
+    held_out, fitted = _drifts(examined, reference)
     return Revision(
-        label, None, stage, True, held_out, fitted, 0.0, 0.0, 0.0, 'the model as it was'
-    )  # fmt: skip
+        label=revision_label(0, examined.model.name),
+        effect=None,
+        examined=examined,
+        is_kept=True,
+        held_out=held_out,
+        fitted=fitted,
+        gain=0.0,
+        gain_sigma=0.0,
+        drift_sigma=0.0,
+        why='the first model',
+    )
 
 
-def revision(change: Addition, label: str, reference: tuple[Trajectory2D, str], is_kept: bool) -> Revision:
-    """The model with one more effect.
+def revision(added: Addition, label: str, reference: tuple[Trajectory2D, str], is_kept: bool) -> Revision:
+    """Describe a model with one more effect.
 
     Args:
-        change: what was put in.
-        label: of the revision.
-        reference: headings to compare with, and what they are called.
-        is_kept: whether it is part of the final model.
+        added: the effect and the models before and after.
+        label: label of the revision.
+        reference: trajectory to compare with, and its name.
+        is_kept: True if it is part of the final model.
     """
-    held_out, fitted = _drifts(change.after, reference)
+    held_out, fitted = _drifts(added.after, reference)
     gain_sigma = drift_sigma = float('nan')
-    why = f'{"kept" if is_kept else "left out"}: {_reason(change)}'
-    if change.before is not None:
-        before = _drifts(change.before, reference)[0]
-        gain_sigma = vuong_sigma(predictive_gain(change.before.run, change.after.run))
+    why = f'{"kept" if is_kept else "removed"}: {_reason(added)}'
+    if added.before is not None:
+        before = _drifts(added.before, reference)[0]
+        gain_sigma = vuong_sigma(predictive_gain(added.before.run, added.after.run))
         drift_sigma = better_sigma(before, held_out)
         why = f'{why}; {_drift_in_words(before, held_out)}'
     return Revision(
         label=label,
-        effect=change.effect,
-        stage=change.after,
+        effect=added.effect,
+        examined=added.after,
         is_kept=is_kept,
         held_out=held_out,
         fitted=fitted,
-        gain=change.predictive_gain,
+        gain=added.predictive_gain,
         gain_sigma=gain_sigma,
         drift_sigma=drift_sigma,
         why=why,
     )
 
 
-def _reason(change: Addition) -> str:
-    if change.before is None:
-        return 'without it the filter loses the measurements'
-    size = f'{abs(change.predictive_gain):.1f}'
-    if change.is_kept:
-        return f'what follows is foreseen better (log-likelihood +{size})'
-    if not change.stands_out:
-        return 'beside the other coefficients it cannot be told from zero'
-    if change.predictive_gain < 0.0:
-        return f'what follows is foreseen worse (log-likelihood -{size})'
-    return f'what follows is foreseen hardly better (log-likelihood +{size})'
+def _reason(added: Addition) -> str:
+    if added.before is None:
+        return 'without it the filter diverges'
+    size = f'{abs(added.predictive_gain):.1f}'
+    if added.is_kept:
+        return f'the recording is predicted better (log-likelihood +{size})'
+    if not added.stands_out:
+        return 'beside the other coefficients it is not significantly different from zero'
+    if added.predictive_gain < 0.0:
+        return f'the recording is predicted worse (log-likelihood -{size})'
+    return f'the recording is predicted hardly better (log-likelihood +{size})'
 
 
 def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:
     sigma = better_sigma(before, after)
     if math.isnan(sigma):
-        return 'no span is long enough to tell the drift'
+        return 'the recording is too short to measure the drift'
     old, new = f'{before.rms_deg:.2f}', f'{after.rms_deg:.2f}'
     if old == new:
         return f'the held-out drift stayed at {new} deg'
@@ -152,8 +161,8 @@ def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:
     return f'the held-out drift {word} from {old} to {new} deg ({abs(sigma):.1f} sigma)'
 
 
-def _drifts(stage: ExaminedModel, reference: tuple[Trajectory2D, str]) -> tuple[BlindDrift, BlindDrift]:
-    """Held out and fitted, of the same spans."""
-    from_s = held_out_from_s(stage.run)
-    held_out, fitted = (blind_drift(stage.run, reference, from_s, fitted=end) for end in (False, True))
+def _drifts(examined: ExaminedModel, reference: tuple[Trajectory2D, str]) -> tuple[BlindDrift, BlindDrift]:
+    """Compute the held-out and the fitted drift of the same spans."""
+    from_s = held_out_from_s(examined.run)
+    held_out, fitted = (blind_drift(examined.run, reference, from_s, fitted=end) for end in (False, True))
     return held_out, fitted

@@ -1,4 +1,4 @@
-"""Which of two models foresees a recording better: each measurement is judged before it is used."""
+"""Comparison of models by predictive log-likelihood: each measurement is scored before it is used."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from gyrocal_ros.ekf.score_statistics import BLOCK_S
 
 
 def predictive_gain(before: Run, after: Run) -> Array:
-    """Log-likelihood that one run gains over another of the same recording, (B,) by blocks of time.
+    """Return the log-likelihood that one run gains over another of the same recording, (B,) by block of time.
 
-    It is that of each measurement given all before it, so what a further coefficient costs is paid
-    already. To have used more features, or fewer, neither helps nor harms.
+    The prequential log-likelihood (Dawid 1984) sums the log-likelihood of each measurement given all before
+    it, so further coefficients have already paid for themselves. Using more or fewer features neither helps
+    nor harms.
     """
     measured = before.history.dof > 0
     usual = float(before.history.log_likelihood[measured].sum() / before.history.dof.sum())
@@ -23,9 +24,3 @@ def predictive_gain(before: Run, after: Run) -> Array:
         for h in (before.history, after.history)
     )
     return np.subtract(second, first, dtype=float)
-
-
-def vuong_sigma(gains: Array) -> float:
-    """By how many sigma a gain (B,) is more than chance (Vuong 1989): mean over scatter."""
-    scatter = float(gains.std(ddof=1)) * float(np.sqrt(len(gains))) if len(gains) > 1 else 0.0
-    return float(gains.sum()) / scatter if scatter > 0.0 else 0.0

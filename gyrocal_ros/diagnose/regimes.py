@@ -1,4 +1,4 @@
-"""Where a model fails: stretches of time, and regimes of everything recorded, in plain words."""
+"""Where a model fails: stretches of time and regimes of everything recorded."""
 
 from __future__ import annotations
 
@@ -11,21 +11,23 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.heading_filter import TURNING_RAD_S, Headings, heading_scores, misfits
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S
+from gyrocal_ros.statistics import robust_std
 
-FAILURE_SIGMA = 4.5
-"""Below this a failure counts as chance: many places are looked at."""
 RATE_EDGES_DEG_S = (5.0, 20.0, 40.0, 60.0, 80.0, math.inf)
+"""Edges of the regimes of the rate."""
 SIDES = {'left': 1.0, 'right': -1.0}
-GAINING_RAD_S2 = math.radians(30.0)
+TURN_EDGE_RAD_S2 = math.radians(30.0)
+"""Angular acceleration above which a turn begins or ends."""
 SPEEDING_UP_M_S2 = 0.15
+"""Acceleration above which the robot speeds up or brakes."""
 SINCE_TURN_S = (0.0, 2.0, 5.0, 10.0, 20.0, math.inf)
 SINCE_TURN_M = (0.0, 0.3, 1.0, 2.0, math.inf)
+"""Edges of the regimes of time and distance since the last turn."""
 PARTS = 4
-"""A signal's range is cut into so many parts, each as long in time."""
-MIN_LENGTH_S = 5.0
-"""A regime that lasts no longer in all is no regime."""
+"""Number of parts of equal duration into which the range of a signal is cut."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,48 +35,48 @@ class Failure:
     """One place where the model is off by more than chance."""
 
     what: str
-    """In plain words, with what would have to be added to the gyro."""
+    """Description for people, with the correction that the gyro needs."""
     sigma: float
     from_s: float | None = None
     to_s: float | None = None
-    """The stretch of time, where it is one."""
+    """The stretch of time; None for a regime."""
     regime: str | None = None
-    """The regime, where it is one."""
+    """The regime; None for a stretch of time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Regime:
-    """Some steps of a run, and the kind of error that is looked for in them."""
+    """Some steps of a run, and the kind of error to test for in them."""
 
     name: str
     column: np.ndarray
-    """(s,) rate error per unit: 1 for a false rate (rad/s), the rate itself for a false scale."""
+    """(s,) rate error per unit: 1 for an error of the rate (rad/s), the rate for one of the scale."""
     of_scale: bool = False
     is_motion: bool = True
-    """How the robot moves just then; else something that changes slowly."""
+    """True for a regime of the motion, False for one of a slowly changing signal."""
 
 
-def failures(run: Run, seen: Headings) -> list[Failure]:
-    """Where the turns by the gyro differ from what the camera saw by more than chance, worst first.
+def failures(run: Run, seen: Headings, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> list[Failure]:
+    """Find where turns by the gyro and headings by the camera differ by more than chance, worst first.
 
-    Errors are those of the gyro with the final coefficients, against a bias that wanders as slowly as
-    the settings say. What is chance is told by how much neighbouring blocks of time differ when all that
-    motion explains is fitted.
+    The gyro has the final coefficients and a bias that drifts as slowly as the settings say. Chance is
+    estimated from the difference of neighbouring blocks of time after everything that motion explains has
+    been fitted.
     """
-    every = [regime for regime in regimes(run) if _length_s(regime, seen) > MIN_LENGTH_S]
+    every = [regime for regime in regimes(run) if _length_s(regime, seen) > settings.failure_length_s]
     by_motion = np.stack([regime.column for regime in every if regime.is_motion], axis=1).astype(float)
-    chance = max(1.0, _usual(np.diff(misfits(seen, by_motion))) / math.sqrt(2.0))
-    found = [*_in_regimes(every, seen, chance), *_in_time(seen, chance)]
+    chance = max(1.0, robust_std(np.diff(misfits(seen, by_motion))) / math.sqrt(2.0))
+    found = [*_in_regimes(every, seen, chance, settings), *_in_time(seen, chance, settings)]
     return sorted(found, key=lambda failure: failure.sigma, reverse=True)
 
 
 def regimes(run: Run) -> Iterator[Regime]:
-    """Every regime that the recording tells of."""
+    """Yield every regime of the recording."""
     history = run.history
     rate = history.turn_rad / history.dt_s
     yield from _of_rate(np.degrees(rate))
-    gaining = np.gradient(rate, history.time_s) if len(rate) > 1 else np.zeros_like(rate)
-    yield Regime('turns beginning (+) and ending (-)', np.sign(gaining) * (np.abs(gaining) > GAINING_RAD_S2))
+    change = np.gradient(rate, history.time_s) if len(rate) > 1 else np.zeros_like(rate)
+    yield Regime('turns beginning (+) and ending (-)', np.sign(change) * (np.abs(change) > TURN_EDGE_RAD_S2))
     turning = np.abs(rate) > TURNING_RAD_S
     straight = ~turning & (history.resting == 0)
     force = history.forward_m_s2 - np.median(history.forward_m_s2)
@@ -85,7 +87,7 @@ def regimes(run: Run) -> Iterator[Regime]:
     travelled_m = np.cumsum(np.abs(history.distance_m))
     for unit, axis, edges in (('s', history.time_s, SINCE_TURN_S), ('m', travelled_m, SINCE_TURN_M)):
         if axis[-1] == axis[0]:
-            continue  # without odometry nobody knows how far the robot went
+            continue  # without odometry the distance is unknown
         since = axis - axis[last]
         for low, high in pairwise(edges):
             span = f'{low:g} to {high:g} {unit}' if high < math.inf else f'{low:g} {unit} and more'
@@ -118,14 +120,16 @@ def _of_signal(name: str, values: Array, turning_rad_s: Array) -> Iterator[Regim
         yield Regime(f'{name} {low:.4g} to {high:.4g}', inside * turning_rad_s, True, False)
 
 
-def _in_regimes(regimes: list[Regime], seen: Headings, chance: float) -> Iterator[Failure]:
+def _in_regimes(
+    regimes: list[Regime], seen: Headings, chance: float, settings: DiagnosisSettings
+) -> Iterator[Failure]:
     columns = np.stack([regime.column for regime in regimes], axis=1).astype(float)
     total = heading_scores(seen, columns)
     information, score = np.einsum('bcc->c', total.information), total.score.sum(axis=0)
     for place in np.flatnonzero(information > 0.0):
         regime, value = regimes[place], float(score[place] / information[place])
         sigma = abs(value) * math.sqrt(information[place]) / chance
-        if sigma < FAILURE_SIGMA:
+        if sigma < settings.failure_sigma:
             continue
         if regime.of_scale:
             error = f'the scale needs {100.0 * value:+.3f} %'
@@ -134,17 +138,17 @@ def _in_regimes(regimes: list[Regime], seen: Headings, chance: float) -> Iterato
         yield Failure(f'{regime.name}: {error}', sigma, regime=regime.name)
 
 
-def _in_time(seen: Headings, chance: float) -> Iterator[Failure]:
-    """Stretches in which the rate is off; blocks that follow each other are one."""
+def _in_time(seen: Headings, chance: float, settings: DiagnosisSettings) -> Iterator[Failure]:
+    """Yield stretches in which the rate is off; consecutive blocks are one stretch."""
     block = (seen.time_s / BLOCK_S).astype(int)
     columns = (block[:, None] == np.arange(block[-1] + 1)).astype(float)
     scores = heading_scores(seen, columns)
-    # Each block by what it says of itself: a jump is then where it happened, not wherever it lasts.
+    # Each block by its own diagonal: a jump then shows where it happened, not as long as it lasts.
     information = np.einsum('bbb->b', scores.information)
     score = np.einsum('bb->b', scores.score)
     information = np.where(information > 0.0, information, 1.0)
     sigma = np.abs(score) / np.sqrt(information) / chance
-    off = np.flatnonzero(sigma > FAILURE_SIGMA)
+    off = np.flatnonzero(sigma > settings.failure_sigma)
     for blocks in np.split(off, np.flatnonzero(np.diff(off) > 1) + 1):
         if len(blocks):
             worst = blocks[np.argmax(sigma[blocks])]
@@ -152,11 +156,6 @@ def _in_time(seen: Headings, chance: float) -> Iterator[Failure]:
             error = f'the gyro needs up to {math.degrees(score[worst] / information[worst]):+.3f} deg/s'
             what = f'{from_s:.0f} to {to_s:.0f} s: {error}'
             yield Failure(what, float(sigma[worst]), from_s=float(from_s), to_s=to_s)
-
-
-def _usual(values: Array) -> float:
-    """Standard deviation by the median, zero of none."""
-    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
 def _length_s(regime: Regime, seen: Headings) -> float:

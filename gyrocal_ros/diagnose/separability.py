@@ -1,6 +1,6 @@
-"""Which motion tells which effects apart: what to record next where two explanations are left.
+"""Which motion tells effects apart: what to record next where two explanations are left.
 
-The figures are those of `gyrocal bench motions --json`, kept in `motions.json`; see `bench.motions`.
+`separability.json` holds the output of `gyrocal bench motions --json`; see `bench.separability`.
 """
 
 from __future__ import annotations
@@ -12,60 +12,62 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
-from gyrocal_ros.diagnose.ranking import TWIN_SIGMA
-from gyrocal_ros.effects import COVARIATE_EFFECTS, find_effect
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
+from gyrocal_ros.effects import COVARIATE_EFFECTS, SCALE_FACTOR, find_effect
 from gyrocal_ros.errors import ConfigError, did_you_mean
-from gyrocal_ros.sim.drives import EVERYDAY, TEST_DRIVES
 
-ALIKE = 0.85
-"""Pairs whose correlation no drive brings above this have no row of their own."""
-DRIVES = {EVERYDAY.name: EVERYDAY, **TEST_DRIVES}
-MIN_APART = 2.0 * TWIN_SIGMA
-"""With d sigma between two effects the right one gains d^2 / 2 more, give or take d: it is preferred by
-d / 2 sigma."""
+MAX_UNLISTED_CORRELATION = 0.85
+"""Pairs of effects whose correlation exceeds this in no drive have no row of their own."""
+MIN_SEPARATION = 2.0 * DEFAULT_SETTINGS.indistinguishable_sigma
+"""With d sigma between two effects, the right one gains d^2 / 2 more, with a standard deviation of d: it is
+preferred by d / 2 sigma."""
 
 
 @dataclass(frozen=True, slots=True)
-class Advice:
+class BestDrive:
     """The drive that tells two effects apart best."""
 
     first: str
     second: str
     drive: str
-    """Name of a test drive (`sim.drives`), or of everyday use where that is best."""
+    """Name of a test drive, or of everyday use where that is best."""
     correlation: float
-    """Of the two in that drive."""
+    """Correlation of the two effects in that drive."""
     sigma: float
-    """What lies between them there, at the usual size of whichever shows less."""
+    """Separation of the two in that drive, at the usual size of the one that shows less."""
     everyday_correlation: float | None
-    """None where one of them does not show."""
+    """Correlation in everyday use; None where one of them does not show."""
     everyday_sigma: float
-    """The same in everyday use."""
+    """Separation in everyday use."""
 
     @property
     def helps(self) -> bool:
-        """Whether the drive tells them apart."""
-        return self.sigma >= MIN_APART
+        """True if the drive tells them apart."""
+        return self.sigma >= MIN_SEPARATION
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The computed figures, each a row of drives."""
+    """The computed figures of each drive."""
 
-    shows: dict[str, dict[str, float]]
-    """Effect to the sigma of its usual size."""
-    alike: dict[frozenset[str], dict[str, float | None]]
-    """Two effects to their correlation."""
+    everyday: str
+    """Name of the drive that stands for everyday use."""
+    drives: dict[str, str]
+    """Name and instruction of each drive."""
+    significance: dict[str, dict[str, float]]
+    """Sigma of each effect of usual size, by drive."""
+    correlations: dict[frozenset[str], dict[str, float | None]]
+    """Correlation of pairs of effects, by drive."""
 
     def correlation(self, first: str, second: str, drive: str) -> float | None:
-        """Of two effects in a drive; of a pair that no drive finds alike, the most that it may be."""
-        row = self.alike.get(frozenset((first, second)))
-        return ALIKE if row is None else row[drive]
+        """Return the correlation of two effects in a drive, for a pair without a row its upper bound."""
+        row = self.correlations.get(frozenset((first, second)))
+        return MAX_UNLISTED_CORRELATION if row is None else row[drive]
 
-    def apart(self, first: str, second: str, drive: str) -> float:
-        """Sigma between two effects in a drive."""
-        weaker = min(self.shows[first][drive], self.shows[second][drive])
-        if 'scale_factor' in (first, second):  # it is in every model: what shows is told from it
+    def separation(self, first: str, second: str, drive: str) -> float:
+        """Return by how many sigma a drive separates two effects."""
+        weaker = min(self.significance[first][drive], self.significance[second][drive])
+        if SCALE_FACTOR in (first, second):  # every model has it: what is significant is separate from it
             return weaker
         correlation = self.correlation(first, second, drive)
         return 0.0 if correlation is None else weaker * math.sqrt(max(1.0 - correlation**2, 0.0))
@@ -74,65 +76,73 @@ class Table:
 @cache
 def table() -> Table:
     """Read the computed figures."""
-    text = files('gyrocal_ros.diagnose').joinpath('motions.json').read_text(encoding='utf-8')
-    rows = {row.pop('effect'): row for row in json.loads(text)['rows']}
+    text = files('gyrocal_ros.diagnose').joinpath('separability.json').read_text(encoding='utf-8')
+    content = json.loads(text)
+    rows = {row.pop('effect'): row for row in content['rows']}
     return Table(
-        shows={name: row for name, row in rows.items() if '/' not in name},
-        alike={frozenset(name.split('/')): row for name, row in rows.items() if '/' in name},
+        everyday=content['everyday'],
+        drives=content['drives'],
+        significance={name: row for name, row in rows.items() if '/' not in name},
+        correlations={frozenset(name.split('/')): row for name, row in rows.items() if '/' in name},
     )
 
 
-def tell_apart(first: str, second: str) -> Advice:
+def best_drive(first: str, second: str) -> BestDrive:
     """Find the drive that tells two effects, given by name, apart best.
 
     Raises:
-        ConfigError: nothing has been computed of an effect, for it is not of the library.
+        ConfigError: an effect is not of the library, so nothing was computed for it.
     """
     known, one, other = table(), kind_of(first), kind_of(second)
     for name in (one, other):
-        if name not in known.shows:
-            raise ConfigError('has no figures', where=name, todo=did_you_mean(name, list(known.shows)))
-    best = max(DRIVES, key=lambda drive: known.apart(one, other, drive))
-    return Advice(
+        if name not in known.significance:
+            raise ConfigError('has no figures', where=name, todo=did_you_mean(name, known.significance))
+    best = max(known.drives, key=lambda drive: known.separation(one, other, drive))
+    return BestDrive(
         first=first,
         second=second,
         drive=best,
         correlation=known.correlation(one, other, best) or 0.0,
-        sigma=known.apart(one, other, best),
-        everyday_correlation=known.correlation(one, other, EVERYDAY.name),
-        everyday_sigma=known.apart(one, other, EVERYDAY.name),
+        sigma=known.separation(one, other, best),
+        everyday_correlation=known.correlation(one, other, known.everyday),
+        everyday_sigma=known.separation(one, other, known.everyday),
     )
 
 
-def to_tell_apart(effect_name: str, twin_names: Sequence[str]) -> list[str]:
-    """What to record next, a sentence for each twin.
+def drive_for(name: str) -> str | None:
+    """Return the instruction of the test drive that shows an effect best; None if none shows it."""
+    known = table()
+    shows = known.significance.get(kind_of(name), {})
+    best = max(shows, key=lambda drive: shows[drive], default=None)
+    if best is None or best not in known.drives or best == known.everyday:
+        return None
+    return known.drives[best] if shows[best] > DEFAULT_SETTINGS.significant_sigma else None
 
-    Args:
-        effect_name: the effect that is thought to be there.
-        twin_names: those that may be meant instead.
-    """
-    return [_sentence(effect_name, twin) for twin in twin_names]
+
+def how_to_tell_apart(effect_name: str, others: Sequence[str]) -> list[str]:
+    """Return what to record next, a sentence for each effect that may be meant instead."""
+    return [_sentence(effect_name, other) for other in others]
 
 
 def kind_of(name: str) -> str:
-    """Name under which an effect is tabled: that of a recorded signal without the signal."""
+    """Return the name under which an effect is tabled: covariate effects without their signal."""
     kind = name.partition(':')[0]
     return kind if kind in COVARIATE_EFFECTS else name
 
 
-def _sentence(name: str, twin: str) -> str:
-    to_tell = f'To tell {name} from {twin}'
-    if kind_of(name) == kind_of(twin):
+def _sentence(name: str, other: str) -> str:
+    to_tell = f'To tell {name} from {other}'
+    if kind_of(name) == kind_of(other):
         return f'{to_tell}, make one of the two signals change without the other.'
-    if not {kind_of(name), kind_of(twin)} <= table().shows.keys():
-        return f'{to_tell}, record {_best_motion(name)}; and {_best_motion(twin)}.'
-    found = tell_apart(name, twin)
+    if not {kind_of(name), kind_of(other)} <= table().significance.keys():
+        return f'{to_tell}, record {_best_motion(name)}; and {_best_motion(other)}.'
+    found = best_drive(name, other)
     if not found.helps:
-        return f'{to_tell}, measure one of them from outside: no motion tells them apart.'
-    anyway = '' if found.drive == EVERYDAY.name else f', {found.everyday_sigma:.0f} in everyday use'
+        return f'{to_tell}, measure one of them by other means: no motion tells them apart.'
+    in_use = '' if found.drive == table().everyday else f', {found.everyday_sigma:.0f} sigma in everyday use'
     return (
-        f'{to_tell}, record five minutes of this: {DRIVES[found.drive].about}. '
-        f'{found.sigma:.0f} sigma then lie between them at their usual size{anyway}.'
+        f'{to_tell}, record five minutes of this: {table().drives[found.drive]}. '
+        f'It separates them by {found.sigma:.0f} sigma at their usual size{in_use}.'
     )
 
 

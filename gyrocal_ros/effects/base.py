@@ -13,14 +13,24 @@ from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, Place
 
 Stimulus: TypeAlias = Literal[
-    'rate', 'turn', 'time', 'temperature', 'force', 'roll', 'vibration', 'distance', 'signal', 'image'
+    'rate',
+    'slow rate',
+    'turn',
+    'time',
+    'temperature',
+    'force',
+    'roll',
+    'vibration',
+    'distance',
+    'signal',
+    'image',
 ]
 """What brings an effect out: see `sketch`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """An effect in words."""
+    """What people and other rooms need to know of an effect beside its contribution."""
 
     physics: str
     """One paragraph that a technician understands."""
@@ -31,12 +41,17 @@ class Explanation:
     twins: tuple[str, ...] = ()
     """Effects that it is easily taken for."""
     needs: tuple[str, ...] = ()
-    """Signals beside IMU, wheels and camera: `temperature`."""
+    """Signals beside IMU, wheels and camera without which the effect cannot be judged: `temperature`, or
+    topic and field as `gyrocal check` lists them. An effect with an attribute `signal` needs that, too."""
     source: str = ''
     example: tuple[float, ...] = ()
     """Values of the coefficients, in their units, at which the effect can clearly be seen."""
     shown_against: Stimulus = 'rate'
     """What to vary to show it."""
+    shows_in_any_turns: bool = False
+    """True if every recording with turns can judge the effect."""
+    may_break_the_filter: bool = False
+    """True if the filter may diverge where a large effect of this kind is missing in the model."""
 
 
 @runtime_checkable

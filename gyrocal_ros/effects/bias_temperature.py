@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column, recorded
-from gyrocal_ros.model.sensor import Coefficient
+from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 REFERENCE_C = 25.0
 
@@ -31,9 +31,15 @@ class BiasTemperature(LinearGyroEffect):
         example=(math.radians(0.02),),
         shown_against='temperature',
     )
-    signal: ClassVar[str] = 'temperature'
     name: str = 'bias_temperature'
-    coefficients: tuple[Coefficient, ...] = (Coefficient('k', 'rad/s/K', prior_std=math.radians(0.05)),)
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient(
+            'k',
+            'rad/s/K',
+            prior_std=math.radians(0.05),
+            typical=TypicalRange(math.radians(0.01), math.radians(0.05)),
+        ),
+    )
 
     def columns(self, block: MotionBlock) -> Array:
         """(N, 1)"""

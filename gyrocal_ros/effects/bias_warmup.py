@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
+from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place, TypicalRange
 
 MIN_TIME_CONSTANT_S = 1.0
 
@@ -34,14 +34,27 @@ class BiasWarmup:
         twins=('bias_temperature', 'bias'),
         source='Barshan and Durrant-Whyte 1995, Inertial navigation systems for mobile robots, IEEE '
         'Transactions on Robotics and Automation 11(3); Lee et al. 2012, eq. (8)',
+        shows_in_any_turns=True,
         example=(math.radians(0.5), 300.0),
         shown_against='time',
     )
     acts_on: ClassVar[Place] = 'gyro'
     name: str = 'bias_warmup'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('amplitude', 'rad/s', prior_std=math.radians(1.0)),
-        Coefficient('time_constant', 's', prior_std=200.0, prior_mean=300.0),
+        Coefficient(
+            'amplitude',
+            'rad/s',
+            prior_std=math.radians(1.0),
+            typical=TypicalRange(math.radians(0.1), math.radians(2.0)),
+        ),
+        Coefficient(
+            'time_constant',
+            's',
+            prior_std=200.0,
+            prior_mean=300.0,
+            scan=(40.0, 65.0, 105.0, 170.0, 275.0, 445.0, 720.0, 1160.0),
+            typical=TypicalRange(100.0, 600.0, signed=False, is_strength=False),
+        ),
     )
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
@@ -50,3 +63,7 @@ class BiasWarmup:
         decay = np.exp(-block.time_s / time_constant)
         by_time_constant = -amplitude * decay * block.time_s / time_constant**2
         return GyroTerm(-amplitude * decay, np.stack([-decay, by_time_constant], axis=1))
+
+    def columns_at(self, block: MotionBlock, scan: Array, memory: Memory) -> tuple[Array, Memory]:
+        """Derivative (N, q) with respect to the amplitude at q time constants."""
+        return -np.exp(-block.time_s[:, None] / scan), None

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class CameraPosition:
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'camera_position'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('x', 'm', prior_std=0.02),
-        Coefficient('y', 'm', prior_std=0.02),
+        Coefficient('x', 'm', prior_std=0.02, typical=TypicalRange(0.004, 0.02)),
+        Coefficient('y', 'm', prior_std=0.02, typical=TypicalRange(0.004, 0.02)),
     )
 
     def corrected(

@@ -11,7 +11,7 @@ import numpy as np
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.rotation import rotation_from_euler
-from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,25 @@ class CameraTilt:
         twins=('principal_point',),
         source='Kelly and Sukhatme 2011, Visual-inertial sensor fusion: localization, mapping and '
         'sensor-to-sensor self-calibration, International Journal of Robotics Research 30(1)',
+        may_break_the_filter=True,
         example=(math.radians(1.0), math.radians(1.0)),
         shown_against='image',
     )
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'camera_tilt'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('x', 'rad', prior_std=math.radians(2.0)),
-        Coefficient('y', 'rad', prior_std=math.radians(2.0)),
+        Coefficient(
+            'x',
+            'rad',
+            prior_std=math.radians(2.0),
+            typical=TypicalRange(math.radians(0.3), math.radians(3.0)),
+        ),
+        Coefficient(
+            'y',
+            'rad',
+            prior_std=math.radians(2.0),
+            typical=TypicalRange(math.radians(0.3), math.radians(3.0)),
+        ),
     )
 
     def corrected(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, Place
+from gyrocal_ros.model.sensor import Coefficient, Place, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,12 @@ class CameraTimeOffset:
         twins=('gyro_lag',),
         source='Li and Mourikis 2014, Online temporal calibration for camera-IMU systems: theory and '
         'algorithms, International Journal of Robotics Research 33(7)',
+        may_break_the_filter=True,
         example=(0.02,),
         shown_against='image',
     )
     acts_on: ClassVar[Place] = 'time'
     name: str = 'camera_time_offset'
-    coefficients: tuple[Coefficient, ...] = (Coefficient('offset', 's', prior_std=0.03),)
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('offset', 's', prior_std=0.03, typical=TypicalRange(0.003, 0.06)),
+    )

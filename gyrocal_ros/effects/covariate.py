@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -10,7 +11,8 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
-from gyrocal_ros.model.sensor import Coefficient
+from gyrocal_ros.model.recording import Signal
+from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,6 @@ class CovariateBias(LinearGyroEffect):
         usual_size='0.01 to 0.2 deg/s in all',
         best_motion='what makes the signal change, again and again: motors and fan on and off at rest',
         twins=('bias_temperature', 'bias_warmup', 'vibration_rectification'),
-        needs=('the signal it is named with',),
         source='Ljung 1999, System Identification: Theory for the User, chapter 16: residuals against '
         'what was recorded',
         example=(math.radians(0.1),),
@@ -59,7 +60,6 @@ class CovariateScale(LinearGyroEffect):
         usual_size='0.1 to 1 % in all',
         best_motion='turns with the signal high and low: a full and an empty battery, fan on and off',
         twins=('scale_temperature', 'scale_factor'),
-        needs=('the signal it is named with',),
         source='Ljung 1999, System Identification: Theory for the User, chapter 16: residuals against '
         'what was recorded',
         example=(0.005,),
@@ -80,16 +80,44 @@ class CovariateScale(LinearGyroEffect):
 
 
 def covariate_bias(signal: str, reference: float = 0.0, spread: float = 1.0) -> CovariateBias:
-    """The effect for a signal that varies by about `spread`; its prior is 0.1 deg/s for that."""
-    prior_std = math.radians(0.1) / spread
-    item = Coefficient('k', 'rad/s/unit', prior_std)
+    """Make the effect for a signal that varies by about `spread`; its prior is 0.1 deg/s for that."""
+    typical = TypicalRange(math.radians(0.01) / spread, math.radians(0.2) / spread)
+    item = Coefficient('k', 'rad/s/unit', math.radians(0.1) / spread, typical=typical)
     return CovariateBias(signal, f'covariate_bias:{signal}', (item,), reference)
 
 
 def covariate_scale(signal: str, reference: float = 0.0, spread: float = 1.0) -> CovariateScale:
-    """The effect for a signal that varies by about `spread`; its prior is 1 % for that."""
-    item = Coefficient('k', '1/unit', 0.01 / spread)
+    """Make the effect for a signal that varies by about `spread`; its prior is 1 % for that."""
+    item = Coefficient('k', '1/unit', 0.01 / spread, typical=TypicalRange(5e-4 / spread, 0.01 / spread))
     return CovariateScale(signal, f'covariate_scale:{signal}', (item,), reference)
+
+
+def covariate_effects(signals: Sequence[Signal]) -> list[CovariateBias | CovariateScale]:
+    """Make the effect of each kind for each signal."""
+    return [
+        make(signal.name, signal.mean, signal.spread)
+        for make in (covariate_bias, covariate_scale)
+        for signal in signals
+    ]
+
+
+@dataclass(frozen=True)
+class CovariateBank(LinearGyroEffect):
+    """All `covariate_effects` of some signals as one effect, a coefficient each: faster than one by one."""
+
+    signals: tuple[Signal, ...]
+    name: str = 'covariate bank'
+
+    @property
+    def coefficients(self) -> tuple[Coefficient, ...]:  # type: ignore[override]
+        """One for each effect, in the order of `covariate_effects`."""
+        return tuple(effect.coefficients[0] for effect in covariate_effects(self.signals))
+
+    def columns(self, block: MotionBlock) -> Array:
+        """(N, 2 q) for q signals."""
+        deviations = [deviation(block, signal.name, signal.mean) for signal in self.signals]
+        stacked = np.stack(deviations, axis=1)
+        return np.concatenate([stacked, stacked * block.rate_rad_s[:, 2:]], axis=1)
 
 
 def deviation(block: MotionBlock, signal: str, reference: float) -> Array:

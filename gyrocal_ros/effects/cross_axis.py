@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
-from gyrocal_ros.model.sensor import Coefficient
+from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class CrossAxis(LinearGyroEffect):
     )
     name: str = 'cross_axis'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('mx', '1', prior_std=0.02),
-        Coefficient('my', '1', prior_std=0.02),
+        Coefficient('mx', '1', prior_std=0.02, typical=TypicalRange(0.03, 0.05)),
+        Coefficient('my', '1', prior_std=0.02, typical=TypicalRange(0.02, 0.05)),
     )
 
     def columns(self, block: MotionBlock) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gyrocal_ros.effects.base import LibraryEffect, with_unit
+from gyrocal_ros.effects.traits import required_signals
 from gyrocal_ros.model.sensor import CameraEffectOnOdometry, Coefficient, Effect, Place
 
 PLACES = {
@@ -31,7 +32,7 @@ def effect_rows(effect: LibraryEffect) -> Iterator[tuple[str, str]]:
         yield item.name, f'{prior_in_words(item)}; for example {with_unit(example, item.unit)}'
     yield 'best motion', about.best_motion
     yield 'easily taken for', ', '.join(about.twins) or 'nothing else in the library'
-    yield 'needs', ', '.join(('gyro, wheels, camera', *about.needs))
+    yield 'needs', ', '.join(('gyro, wheels, camera', *required_signals(effect)))
     yield 'source', about.source
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,15 @@ class FocalLength:
         twins=('wheel_scale', 'radial_distortion'),
         source='Zhang 2000, A flexible new technique for camera calibration, IEEE Transactions on '
         'Pattern Analysis and Machine Intelligence 22(11)',
+        may_break_the_filter=True,
         example=(0.02,),
         shown_against='image',
     )
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'focal_length'
-    coefficients: tuple[Coefficient, ...] = (Coefficient('s', '1', prior_std=0.02),)
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('s', '1', prior_std=0.02, typical=TypicalRange(0.015, 0.03)),
+    )
 
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array

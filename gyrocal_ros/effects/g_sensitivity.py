@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
-from gyrocal_ros.model.sensor import Coefficient
+from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,18 @@ class GSensitivity(LinearGyroEffect):
     )
     name: str = 'g_sensitivity'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('gx', 'rad/s/(m/s^2)', prior_std=math.radians(0.1)),
-        Coefficient('gy', 'rad/s/(m/s^2)', prior_std=math.radians(0.1)),
+        Coefficient(
+            'gx',
+            'rad/s/(m/s^2)',
+            prior_std=math.radians(0.1),
+            typical=TypicalRange(math.radians(0.05), math.radians(0.2)),
+        ),
+        Coefficient(
+            'gy',
+            'rad/s/(m/s^2)',
+            prior_std=math.radians(0.1),
+            typical=TypicalRange(math.radians(0.08), math.radians(0.2)),
+        ),
     )
 
     def columns(self, block: MotionBlock) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
-from gyrocal_ros.model.sensor import Coefficient
+from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,15 @@ class GyroLag(LinearGyroEffect):
         twins=('camera_time_offset',),
         source='InvenSense, MPU-6000 and MPU-6050 register map: delay of the gyro against the setting '
         'of its digital low-pass filter',
+        shows_in_any_turns=True,
+        may_break_the_filter=True,
         example=(0.02,),
         shown_against='turn',
     )
     name: str = 'gyro_lag'
-    coefficients: tuple[Coefficient, ...] = (Coefficient('tau', 's', prior_std=0.03),)
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('tau', 's', prior_std=0.03, typical=TypicalRange(0.003, 0.06, signed=False)),
+    )
 
     def columns(self, block: MotionBlock) -> Array:
         """(N, 1)"""

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, Place
+from gyrocal_ros.model.sensor import Coefficient, Place, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class LateralDrift:
     acts_on: ClassVar[Place] = 'ground'
     name: str = 'lateral_drift'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('lx', '1', prior_std=0.02),
-        Coefficient('ly', '1', prior_std=0.02),
+        Coefficient('lx', '1', prior_std=0.02, typical=TypicalRange(0.007, 0.03)),
+        Coefficient('ly', '1', prior_std=0.02, typical=TypicalRange(0.007, 0.03)),
     )
 
     def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -26,14 +26,15 @@ class PrincipalPoint:
         twins=('camera_tilt', 'camera_position', 'wheel_scale'),
         source='Zhang 2000, A flexible new technique for camera calibration, IEEE Transactions on '
         'Pattern Analysis and Machine Intelligence 22(11)',
+        may_break_the_filter=True,
         example=(5.0, 5.0),
         shown_against='image',
     )
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'principal_point'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('u0', 'px', prior_std=5.0),
-        Coefficient('v0', 'px', prior_std=5.0),
+        Coefficient('u0', 'px', prior_std=5.0, typical=TypicalRange(1.0, 10.0)),
+        Coefficient('v0', 'px', prior_std=5.0, typical=TypicalRange(1.0, 10.0)),
     )
 
     def corrected(

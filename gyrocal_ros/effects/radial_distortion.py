@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,15 @@ class RadialDistortion:
         best_motion='turns and drives that carry corners from the middle of the image to its border',
         twins=('focal_length',),
         source='Brown 1971, Close-range camera calibration, Photogrammetric Engineering 37(8)',
+        may_break_the_filter=True,
         example=(0.02, 0.005),
         shown_against='image',
     )
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'radial_distortion'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('k1', '1', prior_std=0.03),
-        Coefficient('k2', '1', prior_std=0.01),
+        Coefficient('k1', '1', prior_std=0.03, typical=TypicalRange(0.004, 0.03)),
+        Coefficient('k2', '1', prior_std=0.01, typical=TypicalRange(0.001, 0.006)),
     )
 
     def corrected(

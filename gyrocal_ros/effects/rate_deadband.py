@@ -8,9 +8,27 @@ from typing import ClassVar
 
 import numpy as np
 
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import NS_PER_S, Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
+from gyrocal_ros.model.recording import GyroReadings
+from gyrocal_ros.model.sensor import Coefficient, DetectedLimit, GyroTerm, Memory, Place, TypicalRange
+
+SLOW_RAD_S = math.radians(2.0)
+"""Readings below this are searched for a value that is read again and again."""
+MIN_DISTINCT = 4
+"""Minimum number of distinct slow readings."""
+STUCK_PART = 0.05
+"""Part of the slow readings that must be one and the same value."""
+GAP_STEPS = 3.0
+"""Minimum distance of the next readings from the stuck value, in usual steps; a coarse converter has
+even steps."""
+MEAN_S, MEANS = 0.1, 10
+"""Noise inside the band is estimated from means over 0.1 s, ten in each second."""
+MIN_SECONDS = 10
+"""Minimum number of such seconds; fewer are not judged."""
+MAX_VARIANCE_RATIO = 3.0
+"""Largest variance of the means over a second, relative to what their noise explains, of dead readings."""
+_WIDTHS_RAD_S = tuple(math.radians(width) for width in (0.1, 0.2, 0.3, 0.4, 0.5))
 
 
 @dataclass(frozen=True)
@@ -30,11 +48,19 @@ class RateDeadband:
         twins=('bias',),
         source='IEEE Std 528, Inertial Sensor Terminology: dead band',
         example=(math.radians(0.3),),
-        shown_against='rate',
+        shown_against='slow rate',
     )
     acts_on: ClassVar[Place] = 'gyro'
     name: str = 'rate_deadband'
-    coefficients: tuple[Coefficient, ...] = (Coefficient('width', 'rad/s', prior_std=0.0, prior_mean=0.0),)
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient(
+            'width',
+            'rad/s',
+            prior_std=0.0,
+            scan=_WIDTHS_RAD_S,
+            typical=TypicalRange(math.radians(0.1), math.radians(0.5), signed=False),
+        ),
+    )
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Zero within the band, with the doubt of a uniform distribution over it."""
@@ -50,3 +76,33 @@ class RateDeadband:
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
         """Zero within the band."""
         return np.where(np.abs(nominal_rad_s) < values[0], 0.0, nominal_rad_s)
+
+    def detect(self, readings: GyroReadings) -> DetectedLimit | None:
+        """Width of the empty band around one value that is read again and again."""
+        slow = readings.rate_rad_s[np.abs(readings.rate_rad_s) < SLOW_RAD_S]
+        values, counts = np.unique(slow, return_counts=True)
+        if len(values) < MIN_DISTINCT:
+            return None
+        place = int(np.argmax(counts))
+        if not 0 < place < len(values) - 1 or counts[place] < STUCK_PART * counts.sum():
+            return None
+        gaps = np.diff(values)
+        width = float(min(gaps[place - 1], gaps[place]))
+        usual = float(np.median(np.delete(gaps, [place - 1, place])))
+        return DetectedLimit(width, is_certain=True) if width > GAP_STEPS * usual else None
+
+    def rate_error(self, rate_rad_s: Array, limit: float) -> tuple[Array, Array]:
+        """Inside the band the filter turns by a reading that means nothing, and by the bias."""
+        inside = (np.abs(rate_rad_s) < limit).astype(float)
+        return -inside * rate_rad_s, -inside
+
+    def is_plausible(self, readings: GyroReadings, limit: float) -> bool:
+        """Dead readings follow nothing: neither a bias that changes nor slow turns."""
+        count = max(round(MEAN_S * NS_PER_S / float(np.median(np.diff(readings.t_ns)))), 1)
+        rate = readings.rate_rad_s[: len(readings.rate_rad_s) // (MEANS * count) * MEANS * count]
+        by_second = rate.reshape(-1, MEANS, count)
+        inside = by_second[np.all(np.abs(by_second) < limit, axis=(1, 2))].mean(axis=2)
+        if len(inside) < MIN_SECONDS:
+            return True
+        noise = 0.5 * float(np.mean(np.diff(inside, axis=1) ** 2)) / MEANS
+        return float(np.var(inside.mean(axis=1))) <= MAX_VARIANCE_RATIO * noise

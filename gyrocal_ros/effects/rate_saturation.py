@@ -8,14 +8,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import NS_PER_S, Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
+from gyrocal_ros.model.recording import GyroReadings
+from gyrocal_ros.model.sensor import Coefficient, DetectedLimit, GyroTerm, Memory, Place, TypicalRange
 
 AT_LIMIT = 0.995
 """Readings within half a per cent of the limit count as clipped."""
 WHEEL_TURN_ERROR = 0.1
-"""How far the wheels' turn is trusted where the gyro is blind."""
+"""Relative standard deviation of the wheels' turn, which replaces the clipped reading."""
+TOP_PART = 0.99
+"""Readings above this part of the largest one count as standing at it."""
+MIN_TOP_S = 0.5
+"""Time that readings have to stand at the largest one for a limit to be possible."""
+OUTLIERS = 20
+"""Number of largest readings that are ignored: noise on top of a limit."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +42,20 @@ class RateSaturation:
         best_motion='turns faster than the range of the sensor',
         twins=('scale_cubic', 'scale_factor'),
         source='IEEE Std 528, Inertial Sensor Terminology: input limits',
+        may_break_the_filter=True,
         example=(math.radians(60.0),),
         shown_against='rate',
     )
     acts_on: ClassVar[Place] = 'gyro'
     name: str = 'rate_saturation'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('limit', 'rad/s', prior_std=0.0, prior_mean=math.radians(300.0)),
+        Coefficient(
+            'limit',
+            'rad/s',
+            prior_std=0.0,
+            prior_mean=math.radians(300.0),
+            typical=TypicalRange(math.radians(85.0), math.radians(50.0), signed=False),
+        ),
     )
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
@@ -61,3 +75,24 @@ class RateSaturation:
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
         """Clipped at the limit, to both sides."""
         return np.clip(nominal_rad_s, -values[0], values[0])
+
+    def detect(self, readings: GyroReadings) -> DetectedLimit | None:
+        """Rate at which the largest readings pile up: a limit, or the robot's usual speed of turning."""
+        size = np.abs(readings.rate_rad_s)
+        if len(size) <= OUTLIERS:
+            return None
+        top = TOP_PART * float(np.partition(size, -OUTLIERS)[-OUTLIERS])
+        rate_hz = NS_PER_S / float(np.median(np.diff(readings.t_ns)))
+        at_top = size[size > top]
+        if len(at_top) <= OUTLIERS + MIN_TOP_S * rate_hz:
+            return None
+        return DetectedLimit(float(np.median(at_top)), is_certain=False)
+
+    def rate_error(self, rate_rad_s: Array, limit: float) -> tuple[Array, Array]:
+        """Beyond the limit the turn is underestimated, by an unknown amount."""
+        side = np.where(np.abs(rate_rad_s) >= TOP_PART * limit, np.sign(rate_rad_s), 0.0)
+        return side, np.zeros_like(side)
+
+    def is_plausible(self, readings: GyroReadings, limit: float) -> bool:
+        """Readings at the limit contradict nothing."""
+        return True

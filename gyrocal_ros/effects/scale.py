@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
-from gyrocal_ros.model.sensor import Coefficient
+from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 FULL_RATE_RAD_S = math.radians(100.0)
 USUAL_NONLINEARITY = 0.01
@@ -64,6 +64,7 @@ _WORDS = {
         best_motion='turns at several speeds, both ways',
         twins=('scale_asymmetry',),
         source='Lee et al. 2012, eq. (7); IEEE Std 528, Inertial Sensor Terminology: nonlinearity',
+        shows_in_any_turns=True,
         example=(0.002,),
     ),
     3: Explanation(
@@ -75,9 +76,12 @@ _WORDS = {
         best_motion='turns at several speeds: three each way at 30 and at 90 deg/s',
         twins=('scale_factor', 'rate_saturation'),
         source='Lee et al. 2012, eq. (7); IEEE Std 528, Inertial Sensor Terminology: nonlinearity',
+        shows_in_any_turns=True,
         example=(0.002,),
     ),
 }
+
+_TYPICAL = {2: TypicalRange(5e-4, 3e-3), 3: TypicalRange(5e-4, 3.3e-3)}
 
 
 def scale_power(power: int, prior_std: float | None = None) -> ScalePower:
@@ -88,4 +92,5 @@ def scale_power(power: int, prior_std: float | None = None) -> ScalePower:
         prior_std = 0.1 if power == 1 else USUAL_NONLINEARITY / FULL_RATE_RAD_S ** (power - 1)
     name = names.get(power, f'scale_power_{power}')
     unit = units.get(power, f's^{power - 1}/rad^{power - 1}')
-    return ScalePower(power, name, (Coefficient(f'a{power}', unit, prior_std),))
+    item = Coefficient(f'a{power}', unit, prior_std, typical=_TYPICAL.get(power))
+    return ScalePower(power, name, (item,))

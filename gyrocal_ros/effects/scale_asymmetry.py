@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
-from gyrocal_ros.model.sensor import Coefficient
+from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,14 @@ class ScaleAsymmetry(LinearGyroEffect):
         best_motion='the same turns to both sides, as many to the left as to the right',
         twins=('scale_quadratic',),
         source='IEEE Std 528, Inertial Sensor Terminology: scale factor asymmetry',
+        shows_in_any_turns=True,
         example=(0.003,),
         shown_against='rate',
     )
     name: str = 'scale_asymmetry'
-    coefficients: tuple[Coefficient, ...] = (Coefficient('c', '1', prior_std=0.01),)
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('c', '1', prior_std=0.01, typical=TypicalRange(5e-4, 0.01)),
+    )
 
     def columns(self, block: MotionBlock) -> Array:
         """(N, 1)"""

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column, recorded
-from gyrocal_ros.model.sensor import Coefficient
+from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 REFERENCE_C = 25.0
 
@@ -30,9 +30,10 @@ class ScaleTemperature(LinearGyroEffect):
         example=(5e-4,),
         shown_against='temperature',
     )
-    signal: ClassVar[str] = 'temperature'
     name: str = 'scale_temperature'
-    coefficients: tuple[Coefficient, ...] = (Coefficient('k', '1/K', prior_std=0.001),)
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('k', '1/K', prior_std=0.001, typical=TypicalRange(2e-4, 1e-3)),
+    )
 
     def columns(self, block: MotionBlock) -> Array:
         """(N, 1)"""

@@ -11,8 +11,9 @@ import numpy as np
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, nanoseconds
 from gyrocal_ros.effects.base import LibraryEffect, with_unit
 from gyrocal_ros.effects.describe import place_of
+from gyrocal_ros.effects.traits import required_signals
 from gyrocal_ros.model.camera import mount_from_yaw, project
-from gyrocal_ros.model.sensor import CameraEffectOnOdometry, GyroEffectOnReadings, SignalEffect
+from gyrocal_ros.model.sensor import CameraEffectOnOdometry, GyroEffectOnReadings
 
 COUNT = 401
 TURNING_RAD_S = np.radians(60.0)
@@ -122,8 +123,12 @@ def _shift_of_pixels(effect: Any, every: Sequence[tuple[float, ...]]) -> Sketch:
 
 
 def _rate(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
-    reach = 1.0 if effect.name == 'rate_deadband' else 100.0
-    x = np.linspace(-reach, reach, COUNT)
+    x = np.linspace(-100.0, 100.0, COUNT)
+    return 'yaw rate (deg/s)', x, _block(yaw_rate_rad_s=np.radians(x))
+
+
+def _slow_rate(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    x = np.linspace(-1.0, 1.0, COUNT)
     return 'yaw rate (deg/s)', x, _block(yaw_rate_rad_s=np.radians(x))
 
 
@@ -167,13 +172,14 @@ def _distance(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
 
 
 def _signal(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
-    assert isinstance(effect, SignalEffect)
+    (signal,) = required_signals(effect)
     x = np.linspace(-2.0, 2.0, COUNT)
-    return f'{effect.signal} less its mean, turning at 60 deg/s', x, _turning(covariates={effect.signal: x})
+    return f'{signal} less its mean, turning at 60 deg/s', x, _turning(covariates={signal: x})
 
 
 _STIMULI: dict[str, Callable[[LibraryEffect], tuple[str, Array, MotionBlock]]] = {
     'rate': _rate,
+    'slow rate': _slow_rate,
     'turn': _turn,
     'time': _time,
     'temperature': _temperature,

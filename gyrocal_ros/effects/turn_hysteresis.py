@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
+from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place, TypicalRange
+
+Drive: TypeAlias = Literal['rate', 'side']
 
 MIN_TIME_CONSTANT_S = 0.5
 TURNING_RAD_S = math.radians(5.0)
@@ -38,30 +40,68 @@ class TurnHysteresis:
     )
     acts_on: ClassVar[Place] = 'gyro'
     name: str = 'turn_hysteresis'
-    driven_by: Literal['rate', 'side'] = 'rate'
+    driven_by: Drive = 'rate'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('k', 'rad/s', prior_std=math.radians(1.0)),
-        Coefficient('time_constant', 's', prior_std=20.0, prior_mean=20.0),
+        Coefficient(
+            'k',
+            'rad/s',
+            prior_std=math.radians(1.0),
+            typical=TypicalRange(math.radians(0.06), math.radians(1.0)),
+        ),
+        Coefficient(
+            'time_constant',
+            's',
+            prior_std=20.0,
+            prior_mean=20.0,
+            scan=(2.5, 4.0, 6.5, 10.5, 17.0, 27.5, 44.5),
+            typical=TypicalRange(4.0, 40.0, signed=False, is_strength=False),
+        ),
     )
 
+    def forms(self) -> tuple[TurnHysteresis, ...]:
+        """The memory driven by the rate, and by the side alone."""
+        return tuple(replace(self, driven_by=drive) for drive in get_args(Drive))
+
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Contribution and its derivative (N, 2); remembers h and its derivative by tau."""
+        """Contribution and its derivative (N, 2); remembers h and its derivative with respect to tau."""
         k, tau = values[0], max(values[1], MIN_TIME_CONSTANT_S)
-        h0, slope0 = memory if memory is not None else (0.0, 0.0)
+        h_start, slope_start = memory if memory is not None else (np.zeros(1), 0.0)
         drive = self._drive(block.rate_rad_s[:, 2])
-        # h stands at the ends of the intervals: h exp(t / tau) grows by the drive alone.
-        ends_s = np.cumsum(block.dt_s)
-        growth = np.exp(ends_s / tau)
-        before = np.concatenate([[1.0], growth[:-1]])
-        h = (h0 + np.cumsum(drive * (growth - before))) / growth
-        h_before = np.concatenate([[h0], h[:-1]])
-        slopes = (slope0 + np.cumsum((h_before - drive) * before * block.dt_s / tau**2)) / growth
-        slopes_before = np.concatenate([[slope0], slopes[:-1]])
-        middle = 0.5 * (h + h_before)
-        by_values = np.stack([middle, 0.5 * k * (slopes + slopes_before)], axis=1)
-        return GyroTerm(k * middle, by_values, memory=(h[-1], slopes[-1]))
+        h, growth = _fading_memory(drive, block.dt_s, np.array([tau]), h_start)
+        h, growth = h[:, 0], growth[:, 0]
+        pushes = (h[:-1] - drive) * growth[:-1] * block.dt_s / tau**2
+        slopes = np.concatenate([[slope_start], (slope_start + np.cumsum(pushes)) / growth[1:]])
+        middle = 0.5 * (h[1:] + h[:-1])
+        by_values = np.stack([middle, 0.5 * k * (slopes[1:] + slopes[:-1])], axis=1)
+        return GyroTerm(k * middle, by_values, memory=(h[-1:], slopes[-1]))
+
+    def columns_at(self, block: MotionBlock, scan: Array, memory: Memory) -> tuple[Array, Memory]:
+        """Derivative (N, q) with respect to k at q time constants."""
+        h_start = memory if memory is not None else np.zeros(len(scan))
+        h, _ = _fading_memory(self._drive(block.rate_rad_s[:, 2]), block.dt_s, scan, h_start)
+        return 0.5 * (h[1:] + h[:-1]), h[-1]
 
     def _drive(self, rate_rad_s: Array) -> Array:
         if self.driven_by == 'rate':
             return rate_rad_s
         return np.sign(rate_rad_s) * (np.abs(rate_rad_s) > TURNING_RAD_S)
+
+
+def _fading_memory(drive: Array, dt_s: Array, tau_s: Array, start: Array) -> tuple[Array, Array]:
+    """Solve `dh/dt = (u - h) / tau` for a drive that is constant in each interval.
+
+    The product h exp(t / tau) grows by the drive alone, so it is a running sum.
+
+    Args:
+        drive: u (N,).
+        dt_s: (N,) lengths of the intervals.
+        tau_s: (q,) time constants.
+        start: (q,) h at the beginning.
+
+    Returns:
+        h (N + 1, q) at the ends of the intervals and at the beginning, and exp(t / tau) there.
+    """
+    ends_s = np.cumsum(dt_s)[:, None]
+    growth = np.concatenate([np.ones((1, len(tau_s))), np.exp(ends_s / tau_s)])
+    added = np.cumsum(drive[:, None] * (growth[1:] - growth[:-1]), axis=0)
+    return np.concatenate([start[None], (start + added) / growth[1:]]), growth

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, Place
+from gyrocal_ros.model.sensor import Coefficient, Place, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,9 @@ class TurnSlip:
     )
     acts_on: ClassVar[Place] = 'wheels'
     name: str = 'turn_slip'
-    coefficients: tuple[Coefficient, ...] = (Coefficient('k', 'm/rad', prior_std=0.02),)
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('k', 'm/rad', prior_std=0.02, typical=TypicalRange(0.003, 0.04, signed=False)),
+    )
 
     def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
         """`-k |w| dt`."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
-from gyrocal_ros.model.sensor import Coefficient
+from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,12 @@ class VibrationRectification(LinearGyroEffect):
     )
     name: str = 'vibration_rectification'
     coefficients: tuple[Coefficient, ...] = (
-        Coefficient('k', 'rad/s/(m/s^2)^2', prior_std=math.radians(1.0)),
+        Coefficient(
+            'k',
+            'rad/s/(m/s^2)^2',
+            prior_std=math.radians(1.0),
+            typical=TypicalRange(math.radians(0.15), math.radians(1.5)),
+        ),
     )
 
     def columns(self, block: MotionBlock) -> Array:

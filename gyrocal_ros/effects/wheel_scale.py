@@ -9,7 +9,11 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints
+from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
+
+MIN_LEVER_M = 0.01
+"""Shortest distance of the camera from the turning centre that is known well enough to measure others by."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,9 @@ class WheelScale:
     )
     acts_on: ClassVar[Place] = 'camera'
     name: str = 'wheel_scale'
-    coefficients: tuple[Coefficient, ...] = (Coefficient('s', '1', prior_std=0.03),)
+    coefficients: tuple[Coefficient, ...] = (
+        Coefficient('s', '1', prior_std=0.03, typical=TypicalRange(0.02, 0.05)),
+    )
 
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array
@@ -58,3 +64,9 @@ class WheelScale:
     def odometry(self, distance_m: Array, values: Array) -> Array:
         """What the wheels count."""
         return distance_m / (1.0 + values[0])
+
+    def unobservable(self, recording: RecordingSummary) -> str:
+        """Only the circle that the camera swings through has a size known in true metres."""
+        if np.hypot(*recording.rig.camera_mount.p_bs[:2]) < MIN_LEVER_M:
+            return 'only a camera at a distance from the turning centre shows it'
+        return ''

@@ -6,11 +6,13 @@ contribution and the derivatives of it; the filter holds the coefficients as sta
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount
 from gyrocal_ros.model.bias import BiasModel
+from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 
 Place: TypeAlias = Literal['gyro', 'wheels', 'ground', 'camera', 'time']
 """Where an effect acts: the yaw rate, the distance by the wheels, a motion over the ground that no
@@ -21,15 +23,42 @@ Memory: TypeAlias = Any
 
 
 @dataclass(frozen=True, slots=True)
+class TypicalRange:
+    """Values of a coefficient that real sensors show; simulated hidden effects are drawn from it."""
+
+    low: float
+    """Value that is just visible in a recording of five minutes with turns of several speeds."""
+    high: float
+    """Large value. Smaller than `low` where a smaller value does more, as for a saturation limit."""
+    signed: bool = True
+    """True if both signs occur."""
+    is_strength: bool = True
+    """True if the value says how strong the effect is; False for a time constant or a threshold."""
+    of_duration: bool = False
+    """True if the values are fractions of the duration of the recording, in s."""
+
+    def value(self, size: float) -> float:
+        """Return the value for a size between 0 (`low`) and 1 (`high`), geometrically interpolated."""
+        return self.low * (self.high / self.low) ** size
+
+
+@dataclass(frozen=True, slots=True)
 class Coefficient:
-    """One number of an effect, with what is known of it before any measurement."""
+    """One number of an effect, with its prior."""
 
     name: str
     unit: str
     prior_std: float
+    """Prior standard deviation; zero for a limit, which is detected in the readings, not estimated."""
     prior_mean: float = 0.0
     walk: float = 0.0
     """Random walk, unit / sqrt(s); zero for a constant of the motion."""
+    scan: tuple[float, ...] = ()
+    """Values at which the diagnosis tries a coefficient that the effect does not depend on linearly, such
+    as a time constant: an increasing geometric series. One coefficient of an effect may have a scan; the
+    effect has to vanish where all others are zero."""
+    typical: TypicalRange | None = None
+    """Values that occur; None keeps the effect out of recordings with randomly hidden effects."""
 
 
 class Effect(Protocol):
@@ -45,6 +74,9 @@ class Effect(Protocol):
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
         """k coefficients."""
+
+
+E = TypeVar('E', bound=Effect)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,20 +123,85 @@ class GyroEffectOnReadings(Protocol):
 
 
 @runtime_checkable
-class SignalEffect(Effect, Protocol):
-    """An effect that follows a recorded signal."""
+class RelativeEffect(Effect, Protocol):
+    """An effect that follows a recorded signal, relative to the mean of the signal over the recording."""
 
     @property
     def signal(self) -> str:
-        """`temperature`, or a name as in `MotionBlock.covariates`."""
+        """Name of the signal, as in `MotionBlock.covariates`."""
+
+    def counted_from(self, reference: float) -> Effect:
+        """Return the same effect with another reference."""
+
+
+@dataclass(frozen=True, slots=True)
+class DetectedLimit:
+    """A limit that the readings show."""
+
+    value: float
+    """Value of the effect's only coefficient."""
+    is_certain: bool
+    """True if the readings alone prove the limit; False if the headings have to confirm it."""
 
 
 @runtime_checkable
-class RelativeEffect(SignalEffect, Protocol):
-    """An effect that counts from the mean of its signal over the recording."""
+class LimitEffect(Protocol):
+    """Optional part of a gyro effect that loses information beyond or below a limit.
 
-    def counted_from(self, reference: float) -> Effect:
-        """The same effect with another reference."""
+    Nothing depends smoothly on a limit, so it is not estimated: it is detected in the readings, and a run
+    of the filter with it decides. Its coefficient has `prior_std` 0; where noise may hide the limit, the
+    `scan` of the coefficient holds the values to try.
+    """
+
+    def detect(self, readings: GyroReadings) -> DetectedLimit | None:
+        """Find the limit in the readings; None where they show none."""
+
+    def rate_error(self, rate_rad_s: Array, limit: float) -> tuple[Array, Array]:
+        """Return the error of the rate that a filter without the effect makes if the limit is real.
+
+        Args:
+            rate_rad_s: (n,) readings.
+            limit: value of the limit.
+
+        Returns:
+            The error (n,) but for a positive factor, and the part (n,) of the bias that is wrongly added.
+        """
+
+    def is_plausible(self, readings: GyroReadings, limit: float) -> bool:
+        """Return False if the readings contradict the limit."""
+
+
+@runtime_checkable
+class ScannedColumns(Protocol):
+    """Optional part of a gyro effect with a scan: all values of the scan at once, for speed."""
+
+    def columns_at(self, block: MotionBlock, scan: Array, memory: Memory) -> tuple[Array, Memory]:
+        """Return the derivative with respect to the other coefficients, at zero, and the new memory.
+
+        Args:
+            block: N intervals.
+            scan: (q,) values of the scanned coefficient.
+            memory: what the last call returned; None at the first block.
+
+        Returns:
+            (N, q s) for s other coefficients, those of the first value first, and the memory.
+        """
+
+
+@runtime_checkable
+class EffectWithForms(Protocol):
+    """Optional part of an effect that comes in several forms, of which the diagnosis takes the best."""
+
+    def forms(self) -> tuple[Effect, ...]:
+        """Return the same effect in each of its forms."""
+
+
+@runtime_checkable
+class ConditionallyObservable(Protocol):
+    """Optional part of an effect that not every recording with the required signals can show."""
+
+    def unobservable(self, recording: RecordingSummary) -> str:
+        """Return why the recording cannot show the effect; empty if it can."""
 
 
 class WheelEffect(Effect, Protocol):
@@ -189,15 +286,6 @@ class SensorModel:
         return tuple(name for effect in self.effects for name in coefficient_names(effect))
 
 
-def signals_of(model: SensorModel) -> dict[str, list[str]]:
-    """The recorded signals that effects of the model follow, each with the names of these effects."""
-    followers: dict[str, list[str]] = {}
-    for effect in model.effects:
-        if isinstance(effect, SignalEffect):
-            followers.setdefault(effect.signal, []).append(effect.name)
-    return followers
-
-
 def coefficient_names(effect: Effect) -> tuple[str, ...]:
     """Names of an effect's coefficients as reported."""
     if len(effect.coefficients) == 1:
@@ -214,3 +302,10 @@ def placed(effects: tuple[Effect, ...], place: Place) -> list[tuple[Any, slice]]
             found.append((effect, slice(start, end)))
         start = end
     return found
+
+
+def with_means(effect: E, values: Sequence[float]) -> E:
+    """Return the effect with other prior means; the prior standard deviations stay."""
+    items = zip(effect.coefficients, values, strict=True)
+    moved = tuple(replace(item, prior_mean=float(value)) for item, value in items)
+    return replace(effect, coefficients=moved)  # type: ignore[type-var,no-any-return]

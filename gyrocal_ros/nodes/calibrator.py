@@ -17,9 +17,10 @@ from visualization_msgs.msg import MarkerArray
 from gyrocal_ros.config.sections import Config, RobotConfig
 from gyrocal_ros.data import CovariateSample
 from gyrocal_ros.effects.model_file import load_model
-from gyrocal_ros.effects.user import load_file, load_installed
+from gyrocal_ros.effects.registry import load_file, load_installed
+from gyrocal_ros.effects.traits import followers_by_signal
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.model.sensor import SensorModel, signals_of
+from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs import outputs, topics
 from gyrocal_ros.msgs import to_ros as messages
 from gyrocal_ros.msgs.topics import Role
@@ -70,7 +71,9 @@ class CalibratorNode:
         sensors.subscribe(Temperature, Role.TEMPERATURE, self._hear_temperature)
         subscribe(node, CameraInfo, Role.CAMERA_INFO, self._hear_camera, SENSOR_IN)
         node.create_subscription(TFMessage, '/tf_static', self._hear_links, STATIC)
-        self._signals = Signals(node, signals_of(model), lambda: self._live.newest_ns, self._hear_signal)
+        self._signals = Signals(
+            node, followers_by_signal(model), lambda: self._live.newest_ns, self._hear_signal
+        )
         node.create_service(Trigger, '~/save', self._save)
         node.create_service(Trigger, '~/reset', self._reset)
         node.create_service(SetBool, '~/estimate', self._switch)

@@ -22,12 +22,13 @@ from gyrocal_ros.data import (
     TruthSample,
     seconds,
 )
+from gyrocal_ros.effects.traits import followers_by_signal
 from gyrocal_ros.ekf.run import Recorder, Run, RunEvent
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
 from gyrocal_ros.errors import FilterDivergedError, NotObservableError, RecordingError
-from gyrocal_ros.model.sensor import Effect, SensorModel, signals_of
+from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.heading_reference import (
     WALKS_DEG,
     ReferenceFit,
@@ -148,12 +149,12 @@ def preload(
 
 def _telling(source: Source, report: Callable[[Progress], None] | None) -> Iterator[Measurement]:
     """Yield the measurements and tell about once a second how far they are."""
-    gyro_valid_s = 0.0
+    reported_s = 0.0
     for measurement in source.measurements():
         yield measurement
         done_s = seconds(measurement.t_ns - source.span.start_ns)
-        if report is not None and done_s - gyro_valid_s >= 1.0:
-            gyro_valid_s = done_s
+        if report is not None and done_s - reported_s >= 1.0:
+            reported_s = done_s
             report(Progress(done_s, source.span.duration_s))
 
 
@@ -211,7 +212,7 @@ def _unrecorded_signals(run: Run) -> Iterator[RunEvent]:
     recorded = set(run.signal_names)
     if np.isfinite(run.history.temperature_c).any():
         recorded.add('temperature')
-    for signal, names in signals_of(run.model).items():
+    for signal, names in followers_by_signal(run.model).items():
         if signal not in recorded:
             text = f'{signal} is not recorded: nothing can be learned of {", ".join(names)}'
             yield RunEvent(run.span.start_ns, text)

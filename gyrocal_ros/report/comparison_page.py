@@ -49,30 +49,33 @@ def comparison_page(comparison: Comparison, findings: Sequence[tuple[str, str]] 
         comparison: of one or more models.
         findings: severity and text of what is odd about the recording.
     """
-    run = comparison.rivals[0].run
+    run = comparison.results[0].run
     heads = ('model', 'drift (deg)', 'log-likelihood', 'NIS per dof', 'SLAM less truth (deg)', 'fails in')
     note = (
         'Drift is the rms after a minute without the camera, in brackets where it would be found in 90 '
         'of 100 recordings. Log-likelihood: by how much better the recording is foreseen than by '
-        f'{comparison.rivals[0].label}.'
+        f'{comparison.results[0].label}.'
     )
-    occurred = {event: None for rival in comparison.rivals for event in events(rival.run)}
+    occurred = {event: None for rival in comparison.results for event in events(rival.run)}
     return document(
         f'Models compared on {run.source}',
         f'{run.span.duration_s:.0f} s recorded, gyrocal {__version__}',
         [
             verdict_box(of_comparison(comparison)),
             warnings([*findings, *occurred]),
-            table('Models', heads, [_row(rival, comparison) for rival in comparison.rivals], note),
+            table('Models', heads, [_row(rival, comparison) for rival in comparison.results], note),
             gallery(comparison_sections(comparison)),
-            *(_failures(rival) for rival in comparison.rivals),
-            *(details(f'Model {rival.label}', model_to_yaml(rival.run.model)) for rival in comparison.rivals),
+            *(_failures(rival) for rival in comparison.results),
+            *(
+                details(f'Model {rival.label}', model_to_yaml(rival.run.model))
+                for rival in comparison.results
+            ),
         ],
     )
 
 
 def _row(rival: ModelResult, comparison: Comparison) -> tuple[str, ...]:
-    is_first = rival is comparison.rivals[0]
+    is_first = rival is comparison.results[0]
     rms_deg = rival.heading_rms_deg
     return (
         rival.label,
@@ -90,7 +93,7 @@ def _places(failures: Sequence[Failure]) -> str:
 
 def comparison_sections(comparison: Comparison) -> Iterator[Section]:
     """The figures of the page."""
-    rivals = comparison.rivals
+    rivals = comparison.results
     if all(len(rival.drift.error_rad) for rival in rivals):
         drifts = {rival.label: rival.drift for rival in rivals}
         marks = [Mark(label, 'held out', drift) for label, drift in drifts.items()]

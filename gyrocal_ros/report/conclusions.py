@@ -38,7 +38,7 @@ def of_comparison(comparison: Comparison) -> Verdict:
     sentences = [
         f'{rival.label}: {COVERED[0].lower()}{COVERED[1:]} {drift_in_words(rival.drift)} deg '
         f'(rms against {reference}).'
-        for rival in comparison.rivals
+        for rival in comparison.results
     ]
     sentences += [f'With {label} the filter cannot run: {why}.' for label, why in comparison.diverged.items()]
     kind, headline = _best(comparison)
@@ -97,9 +97,9 @@ def _sigmas(sigma: float) -> str:
 
 
 def _best(comparison: Comparison) -> tuple[Kind, str]:
-    best, first = comparison.best, comparison.rivals[0]
+    best, first = comparison.best, comparison.results[0]
     places = len(best.fails_where)
-    if len(comparison.rivals) == 1:
+    if len(comparison.results) == 1:
         if not places:
             return 'good', f'{best.label} fits this recording: it fails nowhere by more than chance.'
         return 'found', f'{best.label} is off by more than chance in {_count(places)}.'

@@ -11,7 +11,7 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s, reference_path
-from gyrocal_ros.diagnose.heading_filter import MAP_WALK_DEG, TURNING_RAD_S, Headings
+from gyrocal_ros.diagnose.heading_filter import TURNING_RAD_S, Headings
 from gyrocal_ros.diagnose.search import ExaminedModel, Search
 from gyrocal_ros.diagnose.shapes import RATE, Shape, axes, hats, shapes
 from gyrocal_ros.effects import find_effect
@@ -115,7 +115,7 @@ def _without_strays(values: Array) -> Array:
 
 def _wander_covariance(seen: Headings, rows: IntArray) -> Array:
     """(m, m) of the heading error by noise alone."""
-    walk = seen.rate_noise_rad_s**2 + math.radians(MAP_WALK_DEG) ** 2
+    walk = seen.rate_noise_rad_s**2 + seen.map_walk_rad**2
     variance = np.cumsum(walk * seen.dt_s + seen.unobserved_turn_std_rad**2)[rows]
     time_s = seen.time_s[rows]
     first, last = np.minimum(time_s[:, None], time_s), np.maximum(time_s[:, None], time_s)
@@ -258,7 +258,7 @@ def stages(searched: Search) -> dict[str, ExaminedModel]:
     """
     named = {'the model as it was': searched.first}
     named |= {f'with {change.effect.name}': change.after for change in searched.kept}
-    lost = any(change.before is None for change in searched.changes)
+    lost = any(change.before is None for change in searched.additions)
     return {name: stage for name, stage in named.items() if name != 'the model as it was' or not lost}
 
 

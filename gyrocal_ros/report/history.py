@@ -24,13 +24,13 @@ def fill_history(folder: Path, improved: Improvement) -> None:
 
 def fill_result(folder: Path, improved: Improvement) -> None:
     """Write the final model, what was found of it, and the figures of the revisions for programs."""
-    _fill_model(folder, improved.final.stage.run)
+    _fill_model(folder, improved.final.examined.run)
     write_text_atomic(folder / 'history.json', json_text(summarise_improvement(improved)))
 
 
 def fill_revision(folder: Path, revision: Revision) -> None:
     """Write one revision into an empty folder: its model, calibration and figures of merit."""
-    _fill_model(folder, revision.stage.run)
+    _fill_model(folder, revision.examined.run)
     write_text_atomic(folder / 'merit.json', json_text(merit(revision)))
 
 

@@ -35,7 +35,7 @@ def improvement_page(improved: Improvement, findings: Sequence[tuple[str, str]] 
         improved: all revisions.
         findings: severity and text of what is odd about the recording.
     """
-    run = improved.final.stage.run
+    run = improved.final.examined.run
     rows = [_row(revision) for revision in improved.revisions]
     heads = ('revision', '', 'held-out drift (deg)', 'fitted drift (deg)', 'log-likelihood', 'why')
     note = (
@@ -78,13 +78,13 @@ def improvement_sections(improved: Improvement) -> Iterator[Section]:
         ]
         yield drift_section('Drift without the camera, revision by revision', marks, more=TRIALS)
     first = improved.kept[0]
-    shown = {revision.label: revision.stage.seen for revision in dict.fromkeys((first, final))}
-    yield heading_section('Heading by the gyro alone', shown, final.stage.run.history)
+    shown = {revision.label: revision.examined.seen for revision in dict.fromkeys((first, final))}
+    yield heading_section('Heading by the gyro alone', shown, final.examined.run.history)
     if final is not first and len(final.held_out.error_rad):
         drifts = {revision.label: revision.held_out for revision in improved.kept}
         yield Section('drift_by_span', models.drift_by_span(drifts), CAPTIONS['drift_by_span'])
     told = model_series.coefficients(
-        (revision.label, revision.stage.run, revision.is_kept) for revision in revisions
+        (revision.label, revision.examined.run, revision.is_kept) for revision in revisions
     )
     labels = [revision.label for revision in revisions]
     yield Section('coefficients', models.coefficients_by_model(told, labels), CAPTIONS['coefficients'])

@@ -10,7 +10,7 @@ from gyrocal_ros.diagnose.comparison import Comparison, ModelResult
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, heading_rms_deg, held_out_from_s
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
-from gyrocal_ros.diagnose.ranking import RankedEffect, doubts, estimate
+from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
@@ -62,11 +62,11 @@ def summarise_diagnosis(searched: Search, diagnosis: Diagnosis) -> dict[str, Any
 
 def summarise_comparison(comparison: Comparison) -> dict[str, Any]:
     """What `compare --json` prints, but for the time it took."""
-    run = comparison.rivals[0].run
+    run = comparison.results[0].run
     return {
         'source': run.source,
         'best': comparison.best.label,
-        'models': [_rival(rival) for rival in comparison.rivals],
+        'models': [_rival(rival) for rival in comparison.results],
         'diverged': [{'model': label, 'why': why} for label, why in comparison.diverged.items()],
         'drift_reference': comparison.drift_reference,
         'duration_s': run.span.duration_s,
@@ -75,13 +75,13 @@ def summarise_comparison(comparison: Comparison) -> dict[str, Any]:
 
 def summarise_improvement(improved: Improvement) -> dict[str, Any]:
     """What `improve --json` prints, but for the time it took."""
-    run = improved.final.stage.run
+    run = improved.final.examined.run
     return {
         'source': run.source,
         'effects': [effect.name for effect in run.model.effects],
         'coefficients': coefficient_table(conclude(run)),
         'revisions': [merit(revision) for revision in improved.revisions],
-        'unexplained': _oddity(improved.final.stage.unexplained_structure),
+        'unexplained': _oddity(improved.final.examined.unexplained_structure),
         'drift_reference': improved.drift_reference,
         'duration_s': run.span.duration_s,
     }
@@ -89,7 +89,7 @@ def summarise_improvement(improved: Improvement) -> dict[str, Any]:
 
 def merit(revision: Revision) -> dict[str, Any]:
     """The figures of merit of one revision."""
-    run = revision.stage.run
+    run = revision.examined.run
     calibration = conclude(run)
     return {
         'revision': revision.label,
@@ -130,7 +130,9 @@ def _finding(finding: MissingEffect) -> dict[str, Any]:
 def _suspect(ranked_effect: RankedEffect) -> dict[str, Any]:
     return {
         'effect': ranked_effect.effect.name,
-        'coefficients': _coefficients(ranked_effect.effect, estimate(ranked_effect), doubts(ranked_effect)),
+        'coefficients': _coefficients(
+            ranked_effect.effect, estimate(ranked_effect), estimate_stds(ranked_effect)
+        ),
         'log_likelihood_gain': ranked_effect.fit.gain,
         'significance_sigma': ranked_effect.fit.sigma,
         'p_value': ranked_effect.fit.p_value,

@@ -8,7 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from gyrocal_ros.config.sections import ConvergenceConfig
-from gyrocal_ros.model.sensor import SensorModel, signals_of
+from gyrocal_ros.effects.traits import followers_by_signal
+from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.robot.health import Complaint, Level, Status, status
@@ -134,7 +135,7 @@ class CalibratorHealth:
                 yield f'{of_late} are of no use: {self._why_spoiled[topic]}'
 
     def _missing_signals(self, facts: Facts) -> Iterator[str]:
-        for signal, names in signals_of(self._model).items():
+        for signal, names in followers_by_signal(self._model).items():
             if signal not in facts.signals:
                 yield f'{signal} has not come yet: nothing can be learned of {", ".join(names)}'
 

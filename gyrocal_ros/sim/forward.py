@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds
+from gyrocal_ros.effects.traits import required_signals
 from gyrocal_ros.errors import ConfigError, did_you_mean
+from gyrocal_ros.model.recording import TEMPERATURE
 from gyrocal_ros.model.sensor import (
     CameraEffectOnOdometry,
     Effect,
     GyroEffectOnReadings,
     Place,
     RelativeEffect,
-    SignalEffect,
 )
 from gyrocal_ros.sim.trajectory import TrueMotion
 
@@ -57,13 +58,12 @@ def referred(hidden: Hidden, means: Mapping[str, float]) -> Hidden:
     """
     found = []
     for item in hidden:
-        signal = item.effect.signal if isinstance(item.effect, SignalEffect) else 'temperature'
-        if signal != 'temperature' and signal not in means:
-            raise ConfigError(
-                f'{signal!r} is not recorded', where=item.effect.name, todo=did_you_mean(signal, list(means))
-            )
+        for signal in required_signals(item.effect):
+            if signal != TEMPERATURE and signal not in means:
+                todo = did_you_mean(signal, means)
+                raise ConfigError(f'{signal!r} is not recorded', where=item.effect.name, todo=todo)
         if isinstance(item.effect, RelativeEffect):
-            item = replace(item, effect=item.effect.counted_from(means[signal]))
+            item = replace(item, effect=item.effect.counted_from(means[item.effect.signal]))
         found.append(item)
     return tuple(found)
 

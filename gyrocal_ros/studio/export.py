@@ -31,7 +31,7 @@ def export(view: StudioState, folder: Path) -> str:
     remark = ''
     with new_folder(folder / NAME, overwrite=True) as part:
         fill_improvement(part, improved, contents.findings)
-        searched = Search(improved.final.stage, ())
+        searched = Search(improved.final.examined, ())
         (part / 'present').mkdir()
         fill_diagnosis(part / 'present', searched, diagnose(searched, recorded), contents.findings)
         (part / 'figures').mkdir()

@@ -11,8 +11,8 @@ from dash import html
 
 from gyrocal_ros.diagnose.advice import join
 from gyrocal_ros.diagnose.candidate_fit import held_out_gain
-from gyrocal_ros.diagnose.ranking import RankedEffect, doubts, estimate
-from gyrocal_ros.diagnose.separability import to_tell_apart
+from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
+from gyrocal_ros.diagnose.separability import how_to_tell_apart
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Effect
@@ -165,7 +165,7 @@ def candidate_card(view: StudioState, chosen: str | None) -> list[Any]:
 
 
 def _evidence(ranked_effect: RankedEffect, examined: Examined, chosen: str | None) -> list[tuple[str, Any]]:
-    found = coefficients_in_words(ranked_effect.effect, estimate(ranked_effect), doubts(ranked_effect))
+    found = coefficients_in_words(ranked_effect.effect, estimate(ranked_effect), estimate_stds(ranked_effect))
     gain = held_out_gain(examined.stage.scores, ranked_effect.fit.columns)
     rows: list[tuple[str, Any]] = [
         ('coefficients', found),
@@ -174,7 +174,7 @@ def _evidence(ranked_effect: RankedEffect, examined: Examined, chosen: str | Non
     if gain is not None:
         rows.append(('on the second half', f'{gain:+.1f} log-likelihood, fitted on the first half alone'))
     if examined.best is not None and chosen == examined.best.effect.name and examined.twins:
-        apart = ' '.join(to_tell_apart(ranked_effect.effect.name, examined.twins))
+        apart = ' '.join(how_to_tell_apart(ranked_effect.effect.name, examined.twins))
         rows.append(('or else', f'{join([*examined.twins], "or")}. {apart}'))
     return rows
 

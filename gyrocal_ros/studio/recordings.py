@@ -11,8 +11,9 @@ from gyrocal_ros.bag.check import CheckReport, check_bag
 from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
-from gyrocal_ros.diagnose.recorded import Recorded, look_at
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
+from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.issues import refuse_errors
 from gyrocal_ros.pipeline.calibrate import Progress, preload
@@ -68,7 +69,7 @@ class Opened:
 
     source: Source
     config: Config
-    recorded: Recorded
+    recorded: RecordingSummary
     answer: Mapping[str, Any] | None
     """What a riddle hides."""
 
@@ -117,9 +118,9 @@ def read(
     if isinstance(what, HiddenEffectTask):
         riddle = what.source()
         held, config = preload(riddle, what.config, model, report)
-        return Opened(held, config, look_at(held), answer_of(riddle))
+        return Opened(held, config, summarise_recording(held), answer_of(riddle))
     assert contents.check is not None
     refuse_errors(contents.check.findings, str(what.path))
     source = open_bag(what.path, what.config, with_covariates=True, **what.options)
     held, config = preload(source, what.config, model, report)
-    return Opened(held, config, look_at(held), None)
+    return Opened(held, config, summarise_recording(held), None)

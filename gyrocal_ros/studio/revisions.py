@@ -12,7 +12,7 @@ from gyrocal_ros.diagnose.improvement import (
     revision,
     revision_label,
 )
-from gyrocal_ros.diagnose.search import change_made
+from gyrocal_ros.diagnose.search import addition
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.studio.worker import Examined
 
@@ -112,7 +112,7 @@ class ModelTree:
             if before is None:
                 revisions.append(replace(first_revision(trial.examined.stage, reference), label=trial.label))
             elif before.examined is not None:
-                change = change_made(before.examined.stage, trial.examined.stage)
+                change = addition(before.examined.stage, trial.examined.stage)
                 revisions.append(revision(change, trial.label, reference, trial.label in kept))
         complete = kept <= {item.label for item in revisions}
         return Improvement(tuple(revisions), reference[1]) if complete else None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from gyrocal_ros.diagnose.improvement import Improvement
-from gyrocal_ros.diagnose.recorded import Recorded
+from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.studio.lesson import Reveal
 from gyrocal_ros.studio.recordings import Contents
 from gyrocal_ros.studio.revisions import ModelTree
@@ -37,7 +37,7 @@ class StudioState:
     """Grows with every change."""
     title: str = ''
     contents: Contents | None = None
-    recorded: Recorded | None = None
+    recorded: RecordingSummary | None = None
     doing: Doing | None = None
     glimpse: RunPreview | None = None
     trials: ModelTree = field(default_factory=ModelTree)

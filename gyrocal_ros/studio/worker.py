@@ -21,13 +21,13 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.heading_filter import headings
-from gyrocal_ros.diagnose.ranking import RankedEffect, best_explanation, twins
-from gyrocal_ros.diagnose.recorded import Recorded
+from gyrocal_ros.diagnose.ranking import RankedEffect, best_explanation, indistinguishable
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.search import NONE, ExaminedModel, examine, recover, suspected_limits
 from gyrocal_ros.diagnose.shapes import shapes
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError, GyrocalError
+from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import Progress, calibrate
 from gyrocal_ros.report.diagnosis_series import Curve, Wander, centred, wander
@@ -100,7 +100,7 @@ class Examined:
 class Ready:
     """A recording that was read."""
 
-    recorded: Recorded
+    recorded: RecordingSummary
     answer: Any
 
 
@@ -234,19 +234,19 @@ class _Workbench:
     def examine(self, task: Examine, tell: Callable[[News], None]) -> Examined:
         assert self._opened is not None
         opened = self._opened
-        gyro_valid_s = 0.0
+        reported_s = 0.0
 
         def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
             doing = f'running with {", ".join(effect.name for effect in model.effects)}'
 
             def report(state: Progress) -> None:
-                nonlocal gyro_valid_s
+                nonlocal reported_s
                 tell(Advance(state.done_s / max(state.total_s, 1.0), doing))
-                if state.so_far is not None and time.monotonic() - gyro_valid_s > GLIMPSE_S:
+                if state.so_far is not None and time.monotonic() - reported_s > GLIMPSE_S:
                     glimpse = _glimpse(state.so_far())
                     if glimpse is not None:
                         tell(glimpse)
-                        gyro_valid_s = time.monotonic()
+                        reported_s = time.monotonic()
 
             return calibrate(opened.source, opened.config, model, report=report, candidates=candidates)
 
@@ -260,14 +260,16 @@ class _Workbench:
         return _examined(stage, opened.recorded)
 
 
-def _examined(stage: ExaminedModel, recorded: Recorded) -> Examined:
-    best = best_explanation(stage.ranked, stage.scores, ())
+def _examined(stage: ExaminedModel, recorded: RecordingSummary) -> Examined:
+    best = best_explanation(stage.ranked, stage.scores, (), stage.settings)
     others = [ranked_effect for ranked_effect in stage.ranked if ranked_effect is not best]
     return Examined(
         stage=stage,
         best=best,
         limits=tuple(limit.effect for limit in suspected_limits(stage, recorded, best)),
-        twins=() if best is None else tuple(twins(best, others, stage.scores, NONE)),
+        twins=()
+        if best is None
+        else tuple(indistinguishable(best, others, stage.scores, NONE, stage.settings)),
         failures=tuple(failures(stage.run, stage.seen)),
         wander=wander(stage.seen),
         left_over={(item.signal, item.of_scale): centred(item) for item in shapes(stage.run, stage.seen)},

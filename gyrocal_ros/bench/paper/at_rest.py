@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
 from gyrocal_ros.data import NS_PER_S, Array, ImuSample
-from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects import PAPER_EFFECTS
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
@@ -96,7 +96,7 @@ def _record(seed: int) -> tuple[Array, Array, Warmup]:
 def _source(seed: int) -> SimSource:
     """A gyro that warms up as the paper's; what is in the reading has to be taken off for the rate."""
     amplitude, settled = math.radians(-C1_DEG_S), -(C1_DEG_S + C2_DEG_S)
-    hidden = (HiddenEffect(find_effect('bias_warmup'), (amplitude, T_S)),)
+    hidden = (HiddenEffect(PAPER_EFFECTS[8], (amplitude, T_S)),)
     scenario = _scenario(1.0)
     drawn = math.degrees(float(SimSource(scenario, seed).truth.bias_rad_s[0, 2]))
     return SimSource(_scenario(settled / drawn), seed, hidden=hidden)

@@ -14,9 +14,9 @@ from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, Claim, Mapper, asse
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ImuSample
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.ranking import doubts, estimate
-from gyrocal_ros.diagnose.recorded import look_at
+from gyrocal_ros.diagnose.ranking import estimate, estimate_stds
 from gyrocal_ros.diagnose.search import search
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.scale import FULL_RATE_RAD_S, scale_power
 from gyrocal_ros.pipeline.calibrate import calibrate, preload
@@ -29,6 +29,8 @@ RATES_DEG_S = np.arange(20.0, 91.0, 10.0)
 REST_S, GLIDE_S, HOLD_S = 10.0, 1.0, 30.0
 BEND = 0.003
 """Of the part that is bent: 0.3 % of the rate at 100 deg/s."""
+
+CUBIC = scale_power(3).name
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +110,7 @@ def figure_8(each: Mapper, seeds: int) -> RateTable:
             f'a part bent by {100.0 * BEND:.1f} % at 100 deg/s is found out without a rate table',
             'not tried',
             _words(bent),
-            bent.named[:1] == ('scale_cubic',),
+            bent.named[:1] == (CUBIC,),
         ),
     )
     return RateTable(RATES_DEG_S, results, claims)
@@ -166,19 +168,19 @@ def _examine(task: tuple[int, Sample]) -> SampleResult:
     scenario = sample.put_in(find_scenario('cleaning'))
     simulated = SimSource(scenario, seed, hidden=sample.hidden)
     source, config = preload(simulated, Config(), default_model())
-    recorded = look_at(source)
+    recorded = summarise_recording(source)
     searched = search(
         default_model(), recorded, lambda model, tried: calibrate(source, config, model, candidates=tried)
     )
     found = diagnose(searched, recorded)
-    cubic = next(item for item in searched.first.ranked if item.effect.name == 'scale_cubic')
+    cubic = next(item for item in searched.first.ranked if item.effect.name == CUBIC)
     to_percent = 100.0 * FULL_RATE_RAD_S**2
     return SampleResult(
         sample=sample,
         volt=volt,
         volt_std=volt_std,
         bend_percent=to_percent * float(estimate(cubic)[0]),
-        bend_std_percent=to_percent * float(doubts(cubic)[0]),
+        bend_std_percent=to_percent * float(estimate_stds(cubic)[0]),
         verdict=found.verdict,
         named=tuple(finding.effect.name for finding in found.missing),
     )

@@ -10,9 +10,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.candidate_fit import SIGNIFICANT_SIGMA
 from gyrocal_ros.diagnose.drift import BlindDrift
 from gyrocal_ros.diagnose.regimes import Failure
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.report.diagnosis_series import Bend, CandidateRow, EffectCurve, Wander
 from gyrocal_ros.report.figures.drawing import (
     AFTER,
@@ -160,9 +160,9 @@ def scores(table: Sequence[CandidateRow]) -> go.Figure:
             row=1,
             col=2,
         )
-    limit = {'text': f'chance ends at {SIGNIFICANT_SIGMA:g}', 'yanchor': 'bottom'}
+    limit = {'text': f'chance ends at {DEFAULT_SETTINGS.significant_sigma:g}', 'yanchor': 'bottom'}
     figure.add_vline(
-        SIGNIFICANT_SIGMA,
+        DEFAULT_SETTINGS.significant_sigma,
         row=1,
         col=2,
         line={'color': GREY, 'dash': 'dash'},
@@ -174,7 +174,7 @@ def scores(table: Sequence[CandidateRow]) -> go.Figure:
     figure.update_xaxes(
         type='log', dtick=1, range=bounds, title_text='log-likelihood gained (log scale)', col=1
     )
-    most = max([row.sigma for row in table] + [2.0 * SIGNIFICANT_SIGMA])
+    most = max([row.sigma for row in table] + [2.0 * DEFAULT_SETTINGS.significant_sigma])
     figure.update_xaxes(range=[0.0, 1.05 * most], title_text='sigma: how far beyond chance', col=2)
     figure.update_yaxes(categoryorder='array', categoryarray=names[::-1], showgrid=False)
     figure.update_layout(barmode='overlay', bargap=0.35)

@@ -1,32 +1,18 @@
-"""Effects of the user's own: from a Python file, or from an installed package.
-
-Whatever is wrong with one is said at once and in words, before a filter runs with it.
-"""
+"""Checks that an effect is complete and consistent before a filter runs with it."""
 
 from __future__ import annotations
 
-import inspect
 import re
-import sys
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
-from importlib.metadata import entry_points
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
-from types import ModuleType
 from typing import Any, get_args
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock, nanoseconds
-from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.base import Explanation, LibraryEffect
-from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, Place
 
-ENTRY_POINTS = 'gyrocal_ros.effects'
-"""Group of entry points in which an installed package names its effect classes."""
-GUIDE = 'docs/your_own_effect.md shows a complete one'
 METHODS = {
     'gyro': ('contribute',),
     'wheels': ('contribute',),
@@ -34,97 +20,12 @@ METHODS = {
     'camera': ('corrected', 'pixels_by_values'),
     'time': (),
 }
-NEEDED_WORDS = ('physics', 'equation', 'usual_size', 'best_motion')
+"""Methods that an effect needs, by the place where it acts."""
+REQUIRED_WORDS = ('physics', 'equation', 'usual_size', 'best_motion')
+"""Fields of the explanation that must not be empty."""
 
 
-def load_file(path: Path) -> tuple[LibraryEffect, ...]:
-    """Register every effect class of a Python file; a file that is loaded already is not read again.
-
-    Raises:
-        ConfigError: the file cannot be read, defines no effect, or one that is not complete.
-    """
-    name = f'gyrocal_effects_{re.sub(r"[^0-9a-zA-Z]", "_", str(path.resolve()))}'
-    if name not in sys.modules:
-        module = _imported(name, path)
-        try:
-            for made in _effects_of(module, str(path)):
-                register(made, str(path))
-        except ConfigError:
-            del sys.modules[name]
-            raise
-    return tuple(effect for effect in EFFECTS.values() if type(effect).__module__ == name)
-
-
-def load_installed() -> None:
-    """Register the effects that installed packages name as entry points.
-
-    Raises:
-        ConfigError: one of them cannot be loaded or is not complete.
-    """
-    for entry in entry_points(group=ENTRY_POINTS):
-        where = f'entry point {entry.value}'
-        if entry.name in EFFECTS and type(EFFECTS[entry.name]).__module__ == entry.module:
-            continue
-        try:
-            kind = entry.load()
-        except Exception as error:
-            raise ConfigError(f'cannot be loaded ({error})', where=where, todo='reinstall it') from error
-        register(_made(kind, where), where)
-
-
-def register(effect: Any, where: str) -> None:
-    """Put an effect into the table, for this process.
-
-    Raises:
-        ConfigError: there is one of that name, or it is not complete.
-    """
-    wrong = next(_faults(effect), None)
-    if wrong:
-        raise ConfigError(wrong, where=f'{where}, {type(effect).__name__}', todo=GUIDE)
-    if effect.name in EFFECTS:
-        raise ConfigError(f'there is an effect {effect.name!r} already', where=where, todo='rename yours')
-    EFFECTS[effect.name] = effect
-
-
-def _imported(name: str, path: Path) -> ModuleType:
-    spec = spec_from_file_location(name, path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise ConfigError('is no Python file', where=str(path), todo=GUIDE)
-    module = module_from_spec(spec)
-    sys.modules[name] = module  # where dataclasses look their own module up
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[name]
-        what = f'{type(error).__name__}: {error}'
-        raise ConfigError(what, where=str(path), todo='mend the file') from error
-    return module
-
-
-def _effects_of(module: ModuleType, where: str) -> list[Any]:
-    kinds = [
-        kind
-        for kind in vars(module).values()
-        if isinstance(kind, type) and kind.__module__ == module.__name__ and hasattr(kind, 'acts_on')
-    ]
-    kinds = [kind for kind in kinds if not inspect.isabstract(kind) and not kind.__name__.startswith('_')]
-    if not kinds:
-        raise ConfigError('defines no effect', where=where, todo=GUIDE)
-    return [_made(kind, where) for kind in kinds]
-
-
-def _made(kind: Any, where: str) -> Any:
-    try:
-        return kind()
-    except Exception as error:
-        what = f'{getattr(kind, "__name__", kind)} cannot be made without arguments ({error})'
-        raise ConfigError(what, where=where, todo=GUIDE) from error
-
-
-# --- what may be wrong with an effect -------------------------------------------------------------
-
-
-def _faults(effect: Any) -> Iterator[str]:
+def faults(effect: Any) -> Iterator[str]:
     """What keeps an effect from being used; each test may rely on those before."""
     name, place = getattr(effect, 'name', None), getattr(effect, 'acts_on', None)
     if not isinstance(name, str) or not re.fullmatch(r'[a-z][a-z0-9_]*', name):
@@ -152,7 +53,7 @@ def _faults_of_words(effect: Any, count: int) -> Iterator[str]:
     if not isinstance(about, Explanation):
         yield 'about is no Explanation'
         return
-    for word in NEEDED_WORDS:
+    for word in REQUIRED_WORDS:
         if not getattr(about, word).strip():
             yield f'about says nothing of {word}'
     if len(about.example) != count:

@@ -1,0 +1,75 @@
+"""Summary of a recording: its signals and its raw gyro readings."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+
+import numpy as np
+
+from gyrocal_ros.data import CovariateSample, ImuSample, Source, TemperatureSample, WheelSample
+from gyrocal_ros.ekf.motion import SPEED_SIGNAL
+from gyrocal_ros.model.recording import TEMPERATURE, GyroReadings, RecordingSummary, Signal
+
+MAX_SIGNALS = 24
+"""Maximum number of recorded signals to try; those that vary most relative to their mean are taken."""
+MIN_VARIATION = 1e-6
+"""Standard deviation, relative to the mean, above which a signal varies."""
+SLOW_RAD_S = math.radians(2.0)
+"""Rates below this are used to estimate the quantisation step."""
+MIN_SLOW, MIN_DISTINCT = 200, 10
+"""Minimum number of slow readings, and of distinct values, for estimating the quantisation step."""
+ROUNDING = 1e-6
+"""Distances of readings below this part of the largest one are rounding errors of arithmetic."""
+UNEVEN, EVEN_PART = 0.02, 0.99
+"""Largest distance of a gap from a whole number of steps, and the part of the gaps that must keep it."""
+REPEATED = 0.5
+"""Part of slow readings that repeat the one before where the noise is below a third of a step."""
+
+
+def coarse_step(readings: GyroReadings) -> float | None:
+    """Return the quantisation step (rad/s) of the gyro where it is wider than the noise, else None.
+
+    With noise, the mean of many readings resolves far less than a step; without, a rate between two steps
+    is read as the same wrong number throughout.
+    """
+    rate = readings.rate_rad_s
+    slow = np.abs(rate) < SLOW_RAD_S
+    steps = np.abs(np.diff(rate))[slow[1:] & slow[:-1]]
+    gaps = np.diff(np.unique(rate))
+    gaps = gaps[gaps > ROUNDING * gaps.max(initial=0.0)]
+    if len(steps) < MIN_SLOW or len(gaps) < MIN_DISTINCT:
+        return None
+    step = float(gaps.min())
+    is_even = np.abs(gaps / step - np.round(gaps / step)) < UNEVEN
+    repeats = float(np.mean(steps < 0.5 * step))
+    return step if is_even.mean() > EVEN_PART and repeats > REPEATED else None
+
+
+def summarise_recording(source: Source) -> RecordingSummary:
+    """Read a source once and summarise what it holds."""
+    values: dict[str, list[float]] = defaultdict(list)
+    rates: list[tuple[int, float]] = []
+    recorded = set()
+    for sample in source.measurements():
+        if isinstance(sample, ImuSample):
+            rates.append((sample.t_ns, sample.rate_rad_s[2]))
+        elif isinstance(sample, CovariateSample):
+            values[sample.name].append(sample.value)
+        elif isinstance(sample, WheelSample):
+            values[SPEED_SIGNAL].append(sample.speed_m_s)
+        elif isinstance(sample, TemperatureSample):
+            recorded.add(TEMPERATURE)
+    signals = [Signal(name, float(np.mean(column)), float(np.std(column))) for name, column in values.items()]
+    varying = [signal for signal in signals if signal.spread > MIN_VARIATION * abs(signal.mean)]
+    if len(varying) > MAX_SIGNALS:
+        varying.sort(key=lambda signal: abs(signal.mean) / signal.spread)
+    t_ns, rate = zip(*rates, strict=True) if rates else ((), ())
+    return RecordingSummary(
+        rig=source.rig,
+        signals=tuple(varying[:MAX_SIGNALS]),
+        left_out=tuple(signal.name for signal in varying[MAX_SIGNALS:]),
+        recorded=frozenset(recorded | values.keys()),
+        duration_s=source.span.duration_s,
+        readings=GyroReadings(np.array(t_ns, np.int64), np.array(rate)),
+    )

@@ -1,0 +1,84 @@
+"""Properties of an effect that other rooms ask for: effects declare them, nobody knows effects by name."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gyrocal_ros.data import IntArray
+from gyrocal_ros.effects.base import LibraryEffect
+from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.model.sensor import (
+    ConditionallyObservable,
+    Effect,
+    EffectWithForms,
+    LimitEffect,
+    RelativeEffect,
+    SensorModel,
+)
+
+NOT_RECORDED = 'not recorded: '
+"""Beginning of the reason why an effect is unobservable that another recording would cure."""
+CEILING_IMAGES = 'images of the ceiling'
+
+
+def required_signals(effect: Effect) -> tuple[str, ...]:
+    """Return the signals beside IMU, wheels and camera without which the effect contributes nothing."""
+    declared = effect.about.needs if isinstance(effect, LibraryEffect) else ()
+    followed = getattr(effect, 'signal', None)
+    return tuple(dict.fromkeys((*declared, *((followed,) if followed else ()))))
+
+
+def followers_by_signal(model: SensorModel) -> dict[str, list[str]]:
+    """Return the signals that effects of the model require, each with the names of these effects."""
+    followers: dict[str, list[str]] = {}
+    for effect in model.effects:
+        for signal in required_signals(effect):
+            followers.setdefault(signal, []).append(effect.name)
+    return followers
+
+
+def why_unobservable(effect: Effect, recording: RecordingSummary) -> str:
+    """Return why the recording cannot show an effect; empty if it may."""
+    missing = set(required_signals(effect)) - recording.recorded
+    if effect.acts_on == 'camera' and recording.rig.camera is None:
+        missing.add(CEILING_IMAGES)
+    if missing:
+        return f'{NOT_RECORDED}{", ".join(sorted(missing))}'
+    return effect.unobservable(recording) if isinstance(effect, ConditionallyObservable) else ''
+
+
+def is_limit(effect: Effect) -> bool:
+    """Return True if the effect enters by a limit that is detected instead of estimated."""
+    return isinstance(effect, LimitEffect)
+
+
+def is_relative(effect: Effect) -> bool:
+    """Return True if the effect counts from the mean of a recorded signal."""
+    return isinstance(effect, RelativeEffect)
+
+
+def may_break_the_filter(effect: Effect) -> bool:
+    """Return True if the filter may diverge without the effect."""
+    return isinstance(effect, LibraryEffect) and effect.about.may_break_the_filter
+
+
+def shows_in_any_turns(effect: Effect) -> bool:
+    """Return True if every recording with turns can judge the effect."""
+    return isinstance(effect, LibraryEffect) and effect.about.shows_in_any_turns
+
+
+def scanned_coefficient(effect: Effect) -> int | None:
+    """Return the index of the coefficient that has a scan; None where all are linear."""
+    return next((place for place, item in enumerate(effect.coefficients) if item.scan), None)
+
+
+def strengths(effect: Effect) -> IntArray:
+    """Return the indices of the coefficients in which the effect is linear; none for a limit."""
+    scanned = None if is_limit(effect) else scanned_coefficient(effect)
+    count = 0 if is_limit(effect) else len(effect.coefficients)
+    return np.array([place for place in range(count) if place != scanned], np.int64)
+
+
+def forms_of(effect: Effect) -> tuple[Effect, ...]:
+    """Return the forms in which the diagnosis tries an effect."""
+    return effect.forms() if isinstance(effect, EffectWithForms) else (effect,)

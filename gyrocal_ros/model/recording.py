@@ -1,0 +1,45 @@
+"""Contents of a recording, as far as effects need to know them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gyrocal_ros.data import Array, IntArray, Rig
+
+TEMPERATURE = 'temperature'
+"""Name of the temperature signal; all other signals are named by topic and field."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A recorded signal that an effect may follow."""
+
+    name: str
+    mean: float
+    spread: float
+    """Standard deviation."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroReadings:
+    """The raw readings of the yaw rate."""
+
+    t_ns: IntArray
+    """(n,) stamps."""
+    rate_rad_s: Array
+    """(n,)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordingSummary:
+    """What a recording holds beside IMU, wheels and camera."""
+
+    rig: Rig
+    signals: tuple[Signal, ...]
+    """Signals that vary, those left out not included."""
+    left_out: tuple[str, ...]
+    """Names of signals that vary but are too many to try."""
+    recorded: frozenset[str]
+    """Names of all recorded signals, constant ones and the temperature included."""
+    duration_s: float
+    readings: GyroReadings

@@ -1,0 +1,66 @@
+"""Distributions and tests that several rooms need; the special functions come from SciPy."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from scipy import special
+
+from gyrocal_ros.data import Array
+
+SMALLEST_P_VALUE = 1e-300
+"""Floor of p-values: smaller ones underflow; it stands for 37 sigma."""
+NORMAL_MAD = 1.4826
+"""Standard deviation of a normal variable over its median absolute deviation."""
+
+
+@lru_cache(maxsize=256)
+def chi_square_quantile(probability: float, dof: float) -> float:
+    """Return the value below which a chi-square variable lies with the given probability."""
+    return float(special.chdtri(dof, 1.0 - probability))
+
+
+def chi_square_tail(value: float, dof: float) -> float:
+    """Return the probability that a chi-square variable exceeds a value."""
+    return float(special.chdtrc(dof, max(value, 0.0)))
+
+
+def normal_quantile(probability: float) -> float:
+    """Return the value below which a standard normal variable lies with the given probability."""
+    return float(special.ndtri(probability))
+
+
+def sigma_of(p_value: float) -> float:
+    """Convert a two-sided p-value to the number of standard deviations of a normal variable."""
+    return -normal_quantile(min(max(p_value, SMALLEST_P_VALUE) / 2.0, 0.5))
+
+
+def trigamma(x: float) -> float:
+    """Return the trigamma function: the variance of the logarithm of a gamma variable of shape `x`."""
+    return float(special.polygamma(1, x))
+
+
+def vuong_sigma(gains: Array) -> float:
+    """Test whether one model predicts better than another (Vuong 1989).
+
+    Args:
+        gains: (B,) log-likelihood gained in each block of time.
+
+    Returns:
+        Sum of the gains over its standard deviation by their scatter; 0 where there is no scatter.
+    """
+    scatter = float(gains.std(ddof=1)) * math.sqrt(len(gains)) if len(gains) > 1 else 0.0
+    return float(gains.sum()) / scatter if scatter > 0.0 else 0.0
+
+
+def robust_std(values: Array) -> float:
+    """Estimate the standard deviation about zero by the median magnitude; 0 for an empty array."""
+    return NORMAL_MAD * float(np.median(np.abs(values))) if len(values) else 0.0
+
+
+def nis_per_dof(nis: Array, dof: Array) -> float | None:
+    """Return the normalised innovation squared per degree of freedom; None where nothing was measured."""
+    total = float(np.sum(dof))
+    return float(np.sum(nis)) / total if total > 0.0 else None

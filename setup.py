@@ -8,7 +8,7 @@ from setuptools import find_packages, setup
 NAME = 'gyrocal_ros'
 SHARE = Path('share') / NAME
 PNG = ['kaleido>=1.0']  # draws figures by a Chromium that is there
-TEST = ['pytest>=7.4', 'pytest-xdist>=3.3', 'scipy>=1.11']
+TEST = ['pytest>=7.4', 'pytest-xdist>=3.3']
 
 
 def data_files(*folders: str) -> list[tuple[str, list[str]]]:
@@ -42,6 +42,7 @@ setup(
         'pyserial>=3.5',
         'pyyaml>=6.0',
         'rosbags>=0.11.6',
+        'scipy>=1.11',
         'tqdm>=4.60',
     ],
     extras_require={

@@ -43,7 +43,7 @@ LIBRARY_HOMES = {
     'plotly': ('report/figures',),
     **dict.fromkeys(ROS, ('nodes',)),
     'rosbags': ('bag', 'msgs'),
-    'scipy': ('bench/batch.py',),
+    'scipy': ('statistics.py', 'bench/batch.py'),
     'serial': ('board/link.py',),
     'tqdm': ('cli/output.py',),
 }

@@ -1,10 +1,10 @@
-"""Evidence, headings and runs made of numbers, for tests that need no simulated recording."""
+"""Score statistics, headings and runs made of numbers, for tests that need no simulated recording."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from gyrocal_ros.diagnose.heading_filter import Headings, headings
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import History, Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
-from gyrocal_ros.ekf.state import YAW, State, no_landmarks
-from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State, no_landmarks
+from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 from gyrocal_ros.model.sensor import Effect
 
 DT_S = 0.1
@@ -24,18 +24,18 @@ TOP_DEG_S = 90.0
 RIG = Rig(None, Mount(np.eye(3), np.zeros(3)))
 
 
-def evidence_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
-    """Evidence of B blocks of n measurements of noise 1: columns (B, n, c) and what was seen (B, n)."""
+def scores_of(columns: Array, measured: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
+    """Return the score statistics of B blocks of n measurements (B, n) of noise 1 with columns (B, n, c)."""
     return ScoreStatistics(
         candidates=candidates,
-        start_s=BLOCK_S * np.arange(len(seen)),
+        start_s=BLOCK_S * np.arange(len(measured)),
         information=np.einsum('bni,bnj->bij', columns, columns),
-        score=np.einsum('bni,bn->bi', columns, seen),
+        score=np.einsum('bni,bn->bi', columns, measured),
     )
 
 
 def turning_rad_s(duration_s: float) -> Array:
-    """(s,) rate of a drive that turns four seconds in ten, to either side at speeds up to the top."""
+    """Return the rate (s,) of a drive that turns four seconds in ten, to both sides at up to `TOP_DEG_S`."""
     time_s = DT_S * np.arange(1, round(duration_s / DT_S) + 1)
     speeds = np.radians([30.0, -45.0, 60.0, -75.0, TOP_DEG_S, -30.0, 45.0, -60.0, 75.0, -TOP_DEG_S])
     turning = (time_s % 10.0 > 3.0) & (time_s % 10.0 < 7.0)
@@ -44,7 +44,7 @@ def turning_rad_s(duration_s: float) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """What is left of a drive after the filter: the run, and gyro and camera apart."""
+    """A finished run, and its turns by the gyro and headings by the camera."""
 
     run: Run
     seen: Headings
@@ -59,15 +59,15 @@ def drive(
     signals: Mapping[str, Array] | None = None,
     read_rad_s: Array | None = None,
 ) -> Drive:
-    """A drive whose gyro is off.
+    """Make the run of a drive with a gyro error.
 
     Args:
-        error_rad_s: (s,) what has to be added to the rate by the gyro for the true one.
-        duration_s: how long it takes.
-        gyro_noise: how many times noisier than it is said to be the gyro is.
-        seed: of the noise.
-        signals: (s,) other recorded numbers by name.
-        read_rad_s: (s,) what the gyro reads but for noise and error, where it is not the true rate.
+        error_rad_s: (s,) true rate minus rate by the gyro.
+        duration_s: length of the drive.
+        gyro_noise: factor of the gyro's noise over the noise of the settings.
+        seed: seed of the noise.
+        signals: (s,) other recorded signals by name.
+        read_rad_s: (s,) readings of the gyro without noise and error; None for the true rate.
     """
     rng = np.random.default_rng(seed)
     true = turning_rad_s(duration_s)
@@ -122,11 +122,30 @@ def drive(
     return Drive(run, headings(run))
 
 
-def readings(rate_rad_s: Array, hz: float = 1.0 / DT_S, *, start_s: float = 0.0) -> RecordingSummary:
-    """A recording of nothing but readings (n,) of the yaw rate."""
-    time_s = start_s + np.arange(len(rate_rad_s)) / hz
-    duration_s = len(rate_rad_s) / hz
-    return RecordingSummary(RIG, (), (), False, duration_s, _ns(time_s), rate_rad_s)
+def banded(width_rad_s: float) -> Drive:
+    """Make the run of a gyro with a dead band whose edge noise hides: at rest the bias does not show."""
+    bias = 0.8 * width_rad_s
+    made = drive(np.where(turning_rad_s(300.0) == 0.0, 0.0, bias))
+    mean = made.run.history.mean.copy()
+    mean[:, YAW_BIAS] = bias
+    return replace(made, run=replace(made.run, history=replace(made.run.history, mean=mean)))
+
+
+def readings(rate_rad_s: Array, hz: float = 1.0 / DT_S, *, start_s: float = 0.0) -> GyroReadings:
+    """Stamp readings (n,) of the yaw rate."""
+    return GyroReadings(_ns(start_s + np.arange(len(rate_rad_s)) / hz), rate_rad_s)
+
+
+def readings_of(made: Drive) -> GyroReadings:
+    """Return the readings that a drive was run on, one in the middle of each step."""
+    history = made.run.history
+    return readings(history.turn_rad / history.dt_s, start_s=0.5 * DT_S)
+
+
+def recording_of(made: GyroReadings) -> RecordingSummary:
+    """Summarise a recording that holds nothing but readings of the yaw rate."""
+    duration_s = float(np.ptp(made.t_ns)) / NS_PER_S if len(made.t_ns) else 0.0
+    return RecordingSummary(RIG, (), (), frozenset(), duration_s, made)
 
 
 def _ns(time_s: Array) -> IntArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from gyrocal_ros.effects.traits import forms_of, is_limit, required_signals
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
 from gyrocal_ros.effects.wheel_scale import MIN_LEVER_M
 from gyrocal_ros.model.recording import TEMPERATURE, RecordingSummary, Signal
-from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, ScannedColumns, with_means
+from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, Place, ScannedColumns, with_means
 from gyrocal_ros.sim.scenarios import CAMERA
 
 MEAN, SPREAD = 15.0, 0.5
@@ -146,7 +146,7 @@ class TestCandidatesFor:
 class Pulse:
     """`(a + b w) exp(-t / tau)`: two linear coefficients, and a scanned one in the middle."""
 
-    acts_on = 'gyro'
+    acts_on: ClassVar[Place] = 'gyro'
     name: str = 'pulse'
     coefficients: tuple[Coefficient, ...] = (
         Coefficient('a', 'rad/s', 0.1),
@@ -192,8 +192,8 @@ class TestScanBank:
     @pytest.mark.parametrize('effect', SCANNED, ids=repr)
     def test_one_by_one_gives_the_columns_that_the_effect_gives_at_once(self, effect: Any) -> None:
         """An effect of a user's own need not have `columns_at`."""
-        assert isinstance(effect, ScannedColumns)
         bank = ScanBank(effect, 'bank')
+        assert isinstance(effect, ScannedColumns)
         at_once: Memory = None
         by_one: Memory = None
         for block in eventful_blocks():

@@ -1,4 +1,4 @@
-"""The pages about a diagnosis, a comparison and an improvement."""
+"""The pages of a diagnosis, a comparison and an improvement."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from gyrocal_ros.diagnose.heading_filter import Headings
 from gyrocal_ros.diagnose.improvement import Improvement, improvement
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search, search
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
@@ -86,7 +87,7 @@ def comparison(searched: Search) -> Comparison:
 
 
 def noisy(seed: int, bias_rad_s: float = 0.0) -> Headings:
-    """Two minutes of a gyro and a camera that are as noisy as they say."""
+    """Make two minutes of a gyro and a camera with the noise of their settings."""
     rng, count, dt_s = np.random.default_rng(seed), 1200, 0.1
     time_s = dt_s * np.arange(count)
     rate_noise, std = math.radians(0.03), math.radians(0.05)
@@ -102,11 +103,13 @@ def noisy(seed: int, bias_rad_s: float = 0.0) -> Headings:
         std_rad=np.full(count, std),
         rate_noise_rad_s=rate_noise,
         bias_walk_rad_s=0.0,
+        map_walk_rad=math.radians(DEFAULT_SETTINGS.map_walk_deg),
+        outlier_sigma=DEFAULT_SETTINGS.outlier_sigma,
     )
 
 
 def shape(like: Shape, signal: str, values: list[float], stds: list[float]) -> Shape:
-    """A shape with knots at -50, 0, 50 and so on."""
+    """Make a shape with knots at -50, 0, 50 and so on."""
     covariance = np.diag(np.square(stds[1:]))
     fitted = Fit(np.arange(len(values) - 1), np.array(values[1:]), covariance, 10.0, np.ones(9))
     knots = 50.0 * np.arange(-1, len(values) - 1)
@@ -115,7 +118,7 @@ def shape(like: Shape, signal: str, values: list[float], stds: list[float]) -> S
 
 
 def check_page(page: str, names: list[str]) -> None:
-    """Needs nothing else, and shows each figure once."""
+    """Check that a page needs no other file and shows each figure once."""
     own = page.replace(drawing.library(), '')
     assert re.findall(r'(?:src|href)\s*=|@import|url\(|https?://', own) == []
     assert re.findall(r'<div id="(\w+)" class="plotly-graph-div"', own) == names
@@ -123,13 +126,13 @@ def check_page(page: str, names: list[str]) -> None:
 
 
 class TestWander:
-    def test_noise_stays_within_what_noise_lets_expect(self) -> None:
+    def test_the_error_of_noise_has_its_standard_deviation(self) -> None:
         found = [series.wander(noisy(seed)) for seed in range(8)]
         for error, std in (('error_rad', 'std_rad'), ('gained_rad', 'gained_std_rad')):
             z = np.concatenate([getattr(item, error) / getattr(item, std) for item in found])
             assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2, error
 
-    def test_a_bias_is_taken_out_and_a_jump_of_it_is_not(self) -> None:
+    def test_a_constant_bias_is_removed_and_a_jump_is_not(self) -> None:
         plain, biased = series.wander(noisy(0)), series.wander(noisy(0, bias_rad_s=0.01))
         np.testing.assert_allclose(biased.error_rad, plain.error_rad, atol=math.radians(0.2))
         seen = noisy(0)
@@ -137,7 +140,7 @@ class TestWander:
         error = series.wander(jumped)
         assert (np.abs(error.error_rad) > 5.0 * error.std_rad).mean() > 0.5
 
-    def test_one_image_that_errs_by_far_is_passed_over(self) -> None:
+    def test_an_outlier_of_the_heading_is_ignored(self) -> None:
         seen = noisy(0)
         astray = seen.seen_rad.copy()
         astray[601] += 0.1
@@ -154,22 +157,22 @@ class TestWander:
 
 
 class TestSeries:
-    def test_a_shape_is_told_less_its_mean(self, some_shape: Shape) -> None:
+    def test_a_shape_is_shown_less_its_mean(self, some_shape: Shape) -> None:
         curve = series.centred(shape(some_shape, TIME, [0.0, 1.0, 2.0], [0.0, 0.1, 0.2]))
         np.testing.assert_allclose(curve.values, [-1.0, 0.0, 1.0], atol=1e-12)
         np.testing.assert_allclose(curve.stds[0], math.hypot(0.1, 0.2) / 3.0)
 
-    def test_by_the_rate_it_is_told_less_a_straight_line(self, some_shape: Shape) -> None:
+    def test_a_shape_over_the_rate_is_shown_less_a_straight_line(self, some_shape: Shape) -> None:
         curve = series.centred(shape(some_shape, RATE, [0.0, 2.0, 2.0], [0.0, 0.1, 0.1]))
         np.testing.assert_allclose(curve.values, [-1.0 / 3.0, 2.0 / 3.0, -1.0 / 3.0], atol=1e-12)
 
-    def test_knots_that_nothing_was_told_of_are_left_out(self, some_shape: Shape) -> None:
+    def test_knots_without_data_are_left_out(self, some_shape: Shape) -> None:
         part = shape(some_shape, TIME, [0.0, 1.0, math.nan], [0.0, 0.1, math.nan])
         fitted = replace(part.fit, values=part.fit.values[:1], covariance=part.fit.covariance[:1, :1])
         curve = series.centred(replace(part, fit=fitted))
         np.testing.assert_allclose(curve.values, [-0.5, 0.5])
 
-    def test_what_was_left_over_is_flat_once_the_missing_is_added(self, searched: Search) -> None:
+    def test_the_shape_is_flat_with_the_missing_effect(self, searched: Search) -> None:
         by_rate = next(item for item in series.bends(searched) if item.signal == RATE)
         assert by_rate.after is not None
         before, after = (np.abs(curve.values).max() for curve in (by_rate.before, by_rate.after))
@@ -177,12 +180,12 @@ class TestSeries:
         questions = [(item.signal, item.of_scale) for item in series.bends(searched)]
         assert len(set(questions)) == len(questions) <= series.MOST_SHAPES
 
-    def test_nothing_is_compared_where_nothing_was_added(self, searched: Search) -> None:
-        alone = replace(searched, changes=())
+    def test_without_additions_nothing_is_compared(self, searched: Search) -> None:
+        alone = replace(searched, additions=())
         assert all(item.after is None for item in series.bends(alone))
         assert list(series.held_out_drifts(alone)) == ['the model as it was']
 
-    def test_the_first_shape_of_a_question_is_the_most_telling(self, searched: Search) -> None:
+    def test_shapes_are_shown_in_the_order_of_their_gain(self, searched: Search) -> None:
         every = shapes(searched.first.run, searched.first.seen)
         first: dict[tuple[str, bool], Shape] = {}
         for item in every:
@@ -211,7 +214,7 @@ class TestSeries:
             list(series.stages(rescued)) == list(series.held_out_drifts(rescued)) == ['with scale_asymmetry']
         )
 
-    def test_a_limit_that_was_not_on_trial_is_shown_too(self, searched: Search, diagnosis: Diagnosis) -> None:
+    def test_a_limit_without_scores_is_shown_too(self, searched: Search, diagnosis: Diagnosis) -> None:
         limit = replace(diagnosis.missing[0], effect=find_effect('rate_saturation'), gain=900.0)
         names = [row.name for row in series.candidates(searched, replace(diagnosis, missing=(limit,)))]
         assert 'rate_saturation' in names
@@ -220,7 +223,7 @@ class TestSeries:
         assert all(math.isfinite(row.gain) for row in series.candidates(searched, rescued))
         assert 'without it the filter loses' in conclusions.of_diagnosis(rescued).sentences[0]
 
-    def test_a_contribution_is_that_of_the_found_values(self, diagnosis: Diagnosis) -> None:
+    def test_a_contribution_is_drawn_for_the_estimates(self, diagnosis: Diagnosis) -> None:
         finding = diagnosis.missing[0]
         drawn = series.contribution(finding)
         assert drawn is not None
@@ -229,7 +232,7 @@ class TestSeries:
         followed = find_effect('covariate_bias:battery_state.current')
         assert series.contribution(replace(finding, effect=followed)) is None
 
-    def test_coefficients_are_told_in_degrees(self, searched: Search) -> None:
+    def test_coefficients_are_shown_in_degrees(self, searched: Search) -> None:
         run = searched.last.run
         told = model_series.coefficients([('a', run, True)])
         assert list(told) == ['bias (deg/s)', 'scale_factor (1)', 'scale_asymmetry (1)']
@@ -271,7 +274,7 @@ class TestFigures:
             assert sum(bool(axis.title.text) for axis in axes) >= 1
             assert all(len(trace.x) < 2.2 * drawing.POINTS for trace in figure.data)
 
-    def test_estimates_come_with_their_doubt(self, improved: Improvement) -> None:
+    def test_estimates_are_drawn_with_their_interval(self, improved: Improvement) -> None:
         start_s = 5.0 * np.arange(100)
         drift = replace(improved.final.held_out, start_s=start_s, error_rad=0.01 * np.sin(start_s))
         figure = models.drift_by_model('it', [Mark('a', 'held out', drift)])
@@ -280,7 +283,7 @@ class TestFigures:
         assert trace.y[0] - trace.error_y.arrayminus[0] == pytest.approx(low, rel=1e-5)
         assert trace.y[0] + trace.error_y.array[0] == pytest.approx(high, rel=1e-5)
 
-    def test_an_interval_without_end_leaves_the_panel(self, improved: Improvement) -> None:
+    def test_an_infinite_interval_leaves_the_panel(self, improved: Improvement) -> None:
         drift = improved.final.held_out
         few = replace(drift, start_s=drift.start_s[:1], error_rad=drift.error_rad[:1])
         assert math.isinf(few.interval_deg[1])
@@ -288,7 +291,7 @@ class TestFigures:
         (trace,) = figure.data
         assert trace.y[0] + trace.error_y.array[0] > figure.layout.yaxis.range[1] > trace.y[0]
 
-    def test_trials_that_were_left_out_are_hollow(self, improved: Improvement) -> None:
+    def test_revisions_that_were_left_out_are_hollow(self, improved: Improvement) -> None:
         drift = improved.final.held_out
         figure = models.drift_by_model('it', [Mark('a', 'x', drift), Mark('b', 'x', drift, is_kept=False)])
         kept, left_out = figure.data
@@ -326,7 +329,7 @@ class TestPages:
     def test_diagnosis_that_found_nothing(self, searched: Search, diagnosis: Diagnosis) -> None:
         nothing = replace(diagnosis, verdict='nothing_missing', missing=(), fails_where=())
         blind = replace(nothing, not_judged={'scale_temperature': 'not recorded: temperature'})
-        page = diagnosis_page(replace(searched, changes=()), blind)
+        page = diagnosis_page(replace(searched, additions=()), blind)
         names = ['heading', 'evidence', 'drift_by_span', *(f'left_over_{number}' for number in range(1, 7))]
         check_page(page, names)
         assert 'Nowhere by more than chance' in page

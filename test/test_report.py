@@ -333,7 +333,7 @@ class TestWords:
 
 
 def test_a_calibration_and_a_comparison_tell_the_same_drift(run: Run) -> None:
-    drift = compare({'default': run}).rivals[0].drift
+    drift = compare({'default': run}).results[0].drift
     assert summarise(run, conclude(run))['blind_drift_deg'] == {'rms': drift.rms_deg, 'max': drift.max_deg}
 
 

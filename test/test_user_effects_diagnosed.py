@@ -65,8 +65,8 @@ class Case:
         return Changed(made, each(ImuSample, self._dead)) if self.dead_rad_s else made
 
     def _dead(self, sample: ImuSample) -> Measurement:
-        *others, yaw = sample.rate_rad_s
-        return replace(sample, rate_rad_s=(*others, 0.0 if abs(yaw) < self.dead_rad_s else yaw))
+        roll, pitch, yaw = sample.rate_rad_s
+        return replace(sample, rate_rad_s=(roll, pitch, 0.0 if abs(yaw) < self.dead_rad_s else yaw))
 
 
 CASES = {

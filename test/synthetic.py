@@ -24,7 +24,7 @@ TOP_DEG_S = 90.0
 RIG = Rig(None, Mount(np.eye(3), np.zeros(3)))
 
 
-def scores_of(columns: Array, measured: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
+def score_statistics_of(columns: Array, measured: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
     """Return the score statistics of B blocks of n measurements (B, n) of noise 1 with columns (B, n, c)."""
     return ScoreStatistics(
         candidates=candidates,

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from synthetic import scores_of
+from synthetic import score_statistics_of
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidate_fit import (
@@ -45,7 +45,7 @@ def made(values: list[float], covariance: Array, block_gains: Array) -> Fit:
 class TestFit:
     def test_a_fit_is_least_squares(self) -> None:
         columns, measured = drawn(0)
-        found = fitted(scores_of(columns, measured), 0, 1, 2)
+        found = fitted(score_statistics_of(columns, measured), 0, 1, 2)
         flat = columns.reshape(-1, 3)
         expected, rest = np.linalg.lstsq(flat, measured.ravel())[:2]
         np.testing.assert_allclose(found.values, expected, rtol=1e-10)
@@ -56,13 +56,13 @@ class TestFit:
     def test_the_scale_of_a_column_changes_only_units(self) -> None:
         columns, measured = drawn(0)
         units = np.array([1e-4, 1.0, 1e3])
-        plain, other = (fitted(scores_of(columns * unit, measured), 0, 1, 2) for unit in (np.ones(3), units))
+        plain, other = (fitted(score_statistics_of(columns * unit, measured), 0, 1, 2) for unit in (np.ones(3), units))
         np.testing.assert_allclose(other.values * units, plain.values, rtol=1e-9)
         np.testing.assert_allclose(other.covariance * np.outer(units, units), plain.covariance, rtol=1e-9)
         assert other.sigma == pytest.approx(plain.sigma) and other.gain == pytest.approx(plain.gain)
 
     def test_the_gain_of_given_columns_does_not_count(self) -> None:
-        scores = scores_of(*drawn(1))
+        scores = score_statistics_of(*drawn(1))
         every, alone = fitted(scores, 0, 1, 2), fitted(scores, 2)
         beside = fitted(scores, 0, 1, given=(2,))
         np.testing.assert_allclose(beside.values, every.values[:2], rtol=1e-10)
@@ -74,14 +74,14 @@ class TestFit:
         rng = np.random.default_rng(2)
         cause = rng.normal(size=(BLOCKS, EACH))
         columns = np.stack([cause, cause + 0.3 * rng.normal(size=cause.shape)], axis=2)
-        scores = scores_of(columns, 2.0 * cause + rng.normal(size=cause.shape))
+        scores = score_statistics_of(columns, 2.0 * cause + rng.normal(size=cause.shape))
         assert fitted(scores, 1).sigma > 10.0
         assert fitted(scores, 1, given=(0,)).sigma < 3.0 and fitted(scores, 0, given=(1,)).sigma > 5.0
 
     def test_columns_that_are_not_excited_are_left_out(self) -> None:
         columns, measured = drawn(3)
         columns[:, :, 1] = 0.0
-        scores = scores_of(columns, measured)
+        scores = score_statistics_of(columns, measured)
         found, rest = fitted(scores, 0, 1, 2), fitted(scores, 0, 2)
         assert found.columns.tolist() == [0, 2]
         np.testing.assert_allclose(found.values, rest.values)
@@ -95,20 +95,20 @@ class TestFit:
         for part, is_fitted in ((10.0, True), (0.1, False)):
             columns[:, :, 0] *= math.sqrt(part * NOT_EXCITED) / size
             size = math.sqrt(part * NOT_EXCITED)
-            assert (fit(scores_of(columns, measured), np.array([0])) is not None) == is_fitted
+            assert (fit(score_statistics_of(columns, measured), np.array([0])) is not None) == is_fitted
 
     def test_the_same_column_twice_cannot_be_fitted(self) -> None:
         columns, measured = drawn(4)
         columns[:, :, 1] = -2.0 * columns[:, :, 0]
-        scores = scores_of(columns, measured)
+        scores = score_statistics_of(columns, measured)
         assert fit(scores, np.array([0, 1])) is None
         assert fit(scores, np.array([0]), given=np.array([1])) is None
 
     def test_the_first_half_holds_the_first_blocks(self) -> None:
         columns, measured = drawn(5, blocks=7)
-        half = scores_of(columns, measured).first_half()
+        half = score_statistics_of(columns, measured).first_half()
         np.testing.assert_allclose(
-            fitted(half, 0, 1, 2).values, fitted(scores_of(columns[:4], measured[:4]), 0, 1, 2).values
+            fitted(half, 0, 1, 2).values, fitted(score_statistics_of(columns[:4], measured[:4]), 0, 1, 2).values
         )
 
 
@@ -119,7 +119,7 @@ class TestCovariance:
         chosen = set()
         for seed in range(20):
             columns, measured = drawn(seed, blocks=blocks)
-            found = fitted(scores_of(columns, measured), 0)
+            found = fitted(score_statistics_of(columns, measured), 0)
             x, total = columns[:, :, 0], float(np.sum(columns[:, :, 0] ** 2))
             share = (x**2).sum(axis=1) / total
             scores = (x * (measured - x * found.values[0])).sum(axis=1) / (1.0 - MAX_LEVERAGE * share)
@@ -137,7 +137,7 @@ class TestCovariance:
     def test_it_holds_when_the_noise_exceeds_the_settings(self, noise: float) -> None:
         off = []
         for seed in range(150):
-            found = fitted(scores_of(*drawn(seed, noise)), 0, 1, 2)
+            found = fitted(score_statistics_of(*drawn(seed, noise)), 0, 1, 2)
             off.append((found.values - TRUE) / np.sqrt(np.diagonal(found.covariance)))
         assert 0.6 < float(np.sqrt(np.mean(np.square(off)))) < 1.15
 
@@ -148,7 +148,7 @@ class TestCovariance:
             column, level = (np.convolve(rng.normal(size=BLOCKS + 2), np.ones(3), 'valid') for _ in range(2))
             order = rng.permutation(BLOCKS)
             in_time, shuffled = (
-                fitted(scores_of(column[o, None, None], 5.0 * level[o, None]), 0).covariance[0, 0]
+                fitted(score_statistics_of(column[o, None, None], 5.0 * level[o, None]), 0).covariance[0, 0]
                 for o in (np.arange(BLOCKS), order)
             )
             wider.append(math.sqrt(in_time / shuffled))
@@ -159,7 +159,7 @@ class TestCovariance:
         for _ in range(50):
             columns = rng.normal(size=(5, 40, 2))
             columns[np.arange(5) != 2, :, 0] = 0.0
-            scores = scores_of(columns, columns @ [3.0, -1.0] + rng.normal(size=(5, 40)))
+            scores = score_statistics_of(columns, columns @ [3.0, -1.0] + rng.normal(size=(5, 40)))
             found = fitted(scores, 0, 1)
             assert np.isfinite(found.sigma)
             np.testing.assert_allclose(found.values, [3.0, -1.0], atol=0.6)
@@ -198,13 +198,13 @@ class TestSignificance:
         rng, p_values = np.random.default_rng(7), []
         for _ in range(400):
             columns = rng.normal(size=(BLOCKS, EACH, 2))
-            p_values.append(fitted(scores_of(columns, noise * rng.normal(size=(BLOCKS, EACH))), 0, 1).p_value)
+            p_values.append(fitted(score_statistics_of(columns, noise * rng.normal(size=(BLOCKS, EACH))), 0, 1).p_value)
         assert 0.01 < np.mean(np.array(p_values) < 0.1) < 0.15
 
     def test_correlation_of_two_effects(self) -> None:
         """The largest canonical correlation: with one column each, the cosine between them."""
         columns, measured = drawn(8)
-        scores = scores_of(columns, measured)
+        scores = score_statistics_of(columns, measured)
         first, second, third = columns.reshape(-1, 3).T
         cosine = abs(first @ second) / math.sqrt((first @ first) * (second @ second))
         assert correlation(scores, np.array([0]), np.array([1])) == pytest.approx(cosine)
@@ -214,7 +214,7 @@ class TestSignificance:
         )
         assert correlation(scores, np.array([1, 2]), np.array([2])) == pytest.approx(1.0)
         columns[:, :, 1] = 0.0
-        assert correlation(scores_of(columns, measured), np.array([0]), np.array([1])) == 0.0
+        assert correlation(score_statistics_of(columns, measured), np.array([0]), np.array([1])) == 0.0
 
     def test_preference_is_the_sum_over_its_standard_deviation(self) -> None:
         gains = np.array([1.0, 3.0, 2.0, 2.0])

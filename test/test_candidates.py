@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from contracts import SIGNAL, eventful_blocks
-from synthetic import RIG, readings, recording_of, scores_of
+from synthetic import RIG, readings, recording_of, score_statistics_of
 
 from gyrocal_ros.data import Array, MotionBlock, Mount
 from gyrocal_ros.diagnose.candidates import CandidateSet, ScanBank, candidates_for, columns_of
@@ -125,8 +125,8 @@ class TestCandidatesFor:
             return np.concatenate([part[:, :, :k] for part, k in zip(parts, counts, strict=True)], axis=2)
 
         tried, measured = tuple(item.effect for item in found.candidates), rng.normal(size=(3, 12))
-        projected = found.project(scores_of(columns(found.carried), measured, found.carried))
-        expected = scores_of(columns(tried), measured, tried)
+        projected = found.project(score_statistics_of(columns(found.carried), measured, found.carried))
+        expected = score_statistics_of(columns(tried), measured, tried)
         assert projected.candidates == tried and np.array_equal(projected.start_s, expected.start_s)
         np.testing.assert_allclose(projected.score, expected.score, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(projected.information, expected.information, rtol=1e-9, atol=1e-12)

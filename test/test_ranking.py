@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import scores_of
+from synthetic import score_statistics_of
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidate_fit import Fit, fit
@@ -51,7 +51,7 @@ def named(ranked: list[RankedEffect], name: str) -> RankedEffect:
 class TestRank:
     def test_the_effect_that_explains_most_comes_first(self) -> None:
         columns, noise = independent(3)
-        ranked = rank(scores_of(columns, columns @ [0.5, -2.0, 1.0] + noise, ONES[:3]), SETTINGS)
+        ranked = rank(score_statistics_of(columns, columns @ [0.5, -2.0, 1.0] + noise, ONES[:3]), SETTINGS)
         assert names(ranked) == ['scale_quadratic', 'scale_cubic', 'scale_asymmetry']
         assert all(item.is_significant for item in ranked)
         np.testing.assert_allclose([item.fit.values[0] for item in ranked], [-2.0, 1.0, 0.5], atol=0.2)
@@ -61,21 +61,21 @@ class TestRank:
         columns, noise = independent(2)
         measured = columns @ [0.5, 0.0] + 0.1 * noise
         measured[3] += 30.0 * columns[3, :, 1]
-        first, second = rank(scores_of(columns, measured, ONES[:2]), SETTINGS)
+        first, second = rank(score_statistics_of(columns, measured, ONES[:2]), SETTINGS)
         assert names([first, second]) == ['scale_asymmetry', 'scale_quadratic']
         assert second.merit > first.merit and not second.is_significant
 
     def test_an_effect_that_is_not_excited_is_not_ranked(self) -> None:
         columns, noise = independent(2)
         columns[:, :, 1] = 0.0
-        scores = scores_of(columns, columns @ [0.5, 0.0] + noise, ONES[:2])
+        scores = score_statistics_of(columns, columns @ [0.5, 0.0] + noise, ONES[:2])
         assert names(rank(scores, SETTINGS)) == ['scale_asymmetry']
 
     def test_each_coefficient_has_its_price(self) -> None:
         columns, noise = independent(3)
         effects = (find_effect('scale_asymmetry'), find_effect('cross_axis'))
         columns[:, :, 1] = columns[:, :, 0]
-        one, two = rank(scores_of(columns, columns @ [1.0, 0.0, 0.0] + noise, effects), SETTINGS)
+        one, two = rank(score_statistics_of(columns, columns @ [1.0, 0.0, 0.0] + noise, effects), SETTINGS)
         assert names([one, two]) == ['scale_asymmetry', 'cross_axis']
         assert two.fit.gain > one.fit.gain, 'a further coefficient explains some of the noise'
         assert two.merit == pytest.approx(two.fit.gain - 2.0 * SETTINGS.coefficient_price)
@@ -83,7 +83,7 @@ class TestRank:
 
     def test_thresholds_are_those_of_the_settings(self) -> None:
         columns, noise = independent(1)
-        scores = scores_of(columns, columns @ [0.5] + noise, ONES[:1])
+        scores = score_statistics_of(columns, columns @ [0.5] + noise, ONES[:1])
         (usual,) = rank(scores, SETTINGS)
         assert usual.is_significant
         costly = replace(SETTINGS, coefficient_price=usual.fit.gain + 1.0)
@@ -95,7 +95,7 @@ class TestRank:
         columns, noise = independent(1)
         usual = ONES[0].coefficients[0].prior_std
         columns *= size * 0.01 / usual
-        (found,) = rank(scores_of(columns, noise, ONES[:1]), SETTINGS)
+        (found,) = rank(score_statistics_of(columns, noise, ONES[:1]), SETTINGS)
         assert found.could_show == could
 
     def test_the_variants_of_a_name_give_the_time_constant(self) -> None:
@@ -105,7 +105,7 @@ class TestRank:
         columns[:, :, ::2] = -np.exp(-moments[:, :, None] / np.array(times_s))
         measured = -8.0 * np.exp(-moments / true_s) + rng.normal(size=moments.shape)
         effects = tuple(with_means(BiasWarmup(), (0.0, time_s)) for time_s in times_s)
-        scores = scores_of(columns, measured, effects)
+        scores = score_statistics_of(columns, measured, effects)
         (found,) = rank(scores, SETTINGS)
         assert found.effect.coefficients[1].prior_mean == 160.0 and found.profile is not None
         amplitude, time_s = estimate(found)
@@ -123,7 +123,7 @@ class TestRank:
         columns, noise = independent(2 * count)
         columns[:, :, 1::2] = 0.0
         effects = tuple(with_means(BiasWarmup(), (0.0, time_s)) for time_s in (100.0, 200.0)[:count])
-        (found,) = rank(scores_of(columns, 2.0 * columns[:, :, 0] + noise, effects), SETTINGS)
+        (found,) = rank(score_statistics_of(columns, 2.0 * columns[:, :, 0] + noise, effects), SETTINGS)
         assert found.effect == effects[0]
         assert estimate(found)[0] == pytest.approx(2.0, abs=0.2) and found.is_significant
 
@@ -133,7 +133,7 @@ class TestBestExplanation:
         """Two causes, and a third column that looks like both together."""
         columns, noise = independent(3)
         columns[:, :, 2] = columns[:, :, 0] + columns[:, :, 1] + 0.2 * columns[:, :, 2]
-        return scores_of(columns, columns[:, :, :2] @ sizes + noise, ONES[:3])
+        return score_statistics_of(columns, columns[:, :, :2] @ sizes + noise, ONES[:3])
 
     @pytest.mark.parametrize(
         ('sizes', 'stronger'), [((3.0, 2.0), 'scale_asymmetry'), ((2.0, 3.0), 'scale_quadratic')]
@@ -148,7 +148,7 @@ class TestBestExplanation:
     def test_one_effect_that_explains_everything_is_the_best(self) -> None:
         columns, noise = independent(3)
         columns[:, :, 2] = columns[:, :, 0] + columns[:, :, 1] + 0.2 * columns[:, :, 2]
-        scores = scores_of(columns, 2.0 * columns[:, :, 2] + noise, ONES[:3])
+        scores = score_statistics_of(columns, 2.0 * columns[:, :, 2] + noise, ONES[:3])
         best = best_explanation(rank(scores, SETTINGS), scores, (), SETTINGS)
         assert best is not None and best.effect.name == 'scale_cubic'
 
@@ -162,7 +162,7 @@ class TestBestExplanation:
     def test_noise_is_explained_by_nothing(self) -> None:
         for seed in range(20):
             columns, noise = independent(4, seed)
-            scores = scores_of(columns, noise, ONES)
+            scores = score_statistics_of(columns, noise, ONES)
             assert best_explanation(rank(scores, SETTINGS), scores, (), SETTINGS) is None
 
 
@@ -171,7 +171,7 @@ class TestIndistinguishable:
         """The second column is the first but for a part; the third is independent."""
         columns, noise = independent(3)
         columns[:, :, 1] = columns[:, :, 0] + difference * columns[:, :, 1]
-        return scores_of(columns, columns @ sizes + noise, ONES[:3])
+        return score_statistics_of(columns, columns @ sizes + noise, ONES[:3])
 
     def test_an_effect_that_explains_nearly_as_much(self) -> None:
         scores = self.alike(2.0, 0.0, 0.0, difference=0.01)
@@ -193,7 +193,7 @@ class TestIndistinguishable:
         first, second = columns[:, :, 0].copy(), columns[:, :, 2].copy()
         columns[:, :, 1] = second + 0.01 * columns[:, :, 1]
         columns[:, :, 2] = second
-        scores = scores_of(columns, 8.0 * first + second + noise, ONES[:3])
+        scores = score_statistics_of(columns, 8.0 * first + second + noise, ONES[:3])
         ranked = rank(scores, SETTINGS)
         weak, alike = named(ranked, 'scale_cubic'), named(ranked, 'scale_quadratic')
         beside = named(ranked, 'scale_asymmetry').columns
@@ -204,7 +204,7 @@ class TestIndistinguishable:
     def test_an_effect_that_the_others_explain_looks_like_nothing(self) -> None:
         columns, noise = independent(3)
         columns[:, :, 1] = columns[:, :, 0]
-        scores = scores_of(columns, columns @ [1.0, 0.0, 0.0] + noise, ONES[:3])
+        scores = score_statistics_of(columns, columns @ [1.0, 0.0, 0.0] + noise, ONES[:3])
         ranked = rank(scores, SETTINGS)
         found, beside = named(ranked, 'scale_asymmetry'), named(ranked, 'scale_quadratic').columns
         assert indistinguishable(found, ranked, scores, beside, SETTINGS) == []
@@ -215,7 +215,7 @@ class TestWithEstimate:
         columns, noise = independent(1)
         columns *= 1000.0
         usual = ONES[0].coefficients[0].prior_std
-        scores = scores_of(columns, 0.2 * usual * columns[:, :, 0] + noise, ONES[:1])
+        scores = score_statistics_of(columns, 0.2 * usual * columns[:, :, 0] + noise, ONES[:1])
         (ranked,) = rank(scores, SETTINGS)
         half = fit(scores.first_half(), np.array([0]))
         assert half is not None
@@ -234,7 +234,7 @@ class TestWithEstimate:
         columns, noise = independent(1)
         size = np.where(np.arange(BLOCKS) < BLOCKS // 2, 2.0, 0.5)[:, None]
         wide = ScaleAsymmetry(coefficients=(Coefficient('c', '1', prior_std=100.0),))
-        scores = scores_of(columns, columns[:, :, 0] * size + 0.01 * noise, (wide,))
+        scores = score_statistics_of(columns, columns[:, :, 0] * size + 0.01 * noise, (wide,))
         (ranked,) = rank(scores, SETTINGS)
         (item,) = with_estimate(ranked, scores, SETTINGS).coefficients
         assert item.prior_mean == pytest.approx(2.0, abs=0.05)
@@ -242,7 +242,7 @@ class TestWithEstimate:
 
     def test_the_prior_is_never_wider_than_the_usual_one(self) -> None:
         columns, noise = independent(1)
-        scores = scores_of(columns, 2.0 * columns[:, :, 0] + noise, ONES[:1])
+        scores = score_statistics_of(columns, 2.0 * columns[:, :, 0] + noise, ONES[:1])
         (ranked,) = rank(scores, SETTINGS)
         (item,) = with_estimate(ranked, scores, SETTINGS).coefficients
         assert item.prior_std == ONES[0].coefficients[0].prior_std
@@ -250,7 +250,7 @@ class TestWithEstimate:
     def test_an_effect_that_the_first_half_does_not_show_keeps_its_prior(self) -> None:
         columns, noise = independent(1)
         columns[: BLOCKS // 2] = 0.0
-        scores = scores_of(columns, columns[:, :, 0] + noise, ONES[:1])
+        scores = score_statistics_of(columns, columns[:, :, 0] + noise, ONES[:1])
         (ranked,) = rank(scores, SETTINGS)
         assert ranked.is_significant
         assert with_estimate(ranked, scores, SETTINGS) == ONES[0]
@@ -259,7 +259,7 @@ class TestWithEstimate:
         columns, noise = independent(4)
         columns[:, :, 1::2] = 0.0
         effects = tuple(with_means(BiasWarmup(), (0.0, time_s)) for time_s in (100.0, 200.0))
-        scores = scores_of(columns, columns @ [2.0, 0.0, 0.0, 0.0] + noise, effects)
+        scores = score_statistics_of(columns, columns @ [2.0, 0.0, 0.0, 0.0] + noise, effects)
         (ranked,) = rank(scores, SETTINGS)
         assert ranked.profile is not None
         amplitude, time_constant = with_estimate(ranked, scores, SETTINGS).coefficients

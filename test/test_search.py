@@ -16,7 +16,7 @@ from synthetic import (
     readings,
     readings_of,
     recording_of,
-    scores_of,
+    score_statistics_of,
     turning_rad_s,
 )
 
@@ -95,7 +95,7 @@ class FakeFilter:
         missing = {name: size for name, size in self.hidden.items() if name not in names}
         measured = noise + sum(size * columns(find_effect(name))[:, :, 0] for name, size in missing.items())
         every = np.concatenate([columns(item) for item in candidates], axis=2)
-        return scores_of(every, measured, candidates)
+        return score_statistics_of(every, measured, candidates)
 
 
 AT_REST = replace(recording_of(readings(np.zeros(1000))), rig=replace(RIG, camera=CAMERA))

@@ -43,7 +43,8 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.errors import ConfigError, FilterDivergedError, NotObservableError, RecordingError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.pipeline.calibrate import Progress, calibrate
+from gyrocal_ros.pipeline.run_filter import Progress
+from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import (
     Calibration,
     announcement,

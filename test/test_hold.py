@@ -13,7 +13,9 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Frame, Measurement, Rig, Source, Span, nanoseconds
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.pipeline.calibrate import MAX_HELD_S, InMemorySource, Progress, calibrate, preload
+from gyrocal_ros.pipeline.in_memory import MAX_IN_MEMORY_S, InMemorySource, preload
+from gyrocal_ros.pipeline.run_filter import Progress
+from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -75,7 +77,7 @@ class TestFeatures:
 
     def test_one_of_great_length_stays_where_it_is(self) -> None:
         short = recording('cleaning', 1, 30.0)
-        long = Counted(InMemorySource('long', short.rig, Span(0, nanoseconds(MAX_HELD_S + 1.0)), []))
+        long = Counted(InMemorySource('long', short.rig, Span(0, nanoseconds(MAX_IN_MEMORY_S + 1.0)), []))
         assert preload(long, Config(), default_model()) == (long, Config())
         assert long.passes == 0
 

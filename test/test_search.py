@@ -44,7 +44,7 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.pipeline.calibrate import InMemorySource
+from gyrocal_ros.pipeline.in_memory import InMemorySource
 
 DURATION_S = 100.0
 LIMIT_RAD_S = math.radians(85.0)

@@ -19,7 +19,9 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.msgs.issues import one_a_kind, refuse_errors
-from gyrocal_ros.pipeline.calibrate import Progress, calibrate, preload
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import preload
+from gyrocal_ros.pipeline.run_filter import Progress
 
 
 @dataclass(frozen=True, slots=True)

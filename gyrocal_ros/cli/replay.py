@@ -31,8 +31,9 @@ from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.issues import BagIssue, one_a_kind, refuse_errors
-from gyrocal_ros.pipeline.calibrate import Progress, calibrate
+from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
+from gyrocal_ros.pipeline.run_filter import Progress
 from gyrocal_ros.report.summary import summarise
 from gyrocal_ros.report.tables import with_std
 from gyrocal_ros.report.words import quantity

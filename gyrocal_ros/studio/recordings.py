@@ -16,7 +16,8 @@ from gyrocal_ros.effects import find_effect
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.issues import refuse_errors
-from gyrocal_ros.pipeline.calibrate import Progress, preload
+from gyrocal_ros.pipeline.in_memory import preload
+from gyrocal_ros.pipeline.run_filter import Progress
 from gyrocal_ros.sim.hidden import draw_hidden, draw_scale_factor, hide
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sealed import answer_of

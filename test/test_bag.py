@@ -180,7 +180,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path: Path, storage: Storage) -
         assert file.read_bytes() == (other / file.name).read_bytes()
 
 
-def test_a_writer_that_fails_leaves_nothing(tmp_path: Path) -> None:
+def test_a_writer_that_fails_leaves_no_files(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt), new_bag(tmp_path / 'bag') as bag:
         bag.write(drive()[0])
         raise KeyboardInterrupt
@@ -197,7 +197,7 @@ def test_a_writer_keeps_existing_files(tmp_path: Path) -> None:
     assert (tmp_path / 'bag' / 'precious').exists()
 
 
-def test_a_covariate_that_fits_no_message_is_refused(tmp_path: Path) -> None:
+def test_a_covariate_without_a_message_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match='current_draw'):
         write(tmp_path / 'bag', [CovariateSample(START_NS, 'motor.current_draw', 1.0)])
 

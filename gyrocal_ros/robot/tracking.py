@@ -21,7 +21,7 @@ from gyrocal_ros.data import (
     SearchRegions,
 )
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs.mounts import into_body_axes, mount_of_settings
+from gyrocal_ros.msgs.mounts import into_body_axes, mount_from_settings
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
 from gyrocal_ros.robot.health import Status
@@ -198,7 +198,7 @@ class LiveTracker:
         """Who follows now; None while the camera is not known."""
         rig = self._mounting.rig
         if rig is None and self._intrinsics is not None and now_s - self._camera_s > UNMOUNTED_S:
-            rig = self._rig or Rig(self._intrinsics, mount_of_settings(self._camera_config))
+            rig = self._rig or Rig(self._intrinsics, mount_from_settings(self._camera_config))
         if rig is not None and rig is not self._rig:
             assert rig.camera is not None
             first_id = frame.t_ns // NS_PER_ID % ID_COUNT

@@ -54,8 +54,8 @@ def write_text_atomic(path: Path, text: str, *, overwrite: bool = False) -> None
     path = path.resolve()
     if path.exists() and not overwrite:
         raise GyrocalError('exists already', where=str(path), todo='choose another name or allow overwriting')
-    part = _part_of(path)
-    with _os_errors_of(path):
+    part = _temporary_path(path)
+    with _reported_os_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             with part.open('w', encoding='utf-8') as file:
@@ -89,17 +89,17 @@ def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     path = path.resolve()
     if path.is_file():
         raise GyrocalError('is a file, not a folder', where=str(path), todo='choose another name')
-    with _os_errors_of(path):
+    with _reported_os_errors(path):
         occupied = path.is_dir() and any(path.iterdir())
         if occupied and not overwrite:
             raise GyrocalError(
                 'is not empty', where=str(path), todo='choose another name or allow overwriting'
             )
-        part = _part_of(path)
+        part = _temporary_path(path)
         part.mkdir(parents=True)
     try:
         yield part
-        with _os_errors_of(path):
+        with _reported_os_errors(path):
             if occupied:
                 _move_files(part, path)
             else:
@@ -120,7 +120,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _part_of(path: Path) -> Path:
+def _temporary_path(path: Path) -> Path:
     """Return the temporary name beside `path`: renaming stays within one file system."""
     return path.parent / f'.{path.name}.{os.getpid()}.part'
 
@@ -133,7 +133,7 @@ def _move_files(source: Path, target: Path) -> None:
 
 
 @contextmanager
-def _os_errors_of(path: Path) -> Iterator[None]:
+def _reported_os_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:

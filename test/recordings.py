@@ -16,7 +16,7 @@ from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
 
-Change = Callable[[Iterable[Measurement]], Iterator[Measurement]]
+Modification = Callable[[Iterable[Measurement]], Iterator[Measurement]]
 
 
 @cache
@@ -33,11 +33,11 @@ def recording(
 
 
 @dataclass(frozen=True)
-class Changed:
+class ModifiedSource:
     """A source with its measurements changed on the way."""
 
     source: Source
-    change: Change
+    change: Modification
     rig_in_use: Rig | None = None
 
     @property
@@ -61,7 +61,7 @@ def at(time_s: float) -> int:
     return START_NS + nanoseconds(time_s)
 
 
-def without(kind: type[Any], from_s: float = -1.0, to_s: float = 1e6) -> Change:
+def without(kind: type[Any], from_s: float = -1.0, to_s: float = 1e6) -> Modification:
     """Leave out one kind of measurement for a while."""
 
     def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
@@ -72,7 +72,7 @@ def without(kind: type[Any], from_s: float = -1.0, to_s: float = 1e6) -> Change:
     return change
 
 
-def each(kind: type[Any], function: Callable[[Any], Measurement]) -> Change:
+def each(kind: type[Any], function: Callable[[Any], Measurement]) -> Modification:
     """Put something else in the place of each measurement of one kind."""
 
     def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
@@ -82,7 +82,7 @@ def each(kind: type[Any], function: Callable[[Any], Measurement]) -> Change:
     return change
 
 
-def with_clock_step(step_s: float, at_s: float) -> Change:
+def with_clock_step(step_s: float, at_s: float) -> Modification:
     """Let the clock of all stamps step."""
     step_ns = nanoseconds(step_s)
 
@@ -100,7 +100,7 @@ def with_clock_step(step_s: float, at_s: float) -> Change:
     return change
 
 
-def with_features_of(other: Source, late_s: float = 0.0) -> Change:
+def with_features_of(other: Source, late_s: float = 0.0) -> Modification:
     """Put the features of another recording in, or of the same one too late."""
 
     def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:

@@ -24,7 +24,7 @@ TOP_DEG_S = 90.0
 RIG = Rig(None, Mount(np.eye(3), np.zeros(3)))
 
 
-def evidence_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
+def score_statistics_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
     """Evidence of B blocks of n measurements of noise 1: columns (B, n, c) and what was seen (B, n)."""
     return ScoreStatistics(
         candidates=candidates,

@@ -26,40 +26,40 @@ def nested(name: str, value: Any) -> Mapping[str, Any]:
     return {section: {setting: value}}
 
 
-def other_value(value: Any, about: Setting) -> Any:
+def other_value(value: Any, spec: Setting) -> Any:
     """A value that is allowed and differs from the default."""
     if isinstance(value, bool):
         return not value
     if isinstance(value, str):
-        return about.choices[-1] if about.choices else f'{value} {"long " * 40}: #\'"'
-    return about.high if value != about.high else about.low
+        return spec.choices[-1] if spec.choices else f'{value} {"long " * 40}: #\'"'
+    return spec.high if value != spec.high else spec.low
 
 
 # --- every setting ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(('config', 'name', 'value', 'about'), SETTINGS, ids=[item[1] for item in SETTINGS])
-def test_a_setting_is_declared_completely(config: Any, name: str, value: Any, about: Setting) -> None:
-    assert about.help and not about.help.endswith('.')
+@pytest.mark.parametrize(('config', 'name', 'value', 'spec'), SETTINGS, ids=[item[1] for item in SETTINGS])
+def test_a_setting_is_declared_completely(config: Any, name: str, value: Any, spec: Setting) -> None:
+    assert spec.help and not spec.help.endswith('.')
     assert with_settings(config, nested(name, value)) == config, 'the default keeps its own bounds'
-    if about.choices:
-        assert value in about.choices
+    if spec.choices:
+        assert value in spec.choices
     if type(value) in (int, float, tuple):
-        assert about.low is not None and about.high is not None
+        assert spec.low is not None and spec.high is not None
 
 
-@pytest.mark.parametrize(('config', 'name', 'value', 'about'), NUMBERS, ids=[item[1] for item in NUMBERS])
-def test_a_number_keeps_to_its_bounds(config: Any, name: str, value: Any, about: Setting) -> None:
-    assert about.low is not None and about.high is not None
+@pytest.mark.parametrize(('config', 'name', 'value', 'spec'), NUMBERS, ids=[item[1] for item in NUMBERS])
+def test_a_number_keeps_to_its_bounds(config: Any, name: str, value: Any, spec: Setting) -> None:
+    assert spec.low is not None and spec.high is not None
     kind = type(value)
-    for bound in (about.low, about.high):
+    for bound in (spec.low, spec.high):
         changed = with_settings(config, nested(name, kind(bound)))
         assert to_dict(changed)[name.split('.')[0]][name.split('.')[1]] == bound
-    for beyond in (about.low - max(abs(about.low), 1.0), about.high + max(abs(about.high), 1.0)):
+    for beyond in (spec.low - max(abs(spec.low), 1.0), spec.high + max(abs(spec.high), 1.0)):
         with pytest.raises(ConfigError, match=name) as caught:
             with_settings(config, nested(name, kind(beyond)), 'mine.yaml')
         assert caught.value.where == 'mine.yaml'
-        assert f'{about.low} to {about.high}' in caught.value.todo
+        assert f'{spec.low} to {spec.high}' in caught.value.todo
 
 
 # --- values and names that make no sense --------------------------------------------------------
@@ -130,8 +130,8 @@ def test_the_shipped_settings_are_the_defaults() -> None:
 
 def test_settings_are_written_and_read_back(tmp_path: Path) -> None:
     changed = Config()
-    for name, value, about in flat_settings(Config()):
-        changed = with_settings(changed, nested(name, other_value(value, about)))
+    for name, value, spec in flat_settings(Config()):
+        changed = with_settings(changed, nested(name, other_value(value, spec)))
     assert all(to_dict(changed)[section] != to_dict(Config())[section] for section in to_dict(Config()))
     file = tmp_path / 'all.yaml'
     file.write_text(to_yaml(changed))

@@ -19,7 +19,7 @@ from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
 from gyrocal_ros.vision.corners import find_corners
 from gyrocal_ros.vision.draw import draw_tracks
-from gyrocal_ros.vision.patches import align, cut, grid, sample
+from gyrocal_ros.vision.patches import align, extract_patches, grid, sample_image
 from gyrocal_ros.vision.search_region import ceiling_coordinates, ceiling_pixels
 from gyrocal_ros.vision.tracker import Tracker
 
@@ -33,7 +33,7 @@ def attitude(yaw_rad: float) -> Array:
     return rotation_from_euler(np.array([0.0, 0.0, yaw_rad]))
 
 
-class Ride:
+class TrackedDrive:
     """A camera under a rendered ceiling and a tracker that sees what it sees."""
 
     def __init__(self, renderer: CeilingRenderer, config: TrackerConfig = CONFIG) -> None:
@@ -85,7 +85,7 @@ def smooth_image(shift: tuple[float, float] = (0.0, 0.0), turn_rad: float = 0.0)
 def test_lucas_kanade_finds_shift_and_twist_to_a_hundredth_of_a_pixel(
     shift: tuple[float, float], turn_deg: float
 ) -> None:
-    patches = cut(smooth_image(), np.array([[60, 60]]), 15)
+    patches = extract_patches(smooth_image(), np.array([[60, 60]]), 15)
     image = smooth_image(shift, math.radians(turn_deg))
     found = align(image, patches, 60.0 + grid(15)[None], 0.75)
     assert np.abs(found.pixels[0] - 60.0 - shift).max() < 0.01
@@ -95,7 +95,7 @@ def test_lucas_kanade_finds_shift_and_twist_to_a_hundredth_of_a_pixel(
 
 
 def test_gain_offset_and_slope_of_the_light_do_not_move_a_patch() -> None:
-    patches = cut(smooth_image(), np.array([[60, 60]]), 15)
+    patches = extract_patches(smooth_image(), np.array([[60, 60]]), 15)
     slope = 0.4 * (np.arange(121) - 60.0)
     image = np.rint(0.7 * smooth_image((0.4, 0.3)) + 25.0 + slope).astype(np.uint8)
     found = align(image, patches, 60.0 + grid(15)[None], 0.75)
@@ -105,7 +105,7 @@ def test_gain_offset_and_slope_of_the_light_do_not_move_a_patch() -> None:
 def test_sampling_reproduces_a_slope_everywhere() -> None:
     v, u = np.mgrid[:40, :50]
     points = np.random.default_rng(0).uniform(3.0, 30.0, (100, 2))
-    values = sample((2 * u + 3 * v).astype(np.uint8), points)
+    values = sample_image((2 * u + 3 * v).astype(np.uint8), points)
     assert values == pytest.approx(2.0 * points[:, 0] + 3.0 * points[:, 1], abs=1e-4)
 
 
@@ -129,13 +129,13 @@ def test_the_turn_of_the_tracks_is_the_true_turn_although_the_prediction_is_wron
 
 
 def test_noise_of_a_track_is_white(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer)
-    seen = [ride.step(0.1 * k, 0.02 * k, exposure=1.0 + 0.01 * k) for k in range(25)]
+    drive = TrackedDrive(renderer)
+    seen = [drive.step(0.1 * k, 0.02 * k, exposure=1.0 + 0.01 * k) for k in range(25)]
     steady = set.intersection(*(set(each.ids.tolist()) for each in seen))
     assert len(steady) >= 8
     errors = []
     for k, each in enumerate(seen[1:], start=1):
-        points_w = np.array([ride.points_w[id_] for id_ in sorted(steady)])
+        points_w = np.array([drive.points_w[id_] for id_ in sorted(steady)])
         where = project(CAMERA, (points_w - [0.0, 0.0, 0.1]) @ attitude(0.02 * k))
         errors.append(each.pixels[np.isin(each.ids, list(steady))] - where)
     own = np.array(errors) - np.mean(errors, axis=0)
@@ -147,10 +147,10 @@ def test_noise_of_a_track_is_white(renderer: CeilingRenderer) -> None:
 
 
 def test_a_hidden_feature_comes_back_under_its_id_and_no_id_is_used_twice(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer)
-    before = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(4)][-1]
-    hidden = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k, covered=True) for k in range(4, 10)][-1]
-    after = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(10, 13)][-1]
+    drive = TrackedDrive(renderer)
+    before = [drive.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(4)][-1]
+    hidden = [drive.step(0.1 * k, 0.01 * k, x_m=0.01 * k, covered=True) for k in range(4, 10)][-1]
+    after = [drive.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(10, 13)][-1]
     left = set(before.ids[before.pixels[:, 0] < 280].tolist())
     assert len(left) >= 3
     assert not left & set(hidden.ids.tolist())
@@ -162,12 +162,12 @@ def test_a_hidden_feature_comes_back_under_its_id_and_no_id_is_used_twice(render
 
 
 def test_a_feature_that_stays_away_for_long_is_dropped(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer, replace(CONFIG, reacquire_s=1.0))
-    before = ride.step(0.0, 0.0)
-    ride.step(0.1, 0.0, covered=True)
+    drive = TrackedDrive(renderer, replace(CONFIG, reacquire_s=1.0))
+    before = drive.step(0.0, 0.0)
+    drive.step(0.1, 0.0, covered=True)
     for k in range(2, 15):
-        ride.step(0.1 * k, 0.0, covered=True)
-    after = ride.step(1.6, 0.0)
+        drive.step(0.1 * k, 0.0, covered=True)
+    after = drive.step(1.6, 0.0)
     left = set(before.ids[before.pixels[:, 0] < 280].tolist())
     assert left
     assert not left & set(after.ids.tolist())
@@ -176,9 +176,9 @@ def test_a_feature_that_stays_away_for_long_is_dropped(renderer: CeilingRenderer
 
 
 def test_no_two_features_on_one_corner(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer)
+    drive = TrackedDrive(renderer)
     for k in range(15):
-        seen = ride.step(0.1 * k, 0.05 * k, x_m=0.03 * k)
+        seen = drive.step(0.1 * k, 0.05 * k, x_m=0.03 * k)
         apart = np.linalg.norm(seen.pixels[:, None] - seen.pixels, axis=2) + 1e3 * np.eye(len(seen.ids))
         assert apart.min() > 0.5 * CONFIG.patch_px
 
@@ -212,16 +212,16 @@ def test_one_match_outside_its_region_is_refused(renderer: CeilingRenderer) -> N
 
 def test_the_same_images_give_the_same_bits(renderer: CeilingRenderer) -> None:
     def pixels() -> bytes:
-        ride = Ride(renderer)
-        return b''.join(ride.step(0.1 * k, 0.1 * k, x_m=0.05 * k).pixels.tobytes() for k in range(8))
+        drive = TrackedDrive(renderer)
+        return b''.join(drive.step(0.1 * k, 0.1 * k, x_m=0.05 * k).pixels.tobytes() for k in range(8))
 
     assert pixels() == pixels()
 
 
 @pytest.mark.parametrize('wanted', [1, 5, 60, 200])
 def test_any_number_of_features(renderer: CeilingRenderer, wanted: int) -> None:
-    ride = Ride(renderer, replace(CONFIG, features=wanted, min_distance_px=16.0))
-    counts = [len(ride.step(0.1 * k, 0.02 * k).ids) for k in range(3)]
+    drive = TrackedDrive(renderer, replace(CONFIG, features=wanted, min_distance_px=16.0))
+    counts = [len(drive.step(0.1 * k, 0.02 * k).ids) for k in range(3)]
     assert max(counts) <= wanted
     assert min(counts) >= min(wanted, 30)
 
@@ -272,11 +272,11 @@ def test_an_image_of_another_size_is_refused() -> None:
 
 
 def test_tracks_can_be_drawn(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer)
-    ride.step(0.0, 0.0)
+    drive = TrackedDrive(renderer)
+    drive.step(0.0, 0.0)
     image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]))
-    regions = ride.regions(0.1, np.eye(3), np.array([0.0, 0.0, 0.1]))
-    seen = ride.tracker.track(Frame(nanoseconds(0.1), image), np.eye(3), regions)
+    regions = drive.regions(0.1, np.eye(3), np.array([0.0, 0.0, 0.1]))
+    seen = drive.tracker.track(Frame(nanoseconds(0.1), image), np.eye(3), regions)
     picture = draw_tracks(image, seen, regions)
     assert picture.shape == (480, 640, 3)
     assert picture.dtype == np.uint8

@@ -10,7 +10,7 @@ from gyrocal_ros.sim.manoeuvres import (
     ACCELERATION_M_S2,
     ANGULAR_ACCELERATION_RAD_S2,
     PLANS,
-    Habits,
+    DrivingStyle,
     arc,
     drive,
     plan_legs,
@@ -21,7 +21,7 @@ from gyrocal_ros.sim.trajectory import GRAVITY_M_S2, Leg, Trajectory, rough_floo
 
 def rough_trajectory(plan: str = 'cleaning', duration_s: float = 60.0, seed: int = 3) -> Trajectory:
     rng = np.random.default_rng(seed)
-    legs, start = plan_legs(((plan, 0.0),), 3.0, duration_s, Habits(), rng)
+    legs, start = plan_legs(((plan, 0.0),), 3.0, duration_s, DrivingStyle(), rng)
     return Trajectory(legs, rough_floor(rng, 0.5, 4, 10.0), start)
 
 
@@ -112,8 +112,8 @@ def test_motion_is_smooth_and_within_the_limits(plan: str) -> None:
 
 
 def test_lanes_turn_as_often_to_either_side() -> None:
-    habits = Habits(turn_rates_deg_s=(75.0, 75.0), area_m=(2.8, 4.0))
-    legs, start = plan_legs((('lanes', 0.0),), 3.0, 300.0, habits, np.random.default_rng(0))
+    driving_style = DrivingStyle(turn_rates_deg_s=(75.0, 75.0), area_m=(2.8, 4.0))
+    legs, start = plan_legs((('lanes', 0.0),), 3.0, 300.0, driving_style, np.random.default_rng(0))
     yaw = Trajectory(legs, start=start).motion(np.arange(0.0, 300.0, 0.01)).euler_rad[:, 2]
     assert np.ptp(yaw) == pytest.approx(2.0 * math.pi, abs=1e-6)
     turned = np.abs(np.diff(yaw)).sum()
@@ -135,7 +135,7 @@ def test_cleaning_turns_both_ways_at_many_speeds_and_stays_in_the_room() -> None
 
 def test_stages_follow_one_another() -> None:
     legs, start = plan_legs(
-        (('lanes', 30.0), ('standing', 0.0)), 2.0, 90.0, Habits(), np.random.default_rng(1)
+        (('lanes', 30.0), ('standing', 0.0)), 2.0, 90.0, DrivingStyle(), np.random.default_rng(1)
     )
     trajectory = Trajectory(legs, start=start)
     assert np.any(trajectory.motion(np.arange(2.0, 30.0, 0.1)).speed_m_s > 0.2)

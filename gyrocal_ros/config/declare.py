@@ -75,14 +75,14 @@ def to_yaml(*configs: Any) -> str:
     """The settings as a commented ROS 2 parameter file for any node; `config_file` reads it."""
     lines = ['/**:', '  ros__parameters:']
     section = ''
-    for name, value, about in chain.from_iterable(map(flat_settings, configs)):
+    for name, value, spec in chain.from_iterable(map(flat_settings, configs)):
         new_section, item = name.split('.')
         if new_section != section:
             section = new_section
             lines.append(f'    {section}:')
-        bounds = '' if about.low is None else f', {about.low:g} to {about.high:g}'
-        unit = f' [{about.unit}]' if about.unit else ''
-        lines.append(f'      # {about.help}{unit}{bounds}')
+        bounds = '' if spec.low is None else f', {spec.low:g} to {spec.high:g}'
+        unit = f' [{spec.unit}]' if spec.unit else ''
+        lines.append(f'      # {spec.help}{unit}{bounds}')
         text = yaml.safe_dump(plain(value), width=math.inf, default_flow_style=True).splitlines()[0]
         lines.append(f'      {item}: {text}')
     return '\n'.join(lines) + '\n'
@@ -117,32 +117,32 @@ def _known(name: str, known: list[str], where: str) -> str:
     return name
 
 
-def _checked(name: str, value: Any, default: Any, about: Setting, where: str) -> Any:
+def _checked(name: str, value: Any, default: Any, spec: Setting, where: str) -> Any:
     kind = type(default)
     if kind is tuple:
-        return _checked_several(name, value, default, about, where)
+        return _checked_several(name, value, default, spec, where)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if type(value) is not kind:
         raise ConfigError(f'{name} must be a {kind.__name__}, not {value!r}', where=where)
-    if about.choices and value not in about.choices:
-        raise ConfigError(f'{name} is {value!r}', where=where, todo=f'choose from {", ".join(about.choices)}')
+    if spec.choices and value not in spec.choices:
+        raise ConfigError(f'{name} is {value!r}', where=where, todo=f'choose from {", ".join(spec.choices)}')
     if kind in (int, float):
-        too_low = about.low is not None and value < about.low
-        too_high = about.high is not None and value > about.high
+        too_low = spec.low is not None and value < spec.low
+        too_high = spec.high is not None and value > spec.high
         if too_low or too_high or not math.isfinite(value):
             raise ConfigError(
                 f'{name} is {value}',
                 where=where,
-                todo=f'give {about.low} to {about.high} {about.unit}'.rstrip(),
+                todo=f'give {spec.low} to {spec.high} {spec.unit}'.rstrip(),
             )
     return value
 
 
 def _checked_several(
-    name: str, value: Any, default: tuple[Any, ...], about: Setting, where: str
+    name: str, value: Any, default: tuple[Any, ...], spec: Setting, where: str
 ) -> tuple[Any, ...]:
     if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != len(default):
         raise ConfigError(f'{name} must be {len(default)} numbers, not {value!r}', where=where)
     pairs = zip(value, default, strict=True)
-    return tuple(_checked(f'{name}[{i}]', item, other, about, where) for i, (item, other) in enumerate(pairs))
+    return tuple(_checked(f'{name}[{i}]', item, other, spec, where) for i, (item, other) in enumerate(pairs))

@@ -36,8 +36,8 @@ def load_all(path: Path | None) -> tuple[Config, RobotConfig]:
                 f'{node_name!r} has no ros__parameters', where=str(path), todo='write a ROS 2 parameter file'
             )
         nested = _nested(parameters)
-        of_robot = {name: nested.pop(name) for name in _sections(RobotConfig) if name in nested}
-        robot = with_settings(robot, of_robot, str(path))
+        robot_settings = {name: nested.pop(name) for name in _sections(RobotConfig) if name in nested}
+        robot = with_settings(robot, robot_settings, str(path))
         estimator = with_settings(estimator, nested, str(path))
     return estimator, robot
 

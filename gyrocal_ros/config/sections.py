@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 from gyrocal_ros.config.declare import setting
 
-Three: TypeAlias = tuple[float, float, float]
+Triple: TypeAlias = tuple[float, float, float]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 
@@ -274,24 +274,24 @@ class BoardConfig:
     gyro_volt: float = setting(
         1e-5, 'V/count', 'gyro voltage that one count stands for', low=1e-12, high=10.0
     )
-    gyro_scale_factor_volt: Three = setting(
+    gyro_scale_factor_volt: Triple = setting(
         (GyroConfig().nominal_scale_factor_volt,) * 3,
         'deg/s/V',
         'scale factor by the data sheet, about x, y and z; negative where an axis is mounted in reverse',
         low=-1e6,
         high=1e6,
     )
-    gyro_zero: Three = setting(
+    gyro_zero: Triple = setting(
         (0.0, 0.0, 0.0), 'count', 'nominal bias: counts of the gyros at rest', low=-(2.0**31), high=2.0**31
     )
-    accelerometer_scale: Three = setting(
+    accelerometer_scale: Triple = setting(
         (4.0 * STANDARD_GRAVITY_M_S2 / 2**15,) * 3,
         'm/s^2/count',
         'specific force that one count stands for, along x, y and z; 16 bits over 4 g to either side',
         low=-100.0,
         high=100.0,
     )
-    accelerometer_zero: Three = setting(
+    accelerometer_zero: Triple = setting(
         (0.0, 0.0, 0.0), 'count', 'counts of the accelerometers without force', low=-(2.0**15), high=2.0**15
     )
     temperature_scale: float = setting(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from gyrocal_ros.data import ClockStep, FeatureObservations, Frame, ImuSample, Measurement
 from gyrocal_ros.ekf.slam import EkfSlam, StepRecord
-from gyrocal_ros.vision.follower import Follower
+from gyrocal_ros.vision.gyro_aided_tracker import GyroAidedTracker
 
 
 class VisualSlam:
@@ -22,7 +22,7 @@ class VisualSlam:
         self, slam: EkfSlam, keep: Callable[[FeatureObservations], None] = lambda seen: None
     ) -> None:
         self._slam, self._keep = slam, keep
-        self._follower: Follower | None = None
+        self._follower: GyroAidedTracker | None = None
         self._waiting: deque[Frame] = deque()
 
     def step(self, measurement: Measurement) -> list[StepRecord]:
@@ -50,11 +50,11 @@ class VisualSlam:
         """Use what still waits, at the end of the stream."""
         return [*self._look_at_all(), *self._slam.finish()]
 
-    def _first_follower(self) -> Follower:
+    def _first_follower(self) -> GyroAidedTracker:
         rig, config = self._slam.rig, self._slam.config
         assert rig.camera is not None
         self._slam.expect_pixel_noise(config.tracker.noise_px)
-        return Follower(rig.camera, rig.camera_mount.R_bs, config.tracker)
+        return GyroAidedTracker(rig.camera, rig.camera_mount.R_bs, config.tracker)
 
     def _look_at_all(self) -> list[StepRecord]:
         records: list[StepRecord] = []
@@ -62,7 +62,7 @@ class VisualSlam:
             records += self._look(self._follower)
         return records
 
-    def _look(self, follower: Follower) -> list[StepRecord]:
+    def _look(self, follower: GyroAidedTracker) -> list[StepRecord]:
         """Follow the features through the image that has waited longest."""
         seen = follower.track(self._waiting.popleft())
         self._keep(seen)

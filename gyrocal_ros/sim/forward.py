@@ -24,10 +24,10 @@ from gyrocal_ros.model.sensor import (
 )
 from gyrocal_ros.sim.trajectory import TrueMotion
 
-MAX_ROUNDS = 60
-SOLVED_RAD_S = 1e-13
-HOPELESS_RAD_S = 1e3
-GOOD_ENOUGH_RAD_S = 1e-7
+MAX_ITERATIONS = 60
+CONVERGED_RAD_S = 1e-13
+DIVERGED_RAD_S = 1e3
+ACCEPTED_RAD_S = 1e-7
 """Where an effect has steps a reading may jump to and fro; by more than this it must not."""
 
 
@@ -49,7 +49,7 @@ class HiddenEffect:
 Hidden = tuple[HiddenEffect, ...]
 
 
-def referred(hidden: Hidden, means: Mapping[str, float]) -> Hidden:
+def referred_to_means(hidden: Hidden, means: Mapping[str, float]) -> Hidden:
     """Let effects of recorded signals count from the signals' means, as they are reported.
 
     Raises:
@@ -84,22 +84,22 @@ def nominal_yaw_rate(true_rad_s: Array, scale_factor: float, block: MotionBlock,
     on_readings = [(effect, values) for effect, values in gyro if isinstance(effect, GyroEffectOnReadings)]
     plain = [(effect, values) for effect, values in gyro if not isinstance(effect, GyroEffectOnReadings)]
     nominal, change = true_rad_s / scale_factor, np.inf
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         added = _contributions(plain, _with_yaw_rate(block, nominal)) if plain else 0.0
         found = (true_rad_s - added) / scale_factor
         for effect, values in on_readings:
             found = effect.readings(found, block.dt_s, values, scale_factor)
         change, nominal = float(np.abs(found - nominal).max()), found
-        if not SOLVED_RAD_S < change < HOPELESS_RAD_S:
+        if not CONVERGED_RAD_S < change < DIVERGED_RAD_S:
             break
-    if not change < GOOD_ENOUGH_RAD_S:
+    if not change < ACCEPTED_RAD_S:
         names = ', '.join(effect.name for effect, _ in gyro)
         raise ConfigError('is so strong that no reading fits the motion', where=names, todo='give less')
     return nominal
 
 
-def slip(block: MotionBlock, hidden: Hidden) -> Array:
-    """Solve `true = odometry + contributions(odometry)`: how far true is ahead of odometry, (n + 1,).
+def odometry_shortfall(block: MotionBlock, hidden: Hidden) -> Array:
+    """Solve `true = odometry + contributions(odometry)`: how far true is shortfall of odometry, (n + 1,).
 
     Where the odometer's metre is wrong, `true` and the contributions are in metres of its own, as they
     are to the filter.
@@ -109,22 +109,22 @@ def slip(block: MotionBlock, hidden: Hidden) -> Array:
         hidden: effects; those that do not change the odometry are passed by.
     """
     wheels = _acting_on(hidden, 'wheels')
-    own_m = block.distance_m
+    odometer_m = block.distance_m
     for effect, values in _acting_on(hidden, 'camera'):
         if isinstance(effect, CameraEffectOnOdometry):
-            own_m = effect.odometry(own_m, values)
-    ahead = np.zeros(len(block.dt_s))
-    for _ in range(MAX_ROUNDS if wheels else 0):
-        counted = replace(block, distance_m=own_m - ahead)
-        ahead = np.sum([effect.contribute(counted, values)[0] for effect, values in wheels], axis=0)
-    return np.concatenate([[0.0], np.cumsum(block.distance_m - own_m + ahead)])
+            odometer_m = effect.odometry(odometer_m, values)
+    shortfall = np.zeros(len(block.dt_s))
+    for _ in range(MAX_ITERATIONS if wheels else 0):
+        measured = replace(block, distance_m=odometer_m - shortfall)
+        shortfall = np.sum([effect.contribute(measured, values)[0] for effect, values in wheels], axis=0)
+    return np.concatenate([[0.0], np.cumsum(block.distance_m - odometer_m + shortfall)])
 
 
-def carried(block: MotionBlock, hidden: Hidden) -> Array:
-    """How far the ground has carried the robot, (n + 1, 3): before the first and after each interval."""
+def ground_displacement(block: MotionBlock, hidden: Hidden) -> Array:
+    """How far the ground has ground_displacement the robot, (n + 1, 3): before the first and after each interval."""
     ground = _acting_on(hidden, 'ground')
     steps = np.zeros((len(block.dt_s) + 1, 3))
-    for row, part in enumerate(_parts(block, 1) if ground else (), 1):
+    for row, part in enumerate(_slices(block, 1) if ground else (), 1):
         steps[row] = sum(effect.contribute(part, values)[0] for effect, values in ground)
     return np.cumsum(steps, axis=0)
 
@@ -182,7 +182,7 @@ def _contributions(effects: list[tuple[Any, Array]], block: MotionBlock) -> Arra
     second = max(round(1.0 / float(block.dt_s[0])), 1)
     memories = [None] * len(effects)
     pieces = []
-    for part in _parts(block, second):
+    for part in _slices(block, second):
         terms = [
             effect.contribute(part, values, memory)
             for (effect, values), memory in zip(effects, memories, strict=True)
@@ -198,7 +198,7 @@ def _with_yaw_rate(block: MotionBlock, yaw_rate_rad_s: Array) -> MotionBlock:
     return replace(block, rate_rad_s=rates, yaw_acceleration_rad_s2=acceleration)
 
 
-def _parts(block: MotionBlock, count: int) -> Iterator[MotionBlock]:
+def _slices(block: MotionBlock, count: int) -> Iterator[MotionBlock]:
     """Cut a block into blocks of `count` intervals."""
     for first in range(0, len(block.dt_s), count):
         yield block.part(slice(first, first + count))

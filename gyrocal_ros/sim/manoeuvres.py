@@ -18,7 +18,7 @@ Manoeuvre = tuple[Leg, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Habits:
+class DrivingStyle:
     """How this robot moves."""
 
     speed_m_s: float = 0.3
@@ -63,10 +63,10 @@ def _trapezium(
     amount: float, peak: float, limit: float, split: Callable[[float], tuple[float, float]]
 ) -> Manoeuvre:
     """Glide up to the peak rate, hold it, glide down, so that the integral is `amount`."""
-    glide_s = 1.5 * peak / limit
-    hold_s = amount / peak - glide_s
-    held = (Leg(hold_s, *split(peak)),) if hold_s > 1e-9 else ()
-    return (Leg(glide_s, *split(peak)), *held, Leg(glide_s))
+    ramp_s = 1.5 * peak / limit
+    hold_s = amount / peak - ramp_s
+    hold = (Leg(hold_s, *split(peak)),) if hold_s > 1e-9 else ()
+    return (Leg(ramp_s, *split(peak)), *hold, Leg(ramp_s))
 
 
 # --- plans: endless sequences of manoeuvres -----------------------------------------------------
@@ -75,62 +75,62 @@ def _trapezium(
 class Planner:
     """Strings manoeuvres together and knows where the robot is after each of them."""
 
-    def __init__(self, habits: Habits, rng: np.random.Generator, pose: Pose) -> None:
-        self.habits, self.rng, self.pose = habits, rng, pose
-        self._sideways = 1.0
+    def __init__(self, style: DrivingStyle, rng: np.random.Generator, pose: Pose) -> None:
+        self.style, self.rng, self.pose = style, rng, pose
+        self._lane_direction = 1.0
 
-    def go(self, manoeuvre: Manoeuvre) -> Manoeuvre:
+    def execute(self, manoeuvre: Manoeuvre) -> Manoeuvre:
         """Take note of where the manoeuvre leads, and return it."""
         self.pose = Trajectory(manoeuvre, start=self.pose).end
         return manoeuvre
 
     def turn_rate(self) -> float:
         """Draw a rate to turn with, rad/s."""
-        return math.radians(self.rng.uniform(*self.habits.turn_rates_deg_s))
+        return math.radians(self.rng.uniform(*self.style.turn_rates_deg_s))
 
     def turn_to(self, yaw_rad: float) -> Manoeuvre:
         """Turn the shorter way to a heading."""
         angle = math.remainder(yaw_rad - self.pose[2], 2.0 * math.pi)
-        return self.go(turn(angle, self.turn_rate())) if abs(angle) > 1e-6 else ()
+        return self.execute(turn(angle, self.turn_rate())) if abs(angle) > 1e-6 else ()
 
     def lane(self) -> Manoeuvre:
         """Drive on to the far end of the area."""
         x, _, yaw = self.pose
-        distance = self.habits.area_m[0] / 2.0 - x * math.copysign(1.0, math.cos(yaw))
-        return self.go(drive(max(distance, 0.05), self.habits.speed_m_s))
+        distance = self.style.area_m[0] / 2.0 - x * math.copysign(1.0, math.cos(yaw))
+        return self.execute(drive(max(distance, 0.05), self.style.speed_m_s))
 
     def change_lane(self) -> Iterator[Manoeuvre]:
         """Step over to the next lane and face back, by two turns."""
         _, y, yaw = self.pose
-        step = self.habits.lane_width_m
-        if y * self._sideways + step > self.habits.area_m[1] / 2.0:
-            self._sideways = -self._sideways
+        step = self.style.lane_width_m
+        if y * self._lane_direction + step > self.style.area_m[1] / 2.0:
+            self._lane_direction = -self._lane_direction
         back = math.pi if math.cos(yaw) > 0.0 else 0.0
-        yield self.turn_to(self._sideways * math.pi / 2.0)
-        yield self.go(drive(step, self.habits.speed_m_s))
+        yield self.turn_to(self._lane_direction * math.pi / 2.0)
+        yield self.execute(drive(step, self.style.speed_m_s))
         yield self.turn_to(back)
 
-    def swing_lane(self) -> Iterator[Manoeuvre]:
+    def change_lane_by_arc(self) -> Iterator[Manoeuvre]:
         """Step over to the next lane by half a circle, as one sweep."""
         _, y, yaw = self.pose
-        radius = self.habits.lane_width_m / 2.0
-        if y * self._sideways + 2.0 * radius > self.habits.area_m[1] / 2.0:
-            self._sideways = -self._sideways
-        left = self._sideways * math.copysign(1.0, math.cos(yaw))
-        yield self.go(arc(left * math.pi, radius, self.turn_rate()))
+        radius = self.style.lane_width_m / 2.0
+        if y * self._lane_direction + 2.0 * radius > self.style.area_m[1] / 2.0:
+            self._lane_direction = -self._lane_direction
+        left = self._lane_direction * math.copysign(1.0, math.cos(yaw))
+        yield self.execute(arc(left * math.pi, radius, self.turn_rate()))
 
     def spin(self) -> Manoeuvre:
         """Turn once all the way round on the spot."""
         side = self.rng.choice([-1.0, 1.0])
-        return self.go(turn(side * 2.0 * math.pi, self.turn_rate()))
+        return self.execute(turn(side * 2.0 * math.pi, self.turn_rate()))
 
-    def bend(self) -> Iterator[Manoeuvre]:
+    def avoid_obstacle(self) -> Iterator[Manoeuvre]:
         """Follow something round: out to one side and back to the lane."""
         side = self.rng.choice([-1.0, 1.0])
         angle, radius = math.radians(self.rng.uniform(30.0, 60.0)), self.rng.uniform(0.25, 0.5)
-        rate = min(self.turn_rate(), self.habits.speed_m_s / radius)
+        rate = min(self.turn_rate(), self.style.speed_m_s / radius)
         for share in (1.0, -2.0, 1.0):
-            yield self.go(arc(side * share * angle, radius, rate))
+            yield self.execute(arc(side * share * angle, radius, rate))
 
 
 def lanes(planner: Planner) -> Iterator[Manoeuvre]:
@@ -141,16 +141,16 @@ def lanes(planner: Planner) -> Iterator[Manoeuvre]:
 
 
 def cleaning(planner: Planner) -> Iterator[Manoeuvre]:
-    """Lanes with mixed turns, and now and then a sweep, a spin or something to go round."""
+    """Lanes with mixed turns, and now and then a sweep, a spin or something to execute round."""
     while True:
-        room_ahead = planner.habits.area_m[0] > 3.0
-        if room_ahead and planner.rng.random() < 0.25:
-            yield planner.go(drive(planner.rng.uniform(0.3, 0.8), planner.habits.speed_m_s))
-            yield from planner.bend()
+        is_long = planner.style.area_m[0] > 3.0
+        if is_long and planner.rng.random() < 0.25:
+            yield planner.execute(drive(planner.rng.uniform(0.3, 0.8), planner.style.speed_m_s))
+            yield from planner.avoid_obstacle()
         yield planner.lane()
         if planner.rng.random() < 0.2:
             yield planner.spin()
-        yield from planner.swing_lane() if planner.rng.random() < 0.25 else planner.change_lane()
+        yield from planner.change_lane_by_arc() if planner.rng.random() < 0.25 else planner.change_lane()
 
 
 def rest_and_go(planner: Planner) -> Iterator[Manoeuvre]:
@@ -165,7 +165,7 @@ def spins(planner: Planner) -> Iterator[Manoeuvre]:
     """Ten rotations to one side, a rest, ten to the other, and so on."""
     side = planner.rng.choice([-1.0, 1.0])
     while True:
-        yield planner.go(turn(side * 20.0 * math.pi, planner.turn_rate()))
+        yield planner.execute(turn(side * 20.0 * math.pi, planner.turn_rate()))
         yield rest(2.0)
         side = -side
 
@@ -185,7 +185,7 @@ def plan_legs(
     stages: tuple[tuple[str, float], ...],
     standing_s: float,
     duration_s: float,
-    habits: Habits,
+    style: DrivingStyle,
     rng: np.random.Generator,
 ) -> tuple[list[Leg], Pose]:
     """Return the legs of a whole recording and the pose it starts from.
@@ -194,11 +194,11 @@ def plan_legs(
         stages: name of a plan, and the time until which it is followed; the last one goes on.
         standing_s: rest before the first motion.
         duration_s: the legs last at least so long.
-        habits: how the robot moves.
+        style: how the robot moves.
         rng: where turn rates and the choice of manoeuvres come from.
     """
-    start: Pose = (-habits.area_m[0] / 2.0, -habits.area_m[1] / 2.0, 0.0)
-    planner = Planner(habits, rng, start)
+    start: Pose = (-style.area_m[0] / 2.0, -style.area_m[1] / 2.0, 0.0)
+    planner = Planner(style, rng, start)
     legs = [Leg(standing_s)] if standing_s > 0.0 else []
     time_s = standing_s
     for number, (name, until_s) in enumerate(stages):
@@ -212,7 +212,7 @@ def plan_legs(
     return [*legs, Leg(1.0)], start
 
 
-def round_legs(legs: tuple[Leg, ...], standing_s: float, duration_s: float) -> tuple[list[Leg], Pose]:
+def repeated_legs(legs: tuple[Leg, ...], standing_s: float, duration_s: float) -> tuple[list[Leg], Pose]:
     """Return a rest, a round as often as a recording needs it, and the pose they start from."""
-    rounds = math.ceil(max(duration_s - standing_s, 0.0) / sum(leg.duration_s for leg in legs))
-    return [Leg(standing_s), *legs * rounds], (0.0, 0.0, 0.0)
+    repetitions = math.ceil(max(duration_s - standing_s, 0.0) / sum(leg.duration_s for leg in legs))
+    return [Leg(standing_s), *legs * repetitions], (0.0, 0.0, 0.0)

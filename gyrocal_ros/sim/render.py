@@ -85,16 +85,16 @@ class CeilingRenderer:
             to_texels = _rays_to_texels(layer, R_wc, p_wc)
             if layer.opacity is None:
                 places = cv2.perspectiveTransform(self._rays, to_texels)
-                image = _look_up(layer.brightness, places, cv2.BORDER_WRAP)
+                image = _interpolated(layer.brightness, places, cv2.BORDER_WRAP)
                 continue
-            part = self._seen_part(layer, to_texels)
+            part = self._covered_part(layer, to_texels)
             if part is not None:
                 places = cv2.perspectiveTransform(np.ascontiguousarray(self._rays[part]), to_texels)
-                image[part] *= 1.0 - _look_up(layer.opacity, places) / np.float32(OPAQUE)
-                image[part] += _look_up(layer.brightness, places)
+                image[part] *= 1.0 - _interpolated(layer.opacity, places) / np.float32(OPAQUE)
+                image[part] += _interpolated(layer.brightness, places)
         return image
 
-    def _seen_part(self, layer: Layer, to_texels: Array) -> tuple[slice, slice] | None:
+    def _covered_part(self, layer: Layer, to_texels: Array) -> tuple[slice, slice] | None:
         """Rows and columns of the image that a piece of a plane may cover; None: it is not in view."""
         texels = cv2.perspectiveTransform(np.ascontiguousarray(self._rays[::_COARSE, ::_COARSE]), to_texels)
         reach = 2.0 * _COARSE * TEXELS_PER_PIXEL
@@ -109,7 +109,7 @@ class CeilingRenderer:
         )
 
 
-def _look_up(
+def _interpolated(
     texels: NDArray[np.uint16], places: cv2.typing.MatLike, border: int = cv2.BORDER_CONSTANT
 ) -> NDArray[np.float32]:
     """Values between the texels at places (rows, columns, 2); by default nothing is beyond their edge."""

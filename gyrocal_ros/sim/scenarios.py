@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from gyrocal_ros.data import CameraIntrinsics
 from gyrocal_ros.errors import ConfigError, did_you_mean
-from gyrocal_ros.sim.manoeuvres import Habits
+from gyrocal_ros.sim.manoeuvres import DrivingStyle
 from gyrocal_ros.sim.scene import Furniture
 from gyrocal_ros.sim.sensors import Climate, Fan, SensorErrors
 from gyrocal_ros.sim.trajectory import Leg
@@ -50,7 +50,7 @@ class Scenario:
     """How long it then stays lost, on average."""
     camera_until_s: float = float('inf')
     """The camera is switched off at this time."""
-    habits: Habits = Habits()
+    driving_style: DrivingStyle = DrivingStyle()
     errors: SensorErrors = SensorErrors()
     climate: Climate | None = None
     fan: Fan | None = None
@@ -68,7 +68,7 @@ class Scenario:
     mount_yaw_deg: float = -90.0
 
 
-_TRIAL = Habits(turn_rates_deg_s=(75.0, 75.0), area_m=(2.8, 4.0))
+_LANES_STYLE = DrivingStyle(turn_rates_deg_s=(75.0, 75.0), area_m=(2.8, 4.0))
 
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
@@ -80,7 +80,7 @@ SCENARIOS: dict[str, Scenario] = {
             duration_s=75.0,
             imu_hz=100,
             camera_hz=10,
-            habits=Habits(area_m=(1.6, 1.6)),
+            driving_style=DrivingStyle(area_m=(1.6, 1.6)),
             room_m=(3.0, 3.0),
         ),
         Scenario('filmed', 'cleaning with ten images a second', camera_hz=10),
@@ -90,7 +90,7 @@ SCENARIOS: dict[str, Scenario] = {
             stages=(('lanes', 0.0),),
             imu_hz=100,
             camera_hz=10,
-            habits=_TRIAL,
+            driving_style=_LANES_STYLE,
         ),
         Scenario(
             'spins', 'ten rotations on the spot to one side, then to the other', stages=(('spins', 0.0),)
@@ -111,7 +111,7 @@ SCENARIOS: dict[str, Scenario] = {
             'two minutes of lanes, then the camera is off: ten rotations to each side',
             stages=(('lanes', 120.0), ('spins', 0.0)),
             duration_s=240.0,
-            habits=_TRIAL,
+            driving_style=_LANES_STYLE,
             imu_hz=100,
             camera_hz=10,
             camera_until_s=120.0,

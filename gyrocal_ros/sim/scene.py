@@ -57,20 +57,20 @@ def draw_scene(
     return Scene(np.column_stack([level, camera_height_m + height]), furniture)
 
 
-def hidden(furniture: tuple[Furniture, ...], eye_w: Array, points_w: Array) -> np.ndarray:
+def occluded(furniture: tuple[Furniture, ...], camera_w: Array, points_w: Array) -> np.ndarray:
     """Which of the points (m, 3) a board hides from the camera at each place (n, 3): (n, m) bool."""
-    result = np.zeros((len(eye_w), len(points_w)), dtype=bool)
-    rise = points_w[:, 2] - eye_w[:, 2:]
+    result = np.zeros((len(camera_w), len(points_w)), dtype=bool)
+    rise = points_w[:, 2] - camera_w[:, 2:]
     for board in furniture:
-        share = (board.height_m - eye_w[:, 2:]) / rise
-        x = eye_w[:, :1] + share * (points_w[:, 0] - eye_w[:, :1])
-        y = eye_w[:, 1:2] + share * (points_w[:, 1] - eye_w[:, 1:2])
+        share = (board.height_m - camera_w[:, 2:]) / rise
+        x = camera_w[:, :1] + share * (points_w[:, 0] - camera_w[:, :1])
+        y = camera_w[:, 1:2] + share * (points_w[:, 1] - camera_w[:, 1:2])
         inside = (x > board.x_m[0]) & (x < board.x_m[1]) & (y > board.y_m[0]) & (y < board.y_m[1])
         result |= inside & (share > 0.0) & (share < 1.0)
     return result
 
 
-def view(
+def project_corners(
     scene: Scene, camera: CameraIntrinsics, R_wc: Array, p_wc: Array, border_px: float = 8.0
 ) -> tuple[Array, np.ndarray]:
     """Project every corner into n images taken from the poses R_wc (n, 3, 3), p_wc (n, 3).
@@ -83,10 +83,10 @@ def view(
     pixels = project(camera, flat)
     seen = in_image(camera, pixels, border_px) & (flat[:, 2] > 0.1)
     shape = points_c.shape[:2]
-    return pixels.reshape(*shape, 2), seen.reshape(shape) & ~hidden(scene.furniture, p_wc, scene.points_w)
+    return pixels.reshape(*shape, 2), seen.reshape(shape) & ~occluded(scene.furniture, p_wc, scene.points_w)
 
 
-def track(
+def track_corners(
     seen: np.ndarray, time_s: Array, features: int, reacquire_s: float
 ) -> Iterator[tuple[IntArray, IntArray]]:
     """Follow corners as a tracker does: each until it is lost, and a new one in its place.
@@ -96,7 +96,7 @@ def track(
     Args:
         seen: (n, m) which corners can be tracked in each image.
         time_s: (n,) of the images.
-        features: how many are followed at a time.
+        features: how many are tracked at a time.
         reacquire_s: how long a lost corner is looked for.
 
     Yields:
@@ -105,16 +105,16 @@ def track(
     corners = seen.shape[1]
     ids = np.full(corners, -1, dtype=np.int64)
     last_s = np.full(corners, -np.inf)
-    followed = np.zeros(corners, dtype=bool)
+    tracked = np.zeros(corners, dtype=bool)
     next_id = 1
     for now_s, visible in zip(time_s, seen, strict=True):
         ids[now_s - last_s > reacquire_s] = -1
-        followed &= visible
-        for candidates in (visible & ~followed & (ids >= 0), visible & ~followed & (ids < 0)):
-            vacant = features - int(followed.sum())
-            if vacant > 0:
-                followed[np.flatnonzero(candidates)[:vacant]] = True
-        chosen = np.flatnonzero(followed)
+        tracked &= visible
+        for candidates in (visible & ~tracked & (ids >= 0), visible & ~tracked & (ids < 0)):
+            free = features - int(tracked.sum())
+            if free > 0:
+                tracked[np.flatnonzero(candidates)[:free]] = True
+        chosen = np.flatnonzero(tracked)
         for corner in chosen[ids[chosen] < 0]:
             ids[corner] = next_id
             next_id += 1

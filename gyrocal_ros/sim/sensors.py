@@ -57,8 +57,8 @@ class SensorErrors:
     temperature_noise_c: float = 0.03
     temperature_step_c: float = 0.0625
     """Resolution of the recorded temperature."""
-    other_noise: float = 1.0
-    """Noise and resolution of the other recorded numbers, as parts of `OTHER_ERRORS`."""
+    covariate_noise: float = 1.0
+    """Noise and resolution of the other recorded numbers, as parts of `COVARIATE_ERRORS`."""
 
 
 NOISE = (
@@ -74,7 +74,7 @@ NOISE = (
     'outliers',
     'temperature_noise_c',
     'temperature_step_c',
-    'other_noise',
+    'covariate_noise',
 )
 
 
@@ -113,14 +113,14 @@ def read_gyro(nominal_rad_s: Array, rate_hz: float, errors: SensorErrors, rng: n
     return _quantised(nominal_rad_s + noise, np.radians(errors.rate_step_deg_s))
 
 
-def shaking(motion: TrueMotion, fan_speed: Array, errors: SensorErrors) -> Array:
+def vibration_std(motion: TrueMotion, fan_speed: Array, errors: SensorErrors) -> Array:
     """Return the standard deviation (n,) of the vibration in m/s^2 that fan and floor cause."""
     return errors.vibration_m_s2 * np.hypot(fan_speed, motion.speed_m_s / 0.3)
 
 
-def vibration(shaking_m_s2: Array, rng: np.random.Generator) -> Array:
+def vibration(vibration_std_m_s2: Array, rng: np.random.Generator) -> Array:
     """Draw the specific force (n, 3) that vibration adds."""
-    return shaking_m_s2[:, None] * rng.standard_normal((len(shaking_m_s2), 3))
+    return vibration_std_m_s2[:, None] * rng.standard_normal((len(vibration_std_m_s2), 3))
 
 
 def read_accelerometer(
@@ -224,8 +224,8 @@ class Fan:
 
 def draw_fan(rng: np.random.Generator, start_s: float, duration_s: float) -> Fan:
     """Draw when the fan runs at full power: about a third of the time, in spells of 10 to 30 s."""
-    gaps_and_spells = rng.uniform([20.0, 10.0], [70.0, 30.0], (int(duration_s / 30.0) + 1, 2))
-    ends = start_s + np.cumsum(gaps_and_spells.ravel()).reshape(-1, 2)
+    gaps_and_boosts = rng.uniform([20.0, 10.0], [70.0, 30.0], (int(duration_s / 30.0) + 1, 2))
+    ends = start_s + np.cumsum(gaps_and_boosts.ravel()).reshape(-1, 2)
     return Fan(start_s, ends)
 
 
@@ -242,7 +242,7 @@ def covariates(motion: TrueMotion, fan_speed: Array) -> dict[str, Array]:
     }
 
 
-OTHER_ERRORS = {
+COVARIATE_ERRORS = {
     'battery_state.voltage': (0.004, 0.001),
     'battery_state.current': (0.03, 0.001),
     'fan_speed.data': (40.0, 10.0),
@@ -252,7 +252,7 @@ OTHER_ERRORS = {
 
 def read_covariate(name: str, values: Array, errors: SensorErrors, rng: np.random.Generator) -> Array:
     """Return the readings (n,) of one of the `covariates`."""
-    noise, step = errors.other_noise * np.array(OTHER_ERRORS[name])
+    noise, step = errors.covariate_noise * np.array(COVARIATE_ERRORS[name])
     return _quantised(values + noise * rng.standard_normal(len(values)), step)
 
 

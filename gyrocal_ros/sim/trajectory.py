@@ -22,7 +22,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A stretch in which speed and yaw rate glide from where they are to the values given."""
+    """A stretch in which speed and yaw rate ramp from where they are to the values given."""
 
     duration_s: float
     speed_m_s: float = 0.0
@@ -126,7 +126,7 @@ class Trajectory:
     ) -> None:
         self.floor = floor
         self._length_s = np.array([leg.duration_s for leg in legs])
-        self._from_s = np.concatenate([[0.0], np.cumsum(self._length_s)])
+        self._start_s = np.concatenate([[0.0], np.cumsum(self._length_s)])
         self._speed = np.array([0.0, *(leg.speed_m_s for leg in legs)])
         self._yaw_rate = np.array([0.0, *(leg.yaw_rate_rad_s for leg in legs)])
         travelled = self._length_s * (self._speed[:-1] + self._speed[1:]) / 2.0
@@ -140,7 +140,7 @@ class Trajectory:
     @property
     def duration_s(self) -> float:
         """Time until the last leg ends."""
-        return float(self._from_s[-1])
+        return float(self._start_s[-1])
 
     @property
     def end(self) -> tuple[float, float, float]:
@@ -152,15 +152,15 @@ class Trajectory:
         """Evaluate everything but the position at times (n,)."""
         leg, u = self._locate(time_s)
         length = self._length_s[leg]
-        glide, glide_rate = u**2 * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / length
-        glided = length * (u**3 - 0.5 * u**4)  # integral of glide
+        ramp, ramp_rate = u**2 * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / length
+        ramp_integral = length * (u**3 - 0.5 * u**4)  # integral of ramp
 
         d_speed = self._speed[leg + 1] - self._speed[leg]
         d_yaw_rate = self._yaw_rate[leg + 1] - self._yaw_rate[leg]
-        speed = self._speed[leg] + d_speed * glide
-        yaw_rate = self._yaw_rate[leg] + d_yaw_rate * glide
-        travelled = self._speed[leg] * length * u + d_speed * glided
-        turned = self._yaw_rate[leg] * length * u + d_yaw_rate * glided
+        speed = self._speed[leg] + d_speed * ramp
+        yaw_rate = self._yaw_rate[leg] + d_yaw_rate * ramp
+        travelled = self._speed[leg] * length * u + d_speed * ramp_integral
+        turned = self._yaw_rate[leg] * length * u + d_yaw_rate * ramp_integral
 
         # No leg changes the sign of speed or yaw rate, so the path of the wheels is exact, too.
         path = self._path[leg] + np.abs(travelled) + HALF_TRACK_M * np.abs(turned)
@@ -171,7 +171,7 @@ class Trajectory:
         return TrueMotion(
             time_s=time_s,
             speed_m_s=speed,
-            acceleration_m_s2=d_speed * glide_rate,
+            acceleration_m_s2=d_speed * ramp_rate,
             travelled_m=self._travelled[leg] + travelled,
             euler_rad=euler,
             rate_rad_s=body_rates(euler, euler_rate),
@@ -185,8 +185,8 @@ class Trajectory:
 
     def _locate(self, time_s: Array) -> tuple[np.ndarray, Array]:
         """Return the leg (n,) of each time and how much of it has gone, 0 to 1."""
-        leg = np.clip(np.searchsorted(self._from_s, time_s, side='right') - 1, 0, len(self._length_s) - 1)
-        return leg, np.clip((time_s - self._from_s[leg]) / self._length_s[leg], 0.0, 1.0)
+        leg = np.clip(np.searchsorted(self._start_s, time_s, side='right') - 1, 0, len(self._length_s) - 1)
+        return leg, np.clip((time_s - self._start_s[leg]) / self._length_s[leg], 0.0, 1.0)
 
     def _displacement(self, from_s: Array, to_s: Array) -> Array:
         """Integrate the velocity over n stretches of at most a grid step within one leg, (n, 3)."""
@@ -199,7 +199,7 @@ class Trajectory:
     def _integrate(self, start: Array) -> tuple[Array, Array]:
         """Return a grid of times that contains the ends of the legs, and the positions on it."""
         regular = np.arange(0.0, self.duration_s, _GRID_STEP_S)
-        grid_s = np.union1d(self._from_s, regular)
+        grid_s = np.union1d(self._start_s, regular)
         steps = self._displacement(grid_s[:-1], grid_s[1:])
         return grid_s, start + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 

@@ -14,7 +14,7 @@ WINDOW_PX = 14
 """Side of the window of the structure tensor: about that of a patch."""
 
 SATURATED_GREY = 250
-DISTINCT_PX = 16
+DISTINCT_RADIUS_PX = 16
 """How far around a corner nothing else may look like it: about as far as it is searched for."""
 
 
@@ -41,18 +41,18 @@ def find_corners(
     allowed = np.zeros(half.shape, dtype=np.uint8)
     edge = margin_px // 2 + 1
     allowed[edge:-edge, edge:-edge] = 255
-    _forbid(allowed, taken, config)
+    _mask_out(allowed, taken, config)
     dazzled = cv2.dilate(half, np.ones((WINDOW_PX // 2 + 2,) * 2, np.uint8)) >= SATURATED_GREY
     dark = _harris(half, np.where(dazzled, 0, allowed).astype(np.uint8), config)
-    corners = dark[_spread(dark, taken, image.shape, config.features)]
+    corners = dark[_spread_order(dark, taken, image.shape, config.features)]
     if dazzled.any():
-        _forbid(allowed, dark, config)
+        _mask_out(allowed, dark, config)
         bright = _harris(half, np.where(dazzled, allowed, 0).astype(np.uint8), config)
         corners = np.concatenate([corners, bright])
     return corners
 
 
-def _forbid(allowed: NDArray[np.uint8], pixels: Array | NDArray[np.intp], config: TrackerConfig) -> None:
+def _mask_out(allowed: NDArray[np.uint8], pixels: Array | NDArray[np.intp], config: TrackerConfig) -> None:
     """Keep corners away from pixels (n, 2) of the whole image."""
     for u, v in pixels:
         cv2.circle(allowed, (round(0.5 * u), round(0.5 * v)), round(0.5 * config.min_distance_px), 0, -1)
@@ -79,7 +79,7 @@ def is_distinct(image: NDArray[np.uint8], corner: NDArray[np.intp], size: int, l
     The slats of a grille and points along an edge do not pass: they would be mistaken for each other.
     """
     u, v = corner
-    half, wide = size // 2, size // 2 + DISTINCT_PX
+    half, wide = size // 2, size // 2 + DISTINCT_RADIUS_PX
     top, left = max(0, v - wide), max(0, u - wide)
     patch = image[v - half : v + half + 1, u - half : u + half + 1]
     scores = cv2.matchTemplate(image[top : v + wide + 1, left : u + wide + 1], patch, cv2.TM_CCOEFF_NORMED)
@@ -96,7 +96,9 @@ def noise_level(image: NDArray[np.uint8]) -> float:
     return max(0.5, float(np.median(second)) / (0.6745 * 6.0**0.5))
 
 
-def _spread(corners: NDArray[np.intp], taken: Array, shape: tuple[int, ...], wanted: int) -> NDArray[np.intp]:
+def _spread_order(
+    corners: NDArray[np.intp], taken: Array, shape: tuple[int, ...], wanted: int
+) -> NDArray[np.intp]:
     """Order in which corners fill the image evenly; `corners` come strongest first."""
     side = (shape[0] * shape[1] / max(wanted, 1)) ** 0.5
     cells = [tuple(cell) for cell in np.floor_divide(corners, side).astype(int)]

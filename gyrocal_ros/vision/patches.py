@@ -79,7 +79,7 @@ def grid(size: int) -> Array:
     return np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2).astype(float)
 
 
-def cut(image: NDArray[np.uint8], centres: NDArray[np.int64], size: int) -> Patches:
+def extract_patches(image: NDArray[np.uint8], centres: NDArray[np.int64], size: int) -> Patches:
     """Take square patches of odd size out of an image (height, width), at whole pixels (n, 2) u, v."""
     reach = np.arange(size + 2) - (size // 2 + 1)
     rows, columns = centres[:, 1, None] + reach, centres[:, 0, None] + reach
@@ -90,9 +90,9 @@ def cut(image: NDArray[np.uint8], centres: NDArray[np.int64], size: int) -> Patc
         for down, across in ((smooth, smooth), (smooth, slope), (slope, smooth))
     )
     u, v = grid(size).T
-    template = _flattened(template)
+    template = _detrended(template)
     contrast = (template**2).sum(axis=1)
-    slopes = _flattened(np.stack([by_u, by_v, u * by_v - v * by_u], axis=1))
+    slopes = _detrended(np.stack([by_u, by_v, u * by_v - v * by_u], axis=1))
     by_gain = slopes @ template[:, :, None] / (contrast + _TINY)[:, None, None]
     slopes = slopes - by_gain * template[:, None, :]
     shifts, turning = slopes[:, :2], slopes[:, 2]
@@ -142,7 +142,7 @@ def align(image: NDArray[np.uint8], patches: Patches, points: Array, min_correla
         c, s = np.cos(twist), np.sin(twist)
         turn = np.array([[c, s], [-s, c]])
         moved = shift[:, None, :] + grid(size) @ (turn - np.eye(2))
-        present, correlation = _in_light_of(patches, sample(image, points + moved @ by_pixel))
+        present, correlation = _brightness_normalised(patches, sample_image(image, points + moved @ by_pixel))
         good = correlation > min_correlation
         vote = good * patches.twist_weight
         excess = (present * patches.to_twist).sum(axis=1)
@@ -153,10 +153,10 @@ def align(image: NDArray[np.uint8], patches: Patches, points: Array, min_correla
         if not good.any() or np.abs(step[good]).max() < CONVERGED_PX:
             break
     pixels = points[:, centre] + (shift[:, None, :] @ by_pixel)[:, 0]
-    return Alignment(pixels, twist, correlation, _backward(present, patches.template))
+    return Alignment(pixels, twist, correlation, _backward_shift(present, patches.template))
 
 
-def sample(image: NDArray[np.uint8], points: Array) -> Array:
+def sample_image(image: NDArray[np.uint8], points: Array) -> Array:
     """Smoothed grey values (...) of an image (height, width) at points (..., 2) u, v, clipped to it."""
     height, width = image.shape
     points = np.clip(points, 1.0, [width - 3, height - 3])
@@ -182,7 +182,7 @@ def _spline(f: NDArray[np.float32]) -> tuple[NDArray[Any], ...]:
     return first, second, 1.0 - first - second - last, last
 
 
-def _flattened(values: Array) -> Array:
+def _detrended(values: Array) -> Array:
     """Values (..., m) on a patch less their mean and slope, which the light of the lens' edge changes."""
     plane = _plane(round(values.shape[-1] ** 0.5))
     return values - values @ plane @ plane.T
@@ -195,16 +195,16 @@ def _plane(size: int) -> Array:
     return columns / np.linalg.norm(columns, axis=0)
 
 
-def _in_light_of(patches: Patches, grey: Array) -> tuple[Array, Array]:
+def _brightness_normalised(patches: Patches, grey: Array) -> tuple[Array, Array]:
     """Grey values (n, m) brought to the light of the patches, and their correlation (n,) with them."""
-    flat = _flattened(grey)
+    flat = _detrended(grey)
     common = (flat * patches.template).sum(axis=1)
     limit = np.sqrt((flat**2).sum(axis=1) * patches.contrast) + _TINY
     gain = np.maximum(common, 0.05 * limit) / (patches.contrast + _TINY)
     return flat / gain[:, None], common / limit
 
 
-def _backward(present: Array, template: Array) -> Array:
+def _backward_shift(present: Array, template: Array) -> Array:
     """Length (n,) of the first step of Lucas-Kanade from the present patch back to the first one."""
     size = round(template.shape[1] ** 0.5)
     inner = (size - 2) ** 2

@@ -29,14 +29,20 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
-from gyrocal_ros.vision.patches import Patches, align, cut, grid
-from gyrocal_ros.vision.search_region import best_place, ceiling_coordinates, ceiling_pixels, inside, reach
+from gyrocal_ros.vision.patches import Patches, align, extract_patches, grid
+from gyrocal_ros.vision.search_region import (
+    best_match,
+    ceiling_coordinates,
+    ceiling_pixels,
+    in_region,
+    region_radius,
+)
 
 UNPREDICTED_STD_PX = 5.0
 """Doubt of the position of a feature that the filter does not predict: about the motion of one frame."""
-MAX_REACH_PX = 20
+MAX_RADIUS_PX = 20
 """A region that reaches further is no better than a guess."""
-SAME_VIEW_PX = 2.0
+MAX_WARP_SHIFT_PX = 2.0
 """Found further from where it was expected, a patch is shaped anew for the lens there and aligned again."""
 MAX_NOISE_PX = 0.1
 """A corner that the noise of the image alone would move by more than this is none."""
@@ -76,7 +82,7 @@ class _Features:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Search:
+class _SearchSet:
     """Which of the features are looked for in an image, and where; k of them."""
 
     index: IntArray
@@ -88,8 +94,8 @@ class _Search:
     tracked: NDArray[np.bool_]
     """(k,) seen in the last image."""
 
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> _Search:
-        return _Search(*(getattr(self, item.name)[chosen] for item in fields(self)))
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> _SearchSet:
+        return _SearchSet(*(getattr(self, item.name)[chosen] for item in fields(self)))
 
 
 class Tracker:
@@ -132,8 +138,8 @@ class Tracker:
             RecordingError: the image has another size than the camera.
         """
         self._check(frame)
-        self._forget(frame.t_ns)
-        search = self._expect(R_wc, regions)
+        self._drop_old(frame.t_ns)
+        search = self._select(R_wc, regions)
         pixels, found = self._match(frame.image, R_wc, search)
         seen = search.index[found]
         self._features.seen_ns[seen] = frame.t_ns
@@ -152,7 +158,7 @@ class Tracker:
                 todo='record images and camera info at the same resolution',
             )
 
-    def _forget(self, t_ns: int) -> None:
+    def _drop_old(self, t_ns: int) -> None:
         """Drop the features that were not seen for long."""
         lost = self._features.seen_ns != self._last_ns
         old = np.abs(t_ns - self._features.seen_ns) > nanoseconds(self.config.reacquire_s)
@@ -169,7 +175,7 @@ class Tracker:
     def _to_pixels(self, ceiling: Array, R_wc: Array) -> Array:
         return ceiling_pixels(self._camera, ceiling, self._attitude(R_wc))
 
-    def _expect(self, R_wc: Array, regions: SearchRegions | None) -> _Search:
+    def _select(self, R_wc: Array, regions: SearchRegions | None) -> _SearchSet:
         """Decide which features to look for, and where.
 
         What was lost is looked for only while fewer features than wanted are tracked, and only where
@@ -179,48 +185,48 @@ class Tracker:
         pixels = self._to_pixels(features.ceiling, R_wc)
         covariances = np.tile(UNPREDICTED_STD_PX**2 * np.eye(2), (len(features), 1, 1))
         tracked = features.seen_ns == self._last_ns
-        returning = np.zeros(len(features), dtype=bool)
+        reacquired = np.zeros(len(features), dtype=bool)
         if regions is not None:
             _, ours, theirs = np.intersect1d(features.ids, regions.ids, return_indices=True)
-            helpful = reach(regions.covariances_px2[theirs]) <= MAX_REACH_PX
-            ours, theirs = ours[helpful], theirs[helpful]
+            usable = region_radius(regions.covariances_px2[theirs]) <= MAX_RADIUS_PX
+            ours, theirs = ours[usable], theirs[usable]
             pixels[ours] = regions.pixels[theirs]
             covariances[ours] = regions.covariances_px2[theirs]
-            returning[ours] = tracked.sum() < self.config.features
-        index = np.flatnonzero((tracked | returning) & in_image(self._camera, pixels, self._margin_px))
-        return _Search(index, pixels[index], covariances[index], tracked[index])
+            reacquired[ours] = tracked.sum() < self.config.features
+        index = np.flatnonzero((tracked | reacquired) & in_image(self._camera, pixels, self._margin_px))
+        return _SearchSet(index, pixels[index], covariances[index], tracked[index])
 
     def _match(
-        self, image: NDArray[np.uint8], R_wc: Array, search: _Search
+        self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Look for features: their pixels (k, 2), as expected where not found, and whether found (k,)."""
         if not len(search.index):
             return search.pixels, search.tracked
         pixels, score = self._align(image, R_wc, search, search.pixels)
-        sought = search.tracked if search.tracked.any() else np.ones(len(score), dtype=bool)
-        missed = sought & (score < 0.0)
+        searched = search.tracked if search.tracked.any() else np.ones(len(score), dtype=bool)
+        missed = searched & (score < 0.0)
         if missed.any():  # once more, by correlation; further around if the filter errs about most
             again = search[missed]
             if 2 * len(again.index) > search.tracked.sum():
                 again.covariances_px2[:] += UNPREDICTED_STD_PX**2 * np.eye(2)
             pixels[missed], score[missed] = self._align(
-                image, R_wc, again, self._by_correlation(image, R_wc, again)
+                image, R_wc, again, self._best_matches(image, R_wc, again)
             )
-        _drop_doubles(pixels, score, 0.5 * self.config.patch_px)
-        room = max(0, self.config.features - int((score[search.tracked] > 0.0).sum()))
-        returned = np.flatnonzero(~search.tracked & (score > 0.0))
-        score[returned[np.argsort(-score[returned], kind='stable')][room:]] = -1.0
+        _reject_duplicates(pixels, score, 0.5 * self.config.patch_px)
+        vacant = max(0, self.config.features - int((score[search.tracked] > 0.0).sum()))
+        reacquired = np.flatnonzero(~search.tracked & (score > 0.0))
+        score[reacquired[np.argsort(-score[reacquired], kind='stable')][vacant:]] = -1.0
         return np.where(score[:, None] > 0.0, pixels, search.pixels), score > 0.0
 
-    def _by_correlation(self, image: NDArray[np.uint8], R_wc: Array, search: _Search) -> Array:
+    def _best_matches(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet) -> Array:
         """Where in their regions the patches correlate best, to the pixel (k, 2)."""
         features = self._features[search.index]
         points = self._points(features, search.pixels, R_wc)
         arguments = zip(features.patches.template, points, search.covariances_px2, strict=True)
-        return search.pixels + np.array([best_place(image, *each) for each in arguments])
+        return search.pixels + np.array([best_match(image, *each) for each in arguments])
 
     def _align(
-        self, image: NDArray[np.uint8], R_wc: Array, search: _Search, starts: Array
+        self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet, starts: Array
     ) -> tuple[Array, Array]:
         """Pixels (k, 2) by Lucas-Kanade, and their correlation (k,), -1 where the match is refused."""
         features = self._features[search.index]
@@ -230,13 +236,13 @@ class Tracker:
             good = (
                 (result.correlation > max(0.0, self.config.min_correlation))
                 & (result.backward_px <= self.config.max_reprojection_px)
-                & inside(result.pixels - search.pixels, search.covariances_px2)
+                & in_region(result.pixels - search.pixels, search.covariances_px2)
                 & in_image(self._camera, result.pixels, self._margin_px)
             )
             if good.any():
                 self._yaw_error_rad += result.twist_rad
             moved_px = np.linalg.norm(result.pixels - starts, axis=1)
-            if not (moved_px[good] > SAME_VIEW_PX).any():
+            if not (moved_px[good] > MAX_WARP_SHIFT_PX).any():
                 break
             starts = np.where(good[:, None], result.pixels, starts)
         return result.pixels, np.where(good, result.correlation, -1.0)
@@ -253,7 +259,7 @@ class Tracker:
             return np.zeros((0, 2))
         self._frames_to_detection = self.config.detect_interval
         corners = find_corners(frame.image, taken, self._margin_px, self.config)
-        information = cut(frame.image, corners, self._size_px).information
+        information = extract_patches(frame.image, corners, self._size_px).information
         clear = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
         limit = max(0.0, self.config.min_correlation)
         distinct = (
@@ -268,11 +274,11 @@ class Tracker:
         ceiling = self._to_ceiling(corners.astype(float), R_wc)
         outline = self._to_ceiling(corners[:, None] + grid(self._size_px), R_wc) - ceiling[:, None]
         ids = (self._next_id + np.arange(len(corners))) % ID_COUNT
-        patches = cut(frame.image, corners, self._size_px)
+        patches = extract_patches(frame.image, corners, self._size_px)
         return _Features(ids, np.full(len(ids), frame.t_ns), ceiling, outline, patches)
 
 
-def _drop_doubles(pixels: Array, score: Array, distance_px: float) -> None:
+def _reject_duplicates(pixels: Array, score: Array, distance_px: float) -> None:
     """Of any two matches closer than a distance, refuse the one that looks less like its patch."""
     close = np.linalg.norm(pixels[:, None] - pixels, axis=2) < distance_px
     for k in np.flatnonzero(close.sum(axis=1) > 1):

@@ -29,9 +29,9 @@ from gyrocal_ros.pipeline.visual_slam import VisualSlam
 from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.world import SimSource
-from gyrocal_ros.vision.follower import Follower
+from gyrocal_ros.vision.gyro_aided_tracker import GyroAidedTracker
+from gyrocal_ros.vision.gyro_attitude import HISTORY_S, MAX_GAP_S, GyroAttitude
 from gyrocal_ros.vision.tracker import Tracker
-from gyrocal_ros.vision.turning import GAP_S, KEPT_S, Turning
 
 CAMERA = CameraIntrinsics(640, 480, 250.0, 250.0, 320.0, 240.0, (-0.05, 0.01, 5e-4, -3e-4, 0.0))
 R_BC = mount_from_yaw(0.0, 0.0, 0.0, -90.0).R_bs
@@ -49,20 +49,20 @@ def sample(t_s: float, z: float, x: float = 0.0, y: float = 0.0) -> ImuSample:
     return ImuSample(nanoseconds(t_s), (x, y, z), GRAVITY)
 
 
-def turned(rates: Iterator[tuple[float, float, float, float]]) -> Turning:
-    turning = Turning()
+def turned(rates: Iterator[tuple[float, float, float, float]]) -> GyroAttitude:
+    turning = GyroAttitude()
     for t_s, x, y, z in rates:
         turning.add(sample(t_s, z, x, y))
     return turning
 
 
-class Ride:
+class TrackedDrive:
     """A camera that turns and drives below a ceiling, with a gyro that overstates its turns."""
 
     def __init__(
         self, renderer: CeilingRenderer, rate_rad_s: float, overstated: float = 1.0, bias_rad_s: float = 0.0
     ) -> None:
-        self.follower = Follower(CAMERA, R_BC, TrackerConfig())
+        self.tracker = GyroAidedTracker(CAMERA, R_BC, TrackerConfig())
         self.rate_rad_s, self.overstated, self.bias_rad_s = rate_rad_s, overstated, bias_rad_s
         self.speed_m_s, self.start_s = 0.3, 0.0
         self._renderer, self._rng = renderer, np.random.default_rng(0)
@@ -75,14 +75,14 @@ class Ride:
 
     def hear(self, until_s: float) -> None:
         for t_s in np.arange(self._heard_s, until_s + 1e-9, 0.005):
-            self.follower.add(sample(float(t_s), self.overstated * self.rate_rad_s + self.bias_rad_s))
+            self.tracker.add(sample(float(t_s), self.overstated * self.rate_rad_s + self.bias_rad_s))
         self._heard_s = until_s
 
     def look(self, t_s: float, *, covered: bool = False) -> FeatureObservations:
         image = self._renderer.render(*self.pose(t_s), rng=self._rng)
         if covered:
             image[:] = 20
-        seen = self.follower.track(Frame(nanoseconds(t_s), image))
+        seen = self.tracker.track(Frame(nanoseconds(t_s), image))
         R_wc, p_wc = self.pose(t_s)
         rays_w = np.column_stack([bearing(CAMERA, seen.pixels), np.ones(len(seen.ids))]) @ R_wc.T
         for id_, point_w in zip(seen.ids.tolist(), p_wc + rays_w * (CEILING_M - p_wc[2]), strict=True):
@@ -106,7 +106,7 @@ class Ride:
                 self.hear(k * FRAME_S)
             seen.append(self.look(k * FRAME_S))
             if guided:
-                self.follower.regions = self.expect(k * FRAME_S)
+                self.tracker.regions = self.expect(k * FRAME_S)
         return seen
 
 
@@ -116,9 +116,9 @@ def kept(seen: list[FeatureObservations]) -> float:
     return float(np.mean([len(np.intersect1d(a.ids, b.ids)) / len(a.ids) for a, b in pairs]))
 
 
-def missed_px(ride: Ride, seen: FeatureObservations) -> float:
+def missed_px(drive: TrackedDrive, seen: FeatureObservations) -> float:
     """How far the features of the last image were from where they were expected."""
-    expected = ride.follower.expected
+    expected = drive.tracker.expected
     assert expected is not None
     _, found, asked = np.intersect1d(seen.ids, expected.ids, return_indices=True)
     return float(np.median(np.linalg.norm(seen.pixels[found] - expected.pixels[asked], axis=1)))
@@ -152,16 +152,16 @@ def test_a_gyro_that_is_biased_does_not_tip_the_robot_over() -> None:
 
 
 def test_what_no_sample_vouches_for_is_not_told() -> None:
-    assert Turning().at(0) is None
+    assert GyroAttitude().at(0) is None
     turning = turned((0.01 * k, 0.0, 0.0, 1.0) for k in range(1001))
-    assert turning.at(nanoseconds(10.0 - 3.0 * KEPT_S)) is None
-    assert turning.at(nanoseconds(10.0 + GAP_S)) is None
+    assert turning.at(nanoseconds(10.0 - 3.0 * HISTORY_S)) is None
+    assert turning.at(nanoseconds(10.0 + MAX_GAP_S)) is None
     assert turning.at(nanoseconds(10.02))[2] == pytest.approx(10.02)  # type: ignore[index]
     assert turning.until_ns == nanoseconds(10.0)
 
 
 def test_a_gap_and_an_old_sample_turn_nothing() -> None:
-    turning = Turning()
+    turning = GyroAttitude()
     for t_s, z in ((0.0, 1.0), (0.1, 1.0), (0.05, 50.0), (0.1, 50.0), (5.0, 1.0), (5.1, 1.0)):
         turning.add(sample(t_s, z))
     assert turning.at(nanoseconds(5.1))[2] == pytest.approx(0.2)  # type: ignore[index]
@@ -173,18 +173,18 @@ def test_a_gap_and_an_old_sample_turn_nothing() -> None:
 def test_features_are_followed_through_a_fast_turn_by_a_gyro_that_overstates(
     renderer: CeilingRenderer,
 ) -> None:
-    ride = Ride(renderer, math.radians(80.0), overstated=1.08)
-    seen = ride.go(0, 25)
+    drive = TrackedDrive(renderer, math.radians(80.0), overstated=1.08)
+    seen = drive.go(0, 25)
     assert kept(seen) > 0.9, 'what leaves the image is lost, hardly more'
-    assert missed_px(ride, seen[-1]) < 0.1, 'turn and drive are foreseen, the gyro put right'
+    assert missed_px(drive, seen[-1]) < 0.1, 'turn and drive are foreseen, the gyro put right'
 
 
 def test_regions_are_wide_until_the_gyro_is_known(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer, math.radians(80.0), overstated=1.08)
+    drive = TrackedDrive(renderer, math.radians(80.0), overstated=1.08)
     widest_px2 = []
     for k in range(2, 5):
-        ride.go(k - 2 if k == 2 else k - 1, k)
-        expected = ride.follower.expected
+        drive.go(k - 2 if k == 2 else k - 1, k)
+        expected = drive.tracker.expected
         assert expected is not None
         widest_px2.append(expected.covariances_px2[:, 0, 0].max())
     assert widest_px2[0] > 2.0**2, 'eight of a hundred parts of a turn of 8 deg are some 3 px'
@@ -192,49 +192,49 @@ def test_regions_are_wide_until_the_gyro_is_known(renderer: CeilingRenderer) -> 
 
 
 def test_a_long_rest_with_a_biased_gyro_teaches_nothing_wrong(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer, 0.0, overstated=1.08, bias_rad_s=math.radians(1.0))
-    ride.speed_m_s = 0.0
-    ride.go(0, 100)
-    ride.rate_rad_s = math.radians(80.0)
-    ride.start_s = 9.9
-    assert missed_px(ride, ride.go(100, 101)[-1]) < 5.0, 'the prediction is as good as the gyro'
-    assert kept(ride.go(101, 112)) > 0.9
+    drive = TrackedDrive(renderer, 0.0, overstated=1.08, bias_rad_s=math.radians(1.0))
+    drive.speed_m_s = 0.0
+    drive.go(0, 100)
+    drive.rate_rad_s = math.radians(80.0)
+    drive.start_s = 9.9
+    assert missed_px(drive, drive.go(100, 101)[-1]) < 5.0, 'the prediction is as good as the gyro'
+    assert kept(drive.go(101, 112)) > 0.9
 
 
 def test_lost_features_come_back_where_the_filter_expects_them(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer, math.radians(10.0))
-    before = ride.go(0, 5)[-1]
+    drive = TrackedDrive(renderer, math.radians(10.0))
+    before = drive.go(0, 5)[-1]
     for k in (5, 6):
-        ride.hear(k * FRAME_S)
-        assert len(ride.look(k * FRAME_S, covered=True).ids) == 0
-        ride.follower.regions = ride.expect(k * FRAME_S)
-    after = ride.go(7, 8)[0]
+        drive.hear(k * FRAME_S)
+        assert len(drive.look(k * FRAME_S, covered=True).ids) == 0
+        drive.tracker.regions = drive.expect(k * FRAME_S)
+    after = drive.go(7, 8)[0]
     assert len(np.intersect1d(before.ids, after.ids)) > 10
 
 
 @pytest.mark.parametrize('guided', [False, True])
 def test_without_an_imu_a_slow_turn_is_followed(renderer: CeilingRenderer, guided: bool) -> None:
-    ride = Ride(renderer, math.radians(8.0))
-    seen = ride.go(0, 12, guided=guided, heard=False)
+    drive = TrackedDrive(renderer, math.radians(8.0))
+    seen = drive.go(0, 12, guided=guided, heard=False)
     assert kept(seen) > 0.9
-    assert ride.follower.expected is None, 'nobody can tell where they are after an unknown turn'
+    assert drive.tracker.expected is None, 'nobody can tell where they are after an unknown turn'
 
 
 def test_without_the_filter_all_goes_on(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer, math.radians(60.0), overstated=1.08)
-    seen = ride.go(0, 15, guided=False)
+    drive = TrackedDrive(renderer, math.radians(60.0), overstated=1.08)
+    seen = drive.go(0, 15, guided=False)
     assert kept(seen) > 0.9
-    assert ride.follower.expected is None
+    assert drive.tracker.expected is None
 
 
 def test_after_a_step_of_the_clock_nothing_old_counts(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer, math.radians(20.0))
-    ride.go(0, 4)
-    ride.follower.restart()
-    ride.hear(0.4)
-    assert ride.follower.turning.at(nanoseconds(0.1)) is None
-    assert len(ride.look(0.4).ids) == 15
-    assert ride.follower.expected is None
+    drive = TrackedDrive(renderer, math.radians(20.0))
+    drive.go(0, 4)
+    drive.tracker.restart()
+    drive.hear(0.4)
+    assert drive.tracker.attitude.at(nanoseconds(0.1)) is None
+    assert len(drive.look(0.4).ids) == 15
+    assert drive.tracker.expected is None
 
 
 def test_ids_begin_where_they_are_told_and_stay_within_32_bits(renderer: CeilingRenderer) -> None:

@@ -16,13 +16,13 @@ from gyrocal_ros.sim.texture import LEVELS_PER_GREY, OPAQUE, Layer, ceiling_laye
 CEILING_HEIGHT_M = 2.5
 EXPOSURE_S = 0.008
 BLUR_POSES = 5
-_BOARD_TEXEL_M = 0.01
+_UNDERSIDE_TEXEL_M = 0.01
 
 CameraPoses = Callable[[Array], tuple[Array, Array]]
 """From times (n,) to R_wc (n, 3, 3) and p_wc (n, 3)."""
 
 
-class Film:
+class ImageSequence:
     """What a camera below a ceiling sees: motion blurs the images, the light changes, furniture is dark.
 
     Args:
@@ -43,17 +43,17 @@ class Film:
     ) -> None:
         texel_m = CEILING_HEIGHT_M / (TEXELS_PER_PIXEL * np.sqrt(camera.fx_px * camera.fy_px))
         ceiling = ceiling_layers(stream(seed, 'ceiling'), CEILING_HEIGHT_M, texel_m)
-        boards = sorted((_board(item) for item in furniture), key=lambda layer: -layer.height_m)
-        self._renderer = CeilingRenderer(camera, (*ceiling, *boards))
+        undersides = sorted((_underside(item) for item in furniture), key=lambda layer: -layer.height_m)
+        self._renderer = CeilingRenderer(camera, (*ceiling, *undersides))
         self._noise = stream(seed, 'image noise')
         self._exposures = brightness(time_s, stream(seed, 'light'))
         self._time_s, self._camera_poses = time_s, camera_poses
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
         """Yield all images, one after the other."""
-        return map(self.take, range(len(self._time_s)))
+        return map(self.render, range(len(self._time_s)))
 
-    def take(self, number: int) -> NDArray[np.uint8]:
+    def render(self, number: int) -> NDArray[np.uint8]:
         """Take one of the images; the noise is another each time."""
         shutter_s = EXPOSURE_S * ((np.arange(BLUR_POSES) + 0.5) / BLUR_POSES - 0.5)
         R_wc, p_wc = self._camera_poses(self._time_s[number] + shutter_s)
@@ -74,12 +74,12 @@ def brightness(time_s: Array, rng: np.random.Generator) -> Array:
     return np.exp(np.einsum('nk,k->n', waves, np.array([0.10, 0.08, 0.04])))
 
 
-def _board(furniture: Furniture) -> Layer:
+def _underside(furniture: Furniture) -> Layer:
     """The dark underside of a piece of furniture, one texel of fading round it."""
     (x0, x1), (y0, y1) = furniture.x_m, furniture.y_m
-    shape = (round((y1 - y0) / _BOARD_TEXEL_M) + 2, round((x1 - x0) / _BOARD_TEXEL_M) + 2)
+    shape = (round((y1 - y0) / _UNDERSIDE_TEXEL_M) + 2, round((x1 - x0) / _UNDERSIDE_TEXEL_M) + 2)
     opacity = np.zeros(shape, dtype=np.uint16)
     opacity[1:-1, 1:-1] = OPAQUE
     dark = np.where(opacity > 0, 18 * LEVELS_PER_GREY, 0).astype(np.uint16)
-    origin = (x0 - 0.5 * _BOARD_TEXEL_M, y0 - 0.5 * _BOARD_TEXEL_M)
-    return Layer(furniture.height_m, origin, _BOARD_TEXEL_M, dark, opacity)
+    origin = (x0 - 0.5 * _UNDERSIDE_TEXEL_M, y0 - 0.5 * _UNDERSIDE_TEXEL_M)
+    return Layer(furniture.height_m, origin, _UNDERSIDE_TEXEL_M, dark, opacity)

@@ -1,8 +1,8 @@
-"""The tracker in a stream: images come in, with the IMU and what the filter last expected beside them.
+"""Feature tracking in a stream of images, aided by the IMU and by the filter's latest predictions.
 
-On the robot the filter speaks a moment after the image, in another process; so here the tracker
-predicts for itself, and takes from the filter what that expected when it had seen the image before.
-Recordings are followed in the very same way.
+On the robot the filter runs in another process and responds after the image. The tracker therefore
+predicts the attitude itself and propagates the search regions that the filter predicted after the
+previous image. Recordings are processed in exactly the same way.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ from gyrocal_ros.vision.search_region import ceiling_coordinates, ceiling_pixels
 from gyrocal_ros.vision.tracker import Tracker
 
 TURN_GAIN_STD, TURN_BIAS_STD_RAD_S = 0.1, 0.02
-"""How far the true turn may be from the nominal one before any was seen: a fraction of it, and a rate."""
+"""Prior standard deviations of the error of a nominal turn: relative, and as a rate."""
 TWIST_STD_RAD = 1e-3
-"""How well the turn between two images is seen."""
+"""Standard deviation of the measured turn between two images."""
 FLOW_STD_PX_S = 10.0
-"""How much the features may move other than they did between the last two images."""
+"""Standard deviation of the change of the image motion since the last two images."""
 MIN_COMMON = 3
-"""Features in two images that tell how the robot moved."""
+"""Minimum number of common features of two images for estimating the motion of the robot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TrackedImage:
-    """What was seen in one image, and from what attitude."""
+    """The features found in one image and the predicted attitude of the camera."""
 
     seen: FeatureObservations
     R_wc: Array
     yaw_rad: float
-    """By the gyro as far as it is put right."""
+    """Yaw by the gyro, corrected by the estimated gain and bias."""
     nominal_yaw_rad: float
-    """By the gyro alone."""
+    """Yaw by the uncorrected gyro."""
     yaw_error_rad: float
-    """By how much the first is ahead of the images, since the start."""
+    """Corrected yaw minus the yaw of the images, since the start."""
 
 
 class GyroAidedTracker:
-    """Follows features through the images of a camera that turns as an IMU says.
+    """Tracks features through the images of a camera whose attitude an IMU predicts.
 
-    By how much that is wrong, scale factor and bias of the yaw rate, it learns by itself.
+    It estimates the scale factor and bias of the yaw rate itself.
 
     Args:
         camera: intrinsics of the images.
         R_bc: (3, 3) from the optical frame to the body.
-        config: of the tracker.
+        config: settings of the tracker.
         first_id: id of the first feature.
     """
 
@@ -68,9 +68,9 @@ class GyroAidedTracker:
     ) -> None:
         self.attitude = GyroAttitude()
         self.regions: SearchRegions | None = None
-        """What the filter last expected."""
+        """Latest search regions predicted by the filter."""
         self.expected: SearchRegions | None = None
-        """The same, carried to the last image."""
+        """The same regions, propagated to the last image."""
         self._camera, self._R_bc = camera, R_bc
         self._tracker = Tracker(camera, config, first_id)
         self._last: _TrackedImage | None = None
@@ -79,22 +79,22 @@ class GyroAidedTracker:
         self._information = np.diag([TURN_GAIN_STD**-2.0, TURN_BIAS_STD_RAD_S**-2.0])
 
     def restart(self) -> None:
-        """Forget attitudes and regions: the clock of the stamps has stepped."""
+        """Discard attitudes and regions after a step of the clock of the stamps."""
         self.attitude, self.regions, self._last = GyroAttitude(), None, None
 
     def configure(self, config: TrackerConfig) -> None:
-        """Go on with other settings of the tracker."""
+        """Apply other settings of the tracker."""
         self._tracker.config = config
 
     def add(self, sample: ImuSample) -> None:
-        """Take in an IMU sample, in body axes."""
+        """Add an IMU sample, in body axes."""
         self.attitude.add(sample)
 
     def track(self, frame: Frame) -> FeatureObservations:
         """Find the features in the next image.
 
         Raises:
-            RecordingError: the image has another size than the camera.
+            RecordingError: the size of the image differs from that of the camera.
         """
         last = self._last
         before, yaw_rad = (last.nominal_yaw_rad, last.yaw_rad) if last else (0.0, 0.0)
@@ -115,9 +115,9 @@ class GyroAidedTracker:
         return seen
 
     def _update_gain_and_bias(self, last: _TrackedImage, image: _TrackedImage) -> None:
-        """See from two images how the robot drives, and by how much its gyro is wrong.
+        """Estimate the image motion and the gain and bias of the gyro from two images.
 
-        Gain and bias are those of least squares over all turns seen (recursive, with their priors).
+        Gain and bias are recursive least-squares estimates over all turns, with their priors.
         """
         dt_s = seconds(image.seen.t_ns - last.seen.t_ns)
         _, before, now = np.intersect1d(last.seen.ids, image.seen.ids, return_indices=True)
@@ -127,9 +127,9 @@ class GyroAidedTracker:
         moved = self._to_ceiling(image, now) - self._to_ceiling(last, before)
         self._flow_1_s = np.median(moved, axis=0) / dt_s
         turn = np.array([image.nominal_yaw_rad - last.nominal_yaw_rad, dt_s]) / TWIST_STD_RAD
-        missed = (image.yaw_error_rad - last.yaw_error_rad) / TWIST_STD_RAD
+        residual = (image.yaw_error_rad - last.yaw_error_rad) / TWIST_STD_RAD
         self._information = self._information + np.outer(turn, turn)
-        self._gain_and_bias = self._gain_and_bias - np.linalg.solve(self._information, turn * missed)
+        self._gain_and_bias = self._gain_and_bias - np.linalg.solve(self._information, turn * residual)
 
     def _to_ceiling(self, image: _TrackedImage, rows: NDArray[np.intp]) -> Array:
         return ceiling_coordinates(self._camera, image.seen.pixels[rows], image.R_wc)
@@ -137,7 +137,7 @@ class GyroAidedTracker:
     def _propagated_regions(
         self, t_ns: int, R_wc: Array, yaw_rad: float, nominal_yaw_rad: float
     ) -> SearchRegions | None:
-        """The filter's last regions as they are in an image now: turned, moved, and wider."""
+        """Return the filter's latest regions propagated to an image: rotated, shifted and enlarged."""
         regions = self.regions
         euler = self.attitude.at(regions.t_ns) if regions else None
         if regions is None or euler is None:

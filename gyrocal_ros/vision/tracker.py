@@ -1,9 +1,9 @@
-"""The feature tracker: images of the ceiling become observations of features.
+"""The feature tracker: converts images of the ceiling to observations of features.
 
-Every feature is matched to its patch of FIRST sight, never to the last image, so errors do not add
-up along a track. The patch is turned by what the camera is predicted to have turned since; the rest
-of the turn, which the prediction got wrong, is found together with the positions (`patches.align`),
-so that an error of the gyro does not come back as an error of the tracks.
+Every feature is matched to its patch of FIRST detection, never to the last image, so that errors do not
+accumulate along a track. The patch is rotated by the predicted rotation of the camera since then. The
+error of this prediction is estimated together with the positions (`patches.align`), so that an error of
+the gyro does not become an error of the tracks.
 """
 
 from __future__ import annotations
@@ -39,17 +39,18 @@ from gyrocal_ros.vision.search_region import (
 )
 
 UNPREDICTED_STD_PX = 5.0
-"""Doubt of the position of a feature that the filter does not predict: about the motion of one frame."""
+"""Standard deviation of the position of a feature without a region: about the motion between two images."""
 MAX_RADIUS_PX = 20
-"""A region that reaches further is no better than a guess."""
+"""Radius above which a region from the filter is not used."""
 MAX_WARP_SHIFT_PX = 2.0
-"""Found further from where it was expected, a patch is shaped anew for the lens there and aligned again."""
+"""Distance from the predicted position above which a patch is warped again for the lens there and
+realigned."""
 MAX_NOISE_PX = 0.1
-"""A corner that the noise of the image alone would move by more than this is none."""
+"""Limit of the position noise of a new corner, as far as it is caused by the image noise."""
 
 
 ID_COUNT = 2**32
-"""Ids are 32 bits wide in messages."""
+"""Number of ids; they are 32 bits wide in messages."""
 
 
 @dataclass(slots=True, eq=False)
@@ -58,9 +59,9 @@ class _Features:
 
     ids: IntArray
     seen_ns: IntArray
-    """(n,) when they were last seen."""
+    """(n,) time of their last observation."""
     ceiling: Array
-    """(n, 2) ceiling coordinates then."""
+    """(n, 2) ceiling coordinates at that time."""
     outline: Array
     """(n, m, 2) ceiling coordinates of the points of the patch, relative to its centre."""
     patches: Patches
@@ -83,59 +84,59 @@ class _Features:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SearchSet:
-    """Which of the features are looked for in an image, and where; k of them."""
+    """The k features to be searched for in an image, with their search regions."""
 
     index: IntArray
-    """(k,) into the features."""
+    """(k,) indices of the features."""
     pixels: Array
-    """(k, 2) expected."""
+    """(k, 2) predicted positions."""
     covariances_px2: Array
-    """(k, 2, 2)"""
+    """(k, 2, 2) covariances of the predicted positions."""
     tracked: NDArray[np.bool_]
-    """(k,) seen in the last image."""
+    """(k,) True if found in the last image."""
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> _SearchSet:
         return _SearchSet(*(getattr(self, item.name)[chosen] for item in fields(self)))
 
 
 class Tracker:
-    """Follows features from image to image.
+    """Tracks features from image to image.
 
     Args:
         camera: intrinsics of the images.
         config: numbers, distances and thresholds.
-        first_id: of the first feature; ids are counted on from there.
+        first_id: id of the first feature; later ids count up from it.
     """
 
     def __init__(self, camera: CameraIntrinsics, config: TrackerConfig, first_id: int = 0) -> None:
         self._camera = camera
         self.config = config
-        """May be exchanged between images, but for sizes of patch and border."""
+        """Settings; they may be replaced between images, except the sizes of patch and border."""
         self._size_px = config.patch_px | 1
         self._margin_px = max(config.border_px, math.ceil(self._size_px / math.sqrt(2.0)) + 2)
         self._next_id = first_id
         self._last_ns = -1
         self._frames_to_detection = 0
-        self._yaw_error_rad = 0.0  # of the attitudes given, as far as the patches show it
+        self._yaw_error_rad = 0.0  # see `yaw_error_rad`
         dark = np.zeros((camera.height_px, camera.width_px), np.uint8)
         self._features = self._new_features(Frame(0, dark), np.eye(3), np.zeros((0, 2), np.intp))
 
     @property
     def yaw_error_rad(self) -> float:
-        """By how much the yaw of the attitudes given is ahead of the images, since the first one."""
+        """Yaw of the given attitudes minus the yaw of the images, since the first image."""
         return self._yaw_error_rad
 
     def track(self, frame: Frame, R_wc: Array, regions: SearchRegions | None) -> FeatureObservations:
-        """Find the known features in an image, and new ones where there are too few.
+        """Find the known features in an image, and new ones if there are too few.
 
         Args:
             frame: the next image.
-            R_wc: (3, 3) predicted attitude, from the optical frame to the world. Its yaw may err by
-                an angle that changes slowly.
-            regions: where the filter expects the features that it knows.
+            R_wc: (3, 3) predicted attitude, from the optical frame to the world. Its yaw may have a
+                slowly varying error.
+            regions: search regions of the features that the filter knows.
 
         Raises:
-            RecordingError: the image has another size than the camera.
+            RecordingError: the size of the image differs from that of the camera.
         """
         self._check(frame)
         self._drop_old(frame.t_ns)
@@ -159,14 +160,14 @@ class Tracker:
             )
 
     def _drop_old(self, t_ns: int) -> None:
-        """Drop the features that were not seen for long."""
+        """Drop the features that have not been found for `reacquire_s`."""
         lost = self._features.seen_ns != self._last_ns
         old = np.abs(t_ns - self._features.seen_ns) > nanoseconds(self.config.reacquire_s)
         if (lost & old).any():
             self._features = self._features[~(lost & old)]
 
     def _attitude(self, R_wc: Array) -> Array:
-        """The attitude with the yaw that the patches agree with."""
+        """Return the attitude with the yaw corrected by that of the patches."""
         return rotation_from_euler(np.array([0.0, 0.0, -self._yaw_error_rad])) @ R_wc
 
     def _to_ceiling(self, pixels: Array, R_wc: Array) -> Array:
@@ -176,10 +177,10 @@ class Tracker:
         return ceiling_pixels(self._camera, ceiling, self._attitude(R_wc))
 
     def _select(self, R_wc: Array, regions: SearchRegions | None) -> _SearchSet:
-        """Decide which features to look for, and where.
+        """Select the features to search for, and their regions.
 
-        What was lost is looked for only while fewer features than wanted are tracked, and only where
-        the filter can tell.
+        Lost features are searched for only while fewer features than wanted are tracked, and only if
+        the filter predicts them.
         """
         features = self._features
         pixels = self._to_pixels(features.ceiling, R_wc)
@@ -199,13 +200,13 @@ class Tracker:
     def _match(
         self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Look for features: their pixels (k, 2), as expected where not found, and whether found (k,)."""
+        """Search for features; return pixels (k, 2), as predicted where not found, and whether found (k,)."""
         if not len(search.index):
             return search.pixels, search.tracked
         pixels, score = self._align(image, R_wc, search, search.pixels)
         searched = search.tracked if search.tracked.any() else np.ones(len(score), dtype=bool)
         missed = searched & (score < 0.0)
-        if missed.any():  # once more, by correlation; further around if the filter errs about most
+        if missed.any():  # search again by correlation, in larger regions if most predictions failed
             again = search[missed]
             if 2 * len(again.index) > search.tracked.sum():
                 again.covariances_px2[:] += UNPREDICTED_STD_PX**2 * np.eye(2)
@@ -219,7 +220,7 @@ class Tracker:
         return np.where(score[:, None] > 0.0, pixels, search.pixels), score > 0.0
 
     def _best_matches(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet) -> Array:
-        """Where in their regions the patches correlate best, to the pixel (k, 2)."""
+        """Return the positions (k, 2) of best correlation in the regions, to the pixel."""
         features = self._features[search.index]
         points = self._points(features, search.pixels, R_wc)
         arguments = zip(features.patches.template, points, search.covariances_px2, strict=True)
@@ -228,7 +229,7 @@ class Tracker:
     def _align(
         self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet, starts: Array
     ) -> tuple[Array, Array]:
-        """Pixels (k, 2) by Lucas-Kanade, and their correlation (k,), -1 where the match is refused."""
+        """Return pixels (k, 2) by Lucas-Kanade, and their correlation (k,), -1 if the match is rejected."""
         features = self._features[search.index]
         for _ in range(2):
             points = self._points(features, starts, R_wc)
@@ -248,11 +249,11 @@ class Tracker:
         return result.pixels, np.where(good, result.correlation, -1.0)
 
     def _points(self, features: _Features, centres: Array, R_wc: Array) -> Array:
-        """Pixels (n, m, 2) of the points of patches whose centres are at pixels (n, 2)."""
+        """Return pixels (n, m, 2) of the points of patches whose centres are at pixels (n, 2)."""
         return self._to_pixels(self._to_ceiling(centres, R_wc)[:, None] + features.outline, R_wc)
 
     def _detect(self, frame: Frame, R_wc: Array, taken: Array, tracked: int) -> Array:
-        """Take new features where it is time or many are missing; return their pixels (k, 2)."""
+        """Add new features if detection is due or many are missing; return their pixels (k, 2)."""
         missing = self.config.features - tracked
         self._frames_to_detection -= 1
         if missing <= 0 or (self._frames_to_detection > 0 and missing <= tracked):
@@ -260,10 +261,10 @@ class Tracker:
         self._frames_to_detection = self.config.detect_interval
         corners = find_corners(frame.image, taken, self._margin_px, self.config)
         information = extract_patches(frame.image, corners, self._size_px).information
-        clear = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
+        precise = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
         limit = max(0.0, self.config.min_correlation)
         distinct = (
-            corner for corner in corners[clear] if is_distinct(frame.image, corner, self._size_px, limit)
+            corner for corner in corners[precise] if is_distinct(frame.image, corner, self._size_px, limit)
         )
         corners = np.array(list(islice(distinct, missing)), dtype=np.intp).reshape(-1, 2)
         self._features += self._new_features(frame, R_wc, corners)
@@ -279,7 +280,7 @@ class Tracker:
 
 
 def _reject_duplicates(pixels: Array, score: Array, distance_px: float) -> None:
-    """Of any two matches closer than a distance, refuse the one that looks less like its patch."""
+    """Reject the match with the lower score of any two matches closer than a distance."""
     close = np.linalg.norm(pixels[:, None] - pixels, axis=2) < distance_px
     for k in np.flatnonzero(close.sum(axis=1) > 1):
         rivals = close[k] & (score > 0.0)

@@ -1,3 +1,5 @@
+"""The command `gyrocal simulate`: the content of its bags and its refusals."""
+
 from __future__ import annotations
 
 import hashlib
@@ -33,20 +35,20 @@ def digest(bag: Path) -> str:
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_the_bag_holds_what_the_simulator_measured(tmp_path: Path, storage: str) -> None:
+def test_the_bag_contains_the_simulated_measurements(tmp_path: Path, storage: str) -> None:
     assert simulate(tmp_path / 'bag', '--storage', storage) == 0
     bag, source = open_bag(tmp_path / 'bag', Config(), with_covariates=True), SimSource(CLEANING, 3)
     assert bag.rig.camera == source.rig.camera
     np.testing.assert_allclose(bag.rig.camera_mount.R_bs, source.rig.camera_mount.R_bs, atol=1e-12)
     np.testing.assert_allclose(bag.rig.camera_mount.p_bs, source.rig.camera_mount.p_bs, atol=1e-12)
-    recorded, measured = list(bag.measurements()), list(source.measurements())
+    recorded, simulated = list(bag.measurements()), list(source.measurements())
     for kind in (ImuSample, WheelSample):
         assert [item for item in recorded if isinstance(item, kind)] == [
-            item for item in measured if isinstance(item, kind)
+            item for item in simulated if isinstance(item, kind)
         ]
-    seen = [item for item in recorded if isinstance(item, FeatureObservations)]
-    tracked = [item for item in measured if isinstance(item, FeatureObservations)]
-    for one, other in zip(seen, tracked, strict=True):
+    recorded_features = [item for item in recorded if isinstance(item, FeatureObservations)]
+    simulated_features = [item for item in simulated if isinstance(item, FeatureObservations)]
+    for one, other in zip(recorded_features, simulated_features, strict=True):
         assert one.t_ns == other.t_ns
         np.testing.assert_array_equal(one.ids, other.ids)
         np.testing.assert_allclose(one.pixels, other.pixels, atol=1e-4)
@@ -55,7 +57,7 @@ def test_the_bag_holds_what_the_simulator_measured(tmp_path: Path, storage: str)
     assert sum(isinstance(item, TruthSample) for item in recorded) == 251
 
 
-def test_images_are_recorded_in_place_of_features(tmp_path: Path) -> None:
+def test_images_are_recorded_instead_of_features(tmp_path: Path) -> None:
     assert simulate(tmp_path / 'bag', '--scenario', 'demo', '--images', '--duration', '2') == 0
     recorded = list(open_bag(tmp_path / 'bag', Config()).measurements())
     frames = [item for item in recorded if isinstance(item, Frame)]
@@ -64,9 +66,9 @@ def test_images_are_recorded_in_place_of_features(tmp_path: Path) -> None:
     assert not any(isinstance(item, FeatureObservations) for item in recorded)
 
 
-def test_same_seed_same_bytes(tmp_path: Path) -> None:
-    for place in ('one', 'two'):
-        assert simulate(tmp_path / place / 'bag') == 0
+def test_the_same_seed_yields_the_same_bytes(tmp_path: Path) -> None:
+    for folder in ('one', 'two'):
+        assert simulate(tmp_path / folder / 'bag') == 0
     assert digest(tmp_path / 'one' / 'bag') == digest(tmp_path / 'two' / 'bag')
 
 
@@ -91,7 +93,9 @@ def test_bad_arguments_are_refused_in_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_bag_is_not_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bag_is_not_overwritten_without_the_option(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert simulate(tmp_path / 'bag') == 0
     before = digest(tmp_path / 'bag')
     assert simulate(tmp_path / 'bag', '--seed', '4') == 2
@@ -101,7 +105,7 @@ def test_a_bag_is_not_overwritten_unasked(tmp_path: Path, capsys: pytest.Capture
     assert digest(tmp_path / 'bag') != before
 
 
-def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_run_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(self: SimSource) -> None:
         raise KeyboardInterrupt
 

@@ -1,4 +1,4 @@
-"""The recordings that the simulator can make, by name."""
+"""The scenarios of the simulator, by name."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ CAMERA = CameraIntrinsics(
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Everything a recording depends on but its seed."""
+    """All parameters of a recording except its seed."""
 
     name: str
     about: str
     stages: tuple[tuple[str, float], ...] = (('cleaning', 0.0),)
-    """Name of a plan of `manoeuvres` and the time (s) until which it is followed; the last one
-    goes on to the end."""
+    """Names of plans of `manoeuvres` and the time (s) until which each is followed; the last one
+    continues to the end."""
     legs: tuple[Leg, ...] = ()
-    """A round that is driven over and over in place of the stages."""
+    """Sequence that is driven repeatedly instead of the stages."""
     duration_s: float = 300.0
     standing_s: float = 3.0
     """Rest before the first motion."""
@@ -41,28 +41,28 @@ class Scenario:
     camera_hz: int = 15
     truth_hz: int = 50
     features: int = 15
-    """Followed by the tracker at a time."""
+    """Number of features that the tracker follows at a time."""
     reacquire_s: float = 20.0
-    """A feature seen again within this time keeps its id."""
+    """Maximum absence after which a feature keeps its id."""
     track_loss: float = 0.002
-    """Chance for each feature to be lost in an image for no visible reason."""
+    """Probability of losing a visible feature in an image."""
     track_loss_s: float = 1.0
-    """How long it then stays lost, on average."""
+    """Mean duration of such a loss."""
     camera_until_s: float = float('inf')
-    """The camera is switched off at this time."""
+    """Time at which the camera is switched off."""
     driving_style: DrivingStyle = DrivingStyle()
     errors: SensorErrors = SensorErrors()
     climate: Climate | None = None
     fan: Fan | None = None
-    """Climate and fan are drawn where they are not given."""
+    """Fan activity. Climate and fan are drawn at random if they are None."""
     room_m: tuple[float, float] = (6.0, 5.0)
     corners: int = 60
-    """On the ceiling."""
+    """Number of corners on the ceiling."""
     furniture: tuple[Furniture, ...] = ()
     floor_tilt_deg: float = 0.15
     """Root mean square of roll and pitch on the uneven floor."""
     bumps: int = 3
-    """Thresholds crossed."""
+    """Number of thresholds crossed."""
     camera: CameraIntrinsics = field(default=CAMERA)
     mount_xyz_m: tuple[float, float, float] = (0.09, 0.0, 0.10)
     mount_yaw_deg: float = -90.0
@@ -133,7 +133,7 @@ def find_scenario(name: str) -> Scenario:
     """Return the scenario of that name.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: it does not exist.
     """
     if name not in SCENARIOS:
         raise ConfigError(

@@ -1,8 +1,8 @@
-"""What a ceiling looks like: brightness on planes, from panels and lamps down to stains and plaster.
+"""Texture of a simulated ceiling: brightness on planes, from panels and lamps to stains and plaster.
 
-Shapes are drawn with hard edges on a grid finer than the pixels of the camera; then the whole plane
-is blurred by a Gaussian about as wide as a pixel. So an image sampled from it has no aliasing, and
-a point of the texture lies in the image exactly where geometry puts it.
+Shapes are drawn with hard edges on a grid finer than the pixels of the camera; then the whole plane is
+blurred by a Gaussian about one pixel wide. An image sampled from it therefore has no aliasing, and a
+point of the texture is imaged exactly where geometry projects it.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from gyrocal_ros.data import Array
 
 LEVELS_PER_GREY = 64
-"""Brightness is stored in steps of 1/64 grey level, up to 1023: lamps outshine the camera."""
+"""Number of brightness steps per grey level. The range is up to 1023 grey levels: lamps saturate the
+camera."""
 OPAQUE = 65535
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """A horizontal plane, or a piece of one, with its brightness."""
+    """A horizontal plane, infinite or bounded, with its brightness."""
 
     height_m: float
     """Height in the world."""
@@ -29,22 +30,22 @@ class Layer:
     """World x, y of the centre of the first texel; columns run along x, rows along y."""
     texel_m: float
     brightness: NDArray[np.uint16]
-    """(rows, columns), see `LEVELS_PER_GREY`; already multiplied by the opacity."""
+    """(rows, columns) in units of `LEVELS_PER_GREY`; already multiplied by the opacity."""
     opacity: NDArray[np.uint16] | None = None
-    """(rows, columns) up to `OPAQUE`; None: opaque, and repeated without end."""
+    """(rows, columns) up to `OPAQUE`; None for an opaque plane that repeats periodically."""
 
 
 def ceiling_layers(
     rng: np.random.Generator, height_m: float, texel_m: float, *, size_m: float = 12.0, objects: int = 8
 ) -> tuple[Layer, ...]:
-    """Draw a ceiling and what hangs below it, from high to low.
+    """Draw a ceiling and the objects that hang below it, from high to low.
 
     Args:
-        rng: decides everything about it.
-        height_m: of the ceiling, above the floor.
+        rng: generator of the whole texture.
+        height_m: height of the ceiling above the floor.
         texel_m: about a third of a pixel seen from the floor.
-        size_m: side of the square after which the ceiling repeats itself.
-        objects: how many beams, hanging lamps and pipes there are below the ceiling.
+        size_m: period of the ceiling in both directions.
+        objects: number of beams, hanging lamps and pipes below the ceiling.
     """
     half = 0.5 * size_m
     ceiling = Layer(height_m, (-half, -half), texel_m, _ceiling(rng, size_m, texel_m))
@@ -76,7 +77,7 @@ def _ceiling(rng: np.random.Generator, size_m: float, texel_m: float) -> NDArray
     for _ in range(round(0.3 * area)):  # stickers, patches, marks
         size = rng.uniform(0.04, 0.25, 2)
         canvas.rectangle(rng.uniform(0.0, size_m, 2), size, rng.uniform(0.0, np.pi), rng.uniform(-45.0, 45.0))
-    for _ in range(round(0.1 * area)):  # stains of water
+    for _ in range(round(0.1 * area)):  # water stains
         centre = rng.uniform(0.0, size_m, 2)
         for _ in range(6):
             canvas.disc(centre + rng.normal(0.0, 0.08, 2), rng.uniform(0.03, 0.10), -6.0)
@@ -84,7 +85,7 @@ def _ceiling(rng: np.random.Generator, size_m: float, texel_m: float) -> NDArray
 
 
 def _lamps(rng: np.random.Generator, canvas: _Canvas, cells: int, pitch: float) -> None:
-    """Luminaires at regular distances, all alike, as in an office or a corridor."""
+    """Draw identical luminaires at regular distances, as in an office or a corridor."""
     step = rng.integers(3, 5, 2)
     length, width = (0.95 * pitch, 0.95 * pitch) if rng.random() < 0.5 else (2.0 * pitch, 0.16)
     for row in range(0, cells - 1, int(step[0])):
@@ -104,7 +105,7 @@ def _vent(rng: np.random.Generator, canvas: _Canvas, centre: Array, side: float)
 
 
 def _hanging_layer(rng: np.random.Generator, height_m: float, texel_m: float, centre: Array) -> Layer:
-    """A beam, a soffit or a lamp below the ceiling, with marks of its own."""
+    """Draw a beam, a soffit or a lamp below the ceiling, with its own marks."""
     long_side, short_side = rng.uniform(0.5, 2.0), rng.uniform(0.15, 0.5)
     width, height = (long_side, short_side) if rng.random() < 0.5 else (short_side, long_side)
     margin = 24.0 * texel_m
@@ -123,7 +124,7 @@ def _hanging_layer(rng: np.random.Generator, height_m: float, texel_m: float, ce
 
 
 class _Canvas:
-    """A rectangle of the world to draw on; what leaves it on one side comes back on the other."""
+    """A periodic rectangle of the world to draw on."""
 
     def __init__(self, width_m: float, height_m: float, texel_m: float, *, brightness: float) -> None:
         self._texel_m = texel_m
@@ -137,7 +138,7 @@ class _Canvas:
         angle: float,
         grey: float,
     ) -> None:
-        """Add `grey` on a rectangle turned by `angle` (rad)."""
+        """Add `grey` on a rectangle rotated by `angle` (rad)."""
         c, s = abs(np.cos(angle)), abs(np.sin(angle))
         reach = 0.5 * np.array([c * size_m[0] + s * size_m[1], s * size_m[0] + c * size_m[1]])
         x, y, part = self._around(centre_m, reach)
@@ -151,7 +152,7 @@ class _Canvas:
         self.texels[part] += grey * (x * x + y * y <= radius_m * radius_m)
 
     def add_plaster(self, rng: np.random.Generator, *, grain: float, waves: int, wave_grey: float) -> None:
-        """Add plaster (grain of each texel) and slow differences of brightness."""
+        """Add plaster (grain of each texel) and slow variations of brightness."""
         self.texels += grain * rng.standard_normal(self.texels.shape, dtype=np.float32)
         rows, columns = self.texels.shape
         periods = rng.integers(-8, 9, (2, waves)) * 2.0 * np.pi
@@ -161,7 +162,7 @@ class _Canvas:
         self.texels += (wave_grey * wave).astype(np.float32)
 
     def blurred(self, scale: int = LEVELS_PER_GREY, blur_texels: float = 2.4) -> NDArray[np.uint16]:
-        """Blur so that three texels a pixel lose nothing, and store."""
+        """Return the stored texels, blurred so that three texels per pixel are sufficient."""
         rows, columns = self.texels.shape
         spectrum = np.fft.rfft2(self.texels)
         spectrum *= np.exp(-2.0 * (np.pi * blur_texels * np.fft.fftfreq(rows)[:, None]) ** 2)
@@ -172,7 +173,7 @@ class _Canvas:
     def _around(
         self, centre_m: Array | tuple[float, float], reach_m: Array
     ) -> tuple[Array, Array, tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """Offsets x (1, n), y (m, 1) from the centre and the part of the texels they lie on."""
+        """Return offsets x (1, n), y (m, 1) from the centre and the indices of their texels."""
         rows, columns = self.texels.shape
         first = np.ceil((np.asarray(centre_m) - reach_m) / self._texel_m).astype(int)
         last = np.floor((np.asarray(centre_m) + reach_m) / self._texel_m).astype(int)

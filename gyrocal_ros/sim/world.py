@@ -1,4 +1,4 @@
-"""A simulated recording: one seed, one scenario, and every measurement a robot would have made."""
+"""A simulated recording: all measurements of a robot in one scenario with one seed."""
 
 from __future__ import annotations
 
@@ -69,12 +69,12 @@ if TYPE_CHECKING:
 START_NS = 1_700_000_000 * NS_PER_S
 TEMPERATURE_HZ, COVARIATE_HZ = 1, 5
 WHEEL_PHASE_S, CAMERA_PHASE_S, SLOW_PHASE_S = 0.003, 0.011, 0.017
-"""No two sensors of a real robot are read at the same moment."""
+"""Sampling phases: no two sensors of a real robot are sampled at the same time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimTruth:
-    """What only the simulator knows; benches and tests compare with it."""
+    """The truth known only to the simulator, for comparison in benches and tests."""
 
     trajectory: Trajectory
     scene: Scene
@@ -83,14 +83,14 @@ class SimTruth:
     scale_factor: float
     """True yaw rate over nominal yaw rate."""
     camera: CameraIntrinsics
-    """As it is; the rig holds what is believed."""
+    """True intrinsics; the rig has the nominal ones."""
     camera_mount: Mount
     ground_displacement_m: Array
-    """(n, 3) how far the ground has ground_displacement the robot by the times of the IMU."""
+    """(n, 3) displacement of the robot by the ground, at the times of the IMU."""
     bias_time_s: Array
-    """(n,) since the first sample."""
+    """(n,) seconds since the first sample."""
     bias_rad_s: Array
-    """(n, 3) true bias at those times, z without the hidden effects."""
+    """(n, 3) true bias at those times; the z component is without the hidden effects."""
 
     def position(self, time_s: Array) -> Array:
         """Return the true positions (n, 3) of the body in the world at times (n,)."""
@@ -101,15 +101,16 @@ class SimTruth:
 
 
 class SimSource:
-    """A scenario with its seed, as a source of measurements.
+    """A source of measurements simulated from a scenario and a seed.
 
-    The same seed gives the same bits, as often as `measurements` is called and in whatever order.
+    The same seed yields bit-identical measurements, however often and in whatever order `measurements`
+    is called.
 
     Args:
-        scenario: what is recorded, and with what sensors.
-        seed: of all randomness.
-        images: image_sequence the ceiling, in place of following its corners.
-        hidden: physical effects that the recording has and its rig does not tell of.
+        scenario: motion, environment and sensors.
+        seed: seed of all randomness.
+        images: yield images of the ceiling instead of tracked features.
+        hidden: physical effects in the recording that its rig does not contain.
     """
 
     def __init__(
@@ -126,12 +127,12 @@ class SimSource:
 
     @property
     def name(self) -> str:
-        """The scenario and the seed."""
+        """Scenario and seed."""
         return f'{self.scenario.name}-{self.seed}'
 
     @cached_property
     def hidden(self) -> tuple[HiddenEffect, ...]:
-        """The hidden effects, those of recorded signals counted from the signals' means."""
+        """The hidden effects; those of recorded signals count from the means of the signals."""
         if not self._hidden:
             return ()
         _, signals = self._true_covariates()
@@ -141,18 +142,18 @@ class SimSource:
 
     @property
     def rig(self) -> Rig:
-        """Camera and mounting as they are believed to be."""
+        """Nominal camera and mounting."""
         scenario = self.scenario
         return Rig(scenario.camera, mount_from_yaw(*scenario.mount_xyz_m, scenario.mount_yaw_deg))
 
     @property
     def span(self) -> Span:
-        """From the first IMU sample to the end."""
+        """Interval from the first IMU sample to the end."""
         return Span(START_NS, START_NS + nanoseconds(self.scenario.duration_s))
 
     @cached_property
     def truth(self) -> SimTruth:
-        """The world this recording is made in."""
+        """The truth of this recording."""
         scenario, rig = self.scenario, self.rig
         assert rig.camera is not None
         camera, mount = true_camera(rig.camera, rig.camera_mount, self.hidden)
@@ -204,13 +205,13 @@ class SimSource:
         return heapq.merge(*parts, key=attrgetter('t_ns'))
 
     def board_measurements(self) -> Iterator[Measurement]:
-        """Yield what the IMU and encoder board measures, in the order of the stamps."""
+        """Yield the measurements of the IMU and encoder board, in the order of their stamps."""
         parts = (self._imu(), self._wheels(), self._temperature(), self._covariates())
         return heapq.merge(*parts, key=attrgetter('t_ns'))
 
     def image_sequence(self) -> ImageSequence:
-        """Return the images that the camera takes, at `image_times`."""
-        from gyrocal_ros.sim.image_sequence import ImageSequence  # OpenCV is loaded for images alone
+        """Return the images that the camera takes at `image_times`."""
+        from gyrocal_ros.sim.image_sequence import ImageSequence  # OpenCV is loaded only for images
 
         furniture, time_s = self.scenario.furniture, self.image_times()
         return ImageSequence(self.truth.camera, furniture, self.seed, time_s, self.camera_poses)
@@ -300,7 +301,7 @@ class SimSource:
 
 
 def _times(rate_hz: int, duration_s: float, phase_s: float = 0.0) -> Array:
-    """Return the times (n,) of a sensor, on whole nanoseconds."""
+    """Return the sampling times (n,) of a sensor, rounded to nanoseconds."""
     count = int((duration_s - phase_s) * rate_hz + 1e-9) + 1
     return np.round((phase_s + np.arange(count) / rate_hz) * NS_PER_S) / NS_PER_S
 
@@ -311,7 +312,7 @@ def _stamps(time_s: Array) -> list[int]:
 
 
 def _random_losses(shape: tuple[int, int], scenario: Scenario, rng: np.random.Generator) -> np.ndarray:
-    """Draw which corners (n, m) the tracker has lost for no visible reason."""
+    """Draw which corners (n, m) the tracker has lost at random."""
     starts = rng.random(shape) < scenario.track_loss
     length = rng.exponential(scenario.track_loss_s * scenario.camera_hz, shape)
     frame = np.arange(shape[0])[:, None]

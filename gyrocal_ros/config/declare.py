@@ -1,7 +1,7 @@
-"""How settings are declared, checked, read and written: dataclasses of sections of settings.
+"""Declaration, checks, input and output of settings, which are fields of dataclasses called sections.
 
-A setting is a field of a section with its default, unit, bounds and meaning beside each other. YAML
-files, ROS parameters and the dump that goes with every result all derive from that one place.
+A setting is declared with its default, unit, bounds and description in one place. YAML files, ROS
+parameters and the settings saved with every result all derive from it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Sections = TypeVar('Sections')
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What is known of one setting beside its value."""
+    """Unit, bounds and description of a setting."""
 
     unit: str
     help: str
@@ -31,7 +31,7 @@ class Setting:
     high: float | None = None
     choices: tuple[str, ...] = ()
     live: bool = False
-    """Whether a change takes effect while a node runs; the others are read when it starts."""
+    """True if a change takes effect while a node runs; other settings are read at its start."""
 
 
 def setting(
@@ -44,13 +44,13 @@ def setting(
     choices: tuple[str, ...] = (),
     live: bool = False,
 ) -> T:
-    """Declare a dataclass field together with its unit, its bounds and what it means."""
+    """Declare a dataclass field together with its unit, bounds and description."""
     metadata = {'setting': Setting(unit, help, low, high, choices, live)}
     return field(default=default, metadata=metadata)  # type: ignore[return-value]
 
 
 def flat_settings(config: Any) -> Iterator[tuple[str, Any, Setting]]:
-    """Yield name (`section.setting`), value and description of every setting, in order."""
+    """Yield name (`section.setting`), value and declaration of every setting, in order."""
     for section in fields(config):
         values = getattr(config, section.name)
         for item in fields(values):
@@ -58,7 +58,7 @@ def flat_settings(config: Any) -> Iterator[tuple[str, Any, Setting]]:
 
 
 def to_dict(config: Any) -> dict[str, dict[str, Any]]:
-    """Return the settings as nested plain values, as they are written beside every result."""
+    """Return the settings as nested plain values, as they are saved with every result."""
     return {
         section.name: {item.name: plain(getattr(values, item.name)) for item in fields(values)}
         for section in fields(config)
@@ -67,12 +67,12 @@ def to_dict(config: Any) -> dict[str, dict[str, Any]]:
 
 
 def plain(value: Any) -> Any:
-    """A setting as YAML and ROS parameters have it: several numbers are a list."""
+    """Return the value of a setting as YAML and ROS parameters represent it: a tuple becomes a list."""
     return list(value) if isinstance(value, tuple) else value
 
 
 def to_yaml(*configs: Any) -> str:
-    """The settings as a commented ROS 2 parameter file for any node; `config_file` reads it."""
+    """Return the settings as a commented ROS 2 parameter file for any node; `parameter_file` reads it."""
     lines = ['/**:', '  ros__parameters:']
     section = ''
     for name, value, spec in chain.from_iterable(map(flat_settings, configs)):
@@ -89,7 +89,7 @@ def to_yaml(*configs: Any) -> str:
 
 
 def with_settings(config: Sections, nested: Mapping[str, Any], where: str = 'settings') -> Sections:
-    """Return `config` with the given `{section: {setting: value}}` put in.
+    """Return `config` with the values of `{section: {setting: value}}`.
 
     Raises:
         ConfigError: a name is unknown, or a value has the wrong type or is out of bounds.
@@ -99,7 +99,7 @@ def with_settings(config: Sections, nested: Mapping[str, Any], where: str = 'set
     for section_name, entries in nested.items():
         section = sections.get(_known(section_name, list(sections), where))
         if not isinstance(entries, Mapping):
-            raise ConfigError(f'section {section_name!r} holds no settings', where=where)
+            raise ConfigError(f'section {section_name!r} contains no settings', where=where)
         assert is_dataclass(section) and not isinstance(section, type)
         known = {item.name: item for item in fields(section)}
         values = {}

@@ -31,7 +31,7 @@ class PendingCommand(Generic[Command]):
     _due_s: float = 0.0
 
     def is_due(self, now_s: float) -> bool:
-        """Return whether it must be sent, for the first time or again."""
+        """Return whether the command must be sent, for the first time or again."""
         return self.result is None and now_s >= self._due_s
 
     def frame(self, sequence: int, now_s: float) -> bytes:
@@ -49,7 +49,7 @@ class PendingCommand(Generic[Command]):
 
 
 class CommandQueue:
-    """All commands to one board.
+    """The commands to one board.
 
     The rates are valid until the board is switched off.
     """

@@ -141,7 +141,7 @@ class Decoder:
         if frames and self._skips_partial:
             self._skips_partial = False
             del frames[0]
-        self._buffer = rest[: MAX_FRAME_SIZE + 1]  # longer than any frame is enough
+        self._buffer = rest[: MAX_FRAME_SIZE + 1]  # enough bytes to detect that it is too long
         packets = (self._packet(frame) for frame in frames if frame)
         return [packet for packet in packets if packet is not None]
 

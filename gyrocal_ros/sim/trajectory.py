@@ -52,7 +52,7 @@ class Floor:
         sine, cosine = np.sin(phase), np.cos(phase)
 
         def waves(of_sine: Array, of_cosine: Array) -> Array:
-            # Not `@`: the sums of a threaded BLAS depend on the number of threads.
+            # `@` is avoided because the sums of a threaded BLAS depend on the number of threads.
             return np.einsum('nk,k->n', sine, of_sine) + np.einsum('nk,k->n', cosine, of_cosine)
 
         (roll_sine, roll_cosine), (pitch_sine, pitch_cosine) = self.roll_rad, self.pitch_rad
@@ -153,7 +153,7 @@ class Trajectory:
         leg, u = self._locate(time_s)
         length = self._length_s[leg]
         ramp, ramp_rate = u**2 * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / length
-        ramp_integral = length * (u**3 - 0.5 * u**4)  # integral of ramp
+        ramp_integral = length * (u**3 - 0.5 * u**4)  # integral of the ramp over the elapsed time
 
         d_speed = self._speed[leg + 1] - self._speed[leg]
         d_yaw_rate = self._yaw_rate[leg + 1] - self._yaw_rate[leg]

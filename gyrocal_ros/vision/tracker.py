@@ -160,7 +160,7 @@ class Tracker:
             )
 
     def _drop_old(self, t_ns: int) -> None:
-        """Drop the features that have not been found for `reacquire_s`."""
+        """Drop the features that have not been found for longer than `reacquire_s`."""
         lost = self._features.seen_ns != self._last_ns
         old = np.abs(t_ns - self._features.seen_ns) > nanoseconds(self.config.reacquire_s)
         if (lost & old).any():

@@ -1,4 +1,4 @@
-"""Score statistics, headings and runs made of numbers, for tests that need no simulated recording."""
+"""Score statistics, headings and runs made of numbers, for tests without a simulated recording."""
 
 from __future__ import annotations
 
@@ -24,18 +24,24 @@ TOP_DEG_S = 90.0
 RIG = Rig(None, Mount(np.eye(3), np.zeros(3)))
 
 
-def score_statistics_of(columns: Array, measured: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
-    """Return the score statistics of B blocks of n measurements (B, n) of noise 1 with columns (B, n, c)."""
+def score_statistics_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
+    """Return the statistics of B blocks of n measurements with unit noise.
+
+    Args:
+        columns: (B, n, c) sensitivities of the c coefficients.
+        seen: (B, n) innovations.
+        candidates: effects of the columns.
+    """
     return ScoreStatistics(
         candidates=candidates,
-        start_s=BLOCK_S * np.arange(len(measured)),
+        start_s=BLOCK_S * np.arange(len(seen)),
         information=np.einsum('bni,bnj->bij', columns, columns),
-        score=np.einsum('bni,bn->bi', columns, measured),
+        score=np.einsum('bni,bn->bi', columns, seen),
     )
 
 
 def turning_rad_s(duration_s: float) -> Array:
-    """Return the rate (s,) of a drive that turns four seconds in ten, to both sides at up to `TOP_DEG_S`."""
+    """Return the yaw rate (s,) of a drive that turns 4 s in every 10 s, to both sides, up to the top rate."""
     time_s = DT_S * np.arange(1, round(duration_s / DT_S) + 1)
     speeds = np.radians([30.0, -45.0, 60.0, -75.0, TOP_DEG_S, -30.0, 45.0, -60.0, 75.0, -TOP_DEG_S])
     turning = (time_s % 10.0 > 3.0) & (time_s % 10.0 < 7.0)
@@ -44,7 +50,7 @@ def turning_rad_s(duration_s: float) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """A finished run, and its turns by the gyro and headings by the camera."""
+    """Filter output of a drive: the run, and the separate headings of gyro and camera."""
 
     run: Run
     seen: Headings
@@ -59,15 +65,15 @@ def drive(
     signals: Mapping[str, Array] | None = None,
     read_rad_s: Array | None = None,
 ) -> Drive:
-    """Make the run of a drive with a gyro error.
+    """Return a drive whose gyro has an error.
 
     Args:
-        error_rad_s: (s,) true rate minus rate by the gyro.
-        duration_s: length of the drive.
-        gyro_noise: factor of the gyro's noise over the noise of the settings.
+        error_rad_s: (s,) true rate minus the rate of the gyro.
+        duration_s: duration of the drive.
+        gyro_noise: factor of the gyro noise over the configured one.
         seed: seed of the noise.
         signals: (s,) other recorded signals by name.
-        read_rad_s: (s,) readings of the gyro without noise and error; None for the true rate.
+        read_rad_s: (s,) gyro reading without noise and error; None for the true rate.
     """
     rng = np.random.default_rng(seed)
     true = turning_rad_s(duration_s)

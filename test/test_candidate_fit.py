@@ -56,7 +56,9 @@ class TestFit:
     def test_the_scale_of_a_column_changes_only_units(self) -> None:
         columns, measured = drawn(0)
         units = np.array([1e-4, 1.0, 1e3])
-        plain, other = (fitted(score_statistics_of(columns * unit, measured), 0, 1, 2) for unit in (np.ones(3), units))
+        plain, other = (
+            fitted(score_statistics_of(columns * unit, measured), 0, 1, 2) for unit in (np.ones(3), units)
+        )
         np.testing.assert_allclose(other.values * units, plain.values, rtol=1e-9)
         np.testing.assert_allclose(other.covariance * np.outer(units, units), plain.covariance, rtol=1e-9)
         assert other.sigma == pytest.approx(plain.sigma) and other.gain == pytest.approx(plain.gain)
@@ -108,7 +110,8 @@ class TestFit:
         columns, measured = drawn(5, blocks=7)
         half = score_statistics_of(columns, measured).first_half()
         np.testing.assert_allclose(
-            fitted(half, 0, 1, 2).values, fitted(score_statistics_of(columns[:4], measured[:4]), 0, 1, 2).values
+            fitted(half, 0, 1, 2).values,
+            fitted(score_statistics_of(columns[:4], measured[:4]), 0, 1, 2).values,
         )
 
 
@@ -198,7 +201,9 @@ class TestSignificance:
         rng, p_values = np.random.default_rng(7), []
         for _ in range(400):
             columns = rng.normal(size=(BLOCKS, EACH, 2))
-            p_values.append(fitted(score_statistics_of(columns, noise * rng.normal(size=(BLOCKS, EACH))), 0, 1).p_value)
+            p_values.append(
+                fitted(score_statistics_of(columns, noise * rng.normal(size=(BLOCKS, EACH))), 0, 1).p_value
+            )
         assert 0.01 < np.mean(np.array(p_values) < 0.1) < 0.15
 
     def test_correlation_of_two_effects(self) -> None:

@@ -17,7 +17,8 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.pipeline.calibrate import InMemorySource, calibrate
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import InMemorySource
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import SCENARIOS
@@ -168,7 +169,7 @@ def test_a_covariate_effect_counts_from_the_mean_of_its_signal() -> None:
         ('gyro_lag', (0.01, 0.02), 'gyro_lag: needs 1 values, not 2'),
         ('covariate_bias:fan_sped.data', (1.0,), "did you mean 'fan_speed.data'"),
         ('gyro_lag', (-0.01,), 'gyro_lag: cannot be -0.01'),
-        ('scale_cubic', (3.0,), 'so strong'),
+        ('scale_cubic', (3.0,), 'too strong'),
     ],
 )
 def test_effects_that_cannot_be_hidden_are_refused(

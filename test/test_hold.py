@@ -7,13 +7,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from recordings import Changed, recording, with_clock_step
+from recordings import ModifiedSource, recording, with_clock_step
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Frame, Measurement, Rig, Source, Span, nanoseconds
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.pipeline.calibrate import MAX_HELD_S, InMemorySource, Progress, calibrate, preload
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import MAX_IN_MEMORY_S, InMemorySource, preload
+from gyrocal_ros.pipeline.run_filter import Progress
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -75,7 +77,7 @@ class TestFeatures:
 
     def test_one_of_great_length_stays_where_it_is(self) -> None:
         short = recording('cleaning', 1, 30.0)
-        long = Counted(InMemorySource('long', short.rig, Span(0, nanoseconds(MAX_HELD_S + 1.0)), []))
+        long = Counted(InMemorySource('long', short.rig, Span(0, nanoseconds(MAX_IN_MEMORY_S + 1.0)), []))
         assert preload(long, Config(), default_model()) == (long, Config())
         assert long.passes == 0
 
@@ -113,5 +115,5 @@ class TestImages:
         assert off < 0.1 * direct.history.std[-1, 9]
 
     def test_where_the_clock_steps_they_stay_images(self, filmed: Source) -> None:
-        stepped = Changed(filmed, with_clock_step(30.0, 0.5 * FILMED_S))
+        stepped = ModifiedSource(filmed, with_clock_step(30.0, 0.5 * FILMED_S))
         assert preload(stepped, Config(), default_model()) == (stepped, Config())

@@ -24,7 +24,8 @@ from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.pipeline.calibrate import calibrate, preload
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.report import conclusions, model_series, write
 from gyrocal_ros.report import diagnosis_series as series
 from gyrocal_ros.report.comparison_page import comparison_page

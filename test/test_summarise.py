@@ -24,7 +24,7 @@ from gyrocal_ros.diagnose.summarise import MAX_SIGNALS, coarse_step, summarise_r
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.model.recording import TEMPERATURE
-from gyrocal_ros.pipeline.calibrate import InMemorySource
+from gyrocal_ros.pipeline.in_memory import InMemorySource
 
 
 class TestSummary:

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recordings import Changed, each, recording
+from recordings import ModifiedSource, each, recording
 from synthetic import banded, readings_of
 from test_own_effects import blocks_of_the_guide
 
@@ -39,7 +39,8 @@ from gyrocal_ros.effects.traits import why_unobservable
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, ScannedColumns, SensorModel
-from gyrocal_ros.pipeline.calibrate import calibrate, preload
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.forward import HiddenEffect
 
 DEG = math.radians(1.0)
@@ -62,7 +63,7 @@ class Case:
     def source(self) -> Source:
         hidden = (HiddenEffect(find_effect(self.name), self.values),) if self.values else ()
         made = recording('cleaning', self.seed, self.duration_s, hidden)
-        return Changed(made, each(ImuSample, self._dead)) if self.dead_rad_s else made
+        return ModifiedSource(made, each(ImuSample, self._dead)) if self.dead_rad_s else made
 
     def _dead(self, sample: ImuSample) -> Measurement:
         roll, pitch, yaw = sample.rate_rad_s

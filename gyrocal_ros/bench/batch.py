@@ -17,14 +17,15 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, Measurement, MotionBlock, Rig
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, sort_effects
-from gyrocal_ros.ekf.predict import predict
+from gyrocal_ros.ekf.effects_by_place import sort_effects
+from gyrocal_ros.ekf.predict import FilterModel, predict
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, State, no_landmarks
+from gyrocal_ros.ekf.step_record import StepRecord
+from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import Anchors, posed_camera
-from gyrocal_ros.model.sensor import SensorModel
 
 POSE_AND_BIAS = COEFFICIENTS_START
 FORM = PARAMETRISATIONS['inverse_depth']
@@ -47,7 +48,7 @@ class Solution:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Step:
+class _BatchStep:
     """One step of the recording."""
 
     block: MotionBlock
@@ -62,12 +63,11 @@ class _Step:
 class _Problem:
     """The whole recording as least squares. Unknowns: n poses with biases (9 each), a1, the features."""
 
-    steps: list[_Step]
+    steps: list[_BatchStep]
     anchors: Anchors
     rig: Rig
     config: Config
-    model: SensorModel
-    parts: EffectsByPlace
+    model: FilterModel
     prior_scale_std: float
 
     @property
@@ -115,13 +115,14 @@ def _set_up(measurements: Iterable[Measurement], rig: Rig, config: Config) -> tu
     camera = replace(config.camera, estimate_pixel_noise=False)
     config = replace(config, features=features, camera=camera)
     slam = EkfSlam(model, config, rig)
+    stream = SlamStream(slam)
     seen: dict[int, FeatureObservations] = {}
-    records = []
+    records: list[StepRecord] = []
     for measurement in measurements:
         if isinstance(measurement, FeatureObservations):
             seen[measurement.t_ns] = measurement
-        records += slam.step(measurement)
-    records += slam.finish()
+        records += stream.step(measurement)
+    records += stream.finish()
     landmarks = slam.state.landmarks
     row_of = {feature: row for row, feature in enumerate(landmarks.ids.tolist())}
     steps = []
@@ -131,14 +132,14 @@ def _set_up(measurements: Iterable[Measurement], rig: Rig, config: Config) -> tu
         known = [i for i, feature in enumerate(ids) if feature in row_of]
         rows = np.array([row_of[ids[i]] for i in known], np.int64)
         pixels = np.empty((0, 2)) if look is None else look.pixels[known]
-        steps.append(_Step(record.block, record.resting.dof > 0, rows, pixels))
+        steps.append(_BatchStep(record.block, record.resting.dof > 0, rows, pixels))
     start = np.zeros(POSE_AND_BIAS)
     start[BIAS] = records[0].mean[BIAS]
     poses = [start, *(record.mean[:POSE_AND_BIAS] for record in records)]
     unknowns = np.concatenate([*poses, slam.state.coefficients, slam.state.features.ravel()])
     prior_std = model.coefficients[0].prior_std
-    parts = sort_effects(model.effects)
-    problem = _Problem(steps, landmarks.anchors, rig, config, model, parts, prior_std)
+    filter_model = FilterModel(model, sort_effects(model.effects), config.gyro, config.wheels)
+    problem = _Problem(steps, landmarks.anchors, rig, config, filter_model, prior_std)
     return problem, unknowns
 
 
@@ -184,17 +185,15 @@ def _priors(problem: _Problem, unknowns: Array) -> Iterator[_Term]:
     yield (unknowns[depths] - 1.0 / features.prior_depth_m) / std, depths, np.eye(len(depths)) / std
 
 
-def _motion(problem: _Problem, unknowns: Array, number: int, step: _Step) -> _Term:
+def _motion(problem: _Problem, unknowns: Array, number: int, step: _BatchStep) -> _Term:
     """The filter's own prediction of a step, from a state without doubt: then its P is its noise."""
     before = _places(POSE_AND_BIAS * number, POSE_AND_BIAS)
     after, place = before + POSE_AND_BIAS, problem.coefficient
     r = POSE_AND_BIAS + 1
     mean = np.append(unknowns[before], unknowns[place])
     state = State(step.block.start_ns, mean, np.zeros((r, r)), 1, no_landmarks(), np.zeros((r, 0)))
-    memories = problem.parts.no_memories()
-    predicted, transition = predict(
-        state, step.block, problem.model, problem.parts, memories, problem.config.gyro, problem.config.wheels
-    )
+    memories = problem.model.effects.no_memories()
+    predicted, transition = predict(state, step.block, problem.model, memories)
     noise = predicted.covariance[:POSE_AND_BIAS, :POSE_AND_BIAS] + FLOOR_STD**2 * np.diag(
         [1.0] * 6 + [FLOOR_STD**2] * 3
     )
@@ -213,7 +212,7 @@ def _rest(problem: _Problem, unknowns: Array, number: int) -> _Term:
     return (unknowns[after] - unknowns[before]) / std, np.concatenate([after, before]), jacobian
 
 
-def _sightings(problem: _Problem, unknowns: Array, number: int, step: _Step) -> Iterator[_Term]:
+def _sightings(problem: _Problem, unknowns: Array, number: int, step: _BatchStep) -> Iterator[_Term]:
     """The pixels of one image."""
     assert problem.rig.camera is not None
     pose = _places(POSE_AND_BIAS * (number + 1) + POSE.start, 6)

@@ -23,7 +23,8 @@ from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel, with_means
-from gyrocal_ros.pipeline.calibrate import calibrate, preload
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import LIBRARY_RANGES, OUT_OF_LIBRARY_RANGES, draw_hidden, draw_scale_factor, hide
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY

@@ -28,7 +28,8 @@ from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.scale import FULL_RATE_RAD_S, scale_power
 from gyrocal_ros.model.features import PARAMETRISATIONS
-from gyrocal_ros.pipeline.calibrate import calibrate, preload
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource

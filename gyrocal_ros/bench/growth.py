@@ -18,6 +18,7 @@ from gyrocal_ros.config.declare import to_yaml
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.files import write_text_atomic
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import SimSource
@@ -106,12 +107,12 @@ def _measured(size: Size) -> dict[str, Any]:
 def _filter_alone(source: SimSource, config: Config) -> tuple[float, float]:
     """Seconds of processor time over measurements in memory, and features used an image."""
     measurements = list(source.measurements())
-    slam = EkfSlam(default_model(), config, source.rig)
+    slam = SlamStream(EkfSlam(default_model(), config, source.rig))
     began = time.process_time()
     records = [record for measurement in measurements for record in slam.step(measurement)]
     records += slam.finish()
     took_s = time.process_time() - began
-    used = [record.image.used for record in records if record.image.used]
+    used = [record.update.used for record in records if record.update.used]
     return took_s, float(np.mean(used))
 
 

@@ -26,7 +26,8 @@ from gyrocal_ros.diagnose.drift import Trajectory2D, dead_reckoning, slam_path
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
-from gyrocal_ros.pipeline.calibrate import InMemorySource, calibrate
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import InMemorySource
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
 

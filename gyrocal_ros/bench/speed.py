@@ -16,6 +16,7 @@ from typing import Any
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -47,7 +48,7 @@ def filter_alone(scenario: Scenario, repeats: int = 3) -> dict[str, Any]:
     measurements = list(source.measurements())
     walls = []
     for _ in range(repeats):
-        slam = EkfSlam(default_model(), Config(), source.rig)
+        slam = SlamStream(EkfSlam(default_model(), Config(), source.rig))
         started = time.perf_counter()
         for measurement in measurements:
             slam.step(measurement)

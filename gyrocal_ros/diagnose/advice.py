@@ -57,8 +57,8 @@ def join(names: list[str], word: str = 'and') -> str:
 
 def _on_structure(structure: UnexplainedStructure) -> Iterator[str]:
     if structure.at_s is not None:
-        moment = f'{structure.at_s:.0f} s'
-        yield f'Find out what happened at {moment}: a knock, a bump, a motor or a fan switched on.'
+        causes = 'a knock, a bump, a motor or a fan switched on'
+        yield f'Find out what happened at {structure.at_s:.0f} s: {causes}.'
         return
     signal = structure.shape.signal
     if signal == TIME:

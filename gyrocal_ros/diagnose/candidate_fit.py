@@ -146,7 +146,7 @@ def _covariance(information: Array, score: Array, values: Array, inverse: Array)
 
 
 def _is_sound(covariance: Array) -> bool:
-    """Return True if a covariance is positive definite by more than rounding; few blocks may give none."""
+    """Return True if a covariance is positive definite by more than rounding."""
     spread = np.linalg.eigvalsh(covariance)
     return bool(spread[0] > SINGULAR * spread[-1])
 

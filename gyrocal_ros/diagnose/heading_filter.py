@@ -99,7 +99,7 @@ def heading_scores(seen: Headings, columns: Array) -> ScoreStatistics:
 
 
 def misfits(seen: Headings, columns: Array) -> Array:
-    """Return the rate error left in each block of time (B,), in its own sigma, after fitting columns (s, q).
+    """Return the rate error left in each block of time (B,), in sigma, when columns (s, q) are fitted.
 
     Excess noise of the gyro hardly shows in a single innovation, for images come often; over a block it
     does. Blocks without information are left out.
@@ -118,7 +118,7 @@ def misfits(seen: Headings, columns: Array) -> Array:
 
 
 def _innovations(seen: Headings, added_rad: Array) -> tuple[Array, Array, Array]:
-    """Return sensitivity (s, c), innovation (s,) and its variance (s,); 0, 0 and 1 where nothing is seen.
+    """Return sensitivity (s, c), innovation (s,) and its variance (s,); (0, 0, 1) where nothing is seen.
 
     A Kalman filter with two states, written out: the heading less the gyro's heading, and the bias.
     """

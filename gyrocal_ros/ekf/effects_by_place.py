@@ -1,4 +1,4 @@
-"""The effects of a sensor model, sorted by where the filter meets them."""
+"""The effects of a sensor model, sorted by the place where they act."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gyrocal_ros.model.sensor import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EffectsByPlace:
-    """Effects by place, each with where its coefficients stand among all K."""
+    """Effects by place, each with the slice of its coefficients among all K."""
 
     count: int
     """K"""
@@ -39,11 +39,11 @@ class EffectsByPlace:
 
     @property
     def act_on_images(self) -> bool:
-        """Whether any effect changes what is seen."""
+        """True if any effect changes images."""
         return bool(self.camera or self.time)
 
     def no_memories(self) -> tuple[Memory, ...]:
-        """What the gyro effects remember before the first block: nothing."""
+        """Return the memories of the gyro effects before the first block."""
         return (None,) * len(self.gyro)
 
 
@@ -63,42 +63,42 @@ def sort_effects(effects: tuple[Effect, ...]) -> EffectsByPlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionContribution:
-    """What all effects add to the motion of one block."""
+    """Contributions of all effects to the motion of one block."""
 
     correction: Correction
     distance_m: Array | float
-    """(N,) to add to the wheels' distance."""
+    """(N,) correction of the wheels' distance."""
     distance_by_values: Array | None
     """(N, K)"""
     drift_m: Array | float
-    """(3,) displacement that no sensor sees."""
+    """(3,) displacement that no sensor measures."""
     drift_by_values: Array | None
     """(3, K)"""
 
 
 def contribute(
-    parts: EffectsByPlace, block: MotionBlock, correction: Correction, rate_rad_s: Array, values: Array
+    effects: EffectsByPlace, block: MotionBlock, correction: Correction, rate_rad_s: Array, values: Array
 ) -> MotionContribution:
-    """Ask every effect on wheels and ground what it adds; how that follows the rate is left out.
+    """Sum up the contributions of effects on wheels and ground; their dependence on the rate is neglected.
 
     Args:
-        parts: effects by place.
+        effects: effects by place.
         block: N intervals.
-        correction: what those on the gyro add.
-        rate_rad_s: (N, 3) true body rates, as far as known.
+        correction: contributions of the effects on the gyro.
+        rate_rad_s: (N, 3) corrected body rates.
         values: (K,) coefficients.
     """
-    if parts.wheels or parts.ground:
+    if effects.wheels or effects.ground:
         block = replace(block, rate_rad_s=rate_rad_s)
     distance: Array | float = 0.0
     drift: Array | float = 0.0
-    distance_by = np.zeros((len(block.dt_s), parts.count)) if parts.wheels else None
-    drift_by = np.zeros((3, parts.count)) if parts.ground else None
-    for wheel_effect, place in parts.wheels:
+    distance_by = np.zeros((len(block.dt_s), effects.count)) if effects.wheels else None
+    drift_by = np.zeros((3, effects.count)) if effects.ground else None
+    for wheel_effect, place in effects.wheels:
         added, by_values = wheel_effect.contribute(block, values[place])
         distance = distance + added
         distance_by[:, place] = by_values  # type: ignore[index]
-    for ground_effect, place in parts.ground:
+    for ground_effect, place in effects.ground:
         added, by_values = ground_effect.contribute(block, values[place])
         drift = drift + added
         drift_by[:, place] = by_values  # type: ignore[index]
@@ -106,9 +106,12 @@ def contribute(
 
 
 def pose_by_values(motion: PoseStep, yaw_gain: Array, contribution: MotionContribution) -> Array:
-    """Derivative (6, K) of the pose at the end of a block with respect to the coefficients.
+    """Return the derivative (6, K) of the pose at the end of a block with respect to the coefficients.
 
-    `yaw_gain` (6, N) is that with respect to the corrected yaw rate of each interval.
+    Args:
+        motion: motion of the block.
+        yaw_gain: (6, N) derivative of the pose with respect to the corrected yaw rate of each interval.
+        contribution: contributions of the effects.
     """
     by_values: Array = yaw_gain @ contribution.correction.by_values
     if contribution.distance_by_values is not None:
@@ -119,27 +122,27 @@ def pose_by_values(motion: PoseStep, yaw_gain: Array, contribution: MotionContri
 
 
 def true_camera(
-    parts: EffectsByPlace, camera: CameraIntrinsics, mount: Mount, values: Array
+    effects: EffectsByPlace, camera: CameraIntrinsics, mount: Mount, values: Array
 ) -> tuple[CameraIntrinsics, Mount]:
-    """The camera that is believed, corrected by all effects on it."""
-    for effect, place in parts.camera:
+    """Return the assumed camera, corrected by all effects on it."""
+    for effect, place in effects.camera:
         camera, mount = effect.corrected(camera, mount, values[place])
     return camera, mount
 
 
 def measurement_by_values(
-    parts: EffectsByPlace, view: PosedCamera, prediction: Prediction, pose_rate: Array, values: Array
+    effects: EffectsByPlace, view: PosedCamera, prediction: Prediction, pose_rate: Array, values: Array
 ) -> Array:
-    """Derivative (m, 2, K) of predicted pixels with respect to the coefficients.
+    """Return the derivative (m, 2, K) of predicted pixels with respect to the coefficients.
 
     Args:
-        parts: effects; those on gyro, wheels and ground do not count here.
+        effects: effects; those on gyro, wheels and ground do not act here.
         view: the camera.
         prediction: m features as seen by it.
         pose_rate: (6,) rate of the robot's pose at that moment.
         values: (K,)
     """
-    by_values = np.zeros((len(prediction.points_c), 2, parts.count))
+    by_values = np.zeros((len(prediction.points_c), 2, effects.count))
     seen = SeenPoints(
         view.camera,
         view.R_bc,
@@ -149,18 +152,18 @@ def measurement_by_values(
         prediction.expected,
         prediction.by_point,
     )
-    for effect, place in parts.camera:
+    for effect, place in effects.camera:
         by_values[:, :, place] = effect.pixels_by_values(seen, values[place])
-    for _, place in parts.time:
+    for _, place in effects.time:
         by_values[:, :, place] = -(prediction.by_pose @ pose_rate)[:, :, None]
     return by_values
 
 
 def first_sight_by_values(prediction: Prediction, by_values: Array) -> Array:
-    """Derivative (m, 3, K) of new features with respect to the coefficients.
+    """Return the derivative (m, 3, K) of new features with respect to the coefficients.
 
-    Whatever the coefficients are, a new feature is put where it was seen: its own change must undo
-    what they do to its pixel. The depth, which no pixel tells, stays.
+    A new feature is initialised where it was seen, whatever the coefficients are: its own change must
+    compensate what they do to its pixel. The depth, which a pixel does not determine, stays.
     """
     by_feature: Array = -np.linalg.pinv(prediction.by_feature) @ by_values
     return by_feature

@@ -1,4 +1,4 @@
-"""The map: features join at first sight and leave when they are of no more use."""
+"""The map: features are added at first sight and removed when they are no longer of use."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def augment(
     Args:
         state: the state before.
         ids: (m,)
-        new: the features at their first sight.
-        by_values: (m, 3, k) their derivative by the coefficients; None where there is none.
-        by_candidates: (m, 3, c) the same by effects that the model lacks.
+        new: the features at first sight.
+        by_values: (m, 3, k) their derivative with respect to the coefficients; None for zero.
+        by_candidates: (m, 3, c) the same for effects that the model lacks.
     """
     count, r = len(ids), state.robot_size
     n, size = len(state.mean), 3 * count
@@ -54,7 +54,7 @@ def augment(
 
 
 def keep(state: State, kept: np.ndarray) -> State:
-    """Forget the features that are not kept, (m,) bool: their rows and columns go, nothing else."""
+    """Remove the features that are not kept, (m,) bool, with their rows and columns."""
     if kept.all():
         return state
     entries = np.concatenate([np.ones(state.robot_size, bool), np.repeat(kept, 3)])
@@ -68,12 +68,12 @@ def keep(state: State, kept: np.ndarray) -> State:
 
 
 def forget_all(state: State) -> State:
-    """Drop the whole map."""
+    """Remove the whole map."""
     return keep(state, np.zeros(len(state.landmarks.ids), bool))
 
 
 def count_matches(state: State, accepted: IntArray, rejected: IntArray, drop_after: int) -> State:
-    """Count who was seen and who was an outlier; drop those that were outliers too often in a row."""
+    """Count matches and consecutive outliers of each feature; remove those with too many outliers."""
     landmarks = state.landmarks
     last_seen_ns, rejections = landmarks.last_seen_ns.copy(), landmarks.rejections.copy()
     last_seen_ns[accepted] = state.t_ns
@@ -84,7 +84,7 @@ def count_matches(state: State, accepted: IntArray, rejected: IntArray, drop_aft
 
 
 def evict_oldest(state: State, wanted: int, map_size: int) -> State:
-    """Drop the features unseen for longest until `wanted` new ones fit into the map."""
+    """Remove the features unseen for longest until `wanted` new ones fit into the map."""
     surplus = len(state.landmarks.ids) + wanted - map_size
     if surplus <= 0:
         return state

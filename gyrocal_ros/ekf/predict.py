@@ -1,4 +1,4 @@
-"""Prediction: the state and its covariance carried over one block of IMU and wheel samples."""
+"""Prediction: state and covariance over one block of IMU and wheel samples."""
 
 from __future__ import annotations
 
@@ -18,56 +18,61 @@ from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import Memory, SensorModel
 
 UNMEASURED_SPEED_M_S = 0.5
-"""How fast the robot may travel, unseen, where no encoder vouches for it."""
+"""Standard deviation of the speed while the wheel encoders send nothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterModel:
+    """What the prediction needs beside the state: the sensor model and the noise of gyro and wheels."""
+
+    sensors: SensorModel
+    effects: EffectsByPlace
+    """Effects of the sensor model, by place."""
+    gyro: GyroConfig
+    wheels: WheelConfig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transition:
-    """How the robot part of the state (r = 9 + k) went from one moment to the next."""
+    """Change of the robot part of the state (r = 9 + k) over one block."""
 
     matrix: Array
     """(r, r)"""
     motion: PoseStep
     contribution: MotionContribution
-    """Of the effects in the model."""
+    """Contribution of the effects of the model."""
     rate_rad_s: Array
     """(N, 3) corrected body rates."""
     yaw_gain: Array
-    """(6, N) d pose / d correction of the yaw rate of each interval; zero where the gyro is blind."""
+    """(6, N) d pose / d correction of the yaw rate of each interval; zero without a valid reading."""
 
 
 def predict(
     state: State,
     block: MotionBlock,
-    model: SensorModel,
-    parts: EffectsByPlace,
+    model: FilterModel,
     memories: Sequence[Memory],
-    gyro: GyroConfig,
-    wheels: WheelConfig,
     extra_yaw_walk: float = 0.0,
 ) -> tuple[State, Transition]:
-    """Eq. (10): robot, bias and coefficients one block on; Eq. (11): features stay where they are.
+    """Eq. (10): robot, bias and coefficients over one block; Eq. (11): features do not move.
 
     Args:
         state: at the start of the block.
         block: samples up to its end.
-        model: the sensor model whose coefficients are part of the state.
-        parts: its effects.
-        memories: what its gyro effects remember.
-        gyro: noise of the gyro.
-        wheels: noise of the wheels.
-        extra_yaw_walk: rad / sqrt(s), further random walk of the heading.
+        model: sensor model and noise.
+        memories: memories of the gyro effects.
+        extra_yaw_walk: rad / sqrt(s), additional random walk of the heading.
     """
-    correction = correct(parts.gyro, block, state.coefficients, memories)
+    correction = correct(model.effects.gyro, block, state.coefficients, memories)
     rate = body_rates(block, correction, state.bias_rad_s)
-    added = contribute(parts, block, correction, rate, state.coefficients)
+    added = contribute(model.effects, block, correction, rate, state.coefficients)
     distance_m = block.distance_m + added.distance_m
     motion = integrate(state.position_m, state.euler_rad, rate, block.dt_s, distance_m)
-    bias, bias_kept = model.bias.step(state.bias_rad_s[2], block.duration_s)
+    bias, bias_kept = model.sensors.bias.step(state.bias_rad_s[2], block.duration_s)
 
     matrix = np.eye(state.robot_size)
     matrix[POSE, POSE] = motion.transition
-    yaw_gain = motion.rate_gain[:, 2] * correction.sees
+    yaw_gain = motion.rate_gain[:, 2] * correction.valid
     matrix[POSE, BIAS] = motion.rate_gain.sum(axis=2)
     matrix[POSE, YAW_BIAS] = yaw_gain.sum(axis=1)
     matrix[POSE, COEFFICIENTS_START:] = pose_by_values(motion, yaw_gain, added)
@@ -79,7 +84,7 @@ def predict(
     r = state.robot_size
     covariance = np.empty_like(state.covariance)
     covariance[:r, :r] = matrix @ state.covariance[:r, :r] @ matrix.T
-    covariance[:r, :r] += _process_noise(block, motion, model, gyro, wheels, extra_yaw_walk)
+    covariance[:r, :r] += _process_noise(block, motion, model, extra_yaw_walk)
     covariance[YAW, YAW] += float(np.sum(correction.noise_rad_s * block.dt_s)) ** 2
     covariance[:r, r:] = matrix @ state.covariance[:r, r:]
     covariance[r:, :r] = covariance[:r, r:].T
@@ -95,19 +100,19 @@ def predict_sensitivity(
     candidates: EffectsByPlace,
     memories: Sequence[Memory],
 ) -> tuple[State, tuple[Memory, ...]]:
-    """`X(k+1) = F X(k) + df / dtheta`: how the prediction depends on effects that the model lacks.
+    """Predict the sensitivity to effects that the model lacks: `X(k+1) = F X(k) + df / dtheta`.
 
     After Friedland 1969. The candidates' own coefficients stay at their prior means.
 
     Args:
-        state: already predicted, its sensitivity still that from before.
-        transition: how it was predicted.
+        state: already predicted, except for its sensitivity.
+        transition: transition of that prediction.
         block: the block.
         candidates: effects that the model lacks.
-        memories: what these remember.
+        memories: their memories.
 
     Returns:
-        The state with its sensitivity, and what the candidates remember.
+        The state with its sensitivity predicted, and the new memories.
     """
     correction = correct(candidates.gyro, block, candidates.prior_means, memories)
     added = contribute(candidates, block, correction, transition.rate_rad_s, candidates.prior_means)
@@ -118,17 +123,10 @@ def predict_sensitivity(
     return replace(state, sensitivity=sensitivity), correction.memories
 
 
-def _process_noise(
-    block: MotionBlock,
-    motion: PoseStep,
-    model: SensorModel,
-    gyro: GyroConfig,
-    wheels: WheelConfig,
-    extra_yaw_walk: float,
-) -> Array:
-    """Covariance (9 + k, 9 + k) that one block adds."""
-    duration_s = block.duration_s
-    walks = [coefficient.walk for coefficient in model.coefficients]
+def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel, extra_yaw_walk: float) -> Array:
+    """Return the covariance (9 + k, 9 + k) that one block adds."""
+    duration_s, gyro, wheels = block.duration_s, model.gyro, model.wheels
+    walks = [coefficient.walk for coefficient in model.sensors.coefficients]
     noise = np.zeros((COEFFICIENTS_START + len(walks),) * 2)
 
     gap_rad = math.radians(gyro.gap_rate_std_deg_s) * block.gap_s

@@ -1,7 +1,8 @@
-"""A finished run: everything that happened, as arrays. All criticism and every report reads this."""
+"""A finished run: everything that happened, as arrays. All diagnosis and every report reads this."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,50 +10,53 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ClockStep, IntArray, Rig, Span, TruthSample, seconds
 from gyrocal_ros.ekf.score_statistics import ScoreRecorder, ScoreStatistics
-from gyrocal_ros.ekf.slam import StepRecord
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
+from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
 TRUTH_INTERVAL_NS = 20_000_000
-"""Ground truth is kept no denser than this."""
+"""Shortest interval at which ground truth is kept."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """One row a step of the filter, s steps."""
+    """One row for each step of the filter, s steps."""
 
     t_ns: IntArray
     """(s,) stamps."""
     time_s: Array
-    """(s,) since the first step; steps of the clock do not count."""
+    """(s,) time since the first step; steps of the clock do not count."""
     mean: Array
-    """(s, 9 + k) robot part of the state, as `ekf.state` lays it out."""
+    """(s, 9 + k) robot part of the state, as laid out in `ekf.state`."""
     std: Array
-    """(s, 9 + k)"""
+    """(s, 9 + k) its standard deviations."""
+    columns: Array
+    """(s, k) derivative of the correction with respect to the coefficients."""
+    signals: Array
+    """(s, q) other recorded numbers at the end of each step, NaN before their first."""
     nis: Array
     dof: Array
-    """(s,) zero where nothing was measured."""
+    """(s,) normalised innovation squared and degrees of freedom; zero where nothing was measured."""
     log_likelihood: Array
-    """(s,) of what was measured, standing still counted in, as it was expected before."""
+    """(s,) predictive log-likelihood of what was measured, standing still included."""
     used: Array
     rejected: Array
+    """(s,) numbers of features used and rejected."""
     heading_innovation_rad: Array
     """(s,) NaN where nothing was measured."""
     heading_innovation_std_rad: Array
     pixel_noise_px: Array
     dt_s: Array
     turn_rad: Array
-    """(s,) turn of the step by the nominal gyro, bias and coefficients not applied."""
+    """(s,) turn of the step by the nominal gyro, without bias and coefficients."""
     correction_rad: Array
-    """(s,) what the coefficients of that moment added to it, the bias not counted."""
+    """(s,) correction of the turn by the coefficients after the step, without bias."""
     tilt_rad: Array
-    """(s,) what rolling and pitching added: the heading turns by more than a gyro that leans feels."""
-    columns: Array
-    """(s, k) derivative of the correction with respect to the coefficients."""
+    """(s,) change of heading by rolling and pitching, beyond the turn about the body's own z axis."""
     gyro_valid_s: Array
-    """(s,) how long the gyro was not blind: only there the bias counts."""
+    """(s,) time with a valid gyro reading; only then the bias acts."""
     unobserved_turn_std_rad: Array
-    """(s,) standard deviation of the turn that an effect could not tell."""
+    """(s,) standard deviation of the turn that the gyro could not read."""
     distance_m: Array
     temperature_c: Array
     forward_m_s2: Array
@@ -60,9 +64,7 @@ class History:
     resting: Array
     """(s,) 1 where the wheels stood still."""
     gap_s: Array
-    """(s,) time for which no IMU sample vouches."""
-    signals: Array
-    """(s, q) the other recorded numbers at the end of each step, NaN before their first."""
+    """(s,) time without IMU samples."""
 
     @property
     def coefficients(self) -> Array:
@@ -70,9 +72,37 @@ class History:
         return self.mean[:, COEFFICIENTS_START:]
 
 
+SCALARS: dict[str, Callable[[StepRecord], float]] = {
+    'nis': lambda step: step.update.stats.nis,
+    'dof': lambda step: step.update.stats.dof,
+    'log_likelihood': lambda step: step.update.stats.log_likelihood + step.resting.log_likelihood,
+    'used': lambda step: step.update.used,
+    'rejected': lambda step: step.update.rejected,
+    'heading_innovation_rad': lambda step: step.update.heading_rad if step.update.stats.dof else np.nan,
+    'heading_innovation_std_rad': lambda step: (
+        step.update.heading_std_rad if step.update.stats.dof else np.nan
+    ),
+    'pixel_noise_px': lambda step: step.pixel_noise_px,
+    'dt_s': lambda step: step.block.duration_s,
+    'turn_rad': lambda step: float(step.block.rate_rad_s[:, 2] @ step.block.dt_s),
+    'correction_rad': lambda step: step.correction_rad,
+    'tilt_rad': lambda step: step.tilt_rad,
+    'gyro_valid_s': lambda step: step.gyro_valid_s,
+    'unobserved_turn_std_rad': lambda step: step.unobserved_turn_std_rad,
+    'distance_m': lambda step: step.block.distance_m.sum(),
+    'temperature_c': lambda step: step.block.temperature_c[-1],
+    'forward_m_s2': lambda step: (
+        float(step.block.specific_force_m_s2[:, 0] @ step.block.dt_s) / step.block.duration_s
+    ),
+    'resting': lambda step: step.block.wheels_at_rest,
+    'gap_s': lambda step: step.block.gap_s,
+}
+"""Fields of `History` that hold one number a step, and how each follows from the record of the step."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundTruth:
-    """Ground truth, in a frame of its own. Only ever compared with."""
+    """Ground truth, in a frame of its own. It is only compared with."""
 
     time_s: Array
     """(j,) on the time axis of the history."""
@@ -84,7 +114,7 @@ class GroundTruth:
 
 @dataclass(frozen=True, slots=True)
 class RunEvent:
-    """Something that happened during the run and that a person should know."""
+    """An event during the run that a person should know of."""
 
     t_ns: int
     text: str
@@ -92,7 +122,7 @@ class RunEvent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """What one pass of the filter over one source leaves behind."""
+    """Result of one pass of the filter over one source."""
 
     source: str
     span: Span
@@ -101,28 +131,32 @@ class Run:
     model: SensorModel
     history: History
     state: State
-    """The last one, with the map."""
+    """The final state, with the map."""
     truth: GroundTruth | None
     events: tuple[RunEvent, ...]
     scores: ScoreStatistics | None = None
-    """Of effects that the model lacks, where some were on trial."""
+    """Score statistics of the candidate effects, where there were any."""
     signal_names: tuple[str, ...] = ()
-    """Of the q other recorded numbers of the history."""
+    """Names of the q other recorded numbers of the history."""
 
     def signal(self, name: str) -> Array:
-        """(s,) one of the other recorded numbers."""
+        """Return one of the other recorded numbers (s,)."""
         return self.history.signals[:, self.signal_names.index(name)]
 
 
 class Recorder:
-    """Gathers the steps of a run in memory that grows by some 300 bytes a step."""
+    """Collects the steps of a run in memory that grows by some 300 bytes a step."""
 
     def __init__(self, coefficient_count: int, candidates: tuple[Effect, ...] = ()) -> None:
-        self._count = coefficient_count
-        self._evidence = ScoreRecorder(candidates) if candidates else None
+        self._scores = ScoreRecorder(candidates) if candidates else None
         self._t_ns: list[int] = []
         self._times_ns: list[int] = []
-        self._rows = np.empty((1024, 2 * COEFFICIENTS_START + 3 * coefficient_count + 19))
+        size = COEFFICIENTS_START + coefficient_count
+        self._rows = np.empty(
+            1024,
+            [('mean', float, (size,)), ('std', float, (size,)), ('columns', float, (coefficient_count,))]
+            + [(name, float) for name in SCALARS],
+        )
         self._signals: dict[str, list[float]] = {}
         self._truth_ns: list[int] = []
         self._truth: list[tuple[float, float, float, float]] = []
@@ -130,44 +164,16 @@ class Recorder:
         self._stepped_ns = 0
 
     def running_ns(self, t_ns: int) -> int:
-        """A stamp on the time axis of the first clock."""
+        """Return a stamp on the time axis of the first clock."""
         return t_ns - self._stepped_ns
 
     def add(self, record: StepRecord) -> None:
-        """Take in one step of the filter."""
+        """Add one step of the filter."""
         if len(self._times_ns) == len(self._rows):
             self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
-        block, image = record.block, record.image
-        measured = image.lesson.dof > 0
-        self._rows[len(self._times_ns)] = np.concatenate(
-            [
-                record.mean,
-                record.std,
-                record.columns,
-                (
-                    image.lesson.nis,
-                    image.lesson.dof,
-                    image.lesson.log_likelihood + record.resting.log_likelihood,
-                    image.used,
-                    image.rejected,
-                    image.heading_rad if measured else np.nan,
-                    image.heading_std_rad if measured else np.nan,
-                    record.pixel_noise_px,
-                    block.duration_s,
-                    block.rate_rad_s[:, 2] @ block.dt_s,
-                    record.correction_rad,
-                    record.tilt_rad,
-                    record.gyro_valid_s,
-                    record.unobserved_turn_std_rad,
-                    block.distance_m.sum(),
-                    block.temperature_c[-1],
-                    block.specific_force_m_s2[:, 0] @ block.dt_s / block.duration_s,
-                    block.wheels_at_rest,
-                    block.gap_s,
-                ),
-            ]
-        )
-        for name, values in block.covariates.items():
+        scalars = (read(record) for read in SCALARS.values())
+        self._rows[len(self._times_ns)] = (record.mean, record.std, record.columns, *scalars)
+        for name, values in record.block.covariates.items():
             column = self._signals.setdefault(name, [])
             column.extend([np.nan] * (len(self._t_ns) - len(column)))
             column.append(values[-1])
@@ -175,72 +181,49 @@ class Recorder:
         self._times_ns.append(self.running_ns(record.t_ns))
         if record.event:
             self._events.append(RunEvent(record.t_ns, record.event))
-        if self._evidence:
-            self._evidence.add(self._times_ns[-1] - self._times_ns[0], (record.resting, image.lesson))
+        if self._scores:
+            self._scores.add(self._times_ns[-1] - self._times_ns[0], (record.resting, record.update.stats))
 
     def add_truth(self, sample: TruthSample) -> None:
-        """Take in one pose of the ground truth."""
+        """Add one pose of the ground truth."""
         t_ns = self.running_ns(sample.t_ns)
         if not self._truth_ns or t_ns - self._truth_ns[-1] >= TRUTH_INTERVAL_NS:
             self._truth_ns.append(t_ns)
             self._truth.append((*sample.position_m, sample.yaw_rad))
 
     def add_clock_step(self, step: ClockStep) -> None:
-        """Take in that the clock of the stamps has stepped: what follows is on the new one."""
+        """Add a step of the clock: what follows is on the new time base."""
         self._stepped_ns += step.step_ns
-        text = f'the clock stepped by {seconds(step.step_ns):+.1f} s; pose and map were begun anew'
+        text = f'the clock stepped by {seconds(step.step_ns):+.1f} s; pose and map were restarted'
         self._events.append(RunEvent(step.t_ns, text))
 
     @property
     def events(self) -> tuple[RunEvent, ...]:
-        """What happened so far."""
+        """Events so far."""
         return tuple(self._events)
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """Of the other recorded numbers so far."""
+        """Names of the other recorded numbers so far."""
         return tuple(self._signals)
 
     def history(self) -> History:
-        """All steps so far."""
-        rows = self._rows[: len(self._times_ns)].copy()
-        r = COEFFICIENTS_START + self._count
-        mean, std, columns = rows[:, :r], rows[:, r : 2 * r], rows[:, 2 * r : 2 * r + self._count]
-        scalars = rows[:, 2 * r + self._count :].T
+        """Return all steps so far."""
+        rows = self._rows[: len(self._times_ns)]
+        signals = [_filled(column, len(rows)) for column in self._signals.values()]
         return History(
             t_ns=np.array(self._t_ns, np.int64),
             time_s=_since_first(self._times_ns, self._times_ns),
-            mean=mean,
-            std=std,
-            columns=columns,
-            nis=scalars[0],
-            dof=scalars[1],
-            log_likelihood=scalars[2],
-            used=scalars[3],
-            rejected=scalars[4],
-            heading_innovation_rad=scalars[5],
-            heading_innovation_std_rad=scalars[6],
-            pixel_noise_px=scalars[7],
-            dt_s=scalars[8],
-            turn_rad=scalars[9],
-            correction_rad=scalars[10],
-            tilt_rad=scalars[11],
-            gyro_valid_s=scalars[12],
-            unobserved_turn_std_rad=scalars[13],
-            distance_m=scalars[14],
-            temperature_c=scalars[15],
-            forward_m_s2=scalars[16],
-            resting=scalars[17],
-            gap_s=scalars[18],
-            signals=np.array([_filled(column, len(rows)) for column in self._signals.values()]).T,
+            signals=np.array(signals).T,
+            **{name: np.ascontiguousarray(rows[name]) for name in self._rows.dtype.names or ()},
         )
 
     def scores(self) -> ScoreStatistics | None:
-        """Of the candidates so far, where there are any."""
-        return self._evidence.scores() if self._evidence else None
+        """Score statistics of the candidates so far; None without candidates."""
+        return self._scores.scores() if self._scores else None
 
     def truth(self) -> GroundTruth | None:
-        """Ground truth so far, if any came."""
+        """Ground truth so far; None without any."""
         if len(self._truth_ns) < 2 or not self._times_ns:
             return None
         poses = np.array(self._truth)
@@ -249,10 +232,10 @@ class Recorder:
 
 
 def _since_first(times_ns: list[int], steps_ns: list[int]) -> Array:
-    """Seconds since the first step."""
+    """Return times in s since the first step."""
     return (np.array(times_ns, np.int64) - steps_ns[0]) / NS_PER_S if steps_ns else np.empty(0)
 
 
 def _filled(column: list[float], count: int) -> Array:
-    """A column that may have ended early, after a step of the clock."""
+    """Pad a column that may have ended early, after a step of the clock, with NaN."""
     return np.array(column + [np.nan] * (count - len(column)))

@@ -1,4 +1,4 @@
-"""Where the filter begins: the priors, or a calibration from an earlier run."""
+"""Initial state of the filter: the priors, or a calibration from an earlier run."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, POSITION, YAW, YAW_BIAS, State, no_landmarks
 from gyrocal_ros.model.sensor import SensorModel
 
-LOST_POSITION_STD_M = 0.3
-LOST_YAW_STD_RAD = 0.1
+GAP_POSITION_STD_M = 0.3
+GAP_YAW_STD_RAD = 0.1
+"""Standard deviations that a time without measurements adds to the pose."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """What an earlier run found: the yaw bias and some or all coefficients of the model."""
+    """Result of an earlier run: the yaw bias and some or all coefficients of the model."""
 
     names: tuple[str, ...]
     """`bias` and coefficient names, as in `SensorModel.coefficient_names`."""
@@ -29,10 +30,10 @@ class Start:
 
 
 def initial_state(model: SensorModel, config: Config, start: Start | None, candidate_count: int = 0) -> State:
-    """The state before the first sample: pose zero by definition, all else from the priors.
+    """Return the state before the first sample: pose zero by definition, all else from the priors.
 
-    Names that an earlier run knows replace their prior. Its bias is a turn-on quantity and may have
-    moved while the robot was off, so its prior doubt is kept.
+    Values of an earlier run replace their priors. Its bias is a turn-on quantity and may have changed while
+    the robot was off, so the prior variance is added to it.
     """
     coefficients = model.coefficients
     size = COEFFICIENTS_START + len(coefficients)
@@ -55,17 +56,17 @@ def initial_state(model: SensorModel, config: Config, start: Start | None, candi
 
 
 def inflate_after_gap(state: State, t_ns: int) -> State:
-    """The robot part of a state without a map, carried over a time in which nobody saw the robot."""
+    """Carry the robot part of a state without a map over a time without measurements."""
     covariance = state.covariance.copy()
-    covariance[POSITION, POSITION] += LOST_POSITION_STD_M**2 * np.eye(3)
-    covariance[YAW, YAW] += LOST_YAW_STD_RAD**2
+    covariance[POSITION, POSITION] += GAP_POSITION_STD_M**2 * np.eye(3)
+    covariance[YAW, YAW] += GAP_YAW_STD_RAD**2
     return replace(state, t_ns=t_ns, covariance=covariance)
 
 
 def restarted_at(start: State, state: State) -> State:
-    """A start at about the pose of another state, so that the robot does not jump to the origin of the map.
+    """Return an initial state near the pose of another one, so that the robot does not jump to the origin.
 
-    Height and tilt begin anew: the new map is as level as the robot is.
+    Height and tilt start from zero: the new map is as level as the robot is.
     """
     mean = start.mean.copy()
     mean[:2], mean[YAW] = state.mean[:2], state.mean[YAW]

@@ -1,4 +1,4 @@
-"""The state of the filter, and the only place that says where in it each number stands.
+"""The state of the filter, and the only place that defines its layout.
 
 position (3)  Euler angles (3)  gyro biases (3)  coefficients (k)  features (3 each)
 """
@@ -23,13 +23,13 @@ COEFFICIENTS_START = 9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
-    """What is known of the m mapped features beside their part of the state."""
+    """Properties of the m mapped features that are not in the state."""
 
     ids: IntArray
     anchors: Anchors
     last_seen_ns: IntArray
     rejections: IntArray
-    """Outliers in a row."""
+    """Number of consecutive outliers."""
 
     def __getitem__(self, rows: np.ndarray) -> Landmarks:
         return Landmarks(self.ids[rows], self.anchors[rows], self.last_seen_ns[rows], self.rejections[rows])
@@ -48,17 +48,17 @@ class State:
     """k"""
     landmarks: Landmarks
     sensitivity: Array
-    """(n, c) derivative of the estimate with respect to the coefficients of effects that the model
-    lacks; c is 0 where nobody asks for it."""
+    """(n, c) derivative of the estimate with respect to the coefficients of candidate effects; c is 0 without
+    candidates."""
 
     @property
     def robot_size(self) -> int:
-        """Where the features begin: 9 + k."""
+        """Index of the first feature: 9 + k."""
         return COEFFICIENTS_START + self.coefficient_count
 
     @property
     def coefficient_columns(self) -> slice:
-        """Where the coefficients stand."""
+        """Indices of the coefficients."""
         return slice(COEFFICIENTS_START, self.robot_size)
 
     @property
@@ -87,11 +87,11 @@ class State:
         return self.mean[self.robot_size :].reshape(-1, 3)
 
     def feature_columns(self, rows: IntArray) -> IntArray:
-        """Where the parameters of the given features stand in the state, (len(rows), 3)."""
+        """Return the indices (len(rows), 3) of the parameters of the given features in the state."""
         return self.robot_size + 3 * rows[:, None] + np.arange(3)
 
 
 def no_landmarks() -> Landmarks:
-    """An empty map."""
+    """Return an empty map."""
     empty = np.empty(0, np.int64)
     return Landmarks(empty, no_anchors(0), empty, empty)

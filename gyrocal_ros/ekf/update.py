@@ -1,9 +1,9 @@
-"""Updates: what a measurement teaches. The only room, with predict and landmarks, that writes P."""
+"""Measurement updates. Only this module, predict and landmarks change the covariance."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,15 +15,15 @@ from gyrocal_ros.model.features.base import Prediction
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
-    """Measured minus expected of the features seen, with everything the update needs."""
+    """Innovation of the features seen: measured minus expected, with everything the update needs."""
 
     rows: IntArray
-    """(m,) which features of the map."""
+    """(m,) indices of the features in the map."""
     residual: Array
     """(m, r)"""
     prediction: Prediction
     gain_numerator: Array
-    """(m, r, n) H P: covariance of the innovation with the state."""
+    """(m, r, n) H P: cross-covariance of the innovation with the state."""
     covariance: Array
     """(m, r, m, r) S = H P H^T + R."""
     noise: Array
@@ -44,29 +44,47 @@ class Innovation:
         )
 
     def own_covariances(self) -> Array:
-        """(m, r, r) the blocks of S that belong to each feature alone."""
+        """Return the diagonal blocks (m, r, r) of S: the covariance of each feature alone."""
         each = np.arange(len(self.rows))
         return self.covariance[each, :, each, :]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UpdateStats:
-    """What an update taught, beside the new state."""
+    """Statistics of an update."""
 
     nis: float = 0.0
-    """`nu^T S^-1 nu`."""
+    """Normalised innovation squared, `nu^T S^-1 nu`."""
     dof: int = 0
+    """Degrees of freedom: numbers measured."""
     log_determinant: float = 0.0
-    """Of S."""
+    """log det S."""
     information: Array | None = None
-    """(c, c) `G^T S^-1 G`; None where no effects are on trial."""
+    """(c, c) `G^T S^-1 G`; None without candidates."""
     score: Array | None = None
     """(c,) `G^T S^-1 nu`."""
 
     @property
     def log_likelihood(self) -> float:
-        """How likely the measurement was before it was made, as a logarithm."""
+        """Predictive log-likelihood of the measurement: as expected before it was used."""
         return -0.5 * (self.nis + self.log_determinant + self.dof * math.log(2.0 * math.pi))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasurementUpdate:
+    """Result of one image or heading. Empty where nothing was measured."""
+
+    used: int = 0
+    rejected: int = 0
+    added: int = 0
+    """Numbers of features used, rejected as outliers, and added to the map."""
+    stats: UpdateStats = UpdateStats()
+    heading_rad: float = 0.0
+    """The innovation as a heading: the rotation about the vertical that fits it best."""
+    heading_std_rad: float = float('nan')
+    """Its standard deviation by the measurement noise."""
+    noise_distances: Array = field(default_factory=lambda: np.empty(0))
+    """Squared Mahalanobis distances of the innovations that the pixel noise dominates."""
 
 
 def innovate(
@@ -78,12 +96,12 @@ def innovate(
     by_values: Array | None = None,
     by_candidates: Array | None = None,
 ) -> Innovation:
-    """Compare measurements with the map.
+    """Compute the innovation of measured features.
 
     Args:
         state: predicted to the time of the measurement.
-        rows: (m,) which features were seen.
-        prediction: what the map says of them.
+        rows: (m,) indices of the features that were seen.
+        prediction: prediction of them by the map.
         measured: (m, r)
         noise: (m, r, r) R of each.
         by_values: (m, r, k) derivative of the prediction by the coefficients; None for zero.
@@ -114,7 +132,7 @@ def innovate(
 
 
 def own_precisions(innovation: Innovation) -> Array:
-    """Inverse (m, r, r) of each feature's own covariance.
+    """Return the inverse (m, r, r) of the covariance of each feature alone.
 
     Raises:
         FilterDivergedError: one is singular.
@@ -126,16 +144,16 @@ def own_precisions(innovation: Innovation) -> Array:
 
 
 def mahalanobis(residual: Array, precisions: Array) -> Array:
-    """Squared distance (m,) of each innovation (m, r) from zero by its precision (m, r, r)."""
+    """Return the squared Mahalanobis distance (m,) of each innovation (m, r) by its precision (m, r, r)."""
     distances: Array = np.sum((residual[:, None, :] @ precisions)[:, 0] * residual, axis=1)
     return distances
 
 
 def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
-    """One stacked update with all features of an image.
+    """Update the state with all features of an image at once.
 
-    With L L^T = S and W = L^-1 H P, the covariance loses W^T W: symmetric by construction, and it
-    cannot turn indefinite by more than rounding, which is what the Joseph form is used for.
+    With L L^T = S and W = L^-1 H P, the covariance decreases by W^T W. It stays symmetric by construction
+    and cannot become indefinite by more than rounding, which the Joseph form is otherwise used for.
 
     Raises:
         FilterDivergedError: S is not positive definite, or the estimate is no longer finite.
@@ -153,7 +171,7 @@ def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
 def zero_rate_update(
     before: State, after: State, matrix: Array, rotation_std_rad: float, gate: float
 ) -> tuple[State, UpdateStats]:
-    """At rest the robot does not turn: between two moments the Euler angles change by nothing.
+    """Update with the fact that a robot at rest does not turn: its Euler angles do not change.
 
     The measurement `euler(after) - euler(before) = 0` shares the gyro noise with the prediction;
     the covariances with the state before, known from the transition, account for that.
@@ -162,8 +180,8 @@ def zero_rate_update(
         before: the state that was predicted from.
         after: the predicted state, same features.
         matrix: (r, r) transition of the robot part.
-        rotation_std_rad: how much it may turn and still count as standing.
-        gate: chi-square bound (3 degrees of freedom) above which it does turn after all.
+        rotation_std_rad: standard deviation of the rotation of a robot at rest.
+        gate: chi-square bound (3 degrees of freedom) above which the robot is not at rest.
     """
     r = len(matrix)
     with_before = np.vstack([matrix @ before.covariance[:r, EULER], before.covariance[r:, EULER]])
@@ -181,7 +199,7 @@ def zero_rate_update(
 def heading_update(
     state: State, yaw_rad: float, std_rad: float, by_values: Array, by_candidates: Array
 ) -> tuple[State, UpdateStats, float, float]:
-    """A heading by an outside reference, already in the map's frame.
+    """Update with a heading by another reference, aligned to the map's frame.
 
     Args:
         state: predicted to the time of the heading.
@@ -191,7 +209,7 @@ def heading_update(
         by_candidates: (c,) the same by effects that the model lacks.
 
     Returns:
-        The state after, what was learned, the innovation in rad and its standard deviation.
+        The state after, the statistics, the innovation in rad and its standard deviation.
     """
     residual = yaw_rad - state.mean[YAW]
     residual -= 2.0 * math.pi * round(residual / (2.0 * math.pi))
@@ -199,16 +217,16 @@ def heading_update(
     numerator = state.covariance[YAW] + by_values @ state.covariance[k]
     variance = float(numerator[YAW] + numerator[k] @ by_values) + std_rad**2
     sensitivity = state.sensitivity[YAW] + by_values @ state.sensitivity[k] + by_candidates
-    corrected, lesson = _correct(
+    corrected, stats = _correct(
         state, np.array([residual]), numerator[None], np.array([[variance]]), sensitivity[None]
     )
-    return corrected, lesson, residual, math.sqrt(variance)
+    return corrected, stats, residual, math.sqrt(variance)
 
 
 def _correct(
     state: State, residual: Array, numerator: Array, covariance: Array, sensitivity: Array
 ) -> tuple[State, UpdateStats]:
-    """The update itself, for q measured numbers.
+    """Apply the update for q measured numbers.
 
     Args:
         state: before.
@@ -223,17 +241,17 @@ def _correct(
         raise _not_a_covariance() from error
     n = len(state.mean)
     whitened = np.linalg.solve(factor, np.concatenate([numerator, residual[:, None], sensitivity], axis=1))
-    gain, score, trial = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
+    gain, score, sensitivities = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
     mean = state.mean + gain.T @ score
     if not np.isfinite(mean).all():
         raise FilterDivergedError('the estimate is no longer finite', todo='check the noise settings')
     after = replace(state, mean=mean, covariance=state.covariance - gain.T @ gain)
     log_determinant = 2.0 * float(np.log(np.diagonal(factor)).sum())
-    lesson = UpdateStats(float(score @ score), len(residual), log_determinant)
-    if trial.shape[1] == 0:
-        return after, lesson
-    after = replace(after, sensitivity=state.sensitivity - gain.T @ trial)
-    return after, replace(lesson, information=trial.T @ trial, score=trial.T @ score)
+    stats = UpdateStats(float(score @ score), len(residual), log_determinant)
+    if sensitivities.shape[1] == 0:
+        return after, stats
+    after = replace(after, sensitivity=state.sensitivity - gain.T @ sensitivities)
+    return after, replace(stats, information=sensitivities.T @ sensitivities, score=sensitivities.T @ score)
 
 
 def _not_a_covariance() -> FilterDivergedError:

@@ -26,18 +26,18 @@ from gyrocal_ros.model.sensor import GyroEffect, Memory
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """What all gyro effects together add to the yaw rate of a block, the bias not counted."""
+    """Sum of the contributions of all gyro effects to the yaw rate of a block, without the bias."""
 
     rate_rad_s: Array
     """(N,)"""
     by_values: Array
     """(N, K) derivative with respect to all coefficients of the model; zero for other effects'."""
     noise_rad_s: Array | float
-    """(N,) standard deviation of what an effect cannot tell, as where the sensor saturates."""
+    """(N,) standard deviation of the rate where an effect leaves it unknown, as at saturation."""
     memories: tuple[Memory, ...]
-    """What each effect remembers for the next block."""
-    sees: Array | float = 1.0
-    """(N,) 0 where the sensor is blind, else 1: there the bias does not count either."""
+    """Memory of each effect for the next block."""
+    valid: Array | float = 1.0
+    """(N,) 0 where the reading says nothing of the rate, else 1; the bias acts only where it is valid."""
 
 
 def correct(
@@ -52,13 +52,13 @@ def correct(
         effects: gyro effects with the place of their coefficients among all K.
         block: N intervals.
         values: (K,) coefficients.
-        memories: what each effect remembers of the blocks before.
+        memories: memory of each effect from the blocks before.
     """
     rate = np.zeros(len(block.dt_s))
     by_values = np.zeros((len(block.dt_s), len(values)))
     variance: Array | float = 0.0
     kept = []
-    blind_spots = []
+    blind_parts = []
     for (effect, place), memory in zip(effects, memories, strict=True):
         term = effect.contribute(block, values[place], memory)
         rate += term.rate_rad_s
@@ -67,21 +67,21 @@ def correct(
         if term.noise_rad_s is not None:
             variance = variance + term.noise_rad_s**2
         if term.blind is not None and term.blind.any():
-            blind_spots.append((term.blind, term.rate_rad_s))
-    sees: Array | float = 1.0
-    for blind, whole_rate in blind_spots:
+            blind_parts.append((term.blind, term.rate_rad_s))
+    valid: Array | float = 1.0
+    for blind, whole_rate in blind_parts:
         rate = np.where(blind, whole_rate, rate)
-        sees = np.where(blind, 0.0, sees)
+        valid = np.where(blind, 0.0, valid)
         by_values[blind] = 0.0
-    return Correction(rate, by_values, np.sqrt(variance), tuple(kept), sees)
+    return Correction(rate, by_values, np.sqrt(variance), tuple(kept), valid)
 
 
 def body_rates(block: MotionBlock, correction: Correction, bias_rad_s: Array) -> Array:
     """Eq. (9): true body rates (N, 3): nominal roll and pitch rates, corrected yaw rate.
 
-    The paper leaves roll and pitch rates as they are; here their biases (of `bias_rad_s`, (3,))
-    are taken off too, for without that the camera would have to fight them.
+    The paper leaves roll and pitch rates uncorrected; here their biases (of `bias_rad_s`, (3,)) are
+    corrected, too, since the camera would otherwise have to compensate for them.
     """
     rate = block.rate_rad_s + bias_rad_s
-    rate[:, 2] += correction.rate_rad_s + (correction.sees - 1.0) * bias_rad_s[2]
+    rate[:, 2] += correction.rate_rad_s + (correction.valid - 1.0) * bias_rad_s[2]
     return rate

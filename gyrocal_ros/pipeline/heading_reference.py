@@ -1,32 +1,55 @@
-"""Another heading reference than the ceiling: a first look at it, before the filter relies on it.
+"""Calibration against another heading reference than the ceiling.
 
-A reference of unknown make may turn the other way than the gyro, be stamped late, or slip. A least
-squares fit of its heading to the integrated gyro tells all of that; the filter then does the rest.
+An unknown reference may turn the other way than the gyro, be stamped late, or slip. A least squares fit of
+its heading to the integrated gyro shows that before the filter relies on it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
-from gyrocal_ros.data import NS_PER_S, Array, HeadingSample, ImuSample, Measurement, nanoseconds
-from gyrocal_ros.ekf.run import History
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import (
+    NS_PER_S,
+    Array,
+    HeadingSample,
+    ImuSample,
+    Measurement,
+    Source,
+    Span,
+    nanoseconds,
+)
+from gyrocal_ros.ekf.run import History, Run, RunEvent
+from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import NotObservableError
+from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.pipeline.run_filter import Report, run_filter
 
 OFFSETS_S = np.arange(-0.3, 0.3001, 0.01)
+"""Time offsets that are tried."""
 MIN_TURN_RAD = math.radians(45.0)
+"""Smallest range of headings that can be fitted."""
 PLAUSIBLE_SCALE = (0.5, 2.0)
+"""Bounds of the scale factor of a usable reference."""
 BLOCK_S = 5.0
+"""Length of the blocks whose scatter gives the standard deviation of the scale factor."""
 WALKS_DEG = (0.01, 0.03, 0.1, 0.3, 1.0)
-"""Drifts of the reference, deg/sqrt(s), among which the likelihood chooses."""
+"""Random walks of the reference, deg/sqrt(s), among which the likelihood chooses."""
+MAX_MISFIT_DEG = 2.0
+"""Largest rms difference of a usable reference from the best fit of the gyro."""
+REPORTED_OFFSET_S = 0.02
+"""Smallest time offset that is reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceFit:
-    """How a heading reference goes with the gyro, by least squares over the whole recording."""
+    """Least squares fit of a heading reference to the gyro over the whole recording."""
 
     scale_factor: float
     bias_rad_s: float
@@ -34,8 +57,41 @@ class ReferenceFit:
     """Stamp of the reference minus true time, positive when it is stamped late."""
     residual_rms_rad: float
     scale_std: float
-    """Standard deviation of the scale factor by the scatter of the turns in blocks of 5 s; it holds
-    whatever the reference's errors are, as long as they do not last longer than a block."""
+    """Standard deviation of the scale factor by the scatter of the turns in blocks of 5 s. It holds whatever
+    the reference's errors are, if they do not last longer than a block."""
+
+
+def calibrate_by_heading(
+    source: Source,
+    config: Config,
+    model: SensorModel,
+    start: Start | None,
+    report: Report | None,
+    candidates: tuple[Effect, ...],
+) -> Run:
+    """Calibrate against another heading reference, with the random walk of the largest likelihood.
+
+    An unknown reference drifts; taken for white noise, its drift would make the filter overconfident.
+
+    Raises:
+        NotObservableError: there is too little to fit, or the reference is unfit.
+        FilterDivergedError: the measurements contradict the model beyond repair.
+    """
+    fitted = fit_reference(source.measurements(), source.name)
+    stream = [
+        on_time(sample, fitted.time_offset_s) if isinstance(sample, HeadingSample) else sample
+        for sample in source.measurements()
+    ]
+    stream.sort(key=attrgetter('t_ns'))
+    runs = []
+    for walk_deg in WALKS_DEG:
+        reference = replace(config.reference, heading_walk_deg=walk_deg)
+        runs.append(
+            run_filter(source, stream, replace(config, reference=reference), model, start, report, candidates)
+        )
+    run = max(runs, key=lambda run: log_likelihood(run.history))
+    run = replace(run, events=(*run.events, *_reference_events(fitted, source.span)))
+    return _widened(run, fitted.scale_std)
 
 
 def fit_reference(measurements: Iterable[Measurement], where: str) -> ReferenceFit:
@@ -71,18 +127,18 @@ def fit_reference(measurements: Iterable[Measurement], where: str) -> ReferenceF
             f'the reference turns {best.scale_factor:.2f} times as far as the gyro, so it is unfit as a '
             'heading reference: slipping wheels, or other units',
             where=where,
-            todo='name a reference that does not slip',
+            todo='give a reference that does not slip',
         )
     return replace(best, scale_std=_scale_std(heading_s - best.time_offset_s, yaw, imu_s, turned))
 
 
 def on_time(sample: HeadingSample, offset_s: float) -> HeadingSample:
-    """The sample with its stamp put right."""
+    """Return the sample with its stamp corrected."""
     return replace(sample, t_ns=sample.t_ns - nanoseconds(offset_s))
 
 
 def log_likelihood(history: History) -> float:
-    """Of the headings under the filter's own innovations and their covariances, but for a constant."""
+    """Return the log-likelihood of the headings by the filter's innovations, up to a constant."""
     measured = history.dof > 0
     std = history.heading_innovation_std_rad[measured]
     return float(-0.5 * np.sum((history.heading_innovation_rad[measured] / std) ** 2) - np.sum(np.log(std)))
@@ -106,7 +162,7 @@ def _fit(heading_s: Array, yaw: Array, imu_s: Array, turned: Array, offset_s: fl
 
 
 def _scale_std(heading_s: Array, yaw: Array, imu_s: Array, turned: Array) -> float:
-    """Heteroscedasticity-consistent (HC3, MacKinnon and White 1985) over the turns in blocks."""
+    """Return the standard deviation by the scatter of blocks (HC3, MacKinnon and White 1985)."""
     edges = np.arange(max(heading_s[0], imu_s[0]), min(heading_s[-1], imu_s[-1]), BLOCK_S)
     if len(edges) < 5:
         return math.inf
@@ -120,3 +176,28 @@ def _scale_std(heading_s: Array, yaw: Array, imu_s: Array, turned: Array) -> flo
     leverage = np.einsum('ij,jk,ik->i', columns, inverse, columns)
     scores = columns * (residual / (1.0 - leverage))[:, None]
     return float(np.sqrt((inverse @ scores.T @ scores @ inverse)[0, 0]))
+
+
+def _widened(run: Run, scale_std: float) -> Run:
+    """Return the run with all standard deviations scaled up to the scatter of the reference."""
+    history, state = run.history, run.state
+    factor = max(1.0, scale_std / float(history.std[-1, COEFFICIENTS_START]))
+    return replace(
+        run,
+        history=replace(history, std=factor * history.std),
+        state=replace(state, covariance=factor**2 * state.covariance),
+    )
+
+
+def _reference_events(fitted: ReferenceFit, span: Span) -> Iterator[RunEvent]:
+    """Yield what a person should know of the reference."""
+    if abs(fitted.time_offset_s) >= REPORTED_OFFSET_S:
+        late = 'late' if fitted.time_offset_s > 0.0 else 'early'
+        text = (
+            f'the reference is stamped {abs(fitted.time_offset_s) * 1e3:.0f} ms too {late}; this is corrected'
+        )
+        yield RunEvent(span.start_ns, text)
+    misfit_deg = math.degrees(fitted.residual_rms_rad)
+    if misfit_deg > MAX_MISFIT_DEG:
+        text = f'the reference does not fit the gyro: {misfit_deg:.1f} deg rms remain at best'
+        yield RunEvent(span.start_ns, text)

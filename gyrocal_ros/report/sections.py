@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from gyrocal_ros.diagnose.ceiling import ceiling_map
 from gyrocal_ros.diagnose.drift import (
     REFERENCES,
     BlindDrift,
@@ -14,6 +13,7 @@ from gyrocal_ros.diagnose.drift import (
     slam_path,
     truth_path,
 )
+from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.report import series
@@ -69,7 +69,7 @@ def sections(run: Run, calibration: Calibration, before: BlindDrift, after: Blin
     truth, tracks = truth_path(run), _paths(run)
     compared = tracks if truth is None else {'ground truth': truth, **tracks}
     yield _section('path', figures.paths(compared), half=True)
-    ceiling = ceiling_map(run)
+    ceiling = ceiling_map(run.state, run.config.features.parametrisation)
     if len(ceiling.ids):
         reach_mm = 1000.0 * SIGMAS * ceiling.median_std_m
         yield _section('map', figures.ceiling_map(ceiling, tracks['SLAM']), half=True, reach_mm=reach_mm)

@@ -11,9 +11,9 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.drift import Trajectory2D, slam_path, truth_path
-from gyrocal_ros.ekf.gating import chi_square_quantile
 from gyrocal_ros.ekf.run import History, Run
 from gyrocal_ros.ekf.state import YAW
+from gyrocal_ros.statistics import chi_square_quantile
 
 WINDOWS = 240
 """A run of any length is summed up in no more windows than this."""

@@ -29,7 +29,8 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError, GyrocalError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.pipeline.calibrate import Progress, calibrate
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.run_filter import Progress
 from gyrocal_ros.report.diagnosis_series import Curve, Wander, centred, wander
 from gyrocal_ros.report.series import kept
 from gyrocal_ros.studio.recordings import Bag, Contents, HiddenEffectTask, Opened, look_into, read

@@ -10,9 +10,9 @@ import numpy as np
 from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.ceiling import CeilingMap, ceiling_map
 from gyrocal_ros.diagnose.drift import Trajectory2D, slam_path
 from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.map import CeilingMap, ceiling_map
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.manoeuvres import drive, rest, turn
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
@@ -80,7 +80,7 @@ def _lanes(seed: int) -> tuple[CeilingMap, Trajectory2D, Array, Array]:
     scenario = replace(find_scenario('lanes'), duration_s=120.0, features=FEATURES)
     source = SimSource(scenario, seed)
     run = calibrate(source, Config(), default_model())
-    ceiling, start = ceiling_map(run), np.zeros(1)
+    ceiling, start = ceiling_map(run.state, run.config.features.parametrisation), np.zeros(1)
     R_wb = source.truth.trajectory.motion(start).R_wb[0]
     corners = ((source.truth.scene.points_w - source.truth.position(start)) @ R_wb)[:, :2]
     apart = ceiling.points_m[:, None, :2] - corners
@@ -113,7 +113,7 @@ def _turn_then_drive(seed: int) -> tuple[float, float]:
 
 def _doubt_m(scenario: Scenario, seed: int, until_s: float) -> float:
     run = calibrate(SimSource(replace(scenario, duration_s=until_s), seed), Config(), default_model())
-    ceiling = ceiling_map(run)
+    ceiling = ceiling_map(run.state, run.config.features.parametrisation)
     return float(np.sqrt(np.median(ceiling.covariances_m2[ceiling.in_view, 2, 2])))
 
 

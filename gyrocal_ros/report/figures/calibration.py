@@ -12,8 +12,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.ceiling import CeilingMap
 from gyrocal_ros.diagnose.drift import Trajectory2D
+from gyrocal_ros.ekf.map import CeilingMap
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.pipeline.calibration import Calibration

@@ -10,8 +10,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.ceiling import CeilingMap
 from gyrocal_ros.diagnose.drift import Trajectory2D
+from gyrocal_ros.ekf.map import CeilingMap
 from gyrocal_ros.report.figures import calibration
 from gyrocal_ros.report.figures.drawing import (
     AFTER,

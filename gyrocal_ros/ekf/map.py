@@ -1,4 +1,4 @@
-"""The map of the ceiling at the end of a run, in the world, whatever numbers the filter keeps it in."""
+"""The map of features in the world, whatever parametrisation the filter keeps it in."""
 
 from __future__ import annotations
 
@@ -8,29 +8,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import State
 from gyrocal_ros.model.features import PARAMETRISATIONS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CeilingMap:
-    """The m features of the map at the end of a run."""
+    """The m features of a map."""
 
+    t_ns: int
     ids: IntArray
+    """(m,)"""
     points_m: Array
-    """(m, 3)"""
+    """(m, 3) positions in the map frame."""
     covariances_m2: Array
     """(m, 3, 3)"""
     in_view: np.ndarray
-    """(m,) bool, seen in the last image; the others are remembered."""
+    """(m,) bool, True for features seen in the last image."""
 
     @property
     def median_std_m(self) -> float:
-        """Standard deviation along the longest axis on the floor, of the feature in the middle."""
+        """Median over the features of the standard deviation along the longest axis on the floor."""
         return math.sqrt(float(np.median(np.linalg.eigvalsh(self.covariances_m2[:, :2, :2])[:, -1])))
 
     def outlines(self, sigmas: float, corners: int = 40) -> Array:
-        """Ellipses in the floor plane, (m, corners + 1, 2), closed."""
+        """Return the ellipses in the floor plane as closed polygons (m, corners + 1, 2)."""
         angle = np.linspace(0.0, 2.0 * math.pi, corners + 1)
         circle = np.stack([np.cos(angle), np.sin(angle)])
         variances, axes = np.linalg.eigh(self.covariances_m2[:, :2, :2])
@@ -39,14 +41,19 @@ class CeilingMap:
         return ellipses
 
 
-def ceiling_map(run: Run) -> CeilingMap:
-    """Where the mapped features are, and how well that is known."""
-    state, landmarks = run.state, run.state.landmarks
-    form = PARAMETRISATIONS[run.config.features.parametrisation]
-    points, jacobians = form.world(state.features, landmarks.anchors)
+def ceiling_map(state: State, parametrisation: str) -> CeilingMap:
+    """Return the mapped features as points, with their covariance relative to the robot's first pose.
+
+    Args:
+        state: state of the filter.
+        parametrisation: name of the feature parametrisation, as in `features.parametrisation`.
+    """
+    landmarks = state.landmarks
+    points, jacobians = PARAMETRISATIONS[parametrisation].world(state.features, landmarks.anchors)
     places = state.feature_columns(np.arange(len(landmarks.ids)))
     covariances = state.covariance[places[:, :, None], places[:, None, :]]
     return CeilingMap(
+        t_ns=state.t_ns,
         ids=landmarks.ids,
         points_m=points,
         covariances_m2=jacobians @ covariances @ jacobians.transpose(0, 2, 1),

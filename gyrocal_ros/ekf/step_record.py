@@ -1,0 +1,77 @@
+"""The record of one step of the filter: what was measured, and the estimate after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.ekf.predict import Transition
+from gyrocal_ros.ekf.state import YAW, State
+from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepRecord:
+    """One step of the filter."""
+
+    t_ns: int
+    mean: Array
+    """(9 + k,) robot part of the state after the step."""
+    std: Array
+    """(9 + k,) its standard deviations."""
+    update: MeasurementUpdate
+    """Update by an image or a heading."""
+    resting: UpdateStats
+    """Statistics of the zero-rate update."""
+    block: MotionBlock
+    """Motion up to this step."""
+    correction_rad: float
+    """Correction of the turn by the coefficients after the step, to first order, without bias."""
+    tilt_rad: float
+    """Change of heading beyond the turn about the body's own z axis, because that is tilted."""
+    columns: Array
+    """(k,) derivative of the correction with respect to the coefficients, rad per unit."""
+    gyro_valid_s: float
+    """Time in this block with a valid gyro reading (not saturated, not in the dead band); only then the bias
+    acts."""
+    unobserved_turn_std_rad: float
+    """Standard deviation of the turn that the gyro could not read, as beyond its range."""
+    pixel_noise_px: float
+    """Present estimate of the pixel noise."""
+    event: str = ''
+    """Event that a person should know of."""
+
+
+def step_record(
+    before: State,
+    after: State,
+    block: MotionBlock,
+    transition: Transition,
+    update: MeasurementUpdate,
+    resting: UpdateStats,
+    pixel_noise_px: float,
+    event: str,
+) -> StepRecord:
+    """Describe a step from the state before to the state after."""
+    correction = transition.contribution.correction
+    columns = block.dt_s @ correction.by_values
+    change = after.coefficients - before.coefficients
+    r = after.robot_size
+    turned_rad = transition.motion.euler_rad[2] - before.mean[YAW]
+    return StepRecord(
+        t_ns=block.end_ns,
+        mean=after.mean[:r],
+        std=np.sqrt(np.diagonal(after.covariance)[:r]),
+        update=update,
+        resting=resting,
+        block=block,
+        correction_rad=float(block.dt_s @ correction.rate_rad_s + columns @ change),
+        tilt_rad=float(turned_rad - block.dt_s @ transition.rate_rad_s[:, 2]),
+        columns=columns,
+        gyro_valid_s=float(np.sum(block.dt_s * correction.valid)),
+        unobserved_turn_std_rad=float(np.sum(block.dt_s * correction.noise_rad_s)),
+        pixel_noise_px=pixel_noise_px,
+        event=event,
+    )

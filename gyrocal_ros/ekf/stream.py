@@ -1,0 +1,157 @@
+"""From a stream of measurements to the blocks and images that the filter takes.
+
+IMU and wheel samples are buffered. Whenever the camera (or another heading reference) measures, the block up
+to that moment is cut; without it, a block ends after `MAX_BLOCK_NS`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from gyrocal_ros.data import (
+    ClockStep,
+    FeatureObservations,
+    Frame,
+    HeadingSample,
+    Measurement,
+    MotionBlock,
+    TruthSample,
+    nanoseconds,
+)
+from gyrocal_ros.ekf.motion import MotionBuffer
+from gyrocal_ros.ekf.slam import EkfSlam, Seen
+from gyrocal_ros.ekf.step_record import StepRecord
+
+MAX_BLOCK_NS = 250_000_000
+"""Longest block that is predicted at once, where the camera is slow or covered."""
+
+
+class Synchroniser:
+    """Buffers measurements and cuts them into blocks, each with what was seen at its end.
+
+    Args:
+        running_s: time for which the gyro has been running at the first sample.
+    """
+
+    def __init__(self, running_s: float = 0.0) -> None:
+        self.buffer = MotionBuffer(running_s)
+        self._waiting: deque[Seen] = deque()
+        self._next: tuple[int, Seen] | None = None
+
+    def add(self, measurement: Measurement, filter_ns: int) -> bool:
+        """Take one measurement; return True if a block may have become available.
+
+        Args:
+            measurement: any sample.
+            filter_ns: time of the filter.
+        """
+        match measurement:
+            case FeatureObservations() | HeadingSample():
+                self._waiting.append(measurement)
+                return True
+            case TruthSample():
+                return False
+            case Frame() | ClockStep():
+                raise TypeError(f'{type(measurement).__name__} is not for the filter')
+            case _:
+                self.buffer.add(measurement)
+                # Most samples: nothing to do until the next image.
+                return bool(self._waiting) or measurement.t_ns - filter_ns > MAX_BLOCK_NS
+
+    def covered_ns(self) -> int | None:
+        """Return the time up to which blocks can be cut; None before the first IMU sample."""
+        return self.buffer.covered_until_ns()
+
+    def last_seen_ns(self, offset_s: float) -> int | None:
+        """Return the true time of the last image that waits; None without one."""
+        return _true_time_ns(self._waiting[-1], offset_s) if self._waiting else None
+
+    def next_block(
+        self, start_ns: int, until_ns: int, offset_s: float
+    ) -> tuple[MotionBlock, Seen | None] | None:
+        """Cut the next block; return None where more measurements are needed.
+
+        Args:
+            start_ns: time of the filter.
+            until_ns: time up to which blocks can be cut.
+            offset_s: stamp minus true time of the images.
+        """
+        while True:
+            if self._next is None and self._waiting:
+                moment_ns = _true_time_ns(self._waiting[0], offset_s)
+                if moment_ns <= until_ns:
+                    self._next = moment_ns, self._waiting.popleft()
+            end_ns = until_ns if self._next is None else self._next[0]
+            if end_ns - start_ns > MAX_BLOCK_NS:
+                return self.buffer.cut(start_ns, start_ns + MAX_BLOCK_NS), None
+            if self._next is None:
+                return None
+            _, seen = self._next
+            self._next = None
+            if end_ns > start_ns:
+                return self.buffer.cut(start_ns, end_ns), seen
+
+    def restart(self, running_s: float) -> None:
+        """Drop what waits and buffer samples of a new time base."""
+        self.buffer = MotionBuffer(running_s)
+        self._waiting.clear()
+        self._next = None
+
+
+class SlamStream:
+    """The filter as a consumer of measurements, one at a time, in the order of their stamps.
+
+    Args:
+        slam: the filter.
+        running_s: time for which the gyro has been running at the first sample.
+    """
+
+    def __init__(self, slam: EkfSlam, running_s: float = 0.0) -> None:
+        self.slam = slam
+        self.has_started = False
+        self._sync = Synchroniser(running_s)
+
+    @property
+    def running_s(self) -> float:
+        """Time for which the gyro has been running, as far as known."""
+        return self._sync.buffer.running_s(self.slam.state.t_ns)
+
+    def step(self, measurement: Measurement) -> list[StepRecord]:
+        """Take one measurement; return the steps that have become possible (often none).
+
+        Raises:
+            FilterDivergedError: the measurements contradict the estimate beyond repair.
+        """
+        if isinstance(measurement, ClockStep):
+            return self._start_new_time_base(measurement)
+        if not self._sync.add(measurement, self.slam.state.t_ns):
+            return []
+        return self._run(self._sync.covered_ns())
+
+    def finish(self) -> list[StepRecord]:
+        """Use what still waits, at the end of the stream."""
+        return self._run(self._sync.last_seen_ns(self.slam.time_offset_s()))
+
+    def _run(self, until_ns: int | None) -> list[StepRecord]:
+        records: list[StepRecord] = []
+        start_ns = self._sync.buffer.start_ns
+        if until_ns is None or start_ns is None:
+            return records
+        if not self.has_started:
+            self.slam.start_at(start_ns)
+            self.has_started = True
+        while item := self._sync.next_block(self.slam.state.t_ns, until_ns, self.slam.time_offset_s()):
+            records.append(self.slam.step(*item))
+        return records
+
+    def _start_new_time_base(self, step: ClockStep) -> list[StepRecord]:
+        records = self.finish()
+        self._sync.restart(self.running_s)
+        self.slam.start_new_time_base(step.t_ns)
+        self.has_started = False
+        return records
+
+
+def _true_time_ns(seen: Seen, offset_s: float) -> int:
+    """Return the stamp, corrected by the time offset."""
+    return seen.t_ns - nanoseconds(offset_s)

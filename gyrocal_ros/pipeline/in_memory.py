@@ -1,0 +1,83 @@
+"""A recording held in memory, its images tracked once, however often the filter then runs over it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from operator import attrgetter
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import ClockStep, Frame, Measurement, Rig, Source, Span, seconds
+from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.pipeline.run_filter import Progress, Report
+from gyrocal_ros.pipeline.visual_slam import VisualSlam
+
+MAX_IN_MEMORY_S = 1800.0
+"""Longest recording that is held in memory."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InMemorySource:
+    """A source whose measurements are in memory."""
+
+    name: str
+    rig: Rig
+    span: Span
+    held: Sequence[Measurement]
+
+    def measurements(self) -> Iterator[Measurement]:
+        """Yield the measurements."""
+        return iter(self.held)
+
+
+def preload(
+    source: Source, config: Config, model: SensorModel, report: Report | None = None
+) -> tuple[Source, Config]:
+    """Read a source into memory and track its images.
+
+    Args:
+        source: a recording; a long one is returned as it is.
+        config: settings.
+        model: the sensor model that helps to track the images.
+        report: called with the progress about once a second of recorded time.
+
+    Returns:
+        The same recording with features in place of images, and settings with their pixel noise.
+
+    Raises:
+        FilterDivergedError: the images contradict the model beyond repair.
+    """
+    if source.span.duration_s > MAX_IN_MEMORY_S:
+        return source, config
+    held: list[Measurement] = []
+    tracked: list[Measurement] = []
+    visual: VisualSlam | None = None
+    for measurement in _with_progress(source, report):
+        if isinstance(measurement, Frame) and visual is None:
+            visual = VisualSlam(EkfSlam(model, config, source.rig), tracked.append)
+            for earlier in held:
+                visual.step(earlier)
+        if visual is not None:
+            visual.step(measurement)
+        if not isinstance(measurement, Frame):
+            held.append(measurement)
+    if visual is None:
+        return InMemorySource(source.name, source.rig, source.span, held), config
+    if any(isinstance(measurement, ClockStep) for measurement in held):
+        return source, config
+    visual.finish()
+    merged = sorted([*held, *tracked], key=attrgetter('t_ns'))
+    noise = replace(config.camera, pixel_noise_px=config.tracker.noise_px)
+    return InMemorySource(source.name, source.rig, source.span, merged), replace(config, camera=noise)
+
+
+def _with_progress(source: Source, report: Report | None) -> Iterator[Measurement]:
+    """Yield the measurements and report the progress about once a second of recorded time."""
+    reported_s = 0.0
+    for measurement in source.measurements():
+        yield measurement
+        done_s = seconds(measurement.t_ns - source.span.start_ns)
+        if report is not None and done_s - reported_s >= 1.0:
+            reported_s = done_s
+            report(Progress(done_s, source.span.duration_s))

@@ -25,6 +25,7 @@ from gyrocal_ros.bench.blind import (
     run_blind,
 )
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
+from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
@@ -206,8 +207,8 @@ class TestRow:
     def test_one_row_a_case_and_one_of_all(self, monkeypatch: pytest.MonkeyPatch) -> None:
         trials = {'none': replace(MISSED, case=Case('none'), is_right=True), 'gyro_lag': RIGHT}
 
-        def in_order(function: object, tasks: list[tuple[Case, int]]) -> Any:
-            return (replace(trials[case.label], case=case, seed=seed) for case, seed in tasks)
+        def in_order(function: object, tasks: list[tuple[Case, int, DiagnosisSettings]]) -> Any:
+            return (replace(trials[case.label], case=case, seed=seed) for case, seed, _ in tasks)
 
         monkeypatch.setattr(bench, 'in_parallel', in_order)
         rows = list(blind(2, ['none', 'gyro_lag']))

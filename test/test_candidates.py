@@ -14,7 +14,7 @@ from gyrocal_ros.data import Array, MotionBlock, Mount
 from gyrocal_ros.diagnose.candidates import CandidateSet, ScanBank, candidates_for, columns_of
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
-from gyrocal_ros.effects.covariate import CovariateBank, covariate_bias, covariate_effects
+from gyrocal_ros.effects.covariate import covariate_bank, covariate_bias, covariate_effects
 from gyrocal_ros.effects.traits import forms_of, is_limit, required_signals
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
 from gyrocal_ros.effects.wheel_scale import MIN_LEVER_M
@@ -228,6 +228,6 @@ class TestScanBank:
 
 def test_the_bank_of_signals_is_every_covariate_effect() -> None:
     signals = [Signal(name, MEAN, SPREAD) for name in SIGNALS]
-    bank = derivatives(CovariateBank(tuple(signals)))
+    bank = derivatives(covariate_bank(signals))
     expected = [derivatives(effect) for effect in covariate_effects(signals)]
     np.testing.assert_allclose(bank, np.concatenate(expected, axis=2), rtol=1e-12)

@@ -18,6 +18,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.drift import blind_drift
 from gyrocal_ros.diagnose.search import Search, search, with_effect
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
@@ -97,9 +98,17 @@ def cases(only: Sequence[str] = ()) -> list[Case]:
     return [case for case in every if not only or case.label in only]
 
 
-def blind(seeds: int, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
-    """Yield a row a case as they become ready, and one of the sums."""
-    tasks = [(case, seed) for case in cases(only) for seed in range(seeds)]
+def blind(
+    seeds: int, only: Sequence[str] = (), settings: DiagnosisSettings = DEFAULT_SETTINGS
+) -> Iterator[dict[str, Any]]:
+    """Yield a row for each case as it becomes ready, and one for all.
+
+    Args:
+        seeds: number of recordings of each case.
+        only: labels of cases; empty for all.
+        settings: thresholds of the diagnosis.
+    """
+    tasks = [(case, seed, settings) for case in cases(only) for seed in range(seeds)]
     every = []
     for _, group in groupby(in_parallel(_trial, tasks), key=lambda trial: trial.case):
         trials = list(group)
@@ -129,7 +138,7 @@ def row(label: str, trials: Sequence[BlindResult]) -> dict[str, Any]:
     }
 
 
-def run_blind(case: Case, seed: int) -> BlindResult:
+def run_blind(case: Case, seed: int, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> BlindResult:
     """Hide, simulate, diagnose, compare."""
     scenario, config = find_scenario('cleaning'), _with_noise(Config(), case.noise)
     drawn = draw_hidden(seed, scenario.duration_s, case.names)
@@ -140,7 +149,9 @@ def run_blind(case: Case, seed: int) -> BlindResult:
     run, hidden = partial(calibrate, source, config), simulated.hidden
     recorded = summarise_recording(source)
     try:
-        searched = search(default_model(), recorded, lambda model, tried: run(model, candidates=tried))
+        searched = search(
+            default_model(), recorded, lambda model, tried: run(model, candidates=tried), settings=settings
+        )
     except FilterDivergedError:
         searched = None
 
@@ -276,5 +287,5 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(known.mean()) if len(known) else None
 
 
-def _trial(task: tuple[Case, int]) -> BlindResult:
+def _trial(task: tuple[Case, int, DiagnosisSettings]) -> BlindResult:
     return run_blind(*task)

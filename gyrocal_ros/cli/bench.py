@@ -25,12 +25,14 @@ from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.tracker import tracker_accuracy
 from gyrocal_ros.cli.output import print_json, print_row, progress, tell
 from gyrocal_ros.cli.provenance import provenance
+from gyrocal_ros.diagnose.settings import DiagnosisSettings, differing, with_thresholds
 from gyrocal_ros.errors import GyrocalError, did_you_mean
 from gyrocal_ros.files import json_text, write_text_atomic
 
 EXAMPLE = """gyrocal bench
 gyrocal bench accuracy comparison --seeds 20
 gyrocal bench blind --seeds 10 --only none scale_cubic
+gyrocal bench blind --only none --set significant_sigma=3.5 --set min_predictive_gain=2
 gyrocal bench growth -o growth.html
 gyrocal bench --quick"""
 
@@ -38,7 +40,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'accuracy': lambda args: accuracy(args.seeds, args.quick, args.only),
     'comparison': lambda args: comparison(args.seeds),
     'camera_off': lambda args: camera_off(args.seeds),
-    'blind': lambda args: blind(args.seeds, args.only),
+    'blind': lambda args: blind(args.seeds, args.only, _settings(args)),
     'tracker': lambda args: tracker_accuracy(args.seeds),
     'motions': lambda args: motions(),
     'speed': lambda args: speed(args.quick),
@@ -68,6 +70,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--only', nargs='+', default=[], metavar='CASE', help='of accuracy or blind: these cases only'
     )
+    parser.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME=VALUE',
+        help='of blind: a threshold of the diagnosis (docs/diagnosis_settings.md); may be repeated',
+    )
     parser.add_argument('-o', '--out', type=Path, metavar='FILE', help='of `growth`: a page with the plots')
     parser.add_argument('--overwrite', action='store_true', help='replace the page where it exists')
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the tables')
@@ -84,6 +93,9 @@ def run(args: argparse.Namespace) -> None:
             raise GyrocalError('is not a bench', where=repr(name), todo=f'choose of {", ".join(BENCHES)}')
     if args.only:
         _refuse_unknown_cases(args)
+    settings = _settings(args)
+    if args.set and (not args.what or set(args.what) != {'blind'}):
+        raise GyrocalError('needs the bench that it means', where='--set', todo='name blind')
     if args.seeds < 1:
         raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
     if args.keep and (args.what or not args.quick):
@@ -95,7 +107,7 @@ def run(args: argparse.Namespace) -> None:
         raise GyrocalError('exists already', where=str(args.out), todo='choose another name or --overwrite')
     tables = {name: _rows(name, args) for name in args.what or USUAL}
     if args.json:
-        print_json(provenance() | {'seeds': args.seeds, 'benches': tables})
+        print_json(provenance() | {'seeds': args.seeds, 'settings': differing(settings), 'benches': tables})
     if args.out and 'growth' in tables:
         from gyrocal_ros.cli.grown import growth_page  # only a page needs the plotting library
 
@@ -111,6 +123,10 @@ def _refuse_unknown_cases(args: argparse.Namespace) -> None:
             raise GyrocalError('is not a case', where=repr(label), todo=did_you_mean(label, known))
 
 
+def _settings(args: argparse.Namespace) -> DiagnosisSettings:
+    return with_thresholds(args.set, '--set')
+
+
 def _rows(name: str, args: argparse.Namespace) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for row in progress(f'bench {name}', BENCHES[name](args), unit='case'):
@@ -118,7 +134,8 @@ def _rows(name: str, args: argparse.Namespace) -> list[dict[str, Any]]:
         if not args.json:
             if len(rows) == 1:
                 about = provenance()
-                print(f'{name}: gyrocal {about["version"]}, {about["machine"]}')
+                changed = ''.join(f', {key} = {value:g}' for key, value in differing(_settings(args)).items())
+                print(f'{name}: gyrocal {about["version"]}, {about["machine"]}{changed}')
             print_row(row, header=len(rows) == 1)
     return rows
 

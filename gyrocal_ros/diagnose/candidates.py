@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.covariate import CovariateBank, covariate_effects
+from gyrocal_ros.effects.covariate import covariate_bank, covariate_effects
 from gyrocal_ros.effects.traits import forms_of, is_limit, scanned_coefficient, strengths, why_unobservable
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.recording import RecordingSummary, Signal
@@ -144,6 +144,6 @@ def _scanned(effect: Effect, bank_name: str) -> Iterator[Candidate]:
 
 def _covariates(signals: tuple[Signal, ...]) -> Iterator[Candidate]:
     """Yield the candidates that follow a recorded signal; all share one bank."""
-    bank, effects = CovariateBank(signals), covariate_effects(signals)
+    bank, effects = covariate_bank(signals), covariate_effects(signals)
     for row, effect in enumerate(effects):
         yield Candidate(effect, bank, np.eye(len(effects))[:, row : row + 1])

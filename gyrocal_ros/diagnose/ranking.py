@@ -219,7 +219,10 @@ def _best_of(
     form = with_means(best.effect, nothing)
     series = [item for item in variants if with_means(item.effect, nothing) == form]
     row = series.index(best)
-    neighbour = max(series[max(row - 1, 0) : row] + series[row + 1 : row + 2], key=_order)
+    neighbours = series[max(row - 1, 0) : row] + series[row + 1 : row + 2]
+    if not neighbours:  # the other values of the scan are not excited
+        return best
+    neighbour = max(neighbours, key=_order)
     between = fit(scores, np.concatenate([best.fit.columns, neighbour.fit.columns]))
     scanned = [item.effect.coefficients[place].prior_mean for item in series]
     along = profile(scanned, [item.fit for item in series])

@@ -380,7 +380,7 @@ def _rivals(present: ExaminedModel, name: str, tried: set[str]) -> list[RankedEf
         return []
     others = [item for item in present.ranked if item.effect.name not in tried and item.profile is None]
     names = set(indistinguishable(found, others, present.scores, NONE, present.settings))
-    return [item for item in others if item.effect.name in names][: int(present.settings.max_rivals)]
+    return [item for item in others if item.effect.name in names][: present.settings.max_rivals]
 
 
 def _confirmed(

@@ -16,6 +16,7 @@ from contracts import (
     GroundEffectContract,
     GyroEffectContract,
     ImageEffectContract,
+    LimitContract,
     OdometryContract,
     WheelEffectContract,
     eventful_block,
@@ -34,6 +35,7 @@ from gyrocal_ros.model.sensor import (
     Effect,
     GyroEffect,
     GyroTerm,
+    LimitEffect,
     Memory,
     coefficient_names,
     placed,
@@ -83,6 +85,13 @@ class TestEachEffectOnOdometry(OdometryContract):
     pass
 
 
+@pytest.mark.parametrize(
+    'effect', [effect for effect in ALL if isinstance(effect, LimitEffect)], ids=lambda e: e.name
+)
+class TestEachLimit(LimitContract):
+    pass
+
+
 def test_each_effect_has_its_contract() -> None:
     assert CONTRACTS.keys() == {effect.name for effect in ALL}
 
@@ -95,7 +104,7 @@ def term(name: str, block: MotionBlock, *values: float, memory: Memory = None) -
     return effect.contribute(block, np.array(values), memory)
 
 
-def test_the_table_goes_by_the_names() -> None:
+def test_effects_are_registered_by_their_names() -> None:
     assert all(effect.name == name for name, effect in EFFECTS.items())
 
 
@@ -110,21 +119,21 @@ def test_powers_of_the_nominal_rate() -> None:
     assert units == ['1', 's/rad', 's^2/rad^2', 's^4/rad^4']
 
 
-def test_warmup_fades_and_leaves_the_bias_its_meaning() -> None:
+def test_warmup_fades_to_zero() -> None:
     for time_s, expected in ((0.0, -0.01), (300.0, -0.01 / math.e), (1e5, 0.0)):
         block = replace(eventful_block(2), time_s=np.full(2, time_s))
         assert term('bias_warmup', block, 0.01, 300.0).rate_rad_s == pytest.approx(expected)
 
 
 @pytest.mark.parametrize('name', ['bias_warmup', 'turn_hysteresis'])
-def test_any_time_constant_is_borne(name: str) -> None:
+def test_any_time_constant_is_accepted(name: str) -> None:
     for time_constant in (-5.0, 0.0, 1e-9, 1e9):
         found = term(name, eventful_block(), 0.01, time_constant)
         assert np.isfinite(found.rate_rad_s).all() and np.isfinite(found.by_values).all()
 
 
-def test_hysteresis_is_the_fading_memory_of_the_turns() -> None:
-    """After a turn of 1 rad/s for 5 s, tau = 20 s: h = 1 - exp(-5/20), fading by itself then."""
+def test_hysteresis_is_a_fading_memory_of_the_turns() -> None:
+    """After a turn of 1 rad/s for 5 s, tau = 20 s: h = 1 - exp(-5/20), which then fades."""
     turning = replace(
         eventful_block(1000), dt_s=np.full(1000, 0.005), rate_rad_s=np.tile([0.0, 0.0, 1.0], (1000, 1))
     )
@@ -136,7 +145,7 @@ def test_hysteresis_is_the_fading_memory_of_the_turns() -> None:
     assert then.rate_rad_s[-1] == pytest.approx(0.1 * at_end * math.exp(-5.0 / 20.0), rel=1e-3)
 
 
-def test_hysteresis_does_not_care_how_time_is_cut() -> None:
+def test_hysteresis_does_not_depend_on_the_blocks() -> None:
     blocks = eventful_blocks()
     whole = replace(
         blocks[0],
@@ -151,7 +160,7 @@ def test_hysteresis_does_not_care_how_time_is_cut() -> None:
     np.testing.assert_allclose(np.concatenate(parts), term('turn_hysteresis', whole, 0.1, 20.0).rate_rad_s)
 
 
-def test_what_saturation_hides_comes_from_the_wheels() -> None:
+def test_the_rate_lost_by_saturation_is_taken_from_the_wheels() -> None:
     block, limit = eventful_block(), 1.0
     clipped = replace(block, rate_rad_s=np.clip(block.rate_rad_s, -limit, limit))
     found = term('rate_saturation', clipped, limit)
@@ -162,7 +171,7 @@ def test_what_saturation_hides_comes_from_the_wheels() -> None:
     np.testing.assert_array_equal(found.noise_rad_s > 0.0, over)
 
 
-def test_what_the_deadband_hides_is_in_doubt() -> None:
+def test_the_rate_lost_in_the_dead_band_has_its_noise() -> None:
     block = eventful_block()
     found = term('rate_deadband', block, 0.5)
     assert found.noise_rad_s is not None
@@ -179,12 +188,12 @@ def test_what_the_deadband_hides_is_in_doubt() -> None:
         (f'covariate_scale:{SIGNAL}', {'covariates': {}}),
     ],
 )
-def test_a_signal_that_is_missing_says_nothing(name: str, missing: dict[str, Any]) -> None:
+def test_an_effect_vanishes_where_its_signal_is_missing(name: str, missing: dict[str, Any]) -> None:
     found = term(name, replace(eventful_block(), **missing), 0.1)
     assert not found.rate_rad_s.any() and not found.by_values.any()
 
 
-def test_covariates_count_from_their_reference() -> None:
+def test_covariate_effects_count_from_their_reference() -> None:
     tree = {'effects': ['scale_factor', {'name': f'covariate_bias:{SIGNAL}', 'reference': 15.0}]}
     effect = model_from_dict(tree, 'm.yaml').effects[1]
     assert isinstance(effect, CovariateBias)
@@ -250,7 +259,7 @@ def test_a_model_without_a_name_is_called_after_its_file(tmp_path: Path) -> None
     assert load_model(file).name == 'warm'
 
 
-def test_names_count_where_an_effect_has_several_coefficients() -> None:
+def test_names_of_coefficients_are_given_where_there_are_several() -> None:
     assert coefficient_names(find_effect('scale_cubic')) == ('scale_cubic',)
     assert coefficient_names(find_effect('cross_axis')) == ('cross_axis.mx', 'cross_axis.my')
 

@@ -1,4 +1,4 @@
-"""Blind trials: effects are hidden in recordings, and what the diagnosis says is held against the truth."""
+"""Blind trials: effects are hidden in recordings, and the diagnosis is compared with the truth."""
 
 from __future__ import annotations
 
@@ -35,17 +35,18 @@ from gyrocal_ros.sim.world import SimSource
 
 COSTLY_DRIFT_DEG = 0.5
 COSTLY_SCALE = 2e-4
-"""An effect that costs neither so much blind drift nor so much of the scale factor may be missed."""
+"""Blind drift and relative error of the scale factor below which the lack of an effect may be overlooked."""
 WRONG_NOISE = 2.0
+"""Factor by which the noise settings of the filter are wrong in two of the cases."""
 PAIRS = 20
-"""Cases of two effects at once."""
+"""Number of cases of two effects at once."""
 MOMENT_S = 5.0
-"""A jump has to be told within this."""
+"""Largest error of the moment of a jump that counts as right."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What is hidden, and how wrong the filter's idea of its noise is."""
+    """Effects to hide, and the factor by which the noise settings of the filter are wrong."""
 
     label: str
     names: tuple[str, ...] = ()
@@ -54,37 +55,37 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class BlindResult:
-    """What one recording shows."""
+    """Result of the diagnosis of one recording."""
 
     case: Case
     seed: int
     hidden: tuple[tuple[str, tuple[float, ...]], ...]
     """Names and true values."""
     is_costly: bool
-    """Whether leaving any one of them out of the model costs more than may be overlooked."""
+    """True if the lack of any one of them costs more than may be overlooked."""
     drift_known_deg: float
-    """With the true sensor model."""
+    """Blind drift with the true sensor model."""
     verdict: str = 'diverged'
     named: tuple[str, ...] = ()
-    """What is said to be missing, the one that explains most first."""
+    """Names of the effects found, the one that explains most first."""
     excuses: tuple[str, ...] = ()
-    """What else may be meant, for this recording cannot tell it apart."""
+    """Names of effects that this recording cannot distinguish from them."""
     left: str = ''
-    """What no effect explains, in words."""
+    """Description of the unexplained structure; empty without."""
     is_right: bool = False
     is_excused: bool = False
-    """Not right, but all that is hidden is named or among the excuses."""
+    """True if it is not right, but all hidden effects are named or among the excuses."""
     errors_sigma: tuple[float, ...] = ()
-    """Of the coefficients of those effects that were found."""
+    """Errors of the coefficients of the hidden effects that were found, in standard deviations."""
     drift_before_deg: float = math.nan
     drift_after_deg: float = math.nan
 
 
 def cases(only: Sequence[str] = ()) -> list[Case]:
-    """The whole matrix, or the cases with these labels.
+    """Return all cases, or those with the given labels.
 
-    One of each effect, of nothing, of nothing with the filter's noise settings wrong, of what the
-    library does not have, and of two effects at once.
+    There is one for each effect of the library and out of it, one for nothing, two for nothing with wrong
+    noise settings, and some for two effects at once.
     """
     rng = stream(0, 'pairs of effects')
     pairs = [rng.choice(list(LIBRARY_RANGES), 2, replace=False).tolist() for _ in range(PAIRS)]
@@ -118,7 +119,7 @@ def blind(
 
 
 def row(label: str, trials: Sequence[BlindResult]) -> dict[str, Any]:
-    """The figures of some recordings."""
+    """Return the figures of some recordings."""
     costly = [trial for trial in trials if trial.is_costly] if trials[0].case.names else list(trials)
     errors = np.abs([error for trial in trials for error in trial.errors_sigma])
     firsts = Counter(_said(trial) for trial in trials)
@@ -139,7 +140,7 @@ def row(label: str, trials: Sequence[BlindResult]) -> dict[str, Any]:
 
 
 def run_blind(case: Case, seed: int, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> BlindResult:
-    """Hide, simulate, diagnose, compare."""
+    """Hide the effects of a case, simulate, diagnose, and compare with the truth."""
     scenario, config = find_scenario('cleaning'), _with_noise(Config(), case.noise)
     drawn = draw_hidden(seed, scenario.duration_s, case.names)
     scale_factor = draw_scale_factor(seed)
@@ -175,19 +176,19 @@ def run_blind(case: Case, seed: int, settings: DiagnosisSettings = DEFAULT_SETTI
 
 @dataclass(frozen=True, slots=True)
 class _Merit:
-    """How good a sensor model is on a recording whose truth is known."""
+    """Errors of a sensor model on a recording with known truth."""
 
     drift_deg: float
     scale_error: float
 
     def costs_more_than(self, other: _Merit) -> bool:
-        """Whether a model is worse by more than may be overlooked; one that diverges is (NaN)."""
+        """Return True if a model is worse by more than may be overlooked; one that diverges (NaN) is."""
         cost_deg = math.sqrt(max(self.drift_deg**2 - other.drift_deg**2, 0.0))
         return not (cost_deg <= COSTLY_DRIFT_DEG and self.scale_error <= COSTLY_SCALE)
 
 
 def _merit(run: Callable[[SensorModel], Run], hidden: Sequence[HiddenEffect], scale_factor: float) -> _Merit:
-    """That of the model with these effects, their coefficients expected where they are."""
+    """Run the model with some effects, with priors about the true coefficients."""
     model = default_model()
     for item in hidden:
         model = with_effect(model, with_means(item.effect, item.values))
@@ -220,7 +221,11 @@ def _judged(
 
 
 def is_right(case: Case, hidden: Sequence[HiddenEffect], found: Diagnosis) -> bool:
-    """Whether what is hidden is named first, or all of it; of a stranger, when or what it goes with."""
+    """Return True if the diagnosis is right.
+
+    One hidden effect has to be named first, and of two both and no other. For an effect out of the library
+    the moment of its jump, the signal that it goes with, or the effect that explains most of it is right.
+    """
     named = [finding.effect.name for finding in found.missing]
     if not hidden:
         return found.verdict == 'nothing_missing'
@@ -263,7 +268,7 @@ def _with_noise(config: Config, factor: float) -> Config:
 
 
 def _drift_deg(run: Run) -> float:
-    """Held out: in the second half, each span begins with what was known by then."""
+    """Return the held-out drift: in the second half, each span starts with the estimates of its beginning."""
     return blind_drift(run, from_s=0.5 * float(run.history.time_s[-1])).rms_deg
 
 
@@ -272,7 +277,7 @@ def _is_confident(trial: BlindResult) -> bool:
 
 
 def _said(trial: BlindResult) -> str:
-    """In a word: what was named first, or what else was said."""
+    """Return the effects named, or the verdict."""
     if trial.verdict == 'unexplained':
         return f'unexplained ({trial.left})'
     return ' + '.join(trial.named) or trial.verdict

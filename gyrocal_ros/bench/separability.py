@@ -1,7 +1,7 @@
-"""What each test drive tells of each effect, and which effects it tells apart: computed, not guessed.
+"""Significance of each effect in each test drive, and separation of pairs of effects, computed.
 
-One run of the filter over a simulated drive, with every effect on trial, gives Lambda, the information
-on all of them at once (`ekf.scores`). All the figures follow from it.
+One run of the filter over a simulated drive, with every effect as a candidate, gives Lambda, the information
+on all of them at once (`ekf.score_statistics`). All the figures follow from it.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from gyrocal_ros.sim.scenarios import Scenario
 from gyrocal_ros.sim.world import SimSource
 
 BARE = SensorModel('bare', BiasModel(), ())
-"""Without a scale factor, so that the likeness of other effects to it can be told."""
+"""Model without a scale factor, so that the correlation of other effects with it can be computed."""
 DRIVES: dict[str, Scenario] = {EVERYDAY.name: EVERYDAY, **TEST_DRIVES}
 COLUMNS: dict[str, Scenario] = {**DRIVES, **CONTROLS}
-"""Of the table."""
+"""Drives of the table, by name."""
 SIGNAL = Signal('fan_speed.data', mean=10000.0, spread=3200.0)
-"""Stands for any recorded signal; the spread is that of a robot that cleans."""
+"""Representative of any recorded signal, with the spread that a cleaning robot has."""
 
 
 @dataclass(frozen=True)
 class Lost(LinearGyroEffect):
-    """What a limit of usual size takes from the readings: 1 for all of it.
+    """The rate that is lost beyond a limit of usual size, as a linear effect: 1 for all of it.
 
-    Nothing depends smoothly on a limit, but what it takes has a shape that other effects may share.
+    Nothing depends smoothly on a limit, but the lost rate has a shape that other effects may share.
     """
 
     limit: GyroEffectOnReadings
@@ -63,12 +63,12 @@ class Lost(LinearGyroEffect):
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What one drive tells."""
+    """Figures of one drive."""
 
     shows: dict[str, float]
-    """Effect to the sigma of its usual size, scale factor and bias being free."""
+    """Significance of each effect of usual size in sigma, with scale factor and bias estimated."""
     alike: dict[tuple[str, str], float]
-    """Two effects to their correlation, where both show."""
+    """Correlation of pairs of effects that both show."""
 
 
 Variant = tuple[Effect, IntArray]
@@ -76,8 +76,8 @@ Variant = tuple[Effect, IntArray]
 
 
 def figures(drive: str) -> Figures:
-    """Run the filter over a drive and read the figures from Lambda."""
-    scores = _evidence(drive)
+    """Run the filter over a drive and compute the figures from Lambda."""
+    scores = _scores(drive)
     variants: dict[str, list[Variant]] = {}
     for effect, columns in zip(scores.candidates, columns_of(scores.candidates), strict=True):
         variants.setdefault(kind_of(effect.name), []).append((effect, columns))
@@ -99,11 +99,11 @@ def figures(drive: str) -> Figures:
 
 
 def motions() -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table, a column each drive: sigma of an effect, likeness of two effects.
+    """Yield the rows of the table, with a column for each drive: sigma of an effect, correlation of two.
 
-    The sigma is that of an effect of usual size after five minutes, scale factor and bias being free.
-    Two effects have a row where they are known as twins or where some drive finds them alike; nothing
-    stands in it for drives in which one of them does not show.
+    The sigma is that of an effect of usual size after five minutes, with scale factor and bias estimated.
+    Two effects have a row if they are declared to look alike, or do in some drive; it is empty for drives in
+    which one of them does not show.
     """
     every: dict[str, Figures] = dict(zip(COLUMNS, in_parallel(figures, COLUMNS), strict=True))
     for effect in (*EFFECTS, *COVARIATE_EFFECTS):
@@ -115,8 +115,8 @@ def motions() -> Iterator[dict[str, Any]]:
         yield rounded | {'effect': '/'.join(pair)}
 
 
-def _evidence(drive: str) -> ScoreStatistics:
-    """Of every effect, from a robot whose scale factor is right."""
+def _scores(drive: str) -> ScoreStatistics:
+    """Return the scores of every effect, for a robot with the right scale factor."""
     scenario = COLUMNS[drive]
     source = SimSource(replace(scenario, errors=replace(scenario.errors, scale_factor=1.0)), seed=0)
     candidates = candidates_for(BARE, replace(summarise_recording(source), signals=(SIGNAL,))).candidates
@@ -129,7 +129,7 @@ def _evidence(drive: str) -> ScoreStatistics:
 
 
 def _given(scores: ScoreStatistics, columns: IntArray) -> ScoreStatistics:
-    """The evidence that is left of all others when some coefficients are free."""
+    """Return the scores of all others when some coefficients are estimated beside them."""
     total = scores.information.sum(axis=0)
     cross = total[:, columns]
     left = total - cross @ np.linalg.solve(total[np.ix_(columns, columns)], cross.T)
@@ -137,7 +137,7 @@ def _given(scores: ScoreStatistics, columns: IntArray) -> ScoreStatistics:
 
 
 def _sigma(scores: ScoreStatistics, variant: Variant) -> float:
-    """Root mean square over the signs of the coefficients."""
+    """Return the significance, the root mean square over the signs of the coefficients."""
     effect, columns = variant
     information = np.maximum(np.diagonal(scores.information.sum(axis=0))[columns], 0.0)
     return math.sqrt(float(np.square(_usual_values(effect)) @ information))
@@ -150,7 +150,7 @@ def _usual_values(effect: Effect) -> Array:
 
 
 def _unusual(variant: Variant) -> float:
-    """How far a time constant is from its usual value; zero where there is none."""
+    """Return the distance of a time constant from its usual value; zero without one."""
     effect, _ = variant
     place = None if isinstance(effect, Lost) else scanned_coefficient(effect)
     if place is None:
@@ -159,7 +159,7 @@ def _unusual(variant: Variant) -> float:
 
 
 def _declared_twins() -> set[tuple[str, str]]:
-    """Pairs of which the library warns."""
+    """Return the pairs that effects of the library declare."""
     known = {*EFFECTS, *COVARIATE_EFFECTS}
     pairs = {(name, twin) for name, effect in EFFECTS.items() for twin in effect.about.twins}
     return {(min(pair), max(pair)) for pair in pairs if known.issuperset(pair)}

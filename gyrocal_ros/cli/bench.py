@@ -1,8 +1,8 @@
 """Measure accuracy, consistency, speed and diagnosis on simulated robots whose truth is known.
 
 Without a name: accuracy, comparison, speed and blind diagnosis, which takes hours. With --quick and no
-name a few quick figures are held against those that are kept, and the command fails when accuracy or
-consistency is worse than chance allows; time is never judged. Seeds are 0, 1, 2 and so on.
+name a few quick figures are compared with the kept ones, and the command fails if accuracy or consistency
+is worse by more than chance; time is not compared. Seeds are 0, 1, 2 and so on.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ CASES: dict[str, Callable[[], list[str]]] = {
     'accuracy': lambda: [case[0] for case in accuracy_cases(quick=False)],
     'blind': lambda: [case.label for case in blind_cases()],
 }
-"""Labels of the cases of those benches that can be asked for some of them."""
+"""Labels of the cases of the benches that can run some of them."""
 
 USUAL = ('accuracy', 'comparison', 'speed', 'blind')
 
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('what', nargs='*', metavar='WHAT', help=f'what to measure: {", ".join(BENCHES)}')
     parser.add_argument('--seeds', type=int, default=20, help='recordings a case (default 20)')
     parser.add_argument(
-        '--quick', action='store_true', help='hold the kept figures; with a name, its first case only'
+        '--quick', action='store_true', help='compare with the kept figures; with a name, its first case only'
     )
     parser.add_argument('--keep', action='store_true', help='with --quick: keep the figures of this code')
     parser.add_argument(
@@ -86,11 +86,11 @@ def run(args: argparse.Namespace) -> None:
     """Measure, and print each row as it becomes ready.
 
     Raises:
-        GyrocalError: a name is not known, or a kept figure is left.
+        GyrocalError: a name is not known, or a figure is worse than the kept one.
     """
     for name in args.what:
         if name not in BENCHES:
-            raise GyrocalError('is not a bench', where=repr(name), todo=f'choose of {", ".join(BENCHES)}')
+            raise GyrocalError('is not a bench', where=repr(name), todo=f'choose from {", ".join(BENCHES)}')
     if args.only:
         _refuse_unknown_cases(args)
     settings = _settings(args)
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> None:
     if args.keep and (args.what or not args.quick):
         raise GyrocalError('keeps the figures of `gyrocal bench --quick` alone', where='--keep')
     if args.quick and not args.what:
-        _hold_the_gate(args)
+        _compare_with_kept(args)
         return
     if args.out and args.out.exists() and not args.overwrite:
         raise GyrocalError('exists already', where=str(args.out), todo='choose another name or --overwrite')
@@ -140,7 +140,7 @@ def _rows(name: str, args: argparse.Namespace) -> list[dict[str, Any]]:
     return rows
 
 
-def _hold_the_gate(args: argparse.Namespace) -> None:
+def _compare_with_kept(args: argparse.Namespace) -> None:
     def each(function: Callable[[T], R], tasks: Sequence[T], /) -> Iterable[R]:
         return progress(function.__name__, in_parallel(function, tasks), total=len(tasks), unit='seed')
 
@@ -155,8 +155,8 @@ def _hold_the_gate(args: argparse.Namespace) -> None:
         print_row({'figure': item.name} | _as_row(item), header=number == 0)
     left = [item.name for item in outcomes if not item.passes]
     if left:
-        todo = 'mend it, or, where it is meant to be so, `gyrocal bench --quick --keep`'
-        raise GyrocalError('worse than what is kept, beyond chance', where=', '.join(left), todo=todo)
+        todo = 'fix it, or keep the new figures with `gyrocal bench --quick --keep`'
+        raise GyrocalError('worse than the kept figure by more than chance', where=', '.join(left), todo=todo)
 
 
 def _as_row(item: Outcome) -> dict[str, Any]:

@@ -34,7 +34,7 @@ class LimitProposal:
 
 @dataclass(frozen=True, slots=True)
 class Competition:
-    """What else explains the recording that a limit is proposed for."""
+    """Other explanations of the recording that a limit is proposed for."""
 
     structure_gain: float
     """Log-likelihood gain of the unexplained structure; zero where there is none."""

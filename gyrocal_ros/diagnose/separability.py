@@ -52,7 +52,7 @@ class Table:
     """The computed figures of each drive."""
 
     everyday: str
-    """Name of the drive that stands for everyday use."""
+    """Name of the drive that represents everyday use."""
     drives: dict[str, str]
     """Name and instruction of each drive."""
     significance: dict[str, dict[str, float]]

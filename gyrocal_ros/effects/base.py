@@ -1,4 +1,4 @@
-"""What an effect of the library has beyond its part in the filter: words for people."""
+"""Explanation of an effect, and the base class of effects that are linear."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ Stimulus: TypeAlias = Literal[
     'signal',
     'image',
 ]
-"""What brings an effect out: see `sketch`."""
+"""Signal that an effect is drawn against: see `sketch`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What people and other rooms need to know of an effect beside its contribution."""
+    """Description of an effect for people, and its properties for other rooms."""
 
     physics: str
     """One paragraph that a technician understands."""
@@ -39,7 +39,7 @@ class Explanation:
     best_motion: str
     """The motion that shows it best."""
     twins: tuple[str, ...] = ()
-    """Effects that it is easily taken for."""
+    """Effects that look like it."""
     needs: tuple[str, ...] = ()
     """Signals beside IMU, wheels and camera without which the effect cannot be judged: `temperature`, or
     topic and field as `gyrocal check` lists them. An effect with an attribute `signal` needs that, too."""
@@ -47,7 +47,7 @@ class Explanation:
     example: tuple[float, ...] = ()
     """Values of the coefficients, in their units, at which the effect can clearly be seen."""
     shown_against: Stimulus = 'rate'
-    """What to vary to show it."""
+    """Signal to vary to show it."""
     shows_in_any_turns: bool = False
     """True if every recording with turns can judge the effect."""
     may_break_the_filter: bool = False
@@ -80,17 +80,17 @@ class LinearGyroEffect(ABC):
 
 
 def column(*signals: Array) -> Array:
-    """Signals (N,) as the columns (N, k) of a linear effect."""
+    """Stack signals (N,) as the columns (N, k) of a linear effect."""
     return np.array(signals).T
 
 
 def recorded(signal: Array) -> Array:
-    """A signal with zero for what was not recorded (NaN): the effect then has nothing to say."""
+    """Replace what was not recorded (NaN) by zero: the effect then contributes nothing."""
     return np.where(np.isnan(signal), 0.0, signal)
 
 
 def with_unit(value: float, unit: str, digits: int = 4) -> str:
-    """A number as people read it: without the unit 1, and angles in degrees as well."""
+    """Format a number for people: without the unit 1, and angles in degrees, too."""
     text = f'{value:.{digits}g} {unit}'.removesuffix(' 1')
     if unit.startswith('rad'):
         text += f' ({math.degrees(value):.{digits}g} {unit.replace("rad", "deg", 1)})'

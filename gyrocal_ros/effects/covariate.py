@@ -126,6 +126,6 @@ def covariate_bank(signals: Sequence[Signal]) -> CovariateBank:
 
 
 def deviation(block: MotionBlock, signal: str, reference: float) -> Array:
-    """How far a recorded signal is from its reference, (N,); zero where it is not recorded."""
+    """Return a recorded signal less its reference, (N,); zero where it is not recorded."""
     values = block.covariates.get(signal)
     return np.zeros(len(block.dt_s)) if values is None else values - reference

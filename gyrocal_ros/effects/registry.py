@@ -31,7 +31,7 @@ EFFECTS: dict[str, LibraryEffect] = {effect.name: effect for effect in SHIPPED}
 
 
 def find_effect(name: str, where: str = '') -> LibraryEffect:
-    """The effect of that name with its usual priors.
+    """Return the effect of that name with its usual priors.
 
     Args:
         name: a name of the table, `scale_power_N` for a power above the third, or the name of a
@@ -56,7 +56,7 @@ def find_effect(name: str, where: str = '') -> LibraryEffect:
 
 
 def default_model() -> SensorModel:
-    """The model that a robot starts with: one scale factor, and a bias that drifts."""
+    """Return the model that a robot starts with: one scale factor, and a bias that drifts."""
     return SensorModel('default', BiasModel(), (find_effect(SCALE_FACTOR),))
 
 
@@ -96,7 +96,7 @@ def load_installed() -> None:
 
 
 def register(effect: Any, where: str) -> None:
-    """Put an effect into the table, for this process.
+    """Add an effect to the table, for this process.
 
     Raises:
         ConfigError: there is one of that name, or it is not complete.
@@ -120,7 +120,7 @@ def _imported(name: str, path: Path) -> ModuleType:
     except Exception as error:
         del sys.modules[name]
         what = f'{type(error).__name__}: {error}'
-        raise ConfigError(what, where=str(path), todo='mend the file') from error
+        raise ConfigError(what, where=str(path), todo='fix the file') from error
     return module
 
 

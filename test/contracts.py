@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from gyrocal_ros.config.sections import FeatureConfig
-from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds, seconds
+from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds, seconds
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, find_effect
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.checks import faults
@@ -466,7 +466,7 @@ class LimitContract:
 
     def nominal(self) -> Array:
         """Readings of a sensor without the limit: turns of 100 deg/s, and rests with noise."""
-        time_s = seconds(self.T_NS)
+        time_s = self.T_NS / NS_PER_S
         turning = math.radians(100.0) * np.sin(time_s / 3.0) * (time_s % 60.0 < 40.0)
         noise: Array = math.radians(0.5) * np.random.default_rng(0).normal(size=len(time_s))
         return turning + noise

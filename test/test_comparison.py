@@ -1,4 +1,4 @@
-"""The bench of comparison: calibrating by other means, and the bound by batch least squares."""
+"""The bench `comparison`: other ways to calibrate, and the bound by batch least squares."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gyrocal_ros.sim.world import SimSource
 LANES = replace(find_scenario('lanes'), duration_s=25.0)
 
 
-def test_wheels_give_their_own_error_to_the_gyro() -> None:
+def test_a_calibration_by_wheels_has_the_error_of_the_wheels() -> None:
     quiet = replace(without_noise(LANES.errors), track_error=0.03)
     source = SimSource(replace(LANES, errors=quiet, floor_tilt_deg=0.0, bumps=0), 0)
     found = by_wheels(list(source.measurements()))
@@ -30,19 +30,19 @@ def test_wheels_give_their_own_error_to_the_gyro() -> None:
     assert found.time_s[-1] == pytest.approx(24.0, abs=0.1)
 
 
-def test_a_wall_gives_the_scale_factor_and_no_bias() -> None:
+def test_spins_against_a_wall_give_the_scale_factor() -> None:
     scale, took_s = against_a_wall(replace(LANES, errors=without_noise(LANES.errors)), 0)
     assert scale == pytest.approx(LANES.errors.scale_factor, rel=1e-6)
     assert 45.0 < took_s < 60.0
 
 
-def test_rest_gives_the_zero() -> None:
+def test_rest_gives_the_bias() -> None:
     source = SimSource(replace(LANES, duration_s=3.0), 0)
     expected = source.truth.bias_rad_s[0, 2] / source.truth.scale_factor
     assert zero_at_rest(list(source.measurements()), 3.0) == pytest.approx(expected, abs=3e-4)
 
 
-def test_the_batch_of_everything_is_the_bound_and_finds_the_truth() -> None:
+def test_the_batch_is_the_bound_and_finds_the_truth() -> None:
     source = SimSource(LANES, 0)
     found = solve(source.measurements(), source.rig, Config())
     truth = source.truth.scale_factor
@@ -51,13 +51,13 @@ def test_the_batch_of_everything_is_the_bound_and_finds_the_truth() -> None:
     assert found.rounds < 6, 'it converges'
 
 
-def test_without_noise_the_batch_is_exact() -> None:
+def test_the_batch_is_exact_without_noise() -> None:
     source = SimSource(replace(LANES, errors=without_noise(LANES.errors)), 0)
     found = solve(source.measurements(), source.rig, Config())
     assert found.scale_factor == pytest.approx(source.truth.scale_factor, rel=2e-5)
 
 
-def test_every_way_is_compared_on_one_recording(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_ways_are_compared_on_one_recording(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(comparison, 'OFF_S', 25.0)
     monkeypatch.setattr(comparison, 'SPINS_UNTIL_S', 130.0)
     monkeypatch.setattr(comparison, 'DURATION_S', 170.0)
@@ -76,7 +76,7 @@ def test_every_way_is_compared_on_one_recording(monkeypatch: pytest.MonkeyPatch)
     assert all(math.isfinite(known.cleaning_rad) for known in found.values())
 
 
-def test_a_row_sums_up_over_seeds() -> None:
+def test_a_row_sums_up_the_seeds() -> None:
     found = [
         Known('some', 1e-4, 2e-4, 10.0, (0.01, -0.02), 0.01),
         Known('some', -1e-4, 2e-4, 14.0, (0.03, 0.0), -0.01),
@@ -91,7 +91,7 @@ def test_a_row_sums_up_over_seeds() -> None:
     assert (figures['settled_seeds'], figures['settled_median_s']) == (2, 12.0)
 
 
-def test_an_error_settles_when_it_stays_within_bounds() -> None:
+def test_an_error_has_settled_when_it_stays_within_bounds() -> None:
     time_s = np.arange(5.0)
     assert settled_after_s(time_s, np.array([3.0, 0.1, 3.0, 0.1, -0.2]), 1.0) == 3.0
     assert settled_after_s(time_s, np.zeros(5), 1.0) == 0.0

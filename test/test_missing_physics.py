@@ -119,9 +119,9 @@ class TestDiagnose:
 
     def test_a_bag_without_hidden_effects(self, plain: Path, capsys: Output) -> None:
         assert main(['diagnose', str(plain)]) == 0
-        told = capsys.readouterr().out
-        assert told.startswith('Nothing is missing')
-        assert 'The strongest suspicion was' in told and 'gyrocal add' not in told
+        printed = capsys.readouterr().out
+        assert printed.startswith('Nothing is missing')
+        assert 'The strongest suspicion was' in printed and 'gyrocal add' not in printed
 
     def test_in_words(self, searched: tuple[Search, Diagnosis]) -> None:
         lines = list(in_words(searched[1]))
@@ -145,26 +145,26 @@ class TestDiagnose:
         parser = argparse.ArgumentParser()
         add_arguments(parser)
         args = parser.parse_args(['my bag', '-r', 'imu/data_raw:=/imu', '--model', str(model)])
-        finding = searched[1].missing[0]
+        missing = searched[1].missing[0]
         saturation = with_means(find_effect('rate_saturation'), (1.0472,))
         current = covariate_bias('battery_state.current', reference=-1.61605, spread=0.5)
-        several = tuple(replace(finding, effect=effect) for effect in (finding.effect, saturation, current))
+        several = tuple(replace(missing, effect=effect) for effect in (missing.effect, saturation, current))
         lines = list(next_steps(replace(searched[1], missing=several), args))
         assert f"gyrocal improve 'my bag' -r imu/data_raw:=/imu --model '{model}' -o improved" in lines[5]
         for line in lines[2:5]:
             assert main(shlex.split(line.partition(': ')[2])[1:]) == 0
         _, asymmetry, limit, bias = load_model(model).effects
-        assert asymmetry.coefficients[0].prior_mean == pytest.approx(finding.values[0], rel=1e-3)
+        assert asymmetry.coefficients[0].prior_mean == pytest.approx(missing.values[0], rel=1e-3)
         assert limit.coefficients[0].prior_mean == 1.047
         assert getattr(bias, 'reference') == -1.616  # noqa: B009
 
     def test_effects_that_look_alike_are_named_with_the_drive_that_separates_them(
         self, searched: tuple[Search, Diagnosis]
     ) -> None:
-        finding = replace(searched[1].missing[0], confused_with=('scale_quadratic',))
-        unsure = replace(searched[1], verdict='cannot_tell', missing=(finding,))
-        told = '\n'.join(in_words(unsure))
-        assert 'most likely scale_asymmetry; but it may as well be scale_quadratic' in told
+        missing = replace(searched[1].missing[0], confused_with=('scale_quadratic',))
+        unsure = replace(searched[1], verdict='cannot_tell', missing=(missing,))
+        printed = '\n'.join(in_words(unsure))
+        assert 'most likely scale_asymmetry; but it may as well be scale_quadratic' in printed
         assert any('scale_asymmetry' in text and 'scale_quadratic' in text for text in advice(unsure))
 
     def test_a_coarse_converter_makes_the_verdict_uncertain(self, searched: tuple[Search, Diagnosis]) -> None:
@@ -206,9 +206,9 @@ class TestDiagnose:
         assert 'Record temperature to judge bias_temperature and scale_temperature.' in sentences
         assert any(text.startswith('To judge cross_axis, record five minutes') for text in sentences)
         assert any('turns to both sides' in text for text in sentences)
-        told = '\n'.join(in_words(unsure))
-        assert told.startswith('This recording cannot tell')
-        assert 'bias_temperature and scale_temperature: not recorded: temperature' in told
+        printed = '\n'.join(in_words(unsure))
+        assert printed.startswith('This recording cannot tell')
+        assert 'bias_temperature and scale_temperature: not recorded: temperature' in printed
 
 
 class TestCompare:
@@ -238,9 +238,9 @@ class TestCompare:
     def test_without_a_model_and_without_truth(self, plain: Path, tmp_path: Path, capsys: Output) -> None:
         out = tmp_path / 'out'
         assert main(['compare', str(plain), '-o', str(out)]) == 0
-        told = capsys.readouterr().out
-        assert 'default' in told and 'against the heading by SLAM' in told
-        assert 'nowhere by more than chance' in told and 'ground truth' not in told
+        printed = capsys.readouterr().out
+        assert 'default' in printed and 'against the heading by SLAM' in printed
+        assert 'nowhere by more than chance' in printed and 'ground truth' not in printed
         (model,) = json.loads((out / 'comparison.json').read_text(encoding='utf-8'))['models']
         assert model['heading_rms_deg'] is None and model['fails_by_truth'] is None
 

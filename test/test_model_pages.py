@@ -68,7 +68,7 @@ def searched(searched_and_diagnosed: tuple[Search, Diagnosis]) -> Search:
 @pytest.fixture(scope='module')
 def diagnosis(searched_and_diagnosed: tuple[Search, Diagnosis]) -> Diagnosis:
     found = searched_and_diagnosed[1]
-    assert [finding.effect.name for finding in found.missing] == ['scale_asymmetry']
+    assert [item.effect.name for item in found.missing] == ['scale_asymmetry']
     return found
 
 
@@ -114,8 +114,8 @@ def shape(like: Shape, signal: str, values: list[float], stds: list[float]) -> S
     covariance = np.diag(np.square(stds[1:]))
     fitted = Fit(np.arange(len(values) - 1), np.array(values[1:]), covariance, 10.0, np.ones(9))
     knots = 50.0 * np.arange(-1, len(values) - 1)
-    told = replace(like, knots=knots, values=np.array(values), stds=np.array(stds), fit=fitted)
-    return replace(told, signal=signal, of_scale=False)
+    made = replace(like, knots=knots, values=np.array(values), stds=np.array(stds), fit=fitted)
+    return replace(made, signal=signal, of_scale=False)
 
 
 def check_page(page: str, names: list[str]) -> None:
@@ -196,8 +196,8 @@ class TestSeries:
         np.testing.assert_array_equal(shown[0].before.knots, every[0].knots)
 
     def test_candidates_have_their_roles(self, searched: Search, diagnosis: Diagnosis) -> None:
-        finding = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
-        table = series.candidates(searched, replace(diagnosis, missing=(finding,)))
+        missing = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
+        table = series.candidates(searched, replace(diagnosis, missing=(missing,)))
         roles = {row.name: row.role for row in table}
         assert roles['scale_asymmetry'] == 'found'
         assert roles['scale_quadratic'] == 'twin'
@@ -225,19 +225,19 @@ class TestSeries:
         assert 'without it the filter loses' in conclusions.of_diagnosis(rescued).sentences[0]
 
     def test_a_contribution_is_drawn_for_the_estimates(self, diagnosis: Diagnosis) -> None:
-        finding = diagnosis.missing[0]
-        drawn = series.contribution(finding)
+        missing = diagnosis.missing[0]
+        drawn = series.contribution(missing)
         assert drawn is not None
-        np.testing.assert_allclose(drawn.y[-1], finding.values[0] * 100.0)
-        np.testing.assert_allclose(drawn.std[0], finding.stds[0] * 100.0)
+        np.testing.assert_allclose(drawn.y[-1], missing.values[0] * 100.0)
+        np.testing.assert_allclose(drawn.std[0], missing.stds[0] * 100.0)
         followed = find_effect('covariate_bias:battery_state.current')
-        assert series.contribution(replace(finding, effect=followed)) is None
+        assert series.contribution(replace(missing, effect=followed)) is None
 
     def test_coefficients_are_shown_in_degrees(self, searched: Search) -> None:
         run = searched.last.run
-        told = model_series.coefficients([('a', run, True)])
-        assert list(told) == ['bias (deg/s)', 'scale_factor (1)', 'scale_asymmetry (1)']
-        assert told['bias (deg/s)'][0].value == pytest.approx(math.degrees(run.state.bias_rad_s[2]))
+        shown = model_series.coefficients([('a', run, True)])
+        assert list(shown) == ['bias (deg/s)', 'scale_factor (1)', 'scale_asymmetry (1)']
+        assert shown['bias (deg/s)'][0].value == pytest.approx(math.degrees(run.state.bias_rad_s[2]))
 
     def test_the_worst_places_of_any_model_are_compared(self, comparison: Comparison) -> None:
         places = [Failure(f'{place}: off', 5.0 + place, regime=f'{place}') for place in range(20)]
@@ -352,7 +352,7 @@ class TestPages:
         assert '&lt;old&gt;.yaml' in page
         assert '<old>' not in page.replace(drawing.library(), '')
 
-    def test_pages_of_short_recordings_do_without_drift(
+    def test_pages_of_short_recordings_show_no_drift(
         self, comparison: Comparison, improved: Improvement
     ) -> None:
         drift = comparison.results[0].drift
@@ -364,7 +364,7 @@ class TestPages:
         revisions = tuple(replace(item, held_out=empty, fitted=empty) for item in improved.revisions)
         assert '<div id="drift' not in improvement_page(replace(improved, revisions=revisions))
 
-    def test_halves_stand_in_pairs(self, improved: Improvement) -> None:
+    def test_half_figures_are_shown_in_pairs(self, improved: Improvement) -> None:
         figure = models.drift_by_span({'a': improved.final.held_out})
         html = gallery([Section(str(number), figure, '', half=True) for number in range(3)])
         assert re.findall(r'<figure class="(\w+)"', html) == ['half', 'half', 'full']
@@ -375,14 +375,14 @@ class TestPages:
 
 class TestConclusions:
     def test_each_verdict_has_its_kind(self, diagnosis: Diagnosis, some_shape: Shape) -> None:
-        odd = UnexplainedStructure('the bias jumped', 50.0, 9.0, some_shape, at_s=12.0)
-        twin = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
+        structure = UnexplainedStructure('the bias jumped', 50.0, 9.0, some_shape, at_s=12.0)
+        uncertain = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
         for verdict, missing, left, kind in (
             ('nothing_missing', (), None, 'good'),
             ('effect_found', diagnosis.missing, None, 'found'),
-            ('cannot_tell', (twin,), None, 'found'),
+            ('cannot_tell', (uncertain,), None, 'found'),
             ('cannot_tell', (), None, 'bad'),
-            ('unexplained', (), odd, 'bad'),
+            ('unexplained', (), structure, 'bad'),
         ):
             case = replace(diagnosis, verdict=verdict, missing=missing, unexplained=left)
             words = conclusions.of_diagnosis(case)
@@ -390,21 +390,21 @@ class TestConclusions:
             assert words.good == (verdict == 'nothing_missing')
             assert bool(words.todo) == (verdict != 'nothing_missing')
 
-    def test_effects_without_a_twin_are_told_from_those_with_one(self, diagnosis: Diagnosis) -> None:
+    def test_certain_and_uncertain_effects_are_named_apart(self, diagnosis: Diagnosis) -> None:
         sure = diagnosis.missing[0]
-        doubtful = replace(sure, effect=find_effect('bias_temperature'), confused_with=('bias_warmup',))
-        case = replace(diagnosis, verdict='cannot_tell', missing=(sure, doubtful))
+        uncertain = replace(sure, effect=find_effect('bias_temperature'), confused_with=('bias_warmup',))
+        case = replace(diagnosis, verdict='cannot_tell', missing=(sure, uncertain))
         assert conclusions.of_diagnosis(case).headline == (
             'The model lacks scale_asymmetry, and something more, most likely bias_temperature; '
             'but it may as well be bias_warmup.'
         )
 
-    def test_drift_before_and_after_is_said(self, diagnosis: Diagnosis) -> None:
-        finding = replace(diagnosis.missing[0], drift_before_deg=2.0, drift_after_deg=0.25)
-        words = conclusions.of_diagnosis(replace(diagnosis, missing=(finding,)))
+    def test_the_drift_before_and_after_is_stated(self, diagnosis: Diagnosis) -> None:
+        missing = replace(diagnosis.missing[0], drift_before_deg=2.0, drift_after_deg=0.25)
+        words = conclusions.of_diagnosis(replace(diagnosis, missing=(missing,)))
         assert 'drifts 2.00 deg without it and 0.25 deg with it' in ' '.join(words.sentences)
 
-    def test_comparison_says_whether_it_is_chance(self, comparison: Comparison) -> None:
+    def test_a_comparison_states_whether_it_is_chance(self, comparison: Comparison) -> None:
         old, new = comparison.results
         sure = replace(comparison, results=(old, replace(new, gain=50.0, gain_sigma=6.0)))
         assert 'new.yaml foresees the recording better than' in conclusions.of_comparison(sure).headline
@@ -421,21 +421,21 @@ class TestConclusions:
         fine = replace(comparison, results=(replace(old, fails_where=()),))
         assert conclusions.of_comparison(fine).good
 
-    def test_improvement_says_how_far_it_fell(self, improved: Improvement) -> None:
+    def test_an_improvement_states_the_decrease(self, improved: Improvement) -> None:
         words = conclusions.of_improvement(improved)
         assert words.headline.startswith('Added scale_asymmetry')
         alone = replace(improved, revisions=improved.revisions[:1])
         assert conclusions.of_improvement(alone).todo == ()
 
-    def test_estimates_are_told_with_their_meaning(self, diagnosis: Diagnosis) -> None:
-        finding = diagnosis.missing[0]
+    def test_estimates_are_shown_with_their_meaning(self, diagnosis: Diagnosis) -> None:
+        missing = diagnosis.missing[0]
         ((name, value, unit, means),) = estimate_rows(
-            replace(finding, values=np.array([0.008]), stds=np.array([1e-4]))
+            replace(missing, values=np.array([0.008]), stds=np.array([1e-4]))
         )
         assert (name, value, unit, means) == (
             'scale_asymmetry', '0.00800 ± 0.00010', '1', '0.800 ± 0.010 % of the rate',
         )  # fmt: skip
-        limit = replace(finding, effect=find_effect('rate_saturation'), stds=np.zeros(1))
+        limit = replace(missing, effect=find_effect('rate_saturation'), stds=np.zeros(1))
         ((_, _, _, means),) = estimate_rows(limit)
         assert 'not estimated' in means
 

@@ -8,7 +8,7 @@ ranking          the best explanation              separability     drives that 
 limits           saturation and dead band          settings         all thresholds
 heading_filter   headings by gyro and camera       drift            blind drift of a run
 regimes          where the model fails             comparison       several models on one recording
-shapes           unexplained structure             predictive_gain  log-likelihood of what follows
+shapes           unexplained structure             predictive_gain  predictive log-likelihood
 
 No module knows an effect by name: effects declare their properties (`effects.traits`).
 """

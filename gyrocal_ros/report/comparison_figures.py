@@ -1,4 +1,4 @@
-"""The figures in which models stand side by side."""
+"""Figures of several models side by side: drift, coefficients, consistency, places where they fail."""
 
 from __future__ import annotations
 
@@ -10,50 +10,32 @@ import numpy as np
 import plotly.graph_objects as go
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.drift import BlindDrift
-from gyrocal_ros.report.figures.drawing import (
+from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift
+from gyrocal_ros.diagnose.model_series import CoefficientEstimate
+from gyrocal_ros.diagnose.run_series import Windows
+from gyrocal_ros.report.html import Section
+from gyrocal_ros.report.plot import (
     AFTER,
     BEFORE,
     GREY,
-    LOOKS,
     SIGMAS,
+    STYLES,
     LineStyle,
-    dress,
-    kept,
+    kept_rows,
     line,
     panels,
     points,
+    set_style,
 )
-from gyrocal_ros.report.model_series import CoefficientOfModel
-from gyrocal_ros.report.series import Windows
 
+DRIFT = """Heading error after {span_s:.0f} s without the camera, compared with {reference}. Held out: each
+    span starts with the estimates of that moment, so nothing was fitted on what follows. The bars are 90 %
+    intervals. The spans are the same for all models, so differences can be significant even where bars
+    overlap."""
 LOG_FROM = 8.0
-"""Where the largest is so many times the smallest, the axis is logarithmic."""
-BEYOND = 10.0
-"""An interval without end leaves the panel: it is drawn so many times as long as its value."""
-
-
-def drift_by_span(drifts: Mapping[str, BlindDrift], looks: Sequence[LineStyle] = LOOKS) -> go.Figure:
-    """Heading error after spans without the camera, all over the run, by name of the model."""
-    span_s = next(iter(drifts.values())).span_s
-    figure = panels('Drift span by span', [f'heading error after {span_s:.0f} s (deg)'], 320)
-    for place, (name, drift) in enumerate(drifts.items()):
-        look = looks[place % len(looks)]
-        size_deg = np.abs(np.degrees(drift.error_rad))
-        label = f'{name}, rms {drift.rms_deg:.3g} deg'
-        line(figure, drift.start_s, size_deg, label, '.3f', (1, 1), look.colour)
-        figure.data[-1].update(
-            mode='markers', marker={'symbol': look.symbol, 'size': 8, 'color': look.colour}
-        )
-        ends_s, rms_deg = drift.start_s[[0, -1]], np.full(2, drift.rms_deg)
-        line(figure, ends_s, rms_deg, label, '.3f', (1, 1), look.colour, look.dash)
-        figure.data[-1].update(showlegend=False, hoverinfo='skip', hovertemplate=None)
-    every = np.concatenate([np.abs(np.degrees(drift.error_rad)) for drift in drifts.values()])
-    figure.update_yaxes(type='log', tickvals=_log_ticks(every))
-    figure.update_xaxes(title_text='beginning of the span (s)')
-    rows_px = 20 * len(drifts)
-    figure.update_layout(legend_orientation='v', margin_t=60 + rows_px, height=390 + rows_px)
-    return figure
+"""Ratio of the largest to the smallest value above which the axis is logarithmic."""
+OPEN_END = 10.0
+"""Ratio to the value at which an unbounded interval is drawn to end, which is outside the panel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,20 +46,60 @@ class Mark:
     series: str
     drift: BlindDrift
     is_kept: bool = True
-    """One that was left out is drawn hollow and off the line."""
+    """False for a model that was left out, drawn hollow and off the line."""
+
+
+def drift_section(
+    title: str, marks: Sequence[Mark], joined: bool = True, half: bool = False, more: str = ''
+) -> Section:
+    """Make the section about the drift of each model.
+
+    Args:
+        title: title of the figure.
+        marks: one or more drifts.
+        joined: draw lines from model to model, where each builds on the one before.
+        half: place it beside another section.
+        more: further sentences of the caption.
+    """
+    drift = marks[0].drift
+    caption = DRIFT.format(span_s=drift.span_s, reference=REFERENCES[drift.reference])
+    return Section('drift', drift_by_model(title, marks, joined), f'{caption} {more}'.strip(), half)
+
+
+def drift_by_span(drifts: Mapping[str, BlindDrift]) -> go.Figure:
+    """Draw heading errors after spans without the camera over the run, by name of the model."""
+    span_s = next(iter(drifts.values())).span_s
+    figure = panels('Drift span by span', [f'heading error after {span_s:.0f} s (deg)'], 320)
+    for place, (name, drift) in enumerate(drifts.items()):
+        style = STYLES[place % len(STYLES)]
+        size_deg = np.abs(np.degrees(drift.error_rad))
+        label = f'{name}, rms {drift.rms_deg:.3g} deg'
+        line(figure, drift.start_s, size_deg, label, '.3f', colour=style.colour)
+        figure.data[-1].update(
+            mode='markers', marker={'symbol': style.symbol, 'size': 8, 'color': style.colour}
+        )
+        ends_s, rms_deg = drift.start_s[[0, -1]], np.full(2, drift.rms_deg)
+        line(figure, ends_s, rms_deg, label, '.3f', (1, 1), style.colour, style.dash)
+        figure.data[-1].update(showlegend=False, hoverinfo='skip', hovertemplate=None)
+    every = np.concatenate([np.abs(np.degrees(drift.error_rad)) for drift in drifts.values()])
+    figure.update_yaxes(type='log', tickvals=_log_ticks(every))
+    figure.update_xaxes(title_text='beginning of the span (s)')
+    rows_px = 20 * len(drifts)
+    figure.update_layout(legend_orientation='v', margin_t=60 + rows_px, height=390 + rows_px)
+    return figure
 
 
 def drift_by_model(title: str, marks: Sequence[Mark], joined: bool = True) -> go.Figure:
-    """Rms of the drift with the interval that holds in 90 of 100 recordings, model by model."""
+    """Draw the rms of the drift with its 90 % interval, model by model."""
     models = list(dict.fromkeys(mark.model for mark in marks))
     names = list(dict.fromkeys(mark.series for mark in marks))
     figure = panels(title, [f'heading error after<br>{marks[0].drift.span_s:.0f} s, rms (deg)'], 340)
     for place, name in enumerate(names):
-        look, aside = (AFTER, BEFORE)[place % 2], 0.1 * (place - 0.5 * (len(names) - 1))
+        style, aside = (AFTER, BEFORE)[place % 2], 0.1 * (place - 0.5 * (len(names) - 1))
         for is_kept in (True, False):
             chosen = [mark for mark in marks if mark.series == name and mark.is_kept == is_kept]
             if chosen:
-                _add_series(figure, models, chosen, name, look, aside, joined)
+                _add_series(figure, models, chosen, name, style, aside, joined)
     _show_drifts(figure, np.array([(mark.drift.rms_deg, *mark.drift.interval_deg) for mark in marks]))
     figure.update_layout(hovermode='closest')
     _name_models(figure, models)
@@ -85,66 +107,66 @@ def drift_by_model(title: str, marks: Sequence[Mark], joined: bool = True) -> go
 
 
 def coefficients_by_model(
-    told: Mapping[str, Sequence[CoefficientOfModel]], models: Sequence[str], joined: bool = True
+    found: Mapping[str, Sequence[CoefficientEstimate]], models: Sequence[str], joined: bool = True
 ) -> go.Figure:
-    """Coefficients with three standard deviations, model by model, a panel each.
+    """Draw coefficients with three standard deviations, model by model, a panel each.
 
     Args:
-        told: by name of the coefficient with its unit.
-        models: all of them, in their order.
-        joined: draw lines from model to model: each builds on the one before.
+        found: estimates by name of the coefficient with its unit.
+        models: labels of all models in their order.
+        joined: draw lines from model to model, where each builds on the one before.
     """
-    figure = panels('Coefficients', [name.replace('.', '<br>').replace(' (', '<br>(') for name in told], 170)
-    for row, values in enumerate(told.values(), start=1):
-        for is_kept, look in ((True, AFTER), (False, replace(AFTER, symbol='circle-open'))):
+    figure = panels('Coefficients', [name.replace('.', '<br>').replace(' (', '<br>(') for name in found], 170)
+    for row, values in enumerate(found.values(), start=1):
+        for is_kept, style in ((True, AFTER), (False, replace(AFTER, symbol='circle-open'))):
             chosen = [item for item in values if item.is_kept == is_kept]
             if chosen:
                 x = np.array([models.index(item.model) for item in chosen], float)
                 y, std = np.array([item.value for item in chosen]), np.array([item.std for item in chosen])
-                name = 'estimate' if is_kept else 'of a trial that was left out'
-                points(figure, x, y, SIGMAS * std, name, '.5g', (row, 1), look, joined and is_kept)
+                name = 'estimate' if is_kept else 'of a revision left out'
+                points(figure, x, y, SIGMAS * std, name, '.5g', style, (row, 1), joined and is_kept)
     figure.update_layout(hovermode='closest')
     _name_models(figure, models)
     return figure
 
 
 def consistency(windows: Mapping[str, Windows]) -> go.Figure:
-    """Whether each model foresees the measurements as well as it believes, by name of the model."""
+    """Draw the NIS with its bounds over time, by name of the model."""
     figure = panels('Innovations', ['NIS per dof'], 300)
     first = next(iter(windows.values()))
     for bound in (first.low, first.high):
         line(figure, first.time_s, bound, '95 % bounds', '.2f', (1, 1), GREY, 'dash')
     figure.data[-1].showlegend = False
     for place, (name, seen) in enumerate(windows.items()):
-        look = LOOKS[place % len(LOOKS)]
-        line(figure, seen.time_s, seen.nis_per_dof, name, '.2f', (1, 1), look.colour, look.dash)
+        style = STYLES[place % len(STYLES)]
+        line(figure, seen.time_s, seen.nis_per_dof, name, '.2f', (1, 1), style.colour, style.dash)
     return figure
 
 
 def heading_errors(title: str, errors_deg: Mapping[str, tuple[Array, Array]]) -> go.Figure:
-    """Errors of the heading over time (s, deg), by name of the model."""
+    """Draw heading errors over time (s, deg), by name of the model."""
     figure = panels(title, ['error (deg)'], 300)
     for place, (name, (time_s, error)) in enumerate(errors_deg.items()):
-        look, rows = LOOKS[place % len(LOOKS)], kept(error)
-        line(figure, time_s[rows], error[rows], name, '.3f', (1, 1), look.colour, look.dash)
+        style, rows = STYLES[place % len(STYLES)], kept_rows(error)
+        line(figure, time_s[rows], error[rows], name, '.3f', (1, 1), style.colour, style.dash)
     return figure
 
 
 def failures_by_model(found: Mapping[str, Mapping[str, float]]) -> go.Figure:
-    """How sure it is that each model fails in each place: sigma by place, by name of the model."""
+    """Draw the sigma of failures by place, by name of the model."""
     places = list(dict.fromkeys(place for rows in found.values() for place in rows))
-    figure = dress(go.Figure(), 'Where each model fails', 150 + 32 * len(places))
+    figure = set_style(go.Figure(), 'Where each model fails', 150 + 32 * len(places))
     for place, (name, rows) in enumerate(found.items()):
-        look = LOOKS[place % len(LOOKS)]
+        style = STYLES[place % len(STYLES)]
         figure.add_scatter(
             x=list(rows.values()),
             y=list(rows),
             name=name,
             mode='markers',
-            marker={'symbol': look.symbol, 'size': 10, 'color': look.colour},
+            marker={'symbol': style.symbol, 'size': 10, 'color': style.colour},
             hovertemplate='%{x:.1f} sigma',
         )
-    figure.update_xaxes(title_text='sigma: how far beyond chance', rangemode='tozero')
+    figure.update_xaxes(title_text='significance (sigma)', rangemode='tozero')
     figure.update_yaxes(title_text='', categoryorder='array', categoryarray=places[::-1])
     return figure
 
@@ -154,7 +176,7 @@ def _add_series(
     models: Sequence[str],
     marks: Sequence[Mark],
     name: str,
-    look: LineStyle,
+    style: LineStyle,
     aside: float,
     joined: bool,
 ) -> None:
@@ -163,29 +185,29 @@ def _add_series(
     x = np.array([models.index(mark.model) for mark in marks]) + aside
     rms = np.array([mark.drift.rms_deg for mark in marks])
     low, high = np.array([mark.drift.interval_deg for mark in marks]).T
-    shown = look if is_kept else replace(look, symbol=f'{look.symbol}-open')
+    shown = style if is_kept else replace(style, symbol=f'{style.symbol}-open')
     label = name if is_kept else f'{name}, left out'
-    high = np.where(np.isfinite(high), high, BEYOND * rms)
-    points(figure, x, rms, np.stack([rms - low, high - rms]), label, '.3g', (1, 1), shown, is_line)
+    high = np.where(np.isfinite(high), high, OPEN_END * rms)
+    points(figure, x, rms, np.stack([rms - low, high - rms]), label, '.3g', shown, joined=is_line)
     mode = 'lines+markers+text' if is_line else 'markers+text'
     words = [f' {value:.3g} ' for value in rms]
     side = 'middle left' if aside < 0.0 else 'middle right'
-    figure.data[-1].update(mode=mode, text=words, textposition=side, textfont={'color': look.colour})
+    figure.data[-1].update(mode=mode, text=words, textposition=side, textfont={'color': style.colour})
 
 
-def _show_drifts(figure: go.Figure, told: Array) -> None:
-    """Let the panel show all values with their intervals (n, 3); those without end leave it."""
-    rms, low, high = told.T
+def _show_drifts(figure: go.Figure, values: Array) -> None:
+    """Set the range to rms, low and high (n, 3); an unbounded interval leaves the panel."""
+    rms, low, high = values.T
     top = 1.1 * float(np.where(np.isfinite(high), high, 2.0 * rms).max())
     if rms.max() > LOG_FROM * rms.min():
         bounds = np.log10([0.8 * low.min(), top])
-        figure.update_yaxes(type='log', tickvals=_log_ticks(told), range=bounds)
+        figure.update_yaxes(type='log', tickvals=_log_ticks(values), range=bounds)
     else:
         figure.update_yaxes(range=[0.0, top])
 
 
 def _log_ticks(values: Array) -> list[float]:
-    """Powers of ten, and twice and five times these where there are few."""
+    """Return powers of ten, with twice and five times each where there are few."""
     known = values[(values > 0.0) & np.isfinite(values)]
     if not len(known):
         return []

@@ -145,7 +145,7 @@ def test_outside_libraries_stay_in_their_room() -> None:
 
 def test_the_report_computes_nothing() -> None:
     """Linear algebra belongs to `diagnose`; a compute process of the studio needs no report."""
-    algebra = re.compile(r'linalg|lstsq|einsum|pinv|covariance\b|np\.(?:dot|cov|outer)\b|(?<=\w) @ (?=\w)')
+    algebra = re.compile(r'linalg|lstsq|einsum|pinv|covariance|np\.(?:dot|cov|outer)\b|(?<=\w) @ (?=\w)')
     wrong = [
         f'{module.relative_to(PACKAGE)}: {found[0]}'
         for module in MODULES

@@ -145,9 +145,7 @@ class TestFolder:
         assert load_model(folder / 'model.yaml') == run.model
         assert load_config(folder / 'settings.yaml') == run.config != Config()
 
-    def test_the_summary_is_that_of_the_run(
-        self, folder: Path, run: Run, calibration: Calibration
-    ) -> None:
+    def test_the_summary_is_that_of_the_run(self, folder: Path, run: Run, calibration: Calibration) -> None:
         assert json.loads((folder / 'summary.json').read_text()) == summarise(run, calibration)
 
     def test_trajectories_are_in_tum_format(self, folder: Path, run: Run) -> None:
@@ -327,9 +325,7 @@ class TestSentences:
             (1.0, math.nan, '1 ± nan'),
         ],
     )
-    def test_numbers_have_two_digits_of_their_std(
-        self, value: float, std: float, text: str
-    ) -> None:
+    def test_numbers_have_two_digits_of_their_std(self, value: float, std: float, text: str) -> None:
         assert with_std(value, std) == text
 
     def test_a_good_calibration(self, run: Run, calibration: Calibration) -> None:

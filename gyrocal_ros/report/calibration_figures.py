@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import HeadingError, Trajectory2D
-from gyrocal_ros.diagnose.run_series import Windows
+from gyrocal_ros.diagnose.run_series import CONFIDENCE, Windows
 from gyrocal_ros.ekf.map import CeilingMap
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
@@ -35,6 +35,14 @@ from gyrocal_ros.report.plot import (
     show_range,
     xy,
 )
+
+PATH_STYLES = {
+    'ground truth': (GREY, 'solid', 6),
+    'SLAM': (BLUE, 'solid', 2),
+    'calibrated gyro': (GREEN, 'dash', 2),
+    'nominal gyro': (VERMILLION, 'dot', 2),
+}
+"""Colour, dash and width of trajectories by their source."""
 
 
 def scale_factor(history: History, calibration: Calibration) -> go.Figure:
@@ -143,9 +151,7 @@ def innovations(history: History, windows: Windows) -> go.Figure:
     has_heading = bool(np.isfinite(history.heading_innovation_std_rad).any())
     titles = ['NIS per dof', *['features'] * has_features, *['heading (deg)'] * has_heading]
     figure = panels('Innovations', titles, 190)
-    for bound in (windows.low, windows.high):
-        line(figure, windows.time_s, bound, '95 % bounds', '.2f', (1, 1), GREY, 'dash')
-    figure.data[-1].showlegend = False
+    nis_bounds(figure, windows)
     line(figure, windows.time_s, windows.nis_per_dof, 'NIS per degree of freedom', '.2f', (1, 1), GREEN)
     if has_features:
         _feature_counts(figure, windows, (2, 1))
@@ -155,12 +161,11 @@ def innovations(history: History, windows: Windows) -> go.Figure:
     return figure
 
 
-PATH_STYLES = {
-    'ground truth': (GREY, 'solid', 6),
-    'SLAM': (BLUE, 'solid', 2),
-    'calibrated gyro': (GREEN, 'dash', 2),
-    'nominal gyro': (VERMILLION, 'dot', 2),
-}
+def nis_bounds(figure: go.Figure, windows: Windows) -> None:
+    """Add the bounds of the NIS of a consistent filter to the first panel."""
+    for bound in (windows.low, windows.high):
+        line(figure, windows.time_s, bound, f'{100.0 * CONFIDENCE:.0f} % bounds', '.2f', FIRST, GREY, 'dash')
+    figure.data[-1].showlegend = False
 
 
 def paths(tracks: Mapping[str, Trajectory2D]) -> go.Figure:

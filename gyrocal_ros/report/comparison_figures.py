@@ -13,19 +13,20 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift
 from gyrocal_ros.diagnose.model_series import CoefficientEstimate
 from gyrocal_ros.diagnose.run_series import Windows
+from gyrocal_ros.report.calibration_figures import nis_bounds
 from gyrocal_ros.report.html import Section
 from gyrocal_ros.report.plot import (
     AFTER,
     BEFORE,
-    GREY,
+    FIRST,
     SIGMAS,
-    STYLES,
     LineStyle,
     kept_rows,
     line,
     panels,
     points,
     set_style,
+    styled,
 )
 
 DRIFT = """Heading error after {span_s:.0f} s without the camera, compared with {reference}. Held out: each
@@ -70,8 +71,7 @@ def drift_by_span(drifts: Mapping[str, BlindDrift]) -> go.Figure:
     """Draw heading errors after spans without the camera over the run, by name of the model."""
     span_s = next(iter(drifts.values())).span_s
     figure = panels('Drift span by span', [f'heading error after {span_s:.0f} s (deg)'], 320)
-    for place, (name, drift) in enumerate(drifts.items()):
-        style = STYLES[place % len(STYLES)]
+    for name, drift, style in styled(drifts):
         size_deg = np.abs(np.degrees(drift.error_rad))
         label = f'{name}, rms {drift.rms_deg:.3g} deg'
         line(figure, drift.start_s, size_deg, label, '.3f', colour=style.colour)
@@ -79,7 +79,7 @@ def drift_by_span(drifts: Mapping[str, BlindDrift]) -> go.Figure:
             mode='markers', marker={'symbol': style.symbol, 'size': 8, 'color': style.colour}
         )
         ends_s, rms_deg = drift.start_s[[0, -1]], np.full(2, drift.rms_deg)
-        line(figure, ends_s, rms_deg, label, '.3f', (1, 1), style.colour, style.dash)
+        line(figure, ends_s, rms_deg, label, '.3f', FIRST, style.colour, style.dash)
         figure.data[-1].update(showlegend=False, hoverinfo='skip', hovertemplate=None)
     every = np.concatenate([np.abs(np.degrees(drift.error_rad)) for drift in drifts.values()])
     figure.update_yaxes(type='log', tickvals=_log_ticks(every))
@@ -133,22 +133,18 @@ def coefficients_by_model(
 def consistency(windows: Mapping[str, Windows]) -> go.Figure:
     """Draw the NIS with its bounds over time, by name of the model."""
     figure = panels('Innovations', ['NIS per dof'], 300)
-    first = next(iter(windows.values()))
-    for bound in (first.low, first.high):
-        line(figure, first.time_s, bound, '95 % bounds', '.2f', (1, 1), GREY, 'dash')
-    figure.data[-1].showlegend = False
-    for place, (name, seen) in enumerate(windows.items()):
-        style = STYLES[place % len(STYLES)]
-        line(figure, seen.time_s, seen.nis_per_dof, name, '.2f', (1, 1), style.colour, style.dash)
+    nis_bounds(figure, next(iter(windows.values())))
+    for name, seen, style in styled(windows):
+        line(figure, seen.time_s, seen.nis_per_dof, name, '.2f', FIRST, style.colour, style.dash)
     return figure
 
 
 def heading_errors(title: str, errors_deg: Mapping[str, tuple[Array, Array]]) -> go.Figure:
     """Draw heading errors over time (s, deg), by name of the model."""
     figure = panels(title, ['error (deg)'], 300)
-    for place, (name, (time_s, error)) in enumerate(errors_deg.items()):
-        style, rows = STYLES[place % len(STYLES)], kept_rows(error)
-        line(figure, time_s[rows], error[rows], name, '.3f', (1, 1), style.colour, style.dash)
+    for name, (time_s, error), style in styled(errors_deg):
+        rows = kept_rows(error)
+        line(figure, time_s[rows], error[rows], name, '.3f', FIRST, style.colour, style.dash)
     return figure
 
 
@@ -156,8 +152,7 @@ def failures_by_model(found: Mapping[str, Mapping[str, float]]) -> go.Figure:
     """Draw the sigma of failures by place, by name of the model."""
     places = list(dict.fromkeys(place for rows in found.values() for place in rows))
     figure = set_style(go.Figure(), 'Where each model fails', 150 + 32 * len(places))
-    for place, (name, rows) in enumerate(found.items()):
-        style = STYLES[place % len(STYLES)]
+    for name, rows, style in styled(found):
         figure.add_scatter(
             x=list(rows.values()),
             y=list(rows),

@@ -30,7 +30,6 @@ from gyrocal_ros.report.plot import (
     GREY,
     PURPLE,
     SIGMAS,
-    STYLES,
     VERMILLION,
     band,
     kept_rows,
@@ -39,6 +38,7 @@ from gyrocal_ros.report.plot import (
     points,
     set_style,
     show_range,
+    styled,
 )
 
 HEADING = """Top: heading by the gyro alone over the whole recording, less the observed heading; the best
@@ -109,8 +109,7 @@ def where_it_fails(
     last = list(wanders.values())[-1]
     reach = SIGMAS * np.degrees(last.std_rad)
     band(figure, last.time_s, np.zeros(len(reach)), reach, FIRST, 'noise (3 sigma)')
-    for place, (name, item) in enumerate(wanders.items()):
-        style = STYLES[place % len(STYLES)]
+    for name, item, style in styled(wanders):
         error = np.degrees(item.error_rad)
         line(figure, item.time_s, error, name, '.3f', FIRST, style.colour, style.dash)
         gained, reach = np.degrees(item.gained_rad), SIGMAS * np.degrees(item.gained_std_rad)

@@ -8,8 +8,10 @@ or white, so they can be read on light and on dark.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from itertools import cycle
+from typing import Any, TypeVar
 
 import numpy as np
 import plotly.graph_objects as go
@@ -31,6 +33,8 @@ Panel = tuple[int, int]
 """Row and column of a panel."""
 FIRST: Panel = (1, 1)
 
+T = TypeVar('T')
+
 
 @dataclass(frozen=True, slots=True)
 class LineStyle:
@@ -51,6 +55,12 @@ STYLES = (
     LineStyle('#56B4E9', 'star', 'longdashdot'),
 )
 """Styles of models side by side; a seventh one has the style of the first."""
+
+
+def styled(models: Mapping[str, T]) -> Iterator[tuple[str, T, LineStyle]]:
+    """Yield name, value and style of each of several models."""
+    for style, (name, value) in zip(cycle(STYLES), models.items(), strict=False):
+        yield name, value, style
 
 
 def panels(title: str, y_titles: list[str], row_px: int = 230) -> go.Figure:

@@ -236,7 +236,7 @@ def lesson(view: StudioState) -> list[Any]:
     ]
     remarks = [f'Hidden: {hidden}.', said[told.guessed_right]]
     if told.missed:
-        remarks.append(f'The model lacks {join([*told.missed])}.')
+        remarks.append(missing_headline(dict.fromkeys(told.missed, ())))
     if told.needless:
         remarks.append(f'The model has what the robot has not: {join([*told.needless])}.')
     return [html.P(' '.join(remarks), id='truth'), _table(('', 'truth', 'found', 'off by'), rows)]

@@ -16,9 +16,7 @@ from gyrocal_ros.report.html import Section
 FIGURE = curves('A line', 'x (s)', 'y (deg)', np.arange(3.0), {'it': np.arange(3.0)})
 
 
-def test_without_kaleido_the_error_names_the_remedy(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_without_kaleido_the_error_names_the_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(png, 'find_spec', lambda _: None)
     with pytest.raises(GyrocalError, match='pip install') as caught:
         png.save_png({'line': FIGURE}, tmp_path)

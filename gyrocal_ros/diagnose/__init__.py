@@ -10,5 +10,6 @@ heading_filter   headings by gyro and camera       drift            blind drift 
 regimes          where the model fails             comparison       several models on one recording
 shapes           unexplained structure             predictive_gain  predictive log-likelihood
 
+Numbers for reports and pages: run_series, search_series, model_series, error_curves, wander, json_summary.
 No module knows an effect by name: effects declare their properties (`effects.traits`).
 """

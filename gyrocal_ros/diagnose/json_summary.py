@@ -16,6 +16,7 @@ from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
+from gyrocal_ros.effects import SCALE_FACTOR
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration, coefficient_table, conclude
@@ -25,7 +26,7 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
     """Return what `replay --json` prints, except the wall time."""
     summary: dict[str, Any] = {
         'source': run.source,
-        'scale_factor': calibration.scale_factor,
+        SCALE_FACTOR: calibration.scale_factor,
         'scale_factor_std': calibration.scale_factor_std,
         'scale_factor_volt': calibration.scale_factor_volt,
         'bias': float(calibration.values[0]),
@@ -105,7 +106,7 @@ def merit(revision: Revision) -> dict[str, Any]:
         'log_likelihood_gain': revision.gain,
         'log_likelihood_gain_sigma': revision.gain_sigma,
         'nis_per_dof': nis_per_dof(run),
-        'scale_factor': calibration.scale_factor,
+        SCALE_FACTOR: calibration.scale_factor,
         'scale_factor_std': calibration.scale_factor_std,
         'coefficients': coefficient_table(calibration),
     }
@@ -179,7 +180,7 @@ def _model(result: ModelResult) -> dict[str, Any]:
     return {
         'model': result.label,
         'effects': [effect.name for effect in result.run.model.effects],
-        'scale_factor': calibration.scale_factor,
+        SCALE_FACTOR: calibration.scale_factor,
         'scale_factor_std': calibration.scale_factor_std,
         'coefficients': coefficient_table(calibration),
         'converged': calibration.converged,

@@ -43,7 +43,6 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.errors import ConfigError, FilterDivergedError, NotObservableError, RecordingError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.pipeline.run_filter import Progress
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import (
     Calibration,
@@ -52,6 +51,7 @@ from gyrocal_ros.pipeline.calibration import (
     load_calibration,
     save_calibration,
 )
+from gyrocal_ros.pipeline.run_filter import Progress
 from gyrocal_ros.pipeline.visual_slam import VisualSlam
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.manoeuvres import Habits

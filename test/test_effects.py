@@ -264,12 +264,12 @@ def test_corrections_of_all_effects_add_up() -> None:
     assert [place for _, place in placed(effects, 'wheels')] == [slice(1, 2)]
     total = correct(gyro, block, values, (None,) * 3)
     wx, wy, wz = block.rate_rad_s.T
-    sees, zero = np.abs(wz) >= 0.5, np.zeros(12)
-    assert 0 < sees.sum() < 12
-    np.testing.assert_allclose(total.rate_rad_s, np.where(sees, 0.1 * wz + 0.02 * wx - 0.03 * wy, -wz))
-    np.testing.assert_allclose(total.by_values, sees[:, None] * np.stack([wz, zero, wx, wy, zero], axis=1))
-    np.testing.assert_array_equal(np.asarray(total.noise_rad_s) == 0.0, sees)
-    np.testing.assert_array_equal(total.sees, sees)
+    valid, zero = np.abs(wz) >= 0.5, np.zeros(12)
+    assert 0 < valid.sum() < 12
+    np.testing.assert_allclose(total.rate_rad_s, np.where(valid, 0.1 * wz + 0.02 * wx - 0.03 * wy, -wz))
+    np.testing.assert_allclose(total.by_values, valid[:, None] * np.stack([wz, zero, wx, wy, zero], axis=1))
+    np.testing.assert_array_equal(np.asarray(total.noise_rad_s) == 0.0, valid)
+    np.testing.assert_array_equal(total.valid, valid)
     assert total.memories == (None, None, None)
 
 

@@ -277,7 +277,7 @@ def test_the_filter_learns_from_images_and_knows_their_noise() -> None:
     stream = VisualSlam(slam)
     for item in source.measurements():
         stream.step(item)
-    used = sum(record.image.used for record in stream.finish())
+    used = sum(record.update.used for record in stream.finish())
     assert used > 10 or len(slam.state.landmarks.ids) > 10
     assert slam.pixel_noise.std < 0.2, 'that of recorded features is not taken for theirs'
 

@@ -27,9 +27,9 @@ from gyrocal_ros.files import shipped
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME, Role
 from gyrocal_ros.msgs.transforms import IDENTITY, UPSIDE_DOWN, Transform
-from gyrocal_ros.pipeline.in_memory import InMemorySource
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
+from gyrocal_ros.pipeline.in_memory import InMemorySource
 
 
 @cache

@@ -34,9 +34,9 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import json_text
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import load_calibration
+from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
 from gyrocal_ros.report.summary import summarise_diagnosis
 from gyrocal_ros.report.words import diagnosis_headline
 from gyrocal_ros.sim.hidden import DrawnEffect, hide

@@ -17,11 +17,11 @@ from gyrocal_ros.config.declare import with_settings
 from gyrocal_ros.config.parameter_file import load_config
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import seconds
-from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.diagnose.comparison import compare
 from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
+from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.state import EULER, no_landmarks
 from gyrocal_ros.errors import GyrocalError

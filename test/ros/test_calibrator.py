@@ -32,9 +32,9 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.files import shipped
 from gyrocal_ros.msgs.topics import stamp_ns
 from gyrocal_ros.nodes.qos import LATCHED, SENSOR_OUT, STATIC
-from gyrocal_ros.pipeline.in_memory import InMemorySource
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
+from gyrocal_ros.pipeline.in_memory import InMemorySource
 
 BAG = shipped('bags/cleaning')
 PLAYED_S = 30.0

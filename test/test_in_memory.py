@@ -13,9 +13,9 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Frame, Measurement, Rig, Source, Span, nanoseconds
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import MAX_IN_MEMORY_S, InMemorySource, preload
 from gyrocal_ros.pipeline.run_filter import Progress
-from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 

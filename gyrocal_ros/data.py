@@ -1,11 +1,11 @@
-"""The values that travel between the rooms: frozen dataclasses, SI units, integer nanoseconds.
+"""The values exchanged between the rooms: frozen dataclasses, SI units, integer nanoseconds.
 
-A source yields `Measurement`s in the order of their stamps; the filter takes one at a time; all
-that comes after reads a finished `Run` (see `calibrate`).
+A source yields `Measurement`s in the order of their stamps; the filter processes one at a time; all
+later stages read a finished `Run` (see `pipeline.calibrate`).
 
-Frames follow REP 103 and REP 105: `w` is the map, `b` the robot body (x forward, y left, z up),
-`c` the optical frame of the ceiling camera (z along the optical axis, x right and y down in the
-image). `R_ab` turns coordinates in b into coordinates in a; `p_ab` is the origin of b seen from a.
+Frames follow REP 103 and REP 105: `w` is the map, `b` the robot body (x forward, y left, z up), `c` the
+optical frame of the ceiling camera (z along the optical axis, x right and y down in the image). `R_ab`
+rotates coordinates from b to a; `p_ab` is the origin of b in coordinates of a.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ class ImuSample:
 
 @dataclass(frozen=True, slots=True)
 class WheelSample:
-    """Motion from the wheel encoders alone: the mean over the interval that ends at the stamp."""
+    """Mean motion from the wheel encoders over the interval that ends at the stamp."""
 
     t_ns: int
     speed_m_s: float
     """Forward speed."""
     yaw_rate_rad_s: float
-    """Turning rate by the difference of the wheels; too coarse to calibrate with."""
+    """Yaw rate from the difference of the wheels; too coarse for calibration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class TemperatureSample:
 
 @dataclass(frozen=True, slots=True)
 class CovariateSample:
-    """Any other recorded number, offered as an explanation of what the model leaves over."""
+    """Any other recorded signal, a candidate explanation of residuals."""
 
     t_ns: int
     name: str
@@ -79,7 +79,7 @@ class CovariateSample:
 
 @dataclass(frozen=True, slots=True)
 class HeadingSample:
-    """Heading by an outside reference (visual odometry, laser), in a frame of its own."""
+    """Heading from an external reference (visual odometry, laser), in its own frame."""
 
     t_ns: int
     yaw_rad: float
@@ -96,18 +96,18 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureObservations:
-    """Where the tracker saw its features in one image; empty when it saw none."""
+    """Features found by the tracker in one image; empty if there are none."""
 
     t_ns: int
     ids: IntArray
-    """(n,) identities; an id is never used again once its feature is dropped."""
+    """(n,) identities; an id is not reused after its feature is dropped."""
     pixels: Array
     """(n, 2) raw, distorted pixels (u, v); the centre of the top-left pixel is (0, 0)."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruthSample:
-    """Pose by an outside reference that is only ever compared with, never estimated from."""
+    """Pose from an external reference, used only for comparison, never for estimation."""
 
     t_ns: int
     position_m: tuple[float, float, float]
@@ -116,7 +116,7 @@ class TruthSample:
 
 @dataclass(frozen=True, slots=True)
 class ClockStep:
-    """The clock of the stamps has jumped for good; what follows counts from a new time base."""
+    """A permanent step of the clock of the stamps; later stamps have a new time base."""
 
     t_ns: int
     """First stamp on the new time base."""
@@ -139,53 +139,53 @@ Measurement: TypeAlias = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchRegions:
-    """Where the filter expects its features in the next image."""
+    """Predicted positions of the filter's features in the next image."""
 
     t_ns: int
     ids: IntArray
-    """(n,)"""
+    """(n,) identities."""
     pixels: Array
     """(n, 2) predicted raw pixels (u, v)."""
     covariances_px2: Array
-    """(n, 2, 2) of the innovation, pixel noise included."""
+    """(n, 2, 2) covariances of the innovation, including the pixel noise."""
 
 
-# --- what comes out at once -----------------------------------------------------------------------
+# --- immediate outputs ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedSample:
-    """One IMU reading as it should have been, in body axes."""
+    """One IMU reading after calibration, in body axes."""
 
     t_ns: int
     rate_rad_s: tuple[float, float, float]
     rate_variances: tuple[float, float, float]
-    """rad^2/s^2, of the single sample: its noise, bias and coefficients."""
+    """rad^2/s^2, of the single sample: noise, bias and coefficients."""
     specific_force_m_s2: tuple[float, float, float]
     euler_rad: tuple[float, float, float]
     """Roll, pitch and yaw of the body in the map."""
     euler_covariance: Array
-    """(3, 3)"""
+    """(3, 3) covariance of the Euler angles."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryEstimate:
-    """Where the robot is in the map, and how it moves."""
+    """Pose of the robot in the map, and its velocity."""
 
     t_ns: int
     position_m: tuple[float, float, float]
     euler_rad: tuple[float, float, float]
     pose_covariance: Array
-    """(6, 6) of position and Euler angles."""
+    """(6, 6) covariance of position and Euler angles."""
     speed_m_s: float
-    """Along body x."""
+    """Speed along body x."""
     speed_variances: tuple[float, float, float]
     """m^2/s^2, along body x, y, z."""
     rate_rad_s: tuple[float, float, float]
     rate_variances: tuple[float, float, float]
 
 
-# --- what the robot is made of ------------------------------------------------------------------
+# --- geometry of the robot ----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +204,7 @@ class CameraIntrinsics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mount:
-    """How a sensor sits on the robot body: `p_b = R_bs p_s + p_bs`."""
+    """Pose of a sensor on the robot body: `p_b = R_bs p_s + p_bs`."""
 
     R_bs: Array
     """(3, 3) rotation from sensor to body axes."""
@@ -217,13 +217,13 @@ class Rig:
     """The fixed geometry of one robot."""
 
     camera: CameraIntrinsics | None
-    """None where no ceiling camera is in use."""
+    """Intrinsics of the ceiling camera; None if none is in use."""
     camera_mount: Mount
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A stretch of time, both ends included."""
+    """A time interval including both ends."""
 
     start_ns: int
     end_ns: int
@@ -235,15 +235,15 @@ class Span:
 
 
 class Source(Protocol):
-    """Where measurements come from: a bag, the simulator, later the robot itself."""
+    """A source of measurements: a bag, the simulator, or the robot itself."""
 
     @property
     def name(self) -> str:
-        """What a person calls this source: a path, a scenario."""
+        """Name for display: a path or a scenario."""
 
     @property
     def rig(self) -> Rig:
-        """The geometry that the measurements were made with."""
+        """Geometry of the robot during the measurements."""
 
     @property
     def span(self) -> Span:
@@ -253,14 +253,14 @@ class Source(Protocol):
         """Yield the measurements in the order of their stamps; may be called again."""
 
 
-# --- what the gyro did between two camera frames --------------------------------------------------
+# --- motion between two camera frames -------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionBlock:
-    """What the IMU and the wheels measured between two moments, cut into N short intervals.
+    """Measurements of the IMU and the wheels between two times, divided into N short intervals.
 
-    The filter predicts over one block at a time; effects see the signals they need as columns.
+    The filter predicts over one block at a time; effects read the signals they need as columns.
     """
 
     start_ns: int
@@ -274,23 +274,23 @@ class MotionBlock:
     yaw_acceleration_rad_s2: Array
     """(N,) change of the nominal yaw rate over each interval."""
     specific_force_m_s2: Array
-    """(N, 3)"""
+    """(N, 3) mean over each interval."""
     vibration_m2_s4: Array
-    """(N,) variance of the specific force of late, trends left out, all axes together."""
+    """(N,) recent variance of the detrended specific force, summed over all axes."""
     distance_m: Array
-    """(N,) travelled by the wheels; zeros where there are no encoders."""
+    """(N,) distance from the wheels; zeros if there are no encoders."""
     wheel_turn_rad: Array
-    """(N,) turned by the difference of the wheels; zeros where there are no encoders."""
+    """(N,) turn from the difference of the wheels; zeros if there are no encoders."""
     temperature_c: Array
-    """(N,) NaN where none is recorded."""
+    """(N,) NaN if it is not recorded."""
     covariates: dict[str, Array] = field(default_factory=dict)
-    """Name to (N,) values."""
+    """Recorded signals: name to (N,) values."""
     gap_s: float = 0.0
-    """Time in this block for which no IMU sample vouches."""
+    """Time in this block not covered by IMU samples."""
     wheel_gap_s: float = 0.0
-    """Time in this block for which no encoder reading vouches."""
+    """Time in this block not covered by encoder readings."""
     wheels_at_rest: bool = False
-    """Every encoder reading that touches the block is zero."""
+    """True if every encoder reading that overlaps the block is zero."""
 
     @property
     def duration_s(self) -> float:
@@ -298,7 +298,7 @@ class MotionBlock:
         return seconds(self.end_ns - self.start_ns)
 
     def part(self, chosen: slice) -> MotionBlock:
-        """Some of the intervals; all that concerns the whole block stays as it is."""
+        """Return a block with some of the intervals; fields of the whole block are unchanged."""
         columns = {item.name: getattr(self, item.name) for item in fields(self)}
         cut: dict[str, Any] = {
             name: column[chosen] for name, column in columns.items() if isinstance(column, np.ndarray)

@@ -1,7 +1,7 @@
 """Errors that a user can act on.
 
-Libraries inside the package raise these and never print or exit; the command line and the nodes
-show the one line and decide what happens next.
+Libraries inside the package raise these and never print or exit; the command line and the nodes display
+the one-line message and decide how to continue.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from collections.abc import Iterable
 
 
 class GyrocalError(Exception):
-    """Something a user can mend. The message says what is wrong, where, and what to do.
+    """An error that the user can fix. The message says what is wrong, where, and what to do.
 
     Args:
         what: what is wrong, in one clause.
-        where: the file, topic or setting it concerns.
+        where: the file, topic or setting concerned.
         todo: what to do about it.
     """
 
@@ -30,18 +30,18 @@ class ConfigError(GyrocalError):
 
 
 class RecordingError(GyrocalError):
-    """A bag that cannot be read, or lacks what the command needs."""
+    """A bag that cannot be read, or lacks data that the command needs."""
 
 
 class FilterDivergedError(GyrocalError):
-    """The estimate has lost the measurements; its numbers would be nonsense."""
+    """The estimate is inconsistent with the measurements; its values would be meaningless."""
 
 
 class NotObservableError(GyrocalError):
-    """The recording does not contain the motion that the answer needs."""
+    """The recording does not contain the motion that the result requires."""
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return the known names that look like `name`, as words for an error message."""
+    """Return the known name nearest to `name`, or all known names, as text for an error message."""
     close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
     return f'did you mean {close[0]!r}?' if close else f'known are {", ".join(known)}'

@@ -1,6 +1,7 @@
-"""Where the files that come with the package are, and how results are written.
+"""Files that are installed with the package, and atomic output of results.
 
-Results appear whole or not at all: they are made under a temporary name and renamed when complete.
+Results appear completely or not at all: they are written under a temporary name and renamed when
+complete.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from gyrocal_ros.errors import GyrocalError
 
 
 def shipped(name: str) -> Path:
-    """Find a file or folder that comes with the package, `bags` or `config/model.yaml`.
+    """Find a file or folder that is installed with the package, such as `bags` or `config/model.yaml`.
 
-    In a checkout it lies beside the package; colcon and pip install it into `share/gyrocal_ros`
-    below the prefix that holds the package.
+    In a checkout it is beside the package; colcon and pip install it into `share/gyrocal_ros` below the
+    prefix that contains the package.
 
     Raises:
-        GyrocalError: it was not installed.
+        GyrocalError: it is not installed.
     """
     package = Path(__file__).resolve().parent
     checkout = package.parent
@@ -44,9 +45,9 @@ def write_text_atomic(path: Path, text: str, *, overwrite: bool = False) -> None
     """Write a UTF-8 text file in one step.
 
     Args:
-        path: the file; missing parent folders are made.
+        path: the file; missing parent folders are created.
         text: its content.
-        overwrite: replace the file where it exists.
+        overwrite: replace an existing file.
 
     Raises:
         GyrocalError: the file exists and may not be replaced, or cannot be written.
@@ -54,52 +55,52 @@ def write_text_atomic(path: Path, text: str, *, overwrite: bool = False) -> None
     path = path.resolve()
     if path.exists() and not overwrite:
         raise GyrocalError('exists already', where=str(path), todo='choose another name or allow overwriting')
-    part = _part_of(path)
-    with _os_errors_of(path):
+    part = _temporary_path(path)
+    with _reported_os_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             with part.open('w', encoding='utf-8') as file:
                 file.write(text)
                 file.flush()
-                os.fsync(file.fileno())  # a robot may lose its power at any moment
+                os.fsync(file.fileno())  # a robot may lose power at any time
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
 
 
 def json_text(values: Mapping[str, Any]) -> str:
-    """Write one JSON object, with a line end; numbers that are not finite become null, arrays lists."""
+    """Return a JSON object with a line end; non-finite numbers become null, arrays become lists."""
     return json.dumps(_plain(values), indent=2, ensure_ascii=False, allow_nan=False) + '\n'
 
 
 @contextmanager
 def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a temporary folder that becomes `path` when the block ends well, and vanishes when not.
+    """Yield a temporary folder that is renamed to `path` on success and removed on failure.
 
-    Enter it before the work starts: a folder that may not be written is then refused at once.
+    Enter the context before the work starts: a folder that may not be written is then refused at once.
 
     Args:
-        path: the folder to make; missing parents are made, an empty one may exist.
-        overwrite: put the result into a folder that holds files already. Files of the same name
-            are replaced, all others stay: no user's file is ever lost to a mistyped path.
+        path: the folder to create; missing parents are created, and an existing empty one is accepted.
+        overwrite: accept a folder that contains files. Files of the same name are replaced, all others
+            are kept, so that no file of the user is lost by a mistyped path.
 
     Raises:
-        GyrocalError: the folder holds files and may not be written, or cannot be made.
+        GyrocalError: the folder contains files and may not be written, or cannot be created.
     """
     path = path.resolve()
     if path.is_file():
         raise GyrocalError('is a file, not a folder', where=str(path), todo='choose another name')
-    with _os_errors_of(path):
+    with _reported_os_errors(path):
         occupied = path.is_dir() and any(path.iterdir())
         if occupied and not overwrite:
             raise GyrocalError(
                 'is not empty', where=str(path), todo='choose another name or allow overwriting'
             )
-        part = _part_of(path)
+        part = _temporary_path(path)
         part.mkdir(parents=True)
     try:
         yield part
-        with _os_errors_of(path):
+        with _reported_os_errors(path):
             if occupied:
                 _move_files(part, path)
             else:
@@ -120,8 +121,8 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _part_of(path: Path) -> Path:
-    """Return the temporary name beside `path`: renaming stays within one file system."""
+def _temporary_path(path: Path) -> Path:
+    """Return the temporary name beside `path`, so that renaming stays within one file system."""
     return path.parent / f'.{path.name}.{os.getpid()}.part'
 
 
@@ -133,7 +134,7 @@ def _move_files(source: Path, target: Path) -> None:
 
 
 @contextmanager
-def _os_errors_of(path: Path) -> Iterator[None]:
+def _reported_os_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:

@@ -6,7 +6,7 @@ from launch import LaunchDescription
 from launch.actions import RegisterEventHandler, Shutdown
 from launch.event_handlers import OnProcessExit
 
-from gyrocal_ros.bag.selection import TopicChoice, select_topics
+from gyrocal_ros.bag.selection import TopicOptions, select_topics
 from gyrocal_ros.bag.storage import open_storage
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.launching import Arguments, describe
@@ -26,8 +26,8 @@ def nodes(arguments: Arguments) -> list:
     """The player, and who listens to it."""
     bag, with_images = Path(arguments['bag']).expanduser(), arguments['images'] == 'true'
     with open_storage(bag) as storage:
-        choice = TopicChoice(namespace=arguments['robot'] or None, use_images=with_images)
-        tracks = Role.IMAGE in select_topics(storage.topics, choice).topics
+        options = TopicOptions(namespace=arguments['robot'] or None, use_images=with_images)
+        tracks = Role.IMAGE in select_topics(storage.topics, options).topics
     listeners = [arguments.calibrator(follows_tracker=tracks, parameters=SIMULATED_TIME)]
     if tracks:
         listeners.append(arguments.node('tracker', {**SIMULATED_TIME, **PATIENT}))

@@ -1,4 +1,4 @@
-"""An emulated board in a process of its own, and its faults at a word."""
+"""An emulated board in a separate process, with fault injection."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from pathlib import Path
 from types import TracebackType
 
 WITHIN_S = 30.0
+"""Timeout for the end of the program."""
 
 
 class BoardProgram:
-    """The program `board_emulator`; use it as a context."""
+    """The program `board_emulator`, used as a context manager."""
 
     def __init__(self, port: Path, *arguments: str) -> None:
-        """Start it and wait for its port.
+        """Start the program and wait for its port.
 
         Args:
             port: the link to it.
-            arguments: more of its command line.
+            arguments: further command line arguments.
         """
         command = [sys.executable, '-m', 'gyrocal_ros.cli.board_emulator', '--link', str(port), *arguments]
         self._process = subprocess.Popen(
@@ -35,14 +36,14 @@ class BoardProgram:
     ) -> None:
         self.stop()
 
-    def spoil(self, fault: str) -> None:
-        """Let something go wrong at once, as in `unplug+5`."""
+    def inject_fault(self, fault: str) -> None:
+        """Inject a fault immediately, as in `unplug+5`."""
         assert self._process.stdin is not None
         self._process.stdin.write(f'{fault}\n')
         self._process.stdin.flush()
 
     def stop(self) -> int:
-        """End it and return its exit status."""
+        """Stop the program and return its exit status."""
         self._process.terminate()
         self._process.communicate(timeout=WITHIN_S)
         return self._process.returncode

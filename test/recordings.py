@@ -1,4 +1,4 @@
-"""Simulated recordings for tests, and ways to spoil them."""
+"""Simulated recordings for tests, and modifications of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
 
-Change = Callable[[Iterable[Measurement]], Iterator[Measurement]]
+Modification = Callable[[Iterable[Measurement]], Iterator[Measurement]]
 
 
 @cache
@@ -27,18 +27,18 @@ def recording(
     hidden: tuple[HiddenEffect, ...] = (),
     **changes: Any,
 ) -> SimSource:
-    """A short recording of a scenario by slow sensors, changed in some of its fields."""
+    """Return a short recording of a scenario with slow sensors and some changed fields."""
     changes = {'duration_s': duration_s, 'imu_hz': 100, 'camera_hz': 10, **changes}
     return SimSource(replace(find_scenario(scenario), **changes), seed, hidden=hidden)
 
 
 @dataclass(frozen=True)
-class Changed:
-    """A source with its measurements changed on the way."""
+class ModifiedSource:
+    """A source whose measurements are modified."""
 
     source: Source
-    change: Change
-    rig_in_use: Rig | None = None
+    change: Modification
+    other_rig: Rig | None = None
 
     @property
     def name(self) -> str:
@@ -46,7 +46,7 @@ class Changed:
 
     @property
     def rig(self) -> Rig:
-        return self.rig_in_use or self.source.rig
+        return self.other_rig or self.source.rig
 
     @property
     def span(self) -> Span:
@@ -57,12 +57,12 @@ class Changed:
 
 
 def at(time_s: float) -> int:
-    """Stamp of a moment of a simulated recording."""
+    """Return the stamp of a time of a simulated recording."""
     return START_NS + nanoseconds(time_s)
 
 
-def without(kind: type[Any], from_s: float = -1.0, to_s: float = 1e6) -> Change:
-    """Leave out one kind of measurement for a while."""
+def without(kind: type[Any], from_s: float = -1.0, to_s: float = 1e6) -> Modification:
+    """Omit one kind of measurement during an interval."""
 
     def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
         for item in measurements:
@@ -72,8 +72,8 @@ def without(kind: type[Any], from_s: float = -1.0, to_s: float = 1e6) -> Change:
     return change
 
 
-def each(kind: type[Any], function: Callable[[Any], Measurement]) -> Change:
-    """Put something else in the place of each measurement of one kind."""
+def each(kind: type[Any], function: Callable[[Any], Measurement]) -> Modification:
+    """Replace each measurement of one kind."""
 
     def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
         for item in measurements:
@@ -82,7 +82,7 @@ def each(kind: type[Any], function: Callable[[Any], Measurement]) -> Change:
     return change
 
 
-def with_clock_step(step_s: float, at_s: float) -> Change:
+def with_clock_step(step_s: float, at_s: float) -> Modification:
     """Let the clock of all stamps step."""
     step_ns = nanoseconds(step_s)
 
@@ -100,8 +100,8 @@ def with_clock_step(step_s: float, at_s: float) -> Change:
     return change
 
 
-def with_features_of(other: Source, late_s: float = 0.0) -> Change:
-    """Put the features of another recording in, or of the same one too late."""
+def with_features_of(other: Source, late_s: float = 0.0) -> Modification:
+    """Replace the features by those of another recording, or by delayed ones of the same one."""
 
     def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
         features = (item for item in other.measurements() if isinstance(item, FeatureObservations))
@@ -113,6 +113,6 @@ def with_features_of(other: Source, late_s: float = 0.0) -> Change:
 
 
 def random_pixels(item: FeatureObservations) -> FeatureObservations:
-    """Features that are anywhere."""
+    """Move features to random pixels."""
     rng = np.random.default_rng(item.t_ns % 2**32)
     return replace(item, pixels=rng.uniform(0.0, 480.0, item.pixels.shape))

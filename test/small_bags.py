@@ -1,4 +1,4 @@
-"""Small recordings for tests, made of plain values: no simulator, no chance."""
+"""Small recordings for tests, made of analytic values: no simulator, no random numbers."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ GRAVITY = 9.8
 
 
 def yaw_rate(time_s: float) -> float:
-    """Turns to both sides, after a second of rest."""
+    """Return a yaw rate (rad/s) with turns to both sides, after a second of rest."""
     return math.sin(time_s) if time_s > 1.0 else 0.0
 
 
 def drive(duration_s: float = 10.0, start_ns: int = START_NS) -> list[Measurement]:
-    """All measurements of a short drive, in the order of their stamps."""
+    """Return all measurements of a short drive, in the order of their stamps."""
     samples: list[Measurement] = []
     for t_ns, time_s in _times(duration_s, 100.0, 0.0, start_ns):
         samples.append(ImuSample(t_ns, (0.01, -0.02, yaw_rate(time_s)), (0.1, -0.2, GRAVITY)))
@@ -67,7 +67,7 @@ def write(
     storage: Literal['mcap', 'sqlite3'] = 'mcap',
     namespace: str = '',
 ) -> Path:
-    """Write a bag; without samples, that of `drive`."""
+    """Write a bag of the samples, by default those of `drive`."""
     with new_bag(path, storage, namespace=namespace) as bag:
         bag.write_rig(rig, START_NS)
         for sample in drive() if samples is None else samples:
@@ -78,7 +78,7 @@ def write(
 def changed(
     samples: Iterable[Measurement], kind: type, change: Callable[[Measurement], Measurement | None]
 ) -> Iterator[Measurement]:
-    """Yield the samples, those of one kind changed or, where `change` returns None, left out."""
+    """Yield the samples, those of one kind changed, or left out if `change` returns None."""
     for sample in samples:
         new = change(sample) if isinstance(sample, kind) else sample
         if new is not None:
@@ -86,7 +86,7 @@ def changed(
 
 
 def turned_imu(samples: Iterable[Measurement], R_ib: np.ndarray) -> Iterator[Measurement]:
-    """Yield the samples as an IMU that is mounted otherwise records them."""
+    """Yield the samples as recorded by an IMU in a rotated mounting."""
     for sample in samples:
         if isinstance(sample, ImuSample):
             rate, force = R_ib @ sample.rate_rad_s, R_ib @ sample.specific_force_m_s2
@@ -95,6 +95,6 @@ def turned_imu(samples: Iterable[Measurement], R_ib: np.ndarray) -> Iterator[Mea
 
 
 def _times(duration_s: float, rate_hz: float, phase_s: float, start_ns: int) -> Iterator[tuple[int, float]]:
-    for number in range(int(duration_s * rate_hz)):
-        time_s = phase_s + number / rate_hz
+    for index in range(int(duration_s * rate_hz)):
+        time_s = phase_s + index / rate_hz
         yield start_ns + nanoseconds(time_s), time_s

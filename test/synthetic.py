@@ -1,4 +1,4 @@
-"""Evidence, headings and runs made of numbers, for tests that need no simulated recording."""
+"""Score statistics, headings and runs made of numbers, for tests without a simulated recording."""
 
 from __future__ import annotations
 
@@ -24,8 +24,14 @@ TOP_DEG_S = 90.0
 RIG = Rig(None, Mount(np.eye(3), np.zeros(3)))
 
 
-def evidence_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
-    """Evidence of B blocks of n measurements of noise 1: columns (B, n, c) and what was seen (B, n)."""
+def score_statistics_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:
+    """Return the statistics of B blocks of n measurements with unit noise.
+
+    Args:
+        columns: (B, n, c) sensitivities of the c coefficients.
+        seen: (B, n) innovations.
+        candidates: effects of the columns.
+    """
     return ScoreStatistics(
         candidates=candidates,
         start_s=BLOCK_S * np.arange(len(seen)),
@@ -35,7 +41,7 @@ def evidence_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()
 
 
 def turning_rad_s(duration_s: float) -> Array:
-    """(s,) rate of a drive that turns four seconds in ten, to either side at speeds up to the top."""
+    """Return the yaw rate (s,) of a drive that turns 4 s in every 10 s, to both sides, up to the top rate."""
     time_s = DT_S * np.arange(1, round(duration_s / DT_S) + 1)
     speeds = np.radians([30.0, -45.0, 60.0, -75.0, TOP_DEG_S, -30.0, 45.0, -60.0, 75.0, -TOP_DEG_S])
     turning = (time_s % 10.0 > 3.0) & (time_s % 10.0 < 7.0)
@@ -44,7 +50,7 @@ def turning_rad_s(duration_s: float) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """What is left of a drive after the filter: the run, and gyro and camera apart."""
+    """Filter output of a drive: the run, and the separate headings of gyro and camera."""
 
     run: Run
     seen: Headings
@@ -59,15 +65,15 @@ def drive(
     signals: Mapping[str, Array] | None = None,
     read_rad_s: Array | None = None,
 ) -> Drive:
-    """A drive whose gyro is off.
+    """Return a drive whose gyro has an error.
 
     Args:
-        error_rad_s: (s,) what has to be added to the rate by the gyro for the true one.
-        duration_s: how long it takes.
-        gyro_noise: how many times noisier than it is said to be the gyro is.
-        seed: of the noise.
-        signals: (s,) other recorded numbers by name.
-        read_rad_s: (s,) what the gyro reads but for noise and error, where it is not the true rate.
+        error_rad_s: (s,) true rate minus the rate of the gyro.
+        duration_s: duration of the drive.
+        gyro_noise: factor of the gyro noise over the configured one.
+        seed: seed of the noise.
+        signals: (s,) other recorded signals by name.
+        read_rad_s: (s,) gyro reading without noise and error; None for the true rate.
     """
     rng = np.random.default_rng(seed)
     true = turning_rad_s(duration_s)

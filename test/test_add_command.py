@@ -55,7 +55,7 @@ def test_a_new_model_begins_as_the_default_one(tmp_path: Path, capsys: Output) -
     assert main(['add', 'gyro_lag', '--model', str(path)]) == 0
     assert capsys.readouterr().out == f'{path}: scale_factor, gyro_lag\n'
     assert names_of(path) == ['scale_factor', 'gyro_lag']
-    assert path.read_text(encoding='utf-8').startswith('# The sensor model that a robot starts with.')
+    assert path.read_text(encoding='utf-8').startswith('# Initial sensor model of a robot.')
 
 
 @pytest.mark.parametrize('effect', ['gyro_lag', 'covariate_bias:battery_state.current'])

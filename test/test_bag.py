@@ -1,4 +1,4 @@
-"""Bags of every kind give the measurements that went in, sorted, in body axes, or one clear error."""
+"""Bags of every kind yield the written measurements, sorted and in body axes, or raise one clear error."""
 
 from __future__ import annotations
 
@@ -66,12 +66,13 @@ def data_file(path: Path) -> Path:
 
 
 def is_state(sample: Measurement) -> bool:
+    """Return True for a covariate that is a constant in a BatteryState."""
     name = sample.name if isinstance(sample, CovariateSample) else ''
     return 'power_supply' in name or name.endswith('.present')
 
 
 def assert_same(read_back: list[Measurement], written: list[Measurement]) -> None:
-    """Compare all but the order of equal stamps and the constants in a BatteryState."""
+    """Compare measurements, except for the order of equal stamps and the constants in a BatteryState."""
     read_back = [
         sample for sample in read_back if not (isinstance(sample, CovariateSample) and is_state(sample))
     ]
@@ -95,7 +96,7 @@ def assert_same(read_back: list[Measurement], written: list[Measurement]) -> Non
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_what_is_written_is_read(tmp_path: Path, storage: Storage) -> None:
+def test_measurements_survive_writing_and_reading(tmp_path: Path, storage: Storage) -> None:
     source = open_bag(write(tmp_path / 'bag', storage=storage), CONFIG, with_covariates=True)
     assert_same(list(source.measurements()), drive())
     assert_same(list(source.measurements()), drive())
@@ -150,8 +151,8 @@ def test_single_files_of_a_bag(tmp_path: Path, storage: Storage) -> None:
     assert_same(read(file, with_covariates=True), drive())
 
 
-def test_foreign_bags_without_definitions(tmp_path: Path) -> None:
-    """Older sqlite3 bags do not say what their types are made of."""
+def test_bags_without_definitions(tmp_path: Path) -> None:
+    """Older sqlite3 bags do not contain the definitions of their types."""
     path = write(tmp_path / 'bag', storage='sqlite3')
     database = sqlite3.connect(data_file(path))
     database.execute('DELETE FROM message_definitions')
@@ -160,7 +161,7 @@ def test_foreign_bags_without_definitions(tmp_path: Path) -> None:
     assert_same(read(path, with_covariates=True), drive())
 
 
-def test_definitions_that_leave_the_types_of_ros_out(tmp_path: Path) -> None:
+def test_definitions_without_the_types_of_ros(tmp_path: Path) -> None:
     path = write(tmp_path / 'bag', storage='sqlite3')
     database = sqlite3.connect(data_file(path))
     definition = 'std_msgs/Header header\nfloat64 temperature\nfloat64 variance'
@@ -179,14 +180,14 @@ def test_the_same_input_gives_the_same_bytes(tmp_path: Path, storage: Storage) -
         assert file.read_bytes() == (other / file.name).read_bytes()
 
 
-def test_a_writer_that_fails_leaves_nothing(tmp_path: Path) -> None:
+def test_a_writer_that_fails_leaves_no_files(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt), new_bag(tmp_path / 'bag') as bag:
         bag.write(drive()[0])
         raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_writer_keeps_what_is_there(tmp_path: Path) -> None:
+def test_a_writer_keeps_existing_files(tmp_path: Path) -> None:
     (tmp_path / 'bag').mkdir()
     (tmp_path / 'bag' / 'precious').touch()
     with pytest.raises(GyrocalError, match='not empty'), new_bag(tmp_path / 'bag'):
@@ -196,7 +197,7 @@ def test_a_writer_keeps_what_is_there(tmp_path: Path) -> None:
     assert (tmp_path / 'bag' / 'precious').exists()
 
 
-def test_a_covariate_that_fits_no_message_is_refused(tmp_path: Path) -> None:
+def test_a_covariate_without_a_message_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match='current_draw'):
         write(tmp_path / 'bag', [CovariateSample(START_NS, 'motor.current_draw', 1.0)])
 
@@ -213,11 +214,11 @@ def test_wheel_odometry_has_a_pose(tmp_path: Path) -> None:
     assert (position.x, position.y) == pytest.approx((0.0, 4.0 / np.pi), abs=0.01)
 
 
-# --- which topics --------------------------------------------------------------------------------
+# --- selection of topics -------------------------------------------------------------------------
 
 
 def two_robots(path: Path) -> Path:
-    """Two robots in one bag; the second drives faster."""
+    """Write a bag of two robots, of which the second drives faster."""
     faster = (
         replace(sample, speed_m_s=1.0) if isinstance(sample, WheelSample) else sample for sample in drive()
     )
@@ -238,7 +239,7 @@ def merge(path: Path, *parts: Path) -> Path:
     return path
 
 
-def test_one_of_several_robots_is_chosen(tmp_path: Path) -> None:
+def test_the_robot_is_selected_by_its_namespace(tmp_path: Path) -> None:
     path = two_robots(tmp_path / 'bag')
     with pytest.raises(RecordingError, match='/r1, /r2; choose with --namespace'):
         open_bag(path, CONFIG)
@@ -256,12 +257,12 @@ def test_a_single_robot_needs_no_namespace(tmp_path: Path) -> None:
 
 
 def renamed(tmp_path: Path, names: dict[str, str]) -> Path:
-    """The bag of `drive` with topics under other names; an empty name leaves the topic out."""
+    """Write the bag of `drive` with topics renamed, or left out if the new name is empty."""
     with rosbag2.Reader(write(tmp_path / 'original')) as reader:
-        messages_ = list(reader.messages())
+        recorded = list(reader.messages())
     with rosbag2.Writer(tmp_path / 'bag', version=9) as writer:
         connections: dict[str, Connection] = {}
-        for connection, recorded_ns, raw in messages_:
+        for connection, recorded_ns, raw in recorded:
             name = names.get(connection.topic, connection.topic)
             if name and name not in connections:
                 connections[name] = writer.add_connection(name, connection.msgtype, typestore=STORE)
@@ -331,19 +332,19 @@ def test_another_heading_reference_replaces_the_camera(tmp_path: Path) -> None:
     )
 
 
-def test_wheels_can_be_the_heading_reference_too(tmp_path: Path) -> None:
+def test_wheels_can_also_be_the_heading_reference(tmp_path: Path) -> None:
     counts = Counter(
         type(item) for item in read(write(tmp_path / 'bag'), heading_reference='/wheel/odometry')
     )
     assert counts[WheelSample] == counts[HeadingSample] == 200
 
 
-def test_the_truth_is_no_heading_reference(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match='only compared with'):
+def test_the_ground_truth_is_refused_as_heading_reference(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match='used for comparison only'):
         open_bag(write(tmp_path / 'bag'), CONFIG, heading_reference='/ground_truth/odometry')
 
 
-# --- how the sensors sit -------------------------------------------------------------------------
+# --- mounting of the sensors ---------------------------------------------------------------------
 
 
 def imu_rates(source: BagSource) -> list[Any]:
@@ -356,7 +357,7 @@ R_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 @pytest.mark.parametrize('R_ib, words', [(UPSIDE_DOWN, '180 deg about x'), (R_Y_UP, '90 deg about x')])
-def test_an_imu_that_is_not_upright_is_turned_with_a_warning(
+def test_an_imu_that_is_not_upright_is_rotated_with_a_warning(
     tmp_path: Path, R_ib: np.ndarray, words: str
 ) -> None:
     source = open_bag(write(tmp_path / 'bag', turned_imu(drive(), R_ib)), CONFIG)
@@ -366,7 +367,7 @@ def test_an_imu_that_is_not_upright_is_turned_with_a_warning(
     assert words in str(source.warnings[0])
 
 
-def test_a_transform_of_the_imu_is_followed_in_silence(tmp_path: Path) -> None:
+def test_a_transform_of_the_imu_is_applied_without_a_warning(tmp_path: Path) -> None:
     R_bi = rotation_from_quaternion(0.1, 0.9, -0.3, 0.2)
     with new_bag(tmp_path / 'bag') as bag:
         bag.write_rig(RIG, START_NS, R_bi=R_bi)
@@ -379,7 +380,7 @@ def test_a_transform_of_the_imu_is_followed_in_silence(tmp_path: Path) -> None:
     assert source.warnings == []
 
 
-def test_a_transform_that_gravity_contradicts_is_followed_with_a_warning(tmp_path: Path) -> None:
+def test_a_transform_that_gravity_contradicts_is_applied_with_a_warning(tmp_path: Path) -> None:
     with new_bag(tmp_path / 'bag') as bag:
         bag.write_rig(RIG, START_NS, R_bi=UPSIDE_DOWN)
         for sample in drive():
@@ -389,7 +390,7 @@ def test_a_transform_that_gravity_contradicts_is_followed_with_a_warning(tmp_pat
     assert 'contradicts its transform' in str(source.warnings[0])
 
 
-def test_without_a_transform_the_settings_say_how_the_camera_sits(tmp_path: Path) -> None:
+def test_without_a_transform_the_camera_mount_of_the_settings_is_used(tmp_path: Path) -> None:
     config = with_settings(CONFIG, {'camera': {'mount_x_m': 0.5, 'mount_yaw_deg': 90.0}})
     source = open_bag(renamed(tmp_path, {'/tf_static': ''}), config)
     np.testing.assert_allclose(source.rig.camera_mount.p_bs, [0.5, 0.0, 0.1])
@@ -400,8 +401,8 @@ def test_without_a_transform_the_settings_say_how_the_camera_sits(tmp_path: Path
 # --- covariates ----------------------------------------------------------------------------------
 
 
-def foreign_bag(path: Path, type_name: str, definition: str, rows: list[list[Any]]) -> Path:
-    """The bag of `drive` with one more topic, of a type that only this bag defines."""
+def bag_with_own_type(path: Path, type_name: str, definition: str, rows: list[list[Any]]) -> Path:
+    """Write the bag of `drive` with one more topic, of a type that only this bag defines."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(definition, type_name))
     with rosbag2.Writer(path, version=9) as writer, rosbag2.Reader(write(path.with_name('drive'))) as reader:
@@ -421,10 +422,10 @@ def foreign_bag(path: Path, type_name: str, definition: str, rows: list[list[Any
 MOTOR = 'acme_msgs/msg/Motor'
 
 
-def test_types_that_the_bag_defines(tmp_path: Path) -> None:
+def test_types_that_only_the_bag_defines(tmp_path: Path) -> None:
     definition = 'uint8 KIND=3\nstring name\nfloat32 current\nfloat64[] history\nint16 speed\nbool on'
     rows = [['left', 1.5, np.array([1.0, 2.0]), -7, True], ['l', float('nan'), np.zeros(0), 8, False]]
-    path = foreign_bag(tmp_path / 'bag', MOTOR, definition, rows)
+    path = bag_with_own_type(tmp_path / 'bag', MOTOR, definition, rows)
     samples = of(read(path, with_covariates=True), CovariateSample)
     assert [(item.t_ns, item.name, item.value) for item in samples if 'motor' in item.name] == [
         (START_NS, 'base.motor.current', 1.5),
@@ -436,8 +437,8 @@ def test_types_that_the_bag_defines(tmp_path: Path) -> None:
     assert not of(read(path), CovariateSample)
 
 
-def test_a_type_that_nobody_knows_is_left_out_with_a_warning(tmp_path: Path) -> None:
-    path = foreign_bag(tmp_path / 'bag', MOTOR, 'float64 current', [[1.0], [2.0]])
+def test_an_unknown_type_is_left_out_with_a_warning(tmp_path: Path) -> None:
+    path = bag_with_own_type(tmp_path / 'bag', MOTOR, 'float64 current', [[1.0], [2.0]])
     (file,) = path.glob('*.db3')
     database = sqlite3.connect(file)
     database.execute('DELETE FROM message_definitions WHERE topic_type = ?', [MOTOR])
@@ -448,8 +449,8 @@ def test_a_type_that_nobody_knows_is_left_out_with_a_warning(tmp_path: Path) -> 
     assert kinds(source) == ['unknown_type']
 
 
-def test_numbers_without_a_stamp_follow_the_clock_of_the_others(tmp_path: Path) -> None:
-    """Fan speed has no header; its time of recording is all there is, and that may be another clock."""
+def test_numbers_without_a_stamp_are_stamped_by_the_clock_of_the_others(tmp_path: Path) -> None:
+    """Fan speed has no header, only a time of recording, which may be of another clock."""
     samples = [*drive(), *(CovariateSample(START_NS + k * NS_PER_S, 'fan.data', float(k)) for k in range(9))]
     samples.sort(key=lambda sample: sample.t_ns)
     ahead_ns = 1000 * NS_PER_S
@@ -465,10 +466,10 @@ def test_numbers_without_a_stamp_follow_the_clock_of_the_others(tmp_path: Path) 
     assert [(item.t_ns - START_NS) / NS_PER_S for item in fan] == pytest.approx(range(9), abs=0.02)
 
 
-# --- stamps and numbers that are wrong -----------------------------------------------------------
+# --- wrong stamps and numbers --------------------------------------------------------------------
 
 
-def test_late_messages_are_sorted_in_and_those_too_late_are_counted(tmp_path: Path) -> None:
+def test_late_messages_are_sorted_in_and_those_beyond_the_window_counted(tmp_path: Path) -> None:
     with new_bag(tmp_path / 'bag') as bag:
         bag.write_rig(RIG, START_NS)
         for number, sample in enumerate(drive()):
@@ -488,16 +489,18 @@ def test_a_step_of_the_clock(tmp_path: Path, step_s: int) -> None:
     first, second = drive(), drive(start_ns=START_NS + (10 + step_s) * NS_PER_S)
     step = ClockStep(second[0].t_ns, step_s * NS_PER_S)
     samples = read(write(tmp_path / 'bag', [*first, step, *second]), with_covariates=True)
-    (place,) = (number for number, sample in enumerate(samples) if isinstance(sample, ClockStep))
-    assert samples[place].t_ns == second[0].t_ns
-    assert_same(samples[:place], first)
-    assert_same(samples[place + 1 :], second)
+    (index,) = (number for number, sample in enumerate(samples) if isinstance(sample, ClockStep))
+    assert samples[index].t_ns == second[0].t_ns
+    assert_same(samples[:index], first)
+    assert_same(samples[index + 1 :], second)
 
 
-def test_single_odd_stamps_are_left_out(tmp_path: Path) -> None:
-    odd = drive()[500].t_ns
+def test_single_outlying_stamps_are_left_out(tmp_path: Path) -> None:
+    outlier_ns = drive()[500].t_ns
     samples = changed(
-        drive(), ImuSample, lambda item: replace(item, t_ns=0) if abs(item.t_ns - odd) < 5_000_000 else item
+        drive(),
+        ImuSample,
+        lambda item: replace(item, t_ns=0) if abs(item.t_ns - outlier_ns) < 5_000_000 else item,
     )
     with new_bag(tmp_path / 'bag') as bag:
         bag.write_rig(RIG, START_NS)
@@ -509,11 +512,11 @@ def test_single_odd_stamps_are_left_out(tmp_path: Path) -> None:
 
 
 def with_nan(every: int) -> Iterator[Measurement]:
-    def spoil(sample: Any) -> ImuSample:
+    def with_nan_rate(sample: Any) -> ImuSample:
         number = round((sample.t_ns - START_NS) / 1e7)
         return replace(sample, rate_rad_s=(0.0, float('nan'), 0.0)) if number % every == 3 else sample
 
-    return changed(drive(), ImuSample, spoil)
+    return changed(drive(), ImuSample, with_nan_rate)
 
 
 def test_nan_is_left_out_and_counted(tmp_path: Path) -> None:
@@ -523,12 +526,12 @@ def test_nan_is_left_out_and_counted(tmp_path: Path) -> None:
     assert '10 of /imu/data_raw' in str(source.warnings[0])
 
 
-def test_too_much_nan_is_refused(tmp_path: Path) -> None:
+def test_too_many_nan_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match='/imu/data_raw: the numbers are not finite'):
         read(write(tmp_path / 'bag', with_nan(5)))
 
 
-def test_what_only_helps_may_be_broken(tmp_path: Path) -> None:
+def test_optional_topics_may_be_faulty(tmp_path: Path) -> None:
     samples = [
         replace(sample, temperature_c=float('nan')) if isinstance(sample, TemperatureSample) else sample
         for sample in drive(20.0)
@@ -542,7 +545,7 @@ def test_what_only_helps_may_be_broken(tmp_path: Path) -> None:
 
 
 def film(shape: tuple[int, int] = (48, 64)) -> list[Measurement]:
-    """The drive with images in place of features."""
+    """Return the drive with images in place of features."""
     grey = np.arange(shape[0] * shape[1], dtype=np.uint8).reshape(shape)
     return [
         Frame(sample.t_ns, np.roll(grey, number)) if isinstance(sample, FeatureObservations) else sample
@@ -550,7 +553,7 @@ def film(shape: tuple[int, int] = (48, 64)) -> list[Measurement]:
     ]
 
 
-def test_images_come_out_grey_and_in_order(tmp_path: Path) -> None:
+def test_images_are_grey_and_in_order(tmp_path: Path) -> None:
     with new_bag(tmp_path / 'bag', jpeg_quality=None) as bag:
         bag.write_rig(RIG, START_NS)
         for sample in film():
@@ -561,7 +564,7 @@ def test_images_come_out_grey_and_in_order(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.image, there.image)
 
 
-def test_features_come_before_images_unless_told(tmp_path: Path) -> None:
+def test_features_are_preferred_to_images_by_default(tmp_path: Path) -> None:
     both = sorted([*film(), *of(drive(), FeatureObservations)], key=lambda sample: sample.t_ns)
     path = write(tmp_path / 'bag', both)
     assert {FeatureObservations} == {type(item) for item in read(path)} & {FeatureObservations, Frame}
@@ -574,10 +577,11 @@ def test_images_of_another_size_than_the_calibration_are_refused(tmp_path: Path)
         read(write(tmp_path / 'bag', film((24, 32))))
 
 
-# --- broken files --------------------------------------------------------------------------------
+# --- damaged files -------------------------------------------------------------------------------
 
 
 def refused(path: Path) -> str:
+    """Return the error message with which a recording is refused."""
     with pytest.raises(RecordingError) as caught:
         read(path)
     line = str(caught.value)
@@ -614,7 +618,7 @@ def test_a_recording_that_was_not_closed(tmp_path: Path) -> None:
     assert 'ros2 bag reindex' in refused(path)
 
 
-def test_broken_metadata(tmp_path: Path) -> None:
+def test_damaged_metadata(tmp_path: Path) -> None:
     path = write(tmp_path / 'bag')
     for text in ('', 'a: [', 'rosbag2_bagfile_information: 3', 'rosbag2_bagfile_information: {version: 9}'):
         (path / 'metadata.yaml').write_text(text)
@@ -623,7 +627,7 @@ def test_broken_metadata(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 @pytest.mark.parametrize('kept', [0.02, 0.5, 0.99])
-def test_a_file_that_is_cut_short(tmp_path: Path, storage: Storage, kept: float) -> None:
+def test_a_truncated_file(tmp_path: Path, storage: Storage, kept: float) -> None:
     path = write(tmp_path / 'bag', storage=storage)
     content = data_file(path).read_bytes()
     data_file(path).write_bytes(content[: int(kept * len(content))])
@@ -631,13 +635,13 @@ def test_a_file_that_is_cut_short(tmp_path: Path, storage: Storage, kept: float)
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_damage_in_the_middle_is_no_crash(tmp_path: Path, storage: Storage) -> None:
-    """What lies in the damaged part may be lost in silence by the format, but never ends in a crash."""
+def test_damage_in_the_middle_causes_no_crash(tmp_path: Path, storage: Storage) -> None:
+    """Messages in the damaged part may be lost silently by the format, but never cause a crash."""
     path = write(tmp_path / 'bag', storage=storage)
     content = bytearray(data_file(path).read_bytes())
-    for place in range(len(content) // 10, len(content), len(content) // 10):
+    for start in range(len(content) // 10, len(content), len(content) // 10):
         broken = content.copy()
-        broken[place : place + 3000] = bytes(len(broken[place : place + 3000]))
+        broken[start : start + 3000] = bytes(len(broken[start : start + 3000]))
         data_file(path).write_bytes(broken)
         try:
             read(path)
@@ -645,12 +649,12 @@ def test_damage_in_the_middle_is_no_crash(tmp_path: Path, storage: Storage) -> N
             assert '\n' not in str(error)
 
 
-# --- recordings of others ------------------------------------------------------------------------
+# --- third-party recordings ----------------------------------------------------------------------
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason='the recordings of others are not here')
-class TestRecordingsOfOthers:
-    def test_an_imu_that_is_upside_down_though_its_accelerometer_denies_it(self) -> None:
+@pytest.mark.skipif(not SHARED.is_dir(), reason='the third-party recordings are missing')
+class TestThirdPartyRecordings:
+    def test_an_upside_down_imu_whose_accelerometer_contradicts_it(self) -> None:
         source = open_bag(
             SHARED / 'test1_2014_xsens_wheel_stereo.bag',
             CONFIG,
@@ -674,7 +678,7 @@ class TestRecordingsOfOthers:
         forces = [sample.specific_force_m_s2 for sample in of(list(source.measurements()), ImuSample)]
         assert np.mean(forces, axis=0) == pytest.approx([0.0, 0.0, 9.8], abs=0.3)
 
-    def test_an_upright_imu_is_left_alone(self) -> None:
+    def test_an_upright_imu_is_not_rotated(self) -> None:
         source = open_bag(
             SHARED / 'test2_jackal.bag',
             CONFIG,

@@ -1,4 +1,4 @@
-"""The recordings that come with the package are those that their README describes."""
+"""The recordings that are part of the package match their README."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CHECKSUMS = re.findall(r'([0-9a-f]{64})  (\S+)', (BAGS / 'README.md').read_text(
 
 
 @pytest.mark.parametrize(('checksum', 'file'), CHECKSUMS)
-def test_checksum_is_that_of_the_readme(checksum: str, file: str) -> None:
+def test_checksum_matches_the_readme(checksum: str, file: str) -> None:
     assert hashlib.sha256((BAGS / file).read_bytes()).hexdigest() == checksum
 
 

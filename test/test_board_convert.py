@@ -1,4 +1,4 @@
-"""Counts of the board become samples in SI units, and bytes become a robot's motion."""
+"""Conversion of the board's counts to samples in SI units and to the motion of the robot."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from gyrocal_ros.board.clock import Clock, Stamp
 from gyrocal_ros.board.convert import (
-    LONGEST_INTERVAL_S,
+    MAX_INTERVAL_S,
     SupplySample,
     WheelReading,
     imu_sample,
@@ -25,7 +25,7 @@ from gyrocal_ros.data import NS_PER_S, TemperatureSample
 
 T_NS = 1_700_000_000_000_000_000
 LEVEL = Imu((0, 0, 0), (0, 0, 8192), 0)
-MOST_TICKS = 2**31 - 1
+MAX_TICKS = 2**31 - 1
 
 
 PAGE = Path(__file__).resolve().parent.parent / 'docs/board_protocol.md'
@@ -35,7 +35,7 @@ def reading(time_us: int, left: int, right: int, base: int = 0) -> WheelReading:
     return WheelReading(Stamp(T_NS + time_us * 1000, base), time_us, Wheels(left, right))
 
 
-def test_a_volt_of_the_gyro_is_what_the_data_sheet_says() -> None:
+def test_a_gyro_volt_is_converted_by_the_data_sheet() -> None:
     volt = Imu((0, 0, 100_000), (0, 0, 0), 0)
     assert imu_sample(volt, T_NS, BoardConfig()).rate_rad_s == pytest.approx((0.0, 0.0, math.radians(146.4)))
 
@@ -48,7 +48,7 @@ def test_nominal_bias_and_scale_of_each_axis_are_applied() -> None:
     assert sample.rate_rad_s == pytest.approx((math.radians(5.0), math.radians(-5.0), 0.0))
 
 
-def test_a_level_board_feels_gravity() -> None:
+def test_a_level_board_measures_gravity() -> None:
     sample = imu_sample(LEVEL, T_NS, BoardConfig())
     assert sample.t_ns == T_NS
     assert sample.specific_force_m_s2 == pytest.approx((0.0, 0.0, STANDARD_GRAVITY_M_S2))
@@ -56,20 +56,20 @@ def test_a_level_board_feels_gravity() -> None:
     assert imu_sample(LEVEL, T_NS, shifted).specific_force_m_s2 == (0.0, 0.0, 0.0)
 
 
-def test_temperature_has_a_scale_and_a_zero() -> None:
+def test_temperature_has_a_scale_and_an_offset() -> None:
     warm = replace(LEVEL, temperature=2550)
     assert temperature_sample(warm, T_NS, BoardConfig()) == TemperatureSample(T_NS, 25.5)
     chip = replace(BoardConfig(), temperature_scale=1 / 256, temperature_zero_c=21.0)
     assert temperature_sample(replace(LEVEL, temperature=512), T_NS, chip).temperature_c == 23.0
 
 
-def test_the_supply_is_in_volts_and_amperes() -> None:
+def test_the_supply_is_converted_to_volts_and_amperes() -> None:
     assert supply_sample(Supply(16_400, -1250), T_NS) == SupplySample(T_NS, 16.4, -1.25)
 
 
-@pytest.mark.parametrize('start', [0, MOST_TICKS, -5])
+@pytest.mark.parametrize('start', [0, MAX_TICKS, -5])
 @pytest.mark.parametrize('start_us', [0, (1 << 32) - 5000])
-def test_ticks_become_speed_and_turning_rate_over_all_wraps(start: int, start_us: int) -> None:
+def test_ticks_are_converted_to_speed_and_yaw_rate_over_all_wraps(start: int, start_us: int) -> None:
     def wrapped(ticks: int) -> int:
         return (ticks + 2**31) % 2**32 - 2**31
 
@@ -87,15 +87,15 @@ def test_ticks_become_speed_and_turning_rate_over_all_wraps(start: int, start_us
     [
         reading(20_000, 5, 5, base=1),
         reading(0, 5, 5),
-        reading(round(LONGEST_INTERVAL_S * 1e6) + 1, 5, 5),
+        reading(round(MAX_INTERVAL_S * 1e6) + 1, 5, 5),
     ],
     ids=['restart', 'no time', 'long gap'],
 )
-def test_readings_that_do_not_follow_each_other_give_no_motion(after: WheelReading) -> None:
+def test_readings_that_are_not_consecutive_give_no_motion(after: WheelReading) -> None:
     assert wheel_sample(reading(0, 0, 0), after, BoardConfig()) is None
 
 
-def test_the_way_is_kept_where_a_frame_is_lost() -> None:
+def test_the_distance_is_preserved_when_a_frame_is_lost() -> None:
     frames = [encode(Wheels(100 * i, 100 * i), i, 20_000 * i) for i in range(6)]
     del frames[2]
     decoder, clock, config = Decoder(), Clock(), BoardConfig()
@@ -106,16 +106,16 @@ def test_the_way_is_kept_where_a_frame_is_lost() -> None:
         readings.append(WheelReading(stamp, packet.time_us, packet.message))
     pairs = list(zip(readings, readings[1:], strict=False))
     samples = [wheel_sample(before, after, config) for before, after in pairs]
-    way_m = sum(
+    distance_m = sum(
         sample.speed_m_s * (after.stamp.t_ns - before.stamp.t_ns) / NS_PER_S
         for sample, (before, after) in zip(samples, pairs, strict=True)
         if sample
     )
     assert decoder.counts.lost == 1
-    assert way_m == pytest.approx(500 * config.tick_m)
+    assert distance_m == pytest.approx(500 * config.tick_m)
 
 
-def test_the_page_for_the_firmware_engineer_has_the_nominal_counts() -> None:
+def test_the_protocol_page_has_the_nominal_counts() -> None:
     config = BoardConfig()
     [gyro_scale] = set(config.gyro_scale_factor_volt)
     [force_scale] = set(config.accelerometer_scale)

@@ -66,7 +66,7 @@ def test_a_port_that_is_lost_is_found_again_and_stamps_rise(host: Host) -> None:
     with BoardProgram(host.port, '--scenario', 'standing') as board:
         host.wait_for_imu()
         host.wait_to_be_told('IMU', Level.OK)
-        board.spoil('unplug+1')
+        board.inject_fault('unplug+1')
         host.wait_to_be_told('not connected for', Level.ERROR)
         host.wait_for_imu()
         host.wait_to_be_told('frames were lost of late', Level.WARN)
@@ -85,7 +85,7 @@ def test_a_board_is_told_the_rates_and_keeps_them_when_it_loses_its_power(host: 
         host.wait_to_be_told('IMU 200 Hz, wheels 50 Hz, supply 10 Hz', Level.OK)
         host.driver.set_rates(replace(host.settings, imu_hz=50, wheels_hz=10))
         host.wait_to_be_told('IMU 50 Hz, wheels 10 Hz, supply 10 Hz', Level.OK)
-        board.spoil('restart+0.5')
+        board.inject_fault('restart+0.5')
         host.wait_to_be_told('the board was started anew', Level.WARN)
         host.wait_to_be_told('IMU 50 Hz, wheels 10 Hz, supply 10 Hz', Level.OK)
         host.driver.set_rates(replace(host.settings, imu_hz=150))

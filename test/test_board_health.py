@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from gyrocal_ros.board.commands import Order
+from gyrocal_ros.board.commands import PendingCommand
 from gyrocal_ros.board.messages import CommandResult, SetRates
 from gyrocal_ros.board.protocol import Counts
 from gyrocal_ros.robot.board_health import RECENT_S, BoardHealth, PortState, Tally
@@ -25,7 +25,7 @@ class Board:
     now: Tally = NOTHING
     line: PortState = OPEN
     heard_s: float = 0.0
-    order: Order[SetRates] = field(default_factory=lambda: Order(RATES, CommandResult.DONE))
+    order: PendingCommand[SetRates] = field(default_factory=lambda: PendingCommand(RATES, CommandResult.DONE))
     health: BoardHealth = field(default_factory=lambda: BoardHealth(NOTHING))
 
     def second(self, imu: int = 200, wheels: int = 50, supply: int = 10, **more: int) -> Status:
@@ -119,12 +119,12 @@ def test_a_rate_that_is_too_low_is_told_when_it_lasts() -> None:
 def test_rates_are_judged_by_what_is_asked_for_now() -> None:
     board = Board()
     board.seconds(10, imu=100, wheels=25)
-    board.order = Order(SetRates(100, 25, 10), CommandResult.DONE)
+    board.order = PendingCommand(SetRates(100, 25, 10), CommandResult.DONE)
     assert all(board.second(imu=100, wheels=25).level == Level.OK for _ in range(10))
 
 
 def test_rates_that_the_board_refuses_are_told() -> None:
-    board = Board(order=Order(SetRates(400, 50, 10), CommandResult.OUT_OF_RANGE))
+    board = Board(order=PendingCommand(SetRates(400, 50, 10), CommandResult.OUT_OF_RANGE))
     health = board.seconds(10)
     assert health.level == Level.WARN
     assert health.message.startswith(
@@ -133,7 +133,7 @@ def test_rates_that_the_board_refuses_are_told() -> None:
 
 
 def test_a_board_that_does_not_answer_is_told() -> None:
-    board = Board(order=Order(RATES, tries=2))
+    board = Board(order=PendingCommand(RATES, attempts=2))
     assert board.seconds(10).level == Level.OK
-    board.order.tries = 4
+    board.order.attempts = 4
     assert board.second().message == 'the board does not answer commands'

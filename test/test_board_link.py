@@ -1,4 +1,4 @@
-"""The serial line on a real pseudo-terminal: bytes both ways, its loss, and why it cannot be opened."""
+"""The serial link on a real pseudo-terminal: both directions, loss of the port, and failures to open it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BAUD = 115200
 
 @dataclass
 class Terminal:
-    """A pseudo-terminal: we are the board."""
+    """A pseudo-terminal; the test is the board."""
 
     board: int
     port: str
@@ -41,30 +41,30 @@ def terminal() -> Iterator[Terminal]:
     board, host = os.openpty()
     port = os.ttyname(host)
     os.close(host)
-    with closing(Terminal(board, port)) as made:
-        yield made
+    with closing(Terminal(board, port)) as terminal:
+        yield terminal
 
 
-def test_all_bytes_come_through_both_ways(terminal: Terminal) -> None:
-    every = bytes(range(256))
+def test_all_bytes_are_transferred_both_ways(terminal: Terminal) -> None:
+    all_bytes = bytes(range(256))
     with Link(terminal.port, BAUD) as link:
-        terminal.send(every)
-        came = b''
-        while len(came) < len(every):
-            came += link.read()
-        link.write(every)
-        assert came == every
-        assert os.read(terminal.board, 1000) == every
+        terminal.send(all_bytes)
+        received = b''
+        while len(received) < len(all_bytes):
+            received += link.read()
+        link.write(all_bytes)
+        assert received == all_bytes
+        assert os.read(terminal.board, 1000) == all_bytes
 
 
-def test_what_is_there_comes_at_once_and_nothing_is_no_error(terminal: Terminal) -> None:
+def test_available_bytes_are_read_at_once_and_none_is_no_error(terminal: Terminal) -> None:
     with Link(terminal.port, BAUD) as link:
         terminal.send(b'abc')
         assert link.read() == b'abc'
         assert link.read() == b''
 
 
-def test_what_came_before_it_was_opened_is_thrown_away(terminal: Terminal) -> None:
+def test_bytes_from_before_opening_are_discarded(terminal: Terminal) -> None:
     with Link(terminal.port, BAUD):
         pass
     terminal.send(b'old')
@@ -73,10 +73,10 @@ def test_what_came_before_it_was_opened_is_thrown_away(terminal: Terminal) -> No
         assert link.read() == b'new'
 
 
-def test_a_hang_up_is_told_in_reading_and_in_writing(terminal: Terminal) -> None:
+def test_a_hang_up_raises_in_read_and_in_write(terminal: Terminal) -> None:
     with Link(terminal.port, BAUD) as link:
         terminal.hang_up()
-        with pytest.raises(LinkError, match='is gone; see to the plug'):
+        with pytest.raises(LinkError, match='is gone; check the plug'):
             link.read()
         with pytest.raises(LinkError, match='is gone'):
             link.write(b'abc')
@@ -84,17 +84,17 @@ def test_a_hang_up_is_told_in_reading_and_in_writing(terminal: Terminal) -> None
         pass
 
 
-def test_a_board_that_takes_nothing_is_still_read(
+def test_a_board_that_accepts_nothing_is_still_read(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, 'WRITE_LIMIT_S', 0.001)
+    monkeypatch.setattr(module, 'WRITE_TIMEOUT_S', 0.001)
     with Link(terminal.port, BAUD) as link:
         link.write(bytes(1_000_000))
         terminal.send(b'abc')
         assert link.read() == b'abc'
 
 
-def test_a_port_serves_one_program_at_a_time(terminal: Terminal) -> None:
+def test_a_port_is_exclusive_to_one_program(terminal: Terminal) -> None:
     with (
         Link(terminal.port, BAUD),
         pytest.raises(LinkError, match='is in use; end the other'),
@@ -106,13 +106,13 @@ def test_a_port_serves_one_program_at_a_time(terminal: Terminal) -> None:
 
 
 @pytest.mark.parametrize('port', ['/dev/null', '/', __file__])
-def test_what_is_no_serial_port_is_refused(port: str) -> None:
-    with pytest.raises(LinkError, match='is no serial port'), Link(port, BAUD):
+def test_a_path_that_is_not_a_serial_port_is_refused(port: str) -> None:
+    with pytest.raises(LinkError, match='is not a serial port'), Link(port, BAUD):
         pass
 
 
 @pytest.mark.parametrize('number', [errno.EACCES, errno.EPERM])
-def test_who_may_not_open_it_is_told_of_the_group(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_permission_names_the_group(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*args: object, **kwargs: object) -> None:
         raise serial.SerialException(number, 'could not open port')
 

@@ -1,4 +1,4 @@
-"""Bytes of the board become packets: every intact frame comes through, whatever else comes in."""
+"""The wire protocol: every intact frame is decoded, whatever else is received."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from gyrocal_ros.board.messages import (
     unpack,
 )
 from gyrocal_ros.board.protocol import (
-    LARGEST_FRAME,
-    MOST_LOST,
+    MAX_FRAME_SIZE,
+    MAX_LOST,
     Counts,
     Decoder,
     Packet,
     checksum,
+    cobs_decode,
+    cobs_encode,
     encode,
-    stuff,
-    unstuff,
 )
 
 PAGE = (Path(__file__).resolve().parent.parent / 'docs/board_protocol.md').read_text(encoding='utf-8')
@@ -46,15 +46,15 @@ SEEDS = range(30)
 LIMITS = {'u8': (0, 0xFF), 'u16': (0, 0xFFFF), 'i16': (-0x8000, 0x7FFF), 'i32': (-(2**31), 2**31 - 1)}
 
 
-def any_message(rng: random.Random) -> Message:
+def random_message(rng: random.Random) -> Message:
     layout = rng.choice(list(LAYOUTS.values()))
-    limits = [LIMITS[about.kind] for _, about in layout.columns for _ in range(about.count)]
+    limits = [LIMITS[wire_format.kind] for _, wire_format in layout.columns for _ in range(wire_format.count)]
     return layout.build(rng.choice((0, low, high, rng.randint(low, high))) for low, high in limits)
 
 
-def any_packets(rng: random.Random, count: int, first: int = 65_500) -> list[Packet]:
-    """Packets in a row, the sequence numbers of which wrap."""
-    return [Packet((first + i) % 65_536, rng.randrange(1 << 32), any_message(rng)) for i in range(count)]
+def random_packets(rng: random.Random, count: int, first: int = 65_500) -> list[Packet]:
+    """Return consecutive packets whose sequence numbers wrap."""
+    return [Packet((first + i) % 65_536, rng.randrange(1 << 32), random_message(rng)) for i in range(count)]
 
 
 def frames_of(packets: Iterable[Packet]) -> list[bytes]:
@@ -74,70 +74,70 @@ def decoded(chunks: Iterable[bytes]) -> tuple[list[Packet], Counts]:
     return packets, decoder.counts
 
 
-def stretches(data: bytes) -> int:
-    """How many stretches between zeros hold anything; what follows the last zero is not over yet."""
-    return sum(bool(stretch) for stretch in data.split(b'\0')[:-1])
+def pieces(data: bytes) -> int:
+    """Return the number of non-empty pieces between zeros; what follows the last zero is not complete."""
+    return sum(bool(piece) for piece in data.split(b'\0')[:-1])
 
 
 def accounted(counts: Counts) -> int:
     return counts.packets + counts.repeated + counts.unknown + counts.malformed + counts.bad_checksums
 
 
-def is_within(packets: list[Packet], others: list[Packet]) -> bool:
-    """Whether `packets` are among the others, in the same order."""
+def is_subsequence(packets: list[Packet], others: list[Packet]) -> bool:
+    """Return whether `packets` are among the others, in the same order."""
     remaining = iter(others)
     return all(packet in remaining for packet in packets)
 
 
-# --- what is whole --------------------------------------------------------------------------------
+# --- intact frames --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize('seed', SEEDS)
-def test_packets_come_through_in_any_portions(seed: int) -> None:
+def test_packets_are_decoded_from_any_portions(seed: int) -> None:
     rng = random.Random(seed)
-    sent = any_packets(rng, 100)
+    sent = random_packets(rng, 100)
     received, counts = decoded(portions(rng, b''.join(frames_of(sent))))
     assert received == sent
     assert counts == Counts(packets=100)
 
 
 @pytest.mark.parametrize('seed', SEEDS)
-def test_stuffed_bytes_hold_no_zero_and_come_back(seed: int) -> None:
+def test_encoded_bytes_contain_no_zero_and_can_be_decoded(seed: int) -> None:
     rng = random.Random(seed)
     data = bytes(rng.choice((0, 1, 255, rng.randrange(256))) for _ in range(rng.randrange(1, 254)))
-    assert 0 not in stuff(data)
-    assert len(stuff(data)) == len(data) + 1
-    assert unstuff(stuff(data)) == data
+    assert 0 not in cobs_encode(data)
+    assert len(cobs_encode(data)) == len(data) + 1
+    assert cobs_decode(cobs_encode(data)) == data
 
 
-def test_no_frame_is_longer_than_the_longest() -> None:
+def test_no_frame_is_longer_than_the_maximum() -> None:
     rng = random.Random(0)
-    assert max(len(frame) - 1 for frame in frames_of(any_packets(rng, 200))) == LARGEST_FRAME
+    assert max(len(frame) - 1 for frame in frames_of(random_packets(rng, 200))) == MAX_FRAME_SIZE
 
 
-def test_sequence_and_time_are_cut_to_their_bits() -> None:
+def test_sequence_and_time_are_truncated_to_their_bits() -> None:
     [packet], _ = decoded([encode(Zero(10), 65_536 + 7, (1 << 32) + 9)])
     assert (packet.sequence, packet.time_us) == (7, 9)
 
 
 @pytest.mark.parametrize('message', [Wheels(2**31, 0), Supply(-1, 0), Imu((0, 0, 0), (0, 0, 40_000), 0)])
-def test_what_does_not_fit_is_refused(message: Message) -> None:
+def test_a_value_that_does_not_fit_is_refused(message: Message) -> None:
     with pytest.raises(ValueError, match='does not fit'):
         encode(message, 0)
 
 
-def test_every_message_has_a_type_of_its_own() -> None:
+def test_every_message_has_its_own_type() -> None:
     assert len(LAYOUTS) == len(MESSAGES)
 
 
-def test_a_message_of_another_length_is_not_taken_for_one() -> None:
+def test_a_message_of_another_length_is_not_unpacked() -> None:
     message = Supply(1, 2)
     assert unpack(Supply.TYPE, pack(message)) == message
     assert unpack(Supply.TYPE, pack(message) + b'\1') is None
     assert unpack(0x7F, pack(message)) is None
 
 
-# --- what is spoiled ------------------------------------------------------------------------------
+# --- corrupted frames -----------------------------------------------------------------------------
 
 
 def flip(rng: random.Random, frame: bytes) -> bytes:
@@ -150,7 +150,7 @@ def drop(rng: random.Random, frame: bytes) -> bytes:
     return frame[:place] + frame[place + 1 :]
 
 
-def double(rng: random.Random, frame: bytes) -> bytes:
+def duplicate(rng: random.Random, frame: bytes) -> bytes:
     place = rng.randrange(len(frame))
     return frame[:place] + frame[place : place + 1] + frame[place:]
 
@@ -163,28 +163,28 @@ def noise(rng: random.Random, frame: bytes) -> bytes:
     return rng.randbytes(rng.randrange(1, 80)) + frame
 
 
-@pytest.mark.parametrize('spoil', [flip, drop, double, cut, noise])
+@pytest.mark.parametrize('corrupt', [flip, drop, duplicate, cut, noise])
 @pytest.mark.parametrize('seed', SEEDS)
-def test_every_intact_frame_comes_through_what_is_spoiled(
-    seed: int, spoil: Callable[[random.Random, bytes], bytes]
+def test_every_intact_frame_is_decoded_among_corrupted_ones(
+    seed: int, corrupt: Callable[[random.Random, bytes], bytes]
 ) -> None:
     rng = random.Random(seed)
-    sent = any_packets(rng, 200)
+    sent = random_packets(rng, 200)
     frames = frames_of(sent)
-    spoiled = [i > 0 and rng.random() < 0.2 for i in range(len(frames))]
-    spoiled[-1] = False
-    line = [spoil(rng, frame) if bad else frame for frame, bad in zip(frames, spoiled, strict=True)]
+    corrupted = [i > 0 and rng.random() < 0.2 for i in range(len(frames))]
+    corrupted[-1] = False
+    line = [corrupt(rng, frame) if bad else frame for frame, bad in zip(frames, corrupted, strict=True)]
     data = b''.join(line)
     received, counts = decoded(portions(rng, data))
-    # A frame is intact when all its bytes came and the one before it did end in its zero.
+    # A frame is intact if all its bytes were received and the previous frame ended in its zero.
     intact = [
         packet
         for i, packet in enumerate(sent)
         if line[i] == frames[i] and (i == 0 or line[i - 1].endswith(b'\0'))
     ]
-    assert is_within(intact, received)
-    assert is_within(received, sent)
-    assert accounted(counts) == stretches(data)
+    assert is_subsequence(intact, received)
+    assert is_subsequence(received, sent)
+    assert accounted(counts) == pieces(data)
     missing_before_last = sent.index(received[-1]) + 1 - len(received)
     assert counts.lost == missing_before_last
     assert counts.sequence_restarts == 0
@@ -194,15 +194,15 @@ def test_every_intact_frame_comes_through_what_is_spoiled(
 @pytest.mark.parametrize('seed', SEEDS)
 def test_the_portions_change_neither_packets_nor_counts(seed: int) -> None:
     rng = random.Random(seed)
-    data = b''.join(noise(rng, flip(rng, frame)) + frame for frame in frames_of(any_packets(rng, 60)))
+    data = b''.join(noise(rng, flip(rng, frame)) + frame for frame in frames_of(random_packets(rng, 60)))
     assert decoded(portions(rng, data)) == decoded([data])
 
 
 @pytest.mark.parametrize('zeros', [1 / 256, 1 / 20])
-def test_ten_million_random_bytes_never_raise_and_the_next_whole_frame_is_seen(zeros: float) -> None:
-    """With more zeros than chance has, there are more stretches of the length of a frame."""
+def test_random_bytes_never_raise_and_the_next_intact_frame_is_decoded(zeros: float) -> None:
+    """Feed ten million bytes; with more zeros than chance has, more pieces have the length of a frame."""
     rng, decoder = np.random.default_rng(1), Decoder()
-    sent = any_packets(random.Random(1), 100)
+    sent = random_packets(random.Random(1), 100)
     for packet, frame in zip(sent, frames_of(sent), strict=True):
         noise = rng.integers(1, 256, 100_000, dtype=np.uint8)
         noise[rng.random(len(noise)) < zeros] = 0
@@ -212,31 +212,31 @@ def test_ten_million_random_bytes_never_raise_and_the_next_whole_frame_is_seen(z
     assert decoder.counts.packets == 100
 
 
-def test_every_prefix_of_a_stream_yields_its_whole_frames_and_all_that_follow() -> None:
-    sent = any_packets(random.Random(1), 13)
+def test_every_prefix_of_a_stream_yields_its_intact_frames_and_all_that_follow() -> None:
+    sent = random_packets(random.Random(1), 13)
     *frames, last = frames_of(sent)
     data = b''.join(frames)
     ends = [sum(map(len, frames[: i + 1])) for i in range(len(frames))]
     for length in range(len(data) + 1):
         decoder = Decoder()
         assert decoder.feed(data[:length]) == sent[: sum(end <= length for end in ends)]
-        follow = decoder.feed(last + b'\0' + last)  # what was cut may take one frame with it
+        follow = decoder.feed(last + b'\0' + last)  # a truncated frame may corrupt the next one
         assert follow == [sent[-1]]
 
 
-def test_the_rest_of_a_frame_on_a_line_that_is_joined_is_not_counted() -> None:
-    sent = any_packets(random.Random(1), 4)
+def test_a_skipped_partial_frame_is_not_counted() -> None:
+    sent = random_packets(random.Random(1), 4)
     frames = frames_of(sent)
     decoder = Decoder()
     decoder.feed(frames[0] + frames[1][:5])
-    decoder.join()
+    decoder.skip_partial_frame()
     assert decoder.feed(frames[2][7:9]) == []
     assert decoder.feed(frames[2][9:] + frames[3]) == [sent[3]]
     assert decoder.counts == Counts(packets=2, lost=2)
 
 
-def test_an_endless_frame_is_one_bad_frame_and_is_not_kept() -> None:
-    packet = any_packets(random.Random(2), 1)[0]
+def test_an_endless_frame_is_one_malformed_frame_and_is_not_buffered() -> None:
+    packet = random_packets(random.Random(2), 1)[0]
     decoder = Decoder()
     for _ in range(1000):
         assert not decoder.feed(b'\x55' * 100)
@@ -251,36 +251,36 @@ def counts_of_sequences(*sequences: int) -> Counts:
     return decoded(encode(Zero(1), sequence) for sequence in sequences)[1]
 
 
-def test_gaps_are_counted_as_losses_over_the_wrap_too() -> None:
+def test_gaps_are_counted_as_losses_also_over_the_wrap() -> None:
     assert counts_of_sequences(10, 11, 14) == Counts(packets=3, lost=2)
     assert counts_of_sequences(65_534, 1) == Counts(packets=2, lost=2)
 
 
-def test_a_repeated_frame_is_left_out_and_counted() -> None:
+def test_a_repeated_frame_is_discarded_and_counted() -> None:
     assert counts_of_sequences(5, 5, 6) == Counts(packets=2, repeated=1)
 
 
-def test_a_large_step_is_a_restart_and_no_loss() -> None:
+def test_a_large_step_is_a_restart_and_not_a_loss() -> None:
     assert counts_of_sequences(9000, 0, 1) == Counts(packets=3, sequence_restarts=1)
-    assert counts_of_sequences(0, MOST_LOST, 2 * MOST_LOST + 1).sequence_restarts == 1
+    assert counts_of_sequences(0, MAX_LOST, 2 * MAX_LOST + 1).sequence_restarts == 1
 
 
-def test_a_whole_frame_of_an_unknown_type_is_counted_and_left_out() -> None:
+def test_a_valid_frame_of_an_unknown_type_is_counted_and_discarded() -> None:
     body = bytes((0x7F, 1, 0, 0, 0, 0, 0, 42))
-    frame = stuff(body + checksum(body).to_bytes(2, 'little')) + b'\0'
-    told = []
-    decoder = Decoder(lambda kind, sequence: told.append((kind, sequence)))
+    frame = cobs_encode(body + checksum(body).to_bytes(2, 'little')) + b'\0'
+    reported = []
+    decoder = Decoder(lambda kind, sequence: reported.append((kind, sequence)))
     packets, counts = decoder.feed(encode(Zero(1), 0) + frame + encode(Zero(1), 2)), decoder.counts
-    assert told == [(0x7F, 1)]
+    assert reported == [(0x7F, 1)]
     assert [packet.sequence for packet in packets] == [0, 2]
     assert counts == Counts(packets=2, unknown=1)
 
 
-# --- the page for the firmware engineer -----------------------------------------------------------
+# --- the protocol page ----------------------------------------------------------------------------
 
 
 def rows(heading: str) -> list[list[str]]:
-    """Cells of every table row below a heading of the page, up to the next heading."""
+    """Return the cells of every table row below a heading of the page, up to the next heading."""
     section = re.split(rf'^#+ {re.escape(heading)}$', PAGE, flags=re.MULTILINE)[1]
     lines = re.split(r'^#', section, flags=re.MULTILINE)[0].splitlines()
     table = [
@@ -293,13 +293,13 @@ VECTORS = [row for row in rows('Test vectors') if row[0] in {message.__name__ fo
 REFUSED = [row for row in rows('Test vectors') if row[1] in {item.name for item in fields(Counts)}]
 
 
-def test_the_page_holds_vectors_of_every_message_and_every_fault() -> None:
+def test_the_page_has_vectors_of_every_message_and_every_fault() -> None:
     assert {row[0] for row in VECTORS} == {message.__name__ for message in MESSAGES}
     assert {row[1] for row in REFUSED} == {'bad_checksums', 'malformed', 'unknown'}
 
 
 @pytest.mark.parametrize('row', VECTORS, ids=lambda row: f'{row[0]} {row[2]}')
-def test_vectors_of_the_page(row: list[str]) -> None:
+def test_the_vectors_of_the_page_are_decoded(row: list[str]) -> None:
     name, values, sequence, time_us, frame = row
     [packet], counts = decoded([bytes.fromhex(frame)])
     assert type(packet.message).__name__ == name
@@ -310,7 +310,7 @@ def test_vectors_of_the_page(row: list[str]) -> None:
 
 
 @pytest.mark.parametrize('row', REFUSED, ids=lambda row: row[2])
-def test_faulty_frames_of_the_page(row: list[str]) -> None:
+def test_the_invalid_frames_of_the_page_are_discarded(row: list[str]) -> None:
     packets, counts = decoded([bytes.fromhex(row[0])])
     assert not packets
     assert counts == replace(Counts(), **{row[1]: 1})
@@ -321,18 +321,18 @@ def test_the_page_has_the_layout_of_every_message(layout: Layout) -> None:
     message, code = layout.message, layout.code
     table = rows(f'`{message.__name__}`, type {message.TYPE:02x}, {code.size} bytes')
     described, offset = [['offset', 'field', 'type', 'unit', 'meaning']], 0
-    for name, about in layout.columns:
-        kind = about.kind if about.count == 1 else f'{about.kind} x {about.count}'
-        described.append([str(offset), name, kind, about.unit, about.help.replace('`', '')])
-        offset += about.count * int(about.kind[1:]) // 8
+    for name, wire_format in layout.columns:
+        kind = wire_format.kind if wire_format.count == 1 else f'{wire_format.kind} x {wire_format.count}'
+        described.append([str(offset), name, kind, wire_format.unit, wire_format.help.replace('`', '')])
+        offset += wire_format.count * int(wire_format.kind[1:]) // 8
     assert [[cell.replace('`', '') for cell in row] for row in table] == described
     assert offset == code.size
 
 
 def test_the_page_has_the_other_numbers() -> None:
     assert f'Of the nine ASCII bytes `123456789` it is `{checksum(b"123456789"):04x}`' in PAGE
-    assert f'The longest frame has {LARGEST_FRAME} bytes' in ' '.join(PAGE.split())
-    assert f'A step of up to {MOST_LOST} is a loss' in ' '.join(PAGE.split())
+    assert f'The longest frame has {MAX_FRAME_SIZE} bytes' in ' '.join(PAGE.split())
+    assert f'A step of up to {MAX_LOST} is a loss' in ' '.join(PAGE.split())
     assert (
         ', '.join(f'{result.value} {result.name.lower().replace("_", " ")}' for result in CommandResult)
         in PAGE
@@ -343,7 +343,7 @@ def test_the_page_has_the_other_numbers() -> None:
 
 
 @pytest.mark.skipif(shutil.which('cc') is None, reason='no C compiler to try the code of the page with')
-def test_the_code_of_the_page_makes_the_vectors_of_the_page(tmp_path: Path) -> None:
+def test_the_c_code_of_the_page_encodes_its_vectors(tmp_path: Path) -> None:
     [code] = re.findall(r'^```c\n(.*?)^```', PAGE, flags=re.MULTILINE | re.DOTALL)
     library = tmp_path / 'frame.so'
     (tmp_path / 'frame.c').write_text(code)
@@ -353,7 +353,7 @@ def test_the_code_of_the_page_makes_the_vectors_of_the_page(tmp_path: Path) -> N
     make_frame.restype = ctypes.c_size_t
     for row in VECTORS:
         frame = bytes.fromhex(row[4])
-        plain = unstuff(frame[:-1])
+        plain = cobs_decode(frame[:-1])
         assert plain is not None
         made = ctypes.create_string_buffer(256)
         size = make_frame(plain[:-2], ctypes.c_size_t(len(plain) - 2), made)

@@ -1,4 +1,4 @@
-"""Bytes and their arrivals become readings; commands are repeated until the board has answered."""
+"""The receive path from bytes to readings, and the repetition of commands until they are acknowledged."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from itertools import count, pairwise
 import numpy as np
 import pytest
 
-from gyrocal_ros.board.clock import Restart
-from gyrocal_ros.board.commands import PATIENCE_S, Commands
+from gyrocal_ros.board.clock import RestartCause
+from gyrocal_ros.board.commands import ANSWER_TIMEOUT_S, CommandQueue
 from gyrocal_ros.board.convert import SupplySample
 from gyrocal_ros.board.messages import (
     Acknowledgement,
@@ -22,8 +22,8 @@ from gyrocal_ros.board.messages import (
     Wheels,
     Zero,
 )
-from gyrocal_ros.board.protocol import Decoder, Packet, encode, wire_s
-from gyrocal_ros.board.reader import BoardReader, Pose, Reading, WheelMotion
+from gyrocal_ros.board.protocol import Decoder, Packet, encode, wire_time_s
+from gyrocal_ros.board.reader import BoardReader, Reading, WheelMotion, WheelPose
 from gyrocal_ros.config.sections import BoardConfig
 from gyrocal_ros.data import NS_PER_S, ImuSample, TemperatureSample, nanoseconds
 
@@ -34,21 +34,21 @@ RATES = SetRates(200, 50, 10)
 
 
 class Sender:
-    """A board whose frames arrive as soon as the wire has brought them."""
+    """A board whose frames arrive after their transmission time."""
 
     def __init__(self, board_us: int = 0, baud_rate: int = BAUD) -> None:
         self._board_us, self._baud_rate = board_us, baud_rate
         self._sequence = count()
 
     def send(self, message: Message, at_s: float) -> tuple[bytes, int]:
-        """Frame and arrival of a message that was measured at `at_s`."""
+        """Return the frame and arrival time of a message measured at `at_s`."""
         frame = encode(message, next(self._sequence), self._board_us + round(1e6 * at_s))
-        arrival_s = at_s + wire_s(type(message), self._baud_rate)
+        arrival_s = at_s + wire_time_s(type(message), self._baud_rate)
         return frame, START_NS + nanoseconds(arrival_s)
 
 
 def readings(reader: BoardReader, *arrivals: tuple[bytes, int]) -> list[Reading]:
-    return [reading for data, arrival_ns in arrivals for reading in reader.take(data, arrival_ns)]
+    return [reading for data, arrival_ns in arrivals for reading in reader.feed(data, arrival_ns)]
 
 
 def stamps(found: list[Reading]) -> list[int]:
@@ -58,7 +58,7 @@ def stamps(found: list[Reading]) -> list[int]:
 # --- readings -------------------------------------------------------------------------------------
 
 
-def test_every_message_becomes_its_reading() -> None:
+def test_every_message_is_converted_to_its_reading() -> None:
     sender, reader = Sender(), BoardReader(BoardConfig(), BAUD)
     imu, temperature, wheels, supply, answer = readings(
         reader,
@@ -79,7 +79,7 @@ def test_every_message_becomes_its_reading() -> None:
 
 
 @pytest.mark.parametrize('baud_rate', [9600, 115200, 4_000_000])
-def test_the_time_on_the_wire_is_taken_off_by_the_message(baud_rate: int) -> None:
+def test_the_transmission_time_of_each_message_is_subtracted(baud_rate: int) -> None:
     sender, reader = Sender(baud_rate=baud_rate), BoardReader(BoardConfig(), baud_rate)
     for i in range(100):
         message: Message = (LEVEL, Wheels(i, i), Supply(i, i))[i % 3]
@@ -89,7 +89,7 @@ def test_the_time_on_the_wire_is_taken_off_by_the_message(baud_rate: int) -> Non
             assert abs(t_ns - START_NS - nanoseconds(0.1 * i)) < 10_000
 
 
-def test_the_temperature_is_handed_on_once_a_second() -> None:
+def test_the_temperature_is_output_once_per_second() -> None:
     sender, reader = Sender(), BoardReader(BoardConfig(), BAUD)
     found = readings(reader, *(sender.send(LEVEL, 0.005 * i) for i in range(2000)))
     warm = [reading.t_ns for reading in found if isinstance(reading, TemperatureSample)]
@@ -97,8 +97,8 @@ def test_the_temperature_is_handed_on_once_a_second() -> None:
     assert {round((b - a) / 1e6) for a, b in pairwise(warm)} == {1000}
 
 
-def drive(reader: BoardReader, ticks: list[tuple[int, int]]) -> Pose:
-    sender, pose = Sender(), Pose()
+def drive(reader: BoardReader, ticks: list[tuple[int, int]]) -> WheelPose:
+    sender, pose = Sender(), WheelPose()
     for i, (left, right) in enumerate(ticks):
         for reading in readings(reader, sender.send(Wheels(left, right), 0.02 * i)):
             assert isinstance(reading, WheelMotion)
@@ -118,7 +118,7 @@ def test_the_pose_follows_the_wheels() -> None:
     assert pose.yaw_rad == pytest.approx(math.pi / 2.0, abs=0.005)
 
 
-def test_the_pose_goes_on_over_a_gap_in_which_no_speed_is_known() -> None:
+def test_the_pose_continues_over_a_gap_of_unknown_speed() -> None:
     sender, reader = Sender(), BoardReader(BoardConfig(), BAUD)
     times = (0.0, 0.02, 5.0, 5.02)
     found = readings(reader, *(sender.send(Wheels(1000 * i, 1000 * i), t) for i, t in enumerate(times)))
@@ -130,11 +130,11 @@ def test_the_pose_goes_on_over_a_gap_in_which_no_speed_is_known() -> None:
 # --- lost lines -----------------------------------------------------------------------------------
 
 
-def test_stamps_rise_when_the_line_was_lost_and_found() -> None:
+def test_stamps_increase_over_a_lost_line() -> None:
     sender, reader = Sender(), BoardReader(BoardConfig(), BAUD)
     before = readings(reader, *(sender.send(LEVEL, 0.005 * i) for i in range(100)))
-    reader.take(sender.send(LEVEL, 0.5)[0][:9], START_NS)
-    reader.join()
+    reader.feed(sender.send(LEVEL, 0.5)[0][:9], START_NS)
+    reader.skip_partial_frame()
     after = readings(reader, *(sender.send(LEVEL, 5.0 + 0.005 * i) for i in range(100)))
     times = stamps(before + after)
     assert all(a < b for a, b in pairwise(times))
@@ -142,17 +142,17 @@ def test_stamps_rise_when_the_line_was_lost_and_found() -> None:
     assert reader.decoder.counts.malformed == 0
 
 
-def test_a_line_that_is_joined_in_the_middle_of_a_frame_is_not_spoiled() -> None:
+def test_starting_in_the_middle_of_a_frame_counts_no_error() -> None:
     sender, reader = Sender(), BoardReader(BoardConfig(), BAUD)
     (first, arrival_ns), (second, later_ns) = sender.send(LEVEL, 0.0), sender.send(LEVEL, 0.005)
-    reader.join()
+    reader.skip_partial_frame()
     assert readings(reader, (first[10:15], arrival_ns), (first[15:], arrival_ns), (second, later_ns))
     counts = reader.decoder.counts
     assert (counts.packets, counts.malformed, counts.bad_checksums) == (1, 0, 0)
 
 
 @pytest.mark.parametrize('away_s', [0.0, 2.0, 30.0])
-def test_stamps_rise_when_the_board_was_started_anew(away_s: float) -> None:
+def test_stamps_increase_over_a_restart_of_the_board(away_s: float) -> None:
     first, second, reader = Sender(3_000_000_000), Sender(), BoardReader(BoardConfig(), BAUD)
     before = readings(reader, *(first.send(LEVEL, 0.005 * i) for i in range(400)))
     again_s = 2.0 + away_s
@@ -166,15 +166,15 @@ def test_stamps_rise_when_the_board_was_started_anew(away_s: float) -> None:
     times = stamps(before + after)
     assert all(a < b for a, b in pairwise(times))
     assert times[-1] - times[0] == pytest.approx(1e9 * (again_s + 1.995), abs=1e6)
-    assert reader.clock.restarts == {Restart.BOARD: 1}
+    assert reader.clock.restarts == {RestartCause.BOARD: 1}
 
 
-def test_noise_never_raises_and_what_is_whole_comes_through() -> None:
+def test_noise_never_raises_and_intact_frames_are_decoded() -> None:
     rng, sender, reader = np.random.default_rng(1), Sender(), BoardReader(BoardConfig(), BAUD)
     found = []
     for i in range(300):
         frame, arrival_ns = sender.send(LEVEL, 0.005 * i)
-        found += reader.take(rng.bytes(int(rng.integers(2000))) + b'\0' + frame, arrival_ns)
+        found += reader.feed(rng.bytes(int(rng.integers(2000))) + b'\0' + frame, arrival_ns)
     times = stamps(found)
     assert len(times) == 300 and all(a < b for a, b in pairwise(times))
     assert reader.decoder.counts.malformed > 300
@@ -187,52 +187,54 @@ def packets(data: bytes) -> list[Packet]:
     return Decoder().feed(data)
 
 
-def moments(commands: Commands, until_s: float) -> Iterator[tuple[float, Packet]]:
-    """What is sent, asked for a hundred times a second."""
+def transmissions(commands: CommandQueue, until_s: float) -> Iterator[tuple[float, Packet]]:
+    """Yield the time and packet of each transmission, polling a hundred times per second."""
     for i in range(round(100.0 * until_s)):
-        for packet in packets(commands.due(0.01 * i)):
+        for packet in packets(commands.due_frames(0.01 * i)):
             yield 0.01 * i, packet
 
 
-def test_rates_are_asked_for_until_there_is_an_answer() -> None:
-    commands = Commands(RATES)
-    sent = list(moments(commands, 3.0 * PATIENCE_S))
-    assert [at_s for at_s, _ in sent] == pytest.approx([0.0, PATIENCE_S, 2.0 * PATIENCE_S], abs=0.011)
+def test_rates_are_sent_until_they_are_acknowledged() -> None:
+    commands = CommandQueue(RATES)
+    sent = list(transmissions(commands, 3.0 * ANSWER_TIMEOUT_S))
+    assert [at_s for at_s, _ in sent] == pytest.approx(
+        [0.0, ANSWER_TIMEOUT_S, 2.0 * ANSWER_TIMEOUT_S], abs=0.011
+    )
     assert {packet.message for _, packet in sent} == {RATES}
     assert len({packet.sequence for _, packet in sent}) == 3
-    commands.hear(Acknowledgement(sent[0][1].sequence, SetRates.TYPE, CommandResult.DONE))
+    commands.acknowledge(Acknowledgement(sent[0][1].sequence, SetRates.TYPE, CommandResult.DONE))
     assert commands.rates.result == CommandResult.DONE
-    assert commands.due(1e6) == b''
+    assert commands.due_frames(1e6) == b''
 
 
-def test_an_answer_to_something_else_is_none() -> None:
-    commands = Commands(RATES)
-    [packet] = packets(commands.due(0.0))
-    commands.hear(Acknowledgement(packet.sequence + 1, SetRates.TYPE, CommandResult.DONE))
-    commands.hear(Acknowledgement(packet.sequence, Zero.TYPE, CommandResult.DONE))
+def test_an_answer_to_another_command_is_ignored() -> None:
+    commands = CommandQueue(RATES)
+    [packet] = packets(commands.due_frames(0.0))
+    commands.acknowledge(Acknowledgement(packet.sequence + 1, SetRates.TYPE, CommandResult.DONE))
+    commands.acknowledge(Acknowledgement(packet.sequence, Zero.TYPE, CommandResult.DONE))
     assert commands.rates.result is None
 
 
-def test_rates_are_asked_for_once_more_when_the_board_may_have_forgotten_them() -> None:
-    commands = Commands(RATES)
-    [first] = packets(commands.due(0.0))
-    commands.hear(Acknowledgement(first.sequence, SetRates.TYPE, CommandResult.DONE))
-    commands.repeat_rates()
-    [second] = packets(commands.due(0.0))
+def test_rates_are_sent_again_after_a_possible_restart() -> None:
+    commands = CommandQueue(RATES)
+    [first] = packets(commands.due_frames(0.0))
+    commands.acknowledge(Acknowledgement(first.sequence, SetRates.TYPE, CommandResult.DONE))
+    commands.resend_rates()
+    [second] = packets(commands.due_frames(0.0))
     assert second.message == RATES and second.sequence != first.sequence
 
 
-def test_a_zero_takes_its_time_before_it_is_repeated() -> None:
-    commands = Commands(RATES)
-    order = commands.ask_for_zero(1000)
-    sent = [at_s for at_s, packet in moments(commands, 4.0) if packet.message == Zero(1000)]
-    assert sent == pytest.approx([0.0, 1.0 + PATIENCE_S, 2.0 + 2.0 * PATIENCE_S], abs=0.02)
-    assert order.result is None
-    commands.forget_zero()
-    assert all(packet.message == RATES for packet in packets(commands.due(1e6)))
+def test_a_zero_command_is_repeated_only_after_its_averaging_time() -> None:
+    commands = CommandQueue(RATES)
+    pending = commands.request_zero(1000)
+    sent = [at_s for at_s, packet in transmissions(commands, 4.0) if packet.message == Zero(1000)]
+    assert sent == pytest.approx([0.0, 1.0 + ANSWER_TIMEOUT_S, 2.0 + 2.0 * ANSWER_TIMEOUT_S], abs=0.02)
+    assert pending.result is None
+    commands.cancel_zero()
+    assert all(packet.message == RATES for packet in packets(commands.due_frames(1e6)))
 
 
-def test_the_numbers_of_commands_wrap() -> None:
-    commands = Commands(RATES)
-    numbers = [packets(commands.due(float(at_s)))[0].sequence for at_s in range(65_540)]
+def test_the_sequence_numbers_of_commands_wrap() -> None:
+    commands = CommandQueue(RATES)
+    numbers = [packets(commands.due_frames(float(at_s)))[0].sequence for at_s in range(65_540)]
     assert numbers[65_535] == 0 and max(numbers) == 65_535

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import yaml
 from recordings import (
-    Change,
-    Changed,
+    Modification,
+    ModifiedSource,
     at,
     each,
     random_pixels,
@@ -54,7 +54,7 @@ from gyrocal_ros.pipeline.calibration import (
 from gyrocal_ros.pipeline.run_filter import Progress
 from gyrocal_ros.pipeline.visual_slam import VisualSlam
 from gyrocal_ros.sim.forward import HiddenEffect
-from gyrocal_ros.sim.manoeuvres import Habits
+from gyrocal_ros.sim.manoeuvres import DrivingStyle
 from gyrocal_ros.sim.sensors import SensorErrors
 from gyrocal_ros.sim.world import SimSource
 
@@ -126,7 +126,9 @@ def test_ground_truth_is_never_read() -> None:
         return replace(sample, position_m=(7.0, -3.0, 99.0), yaw_rad=math.sin(1e3 * sample.yaw_rad))
 
     for change in (each(TruthSample, scrambled), without(TruthSample)):
-        assert same_estimates(calibrate(Changed(recording(), change), Config(), default_model()), plain_run())
+        assert same_estimates(
+            calibrate(ModifiedSource(recording(), change), Config(), default_model()), plain_run()
+        )
 
 
 def test_progress_is_told() -> None:
@@ -178,7 +180,7 @@ def test_noise_of_the_pixels_is_found() -> None:
 @pytest.mark.parametrize('step_s', [100.0, -100.0, 1.7e9, -1.6e9])
 def test_a_step_of_the_clock_keeps_the_calibration(step_s: float) -> None:
     candidates = (find_effect('scale_cubic'),)
-    source = Changed(recording(), with_clock_step(step_s, at_s=30.0))
+    source = ModifiedSource(recording(), with_clock_step(step_s, at_s=30.0))
     run = calibrate(source, Config(), default_model(), candidates=candidates)
     assert_calibrated(run)
     assert [event.text.split(';')[0] for event in run.events] == [f'the clock stepped by {step_s:+.1f} s']
@@ -200,7 +202,7 @@ def test_a_step_of_the_clock_keeps_the_calibration(step_s: float) -> None:
 
 @pytest.mark.parametrize(('from_s', 'to_s'), [(20.0, 21.0), (10.0, 30.0), (40.0, 1e6)])
 def test_a_gap_in_the_imu_is_survived(from_s: float, to_s: float) -> None:
-    run = calibrate(Changed(recording(), without(ImuSample, from_s, to_s)), Config(), default_model())
+    run = calibrate(ModifiedSource(recording(), without(ImuSample, from_s, to_s)), Config(), default_model())
     assert_calibrated(run)
     assert run.history.gap_s.sum() == pytest.approx(min(to_s, 60.0) - from_s, abs=0.1)
     drift = blind_drift(run, from_s=5.0, span_s=5.0)
@@ -211,7 +213,7 @@ def test_a_gap_in_the_imu_is_survived(from_s: float, to_s: float) -> None:
 def test_a_gap_in_the_imu_is_not_standing_still() -> None:
     """Camera and IMU are away while the wheels say rest: nobody knows whether somebody turned it."""
     hidden = (without(ImuSample, 1.0, 2.5), without(FeatureObservations, 1.0, 2.6))
-    source = Changed(Changed(recording(), hidden[0]), hidden[1])
+    source = ModifiedSource(ModifiedSource(recording(), hidden[0]), hidden[1])
     history = calibrate(source, Config(), default_model()).history
     stds = [
         history.std[np.searchsorted(history.t_ns, at(2.45)) - 1, YAW]
@@ -221,7 +223,7 @@ def test_a_gap_in_the_imu_is_not_standing_still() -> None:
 
 
 def test_a_covered_camera_is_survived() -> None:
-    source = Changed(recording(), without(FeatureObservations, 20.0, 35.0))
+    source = ModifiedSource(recording(), without(FeatureObservations, 20.0, 35.0))
     run = calibrate(source, Config(), default_model())
     assert_calibrated(run)
     covered = (run.history.t_ns > at(20.1)) & (run.history.t_ns < at(34.9))
@@ -230,7 +232,9 @@ def test_a_covered_camera_is_survived() -> None:
 
 @pytest.mark.parametrize(('from_s', 'to_s'), [(20.0, 25.0), (-1.0, 1e6)])
 def test_missing_wheels_are_survived(from_s: float, to_s: float) -> None:
-    run = calibrate(Changed(recording(), without(WheelSample, from_s, to_s)), Config(), default_model())
+    run = calibrate(
+        ModifiedSource(recording(), without(WheelSample, from_s, to_s)), Config(), default_model()
+    )
     assert_calibrated(run)
 
 
@@ -256,17 +260,17 @@ def test_outliers_are_left_out(share: float) -> None:
     ],
     ids=['another recording', 'a second late', 'random', 'degrees'],
 )
-def test_nonsense_is_no_calibration(change: Change) -> None:
+def test_nonsense_is_no_calibration(change: Modification) -> None:
     with pytest.raises(FilterDivergedError, match='changed cleaning-1') as caught:
-        calibrate(Changed(recording(), change), Config(), default_model())
+        calibrate(ModifiedSource(recording(), change), Config(), default_model())
     assert caught.value.todo
 
 
 def straight_on() -> SimSource:
     """A minute of driving straight, with a bias that alone would make a full turn of it."""
     errors = replace(SensorErrors(), turn_on_bias_deg_s=3.0)
-    habits = Habits(area_m=(24.0, 1.0))
-    return recording('lanes', 2, room_m=(30.0, 5.0), habits=habits, errors=errors)
+    driving_style = DrivingStyle(area_m=(24.0, 1.0))
+    return recording('lanes', 2, room_m=(30.0, 5.0), driving_style=driving_style, errors=errors)
 
 
 @pytest.mark.parametrize(
@@ -274,7 +278,7 @@ def straight_on() -> SimSource:
     [
         (recording('standing'), 'no turns: 0 deg'),
         (straight_on(), 'no turns'),
-        (Changed(recording(), without(FeatureObservations)), 'no image feature'),
+        (ModifiedSource(recording(), without(FeatureObservations)), 'no image feature'),
     ],
     ids=['standing', 'straight', 'covered'],
 )
@@ -287,7 +291,7 @@ def test_what_cannot_be_known_is_not_told(source: Source, message: str) -> None:
 @pytest.mark.parametrize('kind', [ImuSample, object], ids=['no IMU', 'nothing'])
 def test_nothing_to_work_on_is_refused(kind: type[Any]) -> None:
     with pytest.raises(RecordingError, match='no stretch with IMU samples'):
-        calibrate(Changed(recording(), without(kind)), Config(), default_model())
+        calibrate(ModifiedSource(recording(), without(kind)), Config(), default_model())
 
 
 # --- hidden effects -----------------------------------------------------------------------------
@@ -378,9 +382,9 @@ def by_heading(
         wx, wy, wz = sample.rate_rad_s
         return replace(sample, rate_rad_s=(wx, sign * wy, sign * wz))
 
-    source = Changed(recording(duration_s=45.0, truth_hz=20), without(FeatureObservations))
-    source = Changed(source, each(TruthSample, heading), replace(source.rig, camera=None))
-    return Changed(source, each(ImuSample, turned))
+    source = ModifiedSource(recording(duration_s=45.0, truth_hz=20), without(FeatureObservations))
+    source = ModifiedSource(source, each(TruthSample, heading), replace(source.rig, camera=None))
+    return ModifiedSource(source, each(ImuSample, turned))
 
 
 @pytest.mark.parametrize('offset_s', [0.0, 0.1])
@@ -488,8 +492,8 @@ def test_measurements_before_the_imu_and_at_one_moment_do_no_harm() -> None:
             if isinstance(item, FeatureObservations | ImuSample | WheelSample):
                 yield item
 
-    late_imu = Changed(recording(), without(ImuSample, -1.0, 0.5))
-    assert_calibrated(calibrate(Changed(late_imu, doubled), Config(), default_model()))
+    late_imu = ModifiedSource(recording(), without(ImuSample, -1.0, 0.5))
+    assert_calibrated(calibrate(ModifiedSource(late_imu, doubled), Config(), default_model()))
 
 
 def test_an_image_without_features_is_no_measurement() -> None:
@@ -498,7 +502,9 @@ def test_an_image_without_features_is_no_measurement() -> None:
             return sample
         return FeatureObservations(sample.t_ns, sample.ids[:0], sample.pixels[:0])
 
-    run = calibrate(Changed(recording(), each(FeatureObservations, nothing)), Config(), default_model())
+    run = calibrate(
+        ModifiedSource(recording(), each(FeatureObservations, nothing)), Config(), default_model()
+    )
     assert_calibrated(run)
     assert isinstance(run.rig.camera, CameraIntrinsics)
 

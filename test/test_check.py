@@ -1,4 +1,4 @@
-"""A check names what is wrong with a bag, each thing once, and nothing where nothing is wrong."""
+"""A check reports every issue of a bag once, and none for a good bag."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from types import UnionType
 from typing import Any
 
 import numpy as np
@@ -27,26 +28,26 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
-from gyrocal_ros.msgs.issues import BagIssue, Severity, one_a_kind
+from gyrocal_ros.msgs.issues import BagIssue, Severity, worst_per_kind
 
 SHARED = Path(__file__).resolve().parent.parent.parent / 'shared' / 'data' / 'robot-localization-bags'
 JACKAL = SHARED / 'test2_jackal.bag'
-here = pytest.mark.skipif(not SHARED.is_dir(), reason='the recordings of others are not here')
+needs_recordings = pytest.mark.skipif(not SHARED.is_dir(), reason='the third-party recordings are missing')
 
 
 def check(path: Path, samples: Iterable[Measurement] | None = None, **options: Any) -> CheckReport:
     return check_bag(write(path / 'bag', samples), Config(), **options)
 
 
-def found(report: CheckReport) -> dict[str, BagIssue]:
-    """The findings by kind; there must be one of each."""
-    kinds = {finding.kind: finding for finding in report.findings}
-    assert len(kinds) == len(report.findings), report.findings
-    return kinds
+def issues_by_kind(report: CheckReport) -> dict[str, BagIssue]:
+    """Return the issues by kind; there must be one of each."""
+    by_kind = {issue.kind: issue for issue in report.issues}
+    assert len(by_kind) == len(report.issues), report.issues
+    return by_kind
 
 
-def each(kind: type[Any], change: Callable[[Any], Any]) -> list[Measurement]:
-    """The drive with every sample of a kind changed; None leaves it out."""
+def with_changed(kind: type[Any] | UnionType, change: Callable[[Any], Any]) -> list[Measurement]:
+    """Return the drive with every sample of a kind changed, or left out if `change` returns None."""
     changed = (change(sample) if isinstance(sample, kind) else sample for sample in drive())
     return [sample for sample in changed if sample is not None]
 
@@ -58,7 +59,7 @@ def time_s(sample: Any) -> float:
 def test_a_good_bag(tmp_path: Path) -> None:
     report = check(tmp_path)
     assert report.usable
-    assert report.findings == ()
+    assert report.issues == ()
     assert report.duration_s == pytest.approx(10.0, abs=0.1)
     imu = next(topic for topic in report.topics if topic.role == 'imu/data_raw')
     assert (imu.name, imu.type_name, imu.count) == ('/imu/data_raw', 'sensor_msgs/msg/Imu', 1000)
@@ -72,11 +73,11 @@ def test_a_good_bag(tmp_path: Path) -> None:
 # --- numbers -------------------------------------------------------------------------------------
 
 
-def turning(factor: float) -> Callable[[ImuSample], ImuSample]:
+def scale_rates(factor: float) -> Callable[[ImuSample], ImuSample]:
     return lambda item: replace(item, rate_rad_s=scaled(factor, item.rate_rad_s))
 
 
-def pushing(factor: float) -> Callable[[ImuSample], ImuSample]:
+def scale_forces(factor: float) -> Callable[[ImuSample], ImuSample]:
     return lambda item: replace(item, specific_force_m_s2=scaled(factor, item.specific_force_m_s2))
 
 
@@ -85,24 +86,16 @@ def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, fl
     return factor * x, factor * y, factor * z
 
 
-def wheel_turning(sample: WheelSample, factor: float) -> WheelSample:
-    return replace(sample, yaw_rate_rad_s=factor * sample.yaw_rate_rad_s)
-
-
-def only_two(seen: FeatureObservations) -> FeatureObservations:
-    return FeatureObservations(seen.t_ns, seen.ids[:2], seen.pixels[:2])
-
-
 @pytest.mark.parametrize(
     'kind, change, expected, severity',
     [
-        (ImuSample, turning(math.degrees(1.0)), 'unit_degrees', Severity.ERROR),
-        (ImuSample, turning(0.0), 'dead_imu', Severity.ERROR),
-        (ImuSample, turning(-1.0), 'opposite_turns', Severity.WARNING),
-        (ImuSample, turning(1.5), 'turns_disagree', Severity.WARNING),
-        (ImuSample, pushing(1 / 9.81), 'unit_g', Severity.WARNING),
-        (ImuSample, pushing(0.6), 'odd_gravity', Severity.WARNING),
-        (ImuSample, pushing(0.0), 'no_accelerometer', Severity.NOTE),
+        (ImuSample, scale_rates(math.degrees(1.0)), 'unit_degrees', Severity.ERROR),
+        (ImuSample, scale_rates(0.0), 'dead_imu', Severity.ERROR),
+        (ImuSample, scale_rates(-1.0), 'opposite_turns', Severity.WARNING),
+        (ImuSample, scale_rates(1.5), 'turns_disagree', Severity.WARNING),
+        (ImuSample, scale_forces(1 / 9.81), 'unit_g', Severity.WARNING),
+        (ImuSample, scale_forces(0.6), 'odd_gravity', Severity.WARNING),
+        (ImuSample, scale_forces(0.0), 'no_accelerometer', Severity.NOTE),
         (
             WheelSample,
             lambda s: replace(s, yaw_rate_rad_s=57.3 * s.yaw_rate_rad_s),
@@ -117,27 +110,27 @@ def only_two(seen: FeatureObservations) -> FeatureObservations:
         ),
     ],
 )
-def test_numbers_that_cannot_be_right(
+def test_implausible_numbers(
     tmp_path: Path, kind: type, change: Callable[[Any], Any], expected: str, severity: Severity
 ) -> None:
-    findings = found(check(tmp_path, each(kind, change)))
-    assert list(findings) == [expected]
-    assert findings[expected].severity is severity
+    issues = issues_by_kind(check(tmp_path, with_changed(kind, change)))
+    assert list(issues) == [expected]
+    assert issues[expected].severity is severity
 
 
-def test_degrees_without_wheels_to_compare_with(tmp_path: Path) -> None:
-    samples = [turning(50.0)(item) if isinstance(item, ImuSample) else item for item in drive()]
+def test_degrees_without_wheels_for_comparison(tmp_path: Path) -> None:
+    samples = [scale_rates(50.0)(item) if isinstance(item, ImuSample) else item for item in drive()]
     report = check(tmp_path, [item for item in samples if not isinstance(item, WheelSample)])
-    assert found(report)['unit_degrees'].topic == '/imu/data_raw'
+    assert issues_by_kind(report)['unit_degrees'].topic == '/imu/data_raw'
 
 
 def test_nan(tmp_path: Path) -> None:
-    def spoil(sample: ImuSample) -> ImuSample:
+    def with_nan_rate(sample: ImuSample) -> ImuSample:
         return replace(sample, rate_rad_s=(math.nan, 0.0, 0.0)) if 4.0 < time_s(sample) < 4.1 else sample
 
-    findings = found(check(tmp_path, each(ImuSample, spoil)))
-    assert list(findings) == ['not_finite']
-    assert '9 of 1000' in findings['not_finite'].text
+    issues = issues_by_kind(check(tmp_path, with_changed(ImuSample, with_nan_rate)))
+    assert list(issues) == ['not_finite']
+    assert '9 of 1000' in issues['not_finite'].text
 
 
 @pytest.mark.parametrize(
@@ -145,9 +138,9 @@ def test_nan(tmp_path: Path) -> None:
     [(np.diag([1.0, -1.0, -1.0]), '180 deg about x'), (np.diag([1.0, -1.0, -1.0])[[2, 1, 0]], 'deg about y')],
 )
 def test_gravity_on_the_wrong_axis(tmp_path: Path, R_ib: np.ndarray, words: str) -> None:
-    findings = found(check(tmp_path, turned_imu(drive(), R_ib)))
-    assert list(findings) == ['imu_mount']
-    assert words in findings['imu_mount'].todo
+    issues = issues_by_kind(check(tmp_path, turned_imu(drive(), R_ib)))
+    assert list(issues) == ['imu_mount']
+    assert words in issues['imu_mount'].todo
 
 
 def test_a_robot_that_never_turns(tmp_path: Path) -> None:
@@ -156,10 +149,10 @@ def test_a_robot_that_never_turns(tmp_path: Path) -> None:
             return replace(sample, yaw_rate_rad_s=0.0)
         return replace(sample, rate_rad_s=(0.0, 0.0, 0.02 + 0.01 * math.sin(40 * time_s(sample))))
 
-    findings = found(check(tmp_path, each(ImuSample | WheelSample, straight)))  # type: ignore[arg-type]
-    assert list(findings) == ['no_turns']
-    assert findings['no_turns'].severity is Severity.ERROR
-    assert 'turn on the spot' in findings['no_turns'].todo
+    issues = issues_by_kind(check(tmp_path, with_changed(ImuSample | WheelSample, straight)))
+    assert list(issues) == ['no_turns']
+    assert issues['no_turns'].severity is Severity.ERROR
+    assert 'turn on the spot' in issues['no_turns'].todo
 
 
 def test_a_robot_that_turns_to_one_side(tmp_path: Path) -> None:
@@ -168,20 +161,24 @@ def test_a_robot_that_turns_to_one_side(tmp_path: Path) -> None:
             return replace(sample, yaw_rate_rad_s=abs(sample.yaw_rate_rad_s))
         return replace(sample, rate_rad_s=(0.0, 0.0, abs(sample.rate_rad_s[2])))
 
-    assert list(found(check(tmp_path, each(ImuSample | WheelSample, left)))) == ['one_way_turns']  # type: ignore[arg-type]
+    assert list(issues_by_kind(check(tmp_path, with_changed(ImuSample | WheelSample, left)))) == [
+        'one_way_turns'
+    ]
 
 
 # --- stamps --------------------------------------------------------------------------------------
 
 
 def test_a_gap(tmp_path: Path) -> None:
-    findings = found(check(tmp_path, each(ImuSample, lambda s: None if 3.0 < time_s(s) < 5.5 else s)))
-    assert list(findings) == ['gap']
-    assert '1 gap, the longest 2.5 s, 3.0 s after the start' in findings['gap'].text
+    issues = issues_by_kind(
+        check(tmp_path, with_changed(ImuSample, lambda s: None if 3.0 < time_s(s) < 5.5 else s))
+    )
+    assert list(issues) == ['gap']
+    assert '1 gap, the longest 2.5 s, 3.0 s after the start' in issues['gap'].text
 
 
-def recorded(path: Path, change: Callable[[Any, float], tuple[float, float]]) -> CheckReport:
-    """Check the drive with IMU stamps and times of recording (s since the start) changed."""
+def check_restamped(path: Path, change: Callable[[Any, float], tuple[float, float]]) -> CheckReport:
+    """Check the drive with its stamps and times of recording (s since the start) changed."""
     with new_bag(path / 'bag') as bag:
         bag.write_rig(RIG, START_NS)
         for sample in drive():
@@ -214,33 +211,32 @@ def is_imu(sample: Measurement, from_s: float = 0.0, to_s: float = 99.0) -> bool
 def test_stamps(
     tmp_path: Path, change: Callable[[Any, float], tuple[float, float]], expected: set[str]
 ) -> None:
-    report = recorded(tmp_path, change)
-    assert {finding.kind for finding in report.findings} == expected
+    report = check_restamped(tmp_path, change)
+    assert {issue.kind for issue in report.issues} == expected
     assert report.usable
 
 
 def test_clocks_too_far_apart_to_be_used_together(tmp_path: Path) -> None:
-    report = recorded(tmp_path, lambda s, t: (t - 100.0 if is_imu(s) else t, t))
-    assert {finding.kind for finding in report.findings if finding.severity is Severity.ERROR} == {
-        'clocks_differ'
-    }
+    report = check_restamped(tmp_path, lambda s, t: (t - 100.0 if is_imu(s) else t, t))
+    errors = {issue.kind for issue in report.issues if issue.severity is Severity.ERROR}
+    assert errors == {'clocks_differ'}
 
 
-def test_stamps_that_nobody_set(tmp_path: Path) -> None:
-    report = recorded(tmp_path, lambda s, t: (-START_NS / NS_PER_S if is_imu(s) else t, t))
-    assert found(report)['unset_stamps'].severity is Severity.ERROR
+def test_unset_stamps(tmp_path: Path) -> None:
+    report = check_restamped(tmp_path, lambda s, t: (-START_NS / NS_PER_S if is_imu(s) else t, t))
+    assert issues_by_kind(report)['unset_stamps'].severity is Severity.ERROR
 
 
-def test_a_topic_that_covers_a_part(tmp_path: Path) -> None:
-    late = each(FeatureObservations, lambda s: s if time_s(s) > 3.0 else None)
-    assert list(found(check(tmp_path, late))) == ['begins_late']
-    early = each(WheelSample, lambda s: s if time_s(s) < 6.0 else None)
-    assert list(found(check(tmp_path / 'early', early))) == ['ends_early']
+def test_a_topic_that_covers_only_a_part_of_the_time(tmp_path: Path) -> None:
+    late = with_changed(FeatureObservations, lambda s: s if time_s(s) > 3.0 else None)
+    assert list(issues_by_kind(check(tmp_path, late))) == ['begins_late']
+    early = with_changed(WheelSample, lambda s: s if time_s(s) < 6.0 else None)
+    assert list(issues_by_kind(check(tmp_path / 'early', early))) == ['ends_early']
 
 
 def test_a_slow_imu(tmp_path: Path) -> None:
-    slow = each(ImuSample, lambda s: s if round(time_s(s) * 100) % 4 == 0 else None)
-    assert '25 messages a second' in found(check(tmp_path, slow))['slow'].text
+    slow = with_changed(ImuSample, lambda s: s if round(time_s(s) * 100) % 4 == 0 else None)
+    assert '25 messages a second' in issues_by_kind(check(tmp_path, slow))['slow'].text
 
 
 # --- topics --------------------------------------------------------------------------------------
@@ -252,44 +248,44 @@ def test_a_missing_camera_calibration_and_wrong_remaps(tmp_path: Path) -> None:
             bag.write(sample)
     report = check_bag(tmp_path / 'bag', Config(), remap={'wheel/odometry': '/wheel/odom'})
     assert not report.usable
-    errors = [str(finding) for finding in report.findings if finding.severity is Severity.ERROR]
+    errors = [str(issue) for issue in report.issues if issue.severity is Severity.ERROR]
     assert any(
         '/wheel/odom: there is no such topic; did you mean /wheel/odometry?' in error for error in errors
     )
     assert any('the camera has no calibration' in error for error in errors)
 
 
-def test_topics_that_may_be_meant_are_looked_at(tmp_path: Path) -> None:
-    """A mounting that is wrong shows although the topic has another name."""
+def test_candidate_topics_are_checked(tmp_path: Path) -> None:
+    """A wrong mounting is detected although the topic has another name."""
     path = write(tmp_path / 'bag', turned_imu(drive(), np.diag([1.0, -1.0, -1.0])))
     report = check_bag(path, Config(), remap={'imu/data_raw': '/nowhere'})
-    assert {'missing_topic', 'imu_mount'} <= {finding.kind for finding in report.findings}
+    assert {'missing_topic', 'imu_mount'} <= {issue.kind for issue in report.issues}
 
 
 def test_an_image_of_another_size(tmp_path: Path) -> None:
-    images = each(FeatureObservations, lambda s: Frame(s.t_ns, np.zeros((24, 32), np.uint8)))
-    assert '32x24' in found(check(tmp_path, images))['camera'].text
+    images = with_changed(FeatureObservations, lambda s: Frame(s.t_ns, np.zeros((24, 32), np.uint8)))
+    assert '32x24' in issues_by_kind(check(tmp_path, images))['camera'].text
 
 
 def test_a_camera_that_is_not_calibrated(tmp_path: Path) -> None:
     rig = Rig(replace(CAMERA, fx_px=0.0), RIG.camera_mount)
     report = check_bag(write(tmp_path / 'bag', rig=rig), Config())
-    assert 'not calibrated' in found(report)['camera'].text
+    assert 'not calibrated' in issues_by_kind(report)['camera'].text
 
 
-def test_the_worst_of_each_kind() -> None:
-    findings = [
+def test_the_worst_issue_of_each_kind() -> None:
+    issues = [
         BagIssue(severity, kind, '', '')
         for severity, kind in [(Severity.NOTE, 'gap'), (Severity.WARNING, 'late'), (Severity.WARNING, 'gap')]
     ]
-    assert one_a_kind(findings) == [findings[2], findings[1]]
+    assert worst_per_kind(issues) == [issues[2], issues[1]]
 
 
 # --- the command ---------------------------------------------------------------------------------
 
 
 def test_the_command_prints_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = write(tmp_path / 'bag', each(ImuSample, lambda s: None if 3.0 < time_s(s) < 5.5 else s))
+    path = write(tmp_path / 'bag', with_changed(ImuSample, lambda s: None if 3.0 < time_s(s) < 5.5 else s))
     assert main(['check', str(path)]) == 0
     out = capsys.readouterr().out
     assert '/ceiling_camera/features' in out
@@ -297,8 +293,8 @@ def test_the_command_prints_a_table(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert 'This bag can be calibrated from.' in out
 
 
-def test_the_command_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = write(tmp_path / 'bag', each(TruthSample, lambda s: None))
+def test_the_command_prints_one_json_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / 'bag', with_changed(TruthSample, lambda s: None))
     assert main(['check', str(path), '--json', '-r', 'imu/data_raw:=/imu/data_raw']) == 0
     report = json.loads(capsys.readouterr().out)
     assert report['usable'] is True
@@ -320,34 +316,34 @@ def test_the_command_refuses_bad_input_in_one_line(
     assert captured.err.startswith('gyrocal: error: ') and captured.err.count('\n') == 1
 
 
-# --- recordings of others ------------------------------------------------------------------------
+# --- third-party recordings ----------------------------------------------------------------------
 
 
-@here
+@needs_recordings
 def test_wheels_that_slip_are_unfit_as_a_heading_reference() -> None:
     odometry = '/jackal_velocity_controller/odom'
     remap = {'imu/data_raw': '/imu/data', 'wheel/odometry': odometry}
     report = check_bag(JACKAL, Config(), remap=remap, heading_reference=odometry)
-    finding = found(report)['turns_disagree']
-    assert finding.severity is Severity.ERROR
-    assert 'unfit as a heading reference' in finding.todo
+    issue = issues_by_kind(report)['turns_disagree']
+    assert issue.severity is Severity.ERROR
+    assert 'unfit as a heading reference' in issue.todo
 
 
-@here
+@needs_recordings
 def test_topics_of_a_foreign_bag_are_suggested() -> None:
-    text = ' '.join(str(finding) for finding in check_bag(JACKAL, Config()).findings)
+    text = ' '.join(str(issue) for issue in check_bag(JACKAL, Config()).issues)
     assert 'give -r imu/data_raw:=/imu/data' in text
     assert 'give -r wheel/odometry:=/jackal_velocity_controller/odom' in text
     assert '--heading-reference /jackal_velocity_controller/odom' in text
 
 
-@here
-def test_an_imu_on_its_side_and_one_that_reads_nothing() -> None:
-    kinds = {finding.kind for finding in check_bag(SHARED / 'test1_husky.bag', Config()).findings}
+@needs_recordings
+def test_an_imu_on_its_side_and_one_that_reads_zero() -> None:
+    kinds = {issue.kind for issue in check_bag(SHARED / 'test1_husky.bag', Config()).issues}
     assert {'imu_mount', 'slow'} <= kinds
     report = check_bag(SHARED / 'test1_2014_xsens_wheel_stereo.bag', Config())
-    assert found_topic(report, 'dead_imu') == '/my_odometry2imu/imu_data'
+    assert topic_of_issue(report, 'dead_imu') == '/my_odometry2imu/imu_data'
 
 
-def found_topic(report: CheckReport, kind: str) -> str:
-    return next(finding.topic for finding in report.findings if finding.kind == kind)
+def topic_of_issue(report: CheckReport, kind: str) -> str:
+    return next(issue.topic for issue in report.issues if issue.kind == kind)

@@ -1,4 +1,4 @@
-"""Settings: bounds, names, files and back."""
+"""Settings: bounds, names, files and round trips."""
 
 from __future__ import annotations
 
@@ -26,43 +26,43 @@ def nested(name: str, value: Any) -> Mapping[str, Any]:
     return {section: {setting: value}}
 
 
-def other_value(value: Any, about: Setting) -> Any:
-    """A value that is allowed and differs from the default."""
+def other_value(value: Any, spec: Setting) -> Any:
+    """Return an allowed value that differs from the default."""
     if isinstance(value, bool):
         return not value
     if isinstance(value, str):
-        return about.choices[-1] if about.choices else f'{value} {"long " * 40}: #\'"'
-    return about.high if value != about.high else about.low
+        return spec.choices[-1] if spec.choices else f'{value} {"long " * 40}: #\'"'
+    return spec.high if value != spec.high else spec.low
 
 
 # --- every setting ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(('config', 'name', 'value', 'about'), SETTINGS, ids=[item[1] for item in SETTINGS])
-def test_a_setting_is_declared_completely(config: Any, name: str, value: Any, about: Setting) -> None:
-    assert about.help and not about.help.endswith('.')
-    assert with_settings(config, nested(name, value)) == config, 'the default keeps its own bounds'
-    if about.choices:
-        assert value in about.choices
+@pytest.mark.parametrize(('config', 'name', 'value', 'spec'), SETTINGS, ids=[item[1] for item in SETTINGS])
+def test_a_setting_is_declared_completely(config: Any, name: str, value: Any, spec: Setting) -> None:
+    assert spec.help and not spec.help.endswith('.')
+    assert with_settings(config, nested(name, value)) == config, 'the default is within its own bounds'
+    if spec.choices:
+        assert value in spec.choices
     if type(value) in (int, float, tuple):
-        assert about.low is not None and about.high is not None
+        assert spec.low is not None and spec.high is not None
 
 
-@pytest.mark.parametrize(('config', 'name', 'value', 'about'), NUMBERS, ids=[item[1] for item in NUMBERS])
-def test_a_number_keeps_to_its_bounds(config: Any, name: str, value: Any, about: Setting) -> None:
-    assert about.low is not None and about.high is not None
+@pytest.mark.parametrize(('config', 'name', 'value', 'spec'), NUMBERS, ids=[item[1] for item in NUMBERS])
+def test_a_number_must_be_within_its_bounds(config: Any, name: str, value: Any, spec: Setting) -> None:
+    assert spec.low is not None and spec.high is not None
     kind = type(value)
-    for bound in (about.low, about.high):
+    for bound in (spec.low, spec.high):
         changed = with_settings(config, nested(name, kind(bound)))
         assert to_dict(changed)[name.split('.')[0]][name.split('.')[1]] == bound
-    for beyond in (about.low - max(abs(about.low), 1.0), about.high + max(abs(about.high), 1.0)):
+    for beyond in (spec.low - max(abs(spec.low), 1.0), spec.high + max(abs(spec.high), 1.0)):
         with pytest.raises(ConfigError, match=name) as caught:
             with_settings(config, nested(name, kind(beyond)), 'mine.yaml')
         assert caught.value.where == 'mine.yaml'
-        assert f'{about.low} to {about.high}' in caught.value.todo
+        assert f'{spec.low} to {spec.high}' in caught.value.todo
 
 
-# --- values and names that make no sense --------------------------------------------------------
+# --- invalid values and names -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -82,28 +82,28 @@ def test_a_number_keeps_to_its_bounds(config: Any, name: str, value: Any, about:
         ({'camera': {'pixel_nois_px': 0.3}}, "section camera: .*did you mean 'pixel_noise_px'"),
         ({'camra': {}}, "did you mean 'camera'"),
         ({'xyz': {}}, 'known are gyro, wheels, camera'),
-        ({'camera': 0.3}, "section 'camera' holds no settings"),
+        ({'camera': 0.3}, "section 'camera' contains no settings"),
         ({3: {}}, '3 is not known'),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(settings: Mapping[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused(settings: Mapping[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         with_settings(Config(), settings)
 
 
-def test_whole_numbers_serve_as_decimals() -> None:
+def test_integers_are_accepted_as_floats() -> None:
     noise = with_settings(Config(), {'camera': {'pixel_noise_px': 1}}).camera.pixel_noise_px
     assert noise == 1.0 and isinstance(noise, float)
 
 
-def test_settings_leave_the_others_alone() -> None:
+def test_other_settings_are_unchanged() -> None:
     changed = with_settings(Config(), {'features': {'map_size': 50}, 'rest': {'settle_s': 1.0}})
     assert changed == replace(
         Config(), features=replace(Config().features, map_size=50), rest=replace(Config().rest, settle_s=1.0)
     )
 
 
-def test_several_numbers_are_one_setting() -> None:
+def test_a_setting_may_be_several_numbers() -> None:
     changed = with_settings(RobotConfig(), {'board': {'gyro_zero': [1, 2.5, -3.0]}})
     assert changed.board.gyro_zero == (1.0, 2.5, -3.0)
     assert to_dict(changed)['board']['gyro_zero'] == [1.0, 2.5, -3.0]
@@ -116,7 +116,7 @@ def test_several_numbers_are_one_setting() -> None:
             with_settings(RobotConfig(), {'board': {'gyro_zero': wrong}})
 
 
-def test_nearest_name() -> None:
+def test_the_nearest_name_is_suggested() -> None:
     assert did_you_mean('scael', ['scale', 'bias']) == "did you mean 'scale'?"
     assert did_you_mean('zzz', ['scale', 'bias']) == 'known are scale, bias'
 
@@ -124,14 +124,14 @@ def test_nearest_name() -> None:
 # --- files --------------------------------------------------------------------------------------
 
 
-def test_the_shipped_settings_are_the_defaults() -> None:
+def test_the_installed_settings_file_contains_the_defaults() -> None:
     assert shipped('config/gyrocal.yaml').read_text(encoding='utf-8') == to_yaml(Config(), RobotConfig())
 
 
-def test_settings_are_written_and_read_back(tmp_path: Path) -> None:
+def test_settings_survive_a_round_trip(tmp_path: Path) -> None:
     changed = Config()
-    for name, value, about in flat_settings(Config()):
-        changed = with_settings(changed, nested(name, other_value(value, about)))
+    for name, value, spec in flat_settings(Config()):
+        changed = with_settings(changed, nested(name, other_value(value, spec)))
     assert all(to_dict(changed)[section] != to_dict(Config())[section] for section in to_dict(Config()))
     file = tmp_path / 'all.yaml'
     file.write_text(to_yaml(changed))
@@ -139,14 +139,14 @@ def test_settings_are_written_and_read_back(tmp_path: Path) -> None:
     assert with_settings(Config(), to_dict(changed)) == changed
 
 
-def test_a_file_may_say_a_little(tmp_path: Path) -> None:
+def test_a_file_may_contain_some_settings(tmp_path: Path) -> None:
     file = tmp_path / 'some.yaml'
     file.write_text('/**:\n  ros__parameters:\n    camera: {pixel_noise_px: 2e-1}\n')
     assert load_config(file).camera.pixel_noise_px == 0.2
     assert load_config(None) == Config()
 
 
-def test_a_file_for_the_nodes_is_checked_whole(tmp_path: Path) -> None:
+def test_a_file_for_the_nodes_is_checked_completely(tmp_path: Path) -> None:
     file = tmp_path / 'robot.yaml'
     file.write_text(to_yaml(Config(), RobotConfig()))
     assert load_config(file) == Config()
@@ -169,8 +169,8 @@ def test_a_file_may_serve_several_nodes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
-        ('', 'holds no settings'),
-        ('just words', 'holds no settings'),
+        ('', 'contains no settings'),
+        ('just words', 'contains no settings'),
         ('a: [', 'is not valid YAML'),
         ('camera: {pixel_noise_px: 0.3}', 'no ros__parameters'),
         ('/**: 3', 'no ros__parameters'),
@@ -179,7 +179,7 @@ def test_a_file_may_serve_several_nodes(tmp_path: Path) -> None:
         ('/**: {ros__parameters: {camera: {pixel_noise_px: 300.0}}}', '0.005 to 20.0 px'),
     ],
 )
-def test_a_file_that_cannot_be_used_is_refused(text: str, message: str, tmp_path: Path) -> None:
+def test_an_invalid_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / 'mine.yaml'
     file.write_text(text)
     with pytest.raises(ConfigError, match=message) as caught:
@@ -187,7 +187,7 @@ def test_a_file_that_cannot_be_used_is_refused(text: str, message: str, tmp_path
     assert str(file) in caught.value.where
 
 
-def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
+def test_an_unreadable_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match='cannot be read'):
         load_config(tmp_path / 'none.yaml')
     with pytest.raises(ConfigError, match='cannot be read'):
@@ -199,14 +199,14 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('text', ['1e-3', '1E-3', '1.e-3', '0.1e-2', '+1e-3'])
-def test_numbers_are_written_as_people_and_ros_do(text: str, tmp_path: Path) -> None:
+def test_numbers_in_exponential_notation_are_loaded(text: str, tmp_path: Path) -> None:
     file = tmp_path / 'number.yaml'
     file.write_text(f'value: {text}')
     assert read_yaml(file) == {'value': 1e-3}
 
 
 @pytest.mark.parametrize('text', ['e3', '1e', '1-3', "'1e-3'", 'a1e-3', '0x1e-3'])
-def test_words_stay_words(text: str, tmp_path: Path) -> None:
+def test_text_similar_to_numbers_stays_text(text: str, tmp_path: Path) -> None:
     file = tmp_path / 'word.yaml'
     file.write_text(f'value: {text}')
     assert isinstance(read_yaml(file)['value'], str)

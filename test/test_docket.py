@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from contracts import SIGNAL, eventful_blocks
 from gyrocal_ros.diagnose.banks import Hystereses, Warmups
-from synthetic import RIG, evidence_of, readings
+from synthetic import RIG, readings, score_statistics_of
 
 from gyrocal_ros.data import Array, Mount
 from gyrocal_ros.diagnose.candidates import (
@@ -117,8 +117,8 @@ class TestDocket:
             return np.concatenate([part[:, :, :k] for part, k in zip(parts, counts, strict=True)], axis=2)
 
         tried, seen = tuple(trial.effect for trial in every.trials), rng.normal(size=(3, 12))
-        judged = every.judged(evidence_of(columns(every.carried), seen, every.carried))
-        expected = evidence_of(columns(tried), seen, tried)
+        judged = every.judged(score_statistics_of(columns(every.carried), seen, every.carried))
+        expected = score_statistics_of(columns(tried), seen, tried)
         assert judged.candidates == tried and np.array_equal(judged.start_s, expected.start_s)
         np.testing.assert_allclose(judged.score, expected.score, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(judged.information, expected.information, rtol=1e-9, atol=1e-12)

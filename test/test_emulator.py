@@ -1,4 +1,4 @@
-"""The emulated board, seen by the driver's own reader: what was measured comes back, faults and all."""
+"""The emulated board, read by the driver's own reader, with and without faults."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from emulated import BoardProgram
 
-from gyrocal_ros.board.clock import Restart
+from gyrocal_ros.board.clock import RestartCause
 from gyrocal_ros.board.convert import SupplySample
 from gyrocal_ros.board.link import Link
 from gyrocal_ros.board.messages import Acknowledgement, CommandResult, Message, SetRates, Zero
-from gyrocal_ros.board.protocol import checksum, encode, stuff
+from gyrocal_ros.board.protocol import checksum, cobs_encode, encode
 from gyrocal_ros.board.reader import BoardReader, Reading, WheelMotion
 from gyrocal_ros.cli import board_emulator
 from gyrocal_ros.cli.main import make_parser
@@ -36,9 +36,16 @@ from gyrocal_ros.data import (
     WheelSample,
     nanoseconds,
 )
-from gyrocal_ros.emulator.board import Crystal, EmulatedBoard, look_ahead
-from gyrocal_ros.emulator.line import ABOUT, Delivery, EmulatedLine, Fault, FaultKind, parse_fault
-from gyrocal_ros.emulator.schedule import Emulator, Plug
+from gyrocal_ros.emulator.board import EmulatedBoard, Oscillator, detect_sensors
+from gyrocal_ros.emulator.line import (
+    FAULT_DESCRIPTIONS,
+    DataEvent,
+    EmulatedLine,
+    Fault,
+    FaultKind,
+    parse_fault,
+)
+from gyrocal_ros.emulator.schedule import Emulator, PortEvent
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
@@ -47,7 +54,7 @@ BAUD = 115200
 BAG = Path(__file__).resolve().parent.parent / 'bags/demo'
 PAGE = (Path(__file__).resolve().parent.parent / 'docs/board_protocol.md').read_text(encoding='utf-8')
 WALL_NS = 1_800_000_000 * NS_PER_S
-"""Time of day at which the recording begins."""
+"""Time of day of the start of the recording."""
 MS = 1_000_000
 
 
@@ -56,45 +63,45 @@ def robot(duration_s: float, scenario: str = 'cleaning') -> list[Measurement]:
     return list(SimSource(chosen, 3).board_measurements())
 
 
-CRYSTAL = Crystal(123_456_789, 30.0)
+OSCILLATOR = Oscillator(123_456_789, 30.0)
 
 SHORT, LONG = robot(8.0), robot(40.0)
 STANDING = robot(8.0, 'standing')
 
 
 def emulator(
-    measured: Iterable[Measurement],
+    measurements: Iterable[Measurement],
     *faults: str,
     jitter_s: float = 0.0,
-    crystal: Crystal = CRYSTAL,
+    oscillator: Oscillator = OSCILLATOR,
     seed: int = 1,
 ) -> Emulator:
-    sensors, measurements = look_ahead(measured)
+    sensors, played = detect_sensors(measurements)
     line = EmulatedLine(BAUD, jitter_s, [parse_fault(text) for text in faults], np.random.default_rng(seed))
-    return Emulator(measurements, START_NS, EmulatedBoard(BoardConfig(), sensors, crystal), line)
+    return Emulator(played, START_NS, EmulatedBoard(BoardConfig(), sensors, oscillator), line)
 
 
 @dataclass
 class Host:
-    """Reads an emulated board, without a clock on any wall."""
+    """Reads an emulated board in simulated time."""
 
     board: Emulator
     reader: BoardReader = field(default_factory=lambda: BoardReader(BoardConfig(), BAUD))
     readings: list[Reading] = field(default_factory=list)
-    plugs: list[Plug] = field(default_factory=list)
+    port_events: list[PortEvent] = field(default_factory=list)
 
     def read(self, until_s: float = np.inf) -> Host:
-        """Take what comes up to a time since the start."""
+        """Process all events up to a time since the start."""
         while (t_ns := self.board.next_ns()) is not None and t_ns < until_s * NS_PER_S:
             event = self.board.pop()
-            if isinstance(event, Plug):
-                self.plugs.append(event)
+            if isinstance(event, PortEvent):
+                self.port_events.append(event)
             else:
-                self.readings += self.reader.take(event.data, WALL_NS + event.t_ns)
+                self.readings += self.reader.feed(event.data, WALL_NS + event.t_ns)
         return self
 
-    def say(self, message: Message, at_s: float, sequence: int = 1) -> None:
-        self.board.hear(encode(message, sequence), nanoseconds(at_s))
+    def send(self, message: Message, at_s: float, sequence: int = 1) -> None:
+        self.board.receive(encode(message, sequence), nanoseconds(at_s))
 
     def imu(self) -> list[ImuSample]:
         return [reading for reading in self.readings if isinstance(reading, ImuSample)]
@@ -105,47 +112,51 @@ class Host:
     def answers(self) -> list[Acknowledgement]:
         return [reading for reading in self.readings if isinstance(reading, Acknowledgement)]
 
-    def errors_ms(self, measured: list[Measurement]) -> Array:
-        """Stamps less true times of the IMU, of a run in which nothing was lost."""
-        true_ns = [item.t_ns - START_NS for item in measured if isinstance(item, ImuSample)]
+    def errors_ms(self, measurements: list[Measurement]) -> Array:
+        """Return stamps minus true times of the IMU, for a run without losses."""
+        true_ns = [item.t_ns - START_NS for item in measurements if isinstance(item, ImuSample)]
         return (np.array([sample.t_ns - WALL_NS for sample in self.imu()]) - np.array(true_ns)) / MS
 
 
-# --- what was measured comes back -------------------------------------------------------------------
+# --- recovered measurements -------------------------------------------------------------------------
 
 
-def test_all_samples_come_back_as_they_were_measured() -> None:
+def test_all_samples_are_recovered() -> None:
     host, config = Host(emulator(LONG)).read(), BoardConfig()
     sent = [item for item in LONG if isinstance(item, ImuSample)]
     rate_step = np.radians(config.gyro_volt * config.gyro_scale_factor_volt[0])
     for column, step in (('rate_rad_s', rate_step), ('specific_force_m_s2', config.accelerometer_scale[0])):
-        came, was = (np.array([getattr(item, column) for item in items]) for items in (host.imu(), sent))
-        assert came.shape == was.shape
-        assert np.abs(came - was).max() <= 0.501 * step
+        received, expected = (
+            np.array([getattr(item, column) for item in items]) for items in (host.imu(), sent)
+        )
+        assert received.shape == expected.shape
+        assert np.abs(received - expected).max() <= 0.501 * step
     assert np.abs(host.errors_ms(LONG)).max() < 0.1
     counts = host.reader.decoder.counts
     assert (counts.lost, counts.malformed, counts.bad_checksums, counts.repeated) == (0, 0, 0, 0)
 
 
-def test_the_way_of_the_wheels_is_kept() -> None:
+def test_the_distance_of_the_wheels_is_preserved() -> None:
     host, config = Host(emulator(LONG)).read(), BoardConfig()
-    sent = [item for item in LONG if isinstance(item, WheelSample)][1:]  # two readings make a sample
-    came = host.wheels()
-    assert len(came) == len(sent)
+    sent = [item for item in LONG if isinstance(item, WheelSample)][1:]  # a sample needs two readings
+    received = host.wheels()
+    assert len(received) == len(sent)
     for column, error in (
         ('speed_m_s', config.tick_m),
         ('yaw_rate_rad_s', 2.0 * config.tick_m / config.track_m),
     ):
-        ways = [np.cumsum([getattr(item, column) for item in items]) / 50.0 for items in (came, sent)]
-        assert np.abs(ways[0] - ways[1]).max() < 1.5 * error
+        distances = [
+            np.cumsum([getattr(item, column) for item in items]) / 50.0 for items in (received, sent)
+        ]
+        assert np.abs(distances[0] - distances[1]).max() < 1.5 * error
 
 
-def test_slow_signals_come_back() -> None:
+def test_slow_signals_are_recovered() -> None:
     host = Host(emulator(LONG)).read()
     warm = [reading for reading in host.readings if isinstance(reading, TemperatureSample)]
-    true = [item.temperature_c for item in LONG if isinstance(item, TemperatureSample)]
+    true_c = [item.temperature_c for item in LONG if isinstance(item, TemperatureSample)]
     assert len(warm) == pytest.approx(40, abs=1)
-    assert {round(item.temperature_c, 2) for item in warm} <= {round(value, 2) for value in true}
+    assert {round(item.temperature_c, 2) for item in warm} <= {round(value, 2) for value in true_c}
     supply = [reading for reading in host.readings if isinstance(reading, SupplySample)]
     volts = [item.value for item in LONG if isinstance(item, CovariateSample) and 'voltage' in item.name]
     assert len(supply) == pytest.approx(400, abs=1)
@@ -155,30 +166,30 @@ def test_slow_signals_come_back() -> None:
 @pytest.mark.parametrize('drift_ppm', [-100.0, 30.0])
 @pytest.mark.parametrize('start_us', [0, 4_294_967_295 - 20_000_000])
 def test_stamps_are_within_a_millisecond_with_jitter(drift_ppm: float, start_us: int) -> None:
-    """Over a wrap of the board's counter too."""
-    host = Host(emulator(LONG, jitter_s=0.02, crystal=Crystal(start_us, drift_ppm))).read()
+    """Check also a wrap of the board's counter."""
+    host = Host(emulator(LONG, jitter_s=0.02, oscillator=Oscillator(start_us, drift_ppm))).read()
     errors = host.errors_ms(LONG)
     assert np.abs(errors[200 * 10 :]).max() < 1.0
-    assert not host.reader.clock.restarts and not host.reader.clock.odd
+    assert not host.reader.clock.restarts and not host.reader.clock.outliers
 
 
-def test_jitter_is_what_it_is_said_to_be() -> None:
+def test_jitter_has_the_requested_range() -> None:
     board, late_ms = emulator(LONG, jitter_s=0.02), []
     true_ms = iter((item.t_ns - START_NS) / MS for item in LONG if isinstance(item, ImuSample))
     reader = BoardReader(BoardConfig(), BAUD)
     while (t_ns := board.next_ns()) is not None:
         event = board.pop()
-        assert isinstance(event, Delivery)
+        assert isinstance(event, DataEvent)
         late_ms += [
-            t_ns / MS - next(true_ms) for r in reader.take(event.data, t_ns) if isinstance(r, ImuSample)
+            t_ns / MS - next(true_ms) for r in reader.feed(event.data, t_ns) if isinstance(r, ImuSample)
         ]
     on_the_wire_ms = 2.7
     assert on_the_wire_ms - 0.1 < min(late_ms) < on_the_wire_ms + 0.1
     assert 20.0 < max(late_ms) < 20.0 + 2.0 * on_the_wire_ms
 
 
-def test_the_same_seed_sends_the_same() -> None:
-    def sent(seed: int) -> list[Delivery | Plug]:
+def test_the_same_seed_yields_the_same_events() -> None:
+    def sent(seed: int) -> list[DataEvent | PortEvent]:
         board = emulator(SHORT, 'noise@1+3=0.02', 'cut@2+3=0.1', 'unplug@5+1', jitter_s=0.02, seed=seed)
         events = []
         while board.next_ns() is not None:
@@ -204,9 +215,9 @@ def test_a_step_of_the_recorded_clock_is_not_played() -> None:
 # --- commands ---------------------------------------------------------------------------------------
 
 
-def test_rates_that_can_be_had_are_sent() -> None:
+def test_supported_rates_are_sent() -> None:
     host = Host(emulator(LONG)).read(10.0)
-    host.say(SetRates(100, 25, 2), 10.0, sequence=7)
+    host.send(SetRates(100, 25, 2), 10.0, sequence=7)
     host.readings.clear()
     host.read(20.0)
     assert host.answers() == [Acknowledgement(7, SetRates.TYPE, CommandResult.DONE)]
@@ -214,7 +225,7 @@ def test_rates_that_can_be_had_are_sent() -> None:
     counts = len(host.imu()), len(host.wheels()), len(supply)
     assert counts == pytest.approx((1000, 250, 20), abs=2)
     assert {round((b.t_ns - a.t_ns) / MS) for a, b in pairwise(host.imu()[1:])} == {10}
-    host.say(SetRates(200, 0, 0), 20.0, sequence=8)
+    host.send(SetRates(200, 0, 0), 20.0, sequence=8)
     host.readings.clear()
     host.read(30.0)
     assert len(host.imu()) == pytest.approx(2000, abs=2)
@@ -222,19 +233,19 @@ def test_rates_that_can_be_had_are_sent() -> None:
 
 
 @pytest.mark.parametrize('rates', [SetRates(400, 50, 10), SetRates(200, 51, 10), SetRates(200, 50, 1000)])
-def test_rates_that_cannot_be_had_change_nothing(rates: SetRates) -> None:
+def test_unsupported_rates_change_nothing(rates: SetRates) -> None:
     host = Host(emulator(SHORT)).read(2.0)
-    host.say(rates, 2.0)
+    host.send(rates, 2.0)
     host.readings.clear()
     host.read(4.0)
     assert host.answers() == [Acknowledgement(1, SetRates.TYPE, CommandResult.OUT_OF_RANGE)]
     assert len(host.imu()) == pytest.approx(400, abs=2)
 
 
-def test_the_zero_is_subtracted_from_then_on_and_outlives_the_power() -> None:
+def test_the_zero_is_subtracted_and_survives_a_restart() -> None:
     host = Host(emulator(STANDING, 'restart@5+0.5')).read(2.0)
     before = np.mean([sample.rate_rad_s for sample in host.imu()], axis=0)
-    host.say(Zero(1000), 2.0, sequence=9)
+    host.send(Zero(1000), 2.0, sequence=9)
     host.read(2.9)
     assert not host.answers()
     host.read(4.0)
@@ -246,22 +257,24 @@ def test_the_zero_is_subtracted_from_then_on_and_outlives_the_power() -> None:
         assert np.abs(after).max() < 1e-3 < np.abs(before).max()
 
 
-def test_a_zero_is_refused_when_a_wheel_turns() -> None:
+def test_a_zero_is_refused_if_a_wheel_turns() -> None:
     host = Host(emulator(SHORT)).read(4.0)
-    host.say(Zero(1000), 4.0)
+    host.send(Zero(1000), 4.0)
     assert host.read().answers() == [Acknowledgement(1, Zero.TYPE, CommandResult.REFUSED)]
 
 
 def test_an_unknown_command_is_answered_and_noise_is_not() -> None:
     host = Host(emulator(SHORT)).read(1.0)
     body = bytes((0x99, 5, 0, 0, 0, 0, 0, 42))
-    host.board.hear(b'noise\0' + stuff(body + checksum(body).to_bytes(2, 'little')) + b'\0', NS_PER_S)
+    host.board.receive(
+        b'noise\0' + cobs_encode(body + checksum(body).to_bytes(2, 'little')) + b'\0', NS_PER_S
+    )
     assert host.read(2.0).answers() == [Acknowledgement(5, 0x99, CommandResult.UNKNOWN)]
 
 
 def test_a_recording_without_a_battery_sends_no_supply() -> None:
     host = Host(emulator(item for item in SHORT if not isinstance(item, CovariateSample))).read(2.0)
-    host.say(SetRates(200, 50, 10), 2.0)
+    host.send(SetRates(200, 50, 10), 2.0)
     host.read()
     assert not any(isinstance(reading, SupplySample) for reading in host.readings)
     assert [answer.result for answer in host.answers()] == [CommandResult.OUT_OF_RANGE]
@@ -270,69 +283,72 @@ def test_a_recording_without_a_battery_sends_no_supply() -> None:
 # --- faults -----------------------------------------------------------------------------------------
 
 
-def test_noise_spoils_and_is_over_when_it_is_over() -> None:
+def test_noise_corrupts_frames_during_its_interval_only() -> None:
     host = Host(emulator(LONG, 'noise@10+10=0.05')).read(10.0)
     assert host.reader.decoder.counts.lost == 0
-    spoiled = host.read(20.1).reader.decoder.counts
-    assert spoiled.bad_checksums + spoiled.malformed > 1000
-    lost = spoiled.lost
-    assert 0.6 < lost / 2600 < 0.95  # 5 % of the bytes are most of the frames
+    corrupted = host.read(20.1).reader.decoder.counts
+    assert corrupted.bad_checksums + corrupted.malformed > 1000
+    lost = corrupted.lost
+    assert 0.6 < lost / 2600 < 0.95  # 5 % of the bytes affect most of the frames
     assert np.abs(host.read().reader.decoder.counts.lost - lost) <= 1
     times = [sample.t_ns for sample in host.imu()]
     assert all(a < b for a, b in pairwise(times))
 
 
 @pytest.mark.parametrize(('fault', 'bad'), [('cut@2+4=0.1', True), ('drop@2+4=0.1', False)])
-def test_frames_are_cut_and_dropped(fault: str, bad: bool) -> None:
+def test_frames_are_truncated_and_dropped(fault: str, bad: bool) -> None:
     counts = Host(emulator(SHORT, fault)).read().reader.decoder.counts
     assert 50 < counts.lost < 300
     assert (counts.malformed + counts.bad_checksums > 0) == bad
 
 
-def test_a_pause_delays_and_loses_nothing() -> None:
+def test_a_pause_delays_frames_and_loses_none() -> None:
     host = Host(emulator(LONG, 'pause@15+3', jitter_s=0.02)).read()
     assert host.reader.decoder.counts.lost == 0
     assert np.abs(host.errors_ms(LONG)[2000:]).max() < 1.0
 
 
-def test_what_is_sent_to_a_port_that_is_unplugged_is_lost() -> None:
+def test_frames_to_an_unplugged_port_are_lost() -> None:
     host = Host(emulator(LONG, 'unplug@15+5', jitter_s=0.02)).read()
-    assert host.plugs == [Plug(15 * NS_PER_S, is_in=False), Plug(20 * NS_PER_S, is_in=True)]
+    assert host.port_events == [
+        PortEvent(15 * NS_PER_S, is_connected=False),
+        PortEvent(20 * NS_PER_S, is_connected=True),
+    ]
     assert host.reader.decoder.counts.lost == pytest.approx(5 * 260, abs=10)
     times = np.array([sample.t_ns for sample in host.imu()])
     assert (np.diff(times) > 0).all()
     assert ((times - WALL_NS) // NS_PER_S != 17).all()
 
 
-def test_a_board_that_loses_its_power_begins_anew() -> None:
+def test_a_board_restarts_after_a_loss_of_power() -> None:
     host = Host(emulator(LONG, 'restart@15+2')).read(10.0)
-    host.say(SetRates(100, 25, 10), 10.0)
+    host.send(SetRates(100, 25, 10), 10.0)
     host.read(15.0)
     host.readings.clear()
     host.read(25.0)
-    assert host.reader.clock.restarts == {Restart.BOARD: 1}
+    assert host.reader.clock.restarts == {RestartCause.BOARD: 1}
     assert len(host.imu()) == pytest.approx(8 * 200, abs=3)
     times = np.array([sample.t_ns for sample in host.imu()])
     since_ms = (times[-1000:] - WALL_NS) / MS
     assert np.abs((since_ms + 2.5) % 5.0 - 2.5).max() < 0.01
 
 
-def test_a_board_without_power_hears_nothing() -> None:
+def test_a_board_without_power_receives_nothing() -> None:
     host = Host(emulator(SHORT, 'restart@2+2')).read(3.0)
-    host.say(SetRates(100, 25, 10), 3.0)
+    host.send(SetRates(100, 25, 10), 3.0)
     host.read()
     assert not host.answers()
 
 
-def test_a_fault_may_come_at_once() -> None:
+def test_a_fault_may_be_added_while_running() -> None:
     host = Host(emulator(SHORT)).read(3.0)
-    host.board.spoil(parse_fault('unplug+1', now_ns=3 * NS_PER_S))
+    host.board.add_fault(parse_fault('unplug+1', now_ns=3 * NS_PER_S))
     host.read()
-    assert [plug.t_ns / NS_PER_S for plug in host.plugs] == [3.0, 4.0]
+    assert [event.t_ns / NS_PER_S for event in host.port_events] == [3.0, 4.0]
     assert host.reader.decoder.counts.lost == pytest.approx(260, abs=3)
 
 
-def test_faults_are_read() -> None:
+def test_faults_are_parsed() -> None:
     assert parse_fault('noise@120+30=0.05') == Fault(FaultKind.NOISE, 120 * NS_PER_S, 150 * NS_PER_S, 0.05)
     assert parse_fault('pause+1.5\n', now_ns=7) == Fault(FaultKind.PAUSE, 7, 7 + 1_500_000_000)
 
@@ -346,10 +362,10 @@ def test_faults_are_read() -> None:
         ('noise@1+3', 'write noise@FROM.FOR=SHARE'),
         ('noise@1+3=2', 'a share from 0 to 1'),
         ('unplug@1+3=0.5', 'write unplug@FROM.FOR$'),
-        ('unplug@1.2.3+3', '1.2.3 is no number'),
+        ('unplug@1.2.3+3', '1.2.3 is not a number'),
     ],
 )
-def test_what_is_no_fault_is_refused(text: str, todo: str) -> None:
+def test_malformed_faults_are_refused(text: str, todo: str) -> None:
     with pytest.raises(GyrocalError, match=todo):
         parse_fault(text)
 
@@ -369,27 +385,27 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         (['--jitter', '2'], 'give 0 to 1 s'),
         (['--fault', 'noise@1+1'], 'write noise@FROM+FOR=SHARE'),
         (['--bag', 'nowhere'], 'nowhere'),
-        (['--link', __file__], 'is no symbolic link'),
+        (['--link', __file__], 'is not a symbolic link'),
     ],
 )
-def test_what_cannot_be_played_is_refused_in_a_line(arguments: list[str], words: str) -> None:
-    done = run(*arguments)
-    assert done.returncode == 2 and not done.stdout
-    assert done.stderr.startswith('board_emulator: error: ') and done.stderr.count('\n') == 1
-    assert words in done.stderr
+def test_invalid_arguments_are_refused_in_one_line(arguments: list[str], words: str) -> None:
+    result = run(*arguments)
+    assert result.returncode == 2 and not result.stdout
+    assert result.stderr.startswith('board_emulator: error: ') and result.stderr.count('\n') == 1
+    assert words in result.stderr
 
 
-def test_a_play_ends_and_takes_its_port_away(tmp_path: Path) -> None:
+def test_the_program_ends_and_removes_its_port(tmp_path: Path) -> None:
     link = tmp_path / 'board'
-    done = run(
+    result = run(
         '--link', str(link), '--duration', '1', '--fault', 'unplug@0.2+0.2', '--ros-args', '-r', 'a:=b'
     )
-    assert (done.returncode, done.stdout) == (0, f'{link}\n')
-    assert 'unplugged' in done.stderr and 'plugged in at /dev/' in done.stderr
+    assert (result.returncode, result.stdout) == (0, f'{link}\n')
+    assert 'unplugged' in result.stderr and 'plugged in at /dev/' in result.stderr
     assert not link.is_symlink()
 
 
-def test_an_interrupted_play_takes_its_port_away(tmp_path: Path) -> None:
+def test_the_interrupted_program_removes_its_port(tmp_path: Path) -> None:
     link = tmp_path / 'board'
     board = BoardProgram(link)
     assert link.is_symlink()
@@ -401,32 +417,32 @@ def test_a_recorded_bag_is_played(tmp_path: Path) -> None:
     with BoardProgram(tmp_path / 'board', '--bag', str(BAG)), Link(str(tmp_path / 'board'), BAUD) as link:
         reader, found = BoardReader(BoardConfig(), BAUD), list[Reading]()
         while len(found) < 200:
-            found += reader.take(link.read(), time.time_ns())
+            found += reader.feed(link.read(), time.time_ns())
     kinds = {type(reading) for reading in found}
     assert {ImuSample, WheelMotion, TemperatureSample, SupplySample} <= kinds
 
 
-def test_the_whole_needs_no_ros() -> None:
+def test_the_program_does_not_import_ros() -> None:
     code = 'import gyrocal_ros.cli.board_emulator, sys; print([m for m in sys.modules if "rclpy" in m])'
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
-    assert done.stdout == '[]\n'
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert result.stdout == '[]\n'
 
 
-def test_what_is_not_asked_for_at_the_start_is_not_there(tmp_path: Path) -> None:
-    """A play that began long ago goes on where it is now."""
-    begun_s = time.time() - 10.0
+def test_a_late_start_skips_missed_events(tmp_path: Path) -> None:
+    """A play that started in the past continues at the present time."""
+    start_s = time.time() - 10.0
     with (
-        BoardProgram(tmp_path / 'board', '--start-at', str(begun_s)),
+        BoardProgram(tmp_path / 'board', '--start-at', str(start_s)),
         Link(str(tmp_path / 'board'), BAUD) as link,
     ):
         reader, found = BoardReader(BoardConfig(), BAUD), list[Reading]()
         while not (samples := [reading for reading in found if isinstance(reading, ImuSample)]):
-            found += reader.take(link.read(), time.time_ns())
-    since_s = samples[0].t_ns / NS_PER_S - begun_s
+            found += reader.feed(link.read(), time.time_ns())
+    since_s = samples[0].t_ns / NS_PER_S - start_s
     assert since_s > 10.0
 
 
-# --- the page for the firmware engineer -------------------------------------------------------------
+# --- the protocol page ------------------------------------------------------------------------------
 
 
 def test_the_page_has_every_fault() -> None:
@@ -434,10 +450,10 @@ def test_the_page_has_every_fault() -> None:
     assert rows.keys() == set(FaultKind)
     for kind, example in rows.items():
         assert parse_fault(example).kind == kind
-        assert f'| `{example}` | {ABOUT[FaultKind(kind)]} |' in PAGE
+        assert f'| `{example}` | {FAULT_DESCRIPTIONS[FaultKind(kind)]} |' in PAGE
 
 
-def test_the_commands_of_the_page_can_be_given() -> None:
+def test_the_commands_of_the_page_can_be_parsed() -> None:
     [commands] = re.findall(r'^```sh\n(.*?)^```', PAGE, flags=re.MULTILINE | re.DOTALL)
     lines = [shlex.split(line, comments=True) for line in commands.splitlines()]
     for program, *arguments in lines:
@@ -454,6 +470,6 @@ def test_the_reader_of_the_page_reads_the_emulator(tmp_path: Path) -> None:
         assert reading.stdout is not None
         while 'Acknowledgement(' not in reading.stdout.readline():
             pass
-        board.spoil('pause+10')
-        said, _ = reading.communicate(timeout=60)
-    assert 'lost=0' in said.splitlines()[-1]
+        board.inject_fault('pause+10')
+        output, _ = reading.communicate(timeout=60)
+    assert 'lost=0' in output.splitlines()[-1]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from synthetic import evidence_of
+from synthetic import score_statistics_of
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidate_fit import (
@@ -46,7 +46,7 @@ def made(values: list[float], covariance: Array, block_gains: Array) -> Fit:
 class TestFit:
     def test_it_is_least_squares(self) -> None:
         columns, seen = drawn(0)
-        found = fitted(evidence_of(columns, seen), 0, 1, 2)
+        found = fitted(score_statistics_of(columns, seen), 0, 1, 2)
         flat = columns.reshape(-1, 3)
         expected, rest = np.linalg.lstsq(flat, seen.ravel())[:2]
         np.testing.assert_allclose(found.values, expected, rtol=1e-10)
@@ -57,13 +57,15 @@ class TestFit:
     def test_columns_of_other_size_change_nothing_but_their_units(self) -> None:
         columns, seen = drawn(0)
         units = np.array([1e-4, 1.0, 1e3])
-        plain, other = (fitted(evidence_of(columns * unit, seen), 0, 1, 2) for unit in (np.ones(3), units))
+        plain, other = (
+            fitted(score_statistics_of(columns * unit, seen), 0, 1, 2) for unit in (np.ones(3), units)
+        )
         np.testing.assert_allclose(other.values * units, plain.values, rtol=1e-9)
         np.testing.assert_allclose(other.covariance * np.outer(units, units), plain.covariance, rtol=1e-9)
         assert other.sigma == pytest.approx(plain.sigma) and other.gain == pytest.approx(plain.gain)
 
     def test_beside_what_is_given_only_the_rest_counts(self) -> None:
-        scores = evidence_of(*drawn(1))
+        scores = score_statistics_of(*drawn(1))
         every, alone = fitted(scores, 0, 1, 2), fitted(scores, 2)
         beside = fitted(scores, 0, 1, given=(2,))
         np.testing.assert_allclose(beside.values, every.values[:2], rtol=1e-10)
@@ -75,14 +77,14 @@ class TestFit:
         rng = np.random.default_rng(2)
         cause = rng.normal(size=(BLOCKS, EACH))
         columns = np.stack([cause, cause + 0.3 * rng.normal(size=cause.shape)], axis=2)
-        scores = evidence_of(columns, 2.0 * cause + rng.normal(size=cause.shape))
+        scores = score_statistics_of(columns, 2.0 * cause + rng.normal(size=cause.shape))
         assert fitted(scores, 1).sigma > 10.0
         assert fitted(scores, 1, given=(0,)).sigma < 3.0 and fitted(scores, 0, given=(1,)).sigma > 5.0
 
     def test_what_is_not_excited_is_left_out(self) -> None:
         columns, seen = drawn(3)
         columns[:, :, 1] = 0.0
-        scores = evidence_of(columns, seen)
+        scores = score_statistics_of(columns, seen)
         found, rest = fitted(scores, 0, 1, 2), fitted(scores, 0, 2)
         assert found.columns.tolist() == [0, 2]
         np.testing.assert_allclose(found.values, rest.values)
@@ -96,20 +98,20 @@ class TestFit:
         for part, is_fitted in ((10.0, True), (0.1, False)):
             columns[:, :, 0] *= math.sqrt(part * NOT_EXCITED) / size
             size = math.sqrt(part * NOT_EXCITED)
-            assert (fit(evidence_of(columns, seen), np.array([0])) is not None) == is_fitted
+            assert (fit(score_statistics_of(columns, seen), np.array([0])) is not None) == is_fitted
 
     def test_the_same_column_twice_cannot_be_fitted(self) -> None:
         columns, seen = drawn(4)
         columns[:, :, 1] = -2.0 * columns[:, :, 0]
-        scores = evidence_of(columns, seen)
+        scores = score_statistics_of(columns, seen)
         assert fit(scores, np.array([0, 1])) is None
         assert fit(scores, np.array([0]), given=np.array([1])) is None
 
     def test_the_first_half_is_that_of_the_blocks(self) -> None:
         columns, seen = drawn(5, blocks=7)
-        half = evidence_of(columns, seen).first_half()
+        half = score_statistics_of(columns, seen).first_half()
         np.testing.assert_allclose(
-            fitted(half, 0, 1, 2).values, fitted(evidence_of(columns[:4], seen[:4]), 0, 1, 2).values
+            fitted(half, 0, 1, 2).values, fitted(score_statistics_of(columns[:4], seen[:4]), 0, 1, 2).values
         )
 
 
@@ -120,7 +122,7 @@ class TestCovariance:
         cautious = set()
         for seed in range(20):
             columns, seen = drawn(seed, blocks=blocks)
-            found = fitted(evidence_of(columns, seen), 0)
+            found = fitted(score_statistics_of(columns, seen), 0)
             x, total = columns[:, :, 0], float(np.sum(columns[:, :, 0] ** 2))
             share = (x**2).sum(axis=1) / total
             scores = (x * (seen - x * found.values[0])).sum(axis=1) / (1.0 - MAX_LEVERAGE * share)
@@ -138,7 +140,7 @@ class TestCovariance:
     def test_it_holds_when_the_noise_is_larger_than_said(self, noise: float) -> None:
         off = []
         for seed in range(150):
-            found = fitted(evidence_of(*drawn(seed, noise)), 0, 1, 2)
+            found = fitted(score_statistics_of(*drawn(seed, noise)), 0, 1, 2)
             off.append((found.values - TRUE) / np.sqrt(np.diagonal(found.covariance)))
         assert 0.6 < float(np.sqrt(np.mean(np.square(off)))) < 1.15
 
@@ -149,7 +151,7 @@ class TestCovariance:
             column, level = (np.convolve(rng.normal(size=BLOCKS + 2), np.ones(3), 'valid') for _ in range(2))
             order = rng.permutation(BLOCKS)
             in_time, shuffled = (
-                fitted(evidence_of(column[o, None, None], 5.0 * level[o, None]), 0).covariance[0, 0]
+                fitted(score_statistics_of(column[o, None, None], 5.0 * level[o, None]), 0).covariance[0, 0]
                 for o in (np.arange(BLOCKS), order)
             )
             wider.append(math.sqrt(in_time / shuffled))
@@ -160,7 +162,7 @@ class TestCovariance:
         for _ in range(50):
             columns = rng.normal(size=(5, 40, 2))
             columns[np.arange(5) != 2, :, 0] = 0.0
-            scores = evidence_of(columns, columns @ [3.0, -1.0] + rng.normal(size=(5, 40)))
+            scores = score_statistics_of(columns, columns @ [3.0, -1.0] + rng.normal(size=(5, 40)))
             found = fitted(scores, 0, 1)
             assert np.isfinite(found.sigma)
             np.testing.assert_allclose(found.values, [3.0, -1.0], atol=0.6)
@@ -200,7 +202,7 @@ class TestSignificance:
         for _ in range(400):
             columns = rng.normal(size=(BLOCKS, EACH, 2))
             p_values.append(
-                fitted(evidence_of(columns, noise * rng.normal(size=(BLOCKS, EACH))), 0, 1).p_value
+                fitted(score_statistics_of(columns, noise * rng.normal(size=(BLOCKS, EACH))), 0, 1).p_value
             )
         assert 0.01 < np.mean(np.array(p_values) < 0.1) < 0.15
 
@@ -227,7 +229,7 @@ class TestSignificance:
     def test_how_alike_two_effects_are(self) -> None:
         """The largest canonical correlation: of one column each, the cosine between them."""
         columns, seen = drawn(8)
-        scores = evidence_of(columns, seen)
+        scores = score_statistics_of(columns, seen)
         first, second, third = columns.reshape(-1, 3).T
         cosine = abs(first @ second) / math.sqrt((first @ first) * (second @ second))
         assert correlation(scores, np.array([0]), np.array([1])) == pytest.approx(cosine)
@@ -237,7 +239,7 @@ class TestSignificance:
         )
         assert correlation(scores, np.array([1, 2]), np.array([2])) == pytest.approx(1.0)
         columns[:, :, 1] = 0.0
-        assert correlation(evidence_of(columns, seen), np.array([0]), np.array([1])) == 0.0
+        assert correlation(score_statistics_of(columns, seen), np.array([0]), np.array([1])) == 0.0
 
     def test_one_explanation_is_preferred_by_mean_over_scatter(self) -> None:
         gains = np.array([1.0, 3.0, 2.0, 2.0])

@@ -1,4 +1,4 @@
-"""Results appear whole or not at all, and no file of the user's is lost."""
+"""Results appear completely or not at all, and no file of the user is lost."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_text_is_written_with_its_parent_folders(tmp_path: Path) -> None:
     assert [item.name for item in (tmp_path / 'a').iterdir()] == ['b.yaml']
 
 
-def test_text_replaces_a_file_only_when_told_to(tmp_path: Path) -> None:
+def test_text_replaces_a_file_only_with_overwrite(tmp_path: Path) -> None:
     file = tmp_path / 'b.yaml'
     file.write_text('old')
     with pytest.raises(GyrocalError, match='exists already'):
@@ -27,7 +27,7 @@ def test_text_replaces_a_file_only_when_told_to(tmp_path: Path) -> None:
     assert file.read_text() == 'new'
 
 
-def test_text_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
     with pytest.raises(GyrocalError, match='cannot be written'):
         write_text_atomic(tmp_path / 'file' / 'b.yaml', 'new')
@@ -36,7 +36,7 @@ def test_text_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     assert [item.name for item in tmp_path.iterdir()] == ['file']
 
 
-def test_folder_appears_when_complete(tmp_path: Path) -> None:
+def test_a_folder_appears_when_complete(tmp_path: Path) -> None:
     target = tmp_path / 'runs' / 'one'
     with new_folder(target) as folder:
         (folder / 'figures').mkdir()
@@ -47,14 +47,14 @@ def test_folder_appears_when_complete(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('failure', [RuntimeError, KeyboardInterrupt])
-def test_folder_vanishes_on_failure(tmp_path: Path, failure: type[BaseException]) -> None:
+def test_a_folder_is_removed_on_failure(tmp_path: Path, failure: type[BaseException]) -> None:
     with pytest.raises(failure), new_folder(tmp_path / 'out') as folder:
         (folder / 'half').write_text('half')
         raise failure
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folder_with_files_is_refused_before_the_work_starts(tmp_path: Path) -> None:
+def test_a_folder_with_files_is_refused_before_the_work_starts(tmp_path: Path) -> None:
     (tmp_path / 'mine.txt').write_text('mine')
     with pytest.raises(GyrocalError, match='not empty'), new_folder(tmp_path):
         pytest.fail('the block must not be entered')
@@ -62,7 +62,7 @@ def test_folder_with_files_is_refused_before_the_work_starts(tmp_path: Path) -> 
         pytest.fail('the block must not be entered')
 
 
-def test_overwriting_replaces_files_of_the_same_name_alone(tmp_path: Path) -> None:
+def test_overwriting_replaces_only_files_of_the_same_name(tmp_path: Path) -> None:
     target = tmp_path / 'out'
     target.mkdir()
     (target / 'mine.txt').write_text('mine')
@@ -98,7 +98,7 @@ def test_an_empty_folder_may_be_filled(tmp_path: Path) -> None:
     ],
     ids=['checkout', 'pip', 'colcon'],
 )
-def test_shipped_files_are_found_however_the_package_is_installed(
+def test_installed_files_are_found_for_each_kind_of_installation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str, share: str
 ) -> None:
     (tmp_path / package).mkdir(parents=True)

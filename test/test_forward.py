@@ -181,7 +181,7 @@ def test_a_signal_counts_from_its_mean() -> None:
         ('gyro_lag', (0.01, 0.02), 'gyro_lag: needs 1 values, not 2'),
         ('covariate_bias:fan_sped.data', (1.0,), "did you mean 'fan_speed.data'"),
         ('gyro_lag', (-0.01,), 'gyro_lag: cannot be -0.01'),
-        ('scale_cubic', (3.0,), 'so strong'),
+        ('scale_cubic', (3.0,), 'too strong'),
     ],
 )
 def test_what_cannot_be_hidden_is_refused(name: str, values: tuple[float, ...], message: str) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from recordings import Changed, recording, with_clock_step
+from recordings import ModifiedSource, recording, with_clock_step
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Frame, Measurement, Rig, Source, Span, nanoseconds
@@ -115,5 +115,5 @@ class TestImages:
         assert off < 0.1 * direct.history.std[-1, 9]
 
     def test_where_the_clock_steps_they_stay_images(self, filmed: Source) -> None:
-        stepped = Changed(filmed, with_clock_step(30.0, 0.5 * FILMED_S))
+        stepped = ModifiedSource(filmed, with_clock_step(30.0, 0.5 * FILMED_S))
         assert preload(stepped, Config(), default_model()) == (stepped, Config())

@@ -66,7 +66,7 @@ def test_the_sample_bag_in_the_order_of_recording_gives_what_its_replay_gives() 
             elif name.endswith('features'):
                 new.run([topics.features(message)])
             elif name.strip('/') in (Role.IMU, Role.WHEELS, Role.TEMPERATURE):
-                new.run([topics.flat_message(Role(name.strip('/')), kind).value(message)])
+                new.run([topics.field_conversion(Role(name.strip('/')), kind).value(message)])
             last_ns = max(last_ns, topics.stamp_ns(message) if hasattr(message, 'header') else 0)
             if last_ns > end_ns:
                 break
@@ -136,7 +136,7 @@ def test_without_transforms_the_settings_say_how_the_camera_sits() -> None:
     new.run(measured())
     new.live.close()
     assert new.live.calibration.scale_factor == pytest.approx(replayed().scale_factor, abs=1e-4)
-    assert new.said(f'no transform says how {CAMERA_FRAME} sits on base_link; the settings do')
+    assert new.said(f'no transform from base_link to {CAMERA_FRAME}; the mounting in the settings is used')
 
 
 @pytest.mark.parametrize('by_transform', [True, False])

@@ -1,4 +1,4 @@
-"""Samples gathered and cut into blocks: nothing lost, nothing counted twice, gaps known."""
+"""Samples are buffered and cut into blocks: nothing is lost or counted twice, and gaps are reported."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ def test_edges_are_interpolated() -> None:
     np.testing.assert_array_equal(block.distance_m, [0.0, 0.0])
 
 
-def test_blocks_share_out_the_whole_turn_and_the_whole_way() -> None:
-    """Whatever the times of samples and cuts: the trapezoids of the gyro, the steps of the wheels."""
+def test_blocks_partition_the_whole_turn_and_the_whole_distance() -> None:
+    """Check trapezoids of the gyro and steps of the wheels for random sample times and cuts."""
     rng = np.random.default_rng(3)
     imu_s = np.cumsum(rng.integers(2_000_000, 20_000_000, 400)) * 1e-9
     rates = rng.normal(size=400)
@@ -120,7 +120,7 @@ def test_time_counts_from_the_first_imu_sample() -> None:
     assert buffer.running_s(at(0.6)) == pytest.approx(0.6)
 
 
-def test_time_goes_on_from_an_earlier_time_base() -> None:
+def test_time_continues_from_an_earlier_time_base() -> None:
     buffer = MotionBuffer(running_s=40.0)
     assert buffer.running_s(at(0.0)) == 40.0
     buffer.add(imu(0.0))
@@ -128,28 +128,28 @@ def test_time_goes_on_from_an_earlier_time_base() -> None:
     np.testing.assert_allclose(buffer.cut(at(0.0), at(0.1)).time_s, [40.05])
 
 
-# --- what is missing ----------------------------------------------------------------------------
+# --- gaps ---------------------------------------------------------------------------------------
 
 
 def gaps(buffer: MotionBuffer, cuts_s: list[float]) -> list[float]:
     return [buffer.cut(at(start), at(end)).gap_s for start, end in zip(cuts_s[:-1], cuts_s[1:], strict=True)]
 
 
-def test_a_gap_is_counted_in_the_blocks_it_lies_in() -> None:
+def test_a_gap_is_counted_in_the_blocks_that_it_overlaps() -> None:
     buffer = MotionBuffer()
     for time_s in (*np.arange(0.0, 0.3, 0.01), *np.arange(0.55, 0.8, 0.01)):
         buffer.add(imu(float(time_s)))
     assert gaps(buffer, [0.0, 0.2, 0.4, 0.5, 0.7]) == pytest.approx([0.0, 0.11, 0.1, 0.05], abs=1e-9)
 
 
-def test_slow_samples_are_no_gap() -> None:
+def test_slow_samples_are_not_a_gap() -> None:
     buffer = MotionBuffer()
     for i in range(6):
         buffer.add(imu(i * seconds(GAP_NS)))
     assert gaps(buffer, [0.0, 0.25, 0.5]) == [0.0, 0.0]
 
 
-def test_a_hole_leaves_less_doubt_than_a_gap() -> None:
+def test_a_short_hole_counts_less_than_a_gap() -> None:
     buffer = MotionBuffer()
     for i in range(121):
         if not 60 < i < 70:
@@ -158,7 +158,7 @@ def test_a_hole_leaves_less_doubt_than_a_gap() -> None:
     assert gaps(buffer, [0.0, 0.25, 0.32, 0.5]) == pytest.approx([0.0, 0.02 * hole_s, 0.03 * hole_s])
 
 
-def test_holes_are_known_while_most_samples_are_lost() -> None:
+def test_holes_are_counted_while_most_samples_are_lost() -> None:
     rng = np.random.default_rng(0)
     buffer = MotionBuffer()
     times_s = [i / 200.0 for i in range(6001) if i < 200 or rng.random() < 0.2 or i == 6000]
@@ -166,9 +166,9 @@ def test_holes_are_known_while_most_samples_are_lost() -> None:
         buffer.add(imu(time_s))
     holes = [b - a for a, b in pairwise(times_s) if 0.021 < b - a <= seconds(GAP_NS)]
     wide = [b - a for a, b in pairwise(times_s) if b - a > seconds(GAP_NS)]
-    gyro_valid_s = buffer.cut(at(0.0), at(30.0)).gap_s
-    assert gyro_valid_s == pytest.approx(sum(wide) + sum(np.square(holes)), rel=0.1)
-    assert gyro_valid_s > 0.3
+    gap_s = buffer.cut(at(0.0), at(30.0)).gap_s
+    assert gap_s == pytest.approx(sum(wide) + sum(np.square(holes)), rel=0.1)
+    assert gap_s > 0.3
 
 
 def test_time_beyond_the_last_sample_is_a_gap() -> None:
@@ -180,7 +180,7 @@ def test_time_beyond_the_last_sample_is_a_gap() -> None:
     assert buffer.cut(at(0.5), at(0.6)).gap_s == pytest.approx(0.1)
 
 
-def test_blocks_wait_for_the_wheels_but_not_for_ever() -> None:
+def test_blocks_wait_for_the_wheels_until_a_timeout() -> None:
     buffer = MotionBuffer()
     assert buffer.covered_until_ns() is None
     buffer.add(wheels(0.0))
@@ -193,7 +193,7 @@ def test_blocks_wait_for_the_wheels_but_not_for_ever() -> None:
     assert buffer.covered_until_ns() == at(0.9) - WHEEL_PATIENCE_NS
 
 
-def test_without_wheels_blocks_wait_for_nothing() -> None:
+def test_blocks_do_not_wait_without_wheels() -> None:
     buffer = MotionBuffer()
     buffer.add(imu(0.0))
     buffer.add(imu(0.1))
@@ -210,7 +210,7 @@ def rests(buffer: MotionBuffer, cuts_s: list[float]) -> list[bool]:
 
 @pytest.mark.parametrize('moving', [{'speed': 0.01}, {'speed': -0.01}, {'yaw_rate': 0.01}])
 def test_rest_ends_with_the_interval_of_the_first_motion(moving: dict[str, float]) -> None:
-    """The reading at 0.34 s speaks of the motion since 0.32 s."""
+    """Check the interval of a reading: that at 0.34 s is the mean since 0.32 s."""
     buffer = MotionBuffer()
     for i in range(101):
         buffer.add(imu(i * 0.01))
@@ -227,13 +227,13 @@ def test_no_rest_without_wheels() -> None:
     assert rests(buffer, [0.0, 0.5, 1.0]) == [False, False]
 
 
-def test_no_rest_where_the_wheels_are_not_known() -> None:
+def test_no_rest_while_the_wheels_are_unknown() -> None:
     buffer = filled(1.0, wheel_hz=10)
     buffer.add(imu(1.5))
     assert rests(buffer, [0.0, 0.5, 1.0, 1.2]) == [True, True, False]
 
 
-# --- slow signals, and samples that make no sense -----------------------------------------------
+# --- slow signals, and invalid samples ----------------------------------------------------------
 
 
 def with_temperature(buffer: MotionBuffer, samples: list[tuple[float, float]]) -> MotionBlock:
@@ -250,12 +250,12 @@ def test_slow_signals_are_linear_between_samples_and_constant_outside() -> None:
     np.testing.assert_allclose(block.covariates['fan.data'], 10.0 * expected, atol=1e-6)
 
 
-def test_one_sample_holds_everywhere() -> None:
+def test_one_sample_is_used_everywhere() -> None:
     block = with_temperature(filled(), [(0.2, 20.0)])
     np.testing.assert_array_equal(block.temperature_c, 20.0)
 
 
-def test_a_temperature_that_is_not_recorded_is_not_a_number() -> None:
+def test_an_unrecorded_temperature_is_nan() -> None:
     assert np.isnan(filled().cut(at(0.0), at(1.0)).temperature_c).all()
 
 

@@ -1,4 +1,4 @@
-"""What the calibrator puts out, as messages."""
+"""Messages of the calibrator's outputs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gyrocal_ros.robot.odom_parent import HELD_BACK_S, LISTENING_S, OdomParentGu
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MAKE = MessageMaker(STORE.types.__getitem__)
 T_NS = 1_700_000_000_123_456_789
-PLACE = OdometryEstimate(
+ESTIMATE = OdometryEstimate(
     t_ns=T_NS,
     position_m=(1.0, 2.0, 0.1),
     euler_rad=(0.01, -0.02, 3.5),
@@ -32,8 +32,8 @@ PLACE = OdometryEstimate(
 )
 
 
-def wired(message: Any) -> Any:
-    """The message after it has been sent: whatever does not fit its type fails."""
+def round_trip(message: Any) -> Any:
+    """Serialise and deserialise a message, which fails if a value does not fit its type."""
     name = message.__msgtype__
     return STORE.deserialize_cdr(STORE.serialize_cdr(message, name), name)
 
@@ -48,7 +48,7 @@ def test_calibrated_imu() -> None:
     covariance = np.diag([1e-4, 2e-4, 3e-4])
     rates, forces = (0.1, 0.2, 0.3), (0.0, 0.1, 9.8)
     sample = CalibratedSample(T_NS, rates, (1e-6, 2e-6, 3e-6), forces, (0.0, 0.0, 1.0), covariance)
-    message = wired(outputs.calibrated_imu(MAKE, sample, 'base_link'))
+    message = round_trip(outputs.calibrated_imu(MAKE, sample, 'base_link'))
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == divmod(T_NS, 10**9)
     assert message.header.frame_id == 'base_link'
     assert message.orientation.z == pytest.approx(math.sin(0.5))
@@ -58,13 +58,13 @@ def test_calibrated_imu() -> None:
     assert message.linear_acceleration.z == 9.8
 
 
-def test_whereabouts() -> None:
-    message = wired(outputs.whereabouts(MAKE, PLACE, 'map', 'base_link'))
+def test_odometry_estimate() -> None:
+    message = round_trip(outputs.odometry_estimate(MAKE, ESTIMATE, 'map', 'base_link'))
     assert (message.header.frame_id, message.child_frame_id) == ('map', 'base_link')
     mount = body_pose(message)
-    np.testing.assert_allclose(mount.p_bs, PLACE.position_m)
-    np.testing.assert_allclose(mount.R_bs, rotation_from_euler(np.array(PLACE.euler_rad)), atol=1e-12)
-    assert message.pose.covariance.tolist() == PLACE.pose_covariance.ravel().tolist()
+    np.testing.assert_allclose(mount.p_bs, ESTIMATE.position_m)
+    np.testing.assert_allclose(mount.R_bs, rotation_from_euler(np.array(ESTIMATE.euler_rad)), atol=1e-12)
+    assert message.pose.covariance.tolist() == ESTIMATE.pose_covariance.ravel().tolist()
     assert message.twist.twist.linear.x == 0.3
     assert np.diagonal(message.twist.covariance.reshape(6, 6)).tolist() == [
         1e-4,
@@ -76,14 +76,14 @@ def test_whereabouts() -> None:
     ]
 
 
-def test_map_to_odom_brings_the_body_where_it_is_in_the_map() -> None:
+def test_map_to_odom_maps_the_body_in_odom_to_the_body_in_the_map() -> None:
     in_odom = Mount(rotation_from_euler(np.array([0.0, 0.0, -1.0])), np.array([4.0, -3.0, 0.0]))
-    link = outputs.map_to_odom(PLACE, in_odom, 'map', 'odom')
-    [found] = transforms(wired(transform(MAKE, T_NS, link)))
+    link = outputs.map_to_odom(ESTIMATE, in_odom, 'map', 'odom')
+    [found] = transforms(round_trip(transform(MAKE, T_NS, link)))
     assert (found.parent, found.child) == ('map', 'odom')
-    np.testing.assert_allclose(found.mount.R_bs @ in_odom.p_bs + found.mount.p_bs, PLACE.position_m)
+    np.testing.assert_allclose(found.mount.R_bs @ in_odom.p_bs + found.mount.p_bs, ESTIMATE.position_m)
     np.testing.assert_allclose(
-        found.mount.R_bs @ in_odom.R_bs, rotation_from_euler(np.array(PLACE.euler_rad)), atol=1e-12
+        found.mount.R_bs @ in_odom.R_bs, rotation_from_euler(np.array(ESTIMATE.euler_rad)), atol=1e-12
     )
 
 
@@ -97,7 +97,9 @@ def test_ceiling_map() -> None:
     roots = rng.normal(size=(3, 3, 3)) * 0.1
     covariances = roots @ roots.transpose(0, 2, 1)
     ids = np.array([3, 7, 2**32 - 1])
-    message = wired(outputs.ceiling_map(MAKE, T_NS, 'map', ids, rng.normal(size=(3, 3)), covariances, [5]))
+    message = round_trip(
+        outputs.ceiling_map(MAKE, T_NS, 'map', ids, rng.normal(size=(3, 3)), covariances, [5])
+    )
     assert [marker.id for marker in message.markers] == [3, 7, -1, 5]
     assert [marker.action for marker in message.markers] == [outputs.ADD] * 3 + [outputs.DELETE]
     for marker, covariance in zip(message.markers, covariances, strict=False):
@@ -105,19 +107,19 @@ def test_ceiling_map() -> None:
         R = rotation_from_quaternion(q.x, q.y, q.z, q.w)
         assert np.linalg.det(R) == pytest.approx(1.0)
         half = np.array([marker.scale.x, marker.scale.y, marker.scale.z]) / 2.0
-        sizes = np.sqrt(np.maximum(np.diagonal(R.T @ covariance @ R), (outputs.SMALLEST_M / 2.0) ** 2))
+        sizes = np.sqrt(np.maximum(np.diagonal(R.T @ covariance @ R), (outputs.MIN_DIAMETER_M / 2.0) ** 2))
         np.testing.assert_allclose(half, sizes, rtol=1e-6)
 
 
 def test_parameter_event() -> None:
-    values: dict[str, outputs.Value] = {
+    values: dict[str, outputs.ParameterValue] = {
         'a': True,
         'b': 0.5,
         'c': 'text',
         'd': ['one', 'two'],
         'e': [1.0, 2.0],
     }
-    message = wired(outputs.parameter_event(MAKE, T_NS, '/calibrator', values))
+    message = round_trip(outputs.parameter_event(MAKE, T_NS, '/calibrator', values))
     found = {item.name: item.value for item in message.changed_parameters}
     assert message.node == '/calibrator'
     assert [found[name].type for name in values] == [1, 3, 4, 9, 8]
@@ -129,13 +131,13 @@ def test_parameter_event() -> None:
 # --- the parent of odom ---------------------------------------------------------------------------
 
 
-def test_nothing_is_sent_before_it_was_listened() -> None:
+def test_no_transform_is_sent_before_the_listening_time_has_passed() -> None:
     parents = OdomParentGuard(100.0)
     assert not parents.may_send(100.0 + LISTENING_S / 2.0)
     assert parents.may_send(100.0 + LISTENING_S)
 
 
-def test_ones_own_transforms_are_no_others() -> None:
+def test_own_transforms_are_not_mistaken_for_those_of_others() -> None:
     parents = OdomParentGuard(0.0)
     parents.sent('map', 1)
     parents.heard('map', 1, 5.0)
@@ -144,7 +146,7 @@ def test_ones_own_transforms_are_no_others() -> None:
 
 
 @pytest.mark.parametrize('parent', ['map', 'world'])
-def test_another_parent_holds_ours_back_while_it_lasts(parent: str) -> None:
+def test_no_transform_is_sent_while_another_parent_is_published(parent: str) -> None:
     parents = OdomParentGuard(0.0)
     parents.sent('map', 1)
     parents.heard(parent, 2, 5.0)
@@ -153,7 +155,7 @@ def test_another_parent_holds_ours_back_while_it_lasts(parent: str) -> None:
     assert parents.may_send(5.0 + HELD_BACK_S)
 
 
-def test_a_static_parent_lasts() -> None:
+def test_another_static_parent_counts_forever() -> None:
     parents = OdomParentGuard(0.0)
     parents.heard('world', 2, 5.0, is_static=True)
     assert not parents.may_send(1e6)

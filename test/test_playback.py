@@ -1,9 +1,9 @@
-"""A recording as it is sent to running nodes."""
+"""Playback of a recording to running nodes."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -11,15 +11,17 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from small_bags import RIG, START_NS, drive
 
-from gyrocal_ros.bag.playback import Kind, Playback, Track
-from gyrocal_ros.bag.selection import TopicChoice, select_topics
+from gyrocal_ros.bag.playback import Playback, PlayedTopic, PublishMode
+from gyrocal_ros.bag.selection import TopicOptions, select_topics
 from gyrocal_ros.bag.storage import open_storage, ros_types
 from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.data import FeatureObservations, Frame, seconds
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.topics import Role
 
-CHOICE = TopicChoice()
+DEFAULT = TopicOptions()
+Sent: TypeAlias = tuple[int, PlayedTopic, bytes]
+"""Time of recording (ns), topic and content."""
 
 
 def write(path: Path, *, images: bool = False, namespace: str = '') -> Path:
@@ -32,16 +34,16 @@ def write(path: Path, *, images: bool = False, namespace: str = '') -> Path:
     return path
 
 
-def played(path: Path, choice: TopicChoice = CHOICE) -> tuple[list[Track], list[tuple[int, Track, bytes]]]:
+def played(path: Path, options: TopicOptions = DEFAULT) -> tuple[list[PlayedTopic], list[Sent]]:
     with open_storage(path) as storage:
-        playback = Playback(storage, select_topics(storage.topics, choice))
-        latched = [(0, track, raw) for track, raw in playback.latched()]
-        return playback.tracks, [*latched, *playback.messages()]
+        playback = Playback(storage, select_topics(storage.topics, options))
+        latched = [(0, topic, raw) for topic, raw in playback.latched_messages()]
+        return playback.topics, [*latched, *playback.messages()]
 
 
-def test_all_of_a_robot_is_played_under_the_names_that_nodes_want(tmp_path: Path) -> None:
-    tracks, messages = played(write(tmp_path / 'bag', namespace='robot1'))
-    assert {track.name for track in tracks} == {
+def test_all_topics_of_a_robot_are_played_under_the_names_nodes_expect(tmp_path: Path) -> None:
+    played_topics, messages = played(write(tmp_path / 'bag', namespace='robot1'))
+    assert {topic.name for topic in played_topics} == {
         'imu/data_raw',
         'wheel/odometry',
         'imu/temperature',
@@ -50,17 +52,17 @@ def test_all_of_a_robot_is_played_under_the_names_that_nodes_want(tmp_path: Path
         'ground_truth/odometry',
         'battery_state',
     }
-    assert messages[0][1] == Track('/tf_static', topics.TRANSFORMS, Kind.LATCHED)
+    assert messages[0][1] == PlayedTopic('/tf_static', topics.TRANSFORMS, PublishMode.LATCHED)
     recorded_ns = [recorded for recorded, _, _ in messages[1:]]
     assert recorded_ns == sorted(recorded_ns)
     assert seconds(recorded_ns[-1] - recorded_ns[0]) == pytest.approx(2.0, abs=0.1)
 
 
-def test_what_is_sent_is_what_was_recorded(tmp_path: Path) -> None:
+def test_sent_messages_equal_the_recorded_ones(tmp_path: Path) -> None:
     _, messages = played(write(tmp_path / 'bag'))
     types = ros_types()
     sent: list[Any] = [
-        types.deserialize_cdr(raw, track.type_name) for _, track, raw in messages if track.name == Role.IMU
+        types.deserialize_cdr(raw, topic.type_name) for _, topic, raw in messages if topic.name == Role.IMU
     ]
     assert [topics.stamp_ns(message) for message in sent][:2] == [START_NS, START_NS + 10_000_000]
     assert sent[0].linear_acceleration.z == 9.8
@@ -68,21 +70,21 @@ def test_what_is_sent_is_what_was_recorded(tmp_path: Path) -> None:
 
 def test_features_or_images_are_played_not_both(tmp_path: Path) -> None:
     path = write(tmp_path / 'bag', images=True)
-    names = [{track.name for track in played(path, TopicChoice(use_images=use))[0]} for use in (False, True)]
+    names = [{topic.name for topic in played(path, TopicOptions(use_images=use))[0]} for use in (False, True)]
     assert 'ceiling_camera/features' in names[0] and 'ceiling_camera/features' not in names[1]
     assert names[1] - names[0] == {'ceiling_camera/image_raw/compressed'}
 
 
-def test_the_calibration_of_the_camera_is_said_again(tmp_path: Path) -> None:
-    tracks, _ = played(write(tmp_path / 'bag', images=True), TopicChoice(use_images=True))
-    assert {track.name for track in tracks if track.repeats} == {'ceiling_camera/camera_info'}
-    assert {track.name for track in tracks if track.kind is Kind.IMAGE} == {
+def test_the_calibration_of_the_camera_is_repeated(tmp_path: Path) -> None:
+    played_topics, _ = played(write(tmp_path / 'bag', images=True), TopicOptions(use_images=True))
+    assert {topic.name for topic in played_topics if topic.repeats} == {'ceiling_camera/camera_info'}
+    assert {topic.name for topic in played_topics if topic.mode is PublishMode.IMAGE} == {
         'ceiling_camera/image_raw/compressed'
     }
 
 
 def as_ros1(path: Path, bag: Path) -> Path:
-    """The same recording as a ROS 1 bag, and a word of a node about itself in it."""
+    """Convert a recording to a ROS 1 bag, with a log message added."""
     types, old_types = ros_types(), get_typestore(Stores.ROS1_NOETIC)
     old_types.register(get_types_from_msg('geometry_msgs/TransformStamped[] transforms', topics.TRANSFORMS))
     with rosbag2.Reader(path) as reader, rosbag1.Writer(bag) as writer:
@@ -90,26 +92,26 @@ def as_ros1(path: Path, bag: Path) -> Path:
             item.id: writer.add_connection(item.topic, item.msgtype, typestore=old_types)
             for item in reader.connections
         }
-        word = writer.add_connection('/rosout', 'rosgraph_msgs/msg/Log', typestore=old_types)
-        said = old_types.types['rosgraph_msgs/msg/Log']
+        log = writer.add_connection('/rosout', 'rosgraph_msgs/msg/Log', typestore=old_types)
+        log_type = old_types.types['rosgraph_msgs/msg/Log']
         header = old_types.types['std_msgs/msg/Header'](
             0, types.types['builtin_interfaces/msg/Time'](1, 2), ''
         )
-        message = said(header, 1, 'node', 'hello', 'file', 'function', 3, [])
-        writer.write(word, START_NS, old_types.serialize_ros1(message, 'rosgraph_msgs/msg/Log'))
+        message = log_type(header, 1, 'node', 'hello', 'file', 'function', 3, [])
+        writer.write(log, START_NS, old_types.serialize_ros1(message, 'rosgraph_msgs/msg/Log'))
         for item, recorded_ns, raw in reader.messages():
             writer.write(connections[item.id], recorded_ns, types.cdr_to_ros1(raw, item.msgtype))
     return bag
 
 
-def test_a_recording_of_ros_1_is_sent_as_ros_2_does(tmp_path: Path) -> None:
+def test_a_recording_of_ros_1_is_sent_as_ros_2_messages(tmp_path: Path) -> None:
     path = write(tmp_path / 'bag')
-    tracks, messages = played(path)
-    old_tracks, old_messages = played(as_ros1(path, tmp_path / 'old.bag'))
-    assert {track.name for track in old_tracks} == {track.name for track in tracks}
+    played_topics, messages = played(path)
+    old_topics, old_messages = played(as_ros1(path, tmp_path / 'old.bag'))
+    assert {topic.name for topic in old_topics} == {topic.name for topic in played_topics}
     types = ros_types()
-    by_track = [{track: raw for _, track, raw in some} for some in (old_messages, messages)]
-    assert by_track[0].keys() == by_track[1].keys()
-    for track, raw in by_track[1].items():
-        old, new = (types.deserialize_cdr(item, track.type_name) for item in (by_track[0][track], raw))
-        assert repr(old) == repr(new), track.name
+    last_old, last = ({topic: raw for _, topic, raw in sent} for sent in (old_messages, messages))
+    assert last_old.keys() == last.keys()
+    for topic, raw in last.items():
+        old, new = (types.deserialize_cdr(item, topic.type_name) for item in (last_old[topic], raw))
+        assert repr(old) == repr(new), topic.name

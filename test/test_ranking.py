@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from synthetic import evidence_of
+from synthetic import score_statistics_of
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidate_fit import Fit, fit
@@ -56,7 +56,7 @@ def named(ranked: list[RankedEffect], name: str) -> RankedEffect:
 class TestRank:
     def test_the_one_that_explains_most_comes_first(self) -> None:
         columns, noise = independent(3)
-        ranked = rank(evidence_of(columns, columns @ [0.5, -2.0, 1.0] + noise, ONES[:3]))
+        ranked = rank(score_statistics_of(columns, columns @ [0.5, -2.0, 1.0] + noise, ONES[:3]))
         assert names(ranked) == ['scale_quadratic', 'scale_cubic', 'scale_asymmetry']
         assert all(ranked_effect.is_significant for ranked_effect in ranked)
         np.testing.assert_allclose([item.fit.values[0] for item in ranked], [-2.0, 1.0, 0.5], atol=0.2)
@@ -66,14 +66,14 @@ class TestRank:
         columns, noise = independent(2)
         seen = columns @ [0.5, 0.0] + 0.1 * noise
         seen[3] += 30.0 * columns[3, :, 1]
-        first, second = rank(evidence_of(columns, seen, ONES[:2]))
+        first, second = rank(score_statistics_of(columns, seen, ONES[:2]))
         assert names([first, second]) == ['scale_asymmetry', 'scale_quadratic']
         assert second.merit > first.merit and not second.is_significant
 
     def test_what_is_not_excited_is_no_suspect(self) -> None:
         columns, noise = independent(2)
         columns[:, :, 1] = 0.0
-        assert names(rank(evidence_of(columns, columns @ [0.5, 0.0] + noise, ONES[:2]))) == [
+        assert names(rank(score_statistics_of(columns, columns @ [0.5, 0.0] + noise, ONES[:2]))) == [
             'scale_asymmetry'
         ]
 
@@ -81,7 +81,7 @@ class TestRank:
         columns, noise = independent(3)
         effects = (find_effect('scale_asymmetry'), find_effect('cross_axis'))
         columns[:, :, 1] = columns[:, :, 0]
-        one, two = rank(evidence_of(columns, columns @ [1.0, 0.0, 0.0] + noise, effects))
+        one, two = rank(score_statistics_of(columns, columns @ [1.0, 0.0, 0.0] + noise, effects))
         assert names([one, two]) == ['scale_asymmetry', 'cross_axis']
         assert two.fit.gain > one.fit.gain, 'a further coefficient explains some of the noise'
         assert two.merit == pytest.approx(two.fit.gain - 2.0 * PRICE)
@@ -92,7 +92,7 @@ class TestRank:
         columns, noise = independent(1)
         usual = ONES[0].coefficients[0].prior_std
         columns *= size * 0.01 / usual
-        (found,) = rank(evidence_of(columns, noise, ONES[:1]))
+        (found,) = rank(score_statistics_of(columns, noise, ONES[:1]))
         assert found.could_show == could
 
     def test_the_best_variant_of_a_name_tells_the_time_constant(self) -> None:
@@ -102,7 +102,7 @@ class TestRank:
         columns[:, :, ::2] = -np.exp(-moments[:, :, None] / np.array(times_s))
         seen = -8.0 * np.exp(-moments / true_s) + rng.normal(size=moments.shape)
         effects = tuple(with_means(BiasWarmup(), (0.0, time_s)) for time_s in times_s)
-        scores = evidence_of(columns, seen, effects)
+        scores = score_statistics_of(columns, seen, effects)
         (found,) = rank(scores)
         assert found.effect.coefficients[1].prior_mean == 160.0 and found.profile is not None
         amplitude, time_s = estimate(found)
@@ -120,7 +120,7 @@ class TestBestExplanation:
         """Two causes, and a third column that looks like both together."""
         columns, noise = independent(3)
         columns[:, :, 2] = columns[:, :, 0] + columns[:, :, 1] + 0.2 * columns[:, :, 2]
-        return evidence_of(columns, columns[:, :, :2] @ sizes + noise, ONES[:3])
+        return score_statistics_of(columns, columns[:, :, :2] @ sizes + noise, ONES[:3])
 
     @pytest.mark.parametrize(
         ('sizes', 'stronger'), [((3.0, 2.0), 'scale_asymmetry'), ((2.0, 3.0), 'scale_quadratic')]
@@ -135,7 +135,7 @@ class TestBestExplanation:
     def test_one_that_explains_all_stays(self) -> None:
         columns, noise = independent(3)
         columns[:, :, 2] = columns[:, :, 0] + columns[:, :, 1] + 0.2 * columns[:, :, 2]
-        scores = evidence_of(columns, 2.0 * columns[:, :, 2] + noise, ONES[:3])
+        scores = score_statistics_of(columns, 2.0 * columns[:, :, 2] + noise, ONES[:3])
         best = best_explanation(rank(scores), scores, tried=())
         assert best is not None and best.effect.name == 'scale_cubic'
 
@@ -148,7 +148,7 @@ class TestBestExplanation:
     def test_chance_explains_nothing(self) -> None:
         for seed in range(20):
             columns, noise = independent(4, seed)
-            scores = evidence_of(columns, noise, ONES)
+            scores = score_statistics_of(columns, noise, ONES)
             assert best_explanation(rank(scores), scores, tried=()) is None
 
 
@@ -157,7 +157,7 @@ class TestTwins:
         """The second column is the first but for a part; the third stands for itself."""
         columns, noise = independent(3)
         columns[:, :, 1] = columns[:, :, 0] + closeness * columns[:, :, 1]
-        return evidence_of(columns, columns @ sizes + noise, ONES[:3])
+        return score_statistics_of(columns, columns @ sizes + noise, ONES[:3])
 
     def test_what_explains_nearly_as_much_could_be_meant(self) -> None:
         scores = self.alike(2.0, 0.0, 0.0, closeness=0.01)
@@ -178,7 +178,7 @@ class TestTwins:
         first, second = columns[:, :, 0].copy(), columns[:, :, 2].copy()
         columns[:, :, 1] = second + 0.01 * columns[:, :, 1]
         columns[:, :, 2] = second
-        scores = evidence_of(columns, 8.0 * first + second + noise, ONES[:3])
+        scores = score_statistics_of(columns, 8.0 * first + second + noise, ONES[:3])
         ranked = rank(scores)
         weak, twin = named(ranked, 'scale_cubic'), named(ranked, 'scale_quadratic')
         beside = named(ranked, 'scale_asymmetry').columns
@@ -188,7 +188,7 @@ class TestTwins:
     def test_what_the_other_findings_explain_alone_has_no_twins(self) -> None:
         columns, noise = independent(3)
         columns[:, :, 1] = columns[:, :, 0]
-        scores = evidence_of(columns, columns @ [1.0, 0.0, 0.0] + noise, ONES[:3])
+        scores = score_statistics_of(columns, columns @ [1.0, 0.0, 0.0] + noise, ONES[:3])
         ranked = rank(scores)
         found = named(ranked, 'scale_asymmetry')
         assert twins(found, ranked, scores, named(ranked, 'scale_quadratic').columns) == []
@@ -199,7 +199,7 @@ class TestWithEstimate:
         columns, noise = independent(1)
         columns *= 1000.0
         usual = ONES[0].coefficients[0].prior_std
-        scores = evidence_of(columns, 0.2 * usual * columns[:, :, 0] + noise, ONES[:1])
+        scores = score_statistics_of(columns, 0.2 * usual * columns[:, :, 0] + noise, ONES[:1])
         (ranked_effect,) = rank(scores)
         half = fit(scores.first_half(), np.array([0]))
         assert half is not None
@@ -218,7 +218,7 @@ class TestWithEstimate:
         columns, noise = independent(1)
         seen = columns[:, :, 0] * np.where(np.arange(BLOCKS) < BLOCKS // 2, 2.0, 0.5)[:, None] + 0.01 * noise
         wide = ScaleAsymmetry(coefficients=(Coefficient('c', '1', prior_std=100.0),))
-        scores = evidence_of(columns, seen, (wide,))
+        scores = score_statistics_of(columns, seen, (wide,))
         (ranked_effect,) = rank(scores)
         (item,) = with_estimate(ranked_effect, scores).coefficients
         assert item.prior_mean == pytest.approx(2.0, abs=0.05)
@@ -226,7 +226,7 @@ class TestWithEstimate:
 
     def test_it_is_never_more_doubtful_than_before(self) -> None:
         columns, noise = independent(1)
-        scores = evidence_of(columns, 2.0 * columns[:, :, 0] + noise, ONES[:1])
+        scores = score_statistics_of(columns, 2.0 * columns[:, :, 0] + noise, ONES[:1])
         (ranked_effect,) = rank(scores)
         assert (
             with_estimate(ranked_effect, scores).coefficients[0].prior_std
@@ -236,7 +236,7 @@ class TestWithEstimate:
     def test_what_the_first_half_does_not_show_begins_where_it_stood(self) -> None:
         columns, noise = independent(1)
         columns[: BLOCKS // 2] = 0.0
-        scores = evidence_of(columns, columns[:, :, 0] + noise, ONES[:1])
+        scores = score_statistics_of(columns, columns[:, :, 0] + noise, ONES[:1])
         (ranked_effect,) = rank(scores)
         assert ranked_effect.is_significant
         assert with_estimate(ranked_effect, scores) == ONES[0]
@@ -245,7 +245,7 @@ class TestWithEstimate:
         columns, noise = independent(4)
         columns[:, :, 1::2] = 0.0
         effects = tuple(with_means(BiasWarmup(), (0.0, time_s)) for time_s in (100.0, 200.0))
-        scores = evidence_of(columns, columns @ [2.0, 0.0, 0.0, 0.0] + noise, effects)
+        scores = score_statistics_of(columns, columns @ [2.0, 0.0, 0.0, 0.0] + noise, effects)
         (ranked_effect,) = rank(scores)
         assert ranked_effect.profile is not None
         amplitude, time_constant = with_estimate(ranked_effect, scores).coefficients

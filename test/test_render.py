@@ -1,3 +1,5 @@
+"""Rendered ceiling images: geometry, exposure, noise, blur and reproducibility."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -18,7 +20,7 @@ TEXEL_M = HEIGHT_M / (TEXELS_PER_PIXEL * 140.0)
 def dotted(
     dots_m: Array, size: int, height_m: float, base: float = 20.0, opacity: np.ndarray | None = None
 ) -> Layer:
-    """A layer with bell-shaped dots at known places."""
+    """Return a layer with Gaussian dots at known positions."""
     texel_m = TEXEL_M * height_m / HEIGHT_M
     origin = -0.5 * (size - 1) * texel_m
     rows, columns = np.mgrid[:size, :size]
@@ -48,9 +50,11 @@ def spread_dots(rng: np.random.Generator, extent_m: float) -> Array:
     )
 
 
-@pytest.mark.parametrize(('camera', 'most_px'), [(PINHOLE, 0.012), (CAMERA, 0.02)])
-def test_a_point_of_the_ceiling_lies_where_geometry_puts_it(camera: CameraIntrinsics, most_px: float) -> None:
-    """With a lens that bends, the middle of a dot that is not a point lies a little further inside."""
+@pytest.mark.parametrize(('camera', 'max_px'), [(PINHOLE, 0.012), (CAMERA, 0.02)])
+def test_a_point_of_the_ceiling_is_imaged_where_geometry_projects_it(
+    camera: CameraIntrinsics, max_px: float
+) -> None:
+    """Compare centroids; a distorted dot of finite size has its centroid slightly further inside."""
     rng = np.random.default_rng(0)
     dots_m = spread_dots(rng, 2.2)
     renderer = CeilingRenderer(camera, [dotted(dots_m, 900, HEIGHT_M)], vignetting=0.0)
@@ -62,12 +66,12 @@ def test_a_point_of_the_ceiling_lies_where_geometry_puts_it(camera: CameraIntrin
         inside = (pixels > 12).all(axis=1) & (pixels < [307, 227]).all(axis=1)
         errors = np.concatenate([errors, centroid_errors(renderer.render(R_wc, p_wc), pixels[inside], 20.0)])
     assert len(errors) > 200
-    assert np.abs(errors).max() < most_px  # of which rounding to whole grey levels makes 0.01
-    assert np.sqrt((errors**2).mean()) < 0.4 * most_px
+    assert np.abs(errors).max() < max_px  # rounding to whole grey levels contributes 0.01
+    assert np.sqrt((errors**2).mean()) < 0.4 * max_px
     assert np.abs(errors.mean(axis=0)).max() < 0.001
 
 
-def test_what_hangs_lower_shows_parallax_and_hides_the_ceiling() -> None:
+def test_a_lower_layer_has_parallax_and_occludes_the_ceiling() -> None:
     low_m = 1.8
     dot = np.array([[0.1, -0.05]])
     piece = dotted(dot, 150, low_m, 20.0, np.full((150, 150), OPAQUE, dtype=np.uint16))
@@ -82,7 +86,7 @@ def test_what_hangs_lower_shows_parallax_and_hides_the_ceiling() -> None:
     assert (renderer.render(np.eye(3), np.array([9.0, 9.0, 0.1])) == 200).all()
 
 
-def test_same_seed_same_bytes() -> None:
+def test_the_same_seed_yields_the_same_bytes() -> None:
     R_wc, p_wc = np.eye(3), np.array([0.3, 0.2, 0.1])
     one, again, other = (
         ceiling_renderer(CAMERA, seed).render(R_wc, p_wc, rng=np.random.default_rng(1)) for seed in (5, 5, 6)
@@ -111,7 +115,7 @@ def test_vignetting_darkens_the_corners(plain: CeilingRenderer) -> None:
     assert image[120, 160] == 100
 
 
-def test_read_noise_is_what_was_asked_for(plain: CeilingRenderer) -> None:
+def test_read_noise_has_the_requested_size(plain: CeilingRenderer) -> None:
     clean = plain.render(np.eye(3), np.zeros(3))
     noisy = plain.render(np.eye(3), np.zeros(3), rng=np.random.default_rng(3))
     difference = noisy.astype(float) - clean
@@ -119,7 +123,7 @@ def test_read_noise_is_what_was_asked_for(plain: CeilingRenderer) -> None:
     assert abs(difference.mean()) < 0.03
 
 
-def test_motion_blur_is_the_mean_of_what_was_seen_meanwhile() -> None:
+def test_motion_blur_is_the_mean_of_the_exposure() -> None:
     renderer = CeilingRenderer(CAMERA, [dotted(spread_dots(np.random.default_rng(1), 1.0), 500, HEIGHT_M)])
     poses = [
         (rotation_from_euler(np.array([0.0, 0.0, yaw])), np.array([0.0, 0.0, 0.1]))
@@ -131,7 +135,7 @@ def test_motion_blur_is_the_mean_of_what_was_seen_meanwhile() -> None:
     assert np.abs(blurred - renderer.render(*poses[1])).max() > 3.0
 
 
-def test_layers_come_from_high_to_low_and_are_smooth() -> None:
+def test_layers_are_sorted_from_high_to_low_and_are_smooth() -> None:
     layers = ceiling_layers(np.random.default_rng(2), HEIGHT_M, TEXEL_M, size_m=5.0, objects=4)
     heights = [layer.height_m for layer in layers]
     assert heights == sorted(heights, reverse=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 from recordings import recording
-from synthetic import DT_S, RIG, Drive, drive, evidence_of, readings, turning_rad_s
+from synthetic import DT_S, RIG, Drive, drive, readings, score_statistics_of, turning_rad_s
 
 from gyrocal_ros.data import (
     Array,
@@ -102,7 +102,9 @@ class Robot:
 
         lacking = {name: size for name, size in self.hidden.items() if name not in names}
         seen = noise + sum(size * columns(find_effect(name))[:, :, 0] for name, size in lacking.items())
-        return evidence_of(np.concatenate([columns(item) for item in candidates], axis=2), seen, candidates)
+        return score_statistics_of(
+            np.concatenate([columns(item) for item in candidates], axis=2), seen, candidates
+        )
 
 
 NOTHING_READ = readings(np.zeros(1000))

@@ -1,3 +1,5 @@
+"""The command `simulate` writes a bag of the simulated measurements."""
+
 from __future__ import annotations
 
 import hashlib
@@ -33,7 +35,7 @@ def digest(bag: Path) -> str:
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_the_bag_holds_what_the_simulator_measured(tmp_path: Path, storage: str) -> None:
+def test_the_bag_holds_the_measurements_of_the_simulator(tmp_path: Path, storage: str) -> None:
     assert simulate(tmp_path / 'bag', '--storage', storage) == 0
     bag, source = open_bag(tmp_path / 'bag', Config(), with_covariates=True), SimSource(CLEANING, 3)
     assert bag.rig.camera == source.rig.camera
@@ -44,9 +46,9 @@ def test_the_bag_holds_what_the_simulator_measured(tmp_path: Path, storage: str)
         assert [item for item in recorded if isinstance(item, kind)] == [
             item for item in measured if isinstance(item, kind)
         ]
-    seen = [item for item in recorded if isinstance(item, FeatureObservations)]
-    tracked = [item for item in measured if isinstance(item, FeatureObservations)]
-    for one, other in zip(seen, tracked, strict=True):
+    recorded_features = [item for item in recorded if isinstance(item, FeatureObservations)]
+    measured_features = [item for item in measured if isinstance(item, FeatureObservations)]
+    for one, other in zip(recorded_features, measured_features, strict=True):
         assert one.t_ns == other.t_ns
         np.testing.assert_array_equal(one.ids, other.ids)
         np.testing.assert_allclose(one.pixels, other.pixels, atol=1e-4)
@@ -65,8 +67,8 @@ def test_images_are_recorded_in_place_of_features(tmp_path: Path) -> None:
 
 
 def test_same_seed_same_bytes(tmp_path: Path) -> None:
-    for place in ('one', 'two'):
-        assert simulate(tmp_path / place / 'bag') == 0
+    for folder in ('one', 'two'):
+        assert simulate(tmp_path / folder / 'bag') == 0
     assert digest(tmp_path / 'one' / 'bag') == digest(tmp_path / 'two' / 'bag')
 
 
@@ -91,7 +93,7 @@ def test_bad_arguments_are_refused_in_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_bag_is_not_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bag_is_not_overwritten_by_default(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert simulate(tmp_path / 'bag') == 0
     before = digest(tmp_path / 'bag')
     assert simulate(tmp_path / 'bag', '--seed', '4') == 2
@@ -101,7 +103,7 @@ def test_a_bag_is_not_overwritten_unasked(tmp_path: Path, capsys: pytest.Capture
     assert digest(tmp_path / 'bag') != before
 
 
-def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_run_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(self: SimSource) -> None:
         raise KeyboardInterrupt
 

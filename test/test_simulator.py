@@ -1,3 +1,5 @@
+"""The simulator: repeatability, rates and the errors of each sensor."""
+
 from __future__ import annotations
 
 import itertools
@@ -56,7 +58,7 @@ def rates(source: SimSource) -> np.ndarray:
 # --- repeatability ------------------------------------------------------------------------------
 
 
-def test_same_seed_same_bits_however_it_is_asked() -> None:
+def test_the_same_seed_yields_the_same_bits_in_any_call_order() -> None:
     source = SimSource(SHORT, seed=5)
     first = as_bytes(list(source.measurements()))
     together = list(zip(source.measurements(), source.measurements(), strict=True))
@@ -80,7 +82,7 @@ def test_a_sensor_has_its_own_random_stream(changed: dict[str, object]) -> None:
     np.testing.assert_array_equal(rates(SimSource(SHORT, 2)), rates(SimSource(changed_scenario, 2)))
 
 
-def test_noise_can_be_taken_away_without_changing_what_is_followed() -> None:
+def test_removing_the_noise_does_not_change_the_tracks() -> None:
     noisy, quiet = (
         of_type(SimSource(SHORT, 1), FeatureObservations),
         of_type(SimSource(QUIET, 1), FeatureObservations),
@@ -94,7 +96,7 @@ def test_noise_can_be_taken_away_without_changing_what_is_followed() -> None:
 # --- order and rates ----------------------------------------------------------------------------
 
 
-def test_stamps_are_in_order_and_rates_as_told() -> None:
+def test_stamps_are_in_order_and_rates_are_as_configured() -> None:
     source = SimSource(SHORT, 0)
     measurements = list(source.measurements())
     assert all(a.t_ns <= b.t_ns for a, b in itertools.pairwise(measurements))
@@ -113,7 +115,7 @@ def test_every_scenario_runs(name: str) -> None:
     assert of_type(SimSource(scenario), ImuSample)[-1].t_ns == START_NS + 15_000_000_000
 
 
-def test_unknown_scenario_names_the_nearest() -> None:
+def test_an_unknown_scenario_suggests_the_nearest_name() -> None:
     with pytest.raises(ConfigError, match="'cleaning'"):
         find_scenario('cleanin')
 
@@ -138,21 +140,21 @@ def test_integrated_gyro_noise_grows_with_the_root_of_time() -> None:
         assert turned.std() == pytest.approx(0.0075 * np.sqrt(window_s), rel=0.15)
 
 
-def test_turn_on_bias_and_walk_have_their_sizes() -> None:
+def test_turn_on_bias_and_bias_walk_have_the_configured_sizes() -> None:
     sources = [SimSource(replace(SHORT, duration_s=10.0), seed) for seed in range(60)]
     biases = np.degrees([source.truth.bias_rad_s for source in sources])
     assert biases[:, 0].std() == pytest.approx(0.2, rel=0.2)
     assert (biases[:, -1] - biases[:, 0]).std() == pytest.approx(2.5e-4 * np.sqrt(10.0), rel=0.2)
 
 
-def test_accelerometer_feels_gravity_at_rest() -> None:
+def test_the_accelerometer_measures_gravity_at_rest() -> None:
     forces = np.array([item.specific_force_m_s2 for item in of_type(SimSource(SHORT), ImuSample)])
     assert forces[:400].mean(axis=0) == pytest.approx([0.0, 0.0, 9.81], abs=0.25)
     assert np.all(forces[800:, :2].std(axis=0) > 2.0 * forces[:400, :2].std(axis=0))
 
 
 @pytest.mark.parametrize('name', ['lanes', 'cleaning', 'spins'])
-def test_perfect_sensors_lead_the_motion_model_to_the_true_pose(name: str) -> None:
+def test_the_motion_model_with_perfect_sensors_yields_the_true_pose(name: str) -> None:
     errors = replace(without_noise(SensorErrors()), scale_factor=1.0, turn_on_bias_deg_s=0.0)
     source = SimSource(replace(SCENARIOS[name], errors=errors, duration_s=60.0), 1)
     truth, dt = source.truth, 1.0 / source.scenario.imu_hz
@@ -187,7 +189,7 @@ def test_wheels_read_the_mean_over_the_interval_that_ends_at_the_stamp() -> None
     np.testing.assert_allclose(turned, (after.euler_rad - before.euler_rad)[:, 2], atol=1e-8)
 
 
-def test_distance_error_is_five_millimetres_a_root_metre() -> None:
+def test_distance_error_is_five_millimetres_per_root_metre() -> None:
     errors = []
     for seed in range(30):
         source = SimSource(replace(SCENARIOS['lanes'], duration_s=12.0), seed)
@@ -201,27 +203,27 @@ def test_distance_error_is_five_millimetres_a_root_metre() -> None:
 
 
 def corner_of_each_id(source: SimSource) -> dict[int, int]:
-    """Find the corner that each id stands for by projecting all corners into each image."""
+    """Return the corner of each id, found by projecting all corners into each image."""
     observations = of_type(source, FeatureObservations)
     R_wc, p_wc = source.camera_poses(times_s(observations))
     corners: dict[int, int] = {}
     for item, R, p in zip(observations, R_wc, p_wc, strict=True):
-        places = project(source.scenario.camera, (source.truth.scene.points_w - p) @ R)
-        distance = np.linalg.norm(item.pixels[:, None] - places, axis=2)
+        projected = project(source.scenario.camera, (source.truth.scene.points_w - p) @ R)
+        distance = np.linalg.norm(item.pixels[:, None] - projected, axis=2)
         for feature_id, nearest, miss in zip(item.ids, distance.argmin(1), distance.min(1), strict=True):
             assert miss < 1e-6
             assert corners.setdefault(int(feature_id), int(nearest)) == nearest
     return corners
 
 
-def test_an_id_stands_for_one_corner() -> None:
+def test_an_id_belongs_to_one_corner() -> None:
     corners = corner_of_each_id(
         SimSource(replace(SCENARIOS['furniture'], duration_s=120.0, errors=QUIET.errors))
     )
     assert len(corners) > len(set(corners.values())) > 20
 
 
-def test_ids_are_kept_for_a_while_and_never_used_again() -> None:
+def test_ids_survive_short_absences_and_are_never_reused() -> None:
     seen_s: dict[int, list[float]] = {}
     for item in of_type(SimSource(replace(SCENARIOS['furniture'], duration_s=200.0)), FeatureObservations):
         for feature_id in item.ids.tolist():
@@ -231,7 +233,7 @@ def test_ids_are_kept_for_a_while_and_never_used_again() -> None:
     assert list(seen_s) == sorted(seen_s)
 
 
-def test_features_stay_within_the_number_and_the_image() -> None:
+def test_features_respect_their_limit_and_the_image() -> None:
     camera = SHORT.camera
     for item in of_type(SimSource(QUIET), FeatureObservations):
         assert len(item.ids) <= 15
@@ -240,7 +242,7 @@ def test_features_stay_within_the_number_and_the_image() -> None:
         assert np.all(item.pixels <= [camera.width_px - 1, camera.height_px - 1])
 
 
-def test_a_point_ahead_is_low_in_the_image_and_one_to_the_right_is_right() -> None:
+def test_points_ahead_are_low_and_points_to_the_right_are_right_in_the_image() -> None:
     source = SimSource(QUIET)
     R_wc, p_wc = source.camera_poses(np.array([0.0]))
     ahead, right = p_wc[0] + [0.5, 0.0, 2.0], p_wc[0] + [0.0, -0.5, 2.0]  # the robot faces world x
@@ -251,7 +253,7 @@ def test_a_point_ahead_is_low_in_the_image_and_one_to_the_right_is_right() -> No
     assert abs(v1 - 239.5) < 5.0
 
 
-def test_outliers_come_as_often_as_told() -> None:
+def test_outliers_have_the_configured_share() -> None:
     scenario = replace(SHORT, errors=replace(SensorErrors(), outliers=0.1))
     wrong = of_type(SimSource(scenario), FeatureObservations)
     right = of_type(SimSource(QUIET), FeatureObservations)
@@ -261,7 +263,7 @@ def test_outliers_come_as_often_as_told() -> None:
     assert np.mean(miss > 3.0) == pytest.approx(0.1, abs=0.015)
 
 
-def test_furniture_hides_all_or_part_of_the_ceiling() -> None:
+def test_furniture_occludes_all_or_part_of_the_ceiling() -> None:
     start = np.array([-2.0, -1.8])
     board = Furniture((start[0] - 1.0, start[0] + 1.0), (start[1] - 1.0, start[1] + 1.0), 0.25)
     counts = [
@@ -277,7 +279,7 @@ def test_camera_can_be_switched_off() -> None:
     assert times_s(images)[-1] == pytest.approx(12.0, abs=0.1)
 
 
-def test_images_show_what_the_camera_passes() -> None:
+def test_images_show_furniture_and_ceiling() -> None:
     start = np.array([-2.0, -1.8])
     board = Furniture((start[0] - 1.0, start[0] + 1.0), (start[1] - 1.0, start[1] + 1.0), 0.25)
     scenario = replace(SHORT, duration_s=9.0, camera_hz=1, furniture=(board,))
@@ -306,10 +308,10 @@ def test_ground_truth_is_the_pose_of_the_body() -> None:
     np.testing.assert_array_equal([item.yaw_rad for item in samples], yaw)
 
 
-def test_temperature_warms_up_and_current_follows_the_motion() -> None:
+def test_temperature_rises_and_current_follows_the_motion() -> None:
     source = SimSource(SCENARIOS['cleaning'], 3)
-    warmth = [item.temperature_c for item in of_type(source, TemperatureSample)]
-    assert warmth[-1] - warmth[0] > 3.0
+    temperature_c = [item.temperature_c for item in of_type(source, TemperatureSample)]
+    assert temperature_c[-1] - temperature_c[0] > 3.0
     battery = [item for item in of_type(source, CovariateSample) if item.name == 'battery_state.current']
     time_s = np.array([seconds(item.t_ns - START_NS) for item in battery])
     current = np.array([item.value for item in battery])

@@ -1,4 +1,4 @@
-"""Messages of bags and of live nodes become the values that travel, and back."""
+"""Messages of bags and of live nodes are converted to the values of `data`, and back."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ from gyrocal_ros.data import (
     WheelSample,
 )
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs import images, topics
-from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs import images, to_ros, topics
 from gyrocal_ros.msgs.to_ros import MessageMaker, live_maker
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import (
@@ -44,7 +43,7 @@ T_NS = 1_700_000_000_123_456_789
 
 
 class LiveMessage(SimpleNamespace):
-    """What a message of rclpy looks like from outside."""
+    """Imitation of a message of rclpy."""
 
     def get_fields_and_field_types(self) -> dict[str, str]:
         return dict.fromkeys(vars(self), '')
@@ -63,37 +62,37 @@ def make(request: pytest.FixtureRequest) -> MessageMaker:
 
 def test_imu(make: MessageMaker) -> None:
     sample = ImuSample(T_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8))
-    message = messages.imu(make, sample)
+    message = to_ros.imu(make, sample)
     assert topics.IMU_SAMPLE.value(message) == sample
     assert message.orientation_covariance[0] == -1.0
 
 
 def test_wheels(make: MessageMaker) -> None:
     sample = WheelSample(T_NS, 0.3, -0.4)
-    message = messages.wheels(make, sample, 1.0, 2.0, 0.5)
+    message = to_ros.wheels(make, sample, 1.0, 2.0, 0.5)
     assert topics.WHEEL_SAMPLE.value(message) == sample
     assert (message.header.frame_id, message.child_frame_id) == ('odom', 'base_link')
 
 
 def test_temperature(make: MessageMaker) -> None:
     sample = TemperatureSample(T_NS, 31.5)
-    assert topics.TEMPERATURE_SAMPLE.value(messages.temperature(make, sample)) == sample
+    assert topics.TEMPERATURE_SAMPLE.value(to_ros.temperature(make, sample)) == sample
 
 
 @pytest.mark.parametrize('yaw_rad', [-3.0, -0.5, 0.0, 2.5])
 def test_truth_and_heading(make: MessageMaker, yaw_rad: float) -> None:
-    truth = messages.truth(make, TruthSample(T_NS, (1.0, 2.0, 3.0), yaw_rad))
+    truth = to_ros.truth(make, TruthSample(T_NS, (1.0, 2.0, 3.0), yaw_rad))
     back = topics.truth_sample(topics.ODOMETRY).value(truth)
     assert (back.t_ns, back.position_m) == (T_NS, (1.0, 2.0, 3.0))
     assert back.yaw_rad == pytest.approx(yaw_rad)
-    heading = messages.heading(make, HeadingSample(T_NS, yaw_rad))
+    heading = to_ros.heading(make, HeadingSample(T_NS, yaw_rad))
     assert topics.heading_sample(topics.POSE_STAMPED).value(heading).yaw_rad == pytest.approx(yaw_rad)
     assert topics.heading_sample(topics.ODOMETRY).value(truth).yaw_rad == pytest.approx(yaw_rad)
 
 
 def test_features(make: MessageMaker) -> None:
     seen = FeatureObservations(T_NS, np.array([3, 2**32 - 1]), np.array([[1.5, 2.5], [639.0, 0.25]]))
-    back = topics.features(messages.features(make, seen))
+    back = topics.features(to_ros.features(make, seen))
     assert back.t_ns == T_NS
     assert back.ids.dtype == np.int64
     np.testing.assert_array_equal(back.ids, seen.ids)
@@ -102,20 +101,20 @@ def test_features(make: MessageMaker) -> None:
 
 def test_an_image_without_features(make: MessageMaker) -> None:
     nothing = FeatureObservations(T_NS, np.zeros(0, np.int64), np.zeros((0, 2)))
-    back = topics.features(messages.features(make, nothing))
+    back = topics.features(to_ros.features(make, nothing))
     assert (back.ids.shape, back.pixels.shape) == ((0,), (0, 2))
 
 
 def test_search_regions(make: MessageMaker) -> None:
     covariances = np.array([[[4.0, 0.5], [0.5, 9.0]]])
     regions = SearchRegions(T_NS, np.array([7]), np.array([[1.0, 2.0]]), covariances)
-    back = topics.search_regions(messages.search_regions(make, regions))
+    back = topics.search_regions(to_ros.search_regions(make, regions))
     np.testing.assert_array_equal(back.covariances_px2, covariances)
     np.testing.assert_array_equal(back.pixels, regions.pixels)
 
 
 @pytest.mark.parametrize('order', ['<', '>'])
-def test_clouds_laid_out_otherwise(order: str) -> None:
+def test_point_clouds_with_another_layout(order: str) -> None:
     formats = {'id': 'u4', 'z': 'f4', 'v': 'f8', 'u': 'f4'}
     kind = np.dtype(
         {
@@ -149,11 +148,11 @@ def test_clouds_laid_out_otherwise(order: str) -> None:
 
 
 def test_camera_info(make: MessageMaker) -> None:
-    assert topics.camera_intrinsics(messages.camera_info(make, CAMERA, T_NS)) == CAMERA
+    assert topics.camera_intrinsics(to_ros.camera_info(make, CAMERA, T_NS)) == CAMERA
 
 
-def test_camera_info_that_is_no_calibration() -> None:
-    message = messages.camera_info(MAKERS['live'], CAMERA, T_NS)
+def test_camera_info_without_a_usable_calibration() -> None:
+    message = to_ros.camera_info(MAKERS['live'], CAMERA, T_NS)
     message.distortion_model = 'equidistant'
     with pytest.raises(RecordingError, match='equidistant'):
         topics.camera_intrinsics(message)
@@ -164,26 +163,26 @@ def test_camera_info_that_is_no_calibration() -> None:
 
 def test_static_transforms(make: MessageMaker) -> None:
     mount = Mount(rotation_from_quaternion(0.1, 0.2, -0.3, 0.9), np.array([0.1, 0.2, 0.3]))
-    (link,) = topics.transforms(messages.static_transforms(make, {'camera': mount}, T_NS))
+    (link,) = topics.transforms(to_ros.static_transforms(make, {'camera': mount}, T_NS))
     assert (link.parent, link.child) == ('base_link', 'camera')
     np.testing.assert_allclose(link.mount.R_bs, mount.R_bs, atol=1e-15)
     np.testing.assert_array_equal(link.mount.p_bs, mount.p_bs)
 
 
-def test_numbers_of_any_message(make: MessageMaker) -> None:
-    battery = messages.battery(make, T_NS, {'current': -1.5})
+def test_numeric_fields_of_messages(make: MessageMaker) -> None:
+    battery = to_ros.battery(make, T_NS, {'current': -1.5})
     names = list(topics.numeric_fields(battery))
     states = ['power_supply_status', 'power_supply_health', 'power_supply_technology', 'present']
-    assert names == [*messages.BATTERY_NUMBERS, *states]
+    assert names == [*to_ros.BATTERY_NUMBERS, *states]
     assert 'angular_velocity.z' in list(
-        topics.numeric_fields(messages.imu(make, ImuSample(0, (0, 0, 0), (0, 0, 0))))
+        topics.numeric_fields(to_ros.imu(make, ImuSample(0, (0, 0, 0), (0, 0, 0))))
     )
     assert topics.covariate_name('/base/battery_state', 'current') == 'base.battery_state.current'
 
 
-def test_only_flat_roles_are_read_number_by_number() -> None:
+def test_images_are_not_read_field_by_field() -> None:
     with pytest.raises(ValueError, match='image_raw'):
-        topics.flat_message(Role.IMAGE, topics.IMAGE)
+        topics.field_conversion(Role.IMAGE, topics.IMAGE)
 
 
 class TestChainsOfFrames:
@@ -210,12 +209,12 @@ class TestChainsOfFrames:
     def test_no_chain(self) -> None:
         assert find_mount(self.LINKS, 'sonar', 'base_link') is None
 
-    def test_a_circle_ends(self) -> None:
-        circle = [
+    def test_a_cycle_of_frames_terminates(self) -> None:
+        cycle = [
             Transform('a', 'b', Mount(np.eye(3), np.zeros(3))),
             Transform('b', 'a', Mount(np.eye(3), np.zeros(3))),
         ]
-        assert find_mount(circle, 'a', 'base_link') is None
+        assert find_mount(cycle, 'a', 'base_link') is None
 
 
 @pytest.mark.parametrize('seed', range(10))
@@ -230,16 +229,16 @@ def test_rotation_matrices_and_quaternions(seed: int) -> None:
 
 @pytest.mark.parametrize('axis', range(3))
 @pytest.mark.parametrize('sign', [1.0, -1.0])
-def test_every_side_of_an_imu_can_be_put_up(axis: int, sign: float) -> None:
+def test_every_orientation_of_an_imu_is_made_upright(axis: int, sign: float) -> None:
     force = np.array([0.3, -0.4, 0.5])
     force[axis] = sign * 9.8
-    mending = upright_rotation(force)
-    assert mending
-    assert (mending.R_bs @ force)[2] == pytest.approx(9.8)
-    assert np.linalg.det(mending.R_bs) == pytest.approx(1.0)
+    rotation = upright_rotation(force)
+    assert rotation
+    assert (rotation.R_bs @ force)[2] == pytest.approx(9.8)
+    assert np.linalg.det(rotation.R_bs) == pytest.approx(1.0)
 
 
-def test_a_tilted_imu_has_no_side_up() -> None:
+def test_a_tilted_imu_has_no_upright_rotation() -> None:
     assert upright_rotation(np.array([5.7, 5.7, 5.6])) is None
     assert upright_rotation(np.zeros(3)) is None
 
@@ -247,18 +246,18 @@ def test_a_tilted_imu_has_no_side_up() -> None:
 # --- reading a few fields ------------------------------------------------------------------------
 
 
-def random_value(kind: Any, about: Any, rng: np.random.Generator) -> Any:
+def random_value(kind: Any, details: Any, rng: np.random.Generator) -> Any:
     if kind == Nodetype.NAME:
-        return random_message(about, rng)
+        return random_message(details, rng)
     if kind == Nodetype.BASE:
-        if about[0] == 'string':
+        if details[0] == 'string':
             return 'x' * int(rng.integers(0, 9))
-        if about[0] == 'bool':
+        if details[0] == 'bool':
             return bool(rng.integers(2))
-        if about[0].startswith('float'):
+        if details[0].startswith('float'):
             return float(np.float32(rng.standard_normal()))
         return int(rng.integers(0, 100))
-    (item_kind, item_about), length = about
+    (item_kind, item_about), length = details
     length = length if kind == Nodetype.ARRAY else int(rng.integers(0, 4))
     values = [random_value(item_kind, item_about, rng) for _ in range(length)]
     if item_kind == Nodetype.NAME or item_about[0] == 'string':
@@ -267,7 +266,7 @@ def random_value(kind: Any, about: Any, rng: np.random.Generator) -> Any:
 
 
 def random_message(type_name: str, rng: np.random.Generator) -> Any:
-    values = [random_value(kind, about, rng) for _, (kind, about) in STORE.fielddefs[type_name][1]]
+    values = [random_value(kind, details, rng) for _, (kind, details) in STORE.fielddefs[type_name][1]]
     return STORE.types[type_name](*values)
 
 
@@ -292,7 +291,7 @@ FLAT_TYPES = [
 
 @pytest.mark.parametrize('type_name', FLAT_TYPES)
 @pytest.mark.parametrize('wire', ['cdr', 'cdr big-endian', 'ros1'])
-def test_picked_fields_are_those_of_the_whole_message(type_name: str, wire: str) -> None:
+def test_selected_fields_equal_those_of_the_decoded_message(type_name: str, wire: str) -> None:
     rng = np.random.default_rng(len(type_name))
     for _ in range(20):
         message = random_message(type_name, rng)
@@ -345,7 +344,7 @@ def raw_image(encoding: str, pixels: np.ndarray, padding: int = 0, **more: Any) 
 
 @pytest.mark.parametrize('padding', [0, 5])
 @pytest.mark.parametrize('encoding', ['mono8', '8UC1', 'bgr8', 'rgb8', 'bgra8', 'rgba8'])
-def test_grey_pixels_stay_what_they_are(encoding: str, padding: int) -> None:
+def test_grey_pixels_are_unchanged(encoding: str, padding: int) -> None:
     channels = {'8': 1, 'mono8': 1, '8UC1': 1, 'bgr8': 3, 'rgb8': 3}.get(encoding, 4)
     pixels = GREY if channels == 1 else np.repeat(GREY[:, :, None], channels, axis=2)
     frame = images.frame(raw_image(encoding, pixels, padding))
@@ -364,8 +363,8 @@ def test_red_and_blue_are_not_confused() -> None:
 def test_bayer_patterns(encoding: str) -> None:
     pattern = encoding[6:10]
     mosaic = np.zeros((8, 8), np.uint8)
-    for place, colour in enumerate(pattern):
-        mosaic[place // 2 :: 2, place % 2 :: 2] = 200 if colour == 'r' else 0
+    for index, colour in enumerate(pattern):
+        mosaic[index // 2 :: 2, index % 2 :: 2] = 200 if colour == 'r' else 0
     assert images.frame(raw_image(encoding, mosaic)).image[4, 4] == pytest.approx(0.299 * 200, abs=2)
 
 
@@ -383,7 +382,7 @@ def test_luminance_of_yuv() -> None:
     np.testing.assert_array_equal(images.frame(raw_image('uyvy', yuyv[:, :, ::-1])).image, GREY)
 
 
-def test_compressed_images_are_told_by_their_content(make: MessageMaker) -> None:
+def test_the_format_of_compressed_images_is_detected_from_their_content(make: MessageMaker) -> None:
     jpeg, png = (images.compressed_image(make, Frame(T_NS, GREY), quality) for quality in (95, None))
     assert bytes(jpeg.data[:2]) == b'\xff\xd8' and bytes(png.data[1:4]) == b'PNG'
     jpeg.format, png.format = 'png', 'mono8; jpeg compressed'
@@ -391,11 +390,11 @@ def test_compressed_images_are_told_by_their_content(make: MessageMaker) -> None
     assert np.abs(images.frame(jpeg).image.astype(int) - GREY).max() < 12
 
 
-def test_images_there_and_back(make: MessageMaker) -> None:
-    np.testing.assert_array_equal(images.frame(images.image(make, Frame(T_NS, GREY))).image, GREY)
+def test_image_round_trip(make: MessageMaker) -> None:
+    np.testing.assert_array_equal(images.frame(images.grey_image(make, Frame(T_NS, GREY))).image, GREY)
 
 
-def test_images_that_cannot_be_read() -> None:
+def test_images_that_cannot_be_decoded() -> None:
     with pytest.raises(RecordingError, match='32FC1'):
         images.frame(raw_image('32FC1', GREY))
     with pytest.raises(RecordingError, match='64x99'):
@@ -407,4 +406,4 @@ def test_images_that_cannot_be_read() -> None:
 
 
 def test_battery_fields_that_are_not_given_are_nan() -> None:
-    assert math.isnan(messages.battery(MAKERS['bag'], T_NS, {'current': 1.0}).voltage)
+    assert math.isnan(to_ros.battery(MAKERS['bag'], T_NS, {'current': 1.0}).voltage)

@@ -1,3 +1,5 @@
+"""The feature tracker on rendered, blank and real images."""
+
 from __future__ import annotations
 
 import gzip
@@ -19,7 +21,7 @@ from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
 from gyrocal_ros.vision.corners import find_corners
 from gyrocal_ros.vision.draw import draw_tracks
-from gyrocal_ros.vision.patches import align, cut, grid, sample
+from gyrocal_ros.vision.patches import align, extract_patches, grid, sample_image
 from gyrocal_ros.vision.search_region import ceiling_coordinates, ceiling_pixels
 from gyrocal_ros.vision.tracker import Tracker
 
@@ -33,8 +35,8 @@ def attitude(yaw_rad: float) -> Array:
     return rotation_from_euler(np.array([0.0, 0.0, yaw_rad]))
 
 
-class Ride:
-    """A camera under a rendered ceiling and a tracker that sees what it sees."""
+class RenderedDrive:
+    """A camera below a rendered ceiling with its tracker."""
 
     def __init__(self, renderer: CeilingRenderer, config: TrackerConfig = CONFIG) -> None:
         self.tracker = Tracker(CAMERA, config)
@@ -49,11 +51,11 @@ class Ride:
         image = self.renderer.render(R_wc, p_wc, exposure=exposure, rng=self.rng)
         if covered:
             image[:, :320] = 30
-        seen = self.tracker.track(Frame(nanoseconds(t_s), image), R_wc, self.regions(t_s, R_wc, p_wc))
-        rays_w = np.column_stack([bearing(CAMERA, seen.pixels), np.ones(len(seen.ids))]) @ R_wc.T
-        for id_, point_w in zip(seen.ids.tolist(), p_wc + rays_w * (CEILING_M - p_wc[2]), strict=True):
+        tracked = self.tracker.track(Frame(nanoseconds(t_s), image), R_wc, self.regions(t_s, R_wc, p_wc))
+        rays_w = np.column_stack([bearing(CAMERA, tracked.pixels), np.ones(len(tracked.ids))]) @ R_wc.T
+        for id_, point_w in zip(tracked.ids.tolist(), p_wc + rays_w * (CEILING_M - p_wc[2]), strict=True):
             self.points_w.setdefault(id_, point_w)
-        return seen
+        return tracked
 
     def regions(self, t_s: float, R_wc: Array, p_wc: Array) -> SearchRegions:
         points_w = np.array(list(self.points_w.values())).reshape(-1, 3)
@@ -71,7 +73,7 @@ def renderer() -> CeilingRenderer:
 
 
 def smooth_image(shift: tuple[float, float] = (0.0, 0.0), turn_rad: float = 0.0) -> np.ndarray:
-    """A pattern known at any fraction of a pixel, moved and turned about pixel (60, 60)."""
+    """Return a pattern that is known at any fraction of a pixel, moved and turned about pixel (60, 60)."""
     v, u = np.mgrid[:121, :121] - 60.0
     u, v = u - shift[0], v - shift[1]
     c, s = math.cos(turn_rad), math.sin(turn_rad)
@@ -85,7 +87,7 @@ def smooth_image(shift: tuple[float, float] = (0.0, 0.0), turn_rad: float = 0.0)
 def test_lucas_kanade_finds_shift_and_twist_to_a_hundredth_of_a_pixel(
     shift: tuple[float, float], turn_deg: float
 ) -> None:
-    patches = cut(smooth_image(), np.array([[60, 60]]), 15)
+    patches = extract_patches(smooth_image(), np.array([[60, 60]]), 15)
     image = smooth_image(shift, math.radians(turn_deg))
     found = align(image, patches, 60.0 + grid(15)[None], 0.75)
     assert np.abs(found.pixels[0] - 60.0 - shift).max() < 0.01
@@ -94,32 +96,32 @@ def test_lucas_kanade_finds_shift_and_twist_to_a_hundredth_of_a_pixel(
     assert found.backward_px[0] < 0.02
 
 
-def test_gain_offset_and_slope_of_the_light_do_not_move_a_patch() -> None:
-    patches = cut(smooth_image(), np.array([[60, 60]]), 15)
+def test_gain_offset_and_gradient_of_the_brightness_do_not_shift_a_patch() -> None:
+    patches = extract_patches(smooth_image(), np.array([[60, 60]]), 15)
     slope = 0.4 * (np.arange(121) - 60.0)
     image = np.rint(0.7 * smooth_image((0.4, 0.3)) + 25.0 + slope).astype(np.uint8)
     found = align(image, patches, 60.0 + grid(15)[None], 0.75)
     assert np.abs(found.pixels[0] - [60.4, 60.3]).max() < 0.015
 
 
-def test_sampling_reproduces_a_slope_everywhere() -> None:
+def test_sampling_reproduces_a_gradient_everywhere() -> None:
     v, u = np.mgrid[:40, :50]
     points = np.random.default_rng(0).uniform(3.0, 30.0, (100, 2))
-    values = sample((2 * u + 3 * v).astype(np.uint8), points)
+    values = sample_image((2 * u + 3 * v).astype(np.uint8), points)
     assert values == pytest.approx(2.0 * points[:, 0] + 3.0 * points[:, 1], abs=1e-4)
 
 
 def test_ceiling_coordinates_and_pixels_are_inverse() -> None:
     R_wc = rotation_from_euler(np.array([0.05, -0.1, 2.0]))
     pixels = np.random.default_rng(0).uniform([20, 20], [620, 460], (50, 2))
-    there = ceiling_coordinates(CAMERA, pixels, R_wc)
-    assert ceiling_pixels(CAMERA, there, R_wc) == pytest.approx(pixels, abs=1e-6)
+    ceiling = ceiling_coordinates(CAMERA, pixels, R_wc)
+    assert ceiling_pixels(CAMERA, ceiling, R_wc) == pytest.approx(pixels, abs=1e-6)
 
 
 # --- accuracy -----------------------------------------------------------------------------------
 
 
-def test_the_turn_of_the_tracks_is_the_true_turn_although_the_prediction_is_wrong() -> None:
+def test_the_turn_of_the_tracks_is_true_despite_a_prediction_error() -> None:
     rows = list(tracker_accuracy(1, (20.0, 100.0), Conditions(frames=25, attitude_error=0.08)))
     for row in rows:
         assert abs(row['turn_error_percent']) < 0.03
@@ -128,29 +130,29 @@ def test_the_turn_of_the_tracks_is_the_true_turn_although_the_prediction_is_wron
         assert row['features'] > 10
 
 
-def test_noise_of_a_track_is_white(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer)
-    seen = [ride.step(0.1 * k, 0.02 * k, exposure=1.0 + 0.01 * k) for k in range(25)]
-    steady = set.intersection(*(set(each.ids.tolist()) for each in seen))
+def test_the_noise_of_a_track_is_white(renderer: CeilingRenderer) -> None:
+    drive = RenderedDrive(renderer)
+    tracked = [drive.step(0.1 * k, 0.02 * k, exposure=1.0 + 0.01 * k) for k in range(25)]
+    steady = set.intersection(*(set(each.ids.tolist()) for each in tracked))
     assert len(steady) >= 8
     errors = []
-    for k, each in enumerate(seen[1:], start=1):
-        points_w = np.array([ride.points_w[id_] for id_ in sorted(steady)])
+    for k, each in enumerate(tracked[1:], start=1):
+        points_w = np.array([drive.points_w[id_] for id_ in sorted(steady)])
         where = project(CAMERA, (points_w - [0.0, 0.0, 0.1]) @ attitude(0.02 * k))
         errors.append(each.pixels[np.isin(each.ids, list(steady))] - where)
-    own = np.array(errors) - np.mean(errors, axis=0)
-    assert math.sqrt((own**2).mean()) < 0.03
-    assert abs((own[1:] * own[:-1]).mean() / (own**2).mean()) < 0.2
+    noise = np.array(errors) - np.mean(errors, axis=0)
+    assert math.sqrt((noise**2).mean()) < 0.03
+    assert abs((noise[1:] * noise[:-1]).mean() / (noise**2).mean()) < 0.2
 
 
-# --- keeping and losing features ------------------------------------------------------------------
+# --- losing and reacquiring features --------------------------------------------------------------
 
 
-def test_a_hidden_feature_comes_back_under_its_id_and_no_id_is_used_twice(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer)
-    before = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(4)][-1]
-    hidden = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k, covered=True) for k in range(4, 10)][-1]
-    after = [ride.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(10, 13)][-1]
+def test_an_occluded_feature_is_reacquired_with_its_id_and_ids_are_unique(renderer: CeilingRenderer) -> None:
+    drive = RenderedDrive(renderer)
+    before = [drive.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(4)][-1]
+    hidden = [drive.step(0.1 * k, 0.01 * k, x_m=0.01 * k, covered=True) for k in range(4, 10)][-1]
+    after = [drive.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(10, 13)][-1]
     left = set(before.ids[before.pixels[:, 0] < 280].tolist())
     assert len(left) >= 3
     assert not left & set(hidden.ids.tolist())
@@ -161,13 +163,13 @@ def test_a_hidden_feature_comes_back_under_its_id_and_no_id_is_used_twice(render
     assert len(common) >= 8
 
 
-def test_a_feature_that_stays_away_for_long_is_dropped(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer, replace(CONFIG, reacquire_s=1.0))
-    before = ride.step(0.0, 0.0)
-    ride.step(0.1, 0.0, covered=True)
+def test_a_feature_lost_for_long_is_dropped(renderer: CeilingRenderer) -> None:
+    drive = RenderedDrive(renderer, replace(CONFIG, reacquire_s=1.0))
+    before = drive.step(0.0, 0.0)
+    drive.step(0.1, 0.0, covered=True)
     for k in range(2, 15):
-        ride.step(0.1 * k, 0.0, covered=True)
-    after = ride.step(1.6, 0.0)
+        drive.step(0.1 * k, 0.0, covered=True)
+    after = drive.step(1.6, 0.0)
     left = set(before.ids[before.pixels[:, 0] < 280].tolist())
     assert left
     assert not left & set(after.ids.tolist())
@@ -175,15 +177,17 @@ def test_a_feature_that_stays_away_for_long_is_dropped(renderer: CeilingRenderer
     assert set(after.ids.tolist()) - set(before.ids.tolist()) > set()
 
 
-def test_no_two_features_on_one_corner(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer)
+def test_no_two_features_track_one_corner(renderer: CeilingRenderer) -> None:
+    drive = RenderedDrive(renderer)
     for k in range(15):
-        seen = ride.step(0.1 * k, 0.05 * k, x_m=0.03 * k)
-        apart = np.linalg.norm(seen.pixels[:, None] - seen.pixels, axis=2) + 1e3 * np.eye(len(seen.ids))
-        assert apart.min() > 0.5 * CONFIG.patch_px
+        tracked = drive.step(0.1 * k, 0.05 * k, x_m=0.03 * k)
+        distances_px = np.linalg.norm(tracked.pixels[:, None] - tracked.pixels, axis=2) + 1e3 * np.eye(
+            len(tracked.ids)
+        )
+        assert distances_px.min() > 0.5 * CONFIG.patch_px
 
 
-def test_a_wrong_filter_does_not_lose_the_tracks(renderer: CeilingRenderer) -> None:
+def test_wrong_regions_do_not_lose_the_tracks(renderer: CeilingRenderer) -> None:
     tracker = Tracker(CAMERA, CONFIG)
     image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]), rng=np.random.default_rng(0))
     first = tracker.track(Frame(0, image), np.eye(3), None)
@@ -196,7 +200,7 @@ def test_a_wrong_filter_does_not_lose_the_tracks(renderer: CeilingRenderer) -> N
     assert np.abs(second.pixels[now] - first.pixels[then]).max() < 0.01
 
 
-def test_one_match_outside_its_region_is_refused(renderer: CeilingRenderer) -> None:
+def test_one_match_outside_its_region_is_rejected(renderer: CeilingRenderer) -> None:
     tracker = Tracker(CAMERA, CONFIG)
     image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]), rng=np.random.default_rng(0))
     first = tracker.track(Frame(0, image), np.eye(3), None)
@@ -212,21 +216,21 @@ def test_one_match_outside_its_region_is_refused(renderer: CeilingRenderer) -> N
 
 def test_the_same_images_give_the_same_bits(renderer: CeilingRenderer) -> None:
     def pixels() -> bytes:
-        ride = Ride(renderer)
-        return b''.join(ride.step(0.1 * k, 0.1 * k, x_m=0.05 * k).pixels.tobytes() for k in range(8))
+        drive = RenderedDrive(renderer)
+        return b''.join(drive.step(0.1 * k, 0.1 * k, x_m=0.05 * k).pixels.tobytes() for k in range(8))
 
     assert pixels() == pixels()
 
 
 @pytest.mark.parametrize('wanted', [1, 5, 60, 200])
-def test_any_number_of_features(renderer: CeilingRenderer, wanted: int) -> None:
-    ride = Ride(renderer, replace(CONFIG, features=wanted, min_distance_px=16.0))
-    counts = [len(ride.step(0.1 * k, 0.02 * k).ids) for k in range(3)]
+def test_any_number_of_features_can_be_tracked(renderer: CeilingRenderer, wanted: int) -> None:
+    drive = RenderedDrive(renderer, replace(CONFIG, features=wanted, min_distance_px=16.0))
+    counts = [len(drive.step(0.1 * k, 0.02 * k).ids) for k in range(3)]
     assert max(counts) <= wanted
     assert min(counts) >= min(wanted, 30)
 
 
-# --- images without anything to see -------------------------------------------------------------
+# --- images without features --------------------------------------------------------------------
 
 
 def blank_images() -> Iterator[np.ndarray]:
@@ -242,28 +246,30 @@ def blank_images() -> Iterator[np.ndarray]:
 @pytest.mark.parametrize(
     'image', list(blank_images()), ids=['dark', 'grey', 'bright', 'dark noise', 'noise', 'slope']
 )
-def test_nothing_to_see_gives_an_empty_observation(image: np.ndarray, renderer: CeilingRenderer) -> None:
+def test_an_image_without_features_gives_an_empty_observation(
+    image: np.ndarray, renderer: CeilingRenderer
+) -> None:
     tracker = Tracker(CAMERA, CONFIG)
     for k in range(3):
-        seen = tracker.track(Frame(nanoseconds(0.1 * k), image), np.eye(3), None)
-        assert len(seen.ids) == 0
-        assert seen.pixels.shape == (0, 2)
+        tracked = tracker.track(Frame(nanoseconds(0.1 * k), image), np.eye(3), None)
+        assert len(tracked.ids) == 0
+        assert tracked.pixels.shape == (0, 2)
     ceiling = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]))
     assert len(tracker.track(Frame(nanoseconds(0.4), ceiling), np.eye(3), None).ids) > 12
     assert len(tracker.track(Frame(nanoseconds(0.5), image), np.eye(3), None).ids) == 0
 
 
-def test_slats_and_edges_are_no_features() -> None:
+def test_slats_and_edges_are_rejected() -> None:
     image = np.full((480, 640), 100, np.uint8)
     image[100:300, 100:300:8] = 180
     image[100:300, 101:300:8] = 180
     image[350:, 400:] = 200
     tracker = Tracker(CAMERA, CONFIG)
-    seen = tracker.track(Frame(0, image), np.eye(3), None)
-    assert len(seen.ids) >= 1
-    inner = ((seen.pixels > 125) & (seen.pixels < 275)).all(axis=1)
+    tracked = tracker.track(Frame(0, image), np.eye(3), None)
+    assert len(tracked.ids) >= 1
+    inner = ((tracked.pixels > 125) & (tracked.pixels < 275)).all(axis=1)
     assert not inner.any()
-    assert np.linalg.norm(seen.pixels - [400, 350], axis=1).min() < 8
+    assert np.linalg.norm(tracked.pixels - [400, 350], axis=1).min() < 8
 
 
 def test_an_image_of_another_size_is_refused() -> None:
@@ -272,12 +278,12 @@ def test_an_image_of_another_size_is_refused() -> None:
 
 
 def test_tracks_can_be_drawn(renderer: CeilingRenderer) -> None:
-    ride = Ride(renderer)
-    ride.step(0.0, 0.0)
+    drive = RenderedDrive(renderer)
+    drive.step(0.0, 0.0)
     image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]))
-    regions = ride.regions(0.1, np.eye(3), np.array([0.0, 0.0, 0.1]))
-    seen = ride.tracker.track(Frame(nanoseconds(0.1), image), np.eye(3), regions)
-    picture = draw_tracks(image, seen, regions)
+    regions = drive.regions(0.1, np.eye(3), np.array([0.0, 0.0, 0.1]))
+    tracked = drive.tracker.track(Frame(nanoseconds(0.1), image), np.eye(3), regions)
+    picture = draw_tracks(image, tracked, regions)
     assert picture.shape == (480, 640, 3)
     assert picture.dtype == np.uint8
     assert (picture[..., 0] != picture[..., 1]).any()
@@ -293,23 +299,23 @@ def test_tracks_can_be_drawn(renderer: CeilingRenderer) -> None:
 # --- real pixels ----------------------------------------------------------------------------------
 
 
-def test_corners_of_a_real_ceiling_are_spread_over_it() -> None:
+def test_corners_of_a_real_ceiling_are_distributed_over_it() -> None:
     photo = DATA / 'ubiquity-ceiling' / 'ceiling3-6-02.jpg'
     if not photo.exists():
         pytest.skip(f'no {photo.name} beside the project')
     image = np.asarray(cv2.imread(str(photo), cv2.IMREAD_GRAYSCALE), np.uint8)
     corners = find_corners(image, np.zeros((0, 2)), 14, CONFIG)[:15]
     assert len(corners) == 15
-    apart = np.linalg.norm(corners[:, None] - corners, axis=2) + 1e3 * np.eye(15)
-    assert apart.min() >= CONFIG.min_distance_px - 2.0
+    distances_px = np.linalg.norm(corners[:, None] - corners, axis=2) + 1e3 * np.eye(15)
+    assert distances_px.min() >= CONFIG.min_distance_px - 2.0
     quarters = {(u > 320, v > 240) for u, v in corners.tolist()}
     assert len(quarters) == 4
-    seen = Tracker(CAMERA, CONFIG).track(Frame(0, image), np.eye(3), None)
-    assert len(seen.ids) >= 8
+    tracked = Tracker(CAMERA, CONFIG).track(Frame(0, image), np.eye(3), None)
+    assert len(tracked.ids) >= 8
 
 
 class Fisheye:
-    """The lens of the cycloid recording: equidistant, and the part of it that a plain camera can follow."""
+    """Lens of the cycloid recording: equidistant, restricted to the part that a pinhole camera can model."""
 
     focal_px, centre = 765.0 / 4.05, np.array([1280.0, 920.0]) / 4.05
     half_px = 180
@@ -343,7 +349,7 @@ class Fisheye:
 
 
 def turn_between(before: Array, after: Array) -> float:
-    """Angle of the rigid motion from points to points, the worst fitting ones left out."""
+    """Return the angle of the rigid motion from points to points, without the outliers."""
     keep = np.ones(len(before), bool)
     angle = 0.0
     for _ in range(4):
@@ -356,8 +362,8 @@ def turn_between(before: Array, after: Array) -> float:
     return angle
 
 
-def test_heading_over_a_real_drive_agrees_with_another_tracker() -> None:
-    """Lamps in black and white, no prediction of the motion: the tracker alone, hard pressed."""
+def test_the_heading_of_a_real_drive_agrees_with_another_tracker() -> None:
+    """Track black and white images of lamps without a motion prediction, the hardest case of the tracker."""
     folder = DATA / 'cycloid-ceiling'
     if not folder.exists():
         pytest.skip('no cycloid-ceiling beside the project')
@@ -367,17 +373,17 @@ def test_heading_over_a_real_drive_agrees_with_another_tracker() -> None:
     reference = np.unwrap(np.loadtxt(folder / 'golden.txt')[: len(frames), 2])
     lens = Fisheye()
     R_wc = rotation_from_euler(np.array([0.0, math.radians(22.0), 0.0]))
-    config = replace(CONFIG, min_distance_px=20.0, detect_interval=2)  # there are few lamps: take every end
+    config = replace(CONFIG, min_distance_px=20.0, detect_interval=2)  # few lamps: use both ends of each
     tracker = Tracker(lens.camera, config)
     heading = [0.0]
     before: FeatureObservations | None = None
     for k, image in enumerate(frames):
-        seen = tracker.track(Frame(nanoseconds(k / 30), lens.cropped(image)), R_wc, None)
+        tracked = tracker.track(Frame(nanoseconds(k / 30), lens.cropped(image)), R_wc, None)
         if before is not None:
-            _, first, second = np.intersect1d(before.ids, seen.ids, return_indices=True)
-            a, b = lens.on_ceiling(before.pixels[first], R_wc), lens.on_ceiling(seen.pixels[second], R_wc)
+            _, first, second = np.intersect1d(before.ids, tracked.ids, return_indices=True)
+            a, b = lens.on_ceiling(before.pixels[first], R_wc), lens.on_ceiling(tracked.pixels[second], R_wc)
             heading.append(heading[-1] + (turn_between(a, b) if len(first) >= 2 else 0.0))
-        before = seen
+        before = tracked
     difference = np.degrees(np.array(heading) - (reference - reference[0]))
     assert math.degrees(reference[-1] - reference[0]) == pytest.approx(193.0, abs=1.0)
     assert np.abs(difference).max() < 6.0

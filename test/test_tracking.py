@@ -254,7 +254,7 @@ def test_without_a_transform_the_settings_say_how_the_camera_sits() -> None:
     assert look(live, 0.0) is None, 'a transform may be under way'
     told = [look(live, 0.1 * k) for k in range(1, 40)]
     assert told[-1] is not None
-    assert 'no transform says how ceiling_camera_optical_frame sits' in live.status(4.0).message
+    assert 'no transform from base_link to ceiling_camera_optical_frame' in live.status(4.0).message
 
 
 def test_without_transform_and_imu_too() -> None:

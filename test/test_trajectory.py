@@ -1,3 +1,5 @@
+"""The true trajectory of the simulator: consistent derivatives, manoeuvres and plans."""
+
 from __future__ import annotations
 
 import math
@@ -10,7 +12,7 @@ from gyrocal_ros.sim.manoeuvres import (
     ACCELERATION_M_S2,
     ANGULAR_ACCELERATION_RAD_S2,
     PLANS,
-    Habits,
+    DrivingStyle,
     arc,
     drive,
     plan_legs,
@@ -21,11 +23,11 @@ from gyrocal_ros.sim.trajectory import GRAVITY_M_S2, Leg, Trajectory, rough_floo
 
 def rough_trajectory(plan: str = 'cleaning', duration_s: float = 60.0, seed: int = 3) -> Trajectory:
     rng = np.random.default_rng(seed)
-    legs, start = plan_legs(((plan, 0.0),), 3.0, duration_s, Habits(), rng)
+    legs, start = plan_legs(((plan, 0.0),), 3.0, duration_s, DrivingStyle(), rng)
     return Trajectory(legs, rough_floor(rng, 0.5, 4, 10.0), start)
 
 
-def test_body_rates_are_those_of_the_attitude() -> None:
+def test_body_rates_are_the_derivative_of_the_attitude() -> None:
     trajectory = rough_trajectory()
     time_s = np.linspace(1.0, 60.0, 2001)
     h = 1e-5
@@ -46,7 +48,7 @@ def test_the_robot_moves_along_its_x_axis() -> None:
     np.testing.assert_allclose(motion.speed_m_s[:, None] * motion.R_wb[:, :, 0], numeric, atol=1e-8)
 
 
-def test_specific_force_is_acceleration_less_gravity() -> None:
+def test_specific_force_is_acceleration_minus_gravity() -> None:
     trajectory = rough_trajectory()
     time_s = np.linspace(1.0, 60.0, 2001)
     h = 1e-5
@@ -58,10 +60,10 @@ def test_specific_force_is_acceleration_less_gravity() -> None:
     np.testing.assert_allclose(motion.specific_force_m_s2, expected, atol=1e-7)
 
 
-def test_position_is_the_integral_of_the_velocity_to_rounding() -> None:
+def test_position_is_the_integral_of_the_velocity_up_to_rounding() -> None:
     trajectory = rough_trajectory()
 
-    def way(from_s: float, to_s: float, cells: int = 20_000) -> Array:
+    def displacement(from_s: float, to_s: float, cells: int = 20_000) -> Array:
         """Integrate the velocity by Simpson's rule."""
         motion = trajectory.motion(np.linspace(from_s, to_s, 2 * cells + 1))
         velocity = motion.speed_m_s[:, None] * motion.R_wb[:, :, 0]
@@ -70,10 +72,10 @@ def test_position_is_the_integral_of_the_velocity_to_rounding() -> None:
 
     for from_s, to_s in ((7.0, 7.013), (7.0, 7.4), (6.9, 9.0)):
         start, end = trajectory.position(np.array([from_s, to_s]))
-        np.testing.assert_allclose(end - start, way(from_s, to_s), atol=1e-9)
+        np.testing.assert_allclose(end - start, displacement(from_s, to_s), atol=1e-9)
 
 
-def test_path_and_yaw_are_the_integrals_of_speed_and_yaw_rate() -> None:
+def test_distance_and_yaw_are_the_integrals_of_speed_and_yaw_rate() -> None:
     trajectory = Trajectory([*drive(1.0, 0.3), *turn(-2.0, 1.0), *arc(1.0, 0.4, 0.6)])
     cell_s = trajectory.duration_s / 200_000
     motion = trajectory.motion(np.linspace(0.5 * cell_s, trajectory.duration_s - 0.5 * cell_s, 200_000))
@@ -111,16 +113,16 @@ def test_motion_is_smooth_and_within_the_limits(plan: str) -> None:
     assert np.all(motion.rate_rad_s[standing] == 0.0)
 
 
-def test_lanes_turn_as_often_to_either_side() -> None:
-    habits = Habits(turn_rates_deg_s=(75.0, 75.0), area_m=(2.8, 4.0))
-    legs, start = plan_legs((('lanes', 0.0),), 3.0, 300.0, habits, np.random.default_rng(0))
+def test_lanes_turn_equally_often_to_both_sides() -> None:
+    driving_style = DrivingStyle(turn_rates_deg_s=(75.0, 75.0), area_m=(2.8, 4.0))
+    legs, start = plan_legs((('lanes', 0.0),), 3.0, 300.0, driving_style, np.random.default_rng(0))
     yaw = Trajectory(legs, start=start).motion(np.arange(0.0, 300.0, 0.01)).euler_rad[:, 2]
     assert np.ptp(yaw) == pytest.approx(2.0 * math.pi, abs=1e-6)
     turned = np.abs(np.diff(yaw)).sum()
     assert 36 <= turned / (math.pi / 2.0) <= 44
 
 
-def test_cleaning_turns_both_ways_at_many_speeds_and_stays_in_the_room() -> None:
+def test_cleaning_turns_both_ways_at_many_rates_and_stays_in_the_room() -> None:
     trajectory = rough_trajectory('cleaning', 300.0)
     time_s = np.arange(0.0, 300.0, 0.01)
     rate = np.degrees(trajectory.motion(time_s).rate_rad_s[:, 2])
@@ -135,14 +137,14 @@ def test_cleaning_turns_both_ways_at_many_speeds_and_stays_in_the_room() -> None
 
 def test_stages_follow_one_another() -> None:
     legs, start = plan_legs(
-        (('lanes', 30.0), ('standing', 0.0)), 2.0, 90.0, Habits(), np.random.default_rng(1)
+        (('lanes', 30.0), ('standing', 0.0)), 2.0, 90.0, DrivingStyle(), np.random.default_rng(1)
     )
     trajectory = Trajectory(legs, start=start)
     assert np.any(trajectory.motion(np.arange(2.0, 30.0, 0.1)).speed_m_s > 0.2)
     assert np.all(trajectory.motion(np.arange(60.0, 90.0, 0.1)).speed_m_s == 0.0)
 
 
-def test_after_the_last_leg_the_robot_stays() -> None:
+def test_the_robot_stays_in_place_after_the_last_leg() -> None:
     trajectory = Trajectory([*drive(1.0, 0.3), Leg(0.5)])
     late = trajectory.position(np.array([trajectory.duration_s, trajectory.duration_s + 100.0]))
     np.testing.assert_allclose(late[0], late[1])

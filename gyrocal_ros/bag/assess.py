@@ -1,215 +1,224 @@
-"""From the figures of a recording to what a person should know about it."""
+"""Assessment of a recording: issues derived from the statistics of its scan."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
 
-from gyrocal_ros.bag.scan import Seen, Watch
+from gyrocal_ros.bag.scan import BagScan, TopicScan
 from gyrocal_ros.bag.selection import NEEDED_ROLES
-from gyrocal_ros.bag.topic_stats import Agreement, ImuStats, WorstCase, compare_turns
+from gyrocal_ros.bag.topic_stats import EventStats, ImuStats, TurnComparison, compare_turns
 from gyrocal_ros.data import seconds
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import Role
 
 ERROR, WARNING, NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
-SLOWEST_HZ = {Role.IMU: 50.0, Role.WHEELS: 8.0, Role.FEATURES: 4.0, Role.IMAGE: 4.0, Role.HEADING: 2.0}
-"""Slower topics follow turns badly."""
+MIN_RATE_HZ = {Role.IMU: 50.0, Role.WHEELS: 8.0, Role.FEATURES: 4.0, Role.IMAGE: 4.0, Role.HEADING: 2.0}
+"""Minimum rate of a topic; slower ones follow turns badly."""
 MAX_NAN_SHARE = 0.1
-COVER_S = 2.0
-"""A topic that begins so much later than the IMU, or ends so much earlier, misses a part."""
-SAME_CLOCK_S, USUAL_DELAY_S = 0.5, 1.0
+"""Share of messages with NaN above which a topic cannot be used."""
+MAX_UNCOVERED_S = 2.0
+"""Limit of the time at the start or the end of the IMU's recording that another topic does not cover."""
+MAX_CLOCK_OFFSET_S = 0.5
+"""Limit of the offset between the stamps of two topics that use the same clock."""
+MAX_STAMP_OFFSET_S = 1.0
+"""Limit of the offset between the stamps and the time of recording on the same clock."""
 
 DEGREES = 180.0 / math.pi
-LEAST_TURN_DEG, FEW_TURNS_DEG, ONE_WAY_SHARE = 20.0, 180.0, 0.1
-FASTEST_RAD_S = 20.0
-"""No robot on a floor turns faster; one that seems to does so in degrees."""
-MAX_RATIO, LEAST_CORRELATION = 1.2, 0.85
-"""Two sensors agree about turns within these."""
-UNFIT_CORRELATION = 0.7
-FEW_FEATURES = 4.0
+MIN_TURN_DEG, FEW_TURNS_DEG = 20.0, 180.0
+"""Total turns below which the scale factor is not observable, and weakly observable."""
+ONE_WAY_SHARE = 0.1
+"""Share of the total turn below which one direction counts as missing."""
+MAX_RATE_RAD_S = 20.0
+"""Limit of the turning rate of a robot on a floor; higher readings are probably in degrees."""
+MAX_TURN_RATIO, MIN_CORRELATION = 1.2, 0.85
+"""Limits of the ratio and the correlation of the turns of two sensors that agree."""
+MIN_REFERENCE_CORRELATION = 0.7
+"""Correlation of turns below which a heading reference is unfit; below its negative, the sign is reversed."""
+MIN_FEATURES = 4.0
+"""Minimum of the mean number of features per image."""
 TURN_ADVICE = 'turn on the spot, a few full turns to each side, some slow and some fast'
 
 
-def assess(seen: Seen, *, reorder_window_s: float, clock_step_s: float) -> Iterator[BagIssue]:
-    """Yield what is wrong or odd.
+def assess(bag: BagScan, *, reorder_window_s: float, clock_step_s: float) -> Iterator[BagIssue]:
+    """Yield the issues of a recording.
 
     Args:
-        seen: what a pass over the recording has gathered.
-        reorder_window_s: how late a message may be recorded and still be sorted in.
-        clock_step_s: topics whose clocks differ by more than this cannot be used together.
+        bag: statistics of the recording.
+        reorder_window_s: delay up to which a message is still sorted in.
+        clock_step_s: clock offset above which topics cannot be used together.
     """
-    stamped = [watch for watch in seen.watches if watch.stamps.unset < watch.stamps.count]
-    for watch in seen.watches:
-        if watch not in stamped:
-            yield _found(
-                watch, ERROR, 'unset_stamps', 'all stamps are zero', 'the driver must set header.stamp'
+    stamped = [scan for scan in bag.topics if scan.stamps.unset < scan.stamps.count]
+    for scan in bag.topics:
+        if scan not in stamped:
+            yield _issue(
+                scan, ERROR, 'unset_stamps', 'all stamps are zero', 'the driver must set header.stamp'
             )
-    imus = [watch for watch in stamped if watch.role is Role.IMU]
-    for watch in stamped:
-        yield from _stamps(watch, reorder_window_s)
-        yield from _numbers(watch)
-        if imus and watch.role in NEEDED_ROLES and watch.role is not Role.IMU:
-            yield from _beside_imu(watch, imus[0], clock_step_s)
+    imus = [scan for scan in stamped if scan.role is Role.IMU]
+    for scan in stamped:
+        yield from _stamp_issues(scan, reorder_window_s)
+        yield from _nan_issues(scan)
+        if imus and scan.role in NEEDED_ROLES and scan.role is not Role.IMU:
+            yield from _synchronisation_issues(scan, imus[0], clock_step_s)
     for imu in imus:
-        yield from _imu(imu, seen.imus[imu.topic.name], _references(imu, stamped, seen))
-    features = seen.of(Role.FEATURES)
-    if features and seen.feature_count < FEW_FEATURES * features.stamps.count:
-        mean = seen.feature_count / features.stamps.count
-        yield _found(
-            features, WARNING, 'few_features', f'{mean:.1f} features an image', 'look at the tracker'
-        )
+        yield from _imu_issues(imu, bag.imus[imu.topic.name], _compare_with_imu(imu, stamped, bag))
+    features = bag.of_role(Role.FEATURES)
+    if features and bag.feature_count < MIN_FEATURES * features.stamps.count:
+        mean = bag.feature_count / features.stamps.count
+        yield _issue(features, WARNING, 'few_features', f'{mean:.1f} features an image', 'check the tracker')
 
 
-def _references(imu: Watch, stamped: list[Watch], seen: Seen) -> dict[str, tuple[Watch, Agreement]]:
-    """Return how far wheels and heading reference, by topic, turn as the gyro does."""
-    agreements = {}
-    for watch in stamped:
-        if watch.role in seen.turns and abs(_behind_s(watch, imu)) < SAME_CLOCK_S:
-            agreement = compare_turns(seen.imus[imu.topic.name].turns, seen.turns[watch.role])
-            if agreement:
-                agreements[watch.topic.name] = watch, agreement
-    return agreements
+def _compare_with_imu(
+    imu: TopicScan, stamped: list[TopicScan], bag: BagScan
+) -> dict[str, tuple[TopicScan, TurnComparison]]:
+    """Return the comparison of the turns of wheels and heading reference with the gyro, by topic."""
+    comparisons = {}
+    for scan in stamped:
+        if scan.role in bag.turns and abs(_clock_offset_s(scan, imu)) < MAX_CLOCK_OFFSET_S:
+            compared = compare_turns(bag.imus[imu.topic.name].turns, bag.turns[scan.role])
+            if compared:
+                comparisons[scan.topic.name] = scan, compared
+    return comparisons
 
 
-def _behind_s(watch: Watch, imu: Watch) -> float:
-    """How far the stamps of a topic lie behind those of the IMU."""
-    return watch.stamps.least_delay_s - imu.stamps.least_delay_s
+def _clock_offset_s(scan: TopicScan, imu: TopicScan) -> float:
+    """Return the offset by which the stamps of a topic are behind those of the IMU."""
+    return scan.stamps.min_delay_s - imu.stamps.min_delay_s
 
 
-def _found(watch: Watch, severity: Severity, kind: str, text: str, todo: str = '') -> BagIssue:
-    return BagIssue(severity if watch.role in NEEDED_ROLES else NOTE, kind, watch.topic.name, text, todo)
+def _issue(scan: TopicScan, severity: Severity, kind: str, text: str, todo: str = '') -> BagIssue:
+    return BagIssue(severity if scan.role in NEEDED_ROLES else NOTE, kind, scan.topic.name, text, todo)
 
 
-def _stamps(watch: Watch, reorder_window_s: float) -> Iterator[BagIssue]:
-    stamps = watch.stamps
+def _stamp_issues(scan: TopicScan, reorder_window_s: float) -> Iterator[BagIssue]:
+    """Yield the issues of the stamps of a topic on its own."""
+    stamps = scan.stamps
 
-    def worst(event: WorstCase, word: str) -> str:
-        at_s = seconds(event.at_ns - stamps.first_ns)
-        return f'{word} {abs(event.worst_s):.3g} s, {at_s:.1f} s after the start'
+    def largest(events: EventStats, label: str) -> str:
+        at_s = seconds(events.at_ns - stamps.first_ns)
+        return f'{label} {abs(events.largest_s):.3g} s, {at_s:.1f} s after the start'
 
     if stamps.unset:
-        yield _found(watch, WARNING, 'unset_stamps', f'{stamps.unset} stamps are zero', 'they are left out')
+        yield _issue(scan, WARNING, 'unset_stamps', f'{stamps.unset} stamps are zero', 'they are left out')
     if stamps.jumped.count:
-        text = f'the stamps jump against the time of recording, {worst(stamps.jumped, "by up to")}'
-        yield _found(watch, WARNING, 'clock_jump', text, 'a lasting jump starts a new time base')
+        text = f'the stamps jump relative to the time of recording, {largest(stamps.jumped, "by up to")}'
+        yield _issue(scan, WARNING, 'clock_jump', text, 'a lasting jump starts a new time base')
     if count := stamps.repeated.count:
-        yield _found(
-            watch,
-            WARNING,
-            'repeated_stamps',
-            f'{count} times a stamp is repeated',
-            'such messages are left out',
-        )
+        text = f'{count} {"stamp repeats" if count == 1 else "stamps repeat"} the one before'
+        yield _issue(scan, WARNING, 'repeated_stamps', text, 'such messages are left out')
     if count := stamps.backward.count:
-        text = f'{count} times a stamp lies before the last, {worst(stamps.backward, "by up to")}'
+        noun = 'stamp is' if count == 1 else 'stamps are'
+        text = f'{count} {noun} earlier than the one before, {largest(stamps.backward, "by up to")}'
         todo = f'messages up to {reorder_window_s:g} s late are sorted in, later ones left out'
-        yield _found(watch, WARNING, 'backward_stamps', text, todo)
+        yield _issue(scan, WARNING, 'backward_stamps', text, todo)
     if count := stamps.gap.count:
-        text = f'{count} {"gap" if count == 1 else "gaps"}, {worst(stamps.gap, "the longest")}'
-        yield _found(watch, WARNING, 'gap', text, 'were messages lost while recording?')
+        text = f'{count} {"gap" if count == 1 else "gaps"}, {largest(stamps.gap, "the longest")}'
+        yield _issue(scan, WARNING, 'gap', text, 'were messages lost while recording?')
     if not stamps.jumped.count:
-        if stamps.most_delay_s - stamps.least_delay_s > reorder_window_s:
-            text = f'messages were recorded up to {stamps.most_delay_s - stamps.least_delay_s:.1f} s late'
-            yield _found(watch, WARNING, 'late', text, 'raise recording.reorder_window_s')
-        if abs(stamps.least_delay_s) > USUAL_DELAY_S:
-            side = 'before' if stamps.least_delay_s > 0.0 else 'after'
-            text = f'stamps lie {abs(stamps.least_delay_s):.6g} s {side} the time of recording: another clock'
-            yield _found(watch, NOTE, 'other_clock', text)
-    if stamps.rate_hz < SLOWEST_HZ.get(watch.role, 0.0):
+        if stamps.max_delay_s - stamps.min_delay_s > reorder_window_s:
+            text = f'messages were recorded up to {stamps.max_delay_s - stamps.min_delay_s:.1f} s late'
+            yield _issue(scan, WARNING, 'late', text, 'raise recording.reorder_window_s')
+        if abs(stamps.min_delay_s) > MAX_STAMP_OFFSET_S:
+            side = 'before' if stamps.min_delay_s > 0.0 else 'after'
+            text = f'stamps are {abs(stamps.min_delay_s):.6g} s {side} the time of recording: another clock'
+            yield _issue(scan, NOTE, 'other_clock', text)
+    if stamps.rate_hz < MIN_RATE_HZ.get(scan.role, 0.0):
         text = f'only {stamps.rate_hz:.3g} messages a second'
-        yield _found(watch, WARNING, 'slow', text, f'{SLOWEST_HZ[watch.role]:g} or more are wanted')
+        yield _issue(scan, WARNING, 'slow', text, f'at least {MIN_RATE_HZ[scan.role]:g} are recommended')
 
 
-def _numbers(watch: Watch) -> Iterator[BagIssue]:
-    if watch.not_finite:
-        share = watch.not_finite / watch.stamps.count
+def _nan_issues(scan: TopicScan) -> Iterator[BagIssue]:
+    if scan.not_finite:
+        share = scan.not_finite / scan.stamps.count
         severity = ERROR if share > MAX_NAN_SHARE else WARNING
-        text = f'{watch.not_finite} of {watch.stamps.count} messages are not finite (NaN)'
-        yield _found(watch, severity, 'not_finite', text, 'they are left out; look after the driver')
+        text = f'{scan.not_finite} of {scan.stamps.count} messages are not finite (NaN)'
+        yield _issue(scan, severity, 'not_finite', text, 'they are left out; check the driver')
 
 
-def _beside_imu(watch: Watch, imu: Watch, clock_step_s: float) -> Iterator[BagIssue]:
-    """Tell whether a topic goes with the IMU in clock and time."""
-    if watch.stamps.jumped.count or imu.stamps.jumped.count:
+def _synchronisation_issues(scan: TopicScan, imu: TopicScan, clock_step_s: float) -> Iterator[BagIssue]:
+    """Yield the issues of a topic that uses another clock than the IMU or does not cover its time."""
+    if scan.stamps.jumped.count or imu.stamps.jumped.count:
         return
-    apart_s = _behind_s(watch, imu)
-    if abs(apart_s) > SAME_CLOCK_S:
-        severity = ERROR if abs(apart_s) > clock_step_s else WARNING
-        side = 'behind' if apart_s > 0.0 else 'ahead of'
-        text = f'its stamps are {abs(apart_s):.6g} s {side} those of {imu.topic.name}'
-        yield _found(watch, severity, 'clocks_differ', text, 'stamp all topics by one clock')
+    offset_s = _clock_offset_s(scan, imu)
+    if abs(offset_s) > MAX_CLOCK_OFFSET_S:
+        severity = ERROR if abs(offset_s) > clock_step_s else WARNING
+        side = 'behind' if offset_s > 0.0 else 'ahead of'
+        text = f'its stamps are {abs(offset_s):.6g} s {side} those of {imu.topic.name}'
+        yield _issue(scan, severity, 'clocks_differ', text, 'use one clock for the stamps of all topics')
         return
-    late_s = seconds(watch.stamps.first_ns - imu.stamps.first_ns)
-    early_s = seconds(imu.stamps.last_ns - watch.stamps.last_ns)
-    if late_s > COVER_S:
-        yield _found(watch, WARNING, 'begins_late', f'begins {late_s:.1f} s after the IMU')
-    if early_s > COVER_S:
-        yield _found(watch, WARNING, 'ends_early', f'ends {early_s:.1f} s before the IMU')
+    late_s = seconds(scan.stamps.first_ns - imu.stamps.first_ns)
+    early_s = seconds(imu.stamps.last_ns - scan.stamps.last_ns)
+    if late_s > MAX_UNCOVERED_S:
+        yield _issue(scan, WARNING, 'begins_late', f'begins {late_s:.1f} s after the IMU')
+    if early_s > MAX_UNCOVERED_S:
+        yield _issue(scan, WARNING, 'ends_early', f'ends {early_s:.1f} s before the IMU')
 
 
-def _imu(
-    imu: Watch, stats: ImuStats, references: Mapping[str, tuple[Watch, Agreement]]
+def _imu_issues(
+    imu: TopicScan, stats: ImuStats, comparisons: Mapping[str, tuple[TopicScan, TurnComparison]]
 ) -> Iterator[BagIssue]:
+    """Yield the issues of the readings of an IMU, and of the sensors whose turns are compared with it."""
     if not stats.count:
         return
-    if stats.at_zero == stats.count:
+    if stats.zero_count == stats.count:
         text = 'the gyro reads exactly zero throughout'
-        yield _found(imu, ERROR, 'dead_imu', text, 'choose another IMU topic')
+        yield _issue(imu, ERROR, 'dead_imu', text, 'choose another IMU topic')
         return
-    yield from _accelerometer(imu, stats.mean_force_m_s2)
-    for watch, agreement in references.values():
-        if _is_degrees(1.0 / agreement.ratio):
-            text = f'turns {abs(1.0 / agreement.ratio):.0f} times as much as {watch.topic.name}: in degrees?'
-            yield _found(imu, ERROR, 'unit_degrees', text, 'the driver must publish rad/s')
+    yield from _accelerometer_issues(imu, stats.mean_force_m_s2)
+    for scan, compared in comparisons.values():
+        if _is_degrees(1.0 / compared.ratio):
+            text = f'turns {abs(1.0 / compared.ratio):.0f} times as much as {scan.topic.name}: in degrees?'
+            yield _issue(imu, ERROR, 'unit_degrees', text, 'the driver must publish rad/s')
             return
-        yield from _agreement(watch, imu, agreement)
-    if stats.largest_rate_rad_s > FASTEST_RAD_S and not references:
+        yield from _turn_issues(scan, imu, compared)
+    if stats.largest_rate_rad_s > MAX_RATE_RAD_S and not comparisons:
         text = f'reads up to {stats.largest_rate_rad_s:.0f} rad/s: in degrees?'
-        yield _found(imu, ERROR, 'unit_degrees', text, 'the driver must publish rad/s')
+        yield _issue(imu, ERROR, 'unit_degrees', text, 'the driver must publish rad/s')
         return
     left, right = (turn * DEGREES for turn in stats.turns.left_right_rad)
-    if left + right < LEAST_TURN_DEG:
-        text = f'the robot turns {left + right:.0f} deg in all: the scale factor does not show'
-        yield _found(imu, ERROR, 'no_turns', text, TURN_ADVICE)
+    if left + right < MIN_TURN_DEG:
+        text = f'the robot turns {left + right:.0f} deg in total: the scale factor is not observable'
+        yield _issue(imu, ERROR, 'no_turns', text, TURN_ADVICE)
     elif left + right < FEW_TURNS_DEG:
-        text = f'the robot turns only {left + right:.0f} deg in all: the scale factor shows badly'
-        yield _found(imu, WARNING, 'few_turns', text, TURN_ADVICE)
+        text = f'the robot turns only {left + right:.0f} deg in total: the scale factor is weakly observable'
+        yield _issue(imu, WARNING, 'few_turns', text, TURN_ADVICE)
     elif min(left, right) < ONE_WAY_SHARE * (left + right):
         text = f'the robot turns {left:.0f} deg to the left, {right:.0f} deg to the right'
-        yield _found(imu, NOTE, 'one_way_turns', text, 'turns to both sides tell the effects apart')
+        yield _issue(imu, NOTE, 'one_way_turns', text, 'turns to both sides are needed to separate effects')
 
 
-def _accelerometer(imu: Watch, force_m_s2: float) -> Iterator[BagIssue]:
+def _accelerometer_issues(imu: TopicScan, force_m_s2: float) -> Iterator[BagIssue]:
     if force_m_s2 < 0.3:
-        yield _found(imu, NOTE, 'no_accelerometer', 'the accelerometer reads no gravity')
+        yield _issue(imu, NOTE, 'no_accelerometer', 'the accelerometer reads no gravity')
     elif 0.8 < force_m_s2 < 1.25:
         text = f'the accelerometer reads {force_m_s2:.2f}: g, not m/s^2'
-        yield _found(imu, WARNING, 'unit_g', text, 'the driver must publish m/s^2')
+        yield _issue(imu, WARNING, 'unit_g', text, 'the driver must publish m/s^2')
     elif not 9.0 < force_m_s2 < 11.0:
         text = f'the accelerometer reads {force_m_s2:.3g} m/s^2 on average where 9.8 is expected'
-        yield _found(imu, WARNING, 'odd_gravity', text, 'look after its unit and its calibration')
+        yield _issue(imu, WARNING, 'odd_gravity', text, 'check its unit and its calibration')
 
 
-def _agreement(watch: Watch, imu: Watch, agreement: Agreement) -> Iterator[BagIssue]:
-    """Tell whether wheels or heading reference turn as the gyro does."""
-    if _is_degrees(agreement.ratio):
-        text = f'turns {abs(agreement.ratio):.0f} times as much as {imu.topic.name}: in degrees?'
-        yield _found(watch, WARNING, 'unit_degrees', text, 'the driver must publish rad/s')
-    elif agreement.correlation < -UNFIT_CORRELATION:
-        todo = 'is the IMU upside down? publish how it is mounted on /tf_static'
-        yield _found(watch, WARNING, 'opposite_turns', f'turns the other way than {imu.topic.name}', todo)
-    elif agreement.correlation < LEAST_CORRELATION or not 1.0 / MAX_RATIO < agreement.ratio < MAX_RATIO:
-        is_reference = watch.role is Role.HEADING
+def _turn_issues(scan: TopicScan, imu: TopicScan, compared: TurnComparison) -> Iterator[BagIssue]:
+    """Yield the issues of wheels or a heading reference whose turns differ from those of the gyro."""
+    if _is_degrees(compared.ratio):
+        text = f'turns {abs(compared.ratio):.0f} times as much as {imu.topic.name}: in degrees?'
+        yield _issue(scan, WARNING, 'unit_degrees', text, 'the driver must publish rad/s')
+    elif compared.correlation < -MIN_REFERENCE_CORRELATION:
+        text = f'turns in the opposite direction to {imu.topic.name}'
+        todo = 'is the IMU upside down? publish its mounting on /tf_static'
+        yield _issue(scan, WARNING, 'opposite_turns', text, todo)
+    elif compared.correlation < MIN_CORRELATION or not 1.0 / MAX_TURN_RATIO < compared.ratio < MAX_TURN_RATIO:
+        is_reference = scan.role is Role.HEADING
         text = (
-            f'turns {agreement.other_deg:.0f} deg in all, {imu.topic.name} {agreement.this_deg:.0f} deg '
-            f'(correlation {agreement.correlation:.2f})'
+            f'turns {compared.other_deg:.0f} deg in total, {imu.topic.name} {compared.this_deg:.0f} deg '
+            f'(correlation {compared.correlation:.2f})'
         )
         todo = 'unfit as a heading reference' + ('' if is_reference else '; do the wheels slip?')
-        severity = ERROR if is_reference and agreement.correlation < UNFIT_CORRELATION else WARNING
-        yield _found(watch, severity, 'turns_disagree', text, todo)
+        is_unfit = is_reference and compared.correlation < MIN_REFERENCE_CORRELATION
+        yield _issue(scan, ERROR if is_unfit else WARNING, 'turns_disagree', text, todo)
 
 
 def _is_degrees(ratio: float) -> bool:
+    """Return True if a ratio of two turns is about 180 / pi."""
     return 0.6 * DEGREES < abs(ratio) < 1.6 * DEGREES

@@ -1,4 +1,4 @@
-"""Looks through a recording before it is used: what is there, and what is wrong with it."""
+"""Check of a recording before it is used: its topics and its issues."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gyrocal_ros.bag.assess import assess
-from gyrocal_ros.bag.rig import read_links, read_rig
-from gyrocal_ros.bag.scan import Seen, look_through
+from gyrocal_ros.bag.rig import read_rig, read_static_transforms
+from gyrocal_ros.bag.scan import BagScan, scan_bag
 from gyrocal_ros.bag.selection import Selection, select_topics
-from gyrocal_ros.bag.source import make_choice
+from gyrocal_ros.bag.source import topic_options
 from gyrocal_ros.bag.storage import Storage, open_storage
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds, seconds
@@ -24,34 +24,35 @@ from gyrocal_ros.msgs.transforms import Transform
 
 @dataclass(frozen=True, slots=True)
 class TopicSummary:
-    """One line of the table of topics; what was not looked at is NaN."""
+    """One row of the table of topics; figures of topics that are not scanned are NaN."""
 
     name: str
     type_name: str
     role: str
-    """What it is used as: usual name of the topic, `covariate`, or nothing."""
+    """Use of the topic: its usual name, `covariate`, or an empty string if it is not used."""
     count: int
     rate_hz: float
     start_s: float
-    """First and last stamp, since the first stamp of all."""
+    """First stamp, relative to the first stamp of all topics."""
     end_s: float
+    """Last stamp, relative to the first stamp of all topics."""
     longest_gap_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """What is in a recording, and what is wrong with it."""
+    """Topics and issues of a recording."""
 
     name: str
     duration_s: float
     topics: tuple[TopicSummary, ...]
-    findings: tuple[BagIssue, ...]
-    """The worst first."""
+    issues: tuple[BagIssue, ...]
+    """Issues, the most severe first."""
 
     @property
     def usable(self) -> bool:
-        """Whether something can be calibrated from it."""
-        return all(finding.severity is not Severity.ERROR for finding in self.findings)
+        """True if the recording can be calibrated from."""
+        return all(issue.severity is not Severity.ERROR for issue in self.issues)
 
 
 def check_bag(
@@ -62,61 +63,61 @@ def check_bag(
     namespace: str | None = None,
     heading_reference: str | None = None,
 ) -> CheckReport:
-    """Look through a recording once; the arguments are those of `open_bag`.
+    """Check a recording in one pass; the arguments are those of `open_bag`.
 
-    Where the usual topics are missing, those that may be meant are looked at in their place.
+    If the usual topics are missing, the topics that could replace them are checked instead.
 
     Raises:
         RecordingError: there is no such recording, or it is damaged.
         ConfigError: a remap is wrong.
     """
     recording = config.recording
-    choice = make_choice(recording, remap, namespace, heading_reference)
+    options = topic_options(recording, remap, namespace, heading_reference)
     with open_storage(path) as storage:
-        selection = select_topics(storage.topics, choice)
-        findings = list(selection.findings)
-        links = read_links(storage, selection)
-        findings += _camera(storage, selection, links, config)
-        seen = look_through(storage, selection, links, nanoseconds(recording.clock_step_s), findings)
-        findings += assess(
-            seen, reorder_window_s=recording.reorder_window_s, clock_step_s=recording.clock_step_s
+        selection = select_topics(storage.topics, options)
+        issues = list(selection.issues)
+        links = read_static_transforms(storage, selection)
+        issues += _camera_issues(storage, selection, links, config)
+        scan = scan_bag(storage, selection, links, nanoseconds(recording.clock_step_s), issues)
+        issues += assess(
+            scan, reorder_window_s=recording.reorder_window_s, clock_step_s=recording.clock_step_s
         )
         return CheckReport(
             name=str(path),
             duration_s=seconds(storage.end_ns - storage.start_ns),
-            topics=tuple(_summaries(storage, selection, seen)),
-            findings=tuple(sorted(findings, key=lambda finding: list(Severity).index(finding.severity))),
+            topics=tuple(_summaries(storage, selection, scan)),
+            issues=tuple(sorted(issues, key=lambda issue: list(Severity).index(issue.severity))),
         )
 
 
-def _camera(
+def _camera_issues(
     storage: Storage, selection: Selection, links: Sequence[Transform], config: Config
 ) -> Iterator[BagIssue]:
-    """Tell what is wrong with the camera: its calibration, its mount, the first of its images."""
+    """Yield the issues of the camera: its calibration, its mount, and the size of its first image."""
     assumed: list[BagIssue] = []
     topic = selection.topics.get(Role.IMAGE)
     try:
         rig = read_rig(storage, selection, links, config.camera, assumed)
         if topic and rig.camera:
-            images.refuse_other_size(images.frame(storage.first_message(topic)), rig.camera, topic.name)
+            images.require_camera_size(images.frame(storage.first_message(topic)), rig.camera, topic.name)
     except RecordingError as error:
         yield BagIssue(Severity.ERROR, 'camera', topic.name if topic else '', error.what, error.todo)
     yield from assumed
 
 
-def _summaries(storage: Storage, selection: Selection, seen: Seen) -> Iterator[TopicSummary]:
+def _summaries(storage: Storage, selection: Selection, bag: BagScan) -> Iterator[TopicSummary]:
     duration_s = seconds(storage.end_ns - storage.start_ns)
-    start_ns = min((watch.stamps.first_ns for watch in seen.watches), default=0)
+    start_ns = min((scan.stamps.first_ns for scan in bag.topics), default=0)
     uses = {topic.name: 'covariate' for topic in selection.others.values()}
     uses |= {topic.name: topics.STATIC_TRANSFORMS for topic in selection.static_transforms}
     for role, topic in selection.topics.items():
         uses[topic.name] = f'{uses[topic.name]}, {role}' if topic.name in uses else str(role)
-    stamps_of = {watch.topic.name: watch.stamps for watch in seen.watches}
+    stamps_of = {scan.topic.name: scan.stamps for scan in bag.topics}
     for topic in storage.topics.values():
         rate_hz = topic.count / duration_s if duration_s else math.nan
         start_s = end_s = longest_gap_s = math.nan
         if stamps := stamps_of.get(topic.name):
-            rate_hz, longest_gap_s = stamps.rate_hz, abs(stamps.gap.worst_s)
+            rate_hz, longest_gap_s = stamps.rate_hz, abs(stamps.gap.largest_s)
             start_s, end_s = (seconds(t_ns - start_ns) for t_ns in (stamps.first_ns, stamps.last_ns))
         yield TopicSummary(
             topic.name,

@@ -1,4 +1,4 @@
-"""From the messages of the topics in use to measurements in body axes."""
+"""Decodes the messages of the topics in use to measurements in body axes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import images, topics
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.mounts import into_body_axes
-from gyrocal_ros.msgs.topics import STAMP_FIELDS, FlatMessage, Role
+from gyrocal_ros.msgs.topics import STAMP_FIELDS, FieldConversion, Role
 
-MAX_BAD_SHARE, MAX_BAD = 0.1, 10
-"""A recording is refused when more messages of a needed topic than this mean nothing."""
+MAX_INVALID_SHARE, MAX_INVALID = 0.1, 10
+"""Limits of the invalid messages of a needed topic: a recording that exceeds both is refused."""
 
 Decode: TypeAlias = Callable[[bytes, int], Sequence[Measurement]]
-"""From a serialised message and its time of recording (ns) to what was measured at one moment."""
+"""Function from a serialised message and its time of recording (ns) to its measurements, of equal stamp."""
 
 
 class MessageDecoder:
-    """Turns the messages of one pass over a recording into measurements, and counts the bad ones."""
+    """Decodes the messages of one pass over a recording to measurements, and counts invalid messages."""
 
     def __init__(
         self,
@@ -44,65 +44,67 @@ class MessageDecoder:
         Args:
             storage: the open recording.
             selection: its topics.
-            geometry: how the sensors sit.
-            other_clock_ns: stamps further than this from the time of recording are of another clock.
+            geometry: mounting of the sensors.
+            other_clock_ns: offset to the time of recording above which stamps are of another clock.
             with_covariates: decode all other recorded numbers too.
 
         Raises:
-            RecordingError: the type of a needed topic is not known.
+            RecordingError: the type of a needed topic is unknown.
         """
-        self.findings: list[BagIssue] = []
+        self.issues: list[BagIssue] = []
         """Topics that had to be left out."""
-        self.bad: Counter[str] = Counter()
-        """Messages of each topic that mean nothing (NaN, a damaged image) and were left out."""
-        self.stamps_ahead_ns = 0
-        """Latest stamp less its time of recording; set by the user of the decoder."""
+        self.invalid: Counter[str] = Counter()
+        """Number of messages of each topic that were left out as invalid (NaN, a damaged image)."""
+        self.stamp_offset_ns = 0
+        """Latest stamp minus its time of recording; set by the user of the decoder."""
         self._storage, self._geometry, self._other_clock_ns = storage, geometry, other_clock_ns
         self._needed = {topic.name for role, topic in selection.topics.items() if role in NEEDED_ROLES}
         self.streams: list[tuple[Topic, Decode]] = []
-        """Each topic in use with its decoder; a topic of two roles stands there twice."""
+        """Each topic in use with its decoder; a topic with two roles appears twice."""
         for role in Role:
             if role in selection.topics and role is not Role.CAMERA_INFO:
                 topic = selection.topics[role]
-                self.streams.append((topic, self._of_role(role, topic)))
+                self.streams.append((topic, self._role_decoder(role, topic)))
         for name, topic in selection.others.items() if with_covariates else ():
             try:
-                self.streams.append((topic, self._covariates(topic, name)))
+                self.streams.append((topic, self._covariate_decoder(topic, name)))
             except RecordingError as error:
-                self.findings.append(
+                self.issues.append(
                     BagIssue(Severity.WARNING, 'unknown_type', topic.name, f'is left out: {error.what}')
                 )
 
-    def _of_role(self, role: Role, topic: Topic) -> Decode:
+    def _role_decoder(self, role: Role, topic: Topic) -> Decode:
         if role is Role.FEATURES:
-            return self._features(topic)
+            return self._feature_decoder(topic)
         if role is Role.IMAGE:
-            return self._frames(topic)
-        conversion = topics.flat_message(role, topic.type_name)
+            return self._image_decoder(topic)
+        conversion = topics.field_conversion(role, topic.type_name)
         if role is Role.IMU and not np.array_equal(self._geometry.R_bi, np.eye(3)):
-            turn = into_body_axes(self._geometry.R_bi)
-            conversion = FlatMessage(conversion.fields, lambda *values: turn(topics.imu_sample(*values)))
-        return self._numbers(topic, conversion)
+            rotate = into_body_axes(self._geometry.R_bi)
+            conversion = FieldConversion(
+                conversion.fields, lambda *values: rotate(topics.imu_sample(*values))
+            )
+        return self._field_decoder(topic, conversion)
 
-    def _numbers(self, topic: Topic, conversion: FlatMessage[Measurement]) -> Decode:
+    def _field_decoder(self, topic: Topic, conversion: FieldConversion[Measurement]) -> Decode:
         read, build = self._storage.reader_of(topic, conversion.fields), conversion.build
 
         def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
             values = read(raw)
             if math.isfinite(sum(values)):
                 return (build(*values),)
-            self._count_bad(topic, 'the numbers are not finite (NaN)', 'look after the driver of this sensor')
+            self._count_invalid(topic, 'the numbers are not finite (NaN)', 'check the driver of this sensor')
             return ()
 
         return decode
 
-    def _features(self, topic: Topic) -> Decode:
+    def _feature_decoder(self, topic: Topic) -> Decode:
         def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
             return (topics.features(self._storage.message(topic, raw)),)
 
         return decode
 
-    def _frames(self, topic: Topic) -> Decode:
+    def _image_decoder(self, topic: Topic) -> Decode:
         camera = self._geometry.rig.camera
         assert camera, 'images are not selected without camera_info'
 
@@ -110,15 +112,15 @@ class MessageDecoder:
             try:
                 frame = images.frame(self._storage.message(topic, raw))
             except RecordingError as error:
-                self._count_bad(topic, error.what, error.todo)
+                self._count_invalid(topic, error.what, error.todo)
                 return ()
-            images.refuse_other_size(frame, camera, f'{self._storage.path}, {topic.name}')
+            images.require_camera_size(frame, camera, f'{self._storage.path}, {topic.name}')
             return (frame,)
 
         return decode
 
-    def _covariates(self, topic: Topic, name: str) -> Decode:
-        """Decode all single numbers of a topic; which there are shows in its first message."""
+    def _covariate_decoder(self, topic: Topic, name: str) -> Decode:
+        """Return a decoder of all scalar numbers of a topic, whose names are read from its first message."""
         stamp = STAMP_FIELDS if self._storage.has_header(topic) else ()
         names: list[str] = []
         read: FieldReader | None = None
@@ -143,12 +145,13 @@ class MessageDecoder:
         return decode
 
     def _clock_offset_ns(self) -> int:
-        """Return what turns a time of recording into a stamp: nothing, unless they differ by far."""
-        return self.stamps_ahead_ns if abs(self.stamps_ahead_ns) > self._other_clock_ns else 0
+        """Return the offset from the time of recording to the stamps, 0 unless they use different clocks."""
+        return self.stamp_offset_ns if abs(self.stamp_offset_ns) > self._other_clock_ns else 0
 
-    def _count_bad(self, topic: Topic, what: str, todo: str) -> None:
-        self.bad[topic.name] += 1
-        count = self.bad[topic.name]
-        if topic.name in self._needed and count > max(MAX_BAD, MAX_BAD_SHARE * topic.count):
+    def _count_invalid(self, topic: Topic, what: str, todo: str) -> None:
+        """Count an invalid message; raise an error if a needed topic has too many of them."""
+        self.invalid[topic.name] += 1
+        count = self.invalid[topic.name]
+        if topic.name in self._needed and count > max(MAX_INVALID, MAX_INVALID_SHARE * topic.count):
             place = f'{self._storage.path}, {topic.name}'
-            raise RecordingError(f'{what} in {count} messages already', where=place, todo=todo)
+            raise RecordingError(f'{what} in at least {count} messages', where=place, todo=todo)

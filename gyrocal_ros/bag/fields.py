@@ -1,8 +1,8 @@
 """Reads a few fields of a serialised message and skips the rest.
 
-An Imu message carries three covariance matrices and an orientation that nobody here asks for; to
-build all of it costs six times as much as to pick the eight numbers that count. The layout follows
-from the message definition, so the same code reads CDR (ROS 2) and ROS 1 messages of any type.
+An Imu message carries three covariance matrices and an orientation that are not used here; decoding all
+of it takes six times as long as reading the eight numbers that are used. The layout follows from the
+message definition, so the same code reads CDR (ROS 2) and ROS 1 messages of any type.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 FieldReader: TypeAlias = Callable[[bytes], tuple[Any, ...]]
+"""Function from a serialised message to the values of the selected fields."""
 
-CODES = {
+STRUCT_CODES = {
     'bool': '?',
     'byte': 'b',
     'char': 'B',
@@ -32,42 +33,44 @@ CODES = {
     'float32': 'f',
     'float64': 'd',
 }
-WIDEST = 8
+"""`struct` code of each numeric type."""
+MAX_ALIGNMENT = 8
+"""Largest alignment of a number in CDR, in bytes."""
 
 
 class _Item(NamedTuple):
-    """One thing on the wire: a number, some numbers in a row, or a counted run of them."""
+    """One element of a serialised message: a number, an array of numbers, or a counted sequence of them."""
 
     path: str
     code: str
     """`struct` code of one number."""
     length: int = 1
-    """How many follow each other."""
+    """Number of numbers in the array."""
     counted: bool = False
-    """Whether the count itself is on the wire, before the numbers: a string or a sequence."""
+    """True if the count is serialised before the numbers, as in a string or a sequence."""
 
 
 class _Block(NamedTuple):
-    """Numbers at fixed distances from each other, then perhaps a counted run to jump over."""
+    """Numbers at fixed offsets from each other, optionally followed by a counted sequence to skip."""
 
     align: int
     layout: Struct
-    run_item: Struct | None
-    """One item of the run whose count is the last value of the block."""
+    sequence_item: Struct | None
+    """Layout of one item of the sequence whose count is the last value of the block; None without one."""
 
 
 class _NotFlat(Exception):
-    """The wanted fields lie behind something whose length shows only when it is decoded."""
+    """A wanted field follows something whose length is only known after decoding it."""
 
 
 def field_reader(store: Typestore, type_name: str, paths: Sequence[str], *, cdr: bool) -> FieldReader:
-    """Return a function from a serialised message to the values of some of its number fields.
+    """Return a function from a serialised message to the values of some of its numeric fields.
 
     Args:
-        store: holds the definition of the type.
+        store: store with the definition of the type.
         type_name: for example `sensor_msgs/msg/Imu`.
         paths: dotted names such as `header.stamp.sec`, in the order of the definition.
-        cdr: the messages are ROS 2 CDR, not ROS 1.
+        cdr: True if the messages are ROS 2 CDR, False for ROS 1.
     """
 
     def read_all(raw: bytes) -> tuple[Any, ...]:
@@ -75,7 +78,7 @@ def field_reader(store: Typestore, type_name: str, paths: Sequence[str], *, cdr:
         values = attrgetter(*paths)(message)
         return values if len(paths) > 1 else (values,)
 
-    origin = 4 if cdr else 0  # CDR opens with four bytes that say how the rest is encoded
+    origin = 4 if cdr else 0  # CDR starts with four bytes that define the encoding of the rest
     try:
         items = _items(store.fielddefs, type_name, '')
         *before, last = _blocks(items, list(paths), cdr)
@@ -88,53 +91,53 @@ def field_reader(store: Typestore, type_name: str, paths: Sequence[str], *, cdr:
             return read_all(raw)
         values: list[Any] = []
         position = origin
-        for align, layout, run_item in before:
+        for align, layout, sequence_item in before:
             position += (origin - position) % align
             values += layout.unpack_from(raw, position)
             position += layout.size
-            if run_item and (count := values.pop()):
+            if sequence_item and (count := values.pop()):
                 if cdr:
-                    position += (origin - position) % run_item.size
-                position += count * run_item.size
+                    position += (origin - position) % sequence_item.size
+                position += count * sequence_item.size
         return *values, *last_values(raw, position + (origin - position) % last_align)
 
     return read
 
 
 def _items(definitions: Mapping[str, Any], type_name: str, prefix: str) -> Iterator[_Item]:
-    """Yield what a message consists of, nested messages laid open, in the order of the wire."""
-    for name, (kind, about) in definitions[type_name][1]:
+    """Yield the elements of a message in the order of serialisation, nested messages flattened."""
+    for name, (kind, details) in definitions[type_name][1]:
         path = prefix + name
         if kind == Nodetype.NAME:
-            yield from _items(definitions, about, f'{path}.')
+            yield from _items(definitions, details, f'{path}.')
         elif kind == Nodetype.BASE:
-            yield _Item(path, 'B', counted=True) if about[0] == 'string' else _Item(path, _code(about[0]))
+            yield _Item(path, 'B', counted=True) if details[0] == 'string' else _Item(path, _code(details[0]))
         else:
-            (item_kind, item_about), count = about
+            (item_kind, item_details), count = details
             if item_kind == Nodetype.NAME and kind == Nodetype.ARRAY:
                 for index in range(count):
-                    yield from _items(definitions, item_about, f'{path}[{index}].')
-            elif item_kind == Nodetype.NAME or item_about[0] == 'string':
+                    yield from _items(definitions, item_details, f'{path}[{index}].')
+            elif item_kind == Nodetype.NAME or item_details[0] == 'string':
                 raise _NotFlat(path)
             else:
-                code = _code(item_about[0])
+                code = _code(item_details[0])
                 yield (
                     _Item(path, code, counted=True) if kind == Nodetype.SEQUENCE else _Item(path, code, count)
                 )
 
 
 def _code(base_type: str) -> str:
-    if base_type not in CODES:
+    if base_type not in STRUCT_CODES:
         raise _NotFlat(base_type)
-    return CODES[base_type]
+    return STRUCT_CODES[base_type]
 
 
 def _blocks(items: Iterator[_Item], wanted: list[str], cdr: bool) -> Iterator[_Block]:
     """Yield the blocks up to the last wanted field.
 
-    Where CDR aligns a number more strictly than its block is known to lie, a new block begins.
+    A number that CDR aligns more strictly than the start of its block begins a new block.
     """
-    align, layout = WIDEST, '<'
+    align, layout = MAX_ALIGNMENT, '<'
     while wanted:
         item = next(items, None)
         if item is None:

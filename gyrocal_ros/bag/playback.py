@@ -1,4 +1,4 @@
-"""A recording as it is played to running nodes: messages as they are sent, under the names they want."""
+"""Playback of a recording to running nodes: messages as ROS 2 sends them, under the names nodes expect."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.msgs.topics import CAMERA_INFO, COMPRESSED_IMAGE, STATIC_TRANSFORMS, TRANSFORMS, Role
 
 NOT_PLAYED = ('diagnostic_msgs/', 'rcl_interfaces/', 'rosgraph_msgs/')
-"""Types of messages with which nodes tell about themselves: those of the recording run no more."""
+"""Prefixes of message types that are not played: with them the recorded nodes reported their own state."""
 
 
-class Kind(Enum):
-    """How messages are sent."""
+class PublishMode(Enum):
+    """Mode of publishing the messages of a topic."""
 
-    FLOW = auto()
-    """One after the other."""
+    STREAM = auto()
+    """Messages are published one after the other."""
     IMAGE = auto()
-    """Likewise, few at a time, for they are large."""
+    """Messages are published one after the other, with a short queue because they are large."""
     LATCHED = auto()
-    """All of them to everybody who comes, from the start."""
+    """All messages are published at the start and delivered to late subscribers too."""
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
-    """A topic as it is played."""
+class PlayedTopic:
+    """A topic under the name and in the mode in which it is played."""
 
     name: str
-    """Relative, so that a robot's namespace can stand before it; absolute for transforms."""
+    """Relative name, so that the robot's namespace can precede it; absolute for transforms."""
     type_name: str
-    kind: Kind = Kind.FLOW
+    mode: PublishMode = PublishMode.STREAM
     repeats: bool = False
-    """Whether the last message is sent again from time to time, as cameras do with their calibration."""
+    """True if the last message is repeated periodically, as cameras do with their calibration."""
 
 
 class Playback:
-    """The messages of one robot in a recording, in the order in which they were recorded.
+    """The messages of one robot in a recording, in the order of recording.
 
     Args:
         storage: the open recording.
@@ -47,45 +47,44 @@ class Playback:
 
     def __init__(self, storage: Storage, selection: Selection) -> None:
         self._storage = storage
-        self._tracks: dict[str, tuple[Track, Topic]] = {}
+        self._topics: dict[str, tuple[PlayedTopic, Topic]] = {}
         for role, topic in selection.topics.items():
-            self._tracks[topic.name] = _track(role, topic), topic
+            self._topics[topic.name] = _played_topic(role, topic), topic
         for name, topic in selection.others.items():
-            if storage.can_send(topic) and not topic.type_name.startswith(NOT_PLAYED):
-                self._tracks[topic.name] = Track(name, topic.type_name), topic
-        self._static = selection.static_transforms
+            if storage.can_publish(topic) and not topic.type_name.startswith(NOT_PLAYED):
+                self._topics[topic.name] = PlayedTopic(name, topic.type_name), topic
+        self._static_transforms = selection.static_transforms
 
     @property
-    def tracks(self) -> list[Track]:
-        """What is played one after the other."""
-        return [track for track, _ in self._tracks.values()]
+    def topics(self) -> list[PlayedTopic]:
+        """Topics whose messages are played one after the other."""
+        return [played for played, _ in self._topics.values()]
 
-    def latched(self) -> Iterator[tuple[Track, bytes]]:
-        """Yield what has to be known from the start, as ROS 2 sends it (CDR).
+    def latched_messages(self) -> Iterator[tuple[PlayedTopic, bytes]]:
+        """Yield topic and content (CDR) of the messages that are latched: the static transforms.
 
         Raises:
             RecordingError: the recording is damaged.
         """
-        track = Track(f'/{STATIC_TRANSFORMS}', TRANSFORMS, Kind.LATCHED)
-        for topic in self._static:
+        played = PlayedTopic(f'/{STATIC_TRANSFORMS}', TRANSFORMS, PublishMode.LATCHED)
+        for topic in self._static_transforms:
             for _, _, raw in self._storage.raw_messages([topic]):
-                yield track, self._storage.as_sent(topic, raw)
+                yield played, self._storage.as_cdr(topic, raw)
 
-    def messages(self) -> Iterator[tuple[int, Track, bytes]]:
-        """Yield time of recording (ns), track and message as ROS 2 sends it (CDR).
+    def messages(self) -> Iterator[tuple[int, PlayedTopic, bytes]]:
+        """Yield time of recording (ns), topic and content (CDR) of the other messages.
 
         Raises:
             RecordingError: the recording is damaged.
         """
-        for name, recorded_ns, raw in self._storage.raw_messages(
-            [topic for _, topic in self._tracks.values()]
-        ):
-            track, topic = self._tracks[name]
-            yield recorded_ns, track, self._storage.as_sent(topic, raw)
+        recorded_topics = [topic for _, topic in self._topics.values()]
+        for name, recorded_ns, raw in self._storage.raw_messages(recorded_topics):
+            played, topic = self._topics[name]
+            yield recorded_ns, played, self._storage.as_cdr(topic, raw)
 
 
-def _track(role: Role, topic: Topic) -> Track:
+def _played_topic(role: Role, topic: Topic) -> PlayedTopic:
     if role is Role.IMAGE:
-        ending = '/compressed' if topic.type_name == COMPRESSED_IMAGE else ''
-        return Track(f'{role}{ending}', topic.type_name, Kind.IMAGE)
-    return Track(str(role), topic.type_name, repeats=topic.type_name == CAMERA_INFO)
+        suffix = '/compressed' if topic.type_name == COMPRESSED_IMAGE else ''
+        return PlayedTopic(f'{role}{suffix}', topic.type_name, PublishMode.IMAGE)
+    return PlayedTopic(str(role), topic.type_name, repeats=topic.type_name == CAMERA_INFO)

@@ -1,4 +1,4 @@
-"""The geometry of the robot, as a recording tells it."""
+"""Geometry of the robot, read from a recording."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.msgs.mounts import (
     REST_NS,
     imu_rotation,
-    mount_of_frame,
-    mount_of_settings,
-    no_camera_transform,
+    missing_camera_transform,
+    mount_from_settings,
+    mount_from_transforms,
 )
 from gyrocal_ros.msgs.topics import (
     IMU_SAMPLE,
-    FlatMessage,
+    FieldConversion,
     Role,
     camera_intrinsics,
     heading_sample,
@@ -33,41 +33,44 @@ from gyrocal_ros.msgs.topics import (
 )
 from gyrocal_ros.msgs.transforms import Transform
 
-TURNS_NS = 300 * NS_PER_S
-"""So much of it tells whether gyro and heading reference turn the same way."""
-CLEAR_CORRELATION = 0.8
+TURN_COMPARISON_NS = 300 * NS_PER_S
+"""Time at the start over which the turns of gyro and heading reference are compared."""
+MIN_OPPOSITE_CORRELATION = 0.8
+"""Minimum size of a negative correlation of their turns for them to count as opposite."""
 
 T = TypeVar('T')
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
-    """Where the sensors sit."""
+    """Mounting of the sensors."""
 
     rig: Rig
     R_bi: Array
     """(3, 3) from the IMU's axes to body axes."""
-    findings: tuple[BagIssue, ...]
-    """What had to be assumed."""
+    issues: tuple[BagIssue, ...]
+    """Assumptions that had to be made."""
 
 
 def read_geometry(storage: Storage, selection: Selection, config: CameraConfig) -> Geometry:
-    """Read camera calibration and mounts; what no transform says comes from settings, gravity and turns.
+    """Read camera calibration and mounts.
+
+    A mount without a transform is taken from the settings (camera), or from gravity and turns (IMU).
 
     Args:
         storage: the open recording.
         selection: its topics.
-        config: how the camera is mounted where the recording does not say it.
+        config: mounting of the camera if the recording does not contain it.
 
     Raises:
         RecordingError: the camera is not calibrated, or a message is damaged.
     """
-    links = read_links(storage, selection)
-    findings: list[BagIssue] = []
-    rig = read_rig(storage, selection, links, config, findings)
+    links = read_static_transforms(storage, selection)
+    issues: list[BagIssue] = []
+    rig = read_rig(storage, selection, links, config, issues)
     heading = selection.topics.get(Role.HEADING)
-    R_bi = read_imu_rotation(storage, selection.topics[Role.IMU], links, heading, findings)
-    return Geometry(rig, R_bi, tuple(findings))
+    R_bi = read_imu_rotation(storage, selection.topics[Role.IMU], links, heading, issues)
+    return Geometry(rig, R_bi, tuple(issues))
 
 
 def read_rig(
@@ -75,30 +78,30 @@ def read_rig(
     selection: Selection,
     links: Sequence[Transform],
     config: CameraConfig,
-    findings: list[BagIssue],
+    issues: list[BagIssue],
 ) -> Rig:
-    """Return the camera, if one is in use, and how it sits on the robot.
+    """Return the camera, if one is in use, and its mount on the robot.
 
     Args:
         storage: the open recording.
         selection: its topics.
         links: the static transforms.
-        config: how the camera is mounted where the recording does not say it.
-        findings: what had to be assumed is added to them.
+        config: mounting of the camera if the recording does not contain it.
+        issues: list to which assumptions that had to be made are appended.
 
     Raises:
         RecordingError: the camera is not calibrated, or a message is damaged.
     """
-    camera, mount = None, mount_of_settings(config)
+    camera, mount = None, mount_from_settings(config)
     camera_topic = selection.topics.get(Role.FEATURES) or selection.topics.get(Role.IMAGE)
     if camera_topic:
-        mount = _camera_mount(storage, camera_topic, links, mount, findings)
+        mount = _camera_mount(storage, camera_topic, links, mount, issues)
         if Role.CAMERA_INFO in selection.topics:
             camera = _intrinsics(storage, selection.topics[Role.CAMERA_INFO])
     return Rig(camera, mount)
 
 
-def read_links(storage: Storage, selection: Selection) -> list[Transform]:
+def read_static_transforms(storage: Storage, selection: Selection) -> list[Transform]:
     """Return all static transforms.
 
     Raises:
@@ -117,31 +120,32 @@ def read_imu_rotation(
     topic: Topic,
     links: Sequence[Transform],
     heading: Topic | None,
-    findings: list[BagIssue],
+    issues: list[BagIssue],
 ) -> Array:
     """Return the rotation (3, 3) from an IMU's axes to body axes.
 
-    A transform says it; without one, gravity tells an IMU that is upside down or on its side, and a
-    heading reference one that is upside down though its accelerometer denies it.
+    The rotation is that of the static transform. If there is none, gravity reveals an IMU that is upside
+    down or on its side, and a heading reference one that is upside down in contradiction to its
+    accelerometer.
 
     Args:
         storage: the open recording.
         topic: the IMU.
         links: the static transforms.
         heading: the heading reference, if any.
-        findings: what had to be assumed, or is contradictory, is added to them.
+        issues: list to which assumptions and contradictions are appended.
 
     Raises:
         RecordingError: a message is damaged.
     """
     frame = storage.first_message(topic).header.frame_id.lstrip('/')
 
-    def turned_against(R_bi: Array) -> str:
-        return heading.name if heading and _turns_against(storage, topic, R_bi, heading) else ''
+    def opposite_topic(R_bi: Array) -> str:
+        return heading.name if heading and _turn_opposite(storage, topic, R_bi, heading) else ''
 
-    force = _starting_force(storage, topic)
-    R_bi, problems = imu_rotation(topic.name, frame, links, force, turned_against)
-    findings += problems
+    force = _initial_force(storage, topic)
+    R_bi, imu_issues = imu_rotation(topic.name, frame, links, force, opposite_topic)
+    issues += imu_issues
     return R_bi
 
 
@@ -154,36 +158,36 @@ def _intrinsics(storage: Storage, topic: Topic) -> CameraIntrinsics:
 
 
 def _camera_mount(
-    storage: Storage, topic: Topic, links: Sequence[Transform], assumed: Mount, findings: list[BagIssue]
+    storage: Storage, topic: Topic, links: Sequence[Transform], assumed: Mount, issues: list[BagIssue]
 ) -> Mount:
     frame = storage.first_message(topic).header.frame_id.lstrip('/')
-    mount = mount_of_frame(links, frame)
+    mount = mount_from_transforms(links, frame)
     if mount is None:
-        findings.append(no_camera_transform(topic.name, frame))
+        issues.append(missing_camera_transform(topic.name, frame))
     return mount or assumed
 
 
-def _starting_force(storage: Storage, topic: Topic) -> Array:
-    """Mean accelerometer reading (3,) over the start of the recording; zeros where there is none."""
-    forces = [sample.specific_force_m_s2 for sample in _start(storage, topic, IMU_SAMPLE, REST_NS)]
+def _initial_force(storage: Storage, topic: Topic) -> Array:
+    """Return the mean accelerometer reading (3,) at the start of the recording; zeros if there is none."""
+    forces = [sample.specific_force_m_s2 for sample in _first_samples(storage, topic, IMU_SAMPLE, REST_NS)]
     return np.mean(forces, axis=0) if forces else np.zeros(3)
 
 
-def _turns_against(storage: Storage, imu: Topic, R_bi: Array, heading: Topic) -> bool:
-    """Whether an IMU and a heading reference turn in opposite directions."""
+def _turn_opposite(storage: Storage, imu: Topic, R_bi: Array, heading: Topic) -> bool:
+    """Return True if an IMU and a heading reference turn in opposite directions."""
     by_gyro, by_heading = TurnStats(), TurnStats()
-    samples = _start(storage, imu, IMU_SAMPLE, TURNS_NS)
+    samples = _first_samples(storage, imu, IMU_SAMPLE, TURN_COMPARISON_NS)
     rates = np.array([sample.rate_rad_s for sample in samples]).reshape(-1, 3)
     by_gyro.add(np.array([sample.t_ns for sample in samples]), rates @ R_bi[2])
-    poses = _start(storage, heading, heading_sample(heading.type_name), TURNS_NS)
+    poses = _first_samples(storage, heading, heading_sample(heading.type_name), TURN_COMPARISON_NS)
     yaws = np.array([pose.yaw_rad for pose in poses])
     by_heading.add_headings(np.array([pose.t_ns for pose in poses]), yaws)
-    agreement = compare_turns(by_gyro, by_heading)
-    return agreement is not None and agreement.correlation < -CLEAR_CORRELATION
+    compared = compare_turns(by_gyro, by_heading)
+    return compared is not None and compared.correlation < -MIN_OPPOSITE_CORRELATION
 
 
-def _start(storage: Storage, topic: Topic, conversion: FlatMessage[T], length_ns: int) -> list[T]:
-    """Return what a topic holds over its first `length_ns`; NaN are left out."""
+def _first_samples(storage: Storage, topic: Topic, conversion: FieldConversion[T], length_ns: int) -> list[T]:
+    """Return the samples of a topic over its first `length_ns`, without those that contain NaN."""
     read = storage.reader_of(topic, conversion.fields)
     samples: list[T] = []
     start_ns: int | None = None

@@ -1,4 +1,4 @@
-"""One quick pass over a recording that gathers the figures a check judges by."""
+"""Scan of a recording: one pass that collects the statistics from which a check derives its issues."""
 
 from __future__ import annotations
 
@@ -26,36 +26,36 @@ from gyrocal_ros.msgs.topics import (
 )
 from gyrocal_ros.msgs.transforms import Transform, yaw_from_quaternion
 
-BLOCK = 2048
-"""Messages of a topic looked at together."""
+BLOCK_SIZE = 2048
+"""Number of messages of a topic that are processed together."""
 
-Inspection: TypeAlias = Callable[[IntArray, Array], None]
-"""Takes the stamps (n,) of a block of messages and their numbers (n, fields)."""
+BlockHandler: TypeAlias = Callable[[IntArray, Array], None]
+"""Function that takes the stamps (n,) of a block of messages and their numbers (n, fields)."""
 
 
 @dataclass(slots=True, eq=False)
-class Watch:
-    """One topic that is looked at."""
+class TopicScan:
+    """Scan of one topic."""
 
     topic: Topic
     role: Role
     read: FieldReader
-    look: Inspection
+    handle: BlockHandler
     stamps: StampStats
     not_finite: int = 0
-    """Messages with a number that is NaN or infinite."""
+    """Number of messages with a number that is NaN or infinite."""
     _rows: list[tuple[float, ...]] = field(default_factory=list)
     _recorded_ns: list[int] = field(default_factory=list)
 
     def add(self, recorded_ns: int, raw: bytes) -> None:
-        """Take one message."""
+        """Add one message."""
         self._rows.append(self.read(raw))
         self._recorded_ns.append(recorded_ns)
-        if len(self._rows) == BLOCK:
+        if len(self._rows) == BLOCK_SIZE:
             self.finish()
 
     def finish(self) -> None:
-        """Look at the messages taken since the last time."""
+        """Process the messages added since the last block."""
         if not self._rows:
             return
         rows, recorded_ns = np.array(self._rows, float), np.array(self._recorded_ns, np.int64)
@@ -65,68 +65,70 @@ class Watch:
         finite = np.isfinite(rows).all(axis=1)
         self.not_finite += int(np.count_nonzero(~finite))
         if finite.any():
-            self.look(stamps_ns[finite], rows[finite, 2:])
+            self.handle(stamps_ns[finite], rows[finite, 2:])
 
 
 @dataclass(slots=True)
-class Seen:
-    """What one pass has gathered."""
+class BagScan:
+    """Statistics of a recording after one pass."""
 
-    watches: list[Watch] = field(default_factory=list)
+    topics: list[TopicScan] = field(default_factory=list)
     imus: dict[str, ImuStats] = field(default_factory=dict)
-    """By topic; several where it is not known which is meant."""
+    """Statistics by topic; several if no topic is selected as the IMU."""
     turns: dict[Role, TurnStats] = field(default_factory=dict)
-    """By wheels and heading reference."""
+    """Turns by wheels and by heading reference."""
     feature_count: int = 0
-    """Features in all images together."""
+    """Number of features in all images together."""
 
-    def of(self, role: Role) -> Watch | None:
-        """Return the topic of a role, if there is one."""
-        return next((watch for watch in self.watches if watch.role is role), None)
+    def of_role(self, role: Role) -> TopicScan | None:
+        """Return the scan of the topic of a role, if there is one."""
+        return next((topic for topic in self.topics if topic.role is role), None)
 
 
-def look_through(
+def scan_bag(
     storage: Storage,
     selection: Selection,
     links: Sequence[Transform],
     step_ns: int,
-    findings: list[BagIssue],
-) -> Seen:
-    """Look at every message of the topics in use.
+    issues: list[BagIssue],
+) -> BagScan:
+    """Scan every message of the topics in use.
 
-    Where there is no IMU or no wheel odometry by name, all topics of that type are looked at.
+    If no topic is selected as IMU, all topics of that type are scanned; if none is selected as wheel
+    odometry, the only unused topic of that type is.
 
     Args:
         storage: the open recording.
         selection: its topics.
         links: its static transforms.
-        step_ns: stamps have jumped when they leave the time of recording by more than this.
-        findings: what is found about the mounting of the IMU is added to them.
+        step_ns: threshold of a jump of the stamps relative to the time of recording.
+        issues: list to which issues of the mounting of the IMU are appended.
 
     Raises:
         RecordingError: the recording is damaged.
     """
-    seen = Seen()
+    scan = BagScan()
     heading = selection.topics.get(Role.HEADING)
-    for role, topic in _candidates(storage, selection):
+    for role, topic in _topics_to_scan(storage, selection):
         fields: tuple[str, ...] = STAMP_FIELDS
-        look: Inspection = _nothing
+        handle: BlockHandler = _ignore
         if role is Role.IMU:
-            R_bi = read_imu_rotation(storage, topic, links, heading, findings)
-            stats = seen.imus[topic.name] = ImuStats(R_bi)
-            fields, look = IMU_SAMPLE.fields, stats.add
+            R_bi = read_imu_rotation(storage, topic, links, heading, issues)
+            stats = scan.imus[topic.name] = ImuStats(R_bi)
+            fields, handle = IMU_SAMPLE.fields, stats.add
         elif role is Role.WHEELS:
-            fields, look = WHEEL_SAMPLE.fields, _look_at_wheels(seen)
+            fields, handle = WHEEL_SAMPLE.fields, _wheel_handler(scan)
         elif role is Role.HEADING:
-            fields, look = heading_sample(topic.type_name).fields, _look_at_heading(seen)
+            fields, handle = heading_sample(topic.type_name).fields, _heading_handler(scan)
         elif role is Role.FEATURES:
-            fields, look = (*STAMP_FIELDS, 'width'), _look_at_features(seen)
-        seen.watches.append(Watch(topic, role, storage.reader_of(topic, fields), look, StampStats(step_ns)))
-    _pass(storage, seen.watches)
-    return seen
+            fields, handle = (*STAMP_FIELDS, 'width'), _feature_handler(scan)
+        reader, stamps = storage.reader_of(topic, fields), StampStats(step_ns)
+        scan.topics.append(TopicScan(topic, role, reader, handle, stamps))
+    _read_messages(storage, scan.topics)
+    return scan
 
 
-def _candidates(storage: Storage, selection: Selection) -> Iterator[tuple[Role, Topic]]:
+def _topics_to_scan(storage: Storage, selection: Selection) -> Iterator[tuple[Role, Topic]]:
     for role in Role:
         if role in selection.topics and role is not Role.CAMERA_INFO:
             yield role, selection.topics[role]
@@ -134,46 +136,46 @@ def _candidates(storage: Storage, selection: Selection) -> Iterator[tuple[Role, 
             fitting = [
                 topic for topic in storage.topics.values() if topic.type_name in TYPES[role] and topic.count
             ]
-            free = [topic for topic in fitting if topic not in selection.topics.values()]
-            if role is Role.IMU or len(free) == 1:
-                yield from ((role, topic) for topic in free)
+            unused = [topic for topic in fitting if topic not in selection.topics.values()]
+            if role is Role.IMU or len(unused) == 1:
+                yield from ((role, topic) for topic in unused)
 
 
-def _pass(storage: Storage, watches: Sequence[Watch]) -> None:
-    by_topic: dict[str, list[Watch]] = defaultdict(list)
-    for watch in watches:
-        by_topic[watch.topic.name].append(watch)
-    used = {watch.topic.name: watch.topic for watch in watches}
+def _read_messages(storage: Storage, scans: Sequence[TopicScan]) -> None:
+    by_topic: dict[str, list[TopicScan]] = defaultdict(list)
+    for scan in scans:
+        by_topic[scan.topic.name].append(scan)
+    used = {scan.topic.name: scan.topic for scan in scans}
     for name, recorded_ns, raw in storage.raw_messages(used.values()):
-        for watch in by_topic[name]:
+        for scan in by_topic[name]:
             try:
-                watch.add(recorded_ns, raw)
+                scan.add(recorded_ns, raw)
             except DAMAGED as error:
                 raise damaged_message(storage.path, name, error) from error
-    for watch in watches:
-        watch.finish()
+    for scan in scans:
+        scan.finish()
 
 
-def _nothing(stamps_ns: IntArray, numbers: Array) -> None:
-    """Look at the stamps alone."""
+def _ignore(stamps_ns: IntArray, numbers: Array) -> None:
+    """Ignore the numbers, for topics of which only the stamps are checked."""
 
 
-def _look_at_wheels(seen: Seen) -> Inspection:
-    turns = seen.turns[Role.WHEELS] = TurnStats()
+def _wheel_handler(scan: BagScan) -> BlockHandler:
+    turns = scan.turns[Role.WHEELS] = TurnStats()
     return lambda stamps_ns, numbers: turns.add(stamps_ns, numbers[:, 1])
 
 
-def _look_at_heading(seen: Seen) -> Inspection:
-    turns = seen.turns[Role.HEADING] = TurnStats()
+def _heading_handler(scan: BagScan) -> BlockHandler:
+    turns = scan.turns[Role.HEADING] = TurnStats()
 
-    def look(stamps_ns: IntArray, quaternions: Array) -> None:
+    def handle(stamps_ns: IntArray, quaternions: Array) -> None:
         turns.add_headings(stamps_ns, np.array([yaw_from_quaternion(*row) for row in quaternions.tolist()]))
 
-    return look
+    return handle
 
 
-def _look_at_features(seen: Seen) -> Inspection:
-    def look(stamps_ns: IntArray, widths: Array) -> None:
-        seen.feature_count += int(widths.sum())
+def _feature_handler(scan: BagScan) -> BlockHandler:
+    def handle(stamps_ns: IntArray, widths: Array) -> None:
+        scan.feature_count += int(widths.sum())
 
-    return look
+    return handle

@@ -1,4 +1,4 @@
-"""Which topic of a recording plays which role, and what to do about those that are missing."""
+"""Selects the topic of a recording for each role, and suggests remedies for missing topics."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import POSES, STATIC_TRANSFORMS, TRANSFORMS, TYPES, Role
 
-ENDINGS = {role: (str(role),) for role in Role} | {Role.IMAGE: (Role.IMAGE, f'{Role.IMAGE}/compressed')}
+NAME_ENDINGS = {role: (str(role),) for role in Role} | {Role.IMAGE: (Role.IMAGE, f'{Role.IMAGE}/compressed')}
+"""Endings of the topic names that each role has by default, in order of preference."""
 CAMERA_ROLES = (Role.FEATURES, Role.IMAGE)
 NEEDED_ROLES = (Role.IMU, Role.WHEELS, Role.FEATURES, Role.IMAGE, Role.CAMERA_INFO, Role.HEADING)
-"""All others may be missing or broken: they only help."""
+"""Roles that calibration relies on; the topics of the others are optional and may be faulty."""
 
-NO_COVARIATES = (
+NOT_COVARIATES = (
     'geometry_msgs/',
     'nav_msgs/',
     'tf2_msgs/',
@@ -25,49 +26,49 @@ NO_COVARIATES = (
     'rosgraph_msgs/',
     *(f'sensor_msgs/msg/{name}' for name in ('Imu', 'NavSat', 'Image', 'Compressed', 'Camera', 'Point')),
 )
-"""Types that say how the robot moves or is set up: no physical cause of what a gyro does wrong."""
+"""Prefixes of types that describe motion or setup of the robot: no physical cause of gyro errors."""
 
 
 @dataclass(frozen=True, slots=True)
-class TopicChoice:
-    """What the user says about the topics."""
+class TopicOptions:
+    """Options of the user for the selection of topics."""
 
     remap: Mapping[Role, str] = field(default_factory=dict)
-    """Names of topics that are not called as usual."""
+    """Names of topics that differ from the usual ones."""
     namespace: str | None = None
-    """The robot, where the recording holds several."""
+    """Namespace of the robot, if the recording holds several."""
     heading_reference: str | None = None
-    """Topic to take the heading from, in place of the ceiling camera."""
+    """Topic that provides the heading, in place of the ceiling camera."""
     use_images: bool = False
-    """Take the images even where there are features."""
+    """True to use the images even if there are features."""
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The topics in use."""
+    """Topics of a recording that are in use."""
 
     topics: Mapping[Role, Topic]
     static_transforms: tuple[Topic, ...]
     others: Mapping[str, Topic]
     """Topics that may hold covariates, by their name without namespace."""
-    findings: tuple[BagIssue, ...]
-    """What is missing or in doubt."""
+    issues: tuple[BagIssue, ...]
+    """Missing, ambiguous or unusable topics."""
 
 
 def parse_remap(words: Iterable[str]) -> dict[str, str]:
-    """Read remaps as ROS writes them.
+    """Parse remaps in the notation of ROS.
 
     Args:
-        words: each `NAME:=TOPIC`.
+        words: remaps, each `NAME:=TOPIC`.
 
     Raises:
-        ConfigError: one is written otherwise.
+        ConfigError: a remap has another form.
     """
     remap = {}
     for word in words:
         name, _, topic = word.partition(':=')
         if not (name and topic):
-            raise ConfigError(f'{word!r} is no remap', todo='write NAME:=TOPIC, as in imu/data_raw:=/imu')
+            raise ConfigError(f'{word!r} is not a remap', todo='write NAME:=TOPIC, as in imu/data_raw:=/imu')
         remap[name.strip('/')] = topic
     return remap
 
@@ -79,7 +80,7 @@ def remap_roles(remap: Mapping[str, str]) -> dict[Role, str]:
         remap: usual name of a topic (`imu/data_raw`) to its name in this recording.
 
     Raises:
-        ConfigError: no topic is usually called so.
+        ConfigError: a name is not the usual name of a topic.
     """
     roles = {str(role): role for role in Role if role is not Role.HEADING}
     for name in remap.keys() - roles.keys():
@@ -88,71 +89,74 @@ def remap_roles(remap: Mapping[str, str]) -> dict[Role, str]:
     return {roles[name]: topic for name, topic in remap.items()}
 
 
-def select_topics(topics: Mapping[str, Topic], choice: TopicChoice) -> Selection:
-    """Find the topic for every role.
+def select_topics(topics: Mapping[str, Topic], options: TopicOptions) -> Selection:
+    """Select the topic of each role.
 
-    A topic is known by the end of its name: `/robot1/imu/data_raw` is `imu/data_raw` of `robot1`.
+    A topic is identified by the end of its name: `/robot1/imu/data_raw` is `imu/data_raw` of `robot1`.
 
     Args:
         topics: all topics of the recording by name.
-        choice: what the user says about them.
+        options: options of the user.
     """
-    findings: list[BagIssue] = []
-    robots = _robots(topics)
-    robot = _robot(topics, robots, choice, findings)
-    named = dict(choice.remap)
-    if choice.heading_reference:
-        named[Role.HEADING] = choice.heading_reference
-    found: dict[Role, Topic] = {}
+    issues: list[BagIssue] = []
+    robots = _robot_namespaces(topics)
+    robot = _select_robot(topics, robots, options, issues)
+    named = dict(options.remap)
+    if options.heading_reference:
+        named[Role.HEADING] = options.heading_reference
+    selected: dict[Role, Topic] = {}
     for role in Role:
         if role in named:
-            topic = _by_name(topics, named[role], findings)
+            topic = _find_by_name(topics, named[role], issues)
         elif role is not Role.HEADING:
-            topic = _by_ending(topics, role, robot, alone=len(robots) < 2 and choice.namespace is None)
+            any_namespace = len(robots) < 2 and options.namespace is None
+            topic = _find_by_ending(topics, role, robot, any_namespace=any_namespace)
         else:
             topic = None
-        if topic and _is_usable(topic, role, findings):
-            found[role] = topic
-    _one_reference(found, choice)
-    findings += _missing(topics, found, choice)
+        if topic and _is_usable(topic, role, issues):
+            selected[role] = topic
+    _keep_one_reference(selected, options)
+    issues += _missing_topics(topics, selected, options)
     return Selection(
-        found,
+        selected,
         tuple(t for t in topics.values() if t.type_name == TRANSFORMS and t.name.endswith(STATIC_TRANSFORMS)),
-        dict(_others(topics, found, robot, robots)),
-        tuple(findings),
+        dict(_other_topics(topics, selected, robot, robots)),
+        tuple(issues),
     )
 
 
 def _namespace(name: str, ending: str) -> str | None:
-    """Return what stands before the ending in a topic's name, None where it does not end so."""
-    before, mark, rest = f'/{name.strip("/")}'.rpartition(f'/{ending}')
-    return before.strip('/') if mark and not rest else None
+    """Return the part of a topic's name before an ending, None if the name has another ending."""
+    before, separator, rest = f'/{name.strip("/")}'.rpartition(f'/{ending}')
+    return before.strip('/') if separator and not rest else None
 
 
 def _matches(topics: Mapping[str, Topic], role: Role) -> Iterator[tuple[str, Topic]]:
-    for ending in ENDINGS[role]:
+    """Yield namespace and topic for the topics with the usual name of a role."""
+    for ending in NAME_ENDINGS[role]:
         for topic in topics.values():
             namespace = _namespace(topic.name, ending)
             if namespace is not None:
                 yield namespace, topic
 
 
-def _robots(topics: Mapping[str, Topic]) -> list[str]:
-    """Return the namespaces with an IMU; those alone that have a ceiling camera too, if any."""
+def _robot_namespaces(topics: Mapping[str, Topic]) -> list[str]:
+    """Return the namespaces with an IMU; if some have a ceiling camera too, only those."""
     with_imu = [namespace for namespace, _ in _matches(topics, Role.IMU)]
     with_camera = {namespace for role in CAMERA_ROLES for namespace, _ in _matches(topics, role)}
     return [namespace for namespace in with_imu if namespace in with_camera] or with_imu
 
 
-def _robot(
-    topics: Mapping[str, Topic], robots: list[str], choice: TopicChoice, findings: list[BagIssue]
+def _select_robot(
+    topics: Mapping[str, Topic], robots: list[str], options: TopicOptions, issues: list[BagIssue]
 ) -> str:
-    if choice.namespace is not None:
-        robot = choice.namespace.strip('/')
+    """Return the namespace of the robot, an empty string if there is none."""
+    if options.namespace is not None:
+        robot = options.namespace.strip('/')
         namespaces = {namespace for role in Role for namespace, _ in _matches(topics, role)}
         if robot not in namespaces:
             known = ', '.join(sorted(f'/{namespace}' for namespace in namespaces)) or 'none'
-            findings.append(
+            issues.append(
                 BagIssue(
                     Severity.ERROR,
                     'no_such_robot',
@@ -162,9 +166,9 @@ def _robot(
                 )
             )
         return robot
-    if len(robots) > 1 and Role.IMU not in choice.remap:
+    if len(robots) > 1 and Role.IMU not in options.remap:
         names = ', '.join(f'/{robot}' for robot in robots)
-        findings.append(
+        issues.append(
             BagIssue(
                 Severity.ERROR,
                 'several_robots',
@@ -176,89 +180,99 @@ def _robot(
     return robots[0] if robots else ''
 
 
-def _by_ending(topics: Mapping[str, Topic], role: Role, robot: str, *, alone: bool) -> Topic | None:
+def _find_by_ending(
+    topics: Mapping[str, Topic], role: Role, robot: str, *, any_namespace: bool
+) -> Topic | None:
+    """Return the topic of the robot with the usual name of a role, if possible one with messages.
+
+    If the robot has none and `any_namespace` is set, a topic of the only other namespace is returned.
+    """
     matches = list(_matches(topics, role))
     own = [topic for namespace, topic in matches if namespace == robot]
-    if not own and alone and len({namespace for namespace, _ in matches}) == 1:
+    if not own and any_namespace and len({namespace for namespace, _ in matches}) == 1:
         own = [topic for _, topic in matches]
     return next((topic for topic in own if topic.count), own[0] if own else None)
 
 
-def _by_name(topics: Mapping[str, Topic], name: str, findings: list[BagIssue]) -> Topic | None:
-    same = [topic for topic in topics.values() if topic.name.strip('/') == name.strip('/')]
-    same += [topic for topic in topics.values() if _namespace(topic.name, name.strip('/')) is not None]
-    if same:
-        return same[0]
+def _find_by_name(topics: Mapping[str, Topic], name: str, issues: list[BagIssue]) -> Topic | None:
+    matching = [topic for topic in topics.values() if topic.name.strip('/') == name.strip('/')]
+    matching += [topic for topic in topics.values() if _namespace(topic.name, name.strip('/')) is not None]
+    if matching:
+        return matching[0]
     close = difflib.get_close_matches(name, list(topics), n=1, cutoff=0.5)
-    todo = f'did you mean {close[0]}?' if close else f'there are {", ".join(topics)}'
-    findings.append(BagIssue(Severity.ERROR, 'missing_topic', name, 'there is no such topic', todo))
+    todo = f'did you mean {close[0]}?' if close else f'the recorded topics are {", ".join(topics)}'
+    issues.append(BagIssue(Severity.ERROR, 'missing_topic', name, 'there is no such topic', todo))
     return None
 
 
-def _is_usable(topic: Topic, role: Role, findings: list[BagIssue]) -> bool:
+def _is_usable(topic: Topic, role: Role, issues: list[BagIssue]) -> bool:
+    """Return True if a topic has messages of a type that fits its role; append an issue otherwise."""
     severity = Severity.ERROR if role in NEEDED_ROLES else Severity.WARNING
     if topic.type_name not in TYPES[role]:
         text = f'is a {topic.type_name}, not a {" or ".join(TYPES[role])}'
-        findings.append(BagIssue(severity, 'wrong_type', topic.name, text, f'name another topic as {role}'))
+        issues.append(BagIssue(severity, 'wrong_type', topic.name, text, f'use another topic as {role}'))
         return False
     if not topic.count:
-        findings.append(
+        issues.append(
             BagIssue(Severity.WARNING, 'empty_topic', topic.name, 'has no messages', 'was its node running?')
         )
         return False
     return True
 
 
-def _one_reference(found: dict[Role, Topic], choice: TopicChoice) -> None:
-    """Leave one heading reference: another topic if named, else the features, else the images."""
+def _keep_one_reference(selected: dict[Role, Topic], options: TopicOptions) -> None:
+    """Remove all heading references but one: the named topic, otherwise the features or the images."""
     unused: tuple[Role, ...] = ()
-    if choice.heading_reference:
+    if options.heading_reference:
         unused = (*CAMERA_ROLES, Role.CAMERA_INFO)
-    elif Role.FEATURES in found and not (choice.use_images and Role.IMAGE in found):
+    elif Role.FEATURES in selected and not (options.use_images and Role.IMAGE in selected):
         unused = (Role.IMAGE,)
-    elif Role.IMAGE in found:
+    elif Role.IMAGE in selected:
         unused = (Role.FEATURES,)
     for role in unused:
-        found.pop(role, None)
+        selected.pop(role, None)
 
 
-def _missing(
-    topics: Mapping[str, Topic], found: Mapping[Role, Topic], choice: TopicChoice
+def _missing_topics(
+    topics: Mapping[str, Topic], selected: Mapping[Role, Topic], options: TopicOptions
 ) -> Iterator[BagIssue]:
-    def missing(role: Role, text: str, todo: str = '', severity: Severity = Severity.ERROR) -> BagIssue:
-        return BagIssue(severity, 'missing_topic', str(role), text, todo or _advice(topics, found, role))
+    """Yield an issue for each needed topic that is missing, and for ground truth used as reference."""
 
-    if Role.IMU not in found:
+    def missing(role: Role, text: str, todo: str = '', severity: Severity = Severity.ERROR) -> BagIssue:
+        todo = todo or _suggest_topic(topics, selected, role)
+        return BagIssue(severity, 'missing_topic', str(role), text, todo)
+
+    if Role.IMU not in selected:
         yield missing(Role.IMU, 'there is no IMU')
-    if Role.WHEELS not in found:
-        severity = Severity.NOTE if choice.heading_reference else Severity.ERROR
+    if Role.WHEELS not in selected:
+        severity = Severity.NOTE if options.heading_reference else Severity.ERROR
         yield missing(Role.WHEELS, 'there is no wheel odometry', severity=severity)
-    if choice.heading_reference:
-        if Role.HEADING in found and found[Role.HEADING] == found.get(Role.TRUTH):
+    if options.heading_reference:
+        if Role.HEADING in selected and selected[Role.HEADING] == selected.get(Role.TRUTH):
             yield BagIssue(
                 Severity.ERROR,
                 'truth_as_reference',
-                found[Role.HEADING].name,
-                'the ground truth is only compared with, never calibrated from',
+                selected[Role.HEADING].name,
+                'the ground truth is used for comparison only, never for calibration',
                 'name another heading reference',
             )
         return
-    if not any(role in found for role in CAMERA_ROLES):
-        others = [
+    if not any(role in selected for role in CAMERA_ROLES):
+        poses = [
             topic.name
             for topic in topics.values()
-            if topic.type_name in POSES and topic not in (found.get(Role.TRUTH), found.get(Role.WHEELS))
+            if topic.type_name in POSES and topic not in (selected.get(Role.TRUTH), selected.get(Role.WHEELS))
         ]
-        instead = f'--heading-reference {" or ".join(others)}' if others else '--heading-reference TOPIC'
-        advice = _advice(topics, found, Role.IMAGE)
-        yield missing(Role.IMAGE, 'there is no ceiling camera', f'{advice}, or give {instead}')
-    elif Role.CAMERA_INFO not in found:
+        option = f'--heading-reference {" or ".join(poses)}' if poses else '--heading-reference TOPIC'
+        todo = f'{_suggest_topic(topics, selected, Role.IMAGE)}, or give {option}'
+        yield missing(Role.IMAGE, 'there is no ceiling camera', todo)
+    elif Role.CAMERA_INFO not in selected:
         yield missing(Role.CAMERA_INFO, 'the camera has no calibration')
 
 
-def _advice(topics: Mapping[str, Topic], found: Mapping[Role, Topic], role: Role) -> str:
-    """Name the topics that may be meant."""
-    free = [topic for topic in topics.values() if topic not in found.values()]
+def _suggest_topic(topics: Mapping[str, Topic], selected: Mapping[Role, Topic], role: Role) -> str:
+    """Return advice that names the unused topics that could take a role."""
+    free = [topic for topic in topics.values() if topic not in selected.values()]
     fitting = [topic.name for topic in free if topic.type_name in TYPES[role]]
     if len(fitting) == 1:
         return f'give -r {role}:={fitting[0]}'
@@ -268,12 +282,13 @@ def _advice(topics: Mapping[str, Topic], found: Mapping[Role, Topic], role: Role
     return f'did you mean {close[0]}?' if close else f'record {role}'
 
 
-def _others(
-    topics: Mapping[str, Topic], found: Mapping[Role, Topic], robot: str, robots: list[str]
+def _other_topics(
+    topics: Mapping[str, Topic], selected: Mapping[Role, Topic], robot: str, robots: list[str]
 ) -> Iterator[tuple[str, Topic]]:
-    strangers = tuple(f'/{other}/' for other in robots if other not in ('', robot))
+    """Yield name without namespace and topic of the robot's topics that may hold covariates."""
+    other_robots = tuple(f'/{other}/' for other in robots if other not in ('', robot))
     for topic in topics.values():
         name = f'/{topic.name.strip("/")}'
-        used = topic in found.values() or topic.type_name.startswith(NO_COVARIATES)
-        if topic.count and not used and not name.startswith(strangers):
+        is_excluded = topic in selected.values() or topic.type_name.startswith(NOT_COVARIATES)
+        if topic.count and not is_excluded and not name.startswith(other_robots):
             yield name.removeprefix(f'/{robot}' if robot else '').strip('/'), topic

@@ -1,4 +1,4 @@
-"""A bag as a source of measurements: decoded, in the order of their stamps, in body axes."""
+"""A bag as a source of measurements: decoded, sorted by stamp, in body axes."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ from pathlib import Path
 
 from gyrocal_ros.bag.decode import Decode, MessageDecoder
 from gyrocal_ros.bag.rig import Geometry, read_geometry
-from gyrocal_ros.bag.selection import Selection, TopicChoice, parse_remap, remap_roles, select_topics
+from gyrocal_ros.bag.selection import Selection, TopicOptions, parse_remap, remap_roles, select_topics
 from gyrocal_ros.bag.storage import DAMAGED, Storage, damaged_message, open_storage
 from gyrocal_ros.config.sections import Config, RecordingConfig
 from gyrocal_ros.data import ClockStep, Measurement, Rig, Span, nanoseconds
 from gyrocal_ros.msgs import topics
-from gyrocal_ros.msgs.issues import BagIssue, Severity, one_a_kind, refuse_errors
+from gyrocal_ros.msgs.issues import BagIssue, Severity, raise_first_error, worst_per_kind
 from gyrocal_ros.msgs.reorder import Drop, Reorderer
 from gyrocal_ros.msgs.topics import Role
 
-DROPPED = {
-    Drop.LATE: 'came too late to be sorted in',
+DROP_TEXTS = {
+    Drop.LATE: 'are too late to be sorted in',
     Drop.DUPLICATE: 'repeat a stamp',
-    Drop.ODD: 'are stamped far from those around them',
+    Drop.OUTLIER: 'have stamps far from those before and after them',
 }
+"""Predicate that describes messages dropped for each reason."""
 
 
 class BagSource:
-    """The measurements of one robot in a recording, ready for the filter."""
+    """Yields the measurements of one robot in a recording, sorted and in body axes."""
 
     def __init__(
         self,
@@ -41,7 +42,7 @@ class BagSource:
         self._path, self._recording = path, config.recording
         self._selection, self._geometry, self._span = selection, geometry, span
         self._with_covariates = with_covariates
-        self._pass_findings: list[BagIssue] = []
+        self._pass_issues: list[BagIssue] = []
 
     @property
     def name(self) -> str:
@@ -55,23 +56,23 @@ class BagSource:
 
     @property
     def span(self) -> Span:
-        """First and last time, about; a step of the clock is not foreseen."""
+        """Approximate first and last stamp; a step of the clock is not taken into account."""
         return self._span
 
     @property
     def warnings(self) -> list[BagIssue]:
-        """What was worked around, one of a kind; what was dropped shows after `measurements`."""
-        return one_a_kind([*self._selection.findings, *self._geometry.findings, *self._pass_findings])
+        """Issues that were worked around, one per kind, with dropped messages once `measurements` has run."""
+        return worst_per_kind([*self._selection.issues, *self._geometry.issues, *self._pass_issues])
 
     def measurements(self) -> Iterator[Measurement]:
         """Yield the measurements in the order of their stamps; may be called again.
 
         Raises:
-            RecordingError: the recording is damaged, an image has the wrong size, or more than a few
-                messages of a topic mean nothing (NaN).
+            RecordingError: the recording is damaged, an image has the wrong size, or too many messages
+                of a needed topic are invalid (NaN).
         """
         step_ns = nanoseconds(self._recording.clock_step_s)
-        order = Reorderer[Sequence[Measurement]](nanoseconds(self._recording.reorder_window_s), step_ns)
+        reorderer = Reorderer[Sequence[Measurement]](nanoseconds(self._recording.reorder_window_s), step_ns)
         with open_storage(self._path) as storage:
             decoder = MessageDecoder(
                 storage,
@@ -80,12 +81,12 @@ class BagSource:
                 other_clock_ns=step_ns,
                 with_covariates=self._with_covariates,
             )
-            for samples in _sorted(storage, decoder, order):
+            for samples in _read_sorted(storage, decoder, reorderer):
                 if isinstance(samples, ClockStep):
                     yield samples
                 else:
                     yield from samples
-        self._pass_findings = [*decoder.findings, *_left_out(decoder, order)]
+        self._pass_issues = [*decoder.issues, *_drop_issues(decoder, reorderer)]
 
 
 def open_bag(
@@ -101,38 +102,38 @@ def open_bag(
 
     Args:
         path: a rosbag2 folder, one of its files, or a ROS 1 `.bag`.
-        config: the settings; their remaps and heading reference count where none are given here.
+        config: the settings; their remaps and heading reference apply if none are given here.
         remap: usual name of a topic (`imu/data_raw`) to its name in the recording.
-        namespace: the robot, where the recording holds several.
-        heading_reference: topic to take the heading from, in place of the ceiling camera.
+        namespace: namespace of the robot, if the recording holds several.
+        heading_reference: topic that provides the heading, in place of the ceiling camera.
         with_covariates: yield all other recorded numbers too.
 
     Raises:
-        RecordingError: there is no such recording, it is damaged, or it lacks what is needed.
+        RecordingError: there is no such recording, it is damaged, or it lacks a needed topic.
         ConfigError: a remap is wrong.
     """
-    choice = make_choice(config.recording, remap, namespace, heading_reference)
+    options = topic_options(config.recording, remap, namespace, heading_reference)
     with open_storage(path) as storage:
-        selection = select_topics(storage.topics, choice)
-        refuse_errors(selection.findings, str(path))
+        selection = select_topics(storage.topics, options)
+        raise_first_error(selection.issues, str(path))
         geometry = read_geometry(storage, selection, config.camera)
         start_ns = topics.stamp_ns(storage.first_message(selection.topics[Role.IMU]))
         span = Span(start_ns, start_ns + storage.end_ns - storage.start_ns)
     return BagSource(path, config, selection, geometry, span, with_covariates=with_covariates)
 
 
-def make_choice(
+def topic_options(
     recording: RecordingConfig,
     remap: Mapping[str, str] | None,
     namespace: str | None,
     heading_reference: str | None,
-) -> TopicChoice:
-    """Join what the settings say about the topics with what the caller says, who comes first.
+) -> TopicOptions:
+    """Combine the topic settings with the arguments, which take precedence.
 
     Raises:
         ConfigError: a remap is wrong.
     """
-    return TopicChoice(
+    return TopicOptions(
         remap=remap_roles({**parse_remap(recording.remap.split()), **(remap or {})}),
         namespace=namespace,
         heading_reference=heading_reference or recording.heading_reference or None,
@@ -140,10 +141,10 @@ def make_choice(
     )
 
 
-def _sorted(
-    storage: Storage, decoder: MessageDecoder, order: Reorderer[Sequence[Measurement]]
+def _read_sorted(
+    storage: Storage, decoder: MessageDecoder, reorderer: Reorderer[Sequence[Measurement]]
 ) -> Iterator[Sequence[Measurement] | ClockStep]:
-    """Yield what was measured at each moment, in the order of the stamps."""
+    """Yield the measurements of each message, in the order of the stamps."""
     decoders: dict[str, list[tuple[int, Decode]]] = defaultdict(list)
     for stream, (topic, decode) in enumerate(decoder.streams):
         decoders[topic.name].append((stream, decode))
@@ -156,27 +157,26 @@ def _sorted(
                 raise damaged_message(storage.path, name, error) from error
             if samples:
                 t_ns = samples[0].t_ns
-                decoder.stamps_ahead_ns = t_ns - recorded_ns
-                yield from order.push(t_ns, stream, samples)
-    yield from order.finish()
+                decoder.stamp_offset_ns = t_ns - recorded_ns
+                yield from reorderer.push(t_ns, stream, samples)
+    yield from reorderer.finish()
 
 
-def _left_out(decoder: MessageDecoder, order: Reorderer[Sequence[Measurement]]) -> Iterator[BagIssue]:
-    """Tell what was dropped, one finding a kind."""
-    for drop, what in DROPPED.items():
+def _drop_issues(decoder: MessageDecoder, reorderer: Reorderer[Sequence[Measurement]]) -> Iterator[BagIssue]:
+    """Yield an issue for each reason for which messages were dropped."""
+    for drop, predicate in DROP_TEXTS.items():
         counts = {
             decoder.streams[stream][0].name: count
-            for (kind, stream), count in order.drops.items()
-            if kind is drop
+            for (reason, stream), count in reorderer.drops.items()
+            if reason is drop
         }
         if counts:
-            yield _dropped(drop, counts, what)
-    if decoder.bad:
-        yield _dropped('meaningless', decoder.bad, 'hold no numbers (NaN) or no image')
+            yield _drop_issue(drop, counts, predicate)
+    if decoder.invalid:
+        yield _drop_issue('meaningless', decoder.invalid, 'are invalid (NaN, or a damaged image)')
 
 
-def _dropped(kind: str, counts: Mapping[str, int], what: str) -> BagIssue:
+def _drop_issue(kind: str, counts: Mapping[str, int], predicate: str) -> BagIssue:
     each = ', '.join(f'{count} of {topic}' for topic, count in sorted(counts.items()))
-    return BagIssue(
-        Severity.WARNING, kind, '', f'{sum(counts.values())} messages {what} and are left out: {each}'
-    )
+    total = sum(counts.values())
+    return BagIssue(Severity.WARNING, kind, '', f'{total} messages {predicate} and are left out: {each}')

@@ -1,6 +1,7 @@
 """Opens a recording of any kind: rosbag2 (sqlite3, mcap, compressed or not) and ROS 1 `.bag`.
 
-The one door to the files. Every way in which a file can be broken ends here, as one clear line.
+All access to the files goes through this module, which converts every failure of a damaged file to a
+`RecordingError` of one line.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ from gyrocal_ros.errors import GyrocalError, RecordingError
 
 STORAGE_FILES = ('.mcap', '.db3')
 DAMAGED = (struct.error, SerdeError, UnicodeDecodeError)
-"""What decoding a damaged message raises."""
+"""Exceptions that decoding a damaged message raises."""
 IDL_SEPARATOR = '=' * 80 + '\n'
+"""Separator of the types in a definition in IDL."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +39,9 @@ class Topic:
 
     name: str
     type_name: str
-    """For example `sensor_msgs/msg/Imu`, also for ROS 1."""
+    """Name of the type in ROS 2 notation, for ROS 1 too: `sensor_msgs/msg/Imu`."""
     count: int
-    """How many messages it has."""
+    """Number of messages."""
     connections: tuple[Connection, ...]
 
 
@@ -50,7 +52,7 @@ class Storage:
         """Wrap an open reader of rosbags."""
         self.path = path
         self.cdr = isinstance(reader, rosbag2.Reader)
-        """Whether messages are ROS 2 CDR, not ROS 1."""
+        """True if the messages are ROS 2 CDR, False for ROS 1."""
         self._reader = reader
         self._embedded = get_typestore(Stores.EMPTY)
         self._stores: dict[str, Typestore] = {}
@@ -68,12 +70,12 @@ class Storage:
 
     @property
     def start_ns(self) -> int:
-        """When the first message was recorded."""
+        """Time of recording of the first message."""
         return self._reader.start_time
 
     @property
     def end_ns(self) -> int:
-        """When the last message was recorded."""
+        """Time of recording of the last message."""
         return self._reader.end_time - 1
 
     @property
@@ -90,34 +92,34 @@ class Storage:
         connections = [connection for topic in topics for connection in topic.connections]
         if not connections:
             return
-        with _damage_of(self.path):
+        with _damage_as_recording_error(self.path):
             for connection, recorded_ns, raw in self._reader.messages(connections):
                 yield connection.topic, recorded_ns, raw
 
     def messages(self, topic: Topic) -> Iterator[Any]:
-        """Yield the messages of one topic, whole.
+        """Yield the messages of one topic, completely decoded.
 
         Raises:
-            RecordingError: the file is damaged, or the type of the topic is not known.
+            RecordingError: the file is damaged, or the type of the topic is unknown.
         """
         for _, _, raw in self.raw_messages([topic]):
             yield self.message(topic, raw)
 
     def first_message(self, topic: Topic) -> Any:
-        """Return the first message of a topic, whole.
+        """Return the first message of a topic, completely decoded.
 
         Raises:
-            RecordingError: there is none, it is damaged, or its type is not known.
+            RecordingError: there is no message, it is damaged, or its type is unknown.
         """
         for message in self.messages(topic):
             return message
         raise RecordingError('has no messages', where=f'{self.path}, {topic.name}', todo='record it again')
 
     def message(self, topic: Topic, raw: bytes) -> Any:
-        """Decode one message whole.
+        """Decode one message completely.
 
         Raises:
-            RecordingError: it is damaged, or its type is not known.
+            RecordingError: the message is damaged, or its type is unknown.
         """
         store = self._store_of(topic)
         try:
@@ -127,15 +129,15 @@ class Storage:
         except DAMAGED as error:
             raise damaged_message(self.path, topic.name, error) from error
 
-    def can_send(self, topic: Topic) -> bool:
-        """Whether ROS 2 knows the messages of a topic, or they are its own."""
+    def can_publish(self, topic: Topic) -> bool:
+        """Return True if ROS 2 can publish the messages of a topic: recorded by ROS 2, or of a known type."""
         return self.cdr or topic.type_name in ros_types().fielddefs
 
-    def as_sent(self, topic: Topic, raw: bytes) -> bytes:
-        """Return one message as ROS 2 sends it (CDR), of a topic that it `can_send`.
+    def as_cdr(self, topic: Topic, raw: bytes) -> bytes:
+        """Return one message as ROS 2 sends it (CDR); the topic must be one that it `can_publish`.
 
         Raises:
-            RecordingError: it is one of ROS 1, and damaged.
+            RecordingError: the message is of ROS 1 and damaged.
         """
         if self.cdr:
             return raw
@@ -145,30 +147,32 @@ class Storage:
         return bytes(types.serialize_cdr(migrated, name))
 
     def reader_of(self, topic: Topic, paths: Sequence[str]) -> FieldReader:
-        """Return a function that reads a few fields, see `field_reader`; it raises one of `DAMAGED`.
+        """Return a function that reads a few fields, see `field_reader`.
+
+        That function raises one of `DAMAGED` if a message is damaged.
 
         Raises:
-            RecordingError: the type of the topic is not known.
+            RecordingError: the type of the topic is unknown.
         """
         return field_reader(self._store_of(topic), topic.type_name, paths, cdr=self.cdr)
 
     def has_header(self, topic: Topic) -> bool:
-        """Whether the messages of a topic begin with a header.
+        """Return True if the messages of a topic begin with a header.
 
         Raises:
-            RecordingError: the type of the topic is not known.
+            RecordingError: the type of the topic is unknown.
         """
         _, fields = self._store_of(topic).fielddefs[topic.type_name]
         return bool(fields) and fields[0][0] == 'header'
 
     def _store_of(self, topic: Topic) -> Typestore:
-        """Return the store that knows the type of a topic, each found once."""
+        """Return the store that contains the type of a topic, from a cache after the first call."""
         if topic.type_name not in self._stores:
             self._stores[topic.type_name] = self._find_store(topic)
         return self._stores[topic.type_name]
 
     def _find_store(self, topic: Topic) -> Typestore:
-        """Learn a type from the definition in the recording; without a good one, ROS may know it."""
+        """Register the definition in the recording; if it is missing or invalid, use that of ROS 2."""
         name, definition = topic.type_name, topic.connections[0].msgdef
         problem = 'the recording does not define it'
         if definition.format != MessageDefinitionFormat.NONE:
@@ -178,19 +182,19 @@ class Storage:
                 self._embedded.register({other: types[other] for other in types.keys() - known.keys()})
                 self._embedded.get_msgdef(name)
                 return self._embedded
-            except Exception as error:  # the parser fails in many ways on what it does not understand
-                problem = f'its definition cannot be understood: {_one_line(error)}'
+            except Exception as error:  # the parser raises exceptions of many types on invalid definitions
+                problem = f'its definition cannot be parsed: {_one_line(error)}'
         if self.cdr and name in ros_types().fielddefs:
             return ros_types()
         raise RecordingError(
-            f'the type {name} is not known ({problem})',
+            f'the type {name} is unknown ({problem})',
             where=f'{self.path}, {topic.name}',
-            todo='record it with a rosbag2 that stores definitions',
+            todo='record it with a version of rosbag2 that stores definitions',
         )
 
 
 def bags_in(folder: Path) -> list[Path]:
-    """The recordings right inside a folder, by name; links that lead out of it do not count.
+    """Return the recordings directly inside a folder, sorted by name, without links to paths outside it.
 
     Raises:
         RecordingError: there is no such folder.
@@ -202,7 +206,7 @@ def bags_in(folder: Path) -> list[Path]:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like a recording: a rosbag2 folder, one of its files, or a ROS 1 `.bag`."""
+    """Return True if a path looks like a rosbag2 folder, one of its files, or a ROS 1 `.bag`."""
     if path.is_file():
         return path.suffix in ('.bag', *STORAGE_FILES)
     return (path / 'metadata.yaml').is_file()
@@ -213,10 +217,10 @@ def open_storage(path: Path) -> Iterator[Storage]:
     """Open a recording: a rosbag2 folder, one of its files, or a ROS 1 `.bag`.
 
     Raises:
-        RecordingError: there is none, it is not a recording, it is empty or damaged.
+        RecordingError: the path does not exist, is not a recording, or the recording is empty or damaged.
     """
-    _refuse_strangers(path)
-    with _damage_of(path):
+    _require_recording(path)
+    with _damage_as_recording_error(path):
         reader = rosbag1.Reader(path) if path.suffix == '.bag' else rosbag2.Reader(path)
         reader.open()
     try:
@@ -229,13 +233,14 @@ def open_storage(path: Path) -> Iterator[Storage]:
 
 
 def damaged_message(path: Path, topic: str, error: Exception) -> RecordingError:
-    """Return the error to raise where decoding a message raised one of `DAMAGED`."""
+    """Return the error to raise when decoding a message has raised one of `DAMAGED`."""
     return RecordingError(
         f'a message is damaged ({_one_line(error)})', where=f'{path}, {topic}', todo='record it again'
     )
 
 
-def _refuse_strangers(path: Path) -> None:
+def _require_recording(path: Path) -> None:
+    """Raise an error unless a path looks like a complete recording."""
     if not path.exists():
         raise RecordingError('no such bag', where=str(path), todo='check the path')
     if path.is_file() and path.suffix not in ('.bag', *STORAGE_FILES):
@@ -255,16 +260,17 @@ def _refuse_strangers(path: Path) -> None:
 
 
 @contextmanager
-def _damage_of(path: Path) -> Iterator[None]:
+def _damage_as_recording_error(path: Path) -> Iterator[None]:
+    """Convert exceptions of the reader, which a damaged file causes, to a `RecordingError`."""
     try:
         yield
     except GyrocalError:
         raise
-    except Exception as error:  # a damaged file can make the reader fail in any way
+    except Exception as error:  # a damaged file can make the reader raise any exception
         raise RecordingError(
             f'the bag is damaged or cut short ({_one_line(error)})',
             where=str(path),
-            todo='copy it again, or mend it with: ros2 bag reindex',
+            todo='copy it again, or repair it with: ros2 bag reindex',
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""What a check remembers of a topic: figures that grow with every block of messages, never the messages."""
+"""Statistics of one topic, updated with every block of messages; the messages themselves are not kept."""
 
 from __future__ import annotations
 
@@ -11,69 +11,75 @@ import numpy as np
 from gyrocal_ros.data import NS_PER_S, Array, IntArray, seconds
 
 GAP_PERIODS, GAP_NS = 4.0, NS_PER_S // 10
-"""A pause longer than so many usual intervals, and so long, is a gap; a few lost messages are none."""
-LONGEST_STEP_S = 0.3
-"""Rates are not integrated over longer intervals."""
+"""Minimum length of a gap, in typical periods and in time: a few lost messages are no gap."""
+MAX_STEP_S = 0.3
+"""Longest interval over which a rate is integrated."""
 BIN_NS = NS_PER_S // 2
-"""Turns are compared over so long: longer than latencies, shorter than turns."""
-CLEAR_TURN_RAD = math.radians(3.0) * BIN_NS / NS_PER_S
-"""More than drift and floor make of a bin."""
+"""Length of the bins in which turns are compared: longer than latencies, shorter than turns."""
+MIN_BIN_TURN_RAD = math.radians(3.0) * BIN_NS / NS_PER_S
+"""Threshold above which a bin counts as turning: above what gyro drift and an uneven floor cause."""
+MIN_COMMON_BINS = 10
+"""Minimum number of common bins for comparing two sensors."""
+MIN_RMS_TURN_RAD = math.radians(0.5)
+"""Standard deviation of the turn in a bin that one of two sensors must reach for comparing them."""
 
 
 @dataclass(slots=True)
-class WorstCase:
-    """How often something happened, and the worst of it."""
+class EventStats:
+    """Number of events of one kind, and the largest of them."""
 
     count: int = 0
-    worst_s: float = 0.0
+    largest_s: float = 0.0
+    """Signed size of the largest event."""
     at_ns: int = 0
-    """Stamp just before the worst."""
+    """Stamp just before the largest event."""
 
     def add(self, sizes_ns: IntArray, before_ns: IntArray) -> None:
-        """Add some of it.
+        """Add events.
 
         Args:
-            sizes_ns: (n,) how large each is.
-            before_ns: (n,) stamp before each.
+            sizes_ns: (n,) signed sizes.
+            before_ns: (n,) stamps just before the events.
         """
         if len(sizes_ns):
             self.count += len(sizes_ns)
-            worst = int(np.argmax(np.abs(sizes_ns)))
-            if abs(sizes_ns[worst]) > abs(self.worst_s) * NS_PER_S:
-                self.worst_s, self.at_ns = seconds(int(sizes_ns[worst])), int(before_ns[worst])
+            largest = int(np.argmax(np.abs(sizes_ns)))
+            if abs(sizes_ns[largest]) > abs(self.largest_s) * NS_PER_S:
+                self.largest_s, self.at_ns = seconds(int(sizes_ns[largest])), int(before_ns[largest])
 
 
 @dataclass(slots=True)
 class StampStats:
-    """The stamps of one topic against each other and against the time of recording."""
+    """Statistics of the stamps of one topic: their steps, and their delay to the time of recording."""
 
     step_ns: int
-    """Stamps that run ahead of or behind the time of recording by more than this have jumped."""
+    """Threshold of a jump: change of the stamps relative to the time of recording."""
     count: int = 0
     first_ns: int = 0
     last_ns: int = 0
     unset: int = 0
-    """Stamps that are zero."""
+    """Number of stamps that are zero."""
     period_ns: float = math.nan
-    """Usual interval between two messages."""
-    repeated: WorstCase = field(default_factory=WorstCase)
-    backward: WorstCase = field(default_factory=WorstCase)
-    jumped: WorstCase = field(default_factory=WorstCase)
-    gap: WorstCase = field(default_factory=WorstCase)
-    least_delay_s: float = math.inf
-    """Time of recording less stamp."""
-    most_delay_s: float = -math.inf
+    """Typical interval between two messages."""
+    repeated: EventStats = field(default_factory=EventStats)
+    backward: EventStats = field(default_factory=EventStats)
+    jumped: EventStats = field(default_factory=EventStats)
+    gap: EventStats = field(default_factory=EventStats)
+    min_delay_s: float = math.inf
+    """Smallest time of recording minus stamp."""
+    max_delay_s: float = -math.inf
+    """Largest time of recording minus stamp."""
     _last_recorded_ns: int = 0
 
     def add(self, stamps_ns: IntArray, recorded_ns: IntArray) -> None:
         """Add a block of messages in the order of recording.
 
         Args:
-            stamps_ns: (n,)
-            recorded_ns: (n,)
+            stamps_ns: (n,) stamps.
+            recorded_ns: (n,) times of recording.
         """
         if self.count == 0:
-            self.first_ns, self.period_ns = int(stamps_ns[0]), _usual(np.diff(stamps_ns))
+            self.first_ns, self.period_ns = int(stamps_ns[0]), _typical_interval_ns(np.diff(stamps_ns))
             before, recorded_before = stamps_ns, recorded_ns
         else:
             before = np.concatenate([[self.last_ns], stamps_ns])
@@ -83,51 +89,49 @@ class StampStats:
         jumped = np.abs(steps - recorded_steps) > self.step_ns
         backward = (steps < 0) & ~jumped
         gap = (steps > max(GAP_PERIODS * self.period_ns, GAP_NS)) & ~jumped
-        for event, where in (
+        for events, where in (
             (self.repeated, steps == 0),
             (self.backward, backward),
             (self.jumped, jumped),
             (self.gap, gap),
         ):
-            event.add(steps[where], before[where])
+            events.add(steps[where], before[where])
         delays = recorded_ns - stamps_ns
-        self.least_delay_s = min(self.least_delay_s, seconds(int(delays.min())))
-        self.most_delay_s = max(self.most_delay_s, seconds(int(delays.max())))
+        self.min_delay_s = min(self.min_delay_s, seconds(int(delays.min())))
+        self.max_delay_s = max(self.max_delay_s, seconds(int(delays.max())))
         self.unset += int(np.count_nonzero(stamps_ns == 0))
         self.count += len(stamps_ns)
         self.last_ns, self._last_recorded_ns = int(stamps_ns[-1]), int(recorded_ns[-1])
 
     @property
     def rate_hz(self) -> float:
-        """Messages a second, gaps left out."""
+        """Number of messages per second outside gaps."""
         return NS_PER_S / self.period_ns if self.period_ns > 0.0 else math.nan
 
 
-def _usual(steps_ns: IntArray) -> float:
-    """Mean of the usual intervals: those near the median, so that jitter and gaps do not count."""
+def _typical_interval_ns(steps_ns: IntArray) -> float:
+    """Return the mean of the intervals below twice their median, which excludes gaps."""
     steps = steps_ns[steps_ns > 0]
     if not len(steps):
         return math.nan
-    usual = steps[steps < 2.0 * np.median(steps)]
-    return float(usual.mean())
+    typical = steps[steps < 2.0 * np.median(steps)]
+    return float(typical.mean())
 
 
 @dataclass(slots=True)
 class TurnStats:
-    """How a sensor says the robot turned, in bins of half a second."""
+    """Turn of the robot measured by one sensor, in bins of half a second."""
 
     bins_rad: defaultdict[int, float] = field(default_factory=lambda: defaultdict(float))
-    """Number of the bin since the epoch and the turn in it."""
+    """Turn in each bin, by the number of the bin since the epoch."""
     _last_ns: int | None = None
     _last_yaw_rad: float = 0.0
 
     def add(self, stamps_ns: IntArray, yaw_rates_rad_s: Array) -> None:
-        """Add a block of rates (n,), each taken to hold for the interval that ends at its stamp (n,)."""
+        """Add a block of yaw rates (n,), each constant over the interval that ends at its stamp (n,)."""
         if len(stamps_ns):
             steps_s = np.diff(stamps_ns, prepend=self._last_ns or stamps_ns[0]) / NS_PER_S
-            self._add_turns(
-                stamps_ns, yaw_rates_rad_s * np.where(abs(steps_s) < LONGEST_STEP_S, steps_s, 0.0)
-            )
+            self._add_turns(stamps_ns, yaw_rates_rad_s * np.where(abs(steps_s) < MAX_STEP_S, steps_s, 0.0))
 
     def add_headings(self, stamps_ns: IntArray, yaws_rad: Array) -> None:
         """Add a block of headings (n,) with their stamps (n,)."""
@@ -138,26 +142,27 @@ class TurnStats:
 
     def _add_turns(self, stamps_ns: IntArray, turns_rad: Array) -> None:
         self._last_ns = int(stamps_ns[-1])
-        numbers, places = np.unique(stamps_ns // BIN_NS, return_inverse=True)
-        for number, turn in zip(numbers.tolist(), np.bincount(places, turns_rad).tolist(), strict=True):
+        numbers, indices = np.unique(stamps_ns // BIN_NS, return_inverse=True)
+        for number, turn in zip(numbers.tolist(), np.bincount(indices, turns_rad).tolist(), strict=True):
             self.bins_rad[number] += turn
 
     @property
     def left_right_rad(self) -> tuple[float, float]:
-        """How far it turned to the left and to the right, drift left out."""
-        clear = [turn for turn in self.bins_rad.values() if abs(turn) > CLEAR_TURN_RAD]
-        return sum(turn for turn in clear if turn > 0.0), -sum(turn for turn in clear if turn < 0.0)
+        """Total turn to the left and to the right, over the bins that count as turning."""
+        turning = [turn for turn in self.bins_rad.values() if abs(turn) > MIN_BIN_TURN_RAD]
+        return sum(turn for turn in turning if turn > 0.0), -sum(turn for turn in turning if turn < 0.0)
 
 
 @dataclass(slots=True)
 class ImuStats:
-    """What an IMU read, in body axes."""
+    """Statistics of the readings of an IMU, in body axes."""
 
     R_bi: Array
     """(3, 3) from the IMU's axes to body axes."""
     count: int = 0
-    at_zero: int = 0
-    """Samples with all three rates exactly zero."""
+    """Number of samples."""
+    zero_count: int = 0
+    """Number of samples with all three rates exactly zero."""
     largest_rate_rad_s: float = 0.0
     force_sum_m_s2: float = 0.0
     turns: TurnStats = field(default_factory=TurnStats)
@@ -166,42 +171,48 @@ class ImuStats:
         """Add a block of samples: stamps (n,), and rates and specific forces (n, 6)."""
         rates = readings[:, :3] @ self.R_bi.T
         self.count += len(rates)
-        self.at_zero += int(np.count_nonzero(~rates.any(axis=1)))
+        self.zero_count += int(np.count_nonzero(~rates.any(axis=1)))
         self.largest_rate_rad_s = max(self.largest_rate_rad_s, float(np.abs(rates).max()))
         self.force_sum_m_s2 += float(np.linalg.norm(readings[:, 3:], axis=1).sum())
         self.turns.add(stamps_ns, rates[:, 2])
 
     @property
     def mean_force_m_s2(self) -> float:
-        """Mean size of the specific force; gravity, whichever way it points."""
+        """Mean norm of the specific force: gravity, independent of the mounting."""
         return self.force_sum_m_s2 / self.count if self.count else math.nan
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
-    """How the turns of two sensors compare."""
+class TurnComparison:
+    """Comparison of the turns that two sensors measured."""
 
     ratio: float
-    """Turn by the other over turn by this one, from bin to bin."""
+    """Turn of the other sensor over turn of this one, from the scatter over the bins."""
     correlation: float
     this_deg: float
-    """How far each turned in all, to both sides."""
+    """Total turn of this sensor, to both sides."""
     other_deg: float
+    """Total turn of the other sensor, to both sides."""
 
 
-def compare_turns(this: TurnStats, other: TurnStats) -> Agreement | None:
-    """Compare two sensors over the time that both saw; None where one of them saw no turn."""
+def compare_turns(this: TurnStats, other: TurnStats) -> TurnComparison | None:
+    """Compare two sensors over their common time.
+
+    Returns:
+        The comparison; None if the common time is too short, if neither sensor turned enough, or if the
+        turn of one of them is the same in all bins.
+    """
     common = sorted(this.bins_rad.keys() & other.bins_rad.keys())
     a = np.array([this.bins_rad[number] for number in common])
     b = np.array([other.bins_rad[number] for number in common])
-    if len(common) < 10:
+    if len(common) < MIN_COMMON_BINS:
         return None
     a, b = a - a.mean(), b - b.mean()
     aa, bb, ab = float(a @ a), float(b @ b), float(a @ b)
-    least = len(common) * math.radians(0.5) ** 2
-    if max(aa, bb) < least or min(aa, bb) == 0.0:
+    smallest = len(common) * MIN_RMS_TURN_RAD**2
+    if max(aa, bb) < smallest or min(aa, bb) == 0.0:
         return None
-    return Agreement(
+    return TurnComparison(
         ratio=math.copysign(math.sqrt(bb / aa), ab),
         correlation=ab / math.sqrt(aa * bb),
         this_deg=math.degrees(sum(this.left_right_rad)),

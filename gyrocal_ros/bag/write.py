@@ -39,28 +39,27 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.files import new_folder
-from gyrocal_ros.msgs import images, topics
-from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs import images, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
 
-_FOREVER = QosTime(2147483647, 4294967295)
+_INFINITE = QosTime(2147483647, 4294967295)
 _LATCHED = Qos(
     QosHistory.KEEP_LAST,
     1,
     QosReliability.RELIABLE,
     QosDurability.TRANSIENT_LOCAL,
-    _FOREVER,
-    _FOREVER,
+    _INFINITE,
+    _INFINITE,
     QosLiveliness.AUTOMATIC,
-    _FOREVER,
+    _INFINITE,
     False,
 )
-"""What publishers of static transforms offer; `ros2 bag play` offers the same."""
+"""QoS that publishers of static transforms offer; `ros2 bag play` offers the recorded one."""
 
 
 @dataclass(slots=True)
-class _DeadReckoning:
-    """The pose that a wheel odometry node integrates."""
+class _WheelPose:
+    """Pose that a wheel odometry node integrates from its samples."""
 
     t_ns: int | None = None
     x_m: float = 0.0
@@ -68,6 +67,7 @@ class _DeadReckoning:
     yaw_rad: float = 0.0
 
     def add(self, sample: WheelSample) -> None:
+        """Integrate one sample."""
         dt_s = seconds(sample.t_ns - self.t_ns) if self.t_ns is not None else 0.0
         turn = sample.yaw_rate_rad_s * dt_s
         middle = self.yaw_rad + turn / 2.0
@@ -78,8 +78,8 @@ class _DeadReckoning:
 
 
 @dataclass(slots=True)
-class _Covariates:
-    """The numbers of one message that is still being put together."""
+class _PendingCovariates:
+    """Covariates of one message that is not yet complete."""
 
     topic: str
     t_ns: int
@@ -91,14 +91,14 @@ class BagWriter:
     """Writes the measurements of one robot; see `new_bag`."""
 
     def __init__(self, writer: Writer, namespace: str = '', jpeg_quality: int | None = 90) -> None:
-        """Use `new_bag`."""
+        """Wrap an open writer of rosbags; use `new_bag` to create one."""
         self._writer, self._jpeg_quality = writer, jpeg_quality
         self._prefix = f'/{namespace.strip("/")}/' if namespace.strip('/') else '/'
         self._types = ros_types()
-        self._make = messages.MessageMaker(self._types.types.__getitem__)
+        self._make = to_ros.MessageMaker(self._types.types.__getitem__)
         self._connections: dict[str, Connection] = {}
-        self._odometry = _DeadReckoning()
-        self._covariates: _Covariates | None = None
+        self._wheel_pose = _WheelPose()
+        self._pending: _PendingCovariates | None = None
         self._stepped_ns = 0
 
     def write_rig(self, rig: Rig, t_ns: int, R_bi: Array | None = None) -> None:
@@ -106,94 +106,95 @@ class BagWriter:
 
         Args:
             rig: camera and its mount.
-            t_ns: time of both.
-            R_bi: (3, 3) from the IMU's axes to body axes, where they differ; `write` expects
+            t_ns: time of the messages.
+            R_bi: (3, 3) from the IMU's axes to body axes, if they differ; `write` expects
                 samples in the IMU's own axes.
         """
         mounts = {}
         if rig.camera:
             mounts[topics.CAMERA_FRAME] = rig.camera_mount
-            message = messages.camera_info(self._make, rig.camera, t_ns)
-            self._put(self._prefix + Role.CAMERA_INFO, topics.CAMERA_INFO, message, t_ns)
+            message = to_ros.camera_info(self._make, rig.camera, t_ns)
+            self._write_message(self._prefix + Role.CAMERA_INFO, topics.CAMERA_INFO, message, t_ns)
         if R_bi is not None:
             mounts[topics.IMU_FRAME] = Mount(R_bi, rig.camera_mount.p_bs * 0.0)
         if mounts:
-            message = messages.static_transforms(self._make, mounts, t_ns)
-            self._put(f'/{topics.STATIC_TRANSFORMS}', topics.TRANSFORMS, message, t_ns, _LATCHED)
+            message = to_ros.static_transforms(self._make, mounts, t_ns)
+            name = f'/{topics.STATIC_TRANSFORMS}'
+            self._write_message(name, topics.TRANSFORMS, message, t_ns, _LATCHED)
 
     def write(self, measurement: Measurement, recorded_ns: int | None = None) -> None:
         """Write one measurement.
 
         Args:
-            measurement: a `ClockStep` is not written itself: the times of recording go on evenly
+            measurement: a `ClockStep` is not written itself: the times of recording continue evenly
                 while the stamps jump. Covariates of one topic and stamp become one message.
-            recorded_ns: when it was recorded; at once, if not given.
+            recorded_ns: time of recording; by default that of the measurement.
 
         Raises:
-            RecordingError: a covariate fits no message known here.
+            RecordingError: no supported message has a field for a covariate.
         """
         if isinstance(measurement, ClockStep):
             self._stepped_ns += measurement.step_ns
             return
         recorded_ns = measurement.t_ns - self._stepped_ns if recorded_ns is None else recorded_ns
         if isinstance(measurement, CovariateSample):
-            self._collect(measurement, recorded_ns)
+            self._add_covariate(measurement, recorded_ns)
             return
         self.flush()
         name, type_name, message = self._message(measurement)
-        self._put(self._prefix + name, type_name, message, recorded_ns)
+        self._write_message(self._prefix + name, type_name, message, recorded_ns)
 
     def flush(self) -> None:
-        """Write covariates that are still being put together."""
-        if not self._covariates:
+        """Write the pending covariates."""
+        if not self._pending:
             return
-        held, self._covariates = self._covariates, None
-        if held.numbers.keys() <= set(messages.BATTERY_NUMBERS):
-            type_name, message = topics.BATTERY, messages.battery(self._make, held.t_ns, held.numbers)
-        elif held.numbers.keys() == {'data'}:
-            type_name, message = topics.NUMBER, messages.number(self._make, held.numbers['data'])
+        pending, self._pending = self._pending, None
+        if pending.numbers.keys() <= set(to_ros.BATTERY_NUMBERS):
+            type_name, message = topics.BATTERY, to_ros.battery(self._make, pending.t_ns, pending.numbers)
+        elif pending.numbers.keys() == {'data'}:
+            type_name, message = topics.NUMBER, to_ros.number(self._make, pending.numbers['data'])
         else:
             raise RecordingError(
-                f'no message holds {", ".join(held.numbers)}',
-                where=held.topic,
+                f'no message holds {", ".join(pending.numbers)}',
+                where=pending.topic,
                 todo='use fields of BatteryState, or `data`',
             )
-        self._put(self._prefix + held.topic, type_name, message, held.recorded_ns)
+        self._write_message(self._prefix + pending.topic, type_name, message, pending.recorded_ns)
 
-    def _collect(self, sample: CovariateSample, recorded_ns: int) -> None:
+    def _add_covariate(self, sample: CovariateSample, recorded_ns: int) -> None:
         topic, _, field = sample.name.rpartition('.')
         topic = topic.replace('.', '/')
-        held = self._covariates
-        if held and (held.topic, held.t_ns) == (topic, sample.t_ns):
-            held.numbers[field] = sample.value
+        pending = self._pending
+        if pending and (pending.topic, pending.t_ns) == (topic, sample.t_ns):
+            pending.numbers[field] = sample.value
             return
         self.flush()
-        self._covariates = _Covariates(topic, sample.t_ns, recorded_ns, {field: sample.value})
+        self._pending = _PendingCovariates(topic, sample.t_ns, recorded_ns, {field: sample.value})
 
     def _message(self, measurement: Measurement) -> tuple[str, str, Any]:
         """Return topic without namespace, type name and message of a measurement."""
         make = self._make
         match measurement:
             case ImuSample():
-                return Role.IMU, topics.IMU, messages.imu(make, measurement)
+                return Role.IMU, topics.IMU, to_ros.imu(make, measurement)
             case WheelSample():
-                self._odometry.add(measurement)
-                pose = self._odometry.x_m, self._odometry.y_m, self._odometry.yaw_rad
-                return Role.WHEELS, topics.ODOMETRY, messages.wheels(make, measurement, *pose)
+                self._wheel_pose.add(measurement)
+                pose = self._wheel_pose.x_m, self._wheel_pose.y_m, self._wheel_pose.yaw_rad
+                return Role.WHEELS, topics.ODOMETRY, to_ros.wheels(make, measurement, *pose)
             case FeatureObservations():
-                return Role.FEATURES, topics.POINT_CLOUD, messages.features(make, measurement)
+                return Role.FEATURES, topics.POINT_CLOUD, to_ros.features(make, measurement)
             case TruthSample():
-                return Role.TRUTH, topics.ODOMETRY, messages.truth(make, measurement)
+                return Role.TRUTH, topics.ODOMETRY, to_ros.truth(make, measurement)
             case HeadingSample():
-                return Role.HEADING, topics.POSE_STAMPED, messages.heading(make, measurement)
+                return Role.HEADING, topics.POSE_STAMPED, to_ros.heading(make, measurement)
             case TemperatureSample():
-                return Role.TEMPERATURE, topics.TEMPERATURE, messages.temperature(make, measurement)
+                return Role.TEMPERATURE, topics.TEMPERATURE, to_ros.temperature(make, measurement)
             case Frame():
                 message = images.compressed_image(make, measurement, self._jpeg_quality)
                 return f'{Role.IMAGE}/compressed', topics.COMPRESSED_IMAGE, message
         raise TypeError(f'{measurement!r} has no message')
 
-    def _put(self, topic: str, type_name: str, message: Any, recorded_ns: int, *qos: Qos) -> None:
+    def _write_message(self, topic: str, type_name: str, message: Any, recorded_ns: int, *qos: Qos) -> None:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
                 topic, type_name, typestore=self._types, offered_qos_profiles=qos
@@ -211,24 +212,24 @@ def new_bag(
     namespace: str = '',
     jpeg_quality: int | None = 90,
 ) -> Iterator[BagWriter]:
-    """Open a new bag to write to.
+    """Create a bag and yield its writer.
 
-    The bag appears under its name when it is complete, and not at all when the block is left by an
-    error. The same input gives the same bytes.
+    The bag appears under its name when it is complete, and not at all if the block raises an error. The
+    same input gives the same bytes.
 
     Args:
-        path: the folder to make.
-        storage: kind of the file; mcap is compressed, sqlite3 is not.
-        overwrite: put the bag into a folder that holds files already.
-        namespace: stands before all topics but `/tf_static`.
-        jpeg_quality: of the images, 1 to 100; None for png, which loses nothing.
+        path: folder to create.
+        storage: format of the file; mcap is compressed, sqlite3 is not.
+        overwrite: True to write into a folder that is not empty.
+        namespace: prefix of all topics except `/tf_static`.
+        jpeg_quality: JPEG quality of the images, 1 to 100; None for PNG, which is lossless.
 
     Raises:
-        GyrocalError: the folder may not be written.
+        GyrocalError: the folder cannot be written.
     """
     path = path.resolve()
     with new_folder(path, overwrite=overwrite) as folder:
-        inner = folder / path.name  # rosbags makes the folder itself and names the file after it
+        inner = folder / path.name  # rosbags creates the folder itself and names the file after it
         plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3
         writer = Writer(inner, version=9, storage_plugin=plugin)
         if plugin is StoragePlugin.MCAP:

@@ -1,12 +1,12 @@
-"""The IMU and encoder board: its bytes become measurements. No ROS.
+"""The IMU and encoder board: bytes to measurements, without ROS.
 
-messages   the wire table: what each message holds
-protocol   bytes become packets and packets bytes
-clock      the board's clock becomes the clock of the stamps
-convert    counts become samples in SI units; counts goes the other way
-reader     all of these in a row: bytes and their arrivals become readings
-commands   what the board has to be told, until it has answered
-link       the serial line; all else here is without IO
+messages   wire table: the fields of each message
+protocol   framing: bytes to packets and packets to bytes
+clock      conversion of the board's clock to the host clock
+convert    counts to samples in SI units; counts is the inverse
+reader     the complete receive path: bytes and arrival times to readings
+commands   commands to the board, repeated until they are acknowledged
+link       the serial port; the only module here with IO
 
-`docs/board_protocol.md` is the same for the engineer who writes the firmware.
+`docs/board_protocol.md` describes the same protocol for the engineer who writes the firmware.
 """

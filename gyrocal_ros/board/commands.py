@@ -1,4 +1,4 @@
-"""What the board has to be told: a command is repeated until it is answered."""
+"""Commands to the board; each is repeated until it is acknowledged."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, Generic, TypeVar
 from gyrocal_ros.board.messages import Acknowledgement, SetRates, Zero
 from gyrocal_ros.board.protocol import SEQUENCE_WRAP, encode
 
-PATIENCE_S = 0.5
-"""A command is sent again when its answer takes so much longer than its work."""
-LATE_ANSWERS = 8
-"""An answer to one of so many repetitions still counts."""
+ANSWER_TIMEOUT_S = 0.5
+"""Time after the expected end of a command's execution at which it is sent again."""
+MAX_SEQUENCES = 8
+"""Number of the latest transmissions of a command whose late answers are still accepted."""
 MS_PER_S = 1000.0
 
 
@@ -20,74 +20,76 @@ Command = TypeVar('Command', SetRates, Zero)
 
 
 @dataclass(slots=True)
-class Order(Generic[Command]):
-    """A command, and how far it has come."""
+class PendingCommand(Generic[Command]):
+    """A command with its transmissions and its result."""
 
     command: Command
     result: int | None = None
-    """What the board made of it, one of `Result`; None as long as it has not answered."""
-    tries: int = 0
-    _sent: deque[int] = field(default_factory=lambda: deque(maxlen=LATE_ANSWERS))
+    """Result reported by the board, one of `CommandResult`; None until it has answered."""
+    attempts: int = 0
+    _sent: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_SEQUENCES))
     _due_s: float = 0.0
 
     def is_due(self, now_s: float) -> bool:
-        """Whether it has to be sent, for the first time or again."""
+        """Return whether the command must be sent, for the first time or again."""
         return self.result is None and now_s >= self._due_s
 
     def frame(self, sequence: int, now_s: float) -> bytes:
-        """Return its frame and wait for the answer from now on."""
+        """Return the frame of the command and start the timeout of its answer."""
         work_s = self.command.duration / MS_PER_S if isinstance(self.command, Zero) else 0.0
-        self._due_s = now_s + work_s + PATIENCE_S
+        self._due_s = now_s + work_s + ANSWER_TIMEOUT_S
         self._sent.append(sequence)
-        self.tries += 1
+        self.attempts += 1
         return encode(self.command, sequence)
 
-    def hear(self, answer: Acknowledgement) -> None:
-        """Take an answer that may be to this command."""
+    def acknowledge(self, answer: Acknowledgement) -> None:
+        """Process an answer that may belong to this command."""
         if answer.command == self.command.TYPE and answer.sequence in self._sent:
             self.result = answer.result
 
 
-class Commands:
-    """All that is to be sent to one board.
+class CommandQueue:
+    """The commands to one board.
 
-    Rates hold for as long as the board is on.
+    The rates are valid until the board is switched off.
     """
 
     def __init__(self, rates: SetRates) -> None:
-        self.rates = Order(rates)
-        self.zero: Order[Zero] | None = None
+        self.rates = PendingCommand(rates)
+        self.zero: PendingCommand[Zero] | None = None
         self._sequence = 0
 
-    def ask_for_rates(self, rates: SetRates) -> None:
-        """Ask for other rates."""
-        self.rates = Order(rates)
+    def request_rates(self, rates: SetRates) -> None:
+        """Request other rates."""
+        self.rates = PendingCommand(rates)
 
-    def repeat_rates(self) -> None:
-        """Ask for the same rates once more: the board may have forgotten them."""
-        self.rates = Order(self.rates.command)
+    def resend_rates(self) -> None:
+        """Request the same rates again, because the board may have lost them."""
+        self.rates = PendingCommand(self.rates.command)
 
-    def ask_for_zero(self, duration_ms: int) -> Order[Zero]:
-        """Ask for the zero of the gyros; the answer will stand in the order."""
-        self.zero = Order(Zero(duration_ms))
+    def request_zero(self, duration_ms: int) -> PendingCommand[Zero]:
+        """Request a measurement of the gyro zeros; the returned object will hold the result."""
+        self.zero = PendingCommand(Zero(duration_ms))
         return self.zero
 
-    def forget_zero(self) -> None:
-        """Ask no more for the zero."""
+    def cancel_zero(self) -> None:
+        """Stop requesting the measurement of the gyro zeros."""
         self.zero = None
 
-    def due(self, now_s: float) -> bytes:
-        """Return the frames that are to be sent now, by a clock that is never set."""
+    def due_frames(self, now_s: float) -> bytes:
+        """Return the frames to be sent at this time of a monotonic clock."""
         return b''.join(
-            order.frame(self._next_sequence(), now_s) for order in self._orders() if order.is_due(now_s)
+            pending.frame(self._next_sequence(), now_s)
+            for pending in self._pending()
+            if pending.is_due(now_s)
         )
 
-    def hear(self, answer: Acknowledgement) -> None:
-        """Take an answer of the board."""
-        for order in self._orders():
-            order.hear(answer)
+    def acknowledge(self, answer: Acknowledgement) -> None:
+        """Process an answer of the board."""
+        for pending in self._pending():
+            pending.acknowledge(answer)
 
-    def _orders(self) -> list[Order[Any]]:
+    def _pending(self) -> list[PendingCommand[Any]]:
         return [self.rates] if self.zero is None else [self.rates, self.zero]
 
     def _next_sequence(self) -> int:

@@ -1,4 +1,4 @@
-"""Samples in SI units become counts: the inverse of `convert`, for a board that is emulated."""
+"""Conversion of samples in SI units to counts: the inverse of `convert`, for the emulated board."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from gyrocal_ros.board.convert import TICK_WRAP
-from gyrocal_ros.board.messages import Imu, Supply, Three, Wheels
+from gyrocal_ros.board.messages import Imu, IntTriple, Supply, Wheels
 from gyrocal_ros.config.sections import BoardConfig
 from gyrocal_ros.data import ImuSample
 
@@ -14,7 +14,7 @@ I16, I32, U16 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1), (0, (1
 
 
 def imu_counts(sample: ImuSample, temperature_c: float, config: BoardConfig) -> Imu:
-    """Return the nearest counts; beyond its range a converter gives its largest."""
+    """Return the nearest counts, clipped to the range of each converter."""
     volts = [
         math.degrees(rate) / scale
         for rate, scale in zip(sample.rate_rad_s, config.gyro_scale_factor_volt, strict=True)
@@ -27,9 +27,12 @@ def imu_counts(sample: ImuSample, temperature_c: float, config: BoardConfig) -> 
 
 
 def wheel_counts(distance_m: float, turned_rad: float, config: BoardConfig) -> Wheels:
-    """Return the tick counters after a robot that began with zeros has gone and turned so far."""
-    apart_m = turned_rad * config.track_m / 2.0
-    return Wheels(_ticks(distance_m - apart_m, config), _ticks(distance_m + apart_m, config))
+    """Return the tick counters, zero at the start, after the given distance and turn."""
+    half_difference_m = turned_rad * config.track_m / 2.0
+    return Wheels(
+        _tick_count(distance_m - half_difference_m, config),
+        _tick_count(distance_m + half_difference_m, config),
+    )
 
 
 def supply_counts(voltage_v: float, current_a: float) -> Supply:
@@ -39,7 +42,7 @@ def supply_counts(voltage_v: float, current_a: float) -> Supply:
 
 def _counts(
     values: Sequence[float], zeros: Sequence[float], scales: Sequence[float], limits: tuple[int, int]
-) -> Three:
+) -> IntTriple:
     x, y, z = (
         _clipped(value / scale + zero, limits)
         for value, zero, scale in zip(values, zeros, scales, strict=True)
@@ -52,5 +55,5 @@ def _clipped(value: float, limits: tuple[int, int]) -> int:
     return round(min(max(value, low), high))
 
 
-def _ticks(way_m: float, config: BoardConfig) -> int:
-    return (round(way_m / config.tick_m) + TICK_WRAP // 2) % TICK_WRAP - TICK_WRAP // 2
+def _tick_count(distance_m: float, config: BoardConfig) -> int:
+    return (round(distance_m / config.tick_m) + TICK_WRAP // 2) % TICK_WRAP - TICK_WRAP // 2

@@ -1,4 +1,4 @@
-"""All that comes from the board becomes readings with stamps: bytes and their arrival go in."""
+"""The receive path of the board: bytes and arrival times to stamped readings."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from gyrocal_ros.board.convert import (
     wheel_step,
 )
 from gyrocal_ros.board.messages import Acknowledgement, Imu, Message, Supply, Wheels
-from gyrocal_ros.board.protocol import Decoder, Packet, wire_s
+from gyrocal_ros.board.protocol import Decoder, Packet, wire_time_s
 from gyrocal_ros.config.sections import BoardConfig
 from gyrocal_ros.data import NS_PER_S, ImuSample, TemperatureSample, WheelSample, nanoseconds
 
 TEMPERATURE_PERIOD_NS = NS_PER_S
-"""The temperature comes with every IMU message and is handed on so often."""
+"""Output interval of the temperature, which every IMU message contains."""
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
-    """Where the wheels alone say that the robot is, seen from where it was at the start."""
+class WheelPose:
+    """Pose from wheel odometry alone, relative to the start."""
 
     x_m: float = 0.0
     y_m: float = 0.0
     yaw_rad: float = 0.0
 
-    def moved(self, distance_m: float, turned_rad: float) -> Pose:
-        """Go on by a step that is so short that it is about straight."""
+    def advanced(self, distance_m: float, turned_rad: float) -> WheelPose:
+        """Return the pose after a step that is short enough to be nearly straight."""
         heading = self.yaw_rad + turned_rad / 2.0
-        return Pose(
+        return WheelPose(
             self.x_m + distance_m * math.cos(heading),
             self.y_m + distance_m * math.sin(heading),
             math.remainder(self.yaw_rad + turned_rad, math.tau),
@@ -47,55 +47,56 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class WheelMotion:
-    """How the wheels turn, and where that has brought the robot."""
+    """Wheel motion and the odometry pose after it."""
 
     sample: WheelSample
-    pose: Pose
+    pose: WheelPose
 
 
 Reading: TypeAlias = ImuSample | TemperatureSample | WheelMotion | SupplySample | Acknowledgement
 
 
 class BoardReader:
-    """Makes readings of what comes in, in the order of their stamps.
+    """Converts received bytes to readings, in the order of their stamps.
 
-    It lives as long as the program: stamps go on to rise when the line was lost and found again, and
-    when the board was started anew. Nothing that comes in raises an error.
+    It exists as long as the program: stamps continue to increase after the line was lost and found
+    again, and after a restart of the board. No input raises an error.
 
     Args:
-        config: what one count of each converter means.
-        baud_rate: speed of the line. What a frame takes on the wire no arrival can tell.
+        config: meaning of one count of each converter.
+        baud_rate: speed of the line; it determines the transmission time of a frame, which arrivals do
+            not reveal.
     """
 
     def __init__(self, config: BoardConfig, baud_rate: int) -> None:
         self.decoder = Decoder()
         self.clock = Clock()
         self.received: Counter[type[Message]] = Counter()
-        """Packets handed on, by their message."""
+        """Number of packets received, by message type."""
         self.bytes = 0
         self._config = config
         self._wire_ns = {
-            kind: nanoseconds(wire_s(kind, baud_rate)) for kind in (Imu, Wheels, Supply, Acknowledgement)
+            kind: nanoseconds(wire_time_s(kind, baud_rate)) for kind in (Imu, Wheels, Supply, Acknowledgement)
         }
         self._temperature_ns: int | None = None
         self._wheels: WheelReading | None = None
-        self._pose = Pose()
+        self._pose = WheelPose()
 
-    def take(self, data: bytes, arrival_ns: int) -> list[Reading]:
-        """Take the next bytes of the line.
+    def feed(self, data: bytes, arrival_ns: int) -> list[Reading]:
+        """Process the next bytes of the line.
 
         Args:
-            data: as many as there are.
-            arrival_ns: when the last of them arrived, by the clock that the stamps are to follow.
+            data: any number of bytes.
+            arrival_ns: arrival time of the last of them on the host clock that the stamps follow.
         """
         self.bytes += len(data)
         return [
             reading for packet in self.decoder.feed(data) for reading in self._readings(packet, arrival_ns)
         ]
 
-    def join(self) -> None:
-        """Begin to listen to a line, the first one or another one."""
-        self.decoder.join()
+    def skip_partial_frame(self) -> None:
+        """Start on a line, the first or another one, on which a partial frame may come first."""
+        self.decoder.skip_partial_frame()
 
     def _readings(self, packet: Packet, arrival_ns: int) -> Iterator[Reading]:
         message = packet.message
@@ -113,7 +114,7 @@ class BoardReader:
             if self._temperature_is_due(stamp.t_ns):
                 yield temperature_sample(message, stamp.t_ns, self._config)
         elif isinstance(message, Wheels):
-            yield from self._moved(WheelReading(stamp, time_us, message))
+            yield from self._wheel_motion(WheelReading(stamp, time_us, message))
         else:
             yield supply_sample(message, stamp.t_ns)
 
@@ -124,11 +125,11 @@ class BoardReader:
             self._temperature_ns = t_ns
         return is_due
 
-    def _moved(self, after: WheelReading) -> Iterator[WheelMotion]:
+    def _wheel_motion(self, after: WheelReading) -> Iterator[WheelMotion]:
         before, self._wheels = self._wheels, after
         if before is None:
             return
-        self._pose = self._pose.moved(*wheel_step(before, after, self._config))
+        self._pose = self._pose.advanced(*wheel_step(before, after, self._config))
         sample = wheel_sample(before, after, self._config)
         if sample is not None:
             yield WheelMotion(sample, self._pose)

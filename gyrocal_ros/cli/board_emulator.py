@@ -25,10 +25,10 @@ from gyrocal_ros.cli.scenario_options import add_scenario_options, check_bounds,
 from gyrocal_ros.config.parameter_file import load_all
 from gyrocal_ros.config.sections import BoardConfig, Config, DriverConfig
 from gyrocal_ros.data import Measurement, Span
-from gyrocal_ros.emulator.board import Crystal, EmulatedBoard, look_ahead
-from gyrocal_ros.emulator.line import ABOUT, EmulatedLine, parse_fault
+from gyrocal_ros.emulator.board import EmulatedBoard, Oscillator, detect_sensors
+from gyrocal_ros.emulator.line import FAULT_DESCRIPTIONS, EmulatedLine, parse_fault
 from gyrocal_ros.emulator.schedule import Emulator
-from gyrocal_ros.emulator.terminal import Port, TerminalPlayer
+from gyrocal_ros.emulator.terminal import PseudoTerminal, RealTimePlayer
 from gyrocal_ros.errors import ConfigError, GyrocalError
 from gyrocal_ros.sim.sensors import stream
 
@@ -74,7 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='KIND@FROM+FOR[=SHARE]',
-        help='; '.join(f'{kind}: {about}' for kind, about in ABOUT.items()) + '; may be repeated',
+        help='; '.join(f'{kind}: {about}' for kind, about in FAULT_DESCRIPTIONS.items())
+        + '; may be repeated',
     )
 
 
@@ -86,12 +87,12 @@ def run(args: argparse.Namespace) -> None:
     """
     config, robot = load_all(args.config)
     emulator = _emulator(args, config, robot.board)
-    port = Port(args.link)
+    port = PseudoTerminal(args.link)
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background it must not stop at what is typed
     with suppress(KeyboardInterrupt), closing(port):  # to be interrupted is as good an end as any
         port.plug_in()
         print(args.link or port.name, flush=True)
-        player = TerminalPlayer(emulator, port, _tell, sys.stdin.fileno() if sys.stdin else None)
+        player = RealTimePlayer(emulator, port, _tell, sys.stdin.fileno() if sys.stdin else None)
         player.play(time.time() if args.start_at is None else args.start_at)
 
 
@@ -113,12 +114,12 @@ def _emulator(args: argparse.Namespace, config: Config, board: BoardConfig) -> E
     rng = stream(args.seed, PROGRAM)
     uptime_us = rng.integers(TIME_WRAP) if args.uptime is None else round(1e6 * args.uptime)
     span, measurements = _played(args, config)
-    sensors, measurements = look_ahead(measurements)
+    sensors, measurements = detect_sensors(measurements)
     if not sensors.rates.imu:
         raise GyrocalError('holds no IMU', where=str(args.bag), todo='play another recording')
-    crystal = Crystal(int(uptime_us), args.drift_ppm)
+    oscillator = Oscillator(int(uptime_us), args.drift_ppm)
     line = EmulatedLine(args.baud_rate, args.jitter, faults, rng)
-    return Emulator(measurements, span.start_ns, EmulatedBoard(board, sensors, crystal), line)
+    return Emulator(measurements, span.start_ns, EmulatedBoard(board, sensors, oscillator), line)
 
 
 def _played(args: argparse.Namespace, config: Config) -> tuple[Span, Iterator[Measurement]]:

@@ -25,7 +25,9 @@ def run(args: argparse.Namespace) -> None:
     """Check the bag and print what was found."""
     report = check_bag(args.bag, read_config(args), **bag_options(args))
     if args.json:
-        print_json({**asdict(report), 'usable': report.usable})
+        values = asdict(report)
+        values['findings'] = values.pop('issues')
+        print_json({**values, 'usable': report.usable})
     else:
         print('\n'.join(_text(report)))
 
@@ -35,8 +37,8 @@ def _text(report: CheckReport) -> Iterator[str]:
     yield ''
     yield from _table([COLUMNS, *map(_row, report.topics)])
     yield ''
-    for finding in report.findings:
-        yield f'{finding.severity}: {finding}'
+    for issue in report.issues:
+        yield f'{issue.severity}: {issue}'
     yield 'This bag can be calibrated from.' if report.usable else 'This bag cannot be calibrated from.'
 
 

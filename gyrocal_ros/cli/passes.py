@@ -18,7 +18,7 @@ from gyrocal_ros.data import Source
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.msgs.issues import one_a_kind, refuse_errors
+from gyrocal_ros.msgs.issues import raise_first_error, worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.pipeline.run_filter import Progress
@@ -88,14 +88,14 @@ def open_passes(args: argparse.Namespace, model: SensorModel) -> Passes:
         GyrocalError: it cannot be calibrated from.
     """
     config, options = read_config(args), bag_options(args)
-    findings = check_bag(args.bag, config, **options).findings
-    refuse_errors(findings, str(args.bag))
-    for finding in one_a_kind(findings):
-        warn(str(finding))
+    issues = check_bag(args.bag, config, **options).issues
+    raise_first_error(issues, str(args.bag))
+    for issue in worst_per_kind(issues):
+        warn(str(issue))
     source = open_bag(args.bag, config, with_covariates=True, **options)
     with _bar('reading', source) as report:
         held, config = preload(source, config, model, report)
-    return Passes(held, config, tuple((finding.severity, str(finding)) for finding in findings))
+    return Passes(held, config, tuple((issue.severity, str(issue)) for issue in issues))
 
 
 @contextmanager

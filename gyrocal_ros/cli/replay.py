@@ -30,7 +30,7 @@ from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.msgs.issues import BagIssue, one_a_kind, refuse_errors
+from gyrocal_ros.msgs.issues import BagIssue, raise_first_error, worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.pipeline.run_filter import Progress
@@ -99,10 +99,10 @@ def replay(
     began_s = time.perf_counter()
     with ExitStack() as stack:
         folder = stack.enter_context(new_folder(out, overwrite=overwrite)) if out else None
-        findings = check_bag(bag, config, **options).findings
-        refuse_errors(findings, str(bag))
-        for finding in one_a_kind(findings):
-            warn(str(finding))
+        issues = check_bag(bag, config, **options).issues
+        raise_first_error(issues, str(bag))
+        for issue in worst_per_kind(issues):
+            warn(str(issue))
         try:
             finished = _calibrate(bag, config, model, options, start)
         except FilterDivergedError as error:
@@ -114,7 +114,7 @@ def replay(
         for event in finished.events:
             warn(event.text)
         if folder is not None:
-            _write(folder, finished, calibration, findings, png)
+            _write(folder, finished, calibration, issues, png)
     return summarise(finished, calibration) | {'wall_s': time.perf_counter() - began_s}
 
 
@@ -160,11 +160,11 @@ def _calibrate(
 
 
 def _write(
-    folder: Path, finished: Run, calibration: Calibration, findings: Sequence[BagIssue], png: bool
+    folder: Path, finished: Run, calibration: Calibration, issues: Sequence[BagIssue], png: bool
 ) -> None:
     # Only those who want pages pay for the plotting library.
     from gyrocal_ros.report.page import report_sections
     from gyrocal_ros.report.write import fill
 
-    fill(folder, finished, calibration, [(finding.severity, str(finding)) for finding in findings])
+    fill(folder, finished, calibration, [(issue.severity, str(issue)) for issue in issues])
     draw_if_wanted(png, folder, report_sections(finished, calibration))

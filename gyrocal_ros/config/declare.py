@@ -1,7 +1,7 @@
-"""How settings are declared, checked, read and written: dataclasses of sections of settings.
+"""Declaration, checks, input and output of settings, which are fields of dataclasses called sections.
 
-A setting is a field of a section with its default, unit, bounds and meaning beside each other. YAML
-files, ROS parameters and the dump that goes with every result all derive from that one place.
+A setting is declared with its default, unit, bounds and description in one place. YAML files, ROS
+parameters and the settings saved with every result all derive from it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Sections = TypeVar('Sections')
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What is known of one setting beside its value."""
+    """Unit, bounds and description of a setting."""
 
     unit: str
     help: str
@@ -31,7 +31,7 @@ class Setting:
     high: float | None = None
     choices: tuple[str, ...] = ()
     live: bool = False
-    """Whether a change takes effect while a node runs; the others are read when it starts."""
+    """True if a change takes effect while a node runs; other settings are read at its start."""
 
 
 def setting(
@@ -44,13 +44,13 @@ def setting(
     choices: tuple[str, ...] = (),
     live: bool = False,
 ) -> T:
-    """Declare a dataclass field together with its unit, its bounds and what it means."""
+    """Declare a dataclass field together with its unit, bounds and description."""
     metadata = {'setting': Setting(unit, help, low, high, choices, live)}
     return field(default=default, metadata=metadata)  # type: ignore[return-value]
 
 
 def flat_settings(config: Any) -> Iterator[tuple[str, Any, Setting]]:
-    """Yield name (`section.setting`), value and description of every setting, in order."""
+    """Yield name (`section.setting`), value and declaration of every setting, in order."""
     for section in fields(config):
         values = getattr(config, section.name)
         for item in fields(values):
@@ -58,7 +58,7 @@ def flat_settings(config: Any) -> Iterator[tuple[str, Any, Setting]]:
 
 
 def to_dict(config: Any) -> dict[str, dict[str, Any]]:
-    """Return the settings as nested plain values, as they are written beside every result."""
+    """Return the settings as nested plain values, as they are saved with every result."""
     return {
         section.name: {item.name: plain(getattr(values, item.name)) for item in fields(values)}
         for section in fields(config)
@@ -67,29 +67,29 @@ def to_dict(config: Any) -> dict[str, dict[str, Any]]:
 
 
 def plain(value: Any) -> Any:
-    """A setting as YAML and ROS parameters have it: several numbers are a list."""
+    """Return the value of a setting as YAML and ROS parameters represent it: a tuple becomes a list."""
     return list(value) if isinstance(value, tuple) else value
 
 
 def to_yaml(*configs: Any) -> str:
-    """The settings as a commented ROS 2 parameter file for any node; `config_file` reads it."""
+    """Return the settings as a commented ROS 2 parameter file for any node; `parameter_file` reads it."""
     lines = ['/**:', '  ros__parameters:']
     section = ''
-    for name, value, about in chain.from_iterable(map(flat_settings, configs)):
+    for name, value, spec in chain.from_iterable(map(flat_settings, configs)):
         new_section, item = name.split('.')
         if new_section != section:
             section = new_section
             lines.append(f'    {section}:')
-        bounds = '' if about.low is None else f', {about.low:g} to {about.high:g}'
-        unit = f' [{about.unit}]' if about.unit else ''
-        lines.append(f'      # {about.help}{unit}{bounds}')
+        bounds = '' if spec.low is None else f', {spec.low:g} to {spec.high:g}'
+        unit = f' [{spec.unit}]' if spec.unit else ''
+        lines.append(f'      # {spec.help}{unit}{bounds}')
         text = yaml.safe_dump(plain(value), width=math.inf, default_flow_style=True).splitlines()[0]
         lines.append(f'      {item}: {text}')
     return '\n'.join(lines) + '\n'
 
 
 def with_settings(config: Sections, nested: Mapping[str, Any], where: str = 'settings') -> Sections:
-    """Return `config` with the given `{section: {setting: value}}` put in.
+    """Return `config` with the values of `{section: {setting: value}}`.
 
     Raises:
         ConfigError: a name is unknown, or a value has the wrong type or is out of bounds.
@@ -99,7 +99,7 @@ def with_settings(config: Sections, nested: Mapping[str, Any], where: str = 'set
     for section_name, entries in nested.items():
         section = sections.get(_known(section_name, list(sections), where))
         if not isinstance(entries, Mapping):
-            raise ConfigError(f'section {section_name!r} holds no settings', where=where)
+            raise ConfigError(f'section {section_name!r} contains no settings', where=where)
         assert is_dataclass(section) and not isinstance(section, type)
         known = {item.name: item for item in fields(section)}
         values = {}
@@ -117,32 +117,32 @@ def _known(name: str, known: list[str], where: str) -> str:
     return name
 
 
-def _checked(name: str, value: Any, default: Any, about: Setting, where: str) -> Any:
+def _checked(name: str, value: Any, default: Any, spec: Setting, where: str) -> Any:
     kind = type(default)
     if kind is tuple:
-        return _checked_several(name, value, default, about, where)
+        return _checked_several(name, value, default, spec, where)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if type(value) is not kind:
         raise ConfigError(f'{name} must be a {kind.__name__}, not {value!r}', where=where)
-    if about.choices and value not in about.choices:
-        raise ConfigError(f'{name} is {value!r}', where=where, todo=f'choose from {", ".join(about.choices)}')
+    if spec.choices and value not in spec.choices:
+        raise ConfigError(f'{name} is {value!r}', where=where, todo=f'choose from {", ".join(spec.choices)}')
     if kind in (int, float):
-        too_low = about.low is not None and value < about.low
-        too_high = about.high is not None and value > about.high
+        too_low = spec.low is not None and value < spec.low
+        too_high = spec.high is not None and value > spec.high
         if too_low or too_high or not math.isfinite(value):
             raise ConfigError(
                 f'{name} is {value}',
                 where=where,
-                todo=f'give {about.low} to {about.high} {about.unit}'.rstrip(),
+                todo=f'give {spec.low} to {spec.high} {spec.unit}'.rstrip(),
             )
     return value
 
 
 def _checked_several(
-    name: str, value: Any, default: tuple[Any, ...], about: Setting, where: str
+    name: str, value: Any, default: tuple[Any, ...], spec: Setting, where: str
 ) -> tuple[Any, ...]:
     if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != len(default):
         raise ConfigError(f'{name} must be {len(default)} numbers, not {value!r}', where=where)
     pairs = zip(value, default, strict=True)
-    return tuple(_checked(f'{name}[{i}]', item, other, about, where) for i, (item, other) in enumerate(pairs))
+    return tuple(_checked(f'{name}[{i}]', item, other, spec, where) for i, (item, other) in enumerate(pairs))

@@ -1,4 +1,4 @@
-"""Settings files: ROS 2 parameter files, which serve the nodes and the command line alike."""
+"""Settings files: ROS 2 parameter files, used by the nodes and the command line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gyrocal_ros.errors import ConfigError
 
 
 def load_config(path: Path | None) -> Config:
-    """Read the estimator's settings from a ROS 2 parameter file; without one, return the defaults.
+    """Load the estimator's settings from a ROS 2 parameter file, or the defaults if `path` is None.
 
     Raises:
         ConfigError: the file cannot be read, or a setting in it is unknown or out of bounds.
@@ -23,7 +23,7 @@ def load_config(path: Path | None) -> Config:
 
 
 def load_all(path: Path | None) -> tuple[Config, RobotConfig]:
-    """Read all settings from a ROS 2 parameter file; without one, return the defaults.
+    """Load all settings from a ROS 2 parameter file, or the defaults if `path` is None.
 
     Raises:
         ConfigError: the file cannot be read, or a setting in it is unknown or out of bounds.
@@ -36,14 +36,14 @@ def load_all(path: Path | None) -> tuple[Config, RobotConfig]:
                 f'{node_name!r} has no ros__parameters', where=str(path), todo='write a ROS 2 parameter file'
             )
         nested = _nested(parameters)
-        of_robot = {name: nested.pop(name) for name in _sections(RobotConfig) if name in nested}
-        robot = with_settings(robot, of_robot, str(path))
+        robot_settings = {name: nested.pop(name) for name in _sections(RobotConfig) if name in nested}
+        robot = with_settings(robot, robot_settings, str(path))
         estimator = with_settings(estimator, nested, str(path))
     return estimator, robot
 
 
 def _nested(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings among the parameters of a node, which may also be written `section.setting`."""
+    """Return the settings among the parameters of a node, nested or written as `section.setting`."""
     known = {*_sections(Config), *_sections(RobotConfig)}
     nested = {name: dict(value) for name, value in parameters.items() if isinstance(value, Mapping)}
     for name, value in parameters.items():

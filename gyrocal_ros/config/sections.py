@@ -1,6 +1,6 @@
-"""All settings, declared once: default, unit, bounds and meaning stand beside each other.
+"""All settings: default, unit, bounds and description, declared once.
 
-A settings file is a ROS 2 parameter file, so one file serves the nodes and the command line.
+A settings file is a ROS 2 parameter file, so that one file serves the nodes and the command line.
 """
 
 from __future__ import annotations
@@ -10,28 +10,28 @@ from typing import TypeAlias
 
 from gyrocal_ros.config.declare import setting
 
-Three: TypeAlias = tuple[float, float, float]
+Triple: TypeAlias = tuple[float, float, float]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 @dataclass(frozen=True, slots=True)
 class GyroConfig:
-    """The yaw gyro as its data sheet has it, and how far that is trusted."""
+    """Nominal values of the yaw gyro from its data sheet, and their uncertainty."""
 
     nominal_scale_factor_volt: float = setting(
         146.4, 'deg/s/V', 'scale factor of the data sheet, already applied to the samples', low=1e-6, high=1e6
     )
     bias_prior_std_deg_s: float = setting(
-        1.0, 'deg/s', 'how large the bias of each axis may be at the start (1 sigma)', low=1e-6, high=50.0
+        1.0, 'deg/s', 'prior standard deviation of the bias of each axis at the start', low=1e-6, high=50.0
     )
     rate_noise_deg_s: float = setting(
-        0.0075, 'deg/s/sqrt(Hz)', 'white noise of the rate, as a density', low=1e-5, high=1.0, live=True
+        0.0075, 'deg/s/sqrt(Hz)', 'white noise density of the rate', low=1e-5, high=1.0, live=True
     )
     bias_walk_deg_s: float = setting(
         2.5e-4,
         'deg/s/sqrt(s)',
-        'random walk of the bias; set ten times too large it swallows warm-up and temperature',
+        'random walk of the bias; ten times larger it would absorb warm-up and temperature',
         low=0.0,
         high=1.0,
         live=True,
@@ -39,7 +39,7 @@ class GyroConfig:
     gap_rate_std_deg_s: float = setting(
         40.0,
         'deg/s',
-        'how fast the robot may turn, unseen, while IMU samples are missing',
+        'standard deviation of the unobserved yaw rate while IMU samples are missing',
         low=0.0,
         high=1000.0,
         live=True,
@@ -48,7 +48,7 @@ class GyroConfig:
 
 @dataclass(frozen=True, slots=True)
 class WheelConfig:
-    """How far the wheel encoders are trusted."""
+    """Noise of the wheel odometry."""
 
     distance_noise_m: float = setting(
         0.005, 'm/sqrt(m)', 'random error of the distance travelled', low=1e-5, high=0.5, live=True
@@ -71,11 +71,15 @@ class WheelConfig:
 
 @dataclass(frozen=True, slots=True)
 class CameraConfig:
-    """The ceiling camera's mounting (used where no transform says it) and its noise."""
+    """Mounting of the ceiling camera (used if no transform is available) and its noise."""
 
-    mount_x_m: float = setting(0.10, 'm', 'camera ahead of the turning centre', low=-5.0, high=5.0)
-    mount_y_m: float = setting(0.0, 'm', 'camera left of the turning centre', low=-5.0, high=5.0)
-    mount_z_m: float = setting(0.10, 'm', 'camera above base_link', low=-5.0, high=5.0)
+    mount_x_m: float = setting(
+        0.10, 'm', 'position of the camera ahead of the turning centre', low=-5.0, high=5.0
+    )
+    mount_y_m: float = setting(
+        0.0, 'm', 'position of the camera to the left of the turning centre', low=-5.0, high=5.0
+    )
+    mount_z_m: float = setting(0.10, 'm', 'height of the camera above base_link', low=-5.0, high=5.0)
     mount_yaw_deg: float = setting(
         -90.0,
         'deg',
@@ -86,18 +90,18 @@ class CameraConfig:
     pixel_noise_px: float = setting(
         0.4,
         'px',
-        'noise of a recorded feature, each coordinate; the start of its estimation',
+        'noise of a recorded feature in each coordinate; initial value of its estimate',
         low=0.005,
         high=20.0,
     )
     estimate_pixel_noise: bool = setting(
-        True, '', 'follow the true pixel noise by the median innovation', live=True
+        True, '', 'estimate the pixel noise from the median innovation', live=True
     )
 
 
 @dataclass(frozen=True, slots=True)
 class FeatureConfig:
-    """The landmarks on the ceiling."""
+    """Landmarks on the ceiling."""
 
     parametrisation: str = setting(
         'inverse_depth',
@@ -106,15 +110,15 @@ class FeatureConfig:
         choices=('inverse_depth', 'camera_frame', 'pixel'),
     )
     prior_depth_m: float = setting(
-        2.5, 'm', 'depth (inverse_depth) or range (other forms) at first sight', low=0.05, high=100.0
+        2.5, 'm', 'prior depth (inverse_depth) or range (other forms) of a new feature', low=0.05, high=100.0
     )
     prior_inverse_depth_std: float = setting(
-        0.3, '1/m', 'doubt of the inverse of that depth (inverse_depth)', low=1e-3, high=20.0
+        0.3, '1/m', 'prior standard deviation of the inverse depth (inverse_depth)', low=1e-3, high=20.0
     )
     ray_std_m: float = setting(
         100.0,
         'm',
-        'e_ct of eq. (19): doubt of the depth along the ray (camera_frame, pixel)',
+        'e_ct of eq. (19): standard deviation of the depth along the ray (camera_frame, pixel)',
         low=0.1,
         high=1e5,
     )
@@ -122,28 +126,38 @@ class FeatureConfig:
         0.0, 'px', 'e_cal of eq. (21): error of the camera calibration (camera_frame)', low=0.0, high=50.0
     )
     motion_gate_m: float = setting(
-        0.03, 'm', 'camera_frame: no updates until the robot has moved so far', low=0.0, high=10.0, live=True
+        0.03,
+        'm',
+        'camera_frame: no updates until the robot has moved this far',
+        low=0.0,
+        high=10.0,
+        live=True,
     )
     motion_gate_deg: float = setting(
-        5.0, 'deg', 'camera_frame: or has turned so far', low=0.0, high=180.0, live=True
+        5.0, 'deg', 'camera_frame: or has turned this far', low=0.0, high=180.0, live=True
     )
-    map_size: int = setting(30, '', 'features kept in the map, seen and unseen', low=3, high=1000, live=True)
+    map_size: int = setting(30, '', 'features kept in the map, visible or not', low=3, high=1000, live=True)
     outlier_probability: float = setting(
-        1e-4, '', 'chance that a good observation is thrown away as an outlier', low=1e-9, high=0.2, live=True
+        1e-4,
+        '',
+        'probability that a good observation is rejected as an outlier',
+        low=1e-9,
+        high=0.2,
+        live=True,
     )
     drop_after_rejections: int = setting(
-        8, '', 'rejections in a row after which a feature is forgotten', low=1, high=1000, live=True
+        8, '', 'consecutive rejections after which a feature is dropped', low=1, high=1000, live=True
     )
 
 
 @dataclass(frozen=True, slots=True)
 class RestConfig:
-    """When the robot counts as standing still, and how still that is."""
+    """Detection of rest and the noise of the zero-rate update."""
 
     settle_s: float = setting(
         0.3,
         's',
-        'wheels quiet for so long before the zero-rate update is used',
+        'time with wheels at rest before the zero-rate update is used',
         low=0.0,
         high=60.0,
         live=True,
@@ -151,7 +165,7 @@ class RestConfig:
     rotation_noise_deg: float = setting(
         0.005,
         'deg',
-        'rotation between two frames that still counts as none (1 sigma)',
+        'standard deviation of the rotation between two frames at rest',
         low=1e-6,
         high=5.0,
         live=True,
@@ -160,19 +174,19 @@ class RestConfig:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceConfig:
-    """Another heading reference in place of the ceiling camera."""
+    """An external heading reference instead of the ceiling camera."""
 
     heading_noise_deg: float = setting(
         0.5, 'deg', 'white noise of the reference heading', low=1e-4, high=90.0
     )
     heading_walk_deg: float = setting(
-        0.02, 'deg/sqrt(s)', 'slow drift of the reference heading', low=0.0, high=10.0, live=True
+        0.02, 'deg/sqrt(s)', 'random walk of the reference heading', low=0.0, high=10.0, live=True
     )
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerConfig:
-    """The feature tracker."""
+    """Feature tracker."""
 
     features: int = setting(
         15, '', 'features tracked at a time; the paper uses 5', low=1, high=500, live=True
@@ -181,36 +195,43 @@ class TrackerConfig:
     min_distance_px: float = setting(
         40.0,
         'px',
-        'distance between features, so that they spread over the image',
+        'minimum distance between features, to distribute them over the image',
         low=2.0,
         high=500.0,
         live=True,
     )
-    border_px: int = setting(14, 'px', 'no features closer to the edge of the image', low=2, high=200)
+    border_px: int = setting(
+        14, 'px', 'minimum distance of features from the edge of the image', low=2, high=200
+    )
     detect_interval: int = setting(
         10,
         'frames',
-        'look for new corners every so many frames, or when few are left',
+        'frames between detections of new corners, earlier if few features are left',
         low=1,
         high=1000,
         live=True,
     )
     corner_quality: float = setting(
-        0.001, '', 'Harris response of a corner against the best in the image', low=1e-6, high=1.0, live=True
+        0.001,
+        '',
+        'minimum Harris response of a corner relative to the best in the image',
+        low=1e-6,
+        high=1.0,
+        live=True,
     )
     min_correlation: float = setting(
-        0.8, '', 'normalised correlation below which a match is refused', low=-1.0, high=1.0, live=True
+        0.8, '', 'normalised correlation below which a match is rejected', low=-1.0, high=1.0, live=True
     )
     max_reprojection_px: float = setting(
-        0.3, 'px', 'forward-backward error above which a match is refused', low=0.01, high=20.0, live=True
+        0.3, 'px', 'forward-backward error above which a match is rejected', low=0.01, high=20.0, live=True
     )
     noise_px: float = setting(
-        0.1, 'px', 'noise of a feature tracked here, the start of its estimation', low=0.005, high=20.0
+        0.1, 'px', 'noise of a feature of this tracker; initial value of its estimate', low=0.005, high=20.0
     )
     reacquire_s: float = setting(
         20.0,
         's',
-        'a lost feature is looked for so long before its id is dropped',
+        'time for which a lost feature is searched for before its id is dropped',
         low=0.0,
         high=3600.0,
         live=True,
@@ -219,22 +240,28 @@ class TrackerConfig:
 
 @dataclass(frozen=True, slots=True)
 class RecordingConfig:
-    """Reading bags."""
+    """Reading of bags."""
 
     reorder_window_s: float = setting(
-        1.0, 's', 'how late a message may be recorded and still be sorted in by its stamp', low=0.0, high=60.0
+        1.0,
+        's',
+        'largest delay of a recorded message that can still be sorted by its stamp',
+        low=0.0,
+        high=60.0,
     )
     clock_step_s: float = setting(
-        5.0, 's', 'a lasting jump of the stamps larger than this starts a new time base', low=0.1, high=1e6
+        5.0, 's', 'a persistent jump of the stamps larger than this starts a new time base', low=0.1, high=1e6
     )
-    use_images: bool = setting(False, '', 'track the images even where the bag holds features')
-    remap: str = setting('', '', 'topics under other names: NAME:=TOPIC, several separated by blanks')
-    heading_reference: str = setting('', '', 'topic to take the heading from, in place of the ceiling camera')
+    use_images: bool = setting(False, '', 'track the images even if the bag contains features')
+    remap: str = setting('', '', 'renamed topics: NAME:=TOPIC, several separated by blanks')
+    heading_reference: str = setting(
+        '', '', 'topic of a heading reference, used instead of the ceiling camera'
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class ConvergenceConfig:
-    """When the calibration counts as done."""
+    """Criteria for a finished calibration."""
 
     scale_std: float = setting(
         5e-4,
@@ -269,95 +296,91 @@ class Config:
 
 @dataclass(frozen=True, slots=True)
 class BoardConfig:
-    """What one count of each converter means."""
+    """Meaning of one count of each converter."""
 
-    gyro_volt: float = setting(
-        1e-5, 'V/count', 'gyro voltage that one count stands for', low=1e-12, high=10.0
-    )
-    gyro_scale_factor_volt: Three = setting(
+    gyro_volt: float = setting(1e-5, 'V/count', 'gyro voltage of one count', low=1e-12, high=10.0)
+    gyro_scale_factor_volt: Triple = setting(
         (GyroConfig().nominal_scale_factor_volt,) * 3,
         'deg/s/V',
-        'scale factor by the data sheet, about x, y and z; negative where an axis is mounted in reverse',
+        'scale factor of the data sheet, about x, y and z; negative for an axis mounted in reverse',
         low=-1e6,
         high=1e6,
     )
-    gyro_zero: Three = setting(
+    gyro_zero: Triple = setting(
         (0.0, 0.0, 0.0), 'count', 'nominal bias: counts of the gyros at rest', low=-(2.0**31), high=2.0**31
     )
-    accelerometer_scale: Three = setting(
+    accelerometer_scale: Triple = setting(
         (4.0 * STANDARD_GRAVITY_M_S2 / 2**15,) * 3,
         'm/s^2/count',
-        'specific force that one count stands for, along x, y and z; 16 bits over 4 g to either side',
+        'specific force of one count, along x, y and z; 16 bits over +-4 g',
         low=-100.0,
         high=100.0,
     )
-    accelerometer_zero: Three = setting(
-        (0.0, 0.0, 0.0), 'count', 'counts of the accelerometers without force', low=-(2.0**15), high=2.0**15
+    accelerometer_zero: Triple = setting(
+        (0.0, 0.0, 0.0), 'count', 'counts of the accelerometers at zero force', low=-(2.0**15), high=2.0**15
     )
     temperature_scale: float = setting(
-        0.01, 'deg C/count', 'one count of temperature', low=-100.0, high=100.0
+        0.01, 'deg C/count', 'temperature of one count', low=-100.0, high=100.0
     )
     temperature_zero_c: float = setting(0.0, 'deg C', 'temperature at 0 counts', low=-273.15, high=1000.0)
-    tick_m: float = setting(3e-4, 'm', 'way of a wheel from one tick to the next', low=1e-7, high=1.0)
+    tick_m: float = setting(3e-4, 'm', 'distance of a wheel from one tick to the next', low=1e-7, high=1.0)
     track_m: float = setting(0.23, 'm', 'distance between the wheels', low=0.01, high=10.0)
 
 
 @dataclass(frozen=True, slots=True)
 class DriverConfig:
-    """The line to the board."""
+    """Serial line to the board."""
 
     port: str = setting('/dev/ttyACM0', '', 'serial port of the board')
     baud_rate: int = setting(
         115200,
         'Bd',
-        'speed of the line; 4000000 for a board that is itself a USB device, without a wire that takes time',
+        'speed of the line; 4000000 for a board that is itself a USB device, without a serial wire',
         low=1200,
         high=4_000_000,
     )
-    imu_hz: int = setting(200, 'Hz', 'IMU messages asked of the board', low=1, high=2000, live=True)
-    wheels_hz: int = setting(50, 'Hz', 'wheel messages asked of the board', low=1, high=1000, live=True)
+    imu_hz: int = setting(200, 'Hz', 'requested rate of the IMU messages', low=1, high=2000, live=True)
+    wheels_hz: int = setting(50, 'Hz', 'requested rate of the wheel messages', low=1, high=1000, live=True)
     supply_hz: int = setting(
-        10, 'Hz', 'supply messages asked of the board, 0 for none', low=0, high=100, live=True
+        10, 'Hz', 'requested rate of the supply messages, 0 for none', low=0, high=100, live=True
     )
     publish_odom_transform: bool = setting(
-        False, '', 'publish odom to base_link, where nothing else on the robot does'
+        False, '', 'publish odom to base_link; only if nothing else on the robot does'
     )
 
 
 @dataclass(frozen=True, slots=True)
 class LiveConfig:
-    """The calibrator as it runs on the robot."""
+    """The calibrator on the robot."""
 
-    model: str = setting('', '', 'model.yaml with the effects to estimate; empty for the one that is shipped')
-    effects_from: str = setting('', '', 'Python file with effects of your own that the model names')
-    calibration: str = setting(
-        '', '', 'calibration.yaml to start from and to keep up to date; empty for none'
-    )
-    estimate: bool = setting(True, '', 'estimate from the start, not only when told to')
+    model: str = setting('', '', 'model.yaml with the effects to estimate; empty for the default one')
+    effects_from: str = setting('', '', 'Python file with your own effects that the model contains')
+    calibration: str = setting('', '', 'calibration.yaml to load at the start and to save; empty for none')
+    estimate: bool = setting(True, '', 'start estimating at once, not only on request')
     reorder_window_s: float = setting(
-        0.6, 's', 'how late a message may come and still be sorted in by its stamp', low=0.01, high=10.0
+        0.6, 's', 'largest delay of a message that can still be sorted by its stamp', low=0.01, high=10.0
     )
     save_interval_s: float = setting(
-        60.0, 's', 'how often the calibration is saved', low=1.0, high=86400.0, live=True
+        60.0, 's', 'interval between saves of the calibration', low=1.0, high=86400.0, live=True
     )
     publish_map_transform: bool = setting(True, '', 'publish map to odom')
 
 
 @dataclass(frozen=True, slots=True)
 class ImagesConfig:
-    """How the tracker gets its images."""
+    """Image input of the tracker."""
 
     transport: str = setting(
         'auto',
         '',
-        'which images to follow; auto: the raw ones, or the compressed where nobody publishes raw ones',
+        'images to track; auto: raw ones, or compressed ones if no raw ones are published',
         choices=('auto', 'raw', 'compressed'),
     )
     patience_s: float = setting(
         0.01,
         's',
-        'how long an image waits for the IMU to reach its stamp and for the search regions; what it waits '
-        'comes on top of the time to features',
+        'timeout of an image waiting for the IMU to reach its stamp and for the search regions; the wait '
+        'delays the features',
         low=0.0,
         high=1.0,
         live=True,
@@ -366,7 +389,7 @@ class ImagesConfig:
 
 @dataclass(frozen=True, slots=True)
 class RobotConfig:
-    """What only the nodes need to be told."""
+    """Settings that only the nodes need."""
 
     board: BoardConfig = BoardConfig()
     driver: DriverConfig = DriverConfig()

@@ -1,4 +1,4 @@
-"""YAML files."""
+"""Input of YAML files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gyrocal_ros.errors import ConfigError
 
 
 class YamlLoader(yaml.SafeLoader):
-    """Takes `1e-3` for a number, as ROS does; PyYAML insists on `1.0e-3`."""
+    """Loads `1e-3` as a number, as ROS does; PyYAML requires `1.0e-3`."""
 
 
 YamlLoader.add_implicit_resolver(
@@ -21,10 +21,10 @@ YamlLoader.add_implicit_resolver(
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML file that holds a mapping.
+    """Read a YAML file that contains a mapping.
 
     Raises:
-        ConfigError: there is no such file, or it is not YAML, or holds something else.
+        ConfigError: the file does not exist, is not YAML, or contains something else.
     """
     try:
         tree = yaml.load(path.read_text(encoding='utf-8'), YamlLoader)
@@ -36,5 +36,5 @@ def read_yaml(path: Path) -> dict[str, Any]:
         line = str(error).replace('\n', ' ')
         raise ConfigError(f'is not valid YAML ({line})', where=str(path)) from error
     if not isinstance(tree, dict):
-        raise ConfigError('holds no settings', where=str(path), todo='write `name: value` lines')
+        raise ConfigError('contains no settings', where=str(path), todo='write `name: value` lines')
     return tree

@@ -1,7 +1,6 @@
-"""What an emulated board sends, and when: a recording is played, without any IO.
+"""Events of an emulated board in time order, without IO.
 
-All that is random comes from one seed, and nothing looks at a clock: asked for the same things at
-the same times, it does the same.
+All randomness derives from one seed, and no clock is read: the same calls yield the same events.
 """
 
 from __future__ import annotations
@@ -13,25 +12,25 @@ from itertools import count
 
 from gyrocal_ros.data import ClockStep, Measurement
 from gyrocal_ros.emulator.board import EmulatedBoard
-from gyrocal_ros.emulator.line import Delivery, EmulatedLine, Fault, FaultKind
+from gyrocal_ros.emulator.line import DataEvent, EmulatedLine, Fault, FaultKind
 
 
 @dataclass(frozen=True, slots=True)
-class Plug:
-    """The port is pulled out or put in."""
+class PortEvent:
+    """The port is connected or disconnected."""
 
     t_ns: int
-    is_in: bool
+    is_connected: bool
 
 
 class Emulator:
-    """Plays a recording as a board at the end of a line. Times count from the start of the recording.
+    """Plays a recording as a board at the end of a line. Times are relative to the start of the recording.
 
     Args:
-        measurements: in the order of their stamps.
-        start_ns: the stamp that is time 0.
-        board: makes frames of them.
-        line: carries these.
+        measurements: measurements in the order of their stamps.
+        start_ns: stamp of time 0.
+        board: converts measurements to frames.
+        line: delivers the frames.
     """
 
     def __init__(
@@ -41,38 +40,38 @@ class Emulator:
         self._board, self._line = board, line
         self._has_power = True
         self._order = count()
-        self._events: list[tuple[int, int, Delivery | Plug]] = []
+        self._events: list[tuple[int, int, DataEvent | PortEvent]] = []
         for fault in line.faults:
-            self._foresee(fault)
+            self._schedule_port(fault)
         self._next = self._measured()
 
     def next_ns(self) -> int | None:
-        """When the next thing happens; None when all is played."""
+        """Return the time of the next event, or None at the end of the recording."""
         while self._next and not (self._events and self._events[0][0] <= self._next[0]):
             t_ns, measurement = self._next
             self._play(measurement, t_ns)
             self._next = self._measured()
         return self._events[0][0] if self._events else None
 
-    def pop(self) -> Delivery | Plug:
-        """Return what happens then; call it after `next_ns`."""
+    def pop(self) -> DataEvent | PortEvent:
+        """Return the next event; call `next_ns` first."""
         return heapq.heappop(self._events)[2]
 
-    def hear(self, data: bytes, now_ns: int) -> None:
-        """Let the board have bytes from the host."""
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Pass bytes from the host to the board."""
         if not self._is_off(now_ns):
-            for frame in self._board.hear(data, now_ns):
-                self._carry(frame, now_ns)
+            for frame in self._board.receive(data, now_ns):
+                self._send(frame, now_ns)
 
-    def spoil(self, fault: Fault) -> None:
-        """Let something more go wrong."""
+    def add_fault(self, fault: Fault) -> None:
+        """Add a fault while the emulator runs."""
         self._line.faults.append(fault)
-        self._foresee(fault)
+        self._schedule_port(fault)
 
     def _measured(self) -> tuple[int, Measurement] | None:
         for measurement in self._measurements:
             if isinstance(measurement, ClockStep):
-                self._start_ns += measurement.step_ns  # time itself went on
+                self._start_ns += measurement.step_ns  # only the recorded clock stepped
             else:
                 return measurement.t_ns - self._start_ns, measurement
         return None
@@ -84,20 +83,20 @@ class Emulator:
         if not had_power:
             self._board.restart(t_ns)
         for frame in self._board.measure(measurement, t_ns):
-            self._carry(frame, t_ns)
+            self._send(frame, t_ns)
 
     def _is_off(self, t_ns: int) -> bool:
-        return any(fault.kind is FaultKind.RESTART and fault.holds(t_ns) for fault in self._line.faults)
+        return any(fault.kind is FaultKind.RESTART and fault.is_active(t_ns) for fault in self._line.faults)
 
-    def _carry(self, frame: bytes, t_ns: int) -> None:
-        delivery = self._line.carry(frame, t_ns)
-        if delivery is not None:
-            self._foresee_event(delivery)
+    def _send(self, frame: bytes, t_ns: int) -> None:
+        event = self._line.carry(frame, t_ns)
+        if event is not None:
+            self._push(event)
 
-    def _foresee(self, fault: Fault) -> None:
+    def _schedule_port(self, fault: Fault) -> None:
         if fault.kind is FaultKind.UNPLUG:
-            self._foresee_event(Plug(fault.from_ns, is_in=False))
-            self._foresee_event(Plug(fault.until_ns, is_in=True))
+            self._push(PortEvent(fault.from_ns, is_connected=False))
+            self._push(PortEvent(fault.until_ns, is_connected=True))
 
-    def _foresee_event(self, event: Delivery | Plug) -> None:
+    def _push(self, event: DataEvent | PortEvent) -> None:
         heapq.heappush(self._events, (event.t_ns, next(self._order), event))

@@ -1,4 +1,4 @@
-"""Plays an emulated board on a pseudo-terminal, in real time: the IO of the emulator."""
+"""Real-time play of an emulated board on a pseudo-terminal: the IO of the emulator."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from pathlib import Path
 
 from gyrocal_ros.data import NS_PER_S, seconds
 from gyrocal_ros.emulator.line import parse_fault
-from gyrocal_ros.emulator.schedule import Emulator, Plug
+from gyrocal_ros.emulator.schedule import Emulator, PortEvent
 from gyrocal_ros.errors import GyrocalError
 
-LOOK_AGAIN_S = 0.05
-"""How often to look whether somebody has opened the port."""
-PATIENCE_S = 0.1
-"""How long a frame waits for a host that is busy; what held up many lets all of them go at once."""
+POLL_S = 0.05
+"""Interval at which an unopened port is checked for being opened."""
+WRITE_TIMEOUT_S = 0.1
+"""Timeout of a write to a busy host; after a longer stall, several frames are written at once."""
 MISSED_NS = NS_PER_S // 10
-"""What was due so long before the play begins is left out: nobody was there to see it."""
+"""Events that were due longer than this before the start of the play are skipped, as nobody was connected."""
 
 
-class Port:
-    """A pseudo-terminal that is plugged in and pulled out like the port of a board.
+class PseudoTerminal:
+    """A pseudo-terminal that can be connected and disconnected like the port of a board.
 
     Args:
-        link: a symbolic link that leads to it while it is plugged in.
+        link: symbolic link to it that exists while it is connected.
     """
 
     def __init__(self, link: Path | None) -> None:
@@ -36,7 +36,7 @@ class Port:
         self.name = ''
 
     def plug_in(self) -> None:
-        """Make the port.
+        """Create the port.
 
         Raises:
             GyrocalError: the link cannot be made.
@@ -47,10 +47,10 @@ class Port:
         os.close(slave)
         os.set_blocking(self._master, False)
         if self._link is not None:
-            _lead(self._link, self.name)
+            _set_link(self._link, self.name)
 
     def close(self) -> None:
-        """Take it away from whoever has it open."""
+        """Remove the port, disconnecting the program that has it open."""
         if self._master is not None:
             with suppress(OSError):
                 if self._link is not None and os.readlink(self._link) == self.name:
@@ -59,23 +59,23 @@ class Port:
             self._master = None
 
     def open_end(self) -> int | None:
-        """Return our end while somebody has the other one open."""
+        """Return the master end while a program has the other end open, otherwise None."""
         if self._master is None:
             return None
         poll = select.poll()
-        poll.register(self._master, 0)  # a hang-up is told unasked
+        poll.register(self._master, 0)  # a hang-up is always reported
         return None if poll.poll(0) else self._master
 
     def write(self, data: bytes) -> None:
-        """Send bytes; as on a wire, they are lost where nobody takes them."""
+        """Write bytes; they are lost if nobody reads them, as on a serial line."""
         end = self.open_end()
         if end is not None:
             with suppress(OSError):
-                while data and select.select([], [end], [], PATIENCE_S)[1]:
+                while data and select.select([], [end], [], WRITE_TIMEOUT_S)[1]:
                     data = data[os.write(end, data) :]
 
     def read(self) -> bytes:
-        """Return what has come, if anything."""
+        """Return the bytes received, if any."""
         end = self.open_end()
         if end is not None:
             with suppress(OSError):
@@ -83,64 +83,68 @@ class Port:
         return b''
 
 
-class TerminalPlayer:
-    """Plays on a port, in real time.
+class RealTimePlayer:
+    """Plays an emulator on a pseudo-terminal in real time.
 
     Args:
-        emulator: what happens, and when.
-        port: where.
-        tell: told in words what happens to the port.
-        typed: file of faults that are to come at once, one a line.
+        emulator: source of the events.
+        port: the pseudo-terminal.
+        report: called with a message when the port changes.
+        typed: file descriptor of faults to be injected immediately, one per line.
     """
 
     def __init__(
-        self, emulator: Emulator, port: Port, tell: Callable[[str], None], typed: int | None = None
+        self,
+        emulator: Emulator,
+        port: PseudoTerminal,
+        report: Callable[[str], None],
+        typed: int | None = None,
     ) -> None:
-        self._emulator, self._port, self._tell, self._typed = emulator, port, tell, typed
+        self._emulator, self._port, self._report, self._typed = emulator, port, report, typed
         self._zero_ns = 0
 
     def play(self, start_at_s: float) -> None:
         """Play from the beginning to the end.
 
         Args:
-            start_at_s: time of day, in seconds since the epoch, that is time 0 of the recording.
+            start_at_s: time 0 of the recording as time of day, in seconds since the epoch.
 
         Raises:
             GyrocalError: the link to the port cannot be made.
         """
-        # Time of day tells when to begin; from then on it may be set.
+        # Only the start follows the time of day, which may be set while playing.
         self._zero_ns = round(start_at_s * NS_PER_S) - time.time_ns() + time.monotonic_ns()
-        begun = False
+        is_started = False
         while (due_ns := self._emulator.next_ns()) is not None:
             late_ns = self._now_ns() - due_ns
             if late_ns < 0:
-                begun = True
+                is_started = True
                 self._wait(-seconds(late_ns))
                 continue
             event = self._emulator.pop()
-            if isinstance(event, Plug):
-                self._plug(event.is_in)
-            elif begun or late_ns < MISSED_NS:
+            if isinstance(event, PortEvent):
+                self._plug(event.is_connected)
+            elif is_started or late_ns < MISSED_NS:
                 self._port.write(event.data)
 
     def _now_ns(self) -> int:
         return time.monotonic_ns() - self._zero_ns
 
-    def _plug(self, is_in: bool) -> None:
-        if is_in:
+    def _plug(self, is_connected: bool) -> None:
+        if is_connected:
             self._port.plug_in()
-            self._tell(f'plugged in at {self._port.name}')
+            self._report(f'plugged in at {self._port.name}')
         else:
             self._port.close()
-            self._tell('unplugged')
+            self._report('unplugged')
 
     def _wait(self, limit_s: float) -> None:
-        """Wait for a while, or for what comes from the host and from the keyboard."""
+        """Wait for a time, or for input from the host or the keyboard."""
         end = self._port.open_end()
         ends = [file for file in (end, self._typed) if file is not None]
-        ready, _, _ = select.select(ends, [], [], limit_s if end is not None else min(limit_s, LOOK_AGAIN_S))
+        ready, _, _ = select.select(ends, [], [], limit_s if end is not None else min(limit_s, POLL_S))
         if end in ready:
-            self._emulator.hear(self._port.read(), self._now_ns())
+            self._emulator.receive(self._port.read(), self._now_ns())
         if self._typed in ready:
             self._read_faults()
 
@@ -152,17 +156,17 @@ class TerminalPlayer:
             text = ''
         for line in text.splitlines():
             try:
-                self._emulator.spoil(parse_fault(line, self._now_ns()))
+                self._emulator.add_fault(parse_fault(line, self._now_ns()))
             except GyrocalError as error:
-                self._tell(str(error))
+                self._report(str(error))
         if not text:
-            self._typed = None  # its end
+            self._typed = None  # end of file
 
 
-def _lead(link: Path, target: str) -> None:
-    """Let a symbolic link lead to `target` from one moment to the next."""
+def _set_link(link: Path, target: str) -> None:
+    """Point a symbolic link to `target` in one atomic step."""
     if link.exists() and not link.is_symlink():
-        raise GyrocalError('is no symbolic link', where=str(link), todo='choose another name for --link')
+        raise GyrocalError('is not a symbolic link', where=str(link), todo='choose another name for --link')
     part = link.with_name(f'.{link.name}.{os.getpid()}.part')
     try:
         part.symlink_to(target)

@@ -1,11 +1,11 @@
-"""ROS messages to the values of `data` and back: the only conversion code, for bags and live nodes.
+"""Conversion between ROS messages and the values of `data`, shared by bags and live nodes.
 
-topics       topic names and types; messages become values
-to_ros       values become messages of the recorded topics
-outputs      estimates become messages of the calibrator's topics
+topics       topic names and types; messages to values
+to_ros       values to messages of the recorded topics
+outputs      estimates to messages of the calibrator's topics
 images       image messages
-transforms   quaternions and chains of frames
+transforms   quaternions, rotations and chains of frames
 mounts       mounting of camera and IMU
 reorder      sorts messages by stamp and detects clock steps
-issues       problems of a recording, for a person
+issues       issues of a recording, reported to a person
 """

@@ -1,4 +1,4 @@
-"""Image messages: the one place of this room that needs OpenCV."""
+"""Conversion of image messages; the only module of this room that needs OpenCV."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.to_ros import MessageMaker
 
-_SHAPES: dict[str, tuple[type[np.generic], int]] = {
+_PIXEL_FORMATS: dict[str, tuple[type[np.generic], int]] = {
     'mono8': (np.uint8, 1),
     '8UC1': (np.uint8, 1),
     'mono16': (np.uint16, 1),
@@ -33,7 +33,7 @@ _SHAPES: dict[str, tuple[type[np.generic], int]] = {
     'yuv422_yuy2': (np.uint8, 2),
     'yuyv': (np.uint8, 2),
 }
-"""Type of the numbers and how many to a pixel, by encoding."""
+"""NumPy type and number of channels of a pixel, by encoding."""
 
 _TO_GREY = {
     'bgr8': cv2.COLOR_BGR2GRAY,
@@ -42,7 +42,7 @@ _TO_GREY = {
     'bgra8': cv2.COLOR_BGRA2GRAY,
     '8UC4': cv2.COLOR_BGRA2GRAY,
     'rgba8': cv2.COLOR_RGBA2GRAY,
-    # ROS names the first two pixels of the first row, OpenCV those from the second row and column on.
+    # ROS names a Bayer pattern from the first pixel on, OpenCV from the second row and column on.
     'bayer_rggb8': cv2.COLOR_BayerBG2GRAY,
     'bayer_bggr8': cv2.COLOR_BayerRG2GRAY,
     'bayer_gbrg8': cv2.COLOR_BayerGR2GRAY,
@@ -52,41 +52,42 @@ _TO_GREY = {
     'yuv422_yuy2': cv2.COLOR_YUV2GRAY_YUY2,
     'yuyv': cv2.COLOR_YUV2GRAY_YUY2,
 }
+"""OpenCV conversion to grey, by encoding; the other encodings are grey already."""
 
 
 def frame(message: Any) -> Frame:
-    """Convert an Image or a CompressedImage to grey.
+    """Convert an Image or a CompressedImage to a grey image.
 
     Raises:
-        RecordingError: the encoding is not known, or the data are damaged.
+        RecordingError: the encoding is not supported, or the data are damaged.
     """
     t_ns = topics.stamp_ns(message)
     return Frame(t_ns, _raw_image(message) if hasattr(message, 'encoding') else _compressed_image(message))
 
 
 def jpeg(message: Any, quality: int = 75) -> bytes:
-    """An Image as JPEG, in colour where it is `bgr8`, for a browser.
+    """Encode an Image as JPEG for a browser: in colour if it is `bgr8`, otherwise in grey.
 
     Raises:
-        RecordingError: it cannot be decoded.
+        RecordingError: the image cannot be decoded.
     """
-    colours = message.encoding == 'bgr8'
-    pixels = _pixels(message) if colours else frame(message).image
+    is_colour = message.encoding == 'bgr8'
+    pixels = _pixels(message) if is_colour else frame(message).image
     return bytes(cv2.imencode('.jpg', pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
 
 
-def refuse_other_size(seen: Frame, camera: CameraIntrinsics, where: str) -> None:
-    """Refuse an image that the calibration is not made for.
+def require_camera_size(frame: Frame, camera: CameraIntrinsics, where: str) -> None:
+    """Raise an error unless an image has the size that the camera was calibrated for.
 
     Args:
-        seen: the image.
-        camera: the calibration.
+        frame: the image.
+        camera: intrinsic calibration of the camera.
         where: recording and topic.
 
     Raises:
-        RecordingError: its size is not that of the camera.
+        RecordingError: the image has another size.
     """
-    height, width = seen.image.shape
+    height, width = frame.image.shape
     if (width, height) != (camera.width_px, camera.height_px):
         raise RecordingError(
             f'an image has {width}x{height} pixels, '
@@ -104,22 +105,22 @@ def _raw_image(message: Any) -> NDArray[np.uint8]:
 
 
 def _pixels(message: Any) -> NDArray[np.uint8]:
-    """(height, width) or (height, width, channels), in the colours of the encoding."""
+    """Return the pixels (height, width) or (height, width, channels) in the channels of the encoding."""
     encoding, height, width = message.encoding, message.height, message.width
-    if encoding not in _SHAPES:
+    if encoding not in _PIXEL_FORMATS:
         raise RecordingError(
-            f'images are encoded as {encoding!r}', todo=f'record them as one of {", ".join(_SHAPES)}'
+            f'images are encoded as {encoding!r}', todo=f'record them as one of {", ".join(_PIXEL_FORMATS)}'
         )
-    number, channels = _SHAPES[encoding]
-    row = width * channels * np.dtype(number).itemsize
-    step = message.step or row
+    scalar, channels = _PIXEL_FORMATS[encoding]
+    row_bytes = width * channels * np.dtype(scalar).itemsize
+    step = message.step or row_bytes
     data = np.frombuffer(message.data, np.uint8)
-    if step < row or len(data) < height * step:
+    if step < row_bytes or len(data) < height * step:
         raise RecordingError(f'an image of {width}x{height} holds only {len(data)} bytes')
-    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
-    kind = np.dtype(number).newbyteorder('>' if message.is_bigendian else '<')
-    pixels = rows.view(kind).reshape((height, width, channels) if channels > 1 else (height, width))
-    if number is np.uint16:
+    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row_bytes])
+    dtype = np.dtype(scalar).newbyteorder('>' if message.is_bigendian else '<')
+    pixels = rows.view(dtype).reshape((height, width, channels) if channels > 1 else (height, width))
+    if scalar is np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
     return pixels
 
@@ -132,21 +133,21 @@ def _compressed_image(message: Any) -> NDArray[np.uint8]:
     return np.asarray(pixels, np.uint8)
 
 
-def image(make: MessageMaker, seen: Frame) -> Any:
-    """Convert to an Image (mono8)."""
-    return _image(make, seen.t_ns, topics.CAMERA_FRAME, seen.image, 'mono8')
+def grey_image(make: MessageMaker, frame: Frame) -> Any:
+    """Convert a grey image to an Image (mono8)."""
+    return _image(make, frame.t_ns, topics.CAMERA_FRAME, frame.image, 'mono8')
 
 
-def picture(make: MessageMaker, t_ns: int, frame: str, pixels: NDArray[np.uint8]) -> Any:
-    """Make an Image (bgr8) of a picture (height, width, 3)."""
-    return _image(make, t_ns, frame, pixels, 'bgr8')
+def colour_image(make: MessageMaker, t_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Any:
+    """Make an Image (bgr8) of pixels (height, width, 3)."""
+    return _image(make, t_ns, frame_id, pixels, 'bgr8')
 
 
-def _image(make: MessageMaker, t_ns: int, frame: str, pixels: NDArray[np.uint8], encoding: str) -> Any:
+def _image(make: MessageMaker, t_ns: int, frame_id: str, pixels: NDArray[np.uint8], encoding: str) -> Any:
     height, width = pixels.shape[:2]
     return make(
         topics.IMAGE,
-        header=make.header(t_ns, frame),
+        header=make.header(t_ns, frame_id),
         height=height,
         width=width,
         encoding=encoding,
@@ -156,19 +157,19 @@ def _image(make: MessageMaker, t_ns: int, frame: str, pixels: NDArray[np.uint8],
     )
 
 
-def compressed_image(make: MessageMaker, seen: Frame, quality: int | None = 90) -> Any:
-    """Convert to a CompressedImage.
+def compressed_image(make: MessageMaker, frame: Frame, quality: int | None = 90) -> Any:
+    """Convert a grey image to a CompressedImage.
 
     Args:
-        make: the maker.
-        seen: the image.
-        quality: of the jpeg, 1 to 100; None for png, which loses nothing.
+        make: message maker.
+        frame: the image.
+        quality: JPEG quality, 1 to 100; None for PNG, which is lossless.
     """
     suffix, settings = ('png', []) if quality is None else ('jpg', [cv2.IMWRITE_JPEG_QUALITY, quality])
-    _, encoded = cv2.imencode(f'.{suffix}', seen.image, settings)
+    _, encoded = cv2.imencode(f'.{suffix}', frame.image, settings)
     return make(
         topics.COMPRESSED_IMAGE,
-        header=make.header(seen.t_ns, topics.CAMERA_FRAME),
+        header=make.header(frame.t_ns, topics.CAMERA_FRAME),
         format='png' if quality is None else 'jpeg',
         data=make.sequence(np.asarray(encoded, np.uint8).ravel()),
     )

@@ -1,4 +1,4 @@
-"""What a person should know about a recording before trusting what comes out of it."""
+"""Issues of a recording that a person should know before trusting results computed from it."""
 
 from __future__ import annotations
 
@@ -10,57 +10,57 @@ from gyrocal_ros.errors import RecordingError
 
 
 class Severity(StrEnum):
-    """How much a finding matters."""
+    """Severity of an issue, the most severe first."""
 
     ERROR = 'error'
     """Nothing can be calibrated from this recording."""
     WARNING = 'warning'
-    """The work goes on, but the result may suffer."""
+    """The calibration continues, but its result may suffer."""
     NOTE = 'note'
-    """Good to know."""
+    """Information only."""
 
 
 @dataclass(frozen=True, slots=True)
 class BagIssue:
-    """One thing that is wrong or odd."""
+    """One thing in a recording that is wrong or unusual."""
 
     severity: Severity
     kind: str
-    """A word for programs, the same for all findings of one kind: `gap`, `upside_down`."""
+    """Identifier for programs, the same for all issues of one kind: `gap`, `upside_down`."""
     topic: str
-    """The topic it concerns; empty for the recording as a whole."""
+    """Topic that has the issue; empty for the recording as a whole."""
     text: str
-    """What is wrong, in one clause with its figures."""
+    """Description in one clause, with its figures."""
     todo: str = ''
-    """What to do about it."""
+    """Remedy; empty if there is none."""
 
     def __str__(self) -> str:
         where = f'{self.topic}: ' if self.topic else ''
         return f'{where}{self.text}; {self.todo}' if self.todo else f'{where}{self.text}'
 
 
-def refuse_errors(findings: Iterable[BagIssue], where: str) -> None:
-    """Raise the first finding that leaves nothing to calibrate.
+def raise_first_error(issues: Iterable[BagIssue], where: str) -> None:
+    """Raise the first issue that makes calibration impossible.
 
     Args:
-        findings: what was found.
-        where: the recording.
+        issues: issues of the recording.
+        where: name of the recording.
 
     Raises:
-        RecordingError: one of them is an error.
+        RecordingError: one of the issues is an error.
     """
-    for finding in findings:
-        if finding.severity is Severity.ERROR:
-            place = f'{where}, {finding.topic}' if finding.topic else where
-            raise RecordingError(finding.text, where=place, todo=finding.todo)
+    for issue in issues:
+        if issue.severity is Severity.ERROR:
+            place = f'{where}, {issue.topic}' if issue.topic else where
+            raise RecordingError(issue.text, where=place, todo=issue.todo)
 
 
-def one_a_kind(findings: Iterable[BagIssue]) -> list[BagIssue]:
-    """Return one finding a kind, the worst of each: enough for a person who wants to get on."""
+def worst_per_kind(issues: Iterable[BagIssue]) -> list[BagIssue]:
+    """Return the most severe issue of each kind: a summary for a person."""
     order = list(Severity)
     worst: dict[str, BagIssue] = {}
-    for finding in findings:
-        known = worst.setdefault(finding.kind, finding)
-        if order.index(finding.severity) < order.index(known.severity):
-            worst[finding.kind] = finding
+    for issue in issues:
+        known = worst.setdefault(issue.kind, issue)
+        if order.index(issue.severity) < order.index(known.severity):
+            worst[issue.kind] = issue
     return list(worst.values())

@@ -1,4 +1,4 @@
-"""The conversion of what the calibrator puts out to ROS messages."""
+"""Conversion of the calibrator's outputs to ROS messages."""
 
 from __future__ import annotations
 
@@ -13,23 +13,27 @@ from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.to_ros import MessageMaker
 from gyrocal_ros.msgs.transforms import (
     Transform,
-    between,
     quaternion_from_euler,
     quaternion_from_rotation,
+    relative_pose,
 )
 
 SPHERE, ADD, DELETE = 2, 0, 2
-"""Of a Marker."""
-SMALLEST_M, LARGEST_M = 0.01, 10.0
-"""Diameter of a marker: one that is smaller cannot be seen, one that is larger hides the others."""
+"""Constants of visualization_msgs/Marker: type, and two values of `action`."""
+MIN_DIAMETER_M, MAX_DIAMETER_M = 0.01, 10.0
+"""Limits of the diameter of a marker: smaller ones are invisible, larger ones hide the others."""
 GREEN = (0.2, 0.8, 0.3, 0.6)
+"""Colour of the markers: red, green, blue and alpha."""
 
-Value = bool | float | str | list[str] | list[float]
-"""Of a parameter."""
+ParameterValue = bool | float | str | list[str] | list[float]
+"""Type of the value of a parameter."""
 
 
 def calibrated_imu(make: MessageMaker, sample: CalibratedSample, frame: str) -> Any:
-    """Make an Imu with orientation and covariances; that of the accelerometer is not known (zeros)."""
+    """Make an Imu with orientation and covariances.
+
+    The covariance of the accelerometer is not known (zeros).
+    """
     rate_covariance = np.zeros(9)
     rate_covariance[::4] = sample.rate_variances
     return make(
@@ -44,35 +48,35 @@ def calibrated_imu(make: MessageMaker, sample: CalibratedSample, frame: str) -> 
     )
 
 
-def whereabouts(make: MessageMaker, place: OdometryEstimate, frame: str, body_frame: str) -> Any:
+def odometry_estimate(make: MessageMaker, estimate: OdometryEstimate, frame: str, body_frame: str) -> Any:
     """Make an Odometry with covariances."""
     twist_covariance = np.zeros(36)
-    twist_covariance[::7] = (*place.speed_variances, *place.rate_variances)
+    twist_covariance[::7] = (*estimate.speed_variances, *estimate.rate_variances)
     pose = make(
         'geometry_msgs/msg/Pose',
-        position=make.vector(place.position_m, 'Point'),
-        orientation=make.quaternion(quaternion_from_euler(*place.euler_rad)),
+        position=make.vector(estimate.position_m, 'Point'),
+        orientation=make.quaternion(quaternion_from_euler(*estimate.euler_rad)),
     )
     twist = make(
         'geometry_msgs/msg/Twist',
-        linear=make.vector((place.speed_m_s, 0.0, 0.0)),
-        angular=make.vector(place.rate_rad_s),
+        linear=make.vector((estimate.speed_m_s, 0.0, 0.0)),
+        angular=make.vector(estimate.rate_rad_s),
     )
     return make(
         topics.ODOMETRY,
-        header=make.header(place.t_ns, frame),
+        header=make.header(estimate.t_ns, frame),
         child_frame_id=body_frame,
         pose=make(
-            'geometry_msgs/msg/PoseWithCovariance', pose=pose, covariance=place.pose_covariance.ravel()
+            'geometry_msgs/msg/PoseWithCovariance', pose=pose, covariance=estimate.pose_covariance.ravel()
         ),
         twist=make('geometry_msgs/msg/TwistWithCovariance', twist=twist, covariance=twist_covariance),
     )
 
 
-def map_to_odom(place: OdometryEstimate, in_odom: Mount, frame: str, odom_frame: str) -> Transform:
-    """How `odom` lies in the map, by where the body is in both at one moment."""
-    in_map = Mount(rotation_from_euler(np.array(place.euler_rad)), np.array(place.position_m))
-    return Transform(frame, odom_frame, between(in_map, in_odom))
+def map_to_odom(estimate: OdometryEstimate, body_in_odom: Mount, frame: str, odom_frame: str) -> Transform:
+    """Return the transform from map to odom, given the pose of the body in both at one moment."""
+    body_in_map = Mount(rotation_from_euler(np.array(estimate.euler_rad)), np.array(estimate.position_m))
+    return Transform(frame, odom_frame, relative_pose(body_in_map, body_in_odom))
 
 
 def ceiling_map(
@@ -82,28 +86,28 @@ def ceiling_map(
     ids: IntArray,
     points_m: Array,
     covariances_m2: Array,
-    gone: Sequence[int],
+    removed: Sequence[int],
 ) -> Any:
     """Make a MarkerArray of the features as ellipsoids whose half axes are one standard deviation.
 
     Args:
-        make: the maker.
+        make: message maker.
         t_ns: time of the map.
-        frame: of the map.
-        ids: (m,) of the features.
-        points_m: (m, 3)
-        covariances_m2: (m, 3, 3)
-        gone: ids of the markers to take away.
+        frame: frame of the map.
+        ids: (m,) ids of the features.
+        points_m: (m, 3) positions of the features.
+        covariances_m2: (m, 3, 3) covariances of the positions.
+        removed: ids of the markers to delete.
     """
     variances, axes = np.linalg.eigh(covariances_m2)
     axes[np.linalg.det(axes) < 0.0] *= -1.0  # rotations, not mirrors
-    sizes = np.clip(2.0 * np.sqrt(np.maximum(variances, 0.0)), SMALLEST_M, LARGEST_M)
+    sizes = np.clip(2.0 * np.sqrt(np.maximum(variances, 0.0)), MIN_DIAMETER_M, MAX_DIAMETER_M)
     markers = [
         _marker(make, t_ns, frame, feature, ADD, point, R, size)
         for feature, point, R, size in zip(ids.tolist(), points_m, axes, sizes, strict=True)
     ]
-    nothing = np.zeros(3), np.eye(3), np.ones(3)
-    markers += [_marker(make, t_ns, frame, feature, DELETE, *nothing) for feature in gone]
+    unused = np.zeros(3), np.eye(3), np.ones(3)
+    markers += [_marker(make, t_ns, frame, feature, DELETE, *unused) for feature in removed]
     return make('visualization_msgs/msg/MarkerArray', markers=markers)
 
 
@@ -147,12 +151,14 @@ def _marker(
 
 
 def _marker_id(feature: int) -> int:
-    """An id of 32 bits with a sign, as Marker has it; features have none."""
+    """Return the id of a feature, an unsigned number of 32 bits, as the signed number of a Marker."""
     return (feature + 2**31) % 2**32 - 2**31
 
 
-def parameter_event(make: MessageMaker, t_ns: int, node: str, parameters: Mapping[str, Value]) -> Any:
-    """Make a ParameterEvent in which all these parameters are changed ones."""
+def parameter_event(
+    make: MessageMaker, t_ns: int, node: str, parameters: Mapping[str, ParameterValue]
+) -> Any:
+    """Make a ParameterEvent that reports all the given parameters as changed."""
     sec, nanosec = divmod(t_ns, 10**9)
     changed = [
         make('rcl_interfaces/msg/Parameter', name=name, value=_parameter_value(make, value))
@@ -168,9 +174,9 @@ def parameter_event(make: MessageMaker, t_ns: int, node: str, parameters: Mappin
     )
 
 
-def _parameter_value(make: MessageMaker, value: Value) -> Any:
-    kind, field = _kind(value)
-    given: Any = make.sequence(np.array(value, float)) if field == 'double_array_value' else value
+def _parameter_value(make: MessageMaker, value: ParameterValue) -> Any:
+    value_type, field = _parameter_type(value)
+    content: Any = make.sequence(np.array(value, float)) if field == 'double_array_value' else value
     fields = {
         'bool_value': False,
         'integer_value': 0,
@@ -182,11 +188,11 @@ def _parameter_value(make: MessageMaker, value: Value) -> Any:
         'double_array_value': make.sequence(np.zeros(0)),
         'string_array_value': [],
     }
-    return make('rcl_interfaces/msg/ParameterValue', type=kind, **(fields | {field: given}))
+    return make('rcl_interfaces/msg/ParameterValue', type=value_type, **(fields | {field: content}))
 
 
-def _kind(value: Value) -> tuple[int, str]:
-    """Type of a ParameterValue, and the field that holds it."""
+def _parameter_type(value: ParameterValue) -> tuple[int, str]:
+    """Return the type number of a ParameterValue and the name of the field that holds it."""
     match value:
         case bool():
             return 1, 'bool_value'

@@ -1,4 +1,4 @@
-"""Sorts messages by their stamps with a bounded memory, and sees when the clock of the stamps jumps."""
+"""Sorts messages by their stamps in a bounded buffer, and detects steps of the clock of the stamps."""
 
 from __future__ import annotations
 
@@ -13,28 +13,30 @@ from gyrocal_ros.data import NS_PER_S, ClockStep
 
 T = TypeVar('T')
 
-LASTING_NS = NS_PER_S // 2
-"""Stamps that have run on from a jump for so long were no slip, unless they came in half the time: then
-they have waited somewhere."""
-INTERVALS = 5
-"""The shortest of so many last intervals of a stream tells when its next message is due."""
-MAX_HELD = 300_000
-"""So many messages are held back at most, where a broken clock stands still."""
+CONFIRMATION_NS = NS_PER_S // 2
+"""Time for which stamps must continue after a jump to confirm a step of the clock.
+
+If they arrive in less than half this time, they were delayed together and confirm nothing.
+"""
+RECENT_INTERVALS = 5
+"""Number of recent intervals of a stream whose shortest predicts when its next message is due."""
+MAX_BUFFERED = 300_000
+"""Limit of the number of buffered messages, for a clock that has stopped."""
 
 
 class Drop(StrEnum):
-    """Why a message was left out."""
+    """Reason for dropping a message."""
 
     LATE = 'late'
-    """Newer ones had been handed on already."""
+    """Newer messages had already been released."""
     DUPLICATE = 'duplicate'
-    """Its stream had this stamp before."""
-    ODD = 'odd_stamp'
-    """Its stamp lies far from those before and after it."""
+    """The stream already had a message with this stamp."""
+    OUTLIER = 'odd_stamp'
+    """The stamp is far from those of the messages before and after it."""
 
 
 Drops: TypeAlias = Counter[tuple[Drop, int]]
-"""How many messages of which stream were left out, and why."""
+"""Number of dropped messages, by reason and stream."""
 
 
 class _TimeBase(Generic[T]):
@@ -43,72 +45,76 @@ class _TimeBase(Generic[T]):
     def __init__(
         self, first_ns: int, arrival_ns: int, window_ns: int, punctual: frozenset[int], drops: Drops
     ) -> None:
-        self.first_ns = self.newest_ns = self._due_ns = first_ns
+        self.first_ns = self.newest_ns = self._next_release_ns = first_ns
         self.newest_arrival_ns = arrival_ns
         self.last_of: dict[int, int] = {}
-        """Stamp of the last message handed on, by stream."""
-        self.handed_on_ns: int | None = None
+        """Stamp of the last released message, by stream."""
+        self.released_ns: int | None = None
         self._window_ns, self._punctual, self._drops = window_ns, punctual, drops
-        self._came_ns: dict[int, deque[int]] = {}
-        self._reached_ns: dict[int, int] = {}
-        self._all_reached_ns: int | None = None
-        self._held: list[tuple[int, int, int, T]] = []
+        self._recent_ns: dict[int, deque[int]] = {}
+        self._complete_ns: dict[int, int] = {}
+        self._all_complete_ns: int | None = None
+        self._buffer: list[tuple[int, int, int, T]] = []
         self._arrivals = 0
 
     def add(self, t_ns: int, stream: int, item: T, arrival_ns: int) -> Sequence[T]:
-        """Take one message and return those that are due."""
+        """Add one message and return those that are due."""
         self._arrivals += 1
-        was_handed_on = self.handed_on_ns is not None and t_ns < self.handed_on_ns
-        if was_handed_on and self._punctual and stream not in self._punctual:
+        is_before_released = self.released_ns is not None and t_ns < self.released_ns
+        if is_before_released and self._punctual and stream not in self._punctual:
             return self._add_late(t_ns, stream, item)
-        if len(self._held) >= MAX_HELD:
-            self._drops[Drop.ODD, stream] += 1
+        if len(self._buffer) >= MAX_BUFFERED:
+            self._drops[Drop.OUTLIER, stream] += 1
             return ()
-        self._held.append((t_ns, stream, self._arrivals, item))
+        self._buffer.append((t_ns, stream, self._arrivals, item))
         if t_ns > self.newest_ns:
             self.newest_ns, self.newest_arrival_ns = t_ns, arrival_ns
-        reached_ns = self._all_have_reached(t_ns, stream) if stream in self._punctual else None
-        if reached_ns is None and self.newest_ns < self._due_ns:
+        complete_ns = self._advance_completeness(t_ns, stream) if stream in self._punctual else None
+        if complete_ns is None and self.newest_ns < self._next_release_ns:
             return ()
-        self._due_ns = self.newest_ns + self._window_ns // 4  # sorting a few hundred at once is cheap
+        self._next_release_ns = (
+            self.newest_ns + self._window_ns // 4
+        )  # sorting a few hundred at once is cheap
         until_ns = self.newest_ns - self._window_ns
-        return self.hand_on(until_ns if reached_ns is None else max(until_ns, reached_ns))
+        return self.release(until_ns if complete_ns is None else max(until_ns, complete_ns))
 
-    def _all_have_reached(self, t_ns: int, stream: int) -> int | None:
-        """Up to when nothing more will come of the punctual streams; None where that is not news.
+    def _advance_completeness(self, t_ns: int, stream: int) -> int | None:
+        """Return the time up to which all punctual streams are complete; None if it has not advanced.
 
-        The next message of a stream does not come before half an interval has passed.
+        The next message of a stream is not expected before half of its shortest recent interval has passed.
         """
-        came_ns = self._came_ns.setdefault(stream, deque(maxlen=INTERVALS + 1))
-        if came_ns and t_ns <= came_ns[-1]:
+        recent_ns = self._recent_ns.setdefault(stream, deque(maxlen=RECENT_INTERVALS + 1))
+        if recent_ns and t_ns <= recent_ns[-1]:
             return None
-        came_ns.append(t_ns)
-        shortest_ns = min((b - a for a, b in pairwise(came_ns)), default=0)
-        self._reached_ns[stream] = t_ns + shortest_ns // 2
-        reached_ns, before_ns = min(self._reached_ns.values()), self._all_reached_ns
-        if len(self._reached_ns) < len(self._punctual) or (before_ns is not None and reached_ns <= before_ns):
+        recent_ns.append(t_ns)
+        shortest_ns = min((b - a for a, b in pairwise(recent_ns)), default=0)
+        self._complete_ns[stream] = t_ns + shortest_ns // 2
+        complete_ns, before_ns = min(self._complete_ns.values()), self._all_complete_ns
+        if len(self._complete_ns) < len(self._punctual):
             return None
-        self._all_reached_ns = reached_ns
-        return reached_ns
+        if before_ns is not None and complete_ns <= before_ns:
+            return None
+        self._all_complete_ns = complete_ns
+        return complete_ns
 
-    def hand_on(self, until_ns: int) -> Sequence[T]:
+    def release(self, until_ns: int) -> Sequence[T]:
         """Return all messages up to a time, sorted."""
-        self._held.sort()
-        end = bisect_right(self._held, until_ns, key=lambda held: held[0])
-        due, self._held = self._held[:end], self._held[end:]
+        self._buffer.sort()
+        end = bisect_right(self._buffer, until_ns, key=lambda buffered: buffered[0])
+        due, self._buffer = self._buffer[:end], self._buffer[end:]
         items = []
         for t_ns, stream, _, item in due:
-            if self.handed_on_ns is not None and t_ns < self.handed_on_ns:
+            if self.released_ns is not None and t_ns < self.released_ns:
                 self._drops[Drop.LATE, stream] += 1
             elif self.last_of.get(stream) == t_ns:
                 self._drops[Drop.DUPLICATE, stream] += 1
             else:
-                self.last_of[stream] = self.handed_on_ns = t_ns
+                self.last_of[stream] = self.released_ns = t_ns
                 items.append(item)
         return items
 
     def _add_late(self, t_ns: int, stream: int, item: T) -> Sequence[T]:
-        """Take a message for which nobody waited: it comes out of order, but not of that of its stream."""
+        """Release a late message of a stream that is not punctual: unsorted, but in order in its stream."""
         if t_ns < max(self.newest_ns - self._window_ns, self.last_of.get(stream, t_ns - 1) + 1):
             self._drops[Drop.LATE, stream] += 1
             return ()
@@ -116,51 +122,51 @@ class _TimeBase(Generic[T]):
         return (item,)
 
     def discard(self) -> None:
-        """Drop what is held back: this was no clock but a slip."""
-        self._drops.update((Drop.ODD, stream) for _, stream, _, _ in self._held)
+        """Drop the buffered messages: they were outliers, not a time base."""
+        self._drops.update((Drop.OUTLIER, stream) for _, stream, _, _ in self._buffer)
 
 
 class Reorderer(Generic[T]):
-    """Takes messages as they were recorded and hands them on in the order of their stamps.
+    """Sorts messages by stamp and inserts a `ClockStep` where the clock of the stamps steps.
 
-    What is newer than the newest stamp less the window is held back, so that whatever comes less
-    late than that is sorted in; messages of equal stamp come out in the order of their streams. A
-    message whose stamp lies further than `step_ns` from the newest is set aside. When stamps go on
-    from there, and no longer from where they were, the clock has stepped: a `ClockStep` then stands
-    in the output before the first message of the new time base. Else it was a slip and is dropped.
+    Messages newer than the newest stamp less the window are buffered, so that a message that is late by
+    less than the window is sorted in. Messages with equal stamps are released in the order of their
+    streams. A message whose stamp differs from the newest by more than `step_ns` is an outlier and is kept
+    aside. If the stamps continue from there, and no longer from the old time base, the clock has stepped: a
+    `ClockStep` precedes the first message of the new time base. Otherwise the outlier is dropped.
 
-    A robot that waits for the whole window is always late. What comes before the next message of each
-    of the `punctual` streams is handed on at once, for these come in their order and about evenly; the
-    window then is but for one that falls silent. Other streams may come later, within the window: their
-    messages are handed on out of order, but in that of their stream.
+    With the window alone, a live robot would always lag by the whole window. Messages that precede the next
+    message of every `punctual` stream are therefore released at once, because punctual streams arrive in
+    order and at regular intervals; the window only matters when one of them stops. The other streams may be
+    late within the window: their messages are then released out of order, but in order within their stream.
 
-    Where the time of arrival by a steady clock is known, stamps may run on with it: a pause of all
-    sensors is no step, and a jump that is much shorter than such a pause shows.
+    If the time of arrival by a steady clock is known, stamps may advance with it: a pause of all sensors is
+    no step, and a jump much shorter than such a pause is detected.
     """
 
     def __init__(self, window_ns: int, step_ns: int, punctual: Collection[int] = ()) -> None:
-        """Start empty.
+        """Start with an empty buffer.
 
         Args:
-            window_ns: how late a message may come.
-            step_ns: how large a jump of the stamps makes a step of the clock.
-            punctual: streams whose messages come in the order of their stamps.
+            window_ns: maximum delay of a message.
+            step_ns: threshold above which a jump of the stamps is a step of the clock.
+            punctual: streams whose messages arrive in the order of their stamps.
         """
         self.drops: Drops = Counter()
         self._window_ns, self._step_ns, self._punctual = window_ns, step_ns, frozenset(punctual)
         self._base: _TimeBase[T] | None = None
-        self._aside: list[tuple[int, int, T, int]] = []
-        self._newest_then_ns = 0
+        self._outliers: list[tuple[int, int, T, int]] = []
+        self._newest_at_outlier_ns = 0
         self._last_pushed: dict[int, int] = {}
 
     def push(self, t_ns: int, stream: int, item: T, arrival_ns: int = 0) -> Sequence[T | ClockStep]:
-        """Take one message and return those that are due.
+        """Add one message and return those that are due.
 
         Args:
-            t_ns: its stamp.
-            stream: number of the topic that it belongs to.
-            item: what to hand on.
-            arrival_ns: when it came, by a clock that never steps; 0 where nobody knows.
+            t_ns: stamp of the message.
+            stream: number of its topic.
+            item: object to release in its place.
+            arrival_ns: time of arrival by a clock that never steps; 0 if unknown.
         """
         if self._last_pushed.get(stream) == t_ns:
             self.drops[Drop.DUPLICATE, stream] += 1
@@ -168,56 +174,61 @@ class Reorderer(Generic[T]):
         self._last_pushed[stream] = t_ns
         if self._base is None:
             self._base = self._new_base(t_ns, arrival_ns)
-        if self._aside and self._base.newest_ns - self._newest_then_ns > LASTING_NS // 2:
-            self._drop_aside()
-        passed_ns = arrival_ns - self._base.newest_arrival_ns
-        newer_ns = t_ns - self._base.newest_ns
-        if -self._step_ns <= newer_ns <= self._step_ns + passed_ns and not self._runs_aside(t_ns, newer_ns):
+        if self._outliers and self._base.newest_ns - self._newest_at_outlier_ns > CONFIRMATION_NS // 2:
+            self._drop_outliers()
+        elapsed_ns = arrival_ns - self._base.newest_arrival_ns
+        ahead_ns = t_ns - self._base.newest_ns
+        is_in_range = -self._step_ns <= ahead_ns <= self._step_ns + elapsed_ns
+        if is_in_range and not self._continues_outliers(t_ns, ahead_ns):
             return self._base.add(t_ns, stream, item, arrival_ns)
-        return self._set_aside(self._base, t_ns, stream, item, arrival_ns)
+        return self._add_outlier(self._base, t_ns, stream, item, arrival_ns)
 
     def finish(self) -> Sequence[T | ClockStep]:
-        """Return what is still held back, after the last message."""
-        self._drop_aside()
-        return self._base.hand_on(self._base.newest_ns) if self._base else ()
+        """Return the messages that are still buffered, after the last message."""
+        self._drop_outliers()
+        return self._base.release(self._base.newest_ns) if self._base else ()
 
-    def _runs_aside(self, t_ns: int, newer_ns: int) -> bool:
-        """Whether a stamp goes on from those aside: after a step back they soon come near the old ones."""
-        return bool(self._aside) and abs(t_ns - self._aside[-1][0]) < abs(newer_ns)
+    def _continues_outliers(self, t_ns: int, ahead_ns: int) -> bool:
+        """Return True if a stamp is nearer to the last outlier than to the newest stamp.
 
-    def _set_aside(
+        After a step back, the new stamps soon reach the range of the old ones.
+        """
+        return bool(self._outliers) and abs(t_ns - self._outliers[-1][0]) < abs(ahead_ns)
+
+    def _add_outlier(
         self, base: _TimeBase[T], t_ns: int, stream: int, item: T, arrival_ns: int
     ) -> Sequence[T | ClockStep]:
-        if self._aside:
-            apart = abs(t_ns - self._aside[-1][0]) > self._step_ns
-            if apart or len(self._aside) >= MAX_HELD:
-                self._drop_aside()
-        if not self._aside:
-            self._newest_then_ns = base.newest_ns
-        self._aside.append((t_ns, stream, item, arrival_ns))
-        first_ns, _, _, first_arrival_ns = self._aside[0]
-        has_lasted = not arrival_ns or arrival_ns - first_arrival_ns >= LASTING_NS // 2
-        return self._step(base) if t_ns - first_ns >= LASTING_NS and has_lasted else ()
+        """Keep an outlier; return the messages to release if it confirms a step of the clock."""
+        if self._outliers:
+            is_apart = abs(t_ns - self._outliers[-1][0]) > self._step_ns
+            if is_apart or len(self._outliers) >= MAX_BUFFERED:
+                self._drop_outliers()
+        if not self._outliers:
+            self._newest_at_outlier_ns = base.newest_ns
+        self._outliers.append((t_ns, stream, item, arrival_ns))
+        first_ns, _, _, first_arrival_ns = self._outliers[0]
+        has_lasted = not arrival_ns or arrival_ns - first_arrival_ns >= CONFIRMATION_NS // 2
+        return self._step(base) if t_ns - first_ns >= CONFIRMATION_NS and has_lasted else ()
 
     def _step(self, base: _TimeBase[T]) -> Sequence[T | ClockStep]:
-        """Begin a new time base with the messages set aside."""
-        first_ns, arrival_ns = min((t_ns, arrival_ns) for t_ns, _, _, arrival_ns in self._aside)
+        """Start a new time base with the outliers."""
+        first_ns, arrival_ns = min((t_ns, arrival_ns) for t_ns, _, _, arrival_ns in self._outliers)
         items: list[T | ClockStep] = []
-        if base.handed_on_ns is None and base.newest_ns - base.first_ns < LASTING_NS:
+        if base.released_ns is None and base.newest_ns - base.first_ns < CONFIRMATION_NS:
             base.discard()
         else:
-            items += base.hand_on(base.newest_ns)
-            passed_ns = arrival_ns - base.newest_arrival_ns
-            items.append(ClockStep(first_ns, first_ns - base.newest_ns - passed_ns))
-        aside, self._aside = self._aside, []
+            items += base.release(base.newest_ns)
+            elapsed_ns = arrival_ns - base.newest_arrival_ns
+            items.append(ClockStep(first_ns, first_ns - base.newest_ns - elapsed_ns))
+        outliers, self._outliers = self._outliers, []
         self._base = self._new_base(first_ns, arrival_ns)
-        for t_ns, stream, item, arrival_ns in aside:
+        for t_ns, stream, item, arrival_ns in outliers:
             items += self._base.add(t_ns, stream, item, arrival_ns)
         return items
 
     def _new_base(self, first_ns: int, arrival_ns: int) -> _TimeBase[T]:
         return _TimeBase(first_ns, arrival_ns, self._window_ns, self._punctual, self.drops)
 
-    def _drop_aside(self) -> None:
-        self.drops.update((Drop.ODD, stream) for _, stream, _, _ in self._aside)
-        self._aside = []
+    def _drop_outliers(self) -> None:
+        self.drops.update((Drop.OUTLIER, stream) for _, stream, _, _ in self._outliers)
+        self._outliers = []

@@ -1,4 +1,4 @@
-"""The conversion of the values of `data` to ROS messages, for bags and for live nodes."""
+"""Conversion of the values of `data` to ROS messages, for bags and for live nodes."""
 
 from __future__ import annotations
 
@@ -28,21 +28,22 @@ from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.transforms import Transform, quaternion_from_rotation, quaternion_from_yaw
 
 BATTERY_NUMBERS = ('voltage', 'temperature', 'current', 'charge', 'capacity', 'design_capacity', 'percentage')
+"""Measured fields of a BatteryState."""
 UINT32, FLOAT32 = 6, 7
 """Data types of a PointField."""
 
 
 @dataclass(frozen=True, slots=True)
 class MessageMaker:
-    """Makes messages of any type by name, of rosbags or of rclpy: `make(topics.IMU, header=...)`."""
+    """Makes messages of rosbags or rclpy by the name of their type: `make(topics.IMU, header=...)`."""
 
     get_class: Callable[[str], Callable[..., Any]]
-    """From a type name such as `sensor_msgs/msg/Imu` to its class."""
+    """Function from a type name such as `sensor_msgs/msg/Imu` to its class."""
     sequence: Callable[[NDArray[Any]], Any] = lambda values: values
-    """Turns an array (n,) into what an unbounded sequence field wants."""
+    """Converts an array (n,) to the type of an unbounded sequence field."""
 
     def __call__(self, type_name: str, **values: Any) -> Any:
-        """Make one message; every field must be given."""
+        """Make a message; every field must be given."""
         return self.get_class(type_name)(**values)
 
     def time(self, t_ns: int) -> Any:
@@ -66,26 +67,27 @@ class MessageMaker:
 
     def pose(self, position_m: tuple[float, float, float], yaw_rad: float) -> Any:
         """Make a Pose."""
-        turn = self.quaternion(quaternion_from_yaw(yaw_rad))
-        return self('geometry_msgs/msg/Pose', position=self.vector(position_m, 'Point'), orientation=turn)
+        orientation = self.quaternion(quaternion_from_yaw(yaw_rad))
+        position = self.vector(position_m, 'Point')
+        return self('geometry_msgs/msg/Pose', position=position, orientation=orientation)
 
 
 def live_maker(get_class: Callable[[str], Callable[..., Any]]) -> MessageMaker:
-    """Return the maker of rclpy messages.
+    """Return a maker of rclpy messages.
 
     Args:
         get_class: `rosidl_runtime_py.utilities.get_message`.
     """
 
     def sequence(values: NDArray[Any]) -> Any:
-        kind = values.dtype.char
-        return array(kind, values.tobytes()) if kind in typecodes else values.tolist()
+        code = values.dtype.char
+        return array(code, values.tobytes()) if code in typecodes else values.tolist()
 
     return MessageMaker(cache(get_class), sequence)
 
 
 def imu(make: MessageMaker, sample: ImuSample) -> Any:
-    """Convert to an Imu without orientation."""
+    """Convert an IMU sample to an Imu without orientation."""
     return make(
         topics.IMU,
         header=make.header(sample.t_ns, topics.IMU_FRAME),
@@ -128,7 +130,7 @@ def odometry(
 
 
 def wheels(make: MessageMaker, sample: WheelSample, x_m: float, y_m: float, yaw_rad: float) -> Any:
-    """Convert to an Odometry; its pose is integrated by the caller."""
+    """Convert a wheel sample to an Odometry whose pose the caller has integrated."""
     return odometry(
         make,
         sample.t_ns,
@@ -141,12 +143,12 @@ def wheels(make: MessageMaker, sample: WheelSample, x_m: float, y_m: float, yaw_
 
 
 def truth(make: MessageMaker, sample: TruthSample) -> Any:
-    """Convert to an Odometry in a frame of its own."""
+    """Convert a ground truth sample to an Odometry in the frame `ground_truth`."""
     return odometry(make, sample.t_ns, 'ground_truth', sample.position_m, sample.yaw_rad)
 
 
 def heading(make: MessageMaker, sample: HeadingSample) -> Any:
-    """Convert to a PoseStamped at the origin."""
+    """Convert a heading sample to a PoseStamped at the origin."""
     return make(
         topics.POSE_STAMPED,
         header=make.header(sample.t_ns, 'heading_reference'),
@@ -155,7 +157,7 @@ def heading(make: MessageMaker, sample: HeadingSample) -> Any:
 
 
 def temperature(make: MessageMaker, sample: TemperatureSample) -> Any:
-    """Convert to a Temperature."""
+    """Convert a temperature sample to a Temperature."""
     return make(
         topics.TEMPERATURE,
         header=make.header(sample.t_ns, topics.IMU_FRAME),
@@ -165,7 +167,7 @@ def temperature(make: MessageMaker, sample: TemperatureSample) -> Any:
 
 
 def battery(make: MessageMaker, t_ns: int, numbers: Mapping[str, float]) -> Any:
-    """Make a BatteryState of some of its `BATTERY_NUMBERS`; the others are not measured (NaN)."""
+    """Make a BatteryState from some of its `BATTERY_NUMBERS`; the others are NaN (not measured)."""
     return make(
         topics.BATTERY,
         header=make.header(t_ns, ''),
@@ -186,14 +188,14 @@ def number(make: MessageMaker, value: float) -> Any:
     return make(topics.NUMBER, data=value)
 
 
-def features(make: MessageMaker, seen: FeatureObservations, frame: str = topics.CAMERA_FRAME) -> Any:
-    """Convert to a PointCloud2 with the fields u, v, id, in the frame of the camera."""
-    columns = {'u': seen.pixels[:, 0], 'v': seen.pixels[:, 1], 'id': seen.ids}
-    return _point_cloud(make, seen.t_ns, columns, frame)
+def features(make: MessageMaker, observations: FeatureObservations, frame: str = topics.CAMERA_FRAME) -> Any:
+    """Convert feature observations to a PointCloud2 with the fields u, v, id in the camera frame."""
+    columns = {'u': observations.pixels[:, 0], 'v': observations.pixels[:, 1], 'id': observations.ids}
+    return _point_cloud(make, observations.t_ns, columns, frame)
 
 
 def search_regions(make: MessageMaker, regions: SearchRegions) -> Any:
-    """Convert to a PointCloud2 with the fields u, v, id, cov_uu, cov_uv, cov_vv."""
+    """Convert search regions to a PointCloud2 with the fields u, v, id, cov_uu, cov_uv, cov_vv."""
     covariances = regions.covariances_px2
     columns = {
         'u': regions.pixels[:, 0],
@@ -217,11 +219,11 @@ def _point_cloud(
         make(
             'sensor_msgs/msg/PointField',
             name=name,
-            offset=4 * place,
+            offset=4 * index,
             datatype=UINT32 if name == 'id' else FLOAT32,
             count=1,
         )
-        for place, name in enumerate(columns)
+        for index, name in enumerate(columns)
     ]
     return make(
         topics.POINT_CLOUD,
@@ -238,7 +240,7 @@ def _point_cloud(
 
 
 def camera_info(make: MessageMaker, camera: CameraIntrinsics, t_ns: int) -> Any:
-    """Convert to a CameraInfo."""
+    """Convert camera intrinsics to a CameraInfo."""
     fx, fy, cx, cy = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
     region = make(
         'sensor_msgs/msg/RegionOfInterest', x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
@@ -260,42 +262,50 @@ def camera_info(make: MessageMaker, camera: CameraIntrinsics, t_ns: int) -> Any:
 
 
 def static_transforms(make: MessageMaker, mounts: Mapping[str, Mount], t_ns: int) -> Any:
-    """Make a TFMessage.
+    """Make a TFMessage of the mounts of the sensors.
 
     Args:
-        make: the maker.
-        mounts: frame of each sensor and how it sits on the robot body.
+        make: message maker.
+        mounts: mount of each sensor on the robot body, by the frame of the sensor.
         t_ns: time of the header.
     """
-    links = [
-        _link(make, t_ns, topics.BODY_FRAME, frame, tuple(mount.p_bs), quaternion_from_rotation(mount.R_bs))
-        for frame, mount in mounts.items()
-    ]
-    return make(topics.TRANSFORMS, transforms=links)
-
-
-def transform(make: MessageMaker, t_ns: int, link: Transform) -> Any:
-    """Make a TFMessage of one link."""
-    place, turn = tuple(link.mount.p_bs), quaternion_from_rotation(link.mount.R_bs)
-    return make(topics.TRANSFORMS, transforms=[_link(make, t_ns, link.parent, link.child, place, turn)])
-
-
-def odometry_transform(make: MessageMaker, t_ns: int, x_m: float, y_m: float, yaw_rad: float) -> Any:
-    """Make a TFMessage that says where the wheels have brought the robot body."""
-    place, turn = (x_m, y_m, 0.0), quaternion_from_yaw(yaw_rad)
     return make(
         topics.TRANSFORMS,
-        transforms=[_link(make, t_ns, topics.ODOM_FRAME, topics.BODY_FRAME, place, turn)],
+        transforms=[
+            _transform_stamped(
+                make,
+                t_ns,
+                topics.BODY_FRAME,
+                frame,
+                tuple(mount.p_bs),
+                quaternion_from_rotation(mount.R_bs),
+            )
+            for frame, mount in mounts.items()
+        ],
     )
 
 
-def _link(
+def transform(make: MessageMaker, t_ns: int, link: Transform) -> Any:
+    """Make a TFMessage of one transform."""
+    position, rotation = tuple(link.mount.p_bs), quaternion_from_rotation(link.mount.R_bs)
+    stamped = _transform_stamped(make, t_ns, link.parent, link.child, position, rotation)
+    return make(topics.TRANSFORMS, transforms=[stamped])
+
+
+def odometry_transform(make: MessageMaker, t_ns: int, x_m: float, y_m: float, yaw_rad: float) -> Any:
+    """Make a TFMessage with the pose of the robot body according to the wheel odometry."""
+    position, rotation = (x_m, y_m, 0.0), quaternion_from_yaw(yaw_rad)
+    stamped = _transform_stamped(make, t_ns, topics.ODOM_FRAME, topics.BODY_FRAME, position, rotation)
+    return make(topics.TRANSFORMS, transforms=[stamped])
+
+
+def _transform_stamped(
     make: MessageMaker,
     t_ns: int,
     parent: str,
     child: str,
-    place_m: tuple[float, ...],
-    turn: tuple[float, float, float, float],
+    position_m: tuple[float, ...],
+    rotation: tuple[float, float, float, float],
 ) -> Any:
     return make(
         'geometry_msgs/msg/TransformStamped',
@@ -303,7 +313,7 @@ def _link(
         child_frame_id=child,
         transform=make(
             'geometry_msgs/msg/Transform',
-            translation=make.vector(tuple(float(value) for value in place_m)),
-            rotation=make.quaternion(turn),
+            translation=make.vector(tuple(float(value) for value in position_m)),
+            rotation=make.quaternion(rotation),
         ),
     )

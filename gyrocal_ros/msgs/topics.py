@@ -1,8 +1,8 @@
-"""The topics of a robot, and the conversion of their messages to the values of `data`.
+"""Topics of a robot, and conversion of their messages to the values of `data`.
 
-With `messages`, which goes the other way, the one place that knows what ROS messages look like.
-Messages of rosbags and of rclpy have the same attributes, so both serve bags and live nodes alike,
-and neither needs ROS.
+The inverse conversion is `to_ros`; no other room knows the layout of these messages. Messages of rosbags
+and of rclpy have the same attributes, so the conversions work for bags and for live nodes, and need no
+ROS installation.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ POSES = {
     POSE_STAMPED: 'pose',
     'geometry_msgs/msg/PoseWithCovarianceStamped': 'pose.pose',
 }
-"""Messages that hold a pose, and where in them it lies."""
+"""Message types that contain a pose, with the dotted name of the pose."""
 
 
 class Role(StrEnum):
-    """What a topic is used for; its value is the topic's usual name."""
+    """Use of a topic; the value is the usual name of the topic."""
 
     IMU = 'imu/data_raw'
     WHEELS = 'wheel/odometry'
@@ -84,17 +84,19 @@ TYPES: dict[Role, tuple[str, ...]] = {
     Role.HEADING: tuple(POSES),
 }
 
+"""Message types that each role accepts."""
+
 T = TypeVar('T')
 
 
 @dataclass(frozen=True, slots=True)
-class FlatMessage(Generic[T]):
-    """A message of which only a few numbers count."""
+class FieldConversion(Generic[T]):
+    """Converts a message to a value by reading a few of its numeric fields."""
 
     fields: tuple[str, ...]
-    """Dotted names of the numbers, in the order of the message definition."""
+    """Dotted names of the fields, in the order of the message definition."""
     build: Callable[..., T]
-    """Makes the value from those numbers."""
+    """Function from the numbers in these fields to the value."""
 
     def value(self, message: Any) -> T:
         """Convert one message."""
@@ -102,34 +104,36 @@ class FlatMessage(Generic[T]):
 
 
 STAMP_FIELDS = ('header.stamp.sec', 'header.stamp.nanosec')
+"""Dotted names of the time stamp of a message with a header."""
 
 
-def _under(place: str, names: str) -> tuple[str, ...]:
-    return tuple(f'{place}.{name}' for name in names)
+def _members(parent: str, names: str) -> tuple[str, ...]:
+    """Return the dotted names of members that have names of one letter."""
+    return tuple(f'{parent}.{name}' for name in names)
 
 
 def imu_sample(
     sec: int, nanosec: int, wx: float, wy: float, wz: float, ax: float, ay: float, az: float
 ) -> ImuSample:
-    """An Imu from its numbers, in the order of the message definition."""
+    """Return the sample of an Imu, given its numbers in the order of the message definition."""
     return ImuSample(sec * NS_PER_S + nanosec, (wx, wy, wz), (ax, ay, az))
 
 
-IMU_SAMPLE = FlatMessage(
-    (*STAMP_FIELDS, *_under('angular_velocity', 'xyz'), *_under('linear_acceleration', 'xyz')), imu_sample
+IMU_SAMPLE = FieldConversion(
+    (*STAMP_FIELDS, *_members('angular_velocity', 'xyz'), *_members('linear_acceleration', 'xyz')), imu_sample
 )
-WHEEL_SAMPLE = FlatMessage(
+WHEEL_SAMPLE = FieldConversion(
     (*STAMP_FIELDS, 'twist.twist.linear.x', 'twist.twist.angular.z'),
     lambda sec, nanosec, speed, yaw_rate: WheelSample(sec * NS_PER_S + nanosec, speed, yaw_rate),
 )
-TEMPERATURE_SAMPLE = FlatMessage(
+TEMPERATURE_SAMPLE = FieldConversion(
     (*STAMP_FIELDS, 'temperature'),
     lambda sec, nanosec, temperature: TemperatureSample(sec * NS_PER_S + nanosec, temperature),
 )
 
 
-def truth_sample(type_name: str) -> FlatMessage[TruthSample]:
-    """Conversion of the pose messages of that type, one of `POSES`."""
+def truth_sample(type_name: str) -> FieldConversion[TruthSample]:
+    """Return the conversion of pose messages of a type, one of `POSES`."""
 
     def build(
         sec: int, nanosec: int, px: float, py: float, pz: float, x: float, y: float, z: float, w: float
@@ -137,22 +141,26 @@ def truth_sample(type_name: str) -> FlatMessage[TruthSample]:
         return TruthSample(sec * NS_PER_S + nanosec, (px, py, pz), yaw_from_quaternion(x, y, z, w))
 
     pose = POSES[type_name]
-    place, turn = _under(f'{pose}.position', 'xyz'), _under(f'{pose}.orientation', 'xyzw')
-    return FlatMessage((*STAMP_FIELDS, *place, *turn), build)
+    position, orientation = _members(f'{pose}.position', 'xyz'), _members(f'{pose}.orientation', 'xyzw')
+    return FieldConversion((*STAMP_FIELDS, *position, *orientation), build)
 
 
-def heading_sample(type_name: str) -> FlatMessage[HeadingSample]:
-    """Conversion of the pose messages of that type, one of `POSES`, to their heading alone."""
+def heading_sample(type_name: str) -> FieldConversion[HeadingSample]:
+    """Return the conversion of pose messages of a type, one of `POSES`, to their heading alone."""
 
     def build(sec: int, nanosec: int, x: float, y: float, z: float, w: float) -> HeadingSample:
         return HeadingSample(sec * NS_PER_S + nanosec, yaw_from_quaternion(x, y, z, w))
 
-    turn = _under(f'{POSES[type_name]}.orientation', 'xyzw')
-    return FlatMessage((*STAMP_FIELDS, *turn), build)
+    orientation = _members(f'{POSES[type_name]}.orientation', 'xyzw')
+    return FieldConversion((*STAMP_FIELDS, *orientation), build)
 
 
-def flat_message(role: Role, type_name: str) -> FlatMessage[Any]:
-    """Conversion of the messages of a role in which only a few numbers count."""
+def field_conversion(role: Role, type_name: str) -> FieldConversion[Any]:
+    """Return the conversion of the messages of a role that is read field by field.
+
+    Raises:
+        ValueError: messages of this role are decoded as a whole.
+    """
     match role:
         case Role.IMU:
             return IMU_SAMPLE
@@ -164,20 +172,20 @@ def flat_message(role: Role, type_name: str) -> FlatMessage[Any]:
             return truth_sample(type_name)
         case Role.HEADING:
             return heading_sample(type_name)
-    raise ValueError(f'{role} is not read number by number')
+    raise ValueError(f'{role} is not read field by field')
 
 
 def stamp_ns(message: Any) -> int:
-    """Time of measurement of a message with a header."""
+    """Return the time of measurement of a message with a header."""
     stamp = message.header.stamp
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def features(message: Any) -> FeatureObservations:
-    """Convert a PointCloud2 of tracked features; points that are no numbers are left out.
+    """Convert a PointCloud2 of tracked features; points that are not finite are left out.
 
     Raises:
-        RecordingError: it lacks one of the fields u, v, id.
+        RecordingError: the message lacks one of the fields u, v, id.
     """
     points = _points(message, ('u', 'v', 'id'))
     ids, pixels = points['id'].astype(np.int64), _pairs(points, 'u', 'v')
@@ -191,7 +199,7 @@ def search_regions(message: Any) -> SearchRegions:
     """Convert a PointCloud2 of search regions.
 
     Raises:
-        RecordingError: it lacks one of its fields.
+        RecordingError: the message lacks one of the fields u, v, id, cov_uu, cov_uv, cov_vv.
     """
     points = _points(message, ('u', 'v', 'id', 'cov_uu', 'cov_uv', 'cov_vv'))
     rows = _pairs(points, 'cov_uu', 'cov_uv'), _pairs(points, 'cov_uv', 'cov_vv')
@@ -208,24 +216,24 @@ def _pairs(points: NDArray[Any], first: str, second: str) -> Array:
 
 def _points(message: Any, names: tuple[str, ...]) -> NDArray[Any]:
     layout = tuple((item.name, item.offset, item.datatype) for item in message.fields)
-    kind = _point_type(layout, message.point_step, message.is_bigendian)
-    missing = [name for name in names if name not in (kind.names or ())]
+    dtype = _point_type(layout, message.point_step, message.is_bigendian)
+    missing = [name for name in names if name not in (dtype.names or ())]
     if missing:
         raise RecordingError(
             f'a point cloud lacks the field {missing[0]}', todo=f'its points need {", ".join(names)}'
         )
-    return np.frombuffer(message.data, kind, count=message.width * message.height)
+    return np.frombuffer(message.data, dtype, count=message.width * message.height)
 
 
 @lru_cache
 def _point_type(layout: tuple[tuple[str, int, int], ...], size: int, big_endian: bool) -> np.dtype[Any]:
     codes = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
-    names, offsets, kinds = zip(*layout, strict=True) if layout else ((), (), ())
+    names, offsets, datatypes = zip(*layout, strict=True) if layout else ((), (), ())
     order = '>' if big_endian else '<'
     return np.dtype(
         {
             'names': list(names),
-            'formats': [order + codes[kind] for kind in kinds],
+            'formats': [order + codes[datatype] for datatype in datatypes],
             'offsets': list(offsets),
             'itemsize': size,
         }
@@ -236,7 +244,7 @@ def camera_intrinsics(message: Any) -> CameraIntrinsics:
     """Convert a CameraInfo.
 
     Raises:
-        RecordingError: it holds no calibration, or a lens model other than plumb_bob.
+        RecordingError: the message holds no calibration, or a lens model other than plumb_bob.
     """
     k = [float(value) for value in (message.k if hasattr(message, 'k') else message.K)]
     d = [float(value) for value in (message.d if hasattr(message, 'd') else message.D)]
@@ -263,21 +271,22 @@ def transforms(message: Any) -> list[Transform]:
 
 
 def body_pose(message: Any) -> Mount:
-    """Where an Odometry says the body is."""
+    """Return the pose of the body in an Odometry."""
     p, q = message.pose.pose.position, message.pose.pose.orientation
     return Mount(rotation_from_quaternion(q.x, q.y, q.z, q.w), np.array([p.x, p.y, p.z]))
 
 
 def map_frame(odom_frame: str) -> str:
-    """The map of the robot that has this odom: `robot1/map` for `robot1/odom`."""
+    """Return the map frame that belongs to an odom frame: `robot1/map` for `robot1/odom`."""
     prefix, slash, _ = odom_frame.rpartition('/')
     return f'{prefix}{slash}{MAP_FRAME}'
 
 
 def numeric_fields(message: Any) -> Iterator[str]:
-    """Yield the dotted names of all single numbers in a message, its header left out."""
+    """Yield the dotted names of all scalar numbers in a message, except its header."""
     if is_dataclass(message):
-        names = [item.name for item in fields(message) if item.default is MISSING]  # constants have one
+        # constants of the message definition are the fields that have a default
+        names = [item.name for item in fields(message) if item.default is MISSING]
     else:
         names = list(message.get_fields_and_field_types())
     for name in names:

@@ -21,8 +21,7 @@ from gyrocal_ros.effects.registry import load_file, load_installed
 from gyrocal_ros.effects.traits import followers_by_signal
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.msgs import outputs, topics
-from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs import outputs, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.announcer import Announcer
 from gyrocal_ros.nodes.diagnostics import Diagnostics
@@ -55,7 +54,7 @@ class CalibratorNode:
             steady=not node.get_parameter('use_sim_time').value,
             now_s=time.monotonic(),
         )
-        self._make = messages.live_maker(get_message)
+        self._make = to_ros.live_maker(get_message)
         self._announcer = Announcer(node, self._make, self._live.calibration)
         self._map_frame = MapFrame(node, self._make) if live.publish_map_transform else None
         self._odom, self._body, self._map = topics.ODOM_FRAME, topics.BODY_FRAME, topics.MAP_FRAME
@@ -100,7 +99,7 @@ class CalibratorNode:
             self._odom, self._body = message.header.frame_id, message.child_frame_id
             self._map = topics.map_frame(self._odom)
         if place is not None:
-            self._odometry.publish(outputs.whereabouts(self._make, place, self._map, self._body))
+            self._odometry.publish(outputs.odometry_estimate(self._make, place, self._map, self._body))
             if self._map_frame is not None:
                 self._map_frame.send(place, topics.body_pose(message), self._map, self._odom)
         self._work()
@@ -139,7 +138,7 @@ class CalibratorNode:
         """One step of the filter at most: the next IMU sample must not wait for more."""
         regions = self._live.work()
         if regions is not None:
-            self._regions.publish(messages.search_regions(self._make, regions))
+            self._regions.publish(to_ros.search_regions(self._make, regions))
 
     def _every_second(self) -> None:
         self._announcer.tell(self._live.calibration)

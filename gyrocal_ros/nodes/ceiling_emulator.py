@@ -16,9 +16,8 @@ from tf2_msgs.msg import TFMessage
 
 from gyrocal_ros.config.declare import setting
 from gyrocal_ros.data import Frame, nanoseconds, seconds
-from gyrocal_ros.emulator.camera import EmulatedCamera, parse_spells
-from gyrocal_ros.msgs import images, topics
-from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.emulator.camera import EmulatedCamera, parse_camera_faults
+from gyrocal_ros.msgs import images, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import IDENTITY
 from gyrocal_ros.nodes.diagnostics import Diagnostics
@@ -66,16 +65,16 @@ class CeilingEmulatorNode:
         config = Settings(node, CeilingSections(), ('ceiling',)).config.ceiling
         scenario = find_scenario(config.scenario)
         scenario = replace(scenario, duration_s=config.duration_s or scenario.duration_s)
-        self._camera = EmulatedCamera(SimSource(scenario, config.seed), parse_spells(config.troubles))
+        self._camera = EmulatedCamera(SimSource(scenario, config.seed), parse_camera_faults(config.troubles))
         self._camera.start_ns = nanoseconds(config.start_at) if config.start_at else time.time_ns()
-        self._make = make = messages.live_maker(get_message)
+        self._make = make = to_ros.live_maker(get_message)
         self._images = publish(node, Image, Role.IMAGE, QoSProfile(depth=5))
         self._infos = publish(node, CameraInfo, Role.CAMERA_INFO, SENSOR_OUT)
         self._truth = publish(node, Odometry, Role.TRUTH, SENSOR_OUT)
         self._links = publish(node, TFMessage, '/tf_static', STATIC)
-        self._intrinsics, mount = self._camera.believed
+        self._intrinsics, mount = self._camera.nominal
         mounts = {topics.CAMERA_FRAME: mount, topics.IMU_FRAME: IDENTITY}
-        self._links.publish(messages.static_transforms(make, mounts, self._camera.start_ns))
+        self._links.publish(to_ros.static_transforms(make, mounts, self._camera.start_ns))
         self._number = -1
         self._frame: Frame | None = None
         self._taken = self._left_out = 0
@@ -103,10 +102,10 @@ class CeilingEmulatorNode:
     def _hand_out(self) -> None:
         make, t_ns = self._make, self._camera.stamp_ns(self._number)
         if self._frame is not None:
-            self._images.publish(images.image(make, self._frame))
-            self._infos.publish(messages.camera_info(make, self._intrinsics, t_ns))
+            self._images.publish(images.grey_image(make, self._frame))
+            self._infos.publish(to_ros.camera_info(make, self._intrinsics, t_ns))
             self._taken += 1
-        self._truth.publish(messages.truth(make, self._camera.truth(self._number)))
+        self._truth.publish(to_ros.truth(make, self._camera.truth(self._number)))
         self._call(self._prepare, 0.0)
 
     def _call(self, callback: Callable[[], None], wait_s: float) -> None:

@@ -15,7 +15,7 @@ from gyrocal_ros.board.reader import Reading, WheelMotion
 from gyrocal_ros.config.sections import RobotConfig
 from gyrocal_ros.data import ImuSample, TemperatureSample
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs import to_ros
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_OUT
@@ -32,7 +32,7 @@ class DriverNode:
         self.node = Node('driver')
         settings = Settings(self.node, RobotConfig(), ('board', 'driver'), self._changed)
         board, driver = settings.config.board, settings.config.driver
-        self._make = messages.live_maker(get_message)
+        self._make = to_ros.live_maker(get_message)
         self._imu = self.node.create_publisher(Imu, 'imu/data_raw', SENSOR_OUT)
         self._temperature = self.node.create_publisher(Temperature, 'imu/temperature', SENSOR_OUT)
         self._odometry = self.node.create_publisher(Odometry, 'wheel/odometry', SENSOR_OUT)
@@ -66,21 +66,21 @@ class DriverNode:
 
     def _send(self, reading: Reading) -> None:
         if isinstance(reading, ImuSample):
-            self._imu.publish(messages.imu(self._make, reading))
+            self._imu.publish(to_ros.imu(self._make, reading))
         elif isinstance(reading, WheelMotion):
             self._moved(reading)
         elif isinstance(reading, SupplySample):
             numbers = {'voltage': reading.voltage_v, 'current': reading.current_a}
-            self._battery.publish(messages.battery(self._make, reading.t_ns, numbers))
+            self._battery.publish(to_ros.battery(self._make, reading.t_ns, numbers))
         elif isinstance(reading, TemperatureSample):
-            self._temperature.publish(messages.temperature(self._make, reading))
+            self._temperature.publish(to_ros.temperature(self._make, reading))
 
     def _moved(self, motion: WheelMotion) -> None:
         pose, t_ns = motion.pose, motion.sample.t_ns
         place = pose.x_m, pose.y_m, pose.yaw_rad
-        self._odometry.publish(messages.wheels(self._make, motion.sample, *place))
+        self._odometry.publish(to_ros.wheels(self._make, motion.sample, *place))
         if self._transforms:
-            self._transforms.publish(messages.odometry_transform(self._make, t_ns, *place))
+            self._transforms.publish(to_ros.odometry_transform(self._make, t_ns, *place))
 
     def _zero(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Wait for the board; samples go on to be published meanwhile."""

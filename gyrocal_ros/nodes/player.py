@@ -15,16 +15,16 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock as ClockMessage
 from rosidl_runtime_py.utilities import get_message
 
-from gyrocal_ros.bag.playback import Kind, Playback, Track
+from gyrocal_ros.bag.playback import Playback, PlayedTopic, PublishMode
 from gyrocal_ros.bag.selection import select_topics
-from gyrocal_ros.bag.source import make_choice
+from gyrocal_ros.bag.source import topic_options
 from gyrocal_ros.bag.storage import open_storage
 from gyrocal_ros.config.declare import setting
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, nanoseconds, seconds
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.msgs import to_ros as messages
-from gyrocal_ros.msgs.issues import refuse_errors
+from gyrocal_ros.msgs import to_ros
+from gyrocal_ros.msgs.issues import raise_first_error
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
 
@@ -33,7 +33,11 @@ REPEAT_NS = NS_PER_S
 LOOK_S, TELL_S = 0.1, 5.0
 SETTLE_S = 1.0
 """Before the first message, so that all find each other, and after the last, so that it is made use of."""
-QUALITY = {Kind.FLOW: SENSOR_OUT, Kind.IMAGE: QoSProfile(depth=10), Kind.LATCHED: STATIC}
+QUALITY = {
+    PublishMode.STREAM: SENSOR_OUT,
+    PublishMode.IMAGE: QoSProfile(depth=10),
+    PublishMode.LATCHED: STATIC,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +69,17 @@ class PlayerNode:
         path = Path(self._settings.bag).expanduser()
         self._files = ExitStack()
         storage = self._files.enter_context(open_storage(path))
-        choice = make_choice(recording, None, self._settings.robot or None, None)
-        selection = select_topics(storage.topics, choice)
-        refuse_errors(selection.findings, str(path))
+        options = topic_options(recording, None, self._settings.robot or None, None)
+        selection = select_topics(storage.topics, options)
+        raise_first_error(selection.issues, str(path))
         playback = Playback(storage, selection)
         self._publishers: dict[str, Publisher] = {}
-        for track in playback.tracks:
-            self._add(track)
-        for track, raw in playback.latched():
-            self._add(track).publish(raw)
+        for topic in playback.topics:
+            self._add(topic)
+        for topic, raw in playback.latched_messages():
+            self._add(topic).publish(raw)
         self._clock = node.create_publisher(ClockMessage, '/clock', 10)
-        self._make = messages.live_maker(get_message)
+        self._make = to_ros.live_maker(get_message)
         self._messages = playback.messages()
         self._next = next(self._messages, None)
         self._repeated: dict[str, tuple[int, bytes]] = {}
@@ -89,11 +93,11 @@ class PlayerNode:
         """Let go of the recording."""
         self._files.close()
 
-    def _add(self, track: Track) -> Publisher:
-        if track.name not in self._publishers:
-            kind, quality = get_message(track.type_name), QUALITY[track.kind]
-            self._publishers[track.name] = self.node.create_publisher(kind, track.name, quality)
-        return self._publishers[track.name]
+    def _add(self, topic: PlayedTopic) -> Publisher:
+        if topic.name not in self._publishers:
+            kind, quality = get_message(topic.type_name), QUALITY[topic.mode]
+            self._publishers[topic.name] = self.node.create_publisher(kind, topic.name, quality)
+        return self._publishers[topic.name]
 
     def _absent(self) -> set[str]:
         """The nodes that are waited for and do not listen yet."""
@@ -118,7 +122,7 @@ class PlayerNode:
     def _play(self) -> None:
         """Send all that is due."""
         while self._next is not None and self.node.context.ok():
-            recorded_ns, track, raw = self._next
+            recorded_ns, topic, raw = self._next
             due_s = seconds(recorded_ns - self._first_ns) / self._settings.rate
             ahead_s = due_s - seconds(time.monotonic_ns() - self._start_ns)
             if ahead_s > 0.0:
@@ -126,9 +130,9 @@ class PlayerNode:
                 return
             if recorded_ns >= self._clock_ns:
                 self._tick(recorded_ns)
-            self._publishers[track.name].publish(raw)
-            if track.repeats:
-                self._repeated[track.name] = recorded_ns, raw
+            self._publishers[topic.name].publish(raw)
+            if topic.repeats:
+                self._repeated[topic.name] = recorded_ns, raw
             self._next = next(self._messages, None)
         self._timer.callback = self._end
         self._wake_in(SETTLE_S)

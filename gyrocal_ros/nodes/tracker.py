@@ -16,8 +16,7 @@ from tf2_msgs.msg import TFMessage
 from gyrocal_ros.config.sections import Config, RobotConfig
 from gyrocal_ros.data import seconds
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs import images, topics
-from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs import images, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import mailbox, publish, subscribe, waiting
@@ -47,7 +46,7 @@ class TrackerNode:
         self._robot = Settings(node, RobotConfig(), ('images',), self._configure)
         config, self._settings = self._config.config, self._robot.config.images
         self._live = LiveTracker(config.tracker, config.camera, self._settings.patience_s, time.monotonic())
-        self._make = messages.live_maker(get_message)
+        self._make = to_ros.live_maker(get_message)
         self._camera_frame = topics.CAMERA_FRAME
         self._features = publish(node, PointCloud2, Role.FEATURES, SENSOR_OUT)
         self._tracks = publish(node, Image, 'ceiling_camera/tracks_image', QoSProfile(depth=1))
@@ -131,12 +130,12 @@ class TrackerNode:
             (self._wake.reset if self._live.is_waiting else self._wake.cancel)()
 
     def _publish(self, tracked: Tracked) -> None:
-        self._features.publish(messages.features(self._make, tracked.seen, self._camera_frame))
+        self._features.publish(to_ros.features(self._make, tracked.seen, self._camera_frame))
         self._live.health.hand_on(time.monotonic() - tracked.came_s)
         if self._tracks.get_subscription_count():
             frame = tracked.frame
             self._tracks.publish(
-                images.picture(self._make, frame.t_ns, self._camera_frame, tracked.picture())
+                images.colour_image(self._make, frame.t_ns, self._camera_frame, tracked.picture())
             )
 
 

@@ -9,7 +9,7 @@ from gyrocal_ros.data import ClockStep, FeatureObservations, Frame, ImuSample, M
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.ekf.stream import SlamStream
-from gyrocal_ros.vision.follower import Follower
+from gyrocal_ros.vision.gyro_aided_tracker import GyroAidedTracker
 
 
 class VisualSlam:
@@ -24,7 +24,7 @@ class VisualSlam:
         self, slam: EkfSlam, keep: Callable[[FeatureObservations], None] = lambda observed: None
     ) -> None:
         self._slam, self._stream, self._keep = slam, SlamStream(slam), keep
-        self._follower: Follower | None = None
+        self._tracker: GyroAidedTracker | None = None
         self._waiting: deque[Frame] = deque()
 
     def step(self, measurement: Measurement) -> list[StepRecord]:
@@ -35,43 +35,43 @@ class VisualSlam:
             RecordingError: an image has another size than the camera.
         """
         if isinstance(measurement, Frame):
-            self._follower = self._follower or self._first_follower()
+            self._tracker = self._tracker or self._first_tracker()
             self._waiting.append(measurement)
             return []
         records: list[StepRecord] = []
-        if self._follower and isinstance(measurement, ImuSample):
-            self._follower.add(measurement)
+        if self._tracker and isinstance(measurement, ImuSample):
+            self._tracker.add(measurement)
             while self._waiting and self._waiting[0].t_ns <= measurement.t_ns:
-                records += self._track(self._follower)
-        elif self._follower and isinstance(measurement, ClockStep):
+                records += self._track(self._tracker)
+        elif self._tracker and isinstance(measurement, ClockStep):
             records += self._track_all()
-            self._follower.restart()
+            self._tracker.restart()
         return records + self._step(measurement)
 
     def finish(self) -> list[StepRecord]:
         """Use what still waits, at the end of the stream."""
         return [*self._track_all(), *self._stream.finish()]
 
-    def _first_follower(self) -> Follower:
+    def _first_tracker(self) -> GyroAidedTracker:
         rig, config = self._slam.rig, self._slam.config
         assert rig.camera is not None
         self._slam.expect_pixel_noise(config.tracker.noise_px)
-        return Follower(rig.camera, rig.camera_mount.R_bs, config.tracker)
+        return GyroAidedTracker(rig.camera, rig.camera_mount.R_bs, config.tracker)
 
     def _track_all(self) -> list[StepRecord]:
         records: list[StepRecord] = []
-        while self._follower and self._waiting:
-            records += self._track(self._follower)
+        while self._tracker and self._waiting:
+            records += self._track(self._tracker)
         return records
 
-    def _track(self, follower: Follower) -> list[StepRecord]:
+    def _track(self, tracker: GyroAidedTracker) -> list[StepRecord]:
         """Track the features through the image that has waited longest."""
-        observed = follower.track(self._waiting.popleft())
+        observed = tracker.track(self._waiting.popleft())
         self._keep(observed)
         return self._step(observed)
 
     def _step(self, measurement: Measurement) -> list[StepRecord]:
         records = self._stream.step(measurement)
-        if records and self._follower:
-            self._follower.regions = self._slam.regions()
+        if records and self._tracker:
+            self._tracker.regions = self._slam.regions()
         return records

@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from gyrocal_ros.board.clock import Restart
-from gyrocal_ros.board.commands import Commands
+from gyrocal_ros.board.clock import RestartCause
+from gyrocal_ros.board.commands import CommandQueue
 from gyrocal_ros.board.link import Link, LinkError
 from gyrocal_ros.board.messages import Acknowledgement, CommandResult, SetRates
 from gyrocal_ros.board.reader import BoardReader, Reading
@@ -50,7 +50,7 @@ class BoardDriver:
         self._changed = threading.Condition()
         """Guards all that follows; notified when the board has answered."""
         self._reader = BoardReader(board, driver.baud_rate)
-        self._commands = Commands(rates_of(driver))
+        self._commands = CommandQueue(rates_of(driver))
         self._connections = 0
         self._line = PortState(is_open=False, since_s=time.monotonic(), why='not tried yet')
         self._heard_s = 0.0
@@ -71,7 +71,7 @@ class BoardDriver:
         """Ask the board for other rates."""
         with self._changed:
             if rates_of(driver) != self._commands.rates.command:
-                self._commands.ask_for_rates(rates_of(driver))
+                self._commands.request_rates(rates_of(driver))
 
     def zero(self) -> None:
         """Let the board measure the zero of its gyros; wait for its answer.
@@ -82,9 +82,9 @@ class BoardDriver:
         with self._changed:
             if not self._line.is_open:
                 raise BoardError(f'not connected: {self._line.why}')
-            order = self._commands.ask_for_zero(ZERO_MS)
+            order = self._commands.request_zero(ZERO_MS)
             self._changed.wait_for(lambda: order.result is not None, ZERO_LIMIT_S)
-            self._commands.forget_zero()
+            self._commands.cancel_zero()
         if order.result is None:
             raise BoardError('the board does not answer', todo='see /diagnostics')
         if order.result == CommandResult.REFUSED:
@@ -120,8 +120,8 @@ class BoardDriver:
         with self._changed:
             self._connections += 1
             self._line = PortState(is_open=True, since_s=now_s)
-            self._reader.join()
-            self._commands.repeat_rates()
+            self._reader.skip_partial_frame()
+            self._commands.resend_rates()
 
     def _lost(self, why: str) -> None:
         now_s = time.monotonic()
@@ -135,7 +135,7 @@ class BoardDriver:
         arrival_ns, now_s = self._now_ns(), time.monotonic()
         with self._changed:
             readings = self._take(data, arrival_ns, now_s) if data else []
-            commands = self._commands.due(now_s)
+            commands = self._commands.due_frames(now_s)
         if commands:
             link.write(commands)
         for reading in readings:
@@ -143,19 +143,19 @@ class BoardDriver:
 
     def _take(self, data: bytes, arrival_ns: int, now_s: float) -> list[Reading]:
         starts = self._starts()
-        readings = self._reader.take(data, arrival_ns)
+        readings = self._reader.feed(data, arrival_ns)
         if self._starts() != starts:
-            self._commands.repeat_rates()
+            self._commands.resend_rates()
         for reading in readings:
             if isinstance(reading, Acknowledgement):
-                self._commands.hear(reading)
+                self._commands.acknowledge(reading)
                 self._changed.notify_all()
         self._heard_s = now_s
         return readings
 
     def _starts(self) -> int:
         """How often the board seems to have been started anew, with its usual rates."""
-        return self._reader.clock.restarts[Restart.BOARD] + self._reader.decoder.counts.sequence_restarts
+        return self._reader.clock.restarts[RestartCause.BOARD] + self._reader.decoder.counts.sequence_restarts
 
 
 def rates_of(driver: DriverConfig) -> SetRates:

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import Field, dataclass, fields, replace
 from typing import Any
 
-from gyrocal_ros.board.clock import Restart
-from gyrocal_ros.board.commands import Order
+from gyrocal_ros.board.clock import RestartCause
+from gyrocal_ros.board.commands import PendingCommand
 from gyrocal_ros.board.messages import CommandResult, Imu, SetRates, Supply, Wheels
 from gyrocal_ros.board.protocol import Counts
 from gyrocal_ros.board.reader import BoardReader
@@ -74,9 +74,9 @@ def tally(reader: BoardReader, connections: int, now_s: float) -> Tally:
         imu=received[Imu],
         wheels=received[Wheels],
         supply=received[Supply],
-        board_restarts=restarts[Restart.BOARD],
-        clock_sets=restarts[Restart.ARRIVALS],
-        odd_times=reader.clock.odd,
+        board_restarts=restarts[RestartCause.BOARD],
+        clock_sets=restarts[RestartCause.ARRIVALS],
+        odd_times=reader.clock.outliers,
         connections=connections,
         frames=replace(reader.decoder.counts),
     )
@@ -94,7 +94,7 @@ class BoardHealth:
         self._asked: SetRates | None = None
         self._asked_s = start.time_s
 
-    def tell(self, now: Tally, line: PortState, heard_s: float, rates: Order[SetRates]) -> Status:
+    def tell(self, now: Tally, line: PortState, heard_s: float, rates: PendingCommand[SetRates]) -> Status:
         """Judge by the counts, the port, when something came last, and the rates asked for."""
         while len(self._tallies) > 1 and self._tallies[1].time_s <= now.time_s - RECENT_S:
             self._tallies.popleft()
@@ -157,10 +157,10 @@ def _of_time(recent: Tally) -> Iterator[Complaint]:
         yield Complaint(Level.WARN, "this computer's clock was set: the stamps follow it")
 
 
-def _of_rates(recent: Tally, order: Order[SetRates], *, is_steady: bool) -> Iterator[Complaint]:
+def _of_rates(recent: Tally, order: PendingCommand[SetRates], *, is_steady: bool) -> Iterator[Complaint]:
     """Whether as much comes as was asked for."""
     asked = order.command
-    if order.result is None and order.tries >= MANY_TRIES:
+    if order.result is None and order.attempts >= MANY_TRIES:
         yield Complaint(Level.WARN, 'the board does not answer commands')
     elif order.result not in (None, CommandResult.DONE):
         yield Complaint(

@@ -158,7 +158,7 @@ class LiveCalibrator:
         """Let the filter go one step on, if it can; return where it expects its features then.
 
         The tracker carries these regions to its next image by itself, so that it does on the robot what
-        it does in a recording (see `vision.follower`).
+        it does in a recording (see `vision.gyro_aided_tracker`).
         """
         slam = self._estimator.slam
         if slam is None or self._R_bi is None:

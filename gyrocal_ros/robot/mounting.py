@@ -12,9 +12,9 @@ from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.msgs.mounts import (
     REST_NS,
     imu_rotation,
-    mount_of_frame,
-    mount_of_settings,
-    no_camera_transform,
+    missing_camera_transform,
+    mount_from_settings,
+    mount_from_transforms,
 )
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
@@ -88,7 +88,7 @@ class Mounting:
     def _decide_imu(self, links: list[Transform]) -> list[BagIssue]:
         if self._imu_frame is None:
             return []
-        if not self._has_rested and mount_of_frame(links, self._imu_frame) is None:
+        if not self._has_rested and mount_from_transforms(links, self._imu_frame) is None:
             return []
         force = np.mean(self._forces, axis=0) if self._has_rested else np.zeros(3)
         R_bi, findings = imu_rotation(Role.IMU, self._imu_frame, links, force)
@@ -100,11 +100,11 @@ class Mounting:
         if self._camera is None:
             return []
         frame = self._camera_frame or self._frame_of_info or ''
-        mount = mount_of_frame(links, frame)
+        mount = mount_from_transforms(links, frame)
         if mount is None and not self._has_rested:
             return []
-        findings = [] if mount else [no_camera_transform(Role.FEATURES, frame)]
-        rig = Rig(self._camera, mount or mount_of_settings(self._config))
+        findings = [] if mount else [missing_camera_transform(Role.FEATURES, frame)]
+        rig = Rig(self._camera, mount or mount_from_settings(self._config))
         if self.rig is None or not _same(rig, self.rig):
             self.rig = rig
         return findings

@@ -21,14 +21,14 @@ from gyrocal_ros.data import (
     SearchRegions,
 )
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs.mounts import into_body_axes, mount_of_settings
+from gyrocal_ros.msgs.mounts import into_body_axes, mount_from_settings
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
 from gyrocal_ros.robot.health import Status
 from gyrocal_ros.robot.mounting import Mounting
 from gyrocal_ros.robot.tracking_health import TrackingHealth
 from gyrocal_ros.vision.draw import draw_tracks
-from gyrocal_ros.vision.follower import Follower
+from gyrocal_ros.vision.gyro_aided_tracker import GyroAidedTracker
 from gyrocal_ros.vision.tracker import ID_COUNT
 
 MAX_WAITING = 3
@@ -86,7 +86,7 @@ class LiveTracker:
         self._mounting = Mounting(camera)
         self._intrinsics: CameraIntrinsics | None = None
         self._camera_s = now_s
-        self._follower: Follower | None = None
+        self._follower: GyroAidedTracker | None = None
         self._rig: Rig | None = None
         self._R_bi: Array = np.eye(3)
         self._turn = into_body_axes(self._R_bi)
@@ -122,7 +122,7 @@ class LiveTracker:
         self.health.hear_imu(sample.t_ns, now_s)
         if self._follower is None:
             return
-        until_ns = self._follower.turning.until_ns
+        until_ns = self._follower.attitude.until_ns
         if until_ns is not None and sample.t_ns < until_ns - LEAP_NS:
             self._start_anew('the stamps of the IMU went back', now_s)
         self._follower.add(self._turn(sample))
@@ -188,22 +188,22 @@ class LiveTracker:
     def _is_due(self, waiting: _Waiting, now_s: float) -> bool:
         if now_s - waiting.came_s >= self._patience_s or self._follower is None:
             return True
-        until_ns, regions = self._follower.turning.until_ns, self._follower.regions
+        until_ns, regions = self._follower.attitude.until_ns, self._follower.regions
         is_turned = until_ns is not None and until_ns >= waiting.frame.t_ns
         is_guided = regions is not None and regions.t_ns >= self._due_regions_ns
         imu_is_silent, filter_is_silent = now_s - self._imu_s > SILENT_S, now_s - self._regions_s > SILENT_S
         return (is_turned or imu_is_silent) and (is_guided or filter_is_silent)
 
-    def _follower_for(self, frame: Frame, now_s: float) -> Follower | None:
+    def _follower_for(self, frame: Frame, now_s: float) -> GyroAidedTracker | None:
         """Who follows now; None while the camera is not known."""
         rig = self._mounting.rig
         if rig is None and self._intrinsics is not None and now_s - self._camera_s > UNMOUNTED_S:
-            rig = self._rig or Rig(self._intrinsics, mount_of_settings(self._camera_config))
+            rig = self._rig or Rig(self._intrinsics, mount_from_settings(self._camera_config))
         if rig is not None and rig is not self._rig:
             assert rig.camera is not None
             first_id = frame.t_ns // NS_PER_ID % ID_COUNT
             self._rig = rig
-            self._follower = Follower(rig.camera, rig.camera_mount.R_bs, self._config, first_id)
+            self._follower = GyroAidedTracker(rig.camera, rig.camera_mount.R_bs, self._config, first_id)
         return self._follower
 
     def _start_anew(self, why: str, now_s: float) -> None:

@@ -1,7 +1,7 @@
-"""Physical effects the other way round: from what is true to what the sensors read.
+"""Forward simulation of physical effects: from true signals to sensor readings.
 
-An effect says how readings are to be corrected; a recording in which it is hidden holds readings
-that need just that correction. This room knows effects by their protocols alone.
+An effect defines how readings are to be corrected; a recording with a hidden effect contains the
+readings that need exactly this correction. This module uses effects only through their protocols.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from gyrocal_ros.model.sensor import (
 )
 from gyrocal_ros.sim.trajectory import TrueMotion
 
-MAX_ROUNDS = 60
-SOLVED_RAD_S = 1e-13
-HOPELESS_RAD_S = 1e3
-GOOD_ENOUGH_RAD_S = 1e-7
-"""Where an effect has steps a reading may jump to and fro; by more than this it must not."""
+MAX_ITERATIONS = 60
+CONVERGED_RAD_S = 1e-13
+DIVERGED_RAD_S = 1e3
+ACCEPTED_RAD_S = 1e-7
+"""Largest accepted change of the last iteration; an effect with steps may oscillate by a small amount."""
 
 
 @dataclass(frozen=True, slots=True)
 class HiddenEffect:
-    """An effect that is put into a recording, with the true values of its coefficients."""
+    """An effect that is simulated in a recording, with the true values of its coefficients."""
 
     effect: Effect
     values: tuple[float, ...]
@@ -44,19 +44,21 @@ class HiddenEffect:
         if len(self.values) != needed:
             raise ConfigError(f'needs {needed} values, not {len(self.values)}', where=self.effect.name)
         if isinstance(self.effect, GyroEffectOnReadings) and min(self.values) < 0.0:
-            raise ConfigError(f'cannot be {min(self.values):g}', where=self.effect.name, todo='give more')
+            raise ConfigError(
+                f'cannot be {min(self.values):g}', where=self.effect.name, todo='give 0 or more'
+            )
 
 
 Hidden = tuple[HiddenEffect, ...]
 
 
-def referred(hidden: Hidden, means: Mapping[str, float]) -> Hidden:
-    """Let effects of recorded signals count from the signals' means, as they are reported.
+def referred_to_means(hidden: Hidden, means: Mapping[str, float]) -> Hidden:
+    """Let effects of recorded signals count from the means of their signals, as these are reported.
 
     Raises:
         ConfigError: a signal is not recorded.
     """
-    found = []
+    result = []
     for item in hidden:
         for signal in required_signals(item.effect):
             if signal != TEMPERATURE and signal not in means:
@@ -64,73 +66,84 @@ def referred(hidden: Hidden, means: Mapping[str, float]) -> Hidden:
                 raise ConfigError(f'{signal!r} is not recorded', where=item.effect.name, todo=todo)
         if isinstance(item.effect, RelativeEffect):
             item = replace(item, effect=item.effect.counted_from(means[item.effect.signal]))
-        found.append(item)
-    return tuple(found)
+        result.append(item)
+    return tuple(result)
 
 
 def nominal_yaw_rate(true_rad_s: Array, scale_factor: float, block: MotionBlock, hidden: Hidden) -> Array:
     """Solve `true = scale factor * nominal + contributions(nominal)` for the nominal rate (n,).
 
     Args:
-        true_rad_s: (n,) true yaw rate less the bias.
+        true_rad_s: (n,) true yaw rate minus the bias.
         scale_factor: true rate over nominal rate.
-        block: the whole recording, one interval a reading; its yaw rate does not count.
-        hidden: effects; those that do not act on the gyro are passed by.
+        block: the whole recording, one interval per reading; its yaw rate is not used.
+        hidden: effects; those that do not act on the gyro are ignored.
 
     Raises:
-        ConfigError: there is no such rate, for an effect is too strong.
+        ConfigError: there is no solution because an effect is too strong.
     """
     gyro = _acting_on(hidden, 'gyro')
-    on_readings = [(effect, values) for effect, values in gyro if isinstance(effect, GyroEffectOnReadings)]
-    plain = [(effect, values) for effect, values in gyro if not isinstance(effect, GyroEffectOnReadings)]
+    reading_effects = [
+        (effect, values) for effect, values in gyro if isinstance(effect, GyroEffectOnReadings)
+    ]
+    rate_effects = [
+        (effect, values) for effect, values in gyro if not isinstance(effect, GyroEffectOnReadings)
+    ]
     nominal, change = true_rad_s / scale_factor, np.inf
-    for _ in range(MAX_ROUNDS):
-        added = _contributions(plain, _with_yaw_rate(block, nominal)) if plain else 0.0
-        found = (true_rad_s - added) / scale_factor
-        for effect, values in on_readings:
-            found = effect.readings(found, block.dt_s, values, scale_factor)
-        change, nominal = float(np.abs(found - nominal).max()), found
-        if not SOLVED_RAD_S < change < HOPELESS_RAD_S:
+    for _ in range(MAX_ITERATIONS):
+        added = _contributions(rate_effects, _with_yaw_rate(block, nominal)) if rate_effects else 0.0
+        result = (true_rad_s - added) / scale_factor
+        for effect, values in reading_effects:
+            result = effect.readings(result, block.dt_s, values, scale_factor)
+        change, nominal = float(np.abs(result - nominal).max()), result
+        if not CONVERGED_RAD_S < change < DIVERGED_RAD_S:
             break
-    if not change < GOOD_ENOUGH_RAD_S:
+    if not change < ACCEPTED_RAD_S:
         names = ', '.join(effect.name for effect, _ in gyro)
-        raise ConfigError('is so strong that no reading fits the motion', where=names, todo='give less')
+        raise ConfigError(
+            'is too strong: no reading is consistent with the motion',
+            where=names,
+            todo='give a smaller value',
+        )
     return nominal
 
 
-def slip(block: MotionBlock, hidden: Hidden) -> Array:
-    """Solve `true = odometry + contributions(odometry)`: how far true is ahead of odometry, (n + 1,).
+def odometry_shortfall(block: MotionBlock, hidden: Hidden) -> Array:
+    """Solve `true = odometry + contributions(odometry)` for the accumulated true minus odometry, (n + 1,).
 
-    Where the odometer's metre is wrong, `true` and the contributions are in metres of its own, as they
-    are to the filter.
+    If the odometer has a scale error, `true` and the contributions are in metres of the odometer, as
+    they are in the filter.
 
     Args:
-        block: n true steps; the result is for the moments before the first and after each of them.
-        hidden: effects; those that do not change the odometry are passed by.
+        block: n true steps; the result is for the times before the first and after each of them.
+        hidden: effects; those that do not change the odometry are ignored.
     """
     wheels = _acting_on(hidden, 'wheels')
-    own_m = block.distance_m
+    odometer_m = block.distance_m
     for effect, values in _acting_on(hidden, 'camera'):
         if isinstance(effect, CameraEffectOnOdometry):
-            own_m = effect.odometry(own_m, values)
-    ahead = np.zeros(len(block.dt_s))
-    for _ in range(MAX_ROUNDS if wheels else 0):
-        counted = replace(block, distance_m=own_m - ahead)
-        ahead = np.sum([effect.contribute(counted, values)[0] for effect, values in wheels], axis=0)
-    return np.concatenate([[0.0], np.cumsum(block.distance_m - own_m + ahead)])
+            odometer_m = effect.odometry(odometer_m, values)
+    shortfall = np.zeros(len(block.dt_s))
+    for _ in range(MAX_ITERATIONS if wheels else 0):
+        measured = replace(block, distance_m=odometer_m - shortfall)
+        shortfall = np.sum([effect.contribute(measured, values)[0] for effect, values in wheels], axis=0)
+    return np.concatenate([[0.0], np.cumsum(block.distance_m - odometer_m + shortfall)])
 
 
-def carried(block: MotionBlock, hidden: Hidden) -> Array:
-    """How far the ground has carried the robot, (n + 1, 3): before the first and after each interval."""
+def ground_displacement(block: MotionBlock, hidden: Hidden) -> Array:
+    """Return the displacement of the robot by the ground (n + 1, 3).
+
+    It is the sum before the first and after each interval.
+    """
     ground = _acting_on(hidden, 'ground')
     steps = np.zeros((len(block.dt_s) + 1, 3))
-    for row, part in enumerate(_parts(block, 1) if ground else (), 1):
+    for row, part in enumerate(_slices(block, 1) if ground else (), 1):
         steps[row] = sum(effect.contribute(part, values)[0] for effect, values in ground)
     return np.cumsum(steps, axis=0)
 
 
 def true_camera(camera: CameraIntrinsics, mount: Mount, hidden: Hidden) -> tuple[CameraIntrinsics, Mount]:
-    """The camera and its mounting as they are, from what is believed of them."""
+    """Return the true camera and its mounting, given the nominal ones."""
     for effect, values in _acting_on(hidden, 'camera'):
         if not isinstance(effect, CameraEffectOnOdometry):
             camera, mount = effect.corrected(camera, mount, values)
@@ -138,18 +151,18 @@ def true_camera(camera: CameraIntrinsics, mount: Mount, hidden: Hidden) -> tuple
 
 
 def stamp_error_s(hidden: Hidden) -> float:
-    """Stamp of an image minus true time of exposure."""
+    """Return the stamp of an image minus its true time of exposure."""
     return sum(float(values[0]) for _, values in _acting_on(hidden, 'time'))
 
 
 def at_readings(motion: TrueMotion) -> MotionBlock:
-    """What is true of n moments, as a block with one interval about each of them."""
+    """Return the true motion at n times as a block with one interval around each of them."""
     dt_s = np.gradient(motion.time_s)
     return _block(motion, motion.time_s, dt_s, motion.rate_rad_s, motion.speed_m_s * dt_s)
 
 
 def between(motion: TrueMotion) -> MotionBlock:
-    """What is true between n moments, as a block of n - 1 intervals."""
+    """Return the true motion between n times as a block of n - 1 intervals."""
     middle_s = 0.5 * (motion.time_s[1:] + motion.time_s[:-1])
     rate = 0.5 * (motion.rate_rad_s[1:] + motion.rate_rad_s[:-1])
     return _block(motion, middle_s, np.diff(motion.time_s), rate, np.diff(motion.travelled_m))
@@ -178,11 +191,14 @@ def _acting_on(hidden: Hidden, place: Place) -> list[tuple[Any, Array]]:
 
 
 def _contributions(effects: list[tuple[Any, Array]], block: MotionBlock) -> Array:
-    """Sum (n,) of what gyro effects add, one second after the other as the filter would ask."""
+    """Return the sum (n,) of the contributions of gyro effects.
+
+    They are computed in blocks of a second, as in the filter.
+    """
     second = max(round(1.0 / float(block.dt_s[0])), 1)
     memories = [None] * len(effects)
     pieces = []
-    for part in _parts(block, second):
+    for part in _slices(block, second):
         terms = [
             effect.contribute(part, values, memory)
             for (effect, values), memory in zip(effects, memories, strict=True)
@@ -198,7 +214,7 @@ def _with_yaw_rate(block: MotionBlock, yaw_rate_rad_s: Array) -> MotionBlock:
     return replace(block, rate_rad_s=rates, yaw_acceleration_rad_s2=acceleration)
 
 
-def _parts(block: MotionBlock, count: int) -> Iterator[MotionBlock]:
-    """Cut a block into blocks of `count` intervals."""
+def _slices(block: MotionBlock, count: int) -> Iterator[MotionBlock]:
+    """Split a block into blocks of `count` intervals."""
     for first in range(0, len(block.dt_s), count):
         yield block.part(slice(first, first + count))

@@ -1,4 +1,4 @@
-"""What a cleaning robot does all day, as legs: lanes, turns, spins, arcs along walls, rests."""
+"""Motion of a cleaning robot as sequences of legs: lanes, turns, spins, arcs along walls, rests."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Manoeuvre = tuple[Leg, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Habits:
-    """How this robot moves."""
+class DrivingStyle:
+    """Speeds, turn rates and area of a robot."""
 
     speed_m_s: float = 0.3
     turn_rates_deg_s: tuple[float, float] = (30.0, 90.0)
-    """Each turn draws its rate between these two."""
+    """Range from which the rate of each turn is drawn."""
     area_m: tuple[float, float] = (4.0, 3.6)
-    """Length and width of the area that is cleaned, around the origin."""
+    """Length and width of the cleaned area, around the origin."""
     lane_width_m: float = 0.3
 
 
@@ -38,21 +38,21 @@ def rest(duration_s: float) -> Manoeuvre:
 
 
 def drive(distance_m: float, speed_m_s: float) -> Manoeuvre:
-    """Go straight from rest to rest."""
-    # A glide of peak acceleration a takes 1.5 v / a and covers half of what full speed would.
+    """Drive straight, from rest to rest."""
+    # A ramp with peak acceleration a takes 1.5 v / a and covers half the distance of full speed.
     peak = min(speed_m_s, math.sqrt(distance_m * ACCELERATION_M_S2 / 1.5))
     return _trapezium(distance_m, peak, ACCELERATION_M_S2, lambda v: (v, 0.0))
 
 
 def turn(angle_rad: float, rate_rad_s: float) -> Manoeuvre:
-    """Turn on the spot from rest to rest; a positive angle is to the left."""
+    """Turn on the spot, from rest to rest; a positive angle is to the left."""
     angle, sign = abs(angle_rad), math.copysign(1.0, angle_rad)
     peak = min(rate_rad_s, math.sqrt(angle * ANGULAR_ACCELERATION_RAD_S2 / 1.5))
     return _trapezium(angle, peak, ANGULAR_ACCELERATION_RAD_S2, lambda w: (0.0, sign * w))
 
 
 def arc(angle_rad: float, radius_m: float, rate_rad_s: float) -> Manoeuvre:
-    """Turn while driving, about the radius given, from rest to rest."""
+    """Drive an arc of the given radius, from rest to rest."""
     angle, sign = abs(angle_rad), math.copysign(1.0, angle_rad)
     limit = min(ANGULAR_ACCELERATION_RAD_S2, ACCELERATION_M_S2 / radius_m)
     peak = min(rate_rad_s, math.sqrt(angle * limit / 1.5))
@@ -62,99 +62,99 @@ def arc(angle_rad: float, radius_m: float, rate_rad_s: float) -> Manoeuvre:
 def _trapezium(
     amount: float, peak: float, limit: float, split: Callable[[float], tuple[float, float]]
 ) -> Manoeuvre:
-    """Glide up to the peak rate, hold it, glide down, so that the integral is `amount`."""
-    glide_s = 1.5 * peak / limit
-    hold_s = amount / peak - glide_s
-    held = (Leg(hold_s, *split(peak)),) if hold_s > 1e-9 else ()
-    return (Leg(glide_s, *split(peak)), *held, Leg(glide_s))
+    """Ramp up to the peak rate, hold it and ramp down, with the integral `amount`."""
+    ramp_s = 1.5 * peak / limit
+    hold_s = amount / peak - ramp_s
+    hold = (Leg(hold_s, *split(peak)),) if hold_s > 1e-9 else ()
+    return (Leg(ramp_s, *split(peak)), *hold, Leg(ramp_s))
 
 
-# --- plans: endless sequences of manoeuvres -----------------------------------------------------
+# --- plans: infinite sequences of manoeuvres ----------------------------------------------------
 
 
 class Planner:
-    """Strings manoeuvres together and knows where the robot is after each of them."""
+    """Concatenates manoeuvres and tracks the pose of the robot after each of them."""
 
-    def __init__(self, habits: Habits, rng: np.random.Generator, pose: Pose) -> None:
-        self.habits, self.rng, self.pose = habits, rng, pose
-        self._sideways = 1.0
+    def __init__(self, style: DrivingStyle, rng: np.random.Generator, pose: Pose) -> None:
+        self.style, self.rng, self.pose = style, rng, pose
+        self._lane_direction = 1.0
 
-    def go(self, manoeuvre: Manoeuvre) -> Manoeuvre:
-        """Take note of where the manoeuvre leads, and return it."""
+    def execute(self, manoeuvre: Manoeuvre) -> Manoeuvre:
+        """Advance the pose by a manoeuvre, and return the manoeuvre."""
         self.pose = Trajectory(manoeuvre, start=self.pose).end
         return manoeuvre
 
     def turn_rate(self) -> float:
-        """Draw a rate to turn with, rad/s."""
-        return math.radians(self.rng.uniform(*self.habits.turn_rates_deg_s))
+        """Draw the rate of a turn, rad/s."""
+        return math.radians(self.rng.uniform(*self.style.turn_rates_deg_s))
 
     def turn_to(self, yaw_rad: float) -> Manoeuvre:
-        """Turn the shorter way to a heading."""
+        """Turn to a heading in the shorter direction."""
         angle = math.remainder(yaw_rad - self.pose[2], 2.0 * math.pi)
-        return self.go(turn(angle, self.turn_rate())) if abs(angle) > 1e-6 else ()
+        return self.execute(turn(angle, self.turn_rate())) if abs(angle) > 1e-6 else ()
 
     def lane(self) -> Manoeuvre:
-        """Drive on to the far end of the area."""
+        """Drive to the end of the lane."""
         x, _, yaw = self.pose
-        distance = self.habits.area_m[0] / 2.0 - x * math.copysign(1.0, math.cos(yaw))
-        return self.go(drive(max(distance, 0.05), self.habits.speed_m_s))
+        distance = self.style.area_m[0] / 2.0 - x * math.copysign(1.0, math.cos(yaw))
+        return self.execute(drive(max(distance, 0.05), self.style.speed_m_s))
 
     def change_lane(self) -> Iterator[Manoeuvre]:
-        """Step over to the next lane and face back, by two turns."""
+        """Move to the next lane and reverse the heading by two turns."""
         _, y, yaw = self.pose
-        step = self.habits.lane_width_m
-        if y * self._sideways + step > self.habits.area_m[1] / 2.0:
-            self._sideways = -self._sideways
+        step = self.style.lane_width_m
+        if y * self._lane_direction + step > self.style.area_m[1] / 2.0:
+            self._lane_direction = -self._lane_direction
         back = math.pi if math.cos(yaw) > 0.0 else 0.0
-        yield self.turn_to(self._sideways * math.pi / 2.0)
-        yield self.go(drive(step, self.habits.speed_m_s))
+        yield self.turn_to(self._lane_direction * math.pi / 2.0)
+        yield self.execute(drive(step, self.style.speed_m_s))
         yield self.turn_to(back)
 
-    def swing_lane(self) -> Iterator[Manoeuvre]:
-        """Step over to the next lane by half a circle, as one sweep."""
+    def change_lane_by_arc(self) -> Iterator[Manoeuvre]:
+        """Move to the next lane by one half circle."""
         _, y, yaw = self.pose
-        radius = self.habits.lane_width_m / 2.0
-        if y * self._sideways + 2.0 * radius > self.habits.area_m[1] / 2.0:
-            self._sideways = -self._sideways
-        left = self._sideways * math.copysign(1.0, math.cos(yaw))
-        yield self.go(arc(left * math.pi, radius, self.turn_rate()))
+        radius = self.style.lane_width_m / 2.0
+        if y * self._lane_direction + 2.0 * radius > self.style.area_m[1] / 2.0:
+            self._lane_direction = -self._lane_direction
+        left = self._lane_direction * math.copysign(1.0, math.cos(yaw))
+        yield self.execute(arc(left * math.pi, radius, self.turn_rate()))
 
     def spin(self) -> Manoeuvre:
-        """Turn once all the way round on the spot."""
-        side = self.rng.choice([-1.0, 1.0])
-        return self.go(turn(side * 2.0 * math.pi, self.turn_rate()))
+        """Turn once by 360 degrees on the spot."""
+        sign = self.rng.choice([-1.0, 1.0])
+        return self.execute(turn(sign * 2.0 * math.pi, self.turn_rate()))
 
-    def bend(self) -> Iterator[Manoeuvre]:
-        """Follow something round: out to one side and back to the lane."""
-        side = self.rng.choice([-1.0, 1.0])
+    def avoid_obstacle(self) -> Iterator[Manoeuvre]:
+        """Drive around an obstacle: out to one side and back to the lane."""
+        sign = self.rng.choice([-1.0, 1.0])
         angle, radius = math.radians(self.rng.uniform(30.0, 60.0)), self.rng.uniform(0.25, 0.5)
-        rate = min(self.turn_rate(), self.habits.speed_m_s / radius)
+        rate = min(self.turn_rate(), self.style.speed_m_s / radius)
         for share in (1.0, -2.0, 1.0):
-            yield self.go(arc(side * share * angle, radius, rate))
+            yield self.execute(arc(sign * share * angle, radius, rate))
 
 
 def lanes(planner: Planner) -> Iterator[Manoeuvre]:
-    """Lanes up and down, as a seed drill goes: two turns to one side, two to the other."""
+    """Drive parallel lanes, with two turns to one side, then two to the other."""
     while True:
         yield planner.lane()
         yield from planner.change_lane()
 
 
 def cleaning(planner: Planner) -> Iterator[Manoeuvre]:
-    """Lanes with mixed turns, and now and then a sweep, a spin or something to go round."""
+    """Drive lanes with various turns, and occasional half circles, spins and obstacles."""
     while True:
-        room_ahead = planner.habits.area_m[0] > 3.0
-        if room_ahead and planner.rng.random() < 0.25:
-            yield planner.go(drive(planner.rng.uniform(0.3, 0.8), planner.habits.speed_m_s))
-            yield from planner.bend()
+        is_long = planner.style.area_m[0] > 3.0
+        if is_long and planner.rng.random() < 0.25:
+            yield planner.execute(drive(planner.rng.uniform(0.3, 0.8), planner.style.speed_m_s))
+            yield from planner.avoid_obstacle()
         yield planner.lane()
         if planner.rng.random() < 0.2:
             yield planner.spin()
-        yield from planner.swing_lane() if planner.rng.random() < 0.25 else planner.change_lane()
+        yield from planner.change_lane_by_arc() if planner.rng.random() < 0.25 else planner.change_lane()
 
 
 def rest_and_go(planner: Planner) -> Iterator[Manoeuvre]:
-    """Lanes with a rest after most of them."""
+    """Drive lanes with a rest after most of them."""
     for number, manoeuvre in enumerate(lanes(planner)):
         yield manoeuvre
         if number % 3 == 2:
@@ -162,16 +162,16 @@ def rest_and_go(planner: Planner) -> Iterator[Manoeuvre]:
 
 
 def spins(planner: Planner) -> Iterator[Manoeuvre]:
-    """Ten rotations to one side, a rest, ten to the other, and so on."""
-    side = planner.rng.choice([-1.0, 1.0])
+    """Turn ten times to one side, rest, turn ten times to the other, and so on."""
+    sign = planner.rng.choice([-1.0, 1.0])
     while True:
-        yield planner.go(turn(side * 20.0 * math.pi, planner.turn_rate()))
+        yield planner.execute(turn(sign * 20.0 * math.pi, planner.turn_rate()))
         yield rest(2.0)
-        side = -side
+        sign = -sign
 
 
 def standing(planner: Planner) -> Iterator[Manoeuvre]:
-    """Nothing at all."""
+    """Stand still."""
     while True:
         yield rest(60.0)
 
@@ -185,20 +185,21 @@ def plan_legs(
     stages: tuple[tuple[str, float], ...],
     standing_s: float,
     duration_s: float,
-    habits: Habits,
+    style: DrivingStyle,
     rng: np.random.Generator,
 ) -> tuple[list[Leg], Pose]:
-    """Return the legs of a whole recording and the pose it starts from.
+    """Return the legs of a whole recording and its start pose.
 
     Args:
-        stages: name of a plan, and the time until which it is followed; the last one goes on.
+        stages: names of plans and the time until which each is followed; the last one continues to the
+            end.
         standing_s: rest before the first motion.
-        duration_s: the legs last at least so long.
-        habits: how the robot moves.
-        rng: where turn rates and the choice of manoeuvres come from.
+        duration_s: minimum duration of the legs.
+        style: speeds, turn rates and area.
+        rng: generator for turn rates and the choice of manoeuvres.
     """
-    start: Pose = (-habits.area_m[0] / 2.0, -habits.area_m[1] / 2.0, 0.0)
-    planner = Planner(habits, rng, start)
+    start: Pose = (-style.area_m[0] / 2.0, -style.area_m[1] / 2.0, 0.0)
+    planner = Planner(style, rng, start)
     legs = [Leg(standing_s)] if standing_s > 0.0 else []
     time_s = standing_s
     for number, (name, until_s) in enumerate(stages):
@@ -212,7 +213,7 @@ def plan_legs(
     return [*legs, Leg(1.0)], start
 
 
-def round_legs(legs: tuple[Leg, ...], standing_s: float, duration_s: float) -> tuple[list[Leg], Pose]:
-    """Return a rest, a round as often as a recording needs it, and the pose they start from."""
-    rounds = math.ceil(max(duration_s - standing_s, 0.0) / sum(leg.duration_s for leg in legs))
-    return [Leg(standing_s), *legs * rounds], (0.0, 0.0, 0.0)
+def repeated_legs(legs: tuple[Leg, ...], standing_s: float, duration_s: float) -> tuple[list[Leg], Pose]:
+    """Return a rest followed by as many repetitions of the legs as needed, and the start pose."""
+    repetitions = math.ceil(max(duration_s - standing_s, 0.0) / sum(leg.duration_s for leg in legs))
+    return [Leg(standing_s), *legs * repetitions], (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Images of a ceiling as its camera takes them: lens, parallax, vignetting, exposure, blur, noise."""
+"""Rendering of ceiling images: lens, parallax, vignetting, exposure, blur, noise."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from gyrocal_ros.model.camera import bearing
 from gyrocal_ros.sim.texture import LEVELS_PER_GREY, OPAQUE, Layer, ceiling_layers
 
 TEXELS_PER_PIXEL = 3.0
-"""OpenCV looks positions up to 1/32 texel only: with this many texels that is 0.01 pixel, never added up."""
+"""Texture resolution. OpenCV rounds positions to 1/32 texel; this many texels reduce it to 0.01 pixel,
+which does not accumulate."""
 _COARSE = 8
-"""Step, in pixels, at which it is found out where in the image a piece of a plane lies."""
+"""Step, in pixels, of the search for the part of the image that a plane covers."""
 
 
 class CeilingRenderer:
-    """A camera below a ceiling.
+    """Renders the images of a camera below a ceiling.
 
     Args:
         camera: its intrinsics.
-        layers: what it sees, from high to low.
+        layers: visible planes, from high to low.
         read_noise: standard deviation of a pixel, in grey levels.
-        vignetting: how much darker the corners of the image are than its centre, as a fraction.
+        vignetting: relative loss of brightness in the corners of the image.
     """
 
     def __init__(
@@ -56,15 +57,15 @@ class CeilingRenderer:
         blur: Sequence[tuple[Array, Array]] = (),
         rng: np.random.Generator | None = None,
     ) -> NDArray[np.uint8]:
-        """Take one image.
+        """Render one image.
 
         Args:
             R_wc: (3, 3) attitude, from the optical frame to the world.
             p_wc: (3,) m, position in the world.
-            exposure: brightness against the normal one.
-            blur: attitudes and positions at equal steps of the exposure time, averaged; where there
-                are none the camera holds still at `R_wc`, `p_wc`.
-            rng: source of the read noise; without one there is none.
+            exposure: brightness relative to the normal one.
+            blur: attitudes and positions at equal steps of the exposure time, which are averaged; if
+                empty, the camera is static at `R_wc`, `p_wc`.
+            rng: generator of the read noise; None for no noise.
 
         Returns:
             (height, width) grey values.
@@ -79,23 +80,23 @@ class CeilingRenderer:
         return np.clip(np.rint(image, out=image), 0.0, 255.0, out=image).astype(np.uint8)
 
     def _sharp(self, R_wc: Array, p_wc: Array) -> NDArray[np.float32]:
-        """Brightness (height, width) from one pose, without vignetting."""
+        """Return the brightness (height, width) from one pose, without vignetting."""
         image = np.zeros(self._rays.shape[:2], dtype=np.float32)
         for layer in self._layers:
             to_texels = _rays_to_texels(layer, R_wc, p_wc)
             if layer.opacity is None:
-                places = cv2.perspectiveTransform(self._rays, to_texels)
-                image = _look_up(layer.brightness, places, cv2.BORDER_WRAP)
+                positions = cv2.perspectiveTransform(self._rays, to_texels)
+                image = _interpolated(layer.brightness, positions, cv2.BORDER_WRAP)
                 continue
-            part = self._seen_part(layer, to_texels)
+            part = self._covered_part(layer, to_texels)
             if part is not None:
-                places = cv2.perspectiveTransform(np.ascontiguousarray(self._rays[part]), to_texels)
-                image[part] *= 1.0 - _look_up(layer.opacity, places) / np.float32(OPAQUE)
-                image[part] += _look_up(layer.brightness, places)
+                positions = cv2.perspectiveTransform(np.ascontiguousarray(self._rays[part]), to_texels)
+                image[part] *= 1.0 - _interpolated(layer.opacity, positions) / np.float32(OPAQUE)
+                image[part] += _interpolated(layer.brightness, positions)
         return image
 
-    def _seen_part(self, layer: Layer, to_texels: Array) -> tuple[slice, slice] | None:
-        """Rows and columns of the image that a piece of a plane may cover; None: it is not in view."""
+    def _covered_part(self, layer: Layer, to_texels: Array) -> tuple[slice, slice] | None:
+        """Return rows and columns of the image that a plane may cover, or None if it is not in view."""
         texels = cv2.perspectiveTransform(np.ascontiguousarray(self._rays[::_COARSE, ::_COARSE]), to_texels)
         reach = 2.0 * _COARSE * TEXELS_PER_PIXEL
         limits = np.array(layer.brightness.shape[::-1]) + reach
@@ -109,16 +110,16 @@ class CeilingRenderer:
         )
 
 
-def _look_up(
-    texels: NDArray[np.uint16], places: cv2.typing.MatLike, border: int = cv2.BORDER_CONSTANT
+def _interpolated(
+    texels: NDArray[np.uint16], positions: cv2.typing.MatLike, border: int = cv2.BORDER_CONSTANT
 ) -> NDArray[np.float32]:
-    """Values between the texels at places (rows, columns, 2); by default nothing is beyond their edge."""
-    values = cv2.remap(texels, places, None, cv2.INTER_LINEAR, borderMode=border)  # type: ignore[call-overload]
+    """Return interpolated texels at positions (rows, columns, 2); by default zero beyond the edge."""
+    values = cv2.remap(texels, positions, None, cv2.INTER_LINEAR, borderMode=border)  # type: ignore[call-overload]
     return np.asarray(values, np.float32)
 
 
 def _rays_to_texels(layer: Layer, R_wc: Array, p_wc: Array) -> Array:
-    """Homography (3, 3) from normalised image coordinates to columns and rows of a layer."""
+    """Return the homography (3, 3) from normalised image coordinates to columns and rows of a layer."""
     distance = layer.height_m - p_wc[2]
     to_plane = np.array(
         [
@@ -138,7 +139,7 @@ def ceiling_renderer(
     objects: int = 8,
     read_noise: float = 1.2,
 ) -> CeilingRenderer:
-    """Put a camera near the floor below a ceiling that the seed decides."""
+    """Return a renderer for a camera near the floor below a random ceiling."""
     texel_m = ceiling_height_m / (TEXELS_PER_PIXEL * math.sqrt(camera.fx_px * camera.fy_px))
     layers = ceiling_layers(np.random.default_rng(seed), ceiling_height_m, texel_m, objects=objects)
     return CeilingRenderer(camera, layers, read_noise=read_noise)

@@ -1,4 +1,4 @@
-"""The recordings that the simulator can make, by name."""
+"""The scenarios of the simulator, by name."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from gyrocal_ros.data import CameraIntrinsics
 from gyrocal_ros.errors import ConfigError, did_you_mean
-from gyrocal_ros.sim.manoeuvres import Habits
+from gyrocal_ros.sim.manoeuvres import DrivingStyle
 from gyrocal_ros.sim.scene import Furniture
 from gyrocal_ros.sim.sensors import Climate, Fan, SensorErrors
 from gyrocal_ros.sim.trajectory import Leg
@@ -24,15 +24,15 @@ CAMERA = CameraIntrinsics(
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Everything a recording depends on but its seed."""
+    """All parameters of a recording except its seed."""
 
     name: str
     about: str
     stages: tuple[tuple[str, float], ...] = (('cleaning', 0.0),)
-    """Name of a plan of `manoeuvres` and the time (s) until which it is followed; the last one
-    goes on to the end."""
+    """Names of plans of `manoeuvres` and the time (s) until which each is followed; the last one
+    continues to the end."""
     legs: tuple[Leg, ...] = ()
-    """A round that is driven over and over in place of the stages."""
+    """Sequence that is driven repeatedly instead of the stages."""
     duration_s: float = 300.0
     standing_s: float = 3.0
     """Rest before the first motion."""
@@ -41,34 +41,34 @@ class Scenario:
     camera_hz: int = 15
     truth_hz: int = 50
     features: int = 15
-    """Followed by the tracker at a time."""
+    """Number of features that the tracker follows at a time."""
     reacquire_s: float = 20.0
-    """A feature seen again within this time keeps its id."""
+    """Maximum absence after which a feature keeps its id."""
     track_loss: float = 0.002
-    """Chance for each feature to be lost in an image for no visible reason."""
+    """Probability of losing a visible feature in an image."""
     track_loss_s: float = 1.0
-    """How long it then stays lost, on average."""
+    """Mean duration of such a loss."""
     camera_until_s: float = float('inf')
-    """The camera is switched off at this time."""
-    habits: Habits = Habits()
+    """Time at which the camera is switched off."""
+    driving_style: DrivingStyle = DrivingStyle()
     errors: SensorErrors = SensorErrors()
     climate: Climate | None = None
     fan: Fan | None = None
-    """Climate and fan are drawn where they are not given."""
+    """Fan activity. Climate and fan are drawn at random if they are None."""
     room_m: tuple[float, float] = (6.0, 5.0)
     corners: int = 60
-    """On the ceiling."""
+    """Number of corners on the ceiling."""
     furniture: tuple[Furniture, ...] = ()
     floor_tilt_deg: float = 0.15
     """Root mean square of roll and pitch on the uneven floor."""
     bumps: int = 3
-    """Thresholds crossed."""
+    """Number of thresholds crossed."""
     camera: CameraIntrinsics = field(default=CAMERA)
     mount_xyz_m: tuple[float, float, float] = (0.09, 0.0, 0.10)
     mount_yaw_deg: float = -90.0
 
 
-_TRIAL = Habits(turn_rates_deg_s=(75.0, 75.0), area_m=(2.8, 4.0))
+_LANES_STYLE = DrivingStyle(turn_rates_deg_s=(75.0, 75.0), area_m=(2.8, 4.0))
 
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
@@ -80,7 +80,7 @@ SCENARIOS: dict[str, Scenario] = {
             duration_s=75.0,
             imu_hz=100,
             camera_hz=10,
-            habits=Habits(area_m=(1.6, 1.6)),
+            driving_style=DrivingStyle(area_m=(1.6, 1.6)),
             room_m=(3.0, 3.0),
         ),
         Scenario('filmed', 'cleaning with ten images a second', camera_hz=10),
@@ -90,7 +90,7 @@ SCENARIOS: dict[str, Scenario] = {
             stages=(('lanes', 0.0),),
             imu_hz=100,
             camera_hz=10,
-            habits=_TRIAL,
+            driving_style=_LANES_STYLE,
         ),
         Scenario(
             'spins', 'ten rotations on the spot to one side, then to the other', stages=(('spins', 0.0),)
@@ -111,7 +111,7 @@ SCENARIOS: dict[str, Scenario] = {
             'two minutes of lanes, then the camera is off: ten rotations to each side',
             stages=(('lanes', 120.0), ('spins', 0.0)),
             duration_s=240.0,
-            habits=_TRIAL,
+            driving_style=_LANES_STYLE,
             imu_hz=100,
             camera_hz=10,
             camera_until_s=120.0,
@@ -133,7 +133,7 @@ def find_scenario(name: str) -> Scenario:
     """Return the scenario of that name.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: it does not exist.
     """
     if name not in SCENARIOS:
         raise ConfigError(

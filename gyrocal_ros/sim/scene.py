@@ -1,4 +1,4 @@
-"""The room: corners on the ceiling, furniture that hides it, and a tracker that follows the corners."""
+"""Simulation of the room and of a feature tracker: ceiling corners, and furniture that occludes them."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from gyrocal_ros.model.camera import in_image, project
 
 @dataclass(frozen=True, slots=True)
 class Furniture:
-    """A table or a bed: a level board that the robot drives under."""
+    """A table or a bed: a level board that the robot drives below."""
 
     x_m: tuple[float, float]
     y_m: tuple[float, float]
     height_m: float = 0.45
-    """Of the board's underside above the floor."""
+    """Height of the underside above the floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What the camera can see."""
+    """The corners and the furniture of a room."""
 
     points_w: Array
-    """(m, 3) corners, strongest first: a tracker takes them in this order."""
+    """(m, 3) corners, strongest first, in the order in which a tracker selects them."""
     furniture: tuple[Furniture, ...] = ()
 
 
@@ -38,15 +38,15 @@ def draw_scene(
     corners: int = 60,
     lamps: int = 8,
 ) -> Scene:
-    """Scatter corners over a ceiling of several levels, and a few lower ones on lamps and shelves.
+    """Draw corners on a ceiling with several levels, and a few lower ones on lamps and shelves.
 
     Args:
-        rng: the scene's own random stream.
+        rng: the random stream of the scene.
         room_m: length and width, around the origin.
-        camera_height_m: above the floor.
-        furniture: what hides the ceiling.
-        corners: on the ceiling, 2.0 to 2.7 m above the camera.
-        lamps: corners 1.2 to 2.0 m above the camera.
+        camera_height_m: height of the camera above the floor.
+        furniture: furniture that occludes the ceiling.
+        corners: number of corners on the ceiling, 2.0 to 2.7 m above the camera.
+        lamps: number of corners 1.2 to 2.0 m above the camera.
     """
     count = corners + lamps
     half = np.array(room_m) / 2.0
@@ -57,64 +57,64 @@ def draw_scene(
     return Scene(np.column_stack([level, camera_height_m + height]), furniture)
 
 
-def hidden(furniture: tuple[Furniture, ...], eye_w: Array, points_w: Array) -> np.ndarray:
-    """Which of the points (m, 3) a board hides from the camera at each place (n, 3): (n, m) bool."""
-    result = np.zeros((len(eye_w), len(points_w)), dtype=bool)
-    rise = points_w[:, 2] - eye_w[:, 2:]
+def occluded(furniture: tuple[Furniture, ...], camera_w: Array, points_w: Array) -> np.ndarray:
+    """Return which points (m, 3) are occluded by furniture at each camera position (n, 3): (n, m) bool."""
+    result = np.zeros((len(camera_w), len(points_w)), dtype=bool)
+    rise = points_w[:, 2] - camera_w[:, 2:]
     for board in furniture:
-        share = (board.height_m - eye_w[:, 2:]) / rise
-        x = eye_w[:, :1] + share * (points_w[:, 0] - eye_w[:, :1])
-        y = eye_w[:, 1:2] + share * (points_w[:, 1] - eye_w[:, 1:2])
+        share = (board.height_m - camera_w[:, 2:]) / rise
+        x = camera_w[:, :1] + share * (points_w[:, 0] - camera_w[:, :1])
+        y = camera_w[:, 1:2] + share * (points_w[:, 1] - camera_w[:, 1:2])
         inside = (x > board.x_m[0]) & (x < board.x_m[1]) & (y > board.y_m[0]) & (y < board.y_m[1])
         result |= inside & (share > 0.0) & (share < 1.0)
     return result
 
 
-def view(
+def project_corners(
     scene: Scene, camera: CameraIntrinsics, R_wc: Array, p_wc: Array, border_px: float = 8.0
 ) -> tuple[Array, np.ndarray]:
     """Project every corner into n images taken from the poses R_wc (n, 3, 3), p_wc (n, 3).
 
     Returns:
-        (n, m, 2) raw pixels, and (n, m) which of them can be seen.
+        (n, m, 2) raw pixels, and (n, m) bool, True if visible.
     """
     points_c = np.einsum('nij,nmi->nmj', R_wc, scene.points_w - p_wc[:, None, :])
     flat = points_c.reshape(-1, 3)
     pixels = project(camera, flat)
     seen = in_image(camera, pixels, border_px) & (flat[:, 2] > 0.1)
     shape = points_c.shape[:2]
-    return pixels.reshape(*shape, 2), seen.reshape(shape) & ~hidden(scene.furniture, p_wc, scene.points_w)
+    return pixels.reshape(*shape, 2), seen.reshape(shape) & ~occluded(scene.furniture, p_wc, scene.points_w)
 
 
-def track(
+def track_corners(
     seen: np.ndarray, time_s: Array, features: int, reacquire_s: float
 ) -> Iterator[tuple[IntArray, IntArray]]:
-    """Follow corners as a tracker does: each until it is lost, and a new one in its place.
+    """Track corners as a feature tracker does: each until it is lost, then replaced by a new one.
 
-    A corner that comes back soon enough keeps its id; after that its id is dropped for good.
+    A corner that is reacquired in time keeps its id; after that its id is never used again.
 
     Args:
-        seen: (n, m) which corners can be tracked in each image.
-        time_s: (n,) of the images.
-        features: how many are followed at a time.
-        reacquire_s: how long a lost corner is looked for.
+        seen: (n, m) True if a corner can be tracked in an image.
+        time_s: (n,) times of the images.
+        features: number of corners tracked at a time.
+        reacquire_s: time for which a lost corner is searched for.
 
     Yields:
-        For each image the ids (k,) and the corners (k,) they stand for.
+        For each image the ids (k,) and the indices of their corners (k,).
     """
     corners = seen.shape[1]
     ids = np.full(corners, -1, dtype=np.int64)
     last_s = np.full(corners, -np.inf)
-    followed = np.zeros(corners, dtype=bool)
+    tracked = np.zeros(corners, dtype=bool)
     next_id = 1
     for now_s, visible in zip(time_s, seen, strict=True):
         ids[now_s - last_s > reacquire_s] = -1
-        followed &= visible
-        for candidates in (visible & ~followed & (ids >= 0), visible & ~followed & (ids < 0)):
-            vacant = features - int(followed.sum())
-            if vacant > 0:
-                followed[np.flatnonzero(candidates)[:vacant]] = True
-        chosen = np.flatnonzero(followed)
+        tracked &= visible
+        for candidates in (visible & ~tracked & (ids >= 0), visible & ~tracked & (ids < 0)):
+            free = features - int(tracked.sum())
+            if free > 0:
+                tracked[np.flatnonzero(candidates)[:free]] = True
+        chosen = np.flatnonzero(tracked)
         for corner in chosen[ids[chosen] < 0]:
             ids[corner] = next_id
             next_id += 1

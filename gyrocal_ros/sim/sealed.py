@@ -1,4 +1,7 @@
-"""The sealed answer of a recording that hides something: beside the bag, and not to be read by accident."""
+"""The sealed answer of a recording with hidden effects: an encoded file beside the bag.
+
+The encoding only prevents accidental reading.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +20,13 @@ HEADER = 'The sealed answer of a simulated bag. Open it with `gyrocal reveal BAG
 
 
 def sealed_path(bag: Path) -> Path:
-    """Where the answer of a bag lies, given its folder or a file in it."""
+    """Return the path of the answer of a bag, given its folder or a file in it."""
     folder = bag.parent if bag.is_file() else bag
     return folder.resolve().with_name(f'{folder.resolve().name}.sealed')
 
 
 def answer_of(source: SimSource) -> dict[str, Any]:
-    """All that a simulated recording does not tell: hidden effects, scale factor, bias."""
+    """Return the hidden facts of a simulated recording: hidden effects, scale factor, bias."""
     bias = source.truth.bias_rad_s[:, 2]
     return {
         'scenario': source.scenario.name,
@@ -35,8 +38,8 @@ def answer_of(source: SimSource) -> dict[str, Any]:
             {
                 'effect': item.effect.name,
                 'coefficients': {
-                    about.name: {'value': value, 'unit': about.unit}
-                    for about, value in zip(item.effect.coefficients, item.values, strict=True)
+                    coefficient.name: {'value': value, 'unit': coefficient.unit}
+                    for coefficient, value in zip(item.effect.coefficients, item.values, strict=True)
                 },
             }
             for item in source.hidden
@@ -58,7 +61,7 @@ def seal(bag: Path, answer: dict[str, Any], *, overwrite: bool = False) -> Path:
 
 
 def unseal(bag: Path) -> dict[str, Any]:
-    """Open the answer of a bag.
+    """Read the answer of a bag.
 
     Raises:
         RecordingError: there is none, it is damaged, or it belongs to another bag.
@@ -88,7 +91,7 @@ def unseal(bag: Path) -> dict[str, Any]:
 
 
 def _fingerprint(bag: Path) -> str:
-    """SHA-256 of the recorded files, the description of the bag not counted."""
+    """Return the SHA-256 of the recorded files, without the metadata of the bag."""
     folder = bag.parent if bag.is_file() else bag
     digest = hashlib.sha256()
     for file in sorted(item for item in folder.iterdir() if item.suffix != '.yaml' and item.is_file()):

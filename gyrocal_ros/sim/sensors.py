@@ -1,11 +1,10 @@
-"""Where the true signals become readings: one function a sensor, with its own random stream.
+"""Sensor models: true signals to readings, one function per sensor with its own random stream.
 
-Every function draws its random numbers in the same order whatever the sizes of the errors are, so
-that two recordings of one seed differ only in what was changed. Effects that are hidden in a
-recording are the business of `forward`.
+Every function draws its random numbers in the same order whatever the sizes of the errors are, so that
+two recordings of one seed differ only in what was changed. Hidden effects are simulated in `forward`.
 
-Noise convention: a density d (unit / sqrt(Hz)) gives each sample at f Hz the standard deviation
-d sqrt(f), so that the integral over a time t has the standard deviation d sqrt(t).
+Noise convention: a density d (unit / sqrt(Hz)) gives each sample at f Hz the standard deviation d
+sqrt(f), so that the integral over a time t has the standard deviation d sqrt(t).
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from gyrocal_ros.sim.trajectory import HALF_TRACK_M, TrueMotion
 
 @dataclass(frozen=True, slots=True)
 class SensorErrors:
-    """How far each sensor is off. The fields of `NOISE` vanish in a recording without noise."""
+    """Sizes of the sensor errors. The fields in `NOISE` are zero in a recording without noise."""
 
     scale_factor: float = 135.5 / 146.4
     """True yaw rate over nominal yaw rate."""
@@ -30,35 +29,35 @@ class SensorErrors:
     bias_wander_deg_h: float = 10.0
     """In-run bias instability: standard deviation about the turn-on offset, deg/h."""
     bias_wander_time_s: float = 250.0
-    """Correlation time of it; over shorter times it is a walk of 2.5e-4 deg/s/sqrt(s)."""
+    """Correlation time of the bias wander; over shorter times it is a random walk of 2.5e-4 deg/s/sqrt(s)."""
     rate_noise_deg_s: float = 0.0075
-    """Density of the noise of the recorded rate, deg/s/sqrt(Hz)."""
+    """Noise density of the recorded rate, deg/s/sqrt(Hz)."""
     rate_step_deg_s: float = 0.002
     """Resolution of the recorded rate."""
     force_noise_m_s2: float = 0.002
-    """Density, m/s^2/sqrt(Hz)."""
+    """Noise density of the specific force, m/s^2/sqrt(Hz)."""
     vibration_m_s2: float = 0.15
-    """Standard deviation of a force sample at full fan speed; driving shakes as much."""
+    """Standard deviation of a force sample at full fan speed; driving causes as much."""
     force_bias_m_s2: float = 0.05
     """Standard deviation of the constant bias of each axis."""
     force_step_m_s2: float = 0.0012
-    """Resolution of the recorded force: 16 bits over 4 g to either side."""
+    """Resolution of the recorded force: 16 bits over +-4 g."""
     wheel_noise_m: float = 0.005
     """Random error of the distance travelled, m/sqrt(m)."""
     tick_m: float = 3e-4
     """Wheel travel from one encoder tick to the next."""
     track_error: float = 0.02
-    """The track of the wheels is believed to be this much wider than it is."""
+    """Relative error of the assumed track of the wheels, which is wider than the true one."""
     pixel_noise_px: float = 0.4
     outliers: float = 0.0
-    """Share of the observations that are wrong by many pixels."""
+    """Share of the observations with an error of many pixels."""
     outlier_px: float = 15.0
-    """Standard deviation of those."""
+    """Standard deviation of the outliers."""
     temperature_noise_c: float = 0.03
     temperature_step_c: float = 0.0625
     """Resolution of the recorded temperature."""
-    other_noise: float = 1.0
-    """Noise and resolution of the other recorded numbers, as parts of `OTHER_ERRORS`."""
+    covariate_noise: float = 1.0
+    """Factor of noise and resolution of the other recorded signals, relative to `COVARIATE_ERRORS`."""
 
 
 NOISE = (
@@ -74,18 +73,18 @@ NOISE = (
     'outliers',
     'temperature_noise_c',
     'temperature_step_c',
-    'other_noise',
+    'covariate_noise',
 )
 
 
 def without_noise(errors: SensorErrors) -> SensorErrors:
-    """Leave the constant errors (scale factor, biases, track) and nothing else."""
+    """Return only the constant errors (scale factor, biases, track)."""
     assert set(NOISE) <= {item.name for item in fields(errors)}
     return replace(errors, **dict.fromkeys(NOISE, 0.0))
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """Return the random stream of one sensor; it depends on nothing but the seed and the name."""
+    """Return the random stream of a sensor, which depends only on the seed and the name."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()),)))
 
 
@@ -95,38 +94,38 @@ def stream(seed: int, name: str) -> np.random.Generator:
 def gyro_bias(time_s: Array, errors: SensorErrors, rng: np.random.Generator) -> Array:
     """Draw the true bias (n, 3) in rad/s: turn-on offset and wander.
 
-    The wander is a first-order Gauss-Markov process that starts at zero, written as its integral:
-    the sum of the steps, each faded by the time since.
+    The wander is a first-order Gauss-Markov process that starts at zero, computed as the sum of its
+    steps, each decayed by the time since.
     """
     turn_on = errors.turn_on_bias_deg_s * rng.standard_normal(3)
-    faded = np.exp(-(time_s - time_s[0]) / errors.bias_wander_time_s)[:, None]
+    decay = np.exp(-(time_s - time_s[0]) / errors.bias_wander_time_s)[:, None]
     step = errors.bias_wander_deg_h / 3600.0 * np.sqrt(2.0 / errors.bias_wander_time_s)
     steps = rng.standard_normal((len(time_s), 3)) * np.sqrt(np.diff(time_s, prepend=time_s[0]))[:, None]
-    bias = turn_on + step * faded * np.cumsum(steps / faded, axis=0)
+    bias = turn_on + step * decay * np.cumsum(steps / decay, axis=0)
     return np.radians(bias)
 
 
 def read_gyro(nominal_rad_s: Array, rate_hz: float, errors: SensorErrors, rng: np.random.Generator) -> Array:
-    """Return the recorded body rates (n, 3): nominal ones with noise, in steps of the resolution."""
+    """Return the recorded body rates (n, 3): the nominal ones with noise, quantised."""
     sigma = np.radians(errors.rate_noise_deg_s) * np.sqrt(rate_hz)
     noise = sigma * rng.standard_normal(nominal_rad_s.shape)
     return _quantised(nominal_rad_s + noise, np.radians(errors.rate_step_deg_s))
 
 
-def shaking(motion: TrueMotion, fan_speed: Array, errors: SensorErrors) -> Array:
+def vibration_std(motion: TrueMotion, fan_speed: Array, errors: SensorErrors) -> Array:
     """Return the standard deviation (n,) of the vibration in m/s^2 that fan and floor cause."""
     return errors.vibration_m_s2 * np.hypot(fan_speed, motion.speed_m_s / 0.3)
 
 
-def vibration(shaking_m_s2: Array, rng: np.random.Generator) -> Array:
-    """Draw the specific force (n, 3) that vibration adds."""
-    return shaking_m_s2[:, None] * rng.standard_normal((len(shaking_m_s2), 3))
+def vibration(vibration_std_m_s2: Array, rng: np.random.Generator) -> Array:
+    """Draw the specific force (n, 3) of the vibration."""
+    return vibration_std_m_s2[:, None] * rng.standard_normal((len(vibration_std_m_s2), 3))
 
 
 def read_accelerometer(
     force_m_s2: Array, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
 ) -> Array:
-    """Return the readings (n, 3) of a specific force (n, 3): bias, noise and resolution."""
+    """Return the readings (n, 3) of a specific force (n, 3), with bias, noise and quantisation."""
     bias = errors.force_bias_m_s2 * rng.standard_normal(3)
     noise = errors.force_noise_m_s2 * np.sqrt(rate_hz) * rng.standard_normal(force_m_s2.shape)
     return _quantised(force_m_s2 + bias + noise, errors.force_step_m_s2)
@@ -140,9 +139,13 @@ def read_wheels(
 ) -> tuple[Array, Array]:
     """Return the steps (n - 1, each) of distance (m) and yaw (rad) between n readings of the ticks.
 
-    `rolled_m` (n,) is how far the middle of the axle has rolled, `yaw_rad` (n,) the true heading.
+    Each wheel slips independently, so that a spin on the spot also causes an error of distance.
 
-    Each wheel slips by itself, so that a spin on the spot also makes an error of distance.
+    Args:
+        rolled_m: (n,) distance rolled by the middle of the axle.
+        yaw_rad: (n,) true heading.
+        errors: sizes of the errors.
+        rng: random stream of the wheels.
     """
     sides = np.array([-HALF_TRACK_M, HALF_TRACK_M])
     wheels = rolled_m[:, None] + sides * yaw_rad[:, None]
@@ -169,7 +172,7 @@ def pixel_errors(shape: tuple[int, int], errors: SensorErrors, rng: np.random.Ge
 
 @dataclass(frozen=True, slots=True)
 class Climate:
-    """Temperature of the gyro: the room's, plus what the robot warms itself by."""
+    """Temperature of the gyro: that of the room plus self-heating of the robot."""
 
     room_c: float
     drift_c: float
@@ -184,7 +187,7 @@ class Climate:
 
 
 def draw_climate(rng: np.random.Generator) -> Climate:
-    """Draw the weather of one recording."""
+    """Draw the climate of a recording."""
     return Climate(
         room_c=rng.normal(22.0, 2.0),
         drift_c=rng.uniform(0.3, 1.0),
@@ -197,18 +200,18 @@ def draw_climate(rng: np.random.Generator) -> Climate:
 def read_temperature(
     time_s: Array, climate: Climate, errors: SensorErrors, rng: np.random.Generator
 ) -> Array:
-    """Return the readings (n,) of the temperature in deg C, in steps as a sensor chip gives it."""
+    """Return the readings (n,) of the temperature in deg C, quantised as by a sensor chip."""
     noise = errors.temperature_noise_c * rng.standard_normal(len(time_s))
     return _quantised(climate.temperature_c(time_s) + noise, errors.temperature_step_c)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fan:
-    """Speed of the suction fan: off at first, then on, with spells of full power on carpets."""
+    """Speed of the suction fan: off at first, then on, with intervals of full power on carpets."""
 
     start_s: float
     boosts_s: Array
-    """(k, 2) from and to."""
+    """(k, 2) start and end of the intervals of full power."""
 
     def speed(self, time_s: Array) -> Array:
         """Return the speed (n,), 0 to 1, at times (n,)."""
@@ -223,26 +226,26 @@ class Fan:
 
 
 def draw_fan(rng: np.random.Generator, start_s: float, duration_s: float) -> Fan:
-    """Draw when the fan runs at full power: about a third of the time, in spells of 10 to 30 s."""
-    gaps_and_spells = rng.uniform([20.0, 10.0], [70.0, 30.0], (int(duration_s / 30.0) + 1, 2))
-    ends = start_s + np.cumsum(gaps_and_spells.ravel()).reshape(-1, 2)
+    """Draw the intervals of full power: about a third of the time, 10 to 30 s each."""
+    gaps_and_boosts = rng.uniform([20.0, 10.0], [70.0, 30.0], (int(duration_s / 30.0) + 1, 2))
+    ends = start_s + np.cumsum(gaps_and_boosts.ravel()).reshape(-1, 2)
     return Fan(start_s, ends)
 
 
 def covariates(motion: TrueMotion, fan_speed: Array) -> dict[str, Array]:
-    """Return the true values (n,) of the other recorded numbers: V, A (discharging: negative), 1/min."""
+    """Return the true values (n,) of the other recorded signals: V, A (discharging: negative), 1/min."""
     driving = 0.5 * np.abs(motion.speed_m_s) / 0.3 + 0.4 * np.abs(motion.rate_rad_s[:, 2])
-    speeding_up = 0.8 * np.maximum(motion.acceleration_m_s2, 0.0)
-    current = -(0.5 + 1.4 * fan_speed**2 + driving + speeding_up)
-    spent_ah = np.cumsum(-current * np.diff(motion.time_s, prepend=motion.time_s[0])) / 3600.0
+    accelerating = 0.8 * np.maximum(motion.acceleration_m_s2, 0.0)
+    current = -(0.5 + 1.4 * fan_speed**2 + driving + accelerating)
+    discharged_ah = np.cumsum(-current * np.diff(motion.time_s, prepend=motion.time_s[0])) / 3600.0
     return {
-        'battery_state.voltage': 16.4 - 0.9 * spent_ah + 0.12 * current,
+        'battery_state.voltage': 16.4 - 0.9 * discharged_ah + 0.12 * current,
         'battery_state.current': current,
         'fan_speed.data': 18000.0 * fan_speed,
     }
 
 
-OTHER_ERRORS = {
+COVARIATE_ERRORS = {
     'battery_state.voltage': (0.004, 0.001),
     'battery_state.current': (0.03, 0.001),
     'fan_speed.data': (40.0, 10.0),
@@ -252,7 +255,7 @@ OTHER_ERRORS = {
 
 def read_covariate(name: str, values: Array, errors: SensorErrors, rng: np.random.Generator) -> Array:
     """Return the readings (n,) of one of the `covariates`."""
-    noise, step = errors.other_noise * np.array(OTHER_ERRORS[name])
+    noise, step = errors.covariate_noise * np.array(COVARIATE_ERRORS[name])
     return _quantised(values + noise * rng.standard_normal(len(values)), step)
 
 

@@ -1,8 +1,8 @@
-"""How the simulated robot truly moves: legs of smooth speed and yaw rate over an uneven floor.
+"""True motion of the simulated robot: legs of smooth speed and yaw rate on an uneven floor.
 
-Everything is known in closed form except the position, which is a Gauss-Legendre integral to
-rounding error. So the rates, the attitude and the specific force that the sensors are given agree
-with one another at any time, whatever the rates of the sensors.
+Everything is known in closed form except the position, which is a Gauss-Legendre integral accurate to
+rounding. The rates, the attitude and the specific force that the sensors measure are therefore
+consistent at any time, whatever the sampling rates.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A stretch in which speed and yaw rate glide from where they are to the values given."""
+    """An interval in which speed and yaw rate change smoothly to the given values."""
 
     duration_s: float
     speed_m_s: float = 0.0
@@ -34,16 +34,16 @@ class Floor:
     """Tilt of the robot as a smooth function of the path of its wheels: waves and single bumps."""
 
     wavenumbers_rad_m: Array
-    """(k,)"""
+    """(k,) wavenumbers of the waves along the path."""
     roll_rad: Array
     """(2, k) sine and cosine amplitudes."""
     pitch_rad: Array
-    """(2, k)"""
+    """(2, k) sine and cosine amplitudes."""
     bumps_m: Array
-    """(b,) where on the path a threshold is crossed."""
+    """(b,) positions of the thresholds along the path."""
     bump_height_m: float = 0.008
     bump_width_m: float = 0.12
-    """Standard deviation of the bell that a threshold lifts the robot along."""
+    """Standard deviation of the Gaussian height profile of a threshold."""
 
     def tilt(self, path_m: Array) -> tuple[Array, Array, Array, Array]:
         """Return roll, pitch (rad) and their derivatives by the path (rad/m), each (n,)."""
@@ -52,7 +52,7 @@ class Floor:
         sine, cosine = np.sin(phase), np.cos(phase)
 
         def waves(of_sine: Array, of_cosine: Array) -> Array:
-            # Not `@`: the sums of a threaded BLAS depend on the number of threads.
+            # `@` is avoided because the sums of a threaded BLAS depend on the number of threads.
             return np.einsum('nk,k->n', sine, of_sine) + np.einsum('nk,k->n', cosine, of_cosine)
 
         (roll_sine, roll_cosine), (pitch_sine, pitch_cosine) = self.roll_rad, self.pitch_rad
@@ -80,12 +80,12 @@ FLAT_FLOOR = Floor(np.zeros(0), np.zeros((2, 0)), np.zeros((2, 0)), np.zeros(0))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueMotion:
-    """The true motion at n moments."""
+    """The true motion at n times."""
 
     time_s: Array
-    """(n,) since the start of the trajectory."""
+    """(n,) seconds since the start of the trajectory."""
     speed_m_s: Array
-    """(n,) along body x, the only direction the robot moves in."""
+    """(n,) speed along body x, the only direction of motion."""
     acceleration_m_s2: Array
     """(n,) derivative of the speed."""
     travelled_m: Array
@@ -102,7 +102,7 @@ class TrueMotion:
 
     @property
     def specific_force_m_s2(self) -> Array:
-        """(n, 3) what an ideal accelerometer at the body's origin reads."""
+        """(n, 3) reading of an ideal accelerometer at the body's origin."""
         gravity = GRAVITY_M_S2 * self.R_wb[:, 2, :]
         _, wy, wz = self.rate_rad_s.T
         own = np.stack([self.acceleration_m_s2, self.speed_m_s * wz, -self.speed_m_s * wy], axis=1)
@@ -110,11 +110,11 @@ class TrueMotion:
 
 
 class Trajectory:
-    """Legs strung together from a start pose; after the last leg the robot stays as it is.
+    """Consecutive legs from a start pose; after the last leg the robot keeps its final state.
 
     Args:
-        legs: what the robot does, one after the other.
-        floor: what tilts it.
+        legs: the legs in order.
+        floor: tilt of the floor.
         start: x (m), y (m) and yaw (rad) at time zero.
     """
 
@@ -126,7 +126,7 @@ class Trajectory:
     ) -> None:
         self.floor = floor
         self._length_s = np.array([leg.duration_s for leg in legs])
-        self._from_s = np.concatenate([[0.0], np.cumsum(self._length_s)])
+        self._start_s = np.concatenate([[0.0], np.cumsum(self._length_s)])
         self._speed = np.array([0.0, *(leg.speed_m_s for leg in legs)])
         self._yaw_rate = np.array([0.0, *(leg.yaw_rate_rad_s for leg in legs)])
         travelled = self._length_s * (self._speed[:-1] + self._speed[1:]) / 2.0
@@ -140,29 +140,29 @@ class Trajectory:
     @property
     def duration_s(self) -> float:
         """Time until the last leg ends."""
-        return float(self._from_s[-1])
+        return float(self._start_s[-1])
 
     @property
     def end(self) -> tuple[float, float, float]:
-        """x (m), y (m) and yaw (rad) at the end of the last leg."""
+        """Pose at the end of the last leg: x (m), y (m) and yaw (rad)."""
         x, y, _ = self._grid_position[-1]
         return float(x), float(y), float(self._yaw[-1])
 
     def motion(self, time_s: Array) -> TrueMotion:
-        """Evaluate everything but the position at times (n,)."""
+        """Return everything but the position at times (n,)."""
         leg, u = self._locate(time_s)
         length = self._length_s[leg]
-        glide, glide_rate = u**2 * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / length
-        glided = length * (u**3 - 0.5 * u**4)  # integral of glide
+        ramp, ramp_rate = u**2 * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / length
+        ramp_integral = length * (u**3 - 0.5 * u**4)  # integral of the ramp over the elapsed time
 
         d_speed = self._speed[leg + 1] - self._speed[leg]
         d_yaw_rate = self._yaw_rate[leg + 1] - self._yaw_rate[leg]
-        speed = self._speed[leg] + d_speed * glide
-        yaw_rate = self._yaw_rate[leg] + d_yaw_rate * glide
-        travelled = self._speed[leg] * length * u + d_speed * glided
-        turned = self._yaw_rate[leg] * length * u + d_yaw_rate * glided
+        speed = self._speed[leg] + d_speed * ramp
+        yaw_rate = self._yaw_rate[leg] + d_yaw_rate * ramp
+        travelled = self._speed[leg] * length * u + d_speed * ramp_integral
+        turned = self._yaw_rate[leg] * length * u + d_yaw_rate * ramp_integral
 
-        # No leg changes the sign of speed or yaw rate, so the path of the wheels is exact, too.
+        # No leg changes the sign of speed or yaw rate, so that the path of the wheels is also exact.
         path = self._path[leg] + np.abs(travelled) + HALF_TRACK_M * np.abs(turned)
         path_rate = np.abs(speed) + HALF_TRACK_M * np.abs(yaw_rate)
         roll, pitch, d_roll, d_pitch = self.floor.tilt(path)
@@ -171,7 +171,7 @@ class Trajectory:
         return TrueMotion(
             time_s=time_s,
             speed_m_s=speed,
-            acceleration_m_s2=d_speed * glide_rate,
+            acceleration_m_s2=d_speed * ramp_rate,
             travelled_m=self._travelled[leg] + travelled,
             euler_rad=euler,
             rate_rad_s=body_rates(euler, euler_rate),
@@ -184,12 +184,12 @@ class Trajectory:
         return self._grid_position[cell] + self._displacement(self._grid_s[cell], within)
 
     def _locate(self, time_s: Array) -> tuple[np.ndarray, Array]:
-        """Return the leg (n,) of each time and how much of it has gone, 0 to 1."""
-        leg = np.clip(np.searchsorted(self._from_s, time_s, side='right') - 1, 0, len(self._length_s) - 1)
-        return leg, np.clip((time_s - self._from_s[leg]) / self._length_s[leg], 0.0, 1.0)
+        """Return the leg (n,) of each time and the elapsed fraction of it, 0 to 1."""
+        leg = np.clip(np.searchsorted(self._start_s, time_s, side='right') - 1, 0, len(self._length_s) - 1)
+        return leg, np.clip((time_s - self._start_s[leg]) / self._length_s[leg], 0.0, 1.0)
 
     def _displacement(self, from_s: Array, to_s: Array) -> Array:
-        """Integrate the velocity over n stretches of at most a grid step within one leg, (n, 3)."""
+        """Integrate the velocity over n intervals of at most a grid step within one leg, (n, 3)."""
         half = (to_s - from_s) / 2.0
         times = (from_s + half)[:, None] + half[:, None] * _NODES
         motion = self.motion(times.ravel())
@@ -199,7 +199,7 @@ class Trajectory:
     def _integrate(self, start: Array) -> tuple[Array, Array]:
         """Return a grid of times that contains the ends of the legs, and the positions on it."""
         regular = np.arange(0.0, self.duration_s, _GRID_STEP_S)
-        grid_s = np.union1d(self._from_s, regular)
+        grid_s = np.union1d(self._start_s, regular)
         steps = self._displacement(grid_s[:-1], grid_s[1:])
         return grid_s, start + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 

@@ -1,4 +1,4 @@
-"""A simulated recording: one seed, one scenario, and every measurement a robot would have made."""
+"""A simulated recording: all measurements of a robot in one scenario with one seed."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from gyrocal_ros.sim.forward import (
     HiddenEffect,
     at_readings,
     between,
-    carried,
+    ground_displacement,
     nominal_yaw_rate,
-    referred,
-    slip,
+    odometry_shortfall,
+    referred_to_means,
     stamp_error_s,
     true_camera,
 )
-from gyrocal_ros.sim.manoeuvres import plan_legs, round_legs
+from gyrocal_ros.sim.manoeuvres import plan_legs, repeated_legs
 from gyrocal_ros.sim.scenarios import Scenario
-from gyrocal_ros.sim.scene import Scene, draw_scene, track, view
+from gyrocal_ros.sim.scene import Scene, draw_scene, project_corners, track_corners
 from gyrocal_ros.sim.sensors import (
     Climate,
     Fan,
@@ -57,24 +57,24 @@ from gyrocal_ros.sim.sensors import (
     read_gyro,
     read_temperature,
     read_wheels,
-    shaking,
     stream,
     vibration,
+    vibration_std,
 )
 from gyrocal_ros.sim.trajectory import Trajectory, rough_floor
 
 if TYPE_CHECKING:
-    from gyrocal_ros.sim.film import Film
+    from gyrocal_ros.sim.image_sequence import ImageSequence
 
 START_NS = 1_700_000_000 * NS_PER_S
 TEMPERATURE_HZ, COVARIATE_HZ = 1, 5
 WHEEL_PHASE_S, CAMERA_PHASE_S, SLOW_PHASE_S = 0.003, 0.011, 0.017
-"""No two sensors of a real robot are read at the same moment."""
+"""Sampling phases: no two sensors of a real robot are sampled at the same time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimTruth:
-    """What only the simulator knows; benches and tests compare with it."""
+    """The truth known only to the simulator, for comparison in benches and tests."""
 
     trajectory: Trajectory
     scene: Scene
@@ -83,31 +83,34 @@ class SimTruth:
     scale_factor: float
     """True yaw rate over nominal yaw rate."""
     camera: CameraIntrinsics
-    """As it is; the rig holds what is believed."""
+    """True intrinsics; the rig has the nominal ones."""
     camera_mount: Mount
-    carried_m: Array
-    """(n, 3) how far the ground has carried the robot by the times of the IMU."""
+    ground_displacement_m: Array
+    """(n, 3) displacement of the robot by the ground, at the times of the IMU."""
     bias_time_s: Array
-    """(n,) since the first sample."""
+    """(n,) seconds since the first sample."""
     bias_rad_s: Array
-    """(n, 3) true bias at those times, z without the hidden effects."""
+    """(n, 3) true bias at those times; the z component is without the hidden effects."""
 
     def position(self, time_s: Array) -> Array:
         """Return the true positions (n, 3) of the body in the world at times (n,)."""
-        carried = [np.interp(time_s, self.bias_time_s, column) for column in self.carried_m.T]
-        return self.trajectory.position(time_s) + np.stack(carried, axis=1)
+        displacement = [
+            np.interp(time_s, self.bias_time_s, column) for column in self.ground_displacement_m.T
+        ]
+        return self.trajectory.position(time_s) + np.stack(displacement, axis=1)
 
 
 class SimSource:
-    """A scenario with its seed, as a source of measurements.
+    """A source of measurements simulated from a scenario and a seed.
 
-    The same seed gives the same bits, as often as `measurements` is called and in whatever order.
+    The same seed yields bit-identical measurements, however often and in whatever order `measurements`
+    is called.
 
     Args:
-        scenario: what is recorded, and with what sensors.
-        seed: of all randomness.
-        images: film the ceiling, in place of following its corners.
-        hidden: physical effects that the recording has and its rig does not tell of.
+        scenario: motion, environment and sensors.
+        seed: seed of all randomness.
+        images: yield images of the ceiling instead of tracked features.
+        hidden: physical effects in the recording that its rig does not contain.
     """
 
     def __init__(
@@ -124,31 +127,33 @@ class SimSource:
 
     @property
     def name(self) -> str:
-        """The scenario and the seed."""
+        """Scenario and seed."""
         return f'{self.scenario.name}-{self.seed}'
 
     @cached_property
     def hidden(self) -> tuple[HiddenEffect, ...]:
-        """The hidden effects, those of recorded signals counted from the signals' means."""
+        """The hidden effects; those of recorded signals count from the means of the signals."""
         if not self._hidden:
             return ()
         _, signals = self._true_covariates()
-        return referred(self._hidden, {name: float(values.mean()) for name, values in signals.items()})
+        return referred_to_means(
+            self._hidden, {name: float(values.mean()) for name, values in signals.items()}
+        )
 
     @property
     def rig(self) -> Rig:
-        """Camera and mounting as they are believed to be."""
+        """Nominal camera and mounting."""
         scenario = self.scenario
         return Rig(scenario.camera, mount_from_yaw(*scenario.mount_xyz_m, scenario.mount_yaw_deg))
 
     @property
     def span(self) -> Span:
-        """From the first IMU sample to the end."""
+        """Interval from the first IMU sample to the end."""
         return Span(START_NS, START_NS + nanoseconds(self.scenario.duration_s))
 
     @cached_property
     def truth(self) -> SimTruth:
-        """The world this recording is made in."""
+        """The truth of this recording."""
         scenario, rig = self.scenario, self.rig
         assert rig.camera is not None
         camera, mount = true_camera(rig.camera, rig.camera_mount, self.hidden)
@@ -167,7 +172,7 @@ class SimSource:
             scale_factor=scenario.errors.scale_factor,
             camera=camera,
             camera_mount=mount,
-            carried_m=carried(between(self._trajectory.motion(bias_s)), self.hidden),
+            ground_displacement_m=ground_displacement(between(self._trajectory.motion(bias_s)), self.hidden),
             bias_time_s=bias_s,
             bias_rad_s=gyro_bias(bias_s, scenario.errors, stream(self.seed, 'gyro bias')),
         )
@@ -177,12 +182,12 @@ class SimSource:
         scenario = self.scenario
         rng = stream(self.seed, 'trajectory')
         if scenario.legs:
-            legs, start = round_legs(scenario.legs, scenario.standing_s, scenario.duration_s)
+            legs, start = repeated_legs(scenario.legs, scenario.standing_s, scenario.duration_s)
         else:
             legs, start = plan_legs(
-                scenario.stages, scenario.standing_s, scenario.duration_s, scenario.habits, rng
+                scenario.stages, scenario.standing_s, scenario.duration_s, scenario.driving_style, rng
             )
-        path_m = scenario.duration_s * scenario.habits.speed_m_s / 2.0
+        path_m = scenario.duration_s * scenario.driving_style.speed_m_s / 2.0
         floor = rough_floor(stream(self.seed, 'floor'), scenario.floor_tilt_deg, scenario.bumps, path_m)
         return Trajectory(legs, floor, start)
 
@@ -200,16 +205,16 @@ class SimSource:
         return heapq.merge(*parts, key=attrgetter('t_ns'))
 
     def board_measurements(self) -> Iterator[Measurement]:
-        """Yield what the IMU and encoder board measures, in the order of the stamps."""
+        """Yield the measurements of the IMU and encoder board, in the order of their stamps."""
         parts = (self._imu(), self._wheels(), self._temperature(), self._covariates())
         return heapq.merge(*parts, key=attrgetter('t_ns'))
 
-    def film(self) -> Film:
-        """Return the images that the camera takes, at `image_times`."""
-        from gyrocal_ros.sim.film import Film  # OpenCV is loaded for images alone
+    def image_sequence(self) -> ImageSequence:
+        """Return the images that the camera takes at `image_times`."""
+        from gyrocal_ros.sim.image_sequence import ImageSequence  # OpenCV is loaded only for images
 
         furniture, time_s = self.scenario.furniture, self.image_times()
-        return Film(self.truth.camera, furniture, self.seed, time_s, self.camera_poses)
+        return ImageSequence(self.truth.camera, furniture, self.seed, time_s, self.camera_poses)
 
     def camera_poses(self, time_s: Array) -> tuple[Array, Array]:
         """Return the true R_wc (n, 3, 3) and p_wc (n, 3) of the camera at times (n,)."""
@@ -220,14 +225,14 @@ class SimSource:
         scenario, truth = self.scenario, self.truth
         errors, hz, time_s = scenario.errors, scenario.imu_hz, truth.bias_time_s
         motion, fan_speed = truth.trajectory.motion(time_s), truth.fan.speed(time_s)
-        shakes = shaking(motion, fan_speed, errors)
-        force = motion.specific_force_m_s2 + vibration(shakes, stream(self.seed, 'vibration'))
+        vibration_m_s2 = vibration_std(motion, fan_speed, errors)
+        force = motion.specific_force_m_s2 + vibration(vibration_m_s2, stream(self.seed, 'vibration'))
         rate = motion.rate_rad_s - truth.bias_rad_s
         block = replace(
             at_readings(motion),
             rate_rad_s=rate,
             specific_force_m_s2=force,
-            vibration_m2_s4=3.0 * shakes**2,
+            vibration_m2_s4=3.0 * vibration_m_s2**2,
             temperature_c=truth.climate.temperature_c(time_s),
             covariates=covariates(motion, fan_speed),
         )
@@ -240,8 +245,8 @@ class SimSource:
         scenario = self.scenario
         time_s = _times(scenario.wheel_hz, scenario.duration_s, WHEEL_PHASE_S)
         motion = self.truth.trajectory.motion(time_s)
-        slipped = slip(between(motion), self.hidden)
-        rolled, yaw = motion.travelled_m - slipped, motion.euler_rad[:, 2]
+        shortfall = odometry_shortfall(between(motion), self.hidden)
+        rolled, yaw = motion.travelled_m - shortfall, motion.euler_rad[:, 2]
         distance, turned = read_wheels(rolled, yaw, scenario.errors, stream(self.seed, 'wheels'))
         hz = scenario.wheel_hz
         yield from map(WheelSample, _stamps(time_s[1:]), (distance * hz).tolist(), (turned * hz).tolist())
@@ -249,15 +254,15 @@ class SimSource:
     def _features(self) -> Iterator[FeatureObservations]:
         scenario = self.scenario
         time_s = self.image_times()
-        pixels, seen = view(self.truth.scene, self.truth.camera, *self.camera_poses(time_s))
+        pixels, seen = project_corners(self.truth.scene, self.truth.camera, *self.camera_poses(time_s))
         pixels = pixels + pixel_errors(seen.shape, scenario.errors, stream(self.seed, 'pixels'))
-        seen &= ~_lost(seen.shape, scenario, stream(self.seed, 'tracker'))
-        tracks = track(seen, time_s, scenario.features, scenario.reacquire_s)
+        seen &= ~_random_losses(seen.shape, scenario, stream(self.seed, 'tracker'))
+        tracks = track_corners(seen, time_s, scenario.features, scenario.reacquire_s)
         for t_ns, places, (ids, corners) in zip(self._image_stamps(), pixels, tracks, strict=True):
             yield FeatureObservations(t_ns, ids, places[corners])
 
     def _frames(self) -> Iterator[Frame]:
-        yield from map(Frame, self._image_stamps(), self.film())
+        yield from map(Frame, self._image_stamps(), self.image_sequence())
 
     def _temperature(self) -> Iterator[TemperatureSample]:
         time_s = _times(TEMPERATURE_HZ, self.scenario.duration_s, SLOW_PHASE_S)
@@ -296,7 +301,7 @@ class SimSource:
 
 
 def _times(rate_hz: int, duration_s: float, phase_s: float = 0.0) -> Array:
-    """Return the times (n,) of a sensor, on whole nanoseconds."""
+    """Return the sampling times (n,) of a sensor, rounded to nanoseconds."""
     count = int((duration_s - phase_s) * rate_hz + 1e-9) + 1
     return np.round((phase_s + np.arange(count) / rate_hz) * NS_PER_S) / NS_PER_S
 
@@ -306,8 +311,8 @@ def _stamps(time_s: Array) -> list[int]:
     return stamps.tolist()
 
 
-def _lost(shape: tuple[int, int], scenario: Scenario, rng: np.random.Generator) -> np.ndarray:
-    """Draw which corners (n, m) the tracker has lost for no visible reason."""
+def _random_losses(shape: tuple[int, int], scenario: Scenario, rng: np.random.Generator) -> np.ndarray:
+    """Draw which corners (n, m) the tracker has lost at random."""
     starts = rng.random(shape) < scenario.track_loss
     length = rng.exponential(scenario.track_loss_s * scenario.camera_hz, shape)
     frame = np.arange(shape[0])[:, None]

@@ -60,8 +60,8 @@ def bag(view: StudioState) -> list[Any]:
         for topic in check.topics
     ]
     complaints = [
-        html.Li([html.B(f'{finding.severity}: '), str(finding)], className=str(finding.severity))
-        for finding in check.findings
+        html.Li([html.B(f'{issue.severity}: '), str(issue)], className=str(issue.severity))
+        for issue in check.issues
     ]
     return [
         html.P([html.B(summary), ' - ' if complaints else '; nothing to complain of.']),

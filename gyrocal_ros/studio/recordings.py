@@ -15,7 +15,7 @@ from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.msgs.issues import refuse_errors
+from gyrocal_ros.msgs.issues import raise_first_error
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.pipeline.run_filter import Progress
 from gyrocal_ros.sim.hidden import draw_hidden, draw_scale_factor, hide
@@ -86,8 +86,8 @@ class Contents:
     @property
     def findings(self) -> tuple[tuple[str, str], ...]:
         """Severity and text of what is odd."""
-        found = self.check.findings if self.check is not None else ()
-        return tuple((finding.severity, str(finding)) for finding in found)
+        issues = self.check.issues if self.check is not None else ()
+        return tuple((issue.severity, str(issue)) for issue in issues)
 
 
 def look_into(what: Bag | HiddenEffectTask) -> Contents:
@@ -121,7 +121,7 @@ def read(
         held, config = preload(riddle, what.config, model, report)
         return Opened(held, config, summarise_recording(held), answer_of(riddle))
     assert contents.check is not None
-    refuse_errors(contents.check.findings, str(what.path))
+    raise_first_error(contents.check.issues, str(what.path))
     source = open_bag(what.path, what.config, with_covariates=True, **what.options)
     held, config = preload(source, what.config, model, report)
     return Opened(held, config, summarise_recording(held), None)

@@ -1,4 +1,4 @@
-"""Where new features are worth having: Harris corners, spread over the image."""
+"""Detection of new features: Harris corners, distributed over the image."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ WINDOW_PX = 14
 """Side of the window of the structure tensor: about that of a patch."""
 
 SATURATED_GREY = 250
-DISTINCT_PX = 16
-"""How far around a corner nothing else may look like it: about as far as it is searched for."""
+DISTINCT_RADIUS_PX = 16
+"""Radius around a corner without similar patches: about the search radius of the tracker."""
 
 
 def find_corners(
     image: NDArray[np.uint8], taken: Array, margin_px: int, config: TrackerConfig
 ) -> NDArray[np.intp]:
-    """Find Harris corners, most welcome first.
+    """Find Harris corners in order of preference.
 
-    They are looked for at half the resolution, where noise and motion blur weigh less. A part of the
-    image with few features is served before one with stronger corners: heading is seen best from
-    features all around. Corners of lamps that dazzle the camera come last: they move as the exposure
+    The search runs at half the resolution, which reduces noise and motion blur. Parts of the image with
+    few features come before parts with stronger corners, because features in all directions determine
+    the heading best. Corners of lamps that saturate the image come last: they move as the exposure
     changes.
 
     Args:
         image: (height, width).
         taken: (n, 2) pixels to keep away from.
-        margin_px: distance to keep from the edge of the image.
+        margin_px: minimum distance from the edge of the image.
         config: distances and quality.
 
     Returns:
@@ -41,25 +41,25 @@ def find_corners(
     allowed = np.zeros(half.shape, dtype=np.uint8)
     edge = margin_px // 2 + 1
     allowed[edge:-edge, edge:-edge] = 255
-    _forbid(allowed, taken, config)
-    dazzled = cv2.dilate(half, np.ones((WINDOW_PX // 2 + 2,) * 2, np.uint8)) >= SATURATED_GREY
-    dark = _harris(half, np.where(dazzled, 0, allowed).astype(np.uint8), config)
-    corners = dark[_spread(dark, taken, image.shape, config.features)]
-    if dazzled.any():
-        _forbid(allowed, dark, config)
-        bright = _harris(half, np.where(dazzled, allowed, 0).astype(np.uint8), config)
+    _mask_out(allowed, taken, config)
+    saturated = cv2.dilate(half, np.ones((WINDOW_PX // 2 + 2,) * 2, np.uint8)) >= SATURATED_GREY
+    unsaturated = _harris(half, np.where(saturated, 0, allowed).astype(np.uint8), config)
+    corners = unsaturated[_spread_order(unsaturated, taken, image.shape, config.features)]
+    if saturated.any():
+        _mask_out(allowed, unsaturated, config)
+        bright = _harris(half, np.where(saturated, allowed, 0).astype(np.uint8), config)
         corners = np.concatenate([corners, bright])
     return corners
 
 
-def _forbid(allowed: NDArray[np.uint8], pixels: Array | NDArray[np.intp], config: TrackerConfig) -> None:
-    """Keep corners away from pixels (n, 2) of the whole image."""
+def _mask_out(allowed: NDArray[np.uint8], pixels: Array | NDArray[np.intp], config: TrackerConfig) -> None:
+    """Exclude the surroundings of pixels (n, 2) of the full image."""
     for u, v in pixels:
         cv2.circle(allowed, (round(0.5 * u), round(0.5 * v)), round(0.5 * config.min_distance_px), 0, -1)
 
 
 def _harris(half: NDArray[np.uint8], allowed: NDArray[np.uint8], config: TrackerConfig) -> NDArray[np.intp]:
-    """Corners (n, 2) in pixels of the whole image, strongest first."""
+    """Return corners (n, 2) in pixels of the full image, strongest first."""
     found = cv2.goodFeaturesToTrack(
         half,
         maxCorners=8 * config.features,
@@ -74,12 +74,12 @@ def _harris(half: NDArray[np.uint8], allowed: NDArray[np.uint8], config: Tracker
 
 
 def is_distinct(image: NDArray[np.uint8], corner: NDArray[np.intp], size: int, limit: float) -> bool:
-    """Whether no other place near a corner looks as much like it as the correlation `limit`.
+    """Return whether no other patch near a corner has a correlation of `limit` or more with its patch.
 
-    The slats of a grille and points along an edge do not pass: they would be mistaken for each other.
+    This rejects the slats of a grille and points along an edge, which would be mistaken for each other.
     """
     u, v = corner
-    half, wide = size // 2, size // 2 + DISTINCT_PX
+    half, wide = size // 2, size // 2 + DISTINCT_RADIUS_PX
     top, left = max(0, v - wide), max(0, u - wide)
     patch = image[v - half : v + half + 1, u - half : u + half + 1]
     scores = cv2.matchTemplate(image[top : v + wide + 1, left : u + wide + 1], patch, cv2.TM_CCOEFF_NORMED)
@@ -90,14 +90,16 @@ def is_distinct(image: NDArray[np.uint8], corner: NDArray[np.intp], size: int, l
 
 
 def noise_level(image: NDArray[np.uint8]) -> float:
-    """Standard deviation of the noise of a pixel, in grey levels, by the median second difference."""
+    """Return the standard deviation of the pixel noise in grey levels, from the median second difference."""
     lines = image[::8].astype(np.int16)
     second = np.abs(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2])
     return max(0.5, float(np.median(second)) / (0.6745 * 6.0**0.5))
 
 
-def _spread(corners: NDArray[np.intp], taken: Array, shape: tuple[int, ...], wanted: int) -> NDArray[np.intp]:
-    """Order in which corners fill the image evenly; `corners` come strongest first."""
+def _spread_order(
+    corners: NDArray[np.intp], taken: Array, shape: tuple[int, ...], wanted: int
+) -> NDArray[np.intp]:
+    """Return the order in which corners fill the image evenly; `corners` are sorted strongest first."""
     side = (shape[0] * shape[1] / max(wanted, 1)) ** 0.5
     cells = [tuple(cell) for cell in np.floor_divide(corners, side).astype(int)]
     filled: dict[tuple[int, ...], int] = {}

@@ -1,4 +1,4 @@
-"""Pictures of what the tracker does."""
+"""Drawing of tracks for display."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _FRACTION_BITS = 4
 def draw_tracks(
     image: NDArray[np.uint8], observations: FeatureObservations, regions: SearchRegions | None
 ) -> NDArray[np.uint8]:
-    """Draw features as crosses with their ids, and the regions they were searched in as ellipses.
+    """Draw features as crosses with their ids, and their search regions as ellipses.
 
     Args:
         image: (height, width) grey values.
-        observations: what was seen in it.
-        regions: where the filter expected its features, green where seen and red where missed.
+        observations: features found in the image.
+        regions: search regions from the filter; green if the feature was found, red if not.
 
     Returns:
         (height, width, 3), blue, green, red.
@@ -54,6 +54,6 @@ def draw_tracks(
 
 
 def _fixed(point: NDArray[np.float64]) -> tuple[int, int]:
-    """A point in OpenCV's fixed-point coordinates, kept within reason."""
+    """Return a point in OpenCV's fixed-point coordinates, clipped to a safe range."""
     u, v = np.rint(np.clip(point, -1e5, 1e5) * 2**_FRACTION_BITS).astype(int).tolist()
     return u, v

@@ -1,9 +1,9 @@
-"""Patches of the image at first sight, and Lucas-Kanade: where each of them is now.
+"""Patches from the image of first detection, and their Lucas-Kanade alignment in later images.
 
-Inverse compositional (Baker and Matthews 2004): the slopes come from the patch of first sight, so
-all but the sampling of the image is computed once. Between its pixels the image is a cubic B-spline
-with the grey values as coefficients: a slight smoothing, the same for patch and image at any
-fraction of a pixel, which linear interpolation is not.
+Inverse compositional (Baker and Matthews 2004): the gradients are those of the first patch, so that
+everything but the sampling of the image is computed once. Between its pixels the image is a cubic
+B-spline with the grey values as coefficients. This is a slight smoothing, equal for patch and image at
+any fraction of a pixel, which linear interpolation is not.
 """
 
 from __future__ import annotations
@@ -25,27 +25,28 @@ _TINY = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """n square patches of m points; lengths in pixels of the image of first sight.
+    """n square patches of m points; lengths in pixels of the image of first detection.
 
-    The present image shows a patch shifted by tau and twisted by phi in another light: with a gain,
-    an offset and a slope of the brightness that do not matter here,
-    image = gain (template + slopes tau + turning phi) + offset + slope.
+    The current image shows a patch shifted by tau, rotated by phi and with another brightness; the
+    gain, the offset and the gradient of the brightness are eliminated:
+
+        image = gain (template + slopes tau + turning phi) + offset + slope
     """
 
     template: Array
-    """(n, m) grey values, flattened."""
+    """(n, m) grey values without mean and gradient."""
     contrast: Array
     """(n,) sum of squares of the template."""
     to_shift: Array
-    """(n, 2, m) image / gain to tau, where there is no twist."""
+    """(n, 2, m) matrix from image / gain to tau, without a rotation."""
     to_twist: Array
-    """(n, m) image / gain to phi, whatever the shift."""
+    """(n, m) matrix from image / gain to phi, independent of the shift."""
     twist_weight: Array
-    """(n,) how well the patch shows a twist."""
+    """(n,) information of the patch about a rotation."""
     shift_by_twist: Array
-    """(n, 2) how much less tau is for each unit of phi."""
+    """(n, 2) decrease of tau per unit of phi."""
     information: Array
-    """(n,) grey^2/px^2: noise variance over this is the variance of the worse determined shift."""
+    """(n,) grey^2/px^2: the noise variance divided by it is the variance of the worse determined shift."""
 
     def __len__(self) -> int:
         return len(self.template)
@@ -60,27 +61,27 @@ class Patches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """What Lucas-Kanade found."""
+    """Result of the Lucas-Kanade alignment."""
 
     pixels: Array
-    """(n, 2) where the centres of the patches are."""
+    """(n, 2) positions of the centres of the patches."""
     twist_rad: float
-    """How much further than predicted all patches are turned, from image u towards v."""
+    """Rotation of all patches beyond the predicted one, from image u towards v."""
     correlation: Array
-    """(n,) between patch and image, -1 to 1."""
+    """(n,) correlation of patch and image, -1 to 1."""
     backward_px: Array
-    """(n,) how far off the first patch is when it is looked for with the present one."""
+    """(n,) distance by which the backward alignment of the first patch with the current one misses."""
 
 
 @cache
 def grid(size: int) -> Array:
-    """Offsets (size * size, 2) of the points of a patch from its centre, row by row."""
+    """Return the offsets (size * size, 2) of the points of a patch from its centre, row by row."""
     axis = np.arange(size) - size // 2
     return np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2).astype(float)
 
 
-def cut(image: NDArray[np.uint8], centres: NDArray[np.int64], size: int) -> Patches:
-    """Take square patches of odd size out of an image (height, width), at whole pixels (n, 2) u, v."""
+def extract_patches(image: NDArray[np.uint8], centres: NDArray[np.int64], size: int) -> Patches:
+    """Extract square patches of odd size from an image (height, width), at whole pixels (n, 2) u, v."""
     reach = np.arange(size + 2) - (size // 2 + 1)
     rows, columns = centres[:, 1, None] + reach, centres[:, 0, None] + reach
     crop = image[rows[:, :, None], columns[:, None, :]].astype(float)
@@ -90,9 +91,9 @@ def cut(image: NDArray[np.uint8], centres: NDArray[np.int64], size: int) -> Patc
         for down, across in ((smooth, smooth), (smooth, slope), (slope, smooth))
     )
     u, v = grid(size).T
-    template = _flattened(template)
+    template = _detrended(template)
     contrast = (template**2).sum(axis=1)
-    slopes = _flattened(np.stack([by_u, by_v, u * by_v - v * by_u], axis=1))
+    slopes = _detrended(np.stack([by_u, by_v, u * by_v - v * by_u], axis=1))
     by_gain = slopes @ template[:, :, None] / (contrast + _TINY)[:, None, None]
     slopes = slopes - by_gain * template[:, None, :]
     shifts, turning = slopes[:, :2], slopes[:, 2]
@@ -113,23 +114,23 @@ def cut(image: NDArray[np.uint8], centres: NDArray[np.int64], size: int) -> Patc
 
 
 def _band(size: int, before: float, here: float, after: float) -> Array:
-    """Matrix (size, size + 2) that weighs three neighbours."""
+    """Return the matrix (size, size + 2) that weights three neighbours."""
     return sum(
         (tap * np.eye(size, size + 2, k) for k, tap in enumerate((before, here, after))), start=np.zeros(())
     )
 
 
 def align(image: NDArray[np.uint8], patches: Patches, points: Array, min_correlation: float) -> Alignment:
-    """Lucas-Kanade from a prediction, for all patches at once, in whatever light.
+    """Align all patches by Lucas-Kanade from predicted points, independent of the brightness.
 
-    The patches may be turned further than predicted, but all by the same angle: the prediction of the
-    attitude errs for all of them alike, and one common angle costs next to no accuracy.
+    The patches may be rotated beyond the predicted rotation by one common angle: the error of the
+    predicted attitude is the same for all of them, and one common angle costs almost no accuracy.
 
     Args:
         image: (height, width).
-        patches: n of them.
-        points: (n, m, 2) pixels where the points of the patches are expected.
-        min_correlation: patches that look less like the image have no say about the twist.
+        patches: n patches.
+        points: (n, m, 2) pixels of the predicted points of the patches.
+        min_correlation: patches with a smaller correlation do not contribute to the rotation.
     """
     size = round(points.shape[1] ** 0.5)
     centre = points.shape[1] // 2
@@ -142,22 +143,25 @@ def align(image: NDArray[np.uint8], patches: Patches, points: Array, min_correla
         c, s = np.cos(twist), np.sin(twist)
         turn = np.array([[c, s], [-s, c]])
         moved = shift[:, None, :] + grid(size) @ (turn - np.eye(2))
-        present, correlation = _in_light_of(patches, sample(image, points + moved @ by_pixel))
+        current, correlation = _brightness_normalised(patches, sample_image(image, points + moved @ by_pixel))
         good = correlation > min_correlation
-        vote = good * patches.twist_weight
-        excess = (present * patches.to_twist).sum(axis=1)
-        twist_step = float(vote @ excess / (vote.sum() + _TINY))
-        step = (patches.to_shift @ present[:, :, None])[:, :, 0] - patches.shift_by_twist * twist_step
+        weight = good * patches.twist_weight
+        excess = (current * patches.to_twist).sum(axis=1)
+        twist_step = float(weight @ excess / (weight.sum() + _TINY))
+        step = (patches.to_shift @ current[:, :, None])[:, :, 0] - patches.shift_by_twist * twist_step
         shift = shift - np.clip(step, -MAX_STEP_PX, MAX_STEP_PX) @ turn
         twist -= twist_step
         if not good.any() or np.abs(step[good]).max() < CONVERGED_PX:
             break
     pixels = points[:, centre] + (shift[:, None, :] @ by_pixel)[:, 0]
-    return Alignment(pixels, twist, correlation, _backward(present, patches.template))
+    return Alignment(pixels, twist, correlation, _backward_shift(current, patches.template))
 
 
-def sample(image: NDArray[np.uint8], points: Array) -> Array:
-    """Smoothed grey values (...) of an image (height, width) at points (..., 2) u, v, clipped to it."""
+def sample_image(image: NDArray[np.uint8], points: Array) -> Array:
+    """Return smoothed grey values (...) of an image (height, width) at points (..., 2) u, v.
+
+    The points are clipped to the image.
+    """
     height, width = image.shape
     points = np.clip(points, 1.0, [width - 3, height - 3])
     whole = points.astype(np.int64)
@@ -175,40 +179,44 @@ def sample(image: NDArray[np.uint8], points: Array) -> Array:
 
 
 def _spline(f: NDArray[np.float32]) -> tuple[NDArray[Any], ...]:
-    """Weights of the four nearest coefficients of a cubic B-spline, at the fraction f after the second."""
+    """Return the weights of the four nearest coefficients of a cubic B-spline.
+
+    Args:
+        f: fraction after the second of the four.
+    """
     g = 1.0 - f
     first, last = g * g * g / 6.0, f * f * f / 6.0
     second = 2.0 / 3.0 - f * f * (1.0 - 0.5 * f)
     return first, second, 1.0 - first - second - last, last
 
 
-def _flattened(values: Array) -> Array:
-    """Values (..., m) on a patch less their mean and slope, which the light of the lens' edge changes."""
+def _detrended(values: Array) -> Array:
+    """Return values (..., m) on a patch without their mean and gradient, which vignetting changes."""
     plane = _plane(round(values.shape[-1] ** 0.5))
     return values - values @ plane @ plane.T
 
 
 @cache
 def _plane(size: int) -> Array:
-    """Constant and slopes on a patch (m, 3), orthonormal."""
+    """Return an orthonormal basis of constant and gradient on a patch (m, 3)."""
     columns = np.column_stack([np.ones(size * size), grid(size)])
     return columns / np.linalg.norm(columns, axis=0)
 
 
-def _in_light_of(patches: Patches, grey: Array) -> tuple[Array, Array]:
-    """Grey values (n, m) brought to the light of the patches, and their correlation (n,) with them."""
-    flat = _flattened(grey)
+def _brightness_normalised(patches: Patches, grey: Array) -> tuple[Array, Array]:
+    """Return grey values (n, m) scaled to the brightness of the patches, and their correlation (n,)."""
+    flat = _detrended(grey)
     common = (flat * patches.template).sum(axis=1)
     limit = np.sqrt((flat**2).sum(axis=1) * patches.contrast) + _TINY
     gain = np.maximum(common, 0.05 * limit) / (patches.contrast + _TINY)
     return flat / gain[:, None], common / limit
 
 
-def _backward(present: Array, template: Array) -> Array:
-    """Length (n,) of the first step of Lucas-Kanade from the present patch back to the first one."""
+def _backward_shift(current: Array, template: Array) -> Array:
+    """Return the length (n,) of the first Lucas-Kanade step from the current patch back to the first one."""
     size = round(template.shape[1] ** 0.5)
     inner = (size - 2) ** 2
-    square, difference = (values.reshape(-1, size, size) for values in (present, template - present))
+    square, difference = (values.reshape(-1, size, size) for values in (current, template - current))
     by_u = 0.5 * (square[:, 1:-1, 2:] - square[:, 1:-1, :-2])
     by_v = 0.5 * (square[:, 2:, 1:-1] - square[:, :-2, 1:-1])
     slopes = np.stack([by_u, by_v], axis=1).reshape(-1, 2, inner)

@@ -1,4 +1,4 @@
-"""Where a feature is looked for, and the search through a region too wide for Lucas-Kanade."""
+"""Search regions of features, and the exhaustive search of a region too large for Lucas-Kanade."""
 
 from __future__ import annotations
 
@@ -11,56 +11,56 @@ from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.vision.patches import grid
 
 SIGMAS = 3.5
-"""Half-axes of a search region, in standard deviations."""
-SLACK_PX = 1.0
-"""Doubt added to every region: the filter's covariance is as good as its model."""
-MIN_RISE = 0.05
-"""Rays flatter than this, as z of the ray in the world, count as if so steep."""
+"""Half-axes of a search region in standard deviations."""
+EXTRA_STD_PX = 1.0
+"""Standard deviation added to every region, because the filter's covariance is only as good as its model."""
+MIN_RAY_Z = 0.05
+"""Minimum z of a ray in world axes; flatter rays are raised to it."""
 
 
 def ceiling_coordinates(camera: CameraIntrinsics, pixels: Array, R_wc: Array) -> Array:
-    """Place on the ceiling in units of its distance: x/z, y/z of the ray in world axes.
+    """Return ceiling coordinates in units of the ceiling's distance: x/z, y/z of the ray in world axes.
 
     Args:
         pixels: (..., 2).
         R_wc: (3, 3) attitude of the camera.
 
     Returns:
-        (..., 2). On any horizontal plane, what lies between two points keeps its coordinates while
-        the camera drives and turns below it at the same height.
+        (..., 2). On any horizontal plane, the difference of two points is invariant while the camera
+        moves and turns below it at constant height.
     """
     rays_w = _homogeneous(bearing(camera, pixels.reshape(-1, 2))) @ R_wc.T
-    return (rays_w[:, :2] / np.maximum(rays_w[:, 2:], MIN_RISE)).reshape(pixels.shape)
+    return (rays_w[:, :2] / np.maximum(rays_w[:, 2:], MIN_RAY_Z)).reshape(pixels.shape)
 
 
 def ceiling_pixels(camera: CameraIntrinsics, ceiling: Array, R_wc: Array) -> Array:
-    """Pixels (..., 2) of ceiling coordinates (..., 2): the inverse of `ceiling_coordinates`."""
+    """Return pixels (..., 2) of ceiling coordinates (..., 2): the inverse of `ceiling_coordinates`."""
     rays_c = _homogeneous(ceiling.reshape(-1, 2)) @ R_wc
     return project(camera, rays_c).reshape(ceiling.shape)
 
 
-def inside(offsets: Array, covariances: Array) -> NDArray[np.bool_]:
-    """Which offsets (n, 2) from the prediction lie in the region of the covariance (n or 1, 2, 2)."""
-    inverse = np.linalg.inv(covariances + SLACK_PX**2 * np.eye(2))
+def in_region(offsets: Array, covariances: Array) -> NDArray[np.bool_]:
+    """Return which offsets (n, 2) from the prediction are in the region of the covariance (n or 1, 2, 2)."""
+    inverse = np.linalg.inv(covariances + EXTRA_STD_PX**2 * np.eye(2))
     return ((offsets[:, None, :] @ inverse)[:, 0] * offsets).sum(axis=1) <= SIGMAS**2
 
 
-def reach(covariances: Array) -> NDArray[np.intp]:
-    """Whole pixels (n,) from the centre to the far end of each region."""
-    largest = np.linalg.eigvalsh(covariances)[:, 1] + SLACK_PX**2
+def region_radius(covariances: Array) -> NDArray[np.intp]:
+    """Return the radius (n,) of each region, the longer half-axis, in whole pixels."""
+    largest = np.linalg.eigvalsh(covariances)[:, 1] + EXTRA_STD_PX**2
     return np.ceil(SIGMAS * np.sqrt(largest)).astype(np.intp)
 
 
-def best_place(image: NDArray[np.uint8], template: Array, points: Array, covariance: Array) -> Array:
-    """Find where in its region a patch correlates best, to the pixel.
+def best_match(image: NDArray[np.uint8], template: Array, points: Array, covariance: Array) -> Array:
+    """Find the position of best correlation of a patch in its region, to the pixel.
 
-    The region is resampled along the axes of the patch, so the patch itself stays as it is.
+    The region is resampled along the axes of the patch, so that the patch itself is not resampled.
 
     Args:
         image: (height, width).
         template: (m,) grey values of the patch.
-        points: (m, 2) pixels where its points are expected.
-        covariance: (2, 2) of the expectation.
+        points: (m, 2) pixels of its predicted points.
+        covariance: (2, 2) of the prediction.
 
     Returns:
         (2,) offset in pixels, to be added to `points`.
@@ -70,16 +70,16 @@ def best_place(image: NDArray[np.uint8], template: Array, points: Array, covaria
     basis = 0.5 * np.stack(
         [points[middle + 1] - points[middle - 1], points[middle + size] - points[middle - size]]
     )
-    wide = int(reach(covariance[None])[0])
-    region = np.clip(points[middle] + grid(size + 2 * wide) @ basis, -1e4, 1e4).astype(np.float32)
-    looked = cv2.remap(image, region[:, None], None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
+    radius = int(region_radius(covariance[None])[0])
+    region = np.clip(points[middle] + grid(size + 2 * radius) @ basis, -1e4, 1e4).astype(np.float32)
+    resampled = cv2.remap(image, region[:, None], None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
     scores = cv2.matchTemplate(
-        looked.reshape(size + 2 * wide, -1).astype(np.float32),
+        resampled.reshape(size + 2 * radius, -1).astype(np.float32),
         template.reshape(size, size).astype(np.float32),
         cv2.TM_CCOEFF_NORMED,
     ).ravel()
-    offsets = grid(2 * wide + 1) @ basis
-    allowed = inside(offsets, covariance[None]) & np.isfinite(scores)
+    offsets = grid(2 * radius + 1) @ basis
+    allowed = in_region(offsets, covariance[None]) & np.isfinite(scores)
     return offsets[np.argmax(np.where(allowed, scores, -2.0))]
 
 

@@ -1,9 +1,9 @@
-"""The feature tracker: images of the ceiling become observations of features.
+"""The feature tracker: converts images of the ceiling to observations of features.
 
-Every feature is matched to its patch of FIRST sight, never to the last image, so errors do not add
-up along a track. The patch is turned by what the camera is predicted to have turned since; the rest
-of the turn, which the prediction got wrong, is found together with the positions (`patches.align`),
-so that an error of the gyro does not come back as an error of the tracks.
+Every feature is matched to its patch of FIRST detection, never to the last image, so that errors do not
+accumulate along a track. The patch is rotated by the predicted rotation of the camera since then. The
+error of this prediction is estimated together with the positions (`patches.align`), so that an error of
+the gyro does not become an error of the tracks.
 """
 
 from __future__ import annotations
@@ -29,21 +29,28 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
-from gyrocal_ros.vision.patches import Patches, align, cut, grid
-from gyrocal_ros.vision.search_region import best_place, ceiling_coordinates, ceiling_pixels, inside, reach
+from gyrocal_ros.vision.patches import Patches, align, extract_patches, grid
+from gyrocal_ros.vision.search_region import (
+    best_match,
+    ceiling_coordinates,
+    ceiling_pixels,
+    in_region,
+    region_radius,
+)
 
 UNPREDICTED_STD_PX = 5.0
-"""Doubt of the position of a feature that the filter does not predict: about the motion of one frame."""
-MAX_REACH_PX = 20
-"""A region that reaches further is no better than a guess."""
-SAME_VIEW_PX = 2.0
-"""Found further from where it was expected, a patch is shaped anew for the lens there and aligned again."""
+"""Standard deviation of the position of a feature without a region: about the motion between two images."""
+MAX_RADIUS_PX = 20
+"""Radius above which a region from the filter is not used."""
+MAX_WARP_SHIFT_PX = 2.0
+"""Distance from the predicted position above which a patch is warped again for the lens there and
+realigned."""
 MAX_NOISE_PX = 0.1
-"""A corner that the noise of the image alone would move by more than this is none."""
+"""Limit of the position noise of a new corner, as far as it is caused by the image noise."""
 
 
 ID_COUNT = 2**32
-"""Ids are 32 bits wide in messages."""
+"""Number of ids; they are 32 bits wide in messages."""
 
 
 @dataclass(slots=True, eq=False)
@@ -52,9 +59,9 @@ class _Features:
 
     ids: IntArray
     seen_ns: IntArray
-    """(n,) when they were last seen."""
+    """(n,) time of their last observation."""
     ceiling: Array
-    """(n, 2) ceiling coordinates then."""
+    """(n, 2) ceiling coordinates at that time."""
     outline: Array
     """(n, m, 2) ceiling coordinates of the points of the patch, relative to its centre."""
     patches: Patches
@@ -76,64 +83,64 @@ class _Features:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Search:
-    """Which of the features are looked for in an image, and where; k of them."""
+class _SearchSet:
+    """The k features to be searched for in an image, with their search regions."""
 
     index: IntArray
-    """(k,) into the features."""
+    """(k,) indices of the features."""
     pixels: Array
-    """(k, 2) expected."""
+    """(k, 2) predicted positions."""
     covariances_px2: Array
-    """(k, 2, 2)"""
+    """(k, 2, 2) covariances of the predicted positions."""
     tracked: NDArray[np.bool_]
-    """(k,) seen in the last image."""
+    """(k,) True if found in the last image."""
 
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> _Search:
-        return _Search(*(getattr(self, item.name)[chosen] for item in fields(self)))
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> _SearchSet:
+        return _SearchSet(*(getattr(self, item.name)[chosen] for item in fields(self)))
 
 
 class Tracker:
-    """Follows features from image to image.
+    """Tracks features from image to image.
 
     Args:
         camera: intrinsics of the images.
         config: numbers, distances and thresholds.
-        first_id: of the first feature; ids are counted on from there.
+        first_id: id of the first feature; later ids count up from it.
     """
 
     def __init__(self, camera: CameraIntrinsics, config: TrackerConfig, first_id: int = 0) -> None:
         self._camera = camera
         self.config = config
-        """May be exchanged between images, but for sizes of patch and border."""
+        """Settings; they may be replaced between images, except the sizes of patch and border."""
         self._size_px = config.patch_px | 1
         self._margin_px = max(config.border_px, math.ceil(self._size_px / math.sqrt(2.0)) + 2)
         self._next_id = first_id
         self._last_ns = -1
         self._frames_to_detection = 0
-        self._yaw_error_rad = 0.0  # of the attitudes given, as far as the patches show it
+        self._yaw_error_rad = 0.0  # see `yaw_error_rad`
         dark = np.zeros((camera.height_px, camera.width_px), np.uint8)
         self._features = self._new_features(Frame(0, dark), np.eye(3), np.zeros((0, 2), np.intp))
 
     @property
     def yaw_error_rad(self) -> float:
-        """By how much the yaw of the attitudes given is ahead of the images, since the first one."""
+        """Yaw of the given attitudes minus the yaw of the images, since the first image."""
         return self._yaw_error_rad
 
     def track(self, frame: Frame, R_wc: Array, regions: SearchRegions | None) -> FeatureObservations:
-        """Find the known features in an image, and new ones where there are too few.
+        """Find the known features in an image, and new ones if there are too few.
 
         Args:
             frame: the next image.
-            R_wc: (3, 3) predicted attitude, from the optical frame to the world. Its yaw may err by
-                an angle that changes slowly.
-            regions: where the filter expects the features that it knows.
+            R_wc: (3, 3) predicted attitude, from the optical frame to the world. Its yaw may have a
+                slowly varying error.
+            regions: search regions of the features that the filter knows.
 
         Raises:
-            RecordingError: the image has another size than the camera.
+            RecordingError: the size of the image differs from that of the camera.
         """
         self._check(frame)
-        self._forget(frame.t_ns)
-        search = self._expect(R_wc, regions)
+        self._drop_old(frame.t_ns)
+        search = self._select(R_wc, regions)
         pixels, found = self._match(frame.image, R_wc, search)
         seen = search.index[found]
         self._features.seen_ns[seen] = frame.t_ns
@@ -152,15 +159,15 @@ class Tracker:
                 todo='record images and camera info at the same resolution',
             )
 
-    def _forget(self, t_ns: int) -> None:
-        """Drop the features that were not seen for long."""
+    def _drop_old(self, t_ns: int) -> None:
+        """Drop the features that have not been found for longer than `reacquire_s`."""
         lost = self._features.seen_ns != self._last_ns
         old = np.abs(t_ns - self._features.seen_ns) > nanoseconds(self.config.reacquire_s)
         if (lost & old).any():
             self._features = self._features[~(lost & old)]
 
     def _attitude(self, R_wc: Array) -> Array:
-        """The attitude with the yaw that the patches agree with."""
+        """Return the attitude with the yaw corrected by that of the patches."""
         return rotation_from_euler(np.array([0.0, 0.0, -self._yaw_error_rad])) @ R_wc
 
     def _to_ceiling(self, pixels: Array, R_wc: Array) -> Array:
@@ -169,60 +176,60 @@ class Tracker:
     def _to_pixels(self, ceiling: Array, R_wc: Array) -> Array:
         return ceiling_pixels(self._camera, ceiling, self._attitude(R_wc))
 
-    def _expect(self, R_wc: Array, regions: SearchRegions | None) -> _Search:
-        """Decide which features to look for, and where.
+    def _select(self, R_wc: Array, regions: SearchRegions | None) -> _SearchSet:
+        """Select the features to search for, and their regions.
 
-        What was lost is looked for only while fewer features than wanted are tracked, and only where
-        the filter can tell.
+        Lost features are searched for only while fewer features than wanted are tracked, and only if
+        the filter predicts them.
         """
         features = self._features
         pixels = self._to_pixels(features.ceiling, R_wc)
         covariances = np.tile(UNPREDICTED_STD_PX**2 * np.eye(2), (len(features), 1, 1))
         tracked = features.seen_ns == self._last_ns
-        returning = np.zeros(len(features), dtype=bool)
+        reacquired = np.zeros(len(features), dtype=bool)
         if regions is not None:
             _, ours, theirs = np.intersect1d(features.ids, regions.ids, return_indices=True)
-            helpful = reach(regions.covariances_px2[theirs]) <= MAX_REACH_PX
-            ours, theirs = ours[helpful], theirs[helpful]
+            usable = region_radius(regions.covariances_px2[theirs]) <= MAX_RADIUS_PX
+            ours, theirs = ours[usable], theirs[usable]
             pixels[ours] = regions.pixels[theirs]
             covariances[ours] = regions.covariances_px2[theirs]
-            returning[ours] = tracked.sum() < self.config.features
-        index = np.flatnonzero((tracked | returning) & in_image(self._camera, pixels, self._margin_px))
-        return _Search(index, pixels[index], covariances[index], tracked[index])
+            reacquired[ours] = tracked.sum() < self.config.features
+        index = np.flatnonzero((tracked | reacquired) & in_image(self._camera, pixels, self._margin_px))
+        return _SearchSet(index, pixels[index], covariances[index], tracked[index])
 
     def _match(
-        self, image: NDArray[np.uint8], R_wc: Array, search: _Search
+        self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Look for features: their pixels (k, 2), as expected where not found, and whether found (k,)."""
+        """Search for features; return pixels (k, 2), as predicted where not found, and whether found (k,)."""
         if not len(search.index):
             return search.pixels, search.tracked
         pixels, score = self._align(image, R_wc, search, search.pixels)
-        sought = search.tracked if search.tracked.any() else np.ones(len(score), dtype=bool)
-        missed = sought & (score < 0.0)
-        if missed.any():  # once more, by correlation; further around if the filter errs about most
+        searched = search.tracked if search.tracked.any() else np.ones(len(score), dtype=bool)
+        missed = searched & (score < 0.0)
+        if missed.any():  # search again by correlation, in larger regions if most predictions failed
             again = search[missed]
             if 2 * len(again.index) > search.tracked.sum():
                 again.covariances_px2[:] += UNPREDICTED_STD_PX**2 * np.eye(2)
             pixels[missed], score[missed] = self._align(
-                image, R_wc, again, self._by_correlation(image, R_wc, again)
+                image, R_wc, again, self._best_matches(image, R_wc, again)
             )
-        _drop_doubles(pixels, score, 0.5 * self.config.patch_px)
-        room = max(0, self.config.features - int((score[search.tracked] > 0.0).sum()))
-        returned = np.flatnonzero(~search.tracked & (score > 0.0))
-        score[returned[np.argsort(-score[returned], kind='stable')][room:]] = -1.0
+        _reject_duplicates(pixels, score, 0.5 * self.config.patch_px)
+        vacant = max(0, self.config.features - int((score[search.tracked] > 0.0).sum()))
+        reacquired = np.flatnonzero(~search.tracked & (score > 0.0))
+        score[reacquired[np.argsort(-score[reacquired], kind='stable')][vacant:]] = -1.0
         return np.where(score[:, None] > 0.0, pixels, search.pixels), score > 0.0
 
-    def _by_correlation(self, image: NDArray[np.uint8], R_wc: Array, search: _Search) -> Array:
-        """Where in their regions the patches correlate best, to the pixel (k, 2)."""
+    def _best_matches(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet) -> Array:
+        """Return the positions (k, 2) of best correlation in the regions, to the pixel."""
         features = self._features[search.index]
         points = self._points(features, search.pixels, R_wc)
         arguments = zip(features.patches.template, points, search.covariances_px2, strict=True)
-        return search.pixels + np.array([best_place(image, *each) for each in arguments])
+        return search.pixels + np.array([best_match(image, *each) for each in arguments])
 
     def _align(
-        self, image: NDArray[np.uint8], R_wc: Array, search: _Search, starts: Array
+        self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet, starts: Array
     ) -> tuple[Array, Array]:
-        """Pixels (k, 2) by Lucas-Kanade, and their correlation (k,), -1 where the match is refused."""
+        """Return pixels (k, 2) by Lucas-Kanade, and their correlation (k,), -1 if the match is rejected."""
         features = self._features[search.index]
         for _ in range(2):
             points = self._points(features, starts, R_wc)
@@ -230,34 +237,34 @@ class Tracker:
             good = (
                 (result.correlation > max(0.0, self.config.min_correlation))
                 & (result.backward_px <= self.config.max_reprojection_px)
-                & inside(result.pixels - search.pixels, search.covariances_px2)
+                & in_region(result.pixels - search.pixels, search.covariances_px2)
                 & in_image(self._camera, result.pixels, self._margin_px)
             )
             if good.any():
                 self._yaw_error_rad += result.twist_rad
             moved_px = np.linalg.norm(result.pixels - starts, axis=1)
-            if not (moved_px[good] > SAME_VIEW_PX).any():
+            if not (moved_px[good] > MAX_WARP_SHIFT_PX).any():
                 break
             starts = np.where(good[:, None], result.pixels, starts)
         return result.pixels, np.where(good, result.correlation, -1.0)
 
     def _points(self, features: _Features, centres: Array, R_wc: Array) -> Array:
-        """Pixels (n, m, 2) of the points of patches whose centres are at pixels (n, 2)."""
+        """Return pixels (n, m, 2) of the points of patches whose centres are at pixels (n, 2)."""
         return self._to_pixels(self._to_ceiling(centres, R_wc)[:, None] + features.outline, R_wc)
 
     def _detect(self, frame: Frame, R_wc: Array, taken: Array, tracked: int) -> Array:
-        """Take new features where it is time or many are missing; return their pixels (k, 2)."""
+        """Add new features if detection is due or many are missing; return their pixels (k, 2)."""
         missing = self.config.features - tracked
         self._frames_to_detection -= 1
         if missing <= 0 or (self._frames_to_detection > 0 and missing <= tracked):
             return np.zeros((0, 2))
         self._frames_to_detection = self.config.detect_interval
         corners = find_corners(frame.image, taken, self._margin_px, self.config)
-        information = cut(frame.image, corners, self._size_px).information
-        clear = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
+        information = extract_patches(frame.image, corners, self._size_px).information
+        precise = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
         limit = max(0.0, self.config.min_correlation)
         distinct = (
-            corner for corner in corners[clear] if is_distinct(frame.image, corner, self._size_px, limit)
+            corner for corner in corners[precise] if is_distinct(frame.image, corner, self._size_px, limit)
         )
         corners = np.array(list(islice(distinct, missing)), dtype=np.intp).reshape(-1, 2)
         self._features += self._new_features(frame, R_wc, corners)
@@ -268,12 +275,12 @@ class Tracker:
         ceiling = self._to_ceiling(corners.astype(float), R_wc)
         outline = self._to_ceiling(corners[:, None] + grid(self._size_px), R_wc) - ceiling[:, None]
         ids = (self._next_id + np.arange(len(corners))) % ID_COUNT
-        patches = cut(frame.image, corners, self._size_px)
+        patches = extract_patches(frame.image, corners, self._size_px)
         return _Features(ids, np.full(len(ids), frame.t_ns), ceiling, outline, patches)
 
 
-def _drop_doubles(pixels: Array, score: Array, distance_px: float) -> None:
-    """Of any two matches closer than a distance, refuse the one that looks less like its patch."""
+def _reject_duplicates(pixels: Array, score: Array, distance_px: float) -> None:
+    """Reject the match with the lower score of any two matches closer than a distance."""
     close = np.linalg.norm(pixels[:, None] - pixels, axis=2) < distance_px
     for k in np.flatnonzero(close.sum(axis=1) > 1):
         rivals = close[k] & (score > 0.0)

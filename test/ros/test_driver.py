@@ -93,11 +93,11 @@ def test_an_unplugged_board_is_named_and_found_again(robot: Robot) -> None:
     with BoardProgram(robot.port, '--scenario', 'standing') as board:
         robot.wait_for_imu()
         robot.wait_to_be_told('IMU 200 Hz, wheels 50 Hz, supply 10 Hz', Level.OK)
-        board.spoil('unplug+2')
+        board.inject_fault('unplug+2')
         robot.wait_to_be_told('not connected for', Level.ERROR)
         robot.wait_for_imu()
         robot.wait_to_be_told('frames were lost of late', Level.WARN)
-        board.spoil('noise+2=0.01')
+        board.inject_fault('noise+2=0.01')
         robot.wait_to_be_told('of the frames came spoiled', Level.WARN)
         robot.wait_to_be_told('IMU 200 Hz, wheels 50 Hz, supply 10 Hz', Level.OK)
     stamps = [topics.stamp_ns(message) for message in robot.imu]

@@ -9,8 +9,7 @@ from graph import Graph
 from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import Image
 
-from gyrocal_ros.msgs import images
-from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs import images, to_ros
 from gyrocal_ros.nodes.listener import listening
 from gyrocal_ros.robot.feed import Overview
 from gyrocal_ros.robot.health import Level
@@ -35,7 +34,7 @@ def test_it_hears_the_calibration_the_health_and_the_tracks() -> None:
         assert 'nothing has come yet' in calibrator.message and 'imu_hz' in calibrator.numbers
 
         grey = np.zeros((48, 64, 3), np.uint8)
-        tracks.publish(images.picture(messages.live_maker(get_message), 0, 'camera', grey))
+        tracks.publish(images.colour_image(to_ros.live_maker(get_message), 0, 'camera', grey))
         shown = graph.wait(lambda: feed.overview(time.monotonic()).tracks, 'the image')
         assert shown is not None and shown.startswith(b'\xff\xd8'), 'a JPEG'
 

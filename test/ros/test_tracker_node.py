@@ -26,15 +26,14 @@ from gyrocal_ros.data import (
     nanoseconds,
 )
 from gyrocal_ros.model.camera import mount_from_yaw
-from gyrocal_ros.msgs import images, topics
-from gyrocal_ros.msgs import to_ros as messages
+from gyrocal_ros.msgs import images, to_ros, topics
 from gyrocal_ros.msgs.transforms import IDENTITY
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.sim.render import ceiling_renderer
 
 CAMERA = CameraIntrinsics(640, 480, 250.0, 250.0, 320.0, 240.0, (-0.05, 0.01, 5e-4, -3e-4, 0.0))
 START_NS = 1_700_000_000_000_000_000
-MAKE = messages.live_maker(get_message)
+MAKE = to_ros.live_maker(get_message)
 BEST_EFFORT = SENSOR_IN
 TOPIC = 'ceiling_camera/image_raw'
 
@@ -68,7 +67,7 @@ class Robot:
         )
         links = graph.node.create_publisher(TFMessage, '/tf_static', STATIC)
         mounts = {topics.CAMERA_FRAME: mount_from_yaw(0.1, 0.0, 0.1, -90.0), topics.IMU_FRAME: IDENTITY}
-        links.publish(messages.static_transforms(MAKE, mounts, START_NS))
+        links.publish(to_ros.static_transforms(MAKE, mounts, START_NS))
 
     @property
     def publishers(self) -> list[Publisher]:
@@ -83,11 +82,11 @@ class Robot:
         self._step += 1
         t_ns = START_NS + nanoseconds(0.1 * self._step)
         frame = Frame(t_ns, ceiling() if image is None else image)
-        self._infos.publish(messages.camera_info(MAKE, CAMERA, t_ns))
+        self._infos.publish(to_ros.camera_info(MAKE, CAMERA, t_ns))
         for k in range(10, -1, -1):
             sample = ImuSample(t_ns - nanoseconds(0.01 * k), (0.0, 0.0, 0.0), (0.0, 0.0, 9.8))
-            self._imu.publish(messages.imu(MAKE, sample))
-        convert = images.compressed_image if self._compressed else images.image
+            self._imu.publish(to_ros.imu(MAKE, sample))
+        convert = images.compressed_image if self._compressed else images.grey_image
         self._images.publish(convert(MAKE, frame))
         return t_ns
 
@@ -164,7 +163,7 @@ def test_the_calibrator_guides_it(graph: Graph) -> None:
     def is_guided() -> bool:
         now = robot.see()
         robot.regions.publish(
-            messages.search_regions(MAKE, SearchRegions(now.t_ns, seen.ids, seen.pixels, covariances))
+            to_ros.search_regions(MAKE, SearchRegions(now.t_ns, seen.ids, seen.pixels, covariances))
         )
         return said(health).endswith('guided by the calibrator')
 

@@ -87,8 +87,14 @@ def figure_13(each: Mapper, seeds: int) -> Tracks:
 def _scenario(camera_until_s: float) -> Scenario:
     lanes = find_scenario('lanes')
     errors = replace(lanes.errors, scale_factor=1.0 - NOMINAL_ERROR)
-    habits = replace(lanes.habits, area_m=(4.0, 2.5))
-    return replace(lanes, duration_s=END_S + 1.0, camera_until_s=camera_until_s, errors=errors, habits=habits)
+    driving_style = replace(lanes.driving_style, area_m=(4.0, 2.5))
+    return replace(
+        lanes,
+        duration_s=END_S + 1.0,
+        camera_until_s=camera_until_s,
+        errors=errors,
+        driving_style=driving_style,
+    )
 
 
 def _covered(seed: int) -> dict[str, Trajectory2D]:

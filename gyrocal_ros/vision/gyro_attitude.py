@@ -1,4 +1,4 @@
-"""How the robot turns, by its IMU alone: what the tracker has to know before the filter does."""
+"""Attitude from the IMU alone, for predictions of the tracker that precede those of the filter."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 
 from gyrocal_ros.data import Array, ImuSample, nanoseconds, seconds
 
-KEPT_S = 2.0
-"""How far back it can be asked; search regions older than this are of no use."""
-LEVEL_S = 1.0
-"""Time constant with which the robot is believed to be level again: it drives on a floor."""
-GAP_S = 0.5
-"""IMU samples further apart than this say nothing of the turn between them."""
+HISTORY_S = 2.0
+"""Length of the buffer; older search regions are not usable."""
+LEVELLING_TIME_S = 1.0
+"""Time constant of the decay of roll and pitch to level: the robot drives on a floor."""
+MAX_GAP_S = 0.5
+"""Largest gap between IMU samples over which the rate is integrated."""
 
 
-class Turning:
-    """Attitude of the body in the latest seconds, from its nominal rates.
+class GyroAttitude:
+    """Attitude of the body in the latest seconds, integrated from its nominal rates.
 
-    The yaw errs by what the gyro errs by. Roll and pitch follow the gyro for as long as a threshold
-    takes to be crossed, and come back to level with time, or their biases would add up.
+    The error of the yaw is that of the gyro. Roll and pitch follow the gyro over a short time, such as
+    the crossing of a threshold, and decay to level, because the gyro biases would accumulate otherwise.
     """
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class Turning:
         return self._t_ns[-1] if self._t_ns else None
 
     def add(self, sample: ImuSample) -> None:
-        """Take in one sample, in body axes; one that is not newer than the last is ignored."""
+        """Add one sample, in body axes; a sample that is not newer than the last one is ignored."""
         if not self._t_ns:
             self._t_ns, self._euler, self._rate = [sample.t_ns], [(0.0, 0.0, 0.0)], sample.rate_rad_s
             return
@@ -43,22 +43,22 @@ class Turning:
             return
         dt_s = seconds(sample.t_ns - self._t_ns[-1])
         (ax, ay, az), (bx, by, bz) = self._rate, sample.rate_rad_s
-        turned = 0.5 * dt_s if dt_s < GAP_S else 0.0
+        turned = 0.5 * dt_s if dt_s < MAX_GAP_S else 0.0
         self._t_ns.append(sample.t_ns)
         self._euler.append(
-            _turned(self._euler[-1], turned * (ax + bx), turned * (ay + by), turned * (az + bz), dt_s)
+            _rotated(self._euler[-1], turned * (ax + bx), turned * (ay + by), turned * (az + bz), dt_s)
         )
         self._rate = sample.rate_rad_s
-        if self._t_ns[0] < sample.t_ns - nanoseconds(2.0 * KEPT_S):
-            old = bisect_left(self._t_ns, sample.t_ns - nanoseconds(KEPT_S))
+        if self._t_ns[0] < sample.t_ns - nanoseconds(2.0 * HISTORY_S):
+            old = bisect_left(self._t_ns, sample.t_ns - nanoseconds(HISTORY_S))
             del self._t_ns[:old], self._euler[:old]
 
     def at(self, t_ns: int) -> Array | None:
-        """Roll, pitch and yaw (3,), linear between samples; None where no sample vouches for them.
+        """Return roll, pitch and yaw (3,), interpolated linearly, or None outside the buffer.
 
-        A little beyond the latest sample the robot is taken to go on turning as it did there.
+        Up to `MAX_GAP_S` beyond the latest sample the attitude is extrapolated with its rate.
         """
-        if not self._t_ns or not self._t_ns[0] <= t_ns < self._t_ns[-1] + nanoseconds(GAP_S):
+        if not self._t_ns or not self._t_ns[0] <= t_ns < self._t_ns[-1] + nanoseconds(MAX_GAP_S):
             return None
         after = bisect_left(self._t_ns, t_ns)
         if after == len(self._t_ns):
@@ -70,10 +70,10 @@ class Turning:
         return later + part * (np.array(self._euler[after - 1]) - later)
 
 
-def _turned(
+def _rotated(
     euler: tuple[float, float, float], x: float, y: float, z: float, dt_s: float
 ) -> tuple[float, float, float]:
-    """Euler angles after a small turn (rad) of a body that is nearly level."""
+    """Return the Euler angles after a small rotation (rad) of a body that is nearly level."""
     roll, pitch, yaw = euler
-    kept = math.exp(-dt_s / LEVEL_S)
+    kept = math.exp(-dt_s / LEVELLING_TIME_S)
     return kept * (roll + x + pitch * z), kept * (pitch + y - roll * z), yaw + z

@@ -1,8 +1,8 @@
-"""The tracker in a stream: images come in, with the IMU and what the filter last expected beside them.
+"""Feature tracking in a stream of images, aided by the IMU and by the filter's latest predictions.
 
-On the robot the filter speaks a moment after the image, in another process; so here the tracker
-predicts for itself, and takes from the filter what that expected when it had seen the image before.
-Recordings are followed in the very same way.
+On the robot the filter runs in another process and responds after the image. The tracker therefore
+predicts the attitude itself and propagates the search regions that the filter predicted after the
+previous image. Recordings are processed in exactly the same way.
 """
 
 from __future__ import annotations
@@ -23,121 +23,123 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.vision.gyro_attitude import GyroAttitude
 from gyrocal_ros.vision.search_region import ceiling_coordinates, ceiling_pixels
 from gyrocal_ros.vision.tracker import Tracker
-from gyrocal_ros.vision.turning import Turning
 
 TURN_GAIN_STD, TURN_BIAS_STD_RAD_S = 0.1, 0.02
-"""How far the true turn may be from the nominal one before any was seen: a fraction of it, and a rate."""
-TWIST_NOISE_RAD = 1e-3
-"""How well the turn between two images is seen."""
-FLOW_DOUBT_PX_S = 10.0
-"""How much the features may move other than they did between the last two images."""
+"""Prior standard deviations of the error of a nominal turn: relative, and as a rate."""
+TWIST_STD_RAD = 1e-3
+"""Standard deviation of the measured turn between two images."""
+FLOW_STD_PX_S = 10.0
+"""Standard deviation of the change of the image motion since the last two images."""
 MIN_COMMON = 3
-"""Features in two images that tell how the robot moved."""
+"""Minimum number of common features of two images for estimating the motion of the robot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
-    """What was seen in one image, and from what attitude."""
+class _TrackedImage:
+    """The features found in one image and the predicted attitude of the camera."""
 
     seen: FeatureObservations
     R_wc: Array
     yaw_rad: float
-    """By the gyro as far as it is put right."""
+    """Yaw by the gyro, corrected by the estimated gain and bias."""
     nominal_yaw_rad: float
-    """By the gyro alone."""
+    """Yaw by the uncorrected gyro."""
     yaw_error_rad: float
-    """By how much the first is ahead of the images, since the start."""
+    """Corrected yaw minus the yaw of the images, since the start."""
 
 
-class Follower:
-    """Follows features through the images of a camera that turns as an IMU says.
+class GyroAidedTracker:
+    """Tracks features through the images of a camera whose attitude an IMU predicts.
 
-    By how much that is wrong, scale factor and bias of the yaw rate, it learns by itself.
+    It estimates the scale factor and bias of the yaw rate itself.
 
     Args:
         camera: intrinsics of the images.
         R_bc: (3, 3) from the optical frame to the body.
-        config: of the tracker.
+        config: settings of the tracker.
         first_id: id of the first feature.
     """
 
     def __init__(
         self, camera: CameraIntrinsics, R_bc: Array, config: TrackerConfig, first_id: int = 0
     ) -> None:
-        self.turning = Turning()
+        self.attitude = GyroAttitude()
         self.regions: SearchRegions | None = None
-        """What the filter last expected."""
+        """Latest search regions predicted by the filter."""
         self.expected: SearchRegions | None = None
-        """The same, carried to the last image."""
+        """The same regions, propagated to the last image."""
         self._camera, self._R_bc = camera, R_bc
         self._tracker = Tracker(camera, config, first_id)
-        self._last: _Look | None = None
+        self._last: _TrackedImage | None = None
         self._flow_1_s: Array = np.zeros(2)
         self._gain_and_bias: Array = np.array([1.0, 0.0])
         self._information = np.diag([TURN_GAIN_STD**-2.0, TURN_BIAS_STD_RAD_S**-2.0])
 
     def restart(self) -> None:
-        """Forget attitudes and regions: the clock of the stamps has stepped."""
-        self.turning, self.regions, self._last = Turning(), None, None
+        """Discard attitudes and regions after a step of the clock of the stamps."""
+        self.attitude, self.regions, self._last = GyroAttitude(), None, None
 
     def configure(self, config: TrackerConfig) -> None:
-        """Go on with other settings of the tracker."""
+        """Apply other settings of the tracker."""
         self._tracker.config = config
 
     def add(self, sample: ImuSample) -> None:
-        """Take in an IMU sample, in body axes."""
-        self.turning.add(sample)
+        """Add an IMU sample, in body axes."""
+        self.attitude.add(sample)
 
     def track(self, frame: Frame) -> FeatureObservations:
         """Find the features in the next image.
 
         Raises:
-            RecordingError: the image has another size than the camera.
+            RecordingError: the size of the image differs from that of the camera.
         """
         last = self._last
         before, yaw_rad = (last.nominal_yaw_rad, last.yaw_rad) if last else (0.0, 0.0)
-        euler = self.turning.at(frame.t_ns)
+        euler = self.attitude.at(frame.t_ns)
         roll, pitch, nominal_yaw_rad = (0.0, 0.0, before) if euler is None else euler
         if last and euler is not None:
             turn = np.array([nominal_yaw_rad - before, seconds(frame.t_ns - last.seen.t_ns)])
             yaw_rad += float(turn @ self._gain_and_bias)
         R_wc = rotation_from_euler(np.array([roll, pitch, yaw_rad])) @ self._R_bc
-        self.expected = None if euler is None else self._carried(frame.t_ns, R_wc, yaw_rad, nominal_yaw_rad)
+        self.expected = (
+            None if euler is None else self._propagated_regions(frame.t_ns, R_wc, yaw_rad, nominal_yaw_rad)
+        )
         seen = self._tracker.track(frame, R_wc, self.expected)
-        look = _Look(seen, R_wc, yaw_rad, nominal_yaw_rad, self._tracker.yaw_error_rad)
+        image = _TrackedImage(seen, R_wc, yaw_rad, nominal_yaw_rad, self._tracker.yaw_error_rad)
         if last:
-            self._learn(last, look)
-        self._last = look
+            self._update_gain_and_bias(last, image)
+        self._last = image
         return seen
 
-    def _learn(self, last: _Look, look: _Look) -> None:
-        """See from two images how the robot drives, and by how much its gyro is wrong.
+    def _update_gain_and_bias(self, last: _TrackedImage, image: _TrackedImage) -> None:
+        """Estimate the image motion and the gain and bias of the gyro from two images.
 
-        Gain and bias are those of least squares over all turns seen (recursive, with their priors).
+        Gain and bias are recursive least-squares estimates over all turns, with their priors.
         """
-        dt_s = seconds(look.seen.t_ns - last.seen.t_ns)
-        _, before, now = np.intersect1d(last.seen.ids, look.seen.ids, return_indices=True)
+        dt_s = seconds(image.seen.t_ns - last.seen.t_ns)
+        _, before, now = np.intersect1d(last.seen.ids, image.seen.ids, return_indices=True)
         if len(now) < MIN_COMMON or dt_s <= 0.0:
             self._flow_1_s = np.zeros(2)
             return
-        moved = self._to_ceiling(look, now) - self._to_ceiling(last, before)
+        moved = self._to_ceiling(image, now) - self._to_ceiling(last, before)
         self._flow_1_s = np.median(moved, axis=0) / dt_s
-        turn = np.array([look.nominal_yaw_rad - last.nominal_yaw_rad, dt_s]) / TWIST_NOISE_RAD
-        missed = (look.yaw_error_rad - last.yaw_error_rad) / TWIST_NOISE_RAD
+        turn = np.array([image.nominal_yaw_rad - last.nominal_yaw_rad, dt_s]) / TWIST_STD_RAD
+        residual = (image.yaw_error_rad - last.yaw_error_rad) / TWIST_STD_RAD
         self._information = self._information + np.outer(turn, turn)
-        self._gain_and_bias = self._gain_and_bias - np.linalg.solve(self._information, turn * missed)
+        self._gain_and_bias = self._gain_and_bias - np.linalg.solve(self._information, turn * residual)
 
-    def _to_ceiling(self, look: _Look, rows: NDArray[np.intp]) -> Array:
-        return ceiling_coordinates(self._camera, look.seen.pixels[rows], look.R_wc)
+    def _to_ceiling(self, image: _TrackedImage, rows: NDArray[np.intp]) -> Array:
+        return ceiling_coordinates(self._camera, image.seen.pixels[rows], image.R_wc)
 
-    def _carried(
+    def _propagated_regions(
         self, t_ns: int, R_wc: Array, yaw_rad: float, nominal_yaw_rad: float
     ) -> SearchRegions | None:
-        """The filter's last regions as they are in an image now: turned, moved, and wider."""
+        """Return the filter's latest regions propagated to an image: rotated, shifted and enlarged."""
         regions = self.regions
-        euler = self.turning.at(regions.t_ns) if regions else None
+        euler = self.attitude.at(regions.t_ns) if regions else None
         if regions is None or euler is None:
             return None
         dt_s = seconds(t_ns - regions.t_ns)
@@ -147,7 +149,7 @@ class Follower:
         pixels = ceiling_pixels(self._camera, ceiling + dt_s * self._flow_1_s, R_wc)
         centre = np.array([self._camera.cx_px, self._camera.cy_px])
         turn_variance = float(turn @ np.linalg.solve(self._information, turn))
-        variance = (FLOW_DOUBT_PX_S * dt_s) ** 2 + turn_variance * ((pixels - centre) ** 2).sum(axis=1)
+        variance = (FLOW_STD_PX_S * dt_s) ** 2 + turn_variance * ((pixels - centre) ** 2).sum(axis=1)
         return replace(
             regions,
             t_ns=t_ns,

@@ -65,7 +65,7 @@ def step_nearly_level(euler_rad: Three, turn_rad: Three, kept: float = 1.0) -> T
 
 
 def planar_trajectory(first_yaw_rad: float, turn_rad: Array, distance_m: Array) -> tuple[Array, Array]:
-    """Dead reckoning on a level floor: eq. (2) with roll and pitch zero, over s steps at once.
+    """Integrate dead reckoning on a level floor: eq. (2) with roll and pitch zero, s steps at once.
 
     The heading in the middle of each step gives its direction, as in `integrate`, so both agree for the
     same steps. Where a step stands for several intervals, the error of the position is of second order in

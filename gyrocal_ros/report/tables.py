@@ -11,7 +11,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.diagnosis import MissingEffect
 from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift
 from gyrocal_ros.effects.base import with_unit
-from gyrocal_ros.effects.describe import UNTOLD
+from gyrocal_ros.effects.describe import NOT_ESTIMATED
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.state import YAW_BIAS
 from gyrocal_ros.pipeline.calibration import Calibration
@@ -85,7 +85,7 @@ def estimate_rows(finding: MissingEffect) -> Iterator[tuple[str, str, str, str]]
     items = zip(finding.effect.coefficients, finding.names, finding.values, finding.stds, strict=True)
     for item, name, value, std in items:
         if std == 0.0:
-            yield name, f'{value:.4g}', item.unit, f'{with_unit(float(value), item.unit)}, {UNTOLD}'
+            yield name, f'{value:.4g}', item.unit, f'{with_unit(float(value), item.unit)}, {NOT_ESTIMATED}'
         elif item.unit == '1' and finding.effect.acts_on == 'gyro':
             yield name, with_std(value, std), '1', f'{with_std(100.0 * value, 100.0 * std)} % of the rate'
         else:

@@ -18,7 +18,7 @@ from gyrocal_ros.data import (
     nanoseconds,
     seconds,
 )
-from gyrocal_ros.ekf.motion import GAP_NS, WHEEL_PATIENCE_NS, MotionBuffer
+from gyrocal_ros.ekf.motion import GAP_NS, WHEEL_TIMEOUT_NS, MotionBuffer
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -190,7 +190,7 @@ def test_blocks_wait_for_the_wheels_until_a_timeout() -> None:
     buffer.add(wheels(0.2))
     assert buffer.covered_until_ns() == at(0.1)
     buffer.add(imu(0.9))
-    assert buffer.covered_until_ns() == at(0.9) - WHEEL_PATIENCE_NS
+    assert buffer.covered_until_ns() == at(0.9) - WHEEL_TIMEOUT_NS
 
 
 def test_blocks_do_not_wait_without_wheels() -> None:

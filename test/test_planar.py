@@ -1,4 +1,4 @@
-"""The fast variants of the dead reckoning agree with `integrate`, with errors of the order that they state."""
+"""The fast variants of the dead reckoning agree with `integrate`, up to errors of the stated order."""
 
 from __future__ import annotations
 

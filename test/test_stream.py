@@ -23,7 +23,7 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.motion import WHEEL_PATIENCE_NS
+from gyrocal_ros.ekf.motion import WHEEL_TIMEOUT_NS
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.state import POSITION, YAW
 from gyrocal_ros.ekf.step_record import StepRecord
@@ -160,7 +160,7 @@ def test_covered_time_is_that_of_the_buffer() -> None:
     assert sync.covered_ns() is None
     sync.add(WheelSample(0, 0.1, 0.0), 0)
     sync.add(imu(0.5), 0)
-    assert sync.covered_ns() == nanoseconds(0.5) - WHEEL_PATIENCE_NS
+    assert sync.covered_ns() == nanoseconds(0.5) - WHEEL_TIMEOUT_NS
 
 
 def test_a_restart_drops_what_waits_and_keeps_the_running_time() -> None:

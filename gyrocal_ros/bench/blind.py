@@ -1,4 +1,4 @@
-"""Blind trials: effects are hidden in recordings, and what the diagnosis says is held against the truth."""
+"""Blind trials: effects are hidden in recordings, and the diagnosis is compared with the truth."""
 
 from __future__ import annotations
 
@@ -34,17 +34,18 @@ from gyrocal_ros.sim.world import SimSource
 
 COSTLY_DRIFT_DEG = 0.5
 COSTLY_SCALE = 2e-4
-"""An effect that costs neither so much blind drift nor so much of the scale factor may be missed."""
+"""Thresholds of blind drift and relative scale error; an effect that exceeds neither may be missed."""
 WRONG_NOISE = 2.0
+"""Factor by which the noise settings are wrong, to either side."""
 PAIRS = 20
-"""Cases of two effects at once."""
+"""Number of cases with two effects at once."""
 MOMENT_S = 5.0
-"""A jump has to be told within this."""
+"""Maximum error of the reported time of a jump."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What is hidden, and how wrong the filter's idea of its noise is."""
+    """The hidden effects, and the factor by which the noise settings of the filter are wrong."""
 
     label: str
     names: tuple[str, ...] = ()
@@ -53,37 +54,37 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class BlindResult:
-    """What one recording shows."""
+    """Result of one recording."""
 
     case: Case
     seed: int
     hidden: tuple[tuple[str, tuple[float, ...]], ...]
     """Names and true values."""
     is_costly: bool
-    """Whether leaving any one of them out of the model costs more than may be overlooked."""
+    """True if the omission of any one of them from the model exceeds a threshold."""
     drift_known_deg: float
-    """With the true sensor model."""
+    """Blind drift with the true sensor model."""
     verdict: str = 'diverged'
     named: tuple[str, ...] = ()
-    """What is said to be missing, the one that explains most first."""
+    """Effects that the diagnosis reports as missing, in decreasing order of explanation."""
     excuses: tuple[str, ...] = ()
-    """What else may be meant, for this recording cannot tell it apart."""
+    """Effects that this recording cannot distinguish from the named ones."""
     left: str = ''
-    """What no effect explains, in words."""
+    """Description of the structure that no effect explains."""
     is_right: bool = False
     is_excused: bool = False
-    """Not right, but all that is hidden is named or among the excuses."""
+    """True if not right, but all hidden effects are named or indistinguishable from named ones."""
     errors_sigma: tuple[float, ...] = ()
-    """Of the coefficients of those effects that were found."""
+    """Errors of the coefficients of effects that were found, in standard deviations."""
     drift_before_deg: float = math.nan
     drift_after_deg: float = math.nan
 
 
 def cases(only: Sequence[str] = ()) -> list[Case]:
-    """The whole matrix, or the cases with these labels.
+    """Return all cases, or those with the given labels.
 
-    One of each effect, of nothing, of nothing with the filter's noise settings wrong, of what the
-    library does not have, and of two effects at once.
+    The cases hide each effect alone, nothing, nothing with wrong noise settings, effects that the library
+    does not have, and two effects at once.
     """
     rng = stream(0, 'pairs of effects')
     pairs = [rng.choice(list(LIBRARY_RANGES), 2, replace=False).tolist() for _ in range(PAIRS)]
@@ -98,39 +99,39 @@ def cases(only: Sequence[str] = ()) -> list[Case]:
 
 
 def blind(seeds: int, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
-    """Yield a row a case as they become ready, and one of the sums."""
+    """Yield one row per case as they become ready, and one for all cases together."""
     tasks = [(case, seed) for case in cases(only) for seed in range(seeds)]
     every = []
-    for _, group in groupby(in_parallel(_trial, tasks), key=lambda trial: trial.case):
-        trials = list(group)
-        every += trials
-        yield row(trials[0].case.label, trials)
+    for _, group in groupby(in_parallel(_run_task, tasks), key=lambda result: result.case):
+        results = list(group)
+        every += results
+        yield row(results[0].case.label, results)
     yield row('all', every)
 
 
-def row(label: str, trials: Sequence[BlindResult]) -> dict[str, Any]:
-    """The figures of some recordings."""
-    costly = [trial for trial in trials if trial.is_costly] if trials[0].case.names else list(trials)
-    errors = np.abs([error for trial in trials for error in trial.errors_sigma])
-    firsts = Counter(_said(trial) for trial in trials)
+def row(label: str, results: Sequence[BlindResult]) -> dict[str, Any]:
+    """Return the figures of some recordings."""
+    costly = [result for result in results if result.is_costly] if results[0].case.names else list(results)
+    errors = np.abs([error for result in results for error in result.errors_sigma])
+    answers = Counter(_answer(result) for result in results)
     return {
         'hidden': label,
-        'bags': len(trials),
+        'bags': len(results),
         'costly': len(costly),
-        'right': _share([trial.is_right for trial in costly]),
-        'or_twin': _share([trial.is_right or trial.is_excused for trial in costly]),
-        'wrong': _share([_is_confident(trial) and not trial.is_right for trial in trials]),
+        'right': _share([result.is_right for result in costly]),
+        'or_twin': _share([result.is_right or result.is_excused for result in costly]),
+        'wrong': _share([_is_confident(result) and not result.is_right for result in results]),
         'in_3_sigma': _share((errors < 3.0).tolist()),
         'max_sigma': float(errors.max()) if len(errors) else None,
-        'before_deg': _mean([trial.drift_before_deg for trial in trials]),
-        'after_deg': _mean([trial.drift_after_deg for trial in trials]),
-        'known_deg': _mean([trial.drift_known_deg for trial in trials]),
-        'named': ', '.join(f'{name} {count}' for name, count in firsts.most_common()),
+        'before_deg': _mean([result.drift_before_deg for result in results]),
+        'after_deg': _mean([result.drift_after_deg for result in results]),
+        'known_deg': _mean([result.drift_known_deg for result in results]),
+        'named': ', '.join(f'{name} {count}' for name, count in answers.most_common()),
     }
 
 
 def run_blind(case: Case, seed: int) -> BlindResult:
-    """Hide, simulate, diagnose, compare."""
+    """Hide effects in a simulated recording, diagnose it and compare with the truth."""
     scenario, config = find_scenario('cleaning'), _with_noise(Config(), case.noise)
     drawn = draw_hidden(seed, scenario.duration_s, case.names)
     scale_factor = draw_scale_factor(seed)
@@ -148,60 +149,65 @@ def run_blind(case: Case, seed: int) -> BlindResult:
         has_run = searched is not None and searched.first.model == model
         return searched.first.run if has_run else run(model)  # type: ignore[union-attr]
 
-    known = _merit(finished, hidden, scale_factor)
-    trial = BlindResult(
+    known = _model_error(finished, hidden, scale_factor)
+    result = BlindResult(
         case=case,
         seed=seed,
         hidden=tuple((item.effect.name, item.values) for item in hidden),
         is_costly=all(
-            _merit(finished, hidden[:i] + hidden[i + 1 :], scale_factor).costs_more_than(known)
+            _model_error(finished, hidden[:i] + hidden[i + 1 :], scale_factor).is_much_worse_than(known)
             for i in range(len(hidden))
         ),
         drift_known_deg=known.drift_deg,
     )
-    return trial if searched is None else _judged(trial, hidden, searched, diagnose(searched, recorded))
+    if searched is None:
+        return result
+    return _with_diagnosis(result, hidden, searched, diagnose(searched, recorded))
 
 
 @dataclass(frozen=True, slots=True)
-class _Merit:
-    """How good a sensor model is on a recording whose truth is known."""
+class _ModelError:
+    """Errors of a sensor model on a recording whose truth is known."""
 
     drift_deg: float
     scale_error: float
 
-    def costs_more_than(self, other: _Merit) -> bool:
-        """Whether a model is worse by more than may be overlooked; one that diverges is (NaN)."""
+    def is_much_worse_than(self, other: _ModelError) -> bool:
+        """Return True if the model is worse by more than the thresholds; NaN (divergence) is."""
         cost_deg = math.sqrt(max(self.drift_deg**2 - other.drift_deg**2, 0.0))
         return not (cost_deg <= COSTLY_DRIFT_DEG and self.scale_error <= COSTLY_SCALE)
 
 
-def _merit(run: Callable[[SensorModel], Run], hidden: Sequence[HiddenEffect], scale_factor: float) -> _Merit:
-    """That of the model with these effects, their coefficients expected where they are."""
+def _model_error(
+    run: Callable[[SensorModel], Run], hidden: Sequence[HiddenEffect], scale_factor: float
+) -> _ModelError:
+    """Return the errors of the model with these effects, its prior means at their true values."""
     model = default_model()
     for item in hidden:
         model = with_effect(model, with_means(item.effect, item.values))
     try:
         finished = run(model)
     except FilterDivergedError:
-        return _Merit(math.nan, math.nan)
+        return _ModelError(math.nan, math.nan)
     scale_error = abs((1.0 + float(finished.state.coefficients[0])) / scale_factor - 1.0)
-    return _Merit(_drift_deg(finished), scale_error)
+    return _ModelError(_drift_deg(finished), scale_error)
 
 
-def _judged(
-    trial: BlindResult, hidden: Sequence[HiddenEffect], searched: Search, found: Diagnosis
+def _with_diagnosis(
+    result: BlindResult, hidden: Sequence[HiddenEffect], searched: Search, found: Diagnosis
 ) -> BlindResult:
-    excuses = {finding.effect.name: finding.confused_with for finding in found.missing}
-    right = is_right(trial.case, hidden, found)
-    said = {*excuses, *(name for names in excuses.values() for name in names)}
+    """Return the result with the answers of the diagnosis."""
+    named = {missing.effect.name: missing.confused_with for missing in found.missing}
+    right = is_right(result.case, hidden, found)
+    possible = {*named, *(name for names in named.values() for name in names)}
     return replace(
-        trial,
+        result,
         verdict=found.verdict,
-        named=tuple(excuses),
-        excuses=tuple(sorted(said - set(excuses))),
+        named=tuple(named),
+        excuses=tuple(sorted(possible - set(named))),
         left=found.unexplained.what if found.unexplained is not None else '',
         is_right=right,
-        is_excused=not right and bool(hidden) and said.issuperset(trial.case.names),
+        is_excused=not right and bool(hidden) and possible.issuperset(result.case.names),
         errors_sigma=tuple(_errors_sigma(hidden, found)),
         drift_before_deg=_drift_deg(searched.first.run),
         drift_after_deg=_drift_deg(searched.last.run),
@@ -209,26 +215,30 @@ def _judged(
 
 
 def is_right(case: Case, hidden: Sequence[HiddenEffect], found: Diagnosis) -> bool:
-    """Whether what is hidden is named first, or all of it; of a stranger, when or what it goes with."""
-    named = [finding.effect.name for finding in found.missing]
+    """Return True if the hidden effect is named first, or both hidden effects are named.
+
+    For an effect that the library does not have, the time of its jump or the signal that it follows has to be
+    right.
+    """
+    named = [missing.effect.name for missing in found.missing]
     if not hidden:
         return found.verdict == 'nothing_missing'
     if case.names[0] not in OUT_OF_LIBRARY:
         return set(named) == set(case.names) if len(hidden) > 1 else named[:1] == list(case.names)
-    left, unknown = found.unexplained, OUT_OF_LIBRARY[case.names[0]]
+    structure, unknown = found.unexplained, OUT_OF_LIBRARY[case.names[0]]
     if unknown.right_signal is None:
-        moment_s = hidden[0].values[1]
-        return left is not None and left.at_s is not None and abs(left.at_s - moment_s) < MOMENT_S
+        jump_s, found_s = hidden[0].values[1], structure.at_s if structure is not None else None
+        return found_s is not None and abs(found_s - jump_s) < MOMENT_S
     if named[:1] == [unknown.right_effect]:
         return True
-    return left is not None and left.shape.signal == unknown.right_signal
+    return structure is not None and structure.shape.signal == unknown.right_signal
 
 
 def _errors_sigma(hidden: Sequence[HiddenEffect], found: Diagnosis) -> Iterator[float]:
-    for finding in found.missing:
+    for missing in found.missing:
         for item in hidden:
-            if item.effect.name == finding.effect.name:
-                for value, std, truth in zip(finding.values, finding.stds, item.values, strict=True):
+            if item.effect.name == missing.effect.name:
+                for value, std, truth in zip(missing.values, missing.stds, item.values, strict=True):
                     yield float((value - truth) / std) if std > 0.0 else 0.0
 
 
@@ -252,19 +262,19 @@ def _with_noise(config: Config, factor: float) -> Config:
 
 
 def _drift_deg(run: Run) -> float:
-    """Held out: in the second half, each span begins with what was known by then."""
+    """Return the held-out drift: in the second half, each span starts with the estimate of that time."""
     return blind_drift(run, from_s=0.5 * float(run.history.time_s[-1])).rms_deg
 
 
-def _is_confident(trial: BlindResult) -> bool:
-    return trial.verdict == 'effect_found'
+def _is_confident(result: BlindResult) -> bool:
+    return result.verdict == 'effect_found'
 
 
-def _said(trial: BlindResult) -> str:
-    """In a word: what was named first, or what else was said."""
-    if trial.verdict == 'unexplained':
-        return f'unexplained ({trial.left})'
-    return ' + '.join(trial.named) or trial.verdict
+def _answer(result: BlindResult) -> str:
+    """Return the named effects, or the verdict where there are none."""
+    if result.verdict == 'unexplained':
+        return f'unexplained ({result.left})'
+    return ' + '.join(result.named) or result.verdict
 
 
 def _share(cases: Sequence[bool]) -> float | None:
@@ -276,5 +286,5 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(known.mean()) if len(known) else None
 
 
-def _trial(task: tuple[Case, int]) -> BlindResult:
+def _run_task(task: tuple[Case, int]) -> BlindResult:
     return run_blind(*task)

@@ -68,7 +68,7 @@ def planar_trajectory(first_yaw_rad: float, turn_rad: Array, distance_m: Array) 
     """Integrate dead reckoning on a level floor: eq. (2) with roll and pitch zero, s steps at once.
 
     The heading in the middle of each step gives its direction, as in `integrate`, so both agree for the
-    same steps. Where a step stands for several intervals, the error of the position is of second order in
+    same steps. Where a step combines several intervals, the error of the position is of second order in
     the length of the steps; the yaw is exact.
 
     Args:

@@ -1,4 +1,4 @@
-"""A recording through the nodes, as if the robot were there; all ends with it."""
+"""Plays a recording to the nodes of the robot; all nodes end with the recording."""
 
 from pathlib import Path
 
@@ -13,24 +13,25 @@ from gyrocal_ros.nodes.launching import Arguments, describe
 
 ARGUMENTS = {
     'bag': (None, 'recording to play: a rosbag2 folder, one of its files, or a ROS 1 .bag'),
-    'rate': ('1.0', 'how much faster than it was recorded'),
-    'robot': ('', 'namespace of the robot in the recording, where that holds several'),
-    'images': ('false', 'track the images even where the recording holds features'),
+    'rate': ('1.0', 'speed relative to the recording'),
+    'robot': ('', 'namespace of the robot in the recording, if there are several'),
+    'images': ('false', 'track the images even if the recording has features'),
 }
 SIMULATED_TIME = {'use_sim_time': True}
-PATIENT = {'images.patience_s': 0.1}
-"""Images come without delay here, the IMU samples after them do not; and the same comes out every time."""
+PATIENCE = {'images.patience_s': 0.1}
+"""Timeout of an image, longer than on the robot: images are played without their delay, hence before the
+IMU samples that they wait for. It makes the result reproducible."""
 
 
 def nodes(arguments: Arguments) -> list:
-    """The player, and who listens to it."""
+    """Return the player and the nodes that process the recording."""
     bag, with_images = Path(arguments['bag']).expanduser(), arguments['images'] == 'true'
     with open_storage(bag) as storage:
         options = TopicOptions(namespace=arguments['robot'] or None, use_images=with_images)
         tracks = Role.IMAGE in select_topics(storage.topics, options).topics
     listeners = [arguments.calibrator(follows_tracker=tracks, parameters=SIMULATED_TIME)]
     if tracks:
-        listeners.append(arguments.node('tracker', {**SIMULATED_TIME, **PATIENT}))
+        listeners.append(arguments.node('tracker', {**SIMULATED_TIME, **PATIENCE}))
     player = arguments.node(
         'player',
         {
@@ -41,10 +42,10 @@ def nodes(arguments: Arguments) -> list:
             'recording.use_images': with_images,
         },
     )
-    end = OnProcessExit(target_action=player, on_exit=[Shutdown(reason='the recording is at its end')])
+    end = OnProcessExit(target_action=player, on_exit=[Shutdown(reason='end of the recording')])
     return [*listeners, RegisterEventHandler(end), player]
 
 
 def generate_launch_description() -> LaunchDescription:
-    """What `ros2 launch` asks for."""
+    """Return the launch description, for `ros2 launch`."""
     return describe(ARGUMENTS, nodes)

@@ -1,4 +1,4 @@
-"""The live calibrator without ROS: what goes in as it arrives gives what a replay gives, whatever happens."""
+"""The live calibrator without ROS: measurements as they arrive give the same result as a replay."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def replayed() -> Calibration:
 # --- the same as a replay -------------------------------------------------------------------------
 
 
-def test_what_arrives_in_its_order_gives_what_a_replay_gives() -> None:
+def test_ordered_arrival_gives_the_result_of_a_replay() -> None:
     new = switched_on()
     new.run(measured())
     new.live.close()
@@ -51,7 +51,7 @@ def test_what_arrives_in_its_order_gives_what_a_replay_gives() -> None:
     assert live.convergence_time_s == pytest.approx(wanted.convergence_time_s, abs=1e-6)
 
 
-def test_the_sample_bag_in_the_order_of_recording_gives_what_its_replay_gives() -> None:
+def test_the_sample_bag_in_recording_order_gives_the_result_of_its_replay() -> None:
     bag, config = open_bag(shipped('bags/cleaning'), Config()), Config()
     end_ns, last_ns = bag.span.start_ns + 20 * 10**9, 0
     new = robot()
@@ -60,7 +60,7 @@ def test_the_sample_bag_in_the_order_of_recording_gives_what_its_replay_gives() 
         for name, _, raw in storage.raw_messages(used):
             message, kind = storage.message(storage.topics[name], raw), storage.topics[name].type_name
             if name.endswith('tf_static'):
-                new.live.links(topics.transforms(message))
+                new.live.transforms(topics.transforms(message))
             elif name.endswith('camera_info'):
                 new.live.camera(topics.camera_intrinsics(message), message.header.frame_id, new.now_s)
             elif name.endswith('features'):
@@ -71,18 +71,18 @@ def test_the_sample_bag_in_the_order_of_recording_gives_what_its_replay_gives() 
             if last_ns > end_ns:
                 break
     new.live.close()
-    held = [item for item in bag.measurements() if item.t_ns <= last_ns]
-    wanted = conclude(calibrate(InMemorySource(bag.name, bag.rig, bag.span, held), config, default_model()))
+    items = [item for item in bag.measurements() if item.t_ns <= last_ns]
+    wanted = conclude(calibrate(InMemorySource(bag.name, bag.rig, bag.span, items), config, default_model()))
     live = new.live.calibration
     np.testing.assert_allclose(live.values, wanted.values, rtol=0.0, atol=1e-3 * wanted.stds.min())
     np.testing.assert_allclose(live.stds, wanted.stds, rtol=1e-3)
 
 
-def test_messages_that_come_late_but_in_the_order_of_their_stream_change_nothing() -> None:
+def test_delays_that_keep_the_order_of_each_stream_change_nothing() -> None:
     rng = random.Random(1)
-    usual_s = {ImuSample: 0.002, WheelSample: 0.03, FeatureObservations: 0.08}
+    delay_s = {ImuSample: 0.002, WheelSample: 0.03, FeatureObservations: 0.08}
     new = switched_on()
-    new.run(measured(0.0, 20.0), delay_s=lambda item: usual_s.get(type(item), 0.1) + rng.uniform(0.0, 0.005))
+    new.run(measured(0.0, 20.0), delay_s=lambda item: delay_s.get(type(item), 0.1) + rng.uniform(0.0, 0.005))
     new.live.close()
     in_order = switched_on()
     in_order.run(measured(0.0, 20.0))
@@ -93,7 +93,7 @@ def test_messages_that_come_late_but_in_the_order_of_their_stream_change_nothing
     assert not any('left_out' in name for name in new.live.status(new.now_s).numbers)
 
 
-def test_an_effect_follows_its_signal() -> None:
+def test_an_effect_depends_on_its_signal() -> None:
     model = model_from_dict(
         {'name': 'fan', 'effects': ['scale_factor', 'covariate_bias:fan_speed.data']}, 'test'
     )
@@ -104,28 +104,30 @@ def test_an_effect_follows_its_signal() -> None:
         calibrate(InMemorySource('', source().rig, source().span, measured(0.0, 20.0)), Config(), model)
     )
     np.testing.assert_allclose(new.live.calibration.values, wanted.values, rtol=1e-9)
-    assert not new.said('has not come')
+    assert not new.reported('has not been received')
     silent = switched_on(model=model)
     silent.run(item for item in measured(0.0, 4.0) if not isinstance(item, CovariateSample))
-    assert silent.said('fan_speed.data has not come yet: nothing can be learned of covariate_bias')
+    assert silent.reported(
+        'fan_speed.data has not been received yet: covariate_bias:fan_speed.data cannot be estimated'
+    )
 
 
-# --- where the sensors sit ------------------------------------------------------------------------
+# --- mounting -------------------------------------------------------------------------------------
 
 
-def test_what_is_known_late_of_the_camera_costs_nothing() -> None:
+def test_a_camera_that_becomes_known_late_costs_no_accuracy() -> None:
     new = robot()
-    new.live.links([Transform(BODY_FRAME, IMU_FRAME, IDENTITY)])
+    new.live.transforms([Transform(BODY_FRAME, IMU_FRAME, IDENTITY)])
     new.run(measured(0.0, 6.0))
-    assert new.said('camera_info: nothing has come yet')
-    assert len(new.calibrated) > 500, 'the calibration that is known is applied all the same'
+    assert new.reported('camera_info: no message yet')
+    assert len(new.calibrated) > 500, 'the initial calibration is applied meanwhile'
     new.mount(source().rig)
     new.run(measured(6.0))
     new.live.close()
     assert abs(new.live.calibration.scale_factor - replayed().scale_factor) < replayed().scale_factor_std
 
 
-def test_without_transforms_the_settings_say_how_the_camera_sits() -> None:
+def test_without_transforms_the_mounting_comes_from_the_settings() -> None:
     mount, camera = source().rig.camera_mount, source().rig.camera
     assert camera is not None
     x, y, z = mount.p_bs.tolist()
@@ -136,11 +138,11 @@ def test_without_transforms_the_settings_say_how_the_camera_sits() -> None:
     new.run(measured())
     new.live.close()
     assert new.live.calibration.scale_factor == pytest.approx(replayed().scale_factor, abs=1e-4)
-    assert new.said(f'no transform from base_link to {CAMERA_FRAME}; the mounting in the settings is used')
+    assert new.reported(f'no transform says how {CAMERA_FRAME} sits on base_link; the settings do')
 
 
 @pytest.mark.parametrize('by_transform', [True, False])
-def test_an_imu_that_is_upside_down(by_transform: bool) -> None:
+def test_an_imu_mounted_upside_down(by_transform: bool) -> None:
     def turned(item: Measurement) -> Measurement:
         if not isinstance(item, ImuSample):
             return item
@@ -150,43 +152,43 @@ def test_an_imu_that_is_upside_down(by_transform: bool) -> None:
     new = robot()
     new.mount(source().rig, imu=False)
     if by_transform:
-        new.live.links([Transform(BODY_FRAME, IMU_FRAME, replace(IDENTITY, R_bs=UPSIDE_DOWN.R_bs))])
+        new.live.transforms([Transform(BODY_FRAME, IMU_FRAME, replace(IDENTITY, R_bs=UPSIDE_DOWN.R_bs))])
     new.run(turned(item) for item in measured())
     new.live.close()
     np.testing.assert_allclose(new.live.calibration.values, replayed().values, rtol=1e-9)
-    assert bool(new.said('is upside down')) is not by_transform
+    assert bool(new.reported('is upside down')) is not by_transform
 
 
-def test_a_camera_that_is_mounted_anew_begins_anew() -> None:
+def test_another_camera_mounting_restarts_the_estimate() -> None:
     new = switched_on()
     new.run(measured(0.0, 25.0))
     assert new.live.calibration.scale_factor_std < 1e-3
     rig = source().rig
-    new.live.links([Transform(BODY_FRAME, CAMERA_FRAME, replace(rig.camera_mount, p_bs=np.ones(3)))])
+    new.live.transforms([Transform(BODY_FRAME, CAMERA_FRAME, replace(rig.camera_mount, p_bs=np.ones(3)))])
     assert new.live.calibration.scale_factor == 1.0
     new.live.work()
     assert 'has changed' in new.live.status(new.now_s).message
 
 
-# --- orders ---------------------------------------------------------------------------------------
+# --- commands -------------------------------------------------------------------------------------
 
 
-def test_stopped_it_learns_nothing_and_goes_on_from_there() -> None:
+def test_a_stopped_estimate_is_kept_and_continued() -> None:
     new = switched_on(estimate=False)
     new.run(measured(0.0, 10.0))
     assert new.live.calibration.scale_factor == 1.0
     assert len(new.calibrated) > 900
     new.live.switch(True)
     new.run(measured(10.0, 30.0))
-    learned = new.live.calibration
-    assert learned.scale_factor_std < 1e-3
+    stopped = new.live.calibration
+    assert stopped.scale_factor_std < 1e-3
     new.live.switch(False)
     new.run(measured(30.0))
-    assert new.live.calibration.scale_factor == learned.scale_factor
+    assert new.live.calibration.scale_factor == stopped.scale_factor
     assert 'not estimating' in new.live.status(new.now_s).message
 
 
-def test_reset_forgets_all() -> None:
+def test_reset_discards_the_estimate() -> None:
     new = switched_on()
     new.run(measured(0.0, 25.0))
     new.live.reset()
@@ -195,7 +197,7 @@ def test_reset_forgets_all() -> None:
     assert new.live.calibration.scale_factor_std > 1e-3
 
 
-def test_a_new_threshold_counts_at_once() -> None:
+def test_a_new_threshold_takes_effect_at_once() -> None:
     new = switched_on()
     new.run(measured(0.0, 25.0))
     assert new.live.calibration.converged
@@ -208,22 +210,22 @@ def test_a_new_threshold_counts_at_once() -> None:
 # --- the file -------------------------------------------------------------------------------------
 
 
-def test_a_restart_goes_on_with_what_was_saved(tmp_path: Path) -> None:
+def test_a_restarted_node_continues_from_the_saved_calibration(tmp_path: Path) -> None:
     path = tmp_path / 'robot' / 'calibration.yaml'
     first = switched_on(path, save_interval_s=10.0)
-    first.run(measured(0.0, 25.0))  # and is killed
-    kept = load_calibration(path)
-    assert kept.scale_factor_std < 1e-3
+    first.run(measured(0.0, 25.0))  # then the process is killed
+    saved = load_calibration(path)
+    assert saved.scale_factor_std < 1e-3
     second = switched_on(path)
-    assert second.live.calibration.scale_factor == kept.scale_factor
+    assert second.live.calibration.scale_factor == saved.scale_factor
     second.run(measured(25.0))
     second.live.close()
-    ended = load_calibration(path)
-    assert ended.scale_factor_std < kept.scale_factor_std
-    assert abs(ended.scale_factor - source().truth.scale_factor) < 3.0 * ended.scale_factor_std
+    final = load_calibration(path)
+    assert final.scale_factor_std < saved.scale_factor_std
+    assert abs(final.scale_factor - source().truth.scale_factor) < 3.0 * final.scale_factor_std
 
 
-def test_a_start_that_has_learned_nothing_leaves_the_file_alone(tmp_path: Path) -> None:
+def test_a_run_without_features_does_not_touch_the_file(tmp_path: Path) -> None:
     path = tmp_path / 'calibration.yaml'
     first = switched_on(path)
     first.run(measured(0.0, 25.0))

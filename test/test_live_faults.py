@@ -1,4 +1,4 @@
-"""What may go wrong on a robot: it is told in a sentence while it lasts, and the calibration survives it."""
+"""Faults on a robot: each is reported while it lasts, and the calibration survives it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_robot import BEGAN_S, measured, robot, source, switched_on
+from live_robot import START_S, measured, robot, source, switched_on
 from recordings import at, random_pixels
 
 from gyrocal_ros.data import (
@@ -19,13 +19,13 @@ from gyrocal_ros.data import (
     WheelSample,
     seconds,
 )
-from gyrocal_ros.ekf.slam import StepRecord
+from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.robot.health import Level
 from gyrocal_ros.sim.world import START_NS
 
 
-def test_a_covered_camera_is_told_and_what_is_known_is_served() -> None:
+def test_a_covered_camera_is_reported_and_the_last_calibration_is_kept() -> None:
     def covered(item: Measurement) -> Measurement:
         if isinstance(item, FeatureObservations) and item.t_ns > at(25.0):
             return FeatureObservations(item.t_ns, item.ids[:0], item.pixels[:0])
@@ -33,44 +33,43 @@ def test_a_covered_camera_is_told_and_what_is_known_is_served() -> None:
 
     new = switched_on()
     new.run(covered(item) for item in measured())
-    gyro_valid_s = new.said('the camera has seen no feature for')
-    assert gyro_valid_s[0] == pytest.approx(27.0, abs=1.1)
-    assert gyro_valid_s[-1] > 38.0
+    reported_s = new.reported('no features in the images for')
+    assert reported_s[0] == pytest.approx(27.0, abs=1.1)
+    assert reported_s[-1] > 38.0
     calibration = new.live.calibration
     assert calibration.converged
     assert abs(calibration.scale_factor - source().truth.scale_factor) < 4.0 * calibration.scale_factor_std
 
 
-def test_sensors_that_fall_silent_are_named_while_they_are() -> None:
+def test_silent_sensors_are_named_while_they_are_silent() -> None:
     new = switched_on()
     new.run(
         item
         for item in measured(0.0, 12.0)
         if not (isinstance(item, ImuSample) and 5e9 < item.t_ns - START_NS < 9e9)
     )
-    assert {6, 7, 8} <= {round(when_s) for when_s in new.said('imu/data_raw: nothing for')} <= {6, 7, 8, 9}
-    assert new.said('there was a gap of 4.0 s')
-    assert (
-        max(level for when_s, status in new.statuses if when_s < 5 for level in [status.level]) < Level.ERROR
-    )
+    silent_s = {round(at_s) for at_s in new.reported('imu/data_raw: no message for')}
+    assert {6, 7, 8} <= silent_s <= {6, 7, 8, 9}
+    assert new.reported('imu/data_raw: gap of 4.0 s')
+    assert max(status.level for at_s, status in new.statuses if at_s < 5) < Level.ERROR
 
 
-def test_a_robot_without_sensors_says_so() -> None:
+def test_missing_sensors_are_named() -> None:
     new = robot()
-    message = new.live.status(BEGAN_S + 3.0).message
+    message = new.live.status(START_S + 3.0).message
     for topic in ('imu/data_raw', 'wheel/odometry', 'ceiling_camera/features', 'ceiling_camera/camera_info'):
-        assert f'{topic}: nothing has come yet' in message
+        assert f'{topic}: no message yet' in message
 
 
 @pytest.mark.parametrize('step_s', [2.0, -2.0])
-def test_a_jump_of_the_clock_is_told_and_costs_no_calibration(step_s: float) -> None:
+def test_a_clock_step_is_reported_and_the_calibration_is_kept(step_s: float) -> None:
     new = switched_on()
     new.run(measured(0.0, 25.0))
     before = new.live.calibration
     new.run(measured(25.0), step_s=step_s)
     new.live.close()
-    assert new.said(f'the clock jumped by {step_s:+.1f} s')
-    assert max(new.said('the clock jumped')) < 25.0 + 13.0
+    assert new.reported(f'the clock jumped by {step_s:+.1f} s')
+    assert max(new.reported('the clock jumped')) < 25.0 + 13.0
     after = new.live.calibration
     assert after.scale_factor_std < before.scale_factor_std
     assert abs(after.scale_factor - source().truth.scale_factor) < 3.0 * after.scale_factor_std
@@ -78,18 +77,18 @@ def test_a_jump_of_the_clock_is_told_and_costs_no_calibration(step_s: float) -> 
     gaps_s = [
         abs(seconds(b.t_ns - a.t_ns)) for a, b in zip(new.calibrated[:-1], new.calibrated[1:], strict=True)
     ]
-    assert sum(gap_s > 0.1 for gap_s in gaps_s) == 1, 'all samples were calibrated, at once'
+    assert sum(gap_s > 0.1 for gap_s in gaps_s) == 1, 'all samples were calibrated at once'
 
 
 def test_simulated_time_may_run_at_any_speed() -> None:
     new = switched_on(steady=False)
     new.run(measured(0.0, 15.0), delay_s=lambda item: -0.9 * seconds(item.t_ns - START_NS))
-    assert not new.said('the clock jumped')
+    assert not new.reported('the clock jumped')
     assert new.live.calibration.scale_factor != 1.0
 
 
-def test_readings_that_are_no_numbers_are_left_out_and_told() -> None:
-    def spoiled(item: Measurement) -> Measurement:
+def test_readings_without_finite_values_are_dropped_and_reported() -> None:
+    def corrupted(item: Measurement) -> Measurement:
         if isinstance(item, ImuSample) and item.t_ns // 10**7 % 7 == 0:
             return replace(item, rate_rad_s=(math.nan, 0.0, 0.0))
         if isinstance(item, WheelSample) and item.t_ns // 10**7 % 5 == 0:
@@ -97,57 +96,59 @@ def test_readings_that_are_no_numbers_are_left_out_and_told() -> None:
         return item
 
     new = switched_on()
-    new.run(spoiled(item) for item in measured(0.0, 8.0))
-    assert new.said('are of no use: the numbers cannot be (NaN, or far too large)')
+    new.run(corrupted(item) for item in measured(0.0, 8.0))
+    assert new.reported('cannot be used: the values are impossible (NaN, or far too large)')
     assert all(math.isfinite(value) for sample in new.calibrated for value in sample.rate_rad_s)
 
 
-def test_images_that_contradict_everything_do_not_reach_the_calibration() -> None:
+def test_contradicting_images_do_not_change_the_calibration() -> None:
     new = switched_on()
     new.run(measured(0.0, 30.0))
     before = new.live.calibration
     new.run(random_pixels(item) if isinstance(item, FeatureObservations) else item for item in measured(30.0))
     after = new.live.calibration
     assert before.converged and not after.converged
-    assert new.said('what the camera sees contradicts the filter') or new.said('has to prove itself')
+    assert new.reported('the images contradict the filter') or new.reported('is not trusted yet')
     assert after.scale_factor_std < 1e-3
     assert abs(after.scale_factor - before.scale_factor) < 3.0 * after.scale_factor_std
 
 
-def test_messages_that_come_too_late_are_told_by_topic() -> None:
+def test_messages_that_arrive_too_late_are_reported_by_topic() -> None:
     new = switched_on()
     new.run(measured(0.0, 12.0), delay_s=lambda item: 1.5 if isinstance(item, FeatureObservations) else 0.0)
-    told = re.compile(r'ceiling_camera/features: \d+ messages in 10 s came more than 0.6 s late')
-    assert [when_s for when_s, status in new.statuses if told.search(status.message)][-1] > 11.0
-    assert not new.said('imu/data_raw: there was')
+    late = re.compile(r'ceiling_camera/features: \d+ messages in 10 s came more than 0.6 s late')
+    assert [at_s for at_s, status in new.statuses if late.search(status.message)][-1] > 11.0
+    assert not new.reported('imu/data_raw: gap')
 
 
-def test_a_filter_that_gives_up_is_begun_anew_with_what_was_good(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_diverged_filter_is_restarted_with_the_last_good_calibration(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     new = switched_on()
     new.run(measured(0.0, 32.0))
     before = new.live.calibration
     assert new.live.filter is not None
 
-    def give_up(item: Measurement) -> list[StepRecord]:
-        raise FilterDivergedError('the images miss what is expected')
+    def diverge(item: Measurement) -> list[StepRecord]:
+        raise FilterDivergedError('the images do not match the map')
 
-    monkeypatch.setattr(new.live.filter, 'step', give_up)
+    monkeypatch.setattr(new.live.filter, 'step', diverge)
     new.run(measured(32.0))
     after, status = new.live.calibration, new.live.status(new.now_s)
     assert status.numbers['filter_restarts'] == 1
-    assert 'the filter was lost and begun anew' in status.message
-    assert 'has to prove itself' in status.message
-    assert not after.converged, 'nobody knows yet'
+    assert 'the filter diverged and was restarted' in status.message
+    assert 'is not trusted yet' in status.message
+    assert not after.converged, 'not yet consistent for long enough'
     assert abs(after.scale_factor - before.scale_factor) < 3.0 * after.scale_factor_std < 1e-3
-    yaws = [place.euler_rad[2] for place in new.located]
-    assert np.abs(np.diff(yaws)).max() < 0.1, 'the robot does not jump'
+    yaws = [estimate.euler_rad[2] for estimate in new.odometry]
+    assert np.abs(np.diff(yaws)).max() < 0.1, 'the pose does not jump'
 
 
 # --- memory ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize('silent', [ImuSample, WheelSample, FeatureObservations])
-def test_memory_is_bounded_whoever_is_silent(silent: type[Any]) -> None:
+def test_memory_is_bounded_whichever_sensor_is_silent(silent: type[Any]) -> None:
     new = switched_on()
     new.run(item for item in measured(0.0, 20.0) if not isinstance(item, silent))
     before = size_of(new.live)
@@ -156,7 +157,7 @@ def test_memory_is_bounded_whoever_is_silent(silent: type[Any]) -> None:
 
 
 def size_of(root: object) -> int:
-    """How many things are in all containers that can be reached from here; arrays count once."""
+    """Count the items of all containers that can be reached from an object; an array counts once."""
     seen: set[int] = set()
     todo, count = [root], 0
     while todo:

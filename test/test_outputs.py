@@ -15,7 +15,7 @@ from gyrocal_ros.msgs import outputs
 from gyrocal_ros.msgs.to_ros import MessageMaker, transform
 from gyrocal_ros.msgs.topics import body_pose, map_frame, transforms
 from gyrocal_ros.msgs.transforms import quaternion_from_euler, rotation_from_quaternion
-from gyrocal_ros.robot.odom_parent import HELD_BACK_S, LISTENING_S, OdomParentGuard
+from gyrocal_ros.robot.odom_parent import LISTEN_S, OTHER_TIMEOUT_S, OdomParentGuard
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MAKE = MessageMaker(STORE.types.__getitem__)
@@ -131,31 +131,31 @@ def test_parameter_event() -> None:
 # --- the parent of odom ---------------------------------------------------------------------------
 
 
-def test_no_transform_is_sent_before_the_listening_time_has_passed() -> None:
-    parents = OdomParentGuard(100.0)
-    assert not parents.may_send(100.0 + LISTENING_S / 2.0)
-    assert parents.may_send(100.0 + LISTENING_S)
+def test_map_to_odom_is_sent_only_after_listening() -> None:
+    guard = OdomParentGuard(100.0)
+    assert not guard.may_send(100.0 + LISTEN_S / 2.0)
+    assert guard.may_send(100.0 + LISTEN_S)
 
 
-def test_own_transforms_are_not_mistaken_for_those_of_others() -> None:
-    parents = OdomParentGuard(0.0)
-    parents.sent('map', 1)
-    parents.heard('map', 1, 5.0)
-    assert parents.may_send(5.0)
-    assert not parents.complaint(5.0)
+def test_own_transforms_are_not_another_publisher() -> None:
+    guard = OdomParentGuard(0.0)
+    guard.add_own('map', 1)
+    guard.add_received('map', 1, 5.0)
+    assert guard.may_send(5.0)
+    assert not guard.problem(5.0)
 
 
 @pytest.mark.parametrize('parent', ['map', 'world'])
-def test_no_transform_is_sent_while_another_parent_is_published(parent: str) -> None:
-    parents = OdomParentGuard(0.0)
-    parents.sent('map', 1)
-    parents.heard(parent, 2, 5.0)
-    assert not parents.may_send(6.0)
-    assert f'the transform from {parent} to odom' in parents.complaint(6.0)
-    assert parents.may_send(5.0 + HELD_BACK_S)
+def test_another_parent_of_odom_suppresses_ours_while_it_is_published(parent: str) -> None:
+    guard = OdomParentGuard(0.0)
+    guard.add_own('map', 1)
+    guard.add_received(parent, 2, 5.0)
+    assert not guard.may_send(6.0)
+    assert f'the transform from {parent} to odom' in guard.problem(6.0)
+    assert guard.may_send(5.0 + OTHER_TIMEOUT_S)
 
 
-def test_another_static_parent_counts_forever() -> None:
-    parents = OdomParentGuard(0.0)
-    parents.heard('world', 2, 5.0, is_static=True)
-    assert not parents.may_send(1e6)
+def test_a_static_parent_suppresses_ours_for_good() -> None:
+    guard = OdomParentGuard(0.0)
+    guard.add_received('world', 2, 5.0, is_static=True)
+    assert not guard.may_send(1e6)

@@ -1,4 +1,4 @@
-"""The page about the robot quotes sentences that the nodes really say, and names what there is."""
+"""The page about the robot quotes messages that the code produces, and names what exists."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from gyrocal_ros.config.sections import Config, RobotConfig
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / 'docs' / 'robot.md').read_text(encoding='utf-8')
-SPEAKERS = [
+SOURCES = [
     *(ROOT / 'gyrocal_ros' / 'robot').glob('*.py'),
     ROOT / 'gyrocal_ros' / 'board' / 'link.py',
     ROOT / 'gyrocal_ros' / 'msgs' / 'mounts.py',
     ROOT / 'gyrocal_ros' / 'vision' / 'tracker.py',
 ]
-TELLING = 10
-"""So many letters of its own a sentence of the code needs to be recognised."""
+MIN_LETTERS = 10
+"""Minimum number of literal letters by which a string of the code is recognised in a message."""
 
 
 def pattern(node: ast.AST) -> str:
-    """What a string of the code looks like when it is said."""
+    """Regular expression of the text that a string of the code produces."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return re.escape(node.value.replace('`', ''))
     if isinstance(node, ast.JoinedStr):
@@ -35,43 +35,43 @@ def pattern(node: ast.AST) -> str:
 
 
 @cache
-def said() -> list[re.Pattern[str]]:
-    """All sentences, and parts of such, of the code that tells of health."""
-    trees = [ast.walk(ast.parse(file.read_text(encoding='utf-8'))) for file in SPEAKERS]
+def produced() -> list[re.Pattern[str]]:
+    """Patterns of all strings of the code that words health messages, the longest first."""
+    trees = [ast.walk(ast.parse(file.read_text(encoding='utf-8'))) for file in SOURCES]
     strings = (node for tree in trees for node in tree if isinstance(node, ast.JoinedStr | ast.Constant))
     patterns = {
         pattern(node) for node in strings if not isinstance(node, ast.Constant) or isinstance(node.value, str)
     }
-    telling = {item.removeprefix('.*').removesuffix('.*') for item in patterns}
-    longest_first = sorted(telling, key=len, reverse=True)
-    return [re.compile(item) for item in longest_first if len(item.replace('.*', '')) >= TELLING]
+    stripped = {item.removeprefix('.*').removesuffix('.*') for item in patterns}
+    longest_first = sorted(stripped, key=len, reverse=True)
+    return [re.compile(item) for item in longest_first if len(item.replace('.*', '')) >= MIN_LETTERS]
 
 
 def quoted() -> Iterator[str]:
-    """The sentences that the page quotes: first column of the last table, second of the one of good ones."""
-    good, _, bad = PAGE.partition('## When it says something else')
-    for row in re.findall(r'^\| `([^`]+)` \|', bad, re.MULTILINE):
+    """Yield the quoted messages: first column of the table of problems, second of that of healthy nodes."""
+    healthy, _, problems = PAGE.partition('## Problems and their causes')
+    for row in re.findall(r'^\| `([^`]+)` \|', problems, re.MULTILINE):
         yield row
-    for row in re.findall(r'^\| (?:tracker|calibrator) \| `([^`]+)` \|', good, re.MULTILINE):
+    for row in re.findall(r'^\| (?:tracker|calibrator) \| `([^`]+)` \|', healthy, re.MULTILINE):
         yield row
-    yield from re.findall(r'`(not converged yet[^`]+)`', good)
+    yield from re.findall(r'`(not converged yet[^`]+)`', healthy)
 
 
-@pytest.mark.parametrize('sentence', list(quoted()))
-def test_quoted_sentences_are_said(sentence: str) -> None:
-    left = sentence
-    for item in said():
+@pytest.mark.parametrize('message', list(quoted()))
+def test_quoted_messages_are_produced(message: str) -> None:
+    left = message
+    for item in produced():
         left = item.sub('', left)
-    words = [word for word in left.split() if '/' not in word]  # topics and ports are not said by heart
-    assert not re.findall(r'[a-z]{4,}', ' '.join(words)), f'nobody says {words}'
+    words = [word for word in left.split() if '/' not in word]  # topics and ports are values
+    assert not re.findall(r'[a-z]{4,}', ' '.join(words)), f'no code produces {words}'
 
 
-def test_the_page_quotes_many() -> None:
+def test_the_page_quotes_many_messages() -> None:
     assert len(list(quoted())) > 20
-    assert not any(item.search('all is well with the whole robot') for item in said())
+    assert not any(item.search('all is well with the whole robot') for item in produced())
 
 
-def test_settings_that_are_named_exist() -> None:
+def test_named_settings_exist() -> None:
     known = {name for config in (Config(), RobotConfig()) for name, _, _ in flat_settings(config)}
     sections = {name.partition('.')[0] for name in known}
     named = {name for name in re.findall(r'`([a-z]+\.[a-z_]+)`', PAGE) if name.partition('.')[0] in sections}
@@ -79,7 +79,7 @@ def test_settings_that_are_named_exist() -> None:
     assert named - {'gyro.converged', 'gyro.scale_factor'} <= known
 
 
-def test_launch_arguments_that_are_given_exist() -> None:
+def test_given_launch_arguments_exist() -> None:
     for file, given in re.findall(r'ros2 launch gyrocal_ros (\w+)\.launch\.py([^`\n]*)', PAGE):
         text = (ROOT / 'launch' / f'{file}.launch.py').read_text(encoding='utf-8')
         common = (ROOT / 'gyrocal_ros' / 'nodes' / 'launching.py').read_text(encoding='utf-8')
@@ -87,7 +87,7 @@ def test_launch_arguments_that_are_given_exist() -> None:
             assert f"'{name}': (" in text or f"'{name}': (" in common, f'{file} has no argument {name}'
 
 
-def test_services_that_are_named_exist() -> None:
+def test_named_services_exist() -> None:
     for node, service in re.findall(r'/(driver|calibrator)/(\w+)', PAGE):
         text = (ROOT / 'gyrocal_ros' / 'nodes' / f'{node}.py').read_text(encoding='utf-8')
         assert f"'~/{service}'" in text

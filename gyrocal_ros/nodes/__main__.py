@@ -1,4 +1,4 @@
-"""Runs a node by name: `python -m gyrocal_ros.nodes calibrator --ros-args ...`."""
+"""Run a node by name: `python -m gyrocal_ros.nodes calibrator --ros-args ...`."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""The calibrator: estimates while the robot drives, and serves the calibration."""
+"""The calibrator node: estimates and applies the calibration while the robot drives."""
 
 from __future__ import annotations
 
@@ -19,26 +19,27 @@ from gyrocal_ros.data import CovariateSample
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.effects.registry import load_file, load_installed
 from gyrocal_ros.effects.traits import followers_by_signal
+from gyrocal_ros.ekf.map import CeilingMap
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs import outputs, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
-from gyrocal_ros.nodes.announcer import Announcer
+from gyrocal_ros.nodes.calibration_publisher import CalibrationPublisher
 from gyrocal_ros.nodes.diagnostics import Diagnostics
-from gyrocal_ros.nodes.endpoints import Sorted, publish, subscribe
+from gyrocal_ros.nodes.endpoints import SortedSubscriptions, publish, subscribe
 from gyrocal_ros.nodes.map_frame import MapFrame
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import LATCHED, SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.nodes.signals import Signals
 from gyrocal_ros.robot.calibrator import LiveCalibrator
 from gyrocal_ros.robot.health import Status
-from gyrocal_ros.robot.map_points import Ceiling, ceiling
 
 SECTIONS = ('gyro', 'wheels', 'camera', 'features', 'rest', 'convergence')
+"""Sections of the estimator's settings that are parameters of this node."""
 
 
 class CalibratorNode:
-    """The node."""
+    """The calibrator node; a `LiveCalibrator` does the work."""
 
     def __init__(self) -> None:
         self.node = node = rclpy.create_node('calibrator')
@@ -55,111 +56,112 @@ class CalibratorNode:
             now_s=time.monotonic(),
         )
         self._make = to_ros.live_maker(get_message)
-        self._announcer = Announcer(node, self._make, self._live.calibration)
+        self._publisher = CalibrationPublisher(node, self._make, self._live.calibration)
         self._map_frame = MapFrame(node, self._make) if live.publish_map_transform else None
         self._odom, self._body, self._map = topics.ODOM_FRAME, topics.BODY_FRAME, topics.MAP_FRAME
-        self._drawn: set[int] = set()
+        self._published_ids: set[int] = set()
         self._imu = publish(node, Imu, 'imu/data', SENSOR_OUT)
         self._odometry = publish(node, Odometry, 'odometry/slam', SENSOR_OUT)
         self._regions = publish(node, PointCloud2, 'ceiling_camera/search_regions', SENSOR_OUT)
         self._ceiling = node.create_publisher(MarkerArray, 'ceiling_map', LATCHED)
-        sensors = Sorted(node, SENSOR_IN)
-        sensors.subscribe(Imu, Role.IMU, self._hear_imu)
-        sensors.subscribe(Odometry, Role.WHEELS, self._hear_wheels)
-        sensors.subscribe(PointCloud2, Role.FEATURES, self._hear_features)
-        sensors.subscribe(Temperature, Role.TEMPERATURE, self._hear_temperature)
-        subscribe(node, CameraInfo, Role.CAMERA_INFO, self._hear_camera, SENSOR_IN)
-        node.create_subscription(TFMessage, '/tf_static', self._hear_links, STATIC)
+        sensors = SortedSubscriptions(node, SENSOR_IN)
+        sensors.subscribe(Imu, Role.IMU, self._on_imu)
+        sensors.subscribe(Odometry, Role.WHEELS, self._on_wheels)
+        sensors.subscribe(PointCloud2, Role.FEATURES, self._on_features)
+        sensors.subscribe(Temperature, Role.TEMPERATURE, self._on_temperature)
+        subscribe(node, CameraInfo, Role.CAMERA_INFO, self._on_camera, SENSOR_IN)
+        node.create_subscription(TFMessage, '/tf_static', self._on_transforms, STATIC)
         self._signals = Signals(
-            node, followers_by_signal(model), lambda: self._live.newest_ns, self._hear_signal
+            node, followers_by_signal(model), lambda: self._live.newest_ns, self._on_signal
         )
         node.create_service(Trigger, '~/save', self._save)
         node.create_service(Trigger, '~/reset', self._reset)
         node.create_service(SetBool, '~/estimate', self._switch)
-        # By the steady clock: a calibration is also told and kept where simulated time stands still.
+        # By the steady clock: the calibration is also published and saved while simulated time is paused.
         node.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
         Diagnostics(node, self._status)
 
     def close(self) -> None:
-        """Keep what was learned."""
+        """Process what still waits, and save the calibration."""
         self._live.close()
 
-    # --- what comes in ---------------------------------------------------------------------------
+    # --- input ------------------------------------------------------------------------------------
 
-    def _hear_imu(self, message: Imu) -> None:
+    def _on_imu(self, message: Imu) -> None:
         frame = message.header.frame_id.lstrip('/')
         sample = self._live.imu(topics.IMU_SAMPLE.value(message), frame, time.monotonic())
         if sample is not None:
             self._imu.publish(outputs.calibrated_imu(self._make, sample, self._body))
         self._work()
 
-    def _hear_wheels(self, message: Odometry) -> None:
-        place = self._live.wheels(topics.WHEEL_SAMPLE.value(message), time.monotonic())
+    def _on_wheels(self, message: Odometry) -> None:
+        estimate = self._live.wheels(topics.WHEEL_SAMPLE.value(message), time.monotonic())
         if message.header.frame_id != self._odom:
             self._odom, self._body = message.header.frame_id, message.child_frame_id
             self._map = topics.map_frame(self._odom)
-        if place is not None:
-            self._odometry.publish(outputs.odometry_estimate(self._make, place, self._map, self._body))
+        if estimate is not None:
+            self._odometry.publish(outputs.odometry_estimate(self._make, estimate, self._map, self._body))
             if self._map_frame is not None:
-                self._map_frame.send(place, topics.body_pose(message), self._map, self._odom)
+                self._map_frame.send(estimate, topics.body_pose(message), self._map, self._odom)
         self._work()
 
-    def _hear_features(self, message: PointCloud2) -> None:
+    def _on_features(self, message: PointCloud2) -> None:
         try:
             seen = topics.features(message)
         except RecordingError as error:
-            self._live.spoiled(Role.FEATURES, str(error))
+            self._live.unusable(Role.FEATURES, str(error))
             return
         self._live.features(seen, message.header.frame_id.lstrip('/'), time.monotonic())
         self._work()
 
-    def _hear_temperature(self, message: Temperature) -> None:
+    def _on_temperature(self, message: Temperature) -> None:
         self._live.temperature(topics.TEMPERATURE_SAMPLE.value(message), time.monotonic())
 
-    def _hear_signal(self, sample: CovariateSample) -> None:
+    def _on_signal(self, sample: CovariateSample) -> None:
         self._live.signal(sample, time.monotonic())
 
-    def _hear_camera(self, message: CameraInfo) -> None:
+    def _on_camera(self, message: CameraInfo) -> None:
         try:
             camera = topics.camera_intrinsics(message)
         except RecordingError as error:
-            self._live.spoiled(Role.CAMERA_INFO, str(error))
+            self._live.unusable(Role.CAMERA_INFO, str(error))
             return
         self._live.camera(camera, message.header.frame_id.lstrip('/'), time.monotonic())
 
-    def _hear_links(self, message: TFMessage) -> None:
-        self._live.links(topics.transforms(message))
+    def _on_transforms(self, message: TFMessage) -> None:
+        self._live.transforms(topics.transforms(message))
         if self._map_frame is not None:
-            self._map_frame.hear(message, is_static=True)
+            self._map_frame.add_received(message, is_static=True)
 
-    # --- what goes out ---------------------------------------------------------------------------
+    # --- output -----------------------------------------------------------------------------------
 
     def _work(self) -> None:
-        """One step of the filter at most: the next IMU sample must not wait for more."""
+        """Let the filter take at most one step, so that the next IMU sample need not wait for long."""
         regions = self._live.work()
         if regions is not None:
             self._regions.publish(to_ros.search_regions(self._make, regions))
 
     def _every_second(self) -> None:
-        self._announcer.tell(self._live.calibration)
+        self._publisher.update(self._live.calibration)
         self._live.save_if_due(time.monotonic())
-        self._signals.look()
+        self._signals.poll()
         if self._map_frame is not None:
-            self._map_frame.look()
-        if self._live.filter is not None and self._ceiling.get_subscription_count():
-            self._draw(ceiling(self._live.filter))
+            self._map_frame.poll()
+        if self._ceiling.get_subscription_count() and (points := self._live.ceiling_map()):
+            self._publish_map(points)
 
-    def _draw(self, now: Ceiling) -> None:
-        gone = self._drawn - set(now.ids.tolist())
-        features = (now.ids, now.points_m, now.covariances_m2)
-        self._ceiling.publish(outputs.ceiling_map(self._make, now.t_ns, self._map, *features, sorted(gone)))
-        self._drawn = set(now.ids.tolist())
+    def _publish_map(self, points: CeilingMap) -> None:
+        ids = set(points.ids.tolist())
+        features = (points.ids, points.points_m, points.covariances_m2)
+        removed = sorted(self._published_ids - ids)
+        self._ceiling.publish(outputs.ceiling_map(self._make, points.t_ns, self._map, *features, removed))
+        self._published_ids = ids
 
     def _status(self) -> Status:
-        complaint = '' if self._map_frame is None else self._map_frame.complaint
-        return self._live.status(time.monotonic(), complaint)
+        problem = '' if self._map_frame is None else self._map_frame.problem
+        return self._live.status(time.monotonic(), problem)
 
-    # --- orders ----------------------------------------------------------------------------------
+    # --- commands ---------------------------------------------------------------------------------
 
     def _configure(self, _: Config | RobotConfig) -> None:
         self._live.configure(self._config.config, self._robot.config.live)
@@ -170,7 +172,7 @@ class CalibratorNode:
         return response
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = True, self._live.reset() or 'begun with the priors'
+        response.success, response.message = True, self._live.reset() or 'restarted with the priors'
         return response
 
     def _switch(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -180,7 +182,7 @@ class CalibratorNode:
 
 
 def _model(path: str, effects_from: str) -> SensorModel:
-    """The model with the effects to estimate, which may be the user's own.
+    """Load the model with the effects to estimate, effects of the user included.
 
     Raises:
         ConfigError: a file cannot be used.

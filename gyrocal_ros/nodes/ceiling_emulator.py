@@ -1,4 +1,4 @@
-"""The ceiling camera of a robot that is none, to go with the board emulator of the same robot."""
+"""The node of an emulated ceiling camera, which belongs to the same emulated robot as the board emulator."""
 
 from __future__ import annotations
 
@@ -24,29 +24,30 @@ from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import publish
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
-from gyrocal_ros.robot.health import Complaint, Level, Status, status
+from gyrocal_ros.robot.health import Status, as_warnings, status
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
 RECENT_S = 10.0
+"""Time for which dropped images are reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class CeilingConfig:
-    """Which robot, and what befalls its camera; all but the troubles as given to the board emulator."""
+    """Settings of the emulated camera: those of the robot as for the board emulator, and the faults."""
 
-    scenario: str = setting('cleaning', '', 'what the robot does, as in `gyrocal simulate`')
-    seed: int = setting(0, '', 'of all randomness', low=0, high=2**31 - 1)
+    scenario: str = setting('cleaning', '', 'scenario of the drive, as in `gyrocal simulate`')
+    seed: int = setting(0, '', 'seed of all random numbers', low=0, high=2**31 - 1)
     duration_s: float = setting(
-        0.0, 's', "how long it drives; 0 for the scenario's own time", low=0.0, high=7200.0
+        0.0, 's', 'duration of the drive; 0 for that of the scenario', low=0.0, high=7200.0
     )
     start_at: float = setting(
-        0.0, 's', 'seconds since 1970 at which it starts; 0 for now', low=0.0, high=1e11
+        0.0, 's', 'start of the drive, in seconds since 1970; 0 for now', low=0.0, high=1e11
     )
     troubles: str = setting(
         '',
         '',
-        'cover@, off@ or clock@FROM+FOR, in seconds since the start, separated by blanks',
+        'faults of the camera: cover@, off@ or clock@FROM+FOR, seconds from the start, separated by blanks',
     )
 
 
@@ -58,7 +59,7 @@ class CeilingSections:
 
 
 class CeilingEmulatorNode:
-    """The node; it stays when the last image is taken, for its transforms are still needed."""
+    """The emulated camera; the node stays after the last image, because its transforms are still needed."""
 
     def __init__(self) -> None:
         self.node = node = rclpy.create_node('ceiling_emulator')
@@ -71,40 +72,40 @@ class CeilingEmulatorNode:
         self._images = publish(node, Image, Role.IMAGE, QoSProfile(depth=5))
         self._infos = publish(node, CameraInfo, Role.CAMERA_INFO, SENSOR_OUT)
         self._truth = publish(node, Odometry, Role.TRUTH, SENSOR_OUT)
-        self._links = publish(node, TFMessage, '/tf_static', STATIC)
+        self._transforms = publish(node, TFMessage, '/tf_static', STATIC)
         self._intrinsics, mount = self._camera.nominal
         mounts = {topics.CAMERA_FRAME: mount, topics.IMU_FRAME: IDENTITY}
-        self._links.publish(to_ros.static_transforms(make, mounts, self._camera.start_ns))
+        self._transforms.publish(to_ros.static_transforms(make, mounts, self._camera.start_ns))
         self._number = -1
         self._frame: Frame | None = None
-        self._taken = self._left_out = 0
-        self._left_out_s = -RECENT_S
+        self._published = self._dropped = 0
+        self._dropped_s = -RECENT_S
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(0.0, self._prepare, clock=steady)
         self._diagnostics = Diagnostics(node, self._status)
 
     def close(self) -> None:
-        """Nothing has to be put in order."""
+        """Do nothing: there is nothing to close."""
 
     def _prepare(self) -> None:
-        """Take the next image that is not over yet, before its time, and wait for that."""
+        """Render the next image that is not late yet, ahead of its time, and wait for that time."""
         number = self._camera.next_after(self._number, time.time_ns())
         if number > self._number + 1:
-            self._left_out += number - self._number - 1
-            self._left_out_s = time.monotonic()
+            self._dropped += number - self._number - 1
+            self._dropped_s = time.monotonic()
         self._number = number
         if number == len(self._camera):
             self._timer.cancel()
             return
         self._frame = self._camera.take(number)
-        self._call(self._hand_out, seconds(self._camera.due_ns(number) - time.time_ns()))
+        self._call(self._publish, seconds(self._camera.due_ns(number) - time.time_ns()))
 
-    def _hand_out(self) -> None:
+    def _publish(self) -> None:
         make, t_ns = self._make, self._camera.stamp_ns(self._number)
         if self._frame is not None:
             self._images.publish(images.grey_image(make, self._frame))
             self._infos.publish(to_ros.camera_info(make, self._intrinsics, t_ns))
-            self._taken += 1
+            self._published += 1
         self._truth.publish(to_ros.truth(make, self._camera.truth(self._number)))
         self._call(self._prepare, 0.0)
 
@@ -115,13 +116,18 @@ class CeilingEmulatorNode:
 
     def _status(self) -> Status:
         left_s = seconds(self._camera.stamp_ns(len(self._camera) - 1) - time.time_ns())
-        fine = f'{self._taken} images taken, {left_s:.0f} s to go' if left_s > 0.0 else 'the drive is over'
-        text = f'{self._left_out} images were left out: the computer is too slow to draw them in time'
-        is_slow = time.monotonic() - self._left_out_s < RECENT_S
-        complaints = [Complaint(Level.WARN, text)] if is_slow else []
-        return status(fine, complaints, {'images': self._taken, 'left_out': self._left_out})
+        summary = (
+            f'{self._published} images taken, {left_s:.0f} s to go' if left_s > 0.0 else 'the drive is over'
+        )
+        text = f'{self._dropped} images were dropped: the computer is too slow to render them in time'
+        is_slow = time.monotonic() - self._dropped_s < RECENT_S
+        return status(
+            summary,
+            as_warnings([text] if is_slow else []),
+            {'images': self._published, 'left_out': self._dropped},
+        )
 
 
 def make() -> CeilingEmulatorNode:
-    """Start the node."""
+    """Make the node."""
     return CeilingEmulatorNode()

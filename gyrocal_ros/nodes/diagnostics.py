@@ -1,4 +1,4 @@
-"""Health on `/diagnostics`."""
+"""Publishes the health of a node on `/diagnostics`."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ PERIOD_S = 1.0
 
 
 class Diagnostics:
-    """Tells once a second how a node is.
+    """Publishes the status of a node once a second.
 
     Args:
-        node: whose health it is.
-        tell: returns it.
+        node: the node.
+        status: returns its status.
     """
 
-    def __init__(self, node: Node, tell: Callable[[], Status]) -> None:
-        self._node, self._tell = node, tell
+    def __init__(self, node: Node, status: Callable[[], Status]) -> None:
+        self._node, self._status = node, status
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        # By the steady clock: the clock of the stamps may stand still, and that is worth telling.
+        # By the steady clock: the status is published also while the clock of the stamps does not advance.
         self._timer = node.create_timer(PERIOD_S, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:
-        """Tell it now."""
-        health = self._tell()
+        """Publish the status now."""
+        health = self._status()
         values = [KeyValue(key=key, value=str(value)) for key, value in health.numbers.items()]
         status = DiagnosticStatus(
             level=bytes([health.level]),

@@ -1,4 +1,4 @@
-"""The driver: what the board measures, as messages."""
+"""The driver node: publishes the measurements of the board."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from gyrocal_ros.nodes.qos import SENSOR_OUT
 from gyrocal_ros.robot.board_driver import BoardDriver
 
 TRANSFORMS = QoSProfile(depth=100)
-"""As tf2 has it."""
+"""QoS of /tf, as in tf2."""
 
 
 class DriverNode:
-    """Shell round a `BoardDriver`, which publishes in the thread that reads."""
+    """The driver node; a `BoardDriver` publishes in its own thread."""
 
     def __init__(self) -> None:
         self.node = Node('driver')
-        settings = Settings(self.node, RobotConfig(), ('board', 'driver'), self._changed)
+        settings = Settings(self.node, RobotConfig(), ('board', 'driver'), self._configure)
         board, driver = settings.config.board, settings.config.driver
         self._make = to_ros.live_maker(get_message)
         self._imu = self.node.create_publisher(Imu, 'imu/data_raw', SENSOR_OUT)
@@ -43,57 +43,57 @@ class DriverNode:
             else None
         )
         self._board = BoardDriver(board, driver, self._now_ns, self._publish)
-        self._diagnostics = Diagnostics(self.node, self._board.tell)
+        self._diagnostics = Diagnostics(self.node, self._board.status)
         self.node.create_service(Trigger, '~/zero', self._zero)
         self._board.start()
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._board.close()
 
     def _now_ns(self) -> int:
         return int(self.node.get_clock().now().nanoseconds)
 
-    def _changed(self, config: RobotConfig) -> None:
+    def _configure(self, config: RobotConfig) -> None:
         self._board.set_rates(config.driver)
 
     def _publish(self, reading: Reading) -> None:
         try:
             self._send(reading)
         except Exception:
-            if self.node.context.ok():  # else the end has come in the middle of it
+            if self.node.context.ok():  # otherwise the node was shut down while it published
                 raise
 
     def _send(self, reading: Reading) -> None:
         if isinstance(reading, ImuSample):
             self._imu.publish(to_ros.imu(self._make, reading))
         elif isinstance(reading, WheelMotion):
-            self._moved(reading)
+            self._send_wheels(reading)
         elif isinstance(reading, SupplySample):
             numbers = {'voltage': reading.voltage_v, 'current': reading.current_a}
             self._battery.publish(to_ros.battery(self._make, reading.t_ns, numbers))
         elif isinstance(reading, TemperatureSample):
             self._temperature.publish(to_ros.temperature(self._make, reading))
 
-    def _moved(self, motion: WheelMotion) -> None:
+    def _send_wheels(self, motion: WheelMotion) -> None:
         pose, t_ns = motion.pose, motion.sample.t_ns
-        place = pose.x_m, pose.y_m, pose.yaw_rad
-        self._odometry.publish(to_ros.wheels(self._make, motion.sample, *place))
+        planar_pose = pose.x_m, pose.y_m, pose.yaw_rad
+        self._odometry.publish(to_ros.wheels(self._make, motion.sample, *planar_pose))
         if self._transforms:
-            self._transforms.publish(to_ros.odometry_transform(self._make, t_ns, *place))
+            self._transforms.publish(to_ros.odometry_transform(self._make, t_ns, *planar_pose))
 
     def _zero(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Wait for the board; samples go on to be published meanwhile."""
+        """Wait for the board to measure its zero; its thread keeps publishing meanwhile."""
         try:
             self._board.zero()
         except GyrocalError as error:
             response.success, response.message = False, str(error)
         else:
             response.success = True
-            response.message = 'the board has a new zero; the bias that was estimated is of no use now'
+            response.message = 'the board has a new zero; the bias estimated before is no longer valid'
         return response
 
 
 def make() -> DriverNode:
-    """Start the node."""
+    """Make the node."""
     return DriverNode()

@@ -1,4 +1,7 @@
-"""Publishers and subscriptions that cost little, and messages that are fetched, not delivered."""
+"""Publishers and subscriptions of low cost, and subscriptions that are polled.
+
+`take_messages` uses the handle of a subscription, which rclpy does not document: it is as in ROS 2 Jazzy.
+"""
 
 from __future__ import annotations
 
@@ -14,31 +17,31 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 from gyrocal_ros.msgs.topics import stamp_ns
-from gyrocal_ros.nodes.qos import QUIET_IN, QUIET_OUT
+from gyrocal_ros.nodes.qos import NO_EVENTS_IN, NO_EVENTS_OUT
 
 
 def publish(node: Node, kind: type[Any], topic: str, qos: QoSProfile) -> Publisher:
-    """Make a publisher that does not watch the quality of service."""
-    return node.create_publisher(kind, topic, qos, event_callbacks=QUIET_OUT)
+    """Make a publisher without QoS event callbacks."""
+    return node.create_publisher(kind, topic, qos, event_callbacks=NO_EVENTS_OUT)
 
 
 def subscribe(
-    node: Node, kind: type[Any], topic: str, hear: Callable[..., None], qos: QoSProfile
+    node: Node, kind: type[Any], topic: str, callback: Callable[..., None], qos: QoSProfile
 ) -> Subscription:
-    """Make a subscription that does not watch the quality of service.
+    """Make a subscription without QoS event callbacks.
 
     Args:
-        node: whose it is.
-        kind: of the messages.
-        topic: their topic.
-        hear: takes a message, and what is known of its way if it wants to.
+        node: the node that subscribes.
+        kind: type of the messages.
+        topic: name of the topic.
+        callback: called with a message and, if it has a second argument, with the message info.
         qos: quality of service.
     """
-    return node.create_subscription(kind, topic, hear, qos, event_callbacks=QUIET_IN)
+    return node.create_subscription(kind, topic, callback, qos, event_callbacks=NO_EVENTS_IN)
 
 
-def waiting(subscription: Subscription) -> Iterator[Any]:
-    """Yield the messages that have come and that nobody has heard yet, oldest first."""
+def take_messages(subscription: Subscription) -> Iterator[Any]:
+    """Take the messages out of the queue of a subscription, oldest first."""
     while True:
         with subscription.handle:
             taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
@@ -47,52 +50,52 @@ def waiting(subscription: Subscription) -> Iterator[Any]:
         yield taken[0]
 
 
-def mailbox(node: Node, kind: type[Any], topic: str, qos: QoSProfile) -> Subscription:
-    """Make a subscription whose messages are only fetched (`waiting`): the node does not wake up for each."""
+def polled_subscription(node: Node, kind: type[Any], topic: str, qos: QoSProfile) -> Subscription:
+    """Make a subscription for `take_messages` only: the executor does not wake up for its messages."""
     return node.create_subscription(
-        kind, topic, lambda message: None, qos, callback_group=_Unattended(), event_callbacks=QUIET_IN
+        kind, topic, lambda message: None, qos, callback_group=_NeverExecuted(), event_callbacks=NO_EVENTS_IN
     )
 
 
-class Sorted:
-    """Subscriptions whose messages are heard in the order of their stamps, as far as they have come.
+class SortedSubscriptions:
+    """Subscriptions whose queued messages are delivered in the order of their stamps.
 
-    An executor delivers one message of each topic in turn. After a pause, those of a slow topic would be
-    heard long before older ones of a fast topic.
+    An executor delivers one message of each topic in turn. After a pause, the messages of a slow topic would
+    be delivered long before older ones of a fast topic.
 
     Args:
-        node: whose they are.
-        qos: of all of them.
+        node: the node that subscribes.
+        qos: quality of service of all topics.
     """
 
     def __init__(self, node: Node, qos: QoSProfile) -> None:
         self._node, self._qos = node, qos
         self._streams: list[tuple[Subscription, Callable[[Any], None]]] = []
 
-    def subscribe(self, kind: type[Any], topic: str, hear: Callable[[Any], None]) -> None:
-        """Add a topic of messages with headers; of equal stamps, that of the topic added first goes first."""
+    def subscribe(self, kind: type[Any], topic: str, callback: Callable[[Any], None]) -> None:
+        """Add a topic of messages with headers; at equal stamps, the topic added first comes first."""
         subscription = self._node.create_subscription(
             kind,
             topic,
-            partial(self._hear, len(self._streams)),
+            partial(self._deliver, len(self._streams)),
             self._qos,
-            event_callbacks=QUIET_IN,
+            event_callbacks=NO_EVENTS_IN,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
-        self._streams.append((subscription, hear))
+        self._streams.append((subscription, callback))
 
-    def _hear(self, stream: int, message: Any) -> None:
-        come = [(stream, message)]
+    def _deliver(self, stream: int, message: Any) -> None:
+        queued = [(stream, message)]
         for number, (subscription, _) in enumerate(self._streams):
-            come += [(number, other) for other in waiting(subscription)]
-        if len(come) > 1:
-            come.sort(key=lambda item: (stamp_ns(item[1]), item[0]))
-        for number, item in come:
+            queued += [(number, other) for other in take_messages(subscription)]
+        if len(queued) > 1:
+            queued.sort(key=lambda item: (stamp_ns(item[1]), item[0]))
+        for number, item in queued:
             self._streams[number][1](item)
 
 
-class _Unattended(CallbackGroup):
-    """Callbacks that no executor calls."""
+class _NeverExecuted(CallbackGroup):
+    """Callback group that no executor calls."""
 
     def can_execute(self, entity: Any) -> bool:
         return False

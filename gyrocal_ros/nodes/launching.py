@@ -1,4 +1,4 @@
-"""What the launch files share: their arguments, and the nodes with these as parameters."""
+"""Shared by the launch files: common arguments, and nodes that take them as parameters."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from gyrocal_ros.config.parameter_file import load_config
 
 PACKAGE = 'gyrocal_ros'
 COMMON = {
-    'params': ('', 'parameter file for all nodes; without one, the one that is shipped'),
-    'namespace': ('', 'of the robot: stands before all its topics'),
-    'model': ('', 'model.yaml with the effects to estimate; without one, the one that is shipped'),
+    'params': ('', 'parameter file for all nodes; the default is config/gyrocal.yaml of the package'),
+    'namespace': ('', 'namespace of the robot, the prefix of all its topics'),
+    'model': ('', 'model.yaml with the effects to estimate; the default is that of the package'),
     'calibration': (
         '',
-        'calibration.yaml to start from and to keep up to date; without one, nothing is kept',
+        'calibration.yaml to start from and to keep up to date; by default nothing is saved',
     ),
 }
-"""Arguments of every launch file, each with its default and meaning."""
+"""Arguments of every launch file: default and meaning by name."""
 OWN_TRANSFORMS = (('/tf', 'tf'), ('/tf_static', 'tf_static'))
-"""Frames have the same names on all robots, so a robot with a namespace has transforms of its own."""
+"""Remappings of a robot with a namespace: frame names are the same on all robots, so that each needs its own
+topics of transforms."""
 
 
 class Arguments:
-    """The values of the arguments of a launch file."""
+    """Values of the arguments of a launch file."""
 
     def __init__(self, context: LaunchContext) -> None:
         self._context = context
@@ -41,12 +42,12 @@ class Arguments:
 
     @property
     def params(self) -> Path:
-        """The parameter file."""
+        """Path of the parameter file."""
         shipped = Path(get_package_share_directory(PACKAGE)) / 'config' / 'gyrocal.yaml'
         return Path(self['params']).expanduser() if self['params'] else shipped
 
     def node(self, name: str, parameters: Mapping[str, Any] | None = None, **more: Any) -> Node:
-        """One of our nodes, with the parameter file and, over it, the parameters that are not empty."""
+        """Return a node of this package with the parameter file, overridden by the non-empty parameters."""
         given = {key: value for key, value in (parameters or {}).items() if value != ''}
         return Node(
             package=PACKAGE,
@@ -61,12 +62,13 @@ class Arguments:
         )
 
     def calibrator(self, *, follows_tracker: bool, parameters: Mapping[str, Any], **more: Any) -> Node:
-        """The calibrator.
+        """Return the calibrator.
 
         Args:
-            follows_tracker: the features come from our tracker, which is better than the usual one.
-            parameters: further ones.
-            more: of the node.
+            follows_tracker: True if the features come from the tracker of this package, whose pixel noise is
+                set in the section `tracker`.
+            parameters: further parameters.
+            more: further arguments of the launch action.
         """
         noise = (
             {'camera.pixel_noise_px': load_config(self.params).tracker.noise_px} if follows_tracker else {}
@@ -81,8 +83,8 @@ def describe(
     """Make a launch description.
 
     Args:
-        arguments: beside the common ones: name to default (None: has to be given) and meaning.
-        actions: what to start, once the values of the arguments are known.
+        arguments: arguments besides the common ones: default (None: required) and meaning by name.
+        actions: returns the launch actions for the values of the arguments.
     """
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=about)

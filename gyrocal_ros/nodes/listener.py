@@ -1,4 +1,4 @@
-"""A node that looks on: it hears what the others publish, and tells it as plain values."""
+"""A node that subscribes to the outputs of the others and collects them as plain values."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from gyrocal_ros.nodes.qos import LATCHED
 from gyrocal_ros.robot.feed import Feed
 
 IMAGE_EVERY_S = 0.5
-"""A person needs no more images than that."""
+"""Shortest time between two displayed images."""
 
 
 class ListenerNode:
-    """Hears the calibration, the health of the nodes and the tracks."""
+    """Subscribes to the calibration, the health of the nodes and the images with tracks."""
 
     def __init__(self, node: Node, feed: Feed) -> None:
         self._feed, self._shown_s = feed, 0.0
-        node.create_subscription(ParameterEvent, 'gyro_calibration', self._hear_calibration, LATCHED)
-        node.create_subscription(DiagnosticArray, '/diagnostics', self._hear_health, 10)
-        node.create_subscription(Image, 'ceiling_camera/tracks_image', self._hear_tracks, 1)
+        node.create_subscription(ParameterEvent, 'gyro_calibration', self._on_calibration, LATCHED)
+        node.create_subscription(DiagnosticArray, '/diagnostics', self._on_health, 10)
+        node.create_subscription(Image, 'ceiling_camera/tracks_image', self._on_tracks, 1)
 
-    def _hear_calibration(self, message: ParameterEvent) -> None:
+    def _on_calibration(self, message: ParameterEvent) -> None:
         parameters = [*message.new_parameters, *message.changed_parameters]
         values = {item.name: parameter_value_to_python(item.value) for item in parameters}
         self._feed.calibration(values, time.monotonic())
 
-    def _hear_health(self, message: DiagnosticArray) -> None:
+    def _on_health(self, message: DiagnosticArray) -> None:
         for status in message.status:
             numbers = {item.key: item.value for item in status.values}
             self._feed.health(status.name, status.level[0], status.message, numbers, time.monotonic())
 
-    def _hear_tracks(self, message: Image) -> None:
+    def _on_tracks(self, message: Image) -> None:
         now_s = time.monotonic()
         if now_s - self._shown_s < IMAGE_EVERY_S:
             return
@@ -58,11 +58,11 @@ class ListenerNode:
 
 @contextmanager
 def listening(namespace: str = '', domain: int | None = None) -> Iterator[Feed]:
-    """What the nodes say, heard in a thread as long as the block lasts.
+    """Collect the outputs of the nodes, in a thread that runs as long as the context.
 
     Args:
-        namespace: of the robot.
-        domain: ROS_DOMAIN_ID; that of the environment where None.
+        namespace: namespace of the robot.
+        domain: ROS_DOMAIN_ID; None for that of the environment.
     """
     context = Context()
     rclpy.init(context=context, domain_id=domain)

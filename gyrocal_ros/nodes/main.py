@@ -1,4 +1,4 @@
-"""Entry points of the nodes, which say plainly what is missing where ROS is."""
+"""Entry points of the nodes; without ROS they print what is missing."""
 
 from __future__ import annotations
 
@@ -8,21 +8,23 @@ import sys
 from collections.abc import Sequence
 
 NODES = ('driver', 'tracker', 'calibrator', 'player', 'ceiling_emulator')
-"""Each is a module of this folder with a function `make() -> Node`."""
+"""Names of the nodes; each is a module of this package with a function `make`."""
 
 
 def run(name: str, argv: Sequence[str]) -> int:
-    """Run a node until it is told to stop; return its exit status.
+    """Run a node until it is shut down; return its exit status.
 
     Args:
         name: one of `NODES`.
-        argv: command line, with the arguments of ROS.
+        argv: command line, with ROS arguments.
     """
-    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # the filter's matrices are too small to share
+    os.environ.setdefault(
+        'OPENBLAS_NUM_THREADS', '1'
+    )  # threads only slow down matrices as small as those of the filter
     try:
         shell = importlib.import_module('gyrocal_ros.nodes.shell')
         return int(shell.run(importlib.import_module(f'gyrocal_ros.nodes.{name}').make, argv))
-    except KeyboardInterrupt:  # before there was a node
+    except KeyboardInterrupt:  # before the node was made
         return 130
     except ModuleNotFoundError as error:
         if (error.name or '').startswith('gyrocal_ros'):

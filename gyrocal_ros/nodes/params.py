@@ -14,8 +14,8 @@ from gyrocal_ros.config.declare import Sections, Setting, flat_settings, plain, 
 from gyrocal_ros.errors import ConfigError
 
 
-def described(value: Any, about: Setting) -> ParameterDescriptor:
-    """What ROS can say of a setting."""
+def descriptor_of(value: Any, about: Setting) -> ParameterDescriptor:
+    """Return the ParameterDescriptor of a setting."""
     unit = f' [{about.unit}]' if about.unit else ''
     descriptor = ParameterDescriptor(description=f'{about.help}{unit}', read_only=not about.live)
     if about.choices:
@@ -31,13 +31,13 @@ def described(value: Any, about: Setting) -> ParameterDescriptor:
 
 
 class Settings(Generic[Sections]):
-    """Some sections of the settings as parameters of a node.
+    """Sections of the settings as parameters of a node.
 
     Args:
-        node: gets a parameter `section.setting` for each.
-        config: the defaults.
-        sections: names of the sections that this node uses.
-        on_change: told of the new settings when somebody has changed a parameter.
+        node: the node; gets a parameter `section.setting` for each setting.
+        config: the default values.
+        sections: names of the sections that the node uses.
+        on_change: called with the new settings when a parameter has changed.
 
     Raises:
         ConfigError: a value given at the start is of the wrong type or out of bounds.
@@ -57,7 +57,7 @@ class Settings(Generic[Sections]):
         self._names = {name for name, _, _ in chosen}
         for name, value, about in chosen:
             try:
-                node.declare_parameter(name, plain(value), described(value, about))
+                node.declare_parameter(name, plain(value), descriptor_of(value, about))
             except ParameterException as error:
                 raise ConfigError(str(error), where=self._where, todo=_bounds(name, about)) from error
         self.config = self._with([node.get_parameter(name) for name in self._names])

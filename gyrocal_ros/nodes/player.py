@@ -1,4 +1,4 @@
-"""The player: a recording as if the robot were there, with the stamps and the time of the recording."""
+"""The player node: publishes a recording with its own stamps, and its time on /clock."""
 
 from __future__ import annotations
 
@@ -29,25 +29,24 @@ from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
 
 CLOCK_NS = NS_PER_S // 50
+"""Period of /clock."""
 REPEAT_NS = NS_PER_S
-LOOK_S, TELL_S = 0.1, 5.0
+"""Period at which messages that were recorded once are repeated."""
+POLL_S, LOG_S = 0.1, 5.0
+"""Periods at which the listeners are checked, and missing ones are logged."""
 SETTLE_S = 1.0
-"""Before the first message, so that all find each other, and after the last, so that it is made use of."""
-QUALITY = {
-    PublishMode.STREAM: SENSOR_OUT,
-    PublishMode.IMAGE: QoSProfile(depth=10),
-    PublishMode.LATCHED: STATIC,
-}
+"""Pause before the first message, for discovery, and after the last, so that it is processed."""
+QOS = {PublishMode.STREAM: SENSOR_OUT, PublishMode.IMAGE: QoSProfile(depth=10), PublishMode.LATCHED: STATIC}
 
 
 @dataclass(frozen=True, slots=True)
 class PlayerConfig:
-    """What is played, and how."""
+    """Settings of the player."""
 
     bag: str = setting('', '', 'recording to play: a rosbag2 folder, one of its files, or a ROS 1 .bag')
-    rate: float = setting(1.0, '', 'how much faster than it was recorded', low=0.01, high=1000.0)
-    robot: str = setting('', '', 'namespace of the robot in the recording, where that holds several')
-    wait_for: str = setting('', '', 'nodes that have to listen before it starts, separated by blanks')
+    rate: float = setting(1.0, '', 'speed relative to the recording', low=0.01, high=1000.0)
+    robot: str = setting('', '', 'namespace of the robot in the recording, if there are several')
+    wait_for: str = setting('', '', 'nodes that have to subscribe before the start, separated by blanks')
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +57,14 @@ class PlayerSections:
 
 
 class PlayerNode:
-    """The node; it ends with the recording."""
+    """The player; the node ends with the recording."""
 
     def __init__(self) -> None:
         self.node = node = rclpy.create_node('player')
         self._settings = Settings(node, PlayerSections(), ('player',)).config.player
         recording = Settings(node, Config(), ('recording',)).config.recording
         if not self._settings.bag:
-            raise ConfigError('no recording is named', where='player.bag', todo='give -p player.bag:=PATH')
+            raise ConfigError('no recording is given', where='player.bag', todo='give -p player.bag:=PATH')
         path = Path(self._settings.bag).expanduser()
         self._files = ExitStack()
         storage = self._files.enter_context(open_storage(path))
@@ -85,22 +84,22 @@ class PlayerNode:
         self._repeated: dict[str, tuple[int, bytes]] = {}
         self._clock_ns = self._first_ns = self._next[0] if self._next else 0
         self._start_ns = 0
-        self._told_s = time.monotonic()
+        self._logged_s = time.monotonic()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(LOOK_S, self._wait, clock=steady)
+        self._timer = node.create_timer(POLL_S, self._wait, clock=steady)
 
     def close(self) -> None:
-        """Let go of the recording."""
+        """Close the recording."""
         self._files.close()
 
-    def _add(self, topic: PlayedTopic) -> Publisher:
-        if topic.name not in self._publishers:
-            kind, quality = get_message(topic.type_name), QUALITY[topic.mode]
-            self._publishers[topic.name] = self.node.create_publisher(kind, topic.name, quality)
-        return self._publishers[topic.name]
+    def _add(self, track: PlayedTopic) -> Publisher:
+        if track.name not in self._publishers:
+            kind, qos = get_message(track.type_name), QOS[track.mode]
+            self._publishers[track.name] = self.node.create_publisher(kind, track.name, qos)
+        return self._publishers[track.name]
 
     def _absent(self) -> set[str]:
-        """The nodes that are waited for and do not listen yet."""
+        """Return the nodes to wait for that have not subscribed yet."""
         listeners = {
             listener.node_name
             for publisher in self._publishers.values()
@@ -110,8 +109,8 @@ class PlayerNode:
 
     def _wait(self) -> None:
         absent, now_s = self._absent(), time.monotonic()
-        if absent and now_s - self._told_s > TELL_S:
-            self._told_s = now_s
+        if absent and now_s - self._logged_s > LOG_S:
+            self._logged_s = now_s
             self.node.get_logger().info(f'waiting for {", ".join(sorted(absent))}')
         if not absent:
             self.node.get_logger().info(f'playing {self._settings.bag}')
@@ -120,7 +119,7 @@ class PlayerNode:
             self._wake_in(SETTLE_S)
 
     def _play(self) -> None:
-        """Send all that is due."""
+        """Publish all messages that are due."""
         while self._next is not None and self.node.context.ok():
             recorded_ns, topic, raw = self._next
             due_s = seconds(recorded_ns - self._first_ns) / self._settings.rate
@@ -138,7 +137,7 @@ class PlayerNode:
         self._wake_in(SETTLE_S)
 
     def _tick(self, now_ns: int) -> None:
-        """Tell the time, and say again what is said once."""
+        """Publish the time, and repeat messages that were recorded once."""
         self._clock_ns = now_ns + CLOCK_NS
         self._clock.publish(self._make('rosgraph_msgs/msg/Clock', clock=self._make.time(now_ns)))
         for name, (sent_ns, raw) in self._repeated.items():
@@ -149,7 +148,7 @@ class PlayerNode:
     def _end(self) -> None:
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=SETTLE_S))
-        self.node.get_logger().info('the recording is at its end')
+        self.node.get_logger().info('end of the recording')
         self.node.context.try_shutdown()
 
     def _wake_in(self, wait_s: float) -> None:
@@ -158,5 +157,5 @@ class PlayerNode:
 
 
 def make() -> PlayerNode:
-    """Start the node."""
+    """Make the node."""
     return PlayerNode()

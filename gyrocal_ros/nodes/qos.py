@@ -4,19 +4,20 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 SENSOR_IN = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Sensor data as they come in: with publishers of every reliability. A computer that is busy for some
-seconds loses nothing."""
+"""QoS of incoming sensor data. It matches publishers of every reliability, and the queue is long enough for a
+computer that is busy for some seconds."""
 SENSOR_OUT = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
-"""Sensor data that go out: nothing is lost towards those who ask for all."""
+"""QoS of outgoing sensor data: reliable for subscribers that request it."""
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-"""The last one is sent at once to whoever subscribes late."""
+"""QoS of a latched topic: a late subscriber gets the last message at once."""
 STATIC = QoSProfile(
     depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-"""As /tf_static is published, by several."""
+"""QoS of /tf_static, which several nodes publish."""
 
-QUIET_IN = SubscriptionEventCallbacks(use_default_callbacks=False)
-QUIET_OUT = PublisherEventCallbacks(use_default_callbacks=False)
-"""For topics that come hundreds of times a second: each event that is waited for costs, every time."""
+NO_EVENTS_IN = SubscriptionEventCallbacks(use_default_callbacks=False)
+NO_EVENTS_OUT = PublisherEventCallbacks(use_default_callbacks=False)
+"""Event callbacks of topics with hundreds of messages a second: none, because the executor checks each event
+every time it waits."""

@@ -1,4 +1,4 @@
-"""Start and end of a node."""
+"""Starts and ends a node."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from rclpy.node import Node
 from gyrocal_ros.errors import GyrocalError
 
 
-class Running(Protocol):
-    """A node with something to put in order at its end."""
+class ClosableNode(Protocol):
+    """A node with a `close` to call at its end."""
 
     @property
     def node(self) -> Node:
-        """What the executor turns."""
+        """The node that the executor spins."""
 
     def close(self) -> None:
-        """Save what has to be kept and let go of threads and files."""
+        """Save the results; end threads and close files."""
 
 
-def run(make: Callable[[], Running], argv: Sequence[str]) -> int:
+def run(make: Callable[[], ClosableNode], argv: Sequence[str]) -> int:
     """Spin a node until the context is shut down.
 
     Returns:
-        Exit status: 0 told to stop, 2 the user can mend it.
+        Exit status: 0 after a shutdown, 2 after an error that the user can fix.
     """
     rclpy.init(args=[sys.argv[0], *argv])
     try:
@@ -40,16 +40,16 @@ def run(make: Callable[[], Running], argv: Sequence[str]) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception:
-        if rclpy.ok():  # else the end has come in the middle of something
+        if rclpy.ok():  # otherwise the context was shut down in the middle of a call
             raise
     finally:
         rclpy.try_shutdown()
     return 0
 
 
-def _spin(running: Running) -> None:
+def _spin(running: ClosableNode) -> None:
     gc.collect()
-    gc.freeze()  # what is there now stays: looking through it again and again makes messages wait
+    gc.freeze()  # objects of the start stay alive: scanning them in each collection would delay messages
     try:
         rclpy.spin(running.node)
     finally:

@@ -1,4 +1,4 @@
-"""Other recorded numbers that effects of the model follow, found in the graph by their names."""
+"""Subscribes to the signals that effects of the model depend on, found in the graph by name."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from gyrocal_ros.nodes.qos import SENSOR_IN
 
 
 class Signals:
-    """Subscribes to what is wanted as soon as somebody publishes it.
+    """Subscribes to each signal once it is published.
 
     Args:
-        node: gets the subscriptions.
-        names: as in a bag, `battery_state.current`: the topic, then the field.
-        now_ns: what the clock of the sensors shows, for messages without a stamp; 0 while nobody knows.
-        hear: told of every number.
+        node: the node that subscribes.
+        names: names of the signals as in a bag, `battery_state.current`: topic, then field.
+        now_ns: returns the present time of the sensors' clock, for messages without a stamp; 0 if unknown.
+        callback: called with each value.
     """
 
     def __init__(
@@ -30,18 +30,18 @@ class Signals:
         node: Node,
         names: Iterable[str],
         now_ns: Callable[[], int],
-        hear: Callable[[CovariateSample], None],
+        callback: Callable[[CovariateSample], None],
     ) -> None:
-        self._node, self._now_ns, self._hear = node, now_ns, hear
+        self._node, self._now_ns, self._callback = node, now_ns, callback
         self._missing = set(names)
 
-    def look(self) -> None:
-        """See whether what is missing has come; to be called now and then."""
+    def poll(self) -> None:
+        """Subscribe to missing signals that are published by now; call it about once a second."""
         if not self._missing:
             return
         types = dict(self._node.get_topic_names_and_types())
         for name in sorted(self._missing):
-            for topic, field in _readings(name):
+            for topic, field in _candidates(name):
                 found = types.get(self._node.resolve_topic_name(topic))
                 if found:
                     self._subscribe(name, get_message(found[0]), topic, field)
@@ -51,16 +51,16 @@ class Signals:
     def _subscribe(self, name: str, kind: type[Any], topic: str, field: str) -> None:
         read, has_header = attrgetter(field), 'header' in kind.get_fields_and_field_types()
 
-        def hear(message: Any) -> None:
+        def receive(message: Any) -> None:
             t_ns = stamp_ns(message) if has_header else self._now_ns()
             if t_ns:
-                self._hear(CovariateSample(t_ns, name, float(read(message))))
+                self._callback(CovariateSample(t_ns, name, float(read(message))))
 
-        subscribe(self._node, kind, topic, hear, SENSOR_IN)
+        subscribe(self._node, kind, topic, receive, SENSOR_IN)
 
 
-def _readings(name: str) -> Iterator[tuple[str, str]]:
-    """Every topic and field that a name may mean, the longest topic first."""
+def _candidates(name: str) -> Iterator[tuple[str, str]]:
+    """Yield every topic and field that a name may mean, the longest topic first."""
     parts = name.split('.')
     for place in range(len(parts) - 1, 0, -1):
         yield '/'.join(parts[:place]), '.'.join(parts[place:])

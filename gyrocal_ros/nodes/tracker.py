@@ -1,4 +1,4 @@
-"""The tracker: images of the ceiling become lists of features."""
+"""The tracker node: tracks features in the images of the ceiling."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import images, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.diagnostics import Diagnostics
-from gyrocal_ros.nodes.endpoints import mailbox, publish, subscribe, waiting
+from gyrocal_ros.nodes.endpoints import polled_subscription, publish, subscribe, take_messages
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.robot.health import Status
@@ -27,18 +27,17 @@ from gyrocal_ros.robot.tracking import LiveTracker, Tracked
 
 COMPRESSED = 'compressed'
 TRANSPORTS = {'raw': ('', Image), COMPRESSED: (f'/{COMPRESSED}', CompressedImage)}
-"""What follows the name of the images' topic, and their type."""
-IMAGES_HELD = 2
-"""Of images that come faster than they can be followed, these are the latest."""
-FETCH_S, WAKE_S, LOOK_S = 0.1, 0.002, 0.5
-"""How often the IMU is heard at least, and how often while an image waits for it; how often images are
-looked for."""
-QUEUED_S = 1.0
-"""An image does not wait longer than this to be heard."""
+"""Suffix of the topic and message type of each image transport."""
+IMAGE_QUEUE = 2
+"""Queue depth of the images; the oldest are dropped if they come faster than they can be tracked."""
+POLL_S, FAST_POLL_S, SEARCH_S = 0.1, 0.002, 0.5
+"""Periods of polling the IMU, usually and while an image waits for it, and of searching for images."""
+MAX_QUEUED_S = 1.0
+"""Longest plausible time of an image in the queue of the middleware."""
 
 
 class TrackerNode:
-    """The node."""
+    """The tracker node; a `LiveTracker` does the work."""
 
     def __init__(self) -> None:
         self.node = node = rclpy.create_node('tracker')
@@ -51,19 +50,19 @@ class TrackerNode:
         self._features = publish(node, PointCloud2, Role.FEATURES, SENSOR_OUT)
         self._tracks = publish(node, Image, 'ceiling_camera/tracks_image', QoSProfile(depth=1))
         self._images: Subscription | None = None
-        self._imu = mailbox(node, Imu, Role.IMU, SENSOR_IN)
-        subscribe(node, CameraInfo, Role.CAMERA_INFO, self._hear_camera, SENSOR_IN)
-        subscribe(node, TFMessage, '/tf_static', self._hear_links, STATIC)
-        subscribe(node, PointCloud2, 'ceiling_camera/search_regions', self._hear_regions, SENSOR_IN)
+        self._imu = polled_subscription(node, Imu, Role.IMU, SENSOR_IN)
+        subscribe(node, CameraInfo, Role.CAMERA_INFO, self._on_camera, SENSOR_IN)
+        subscribe(node, TFMessage, '/tf_static', self._on_transforms, STATIC)
+        subscribe(node, PointCloud2, 'ceiling_camera/search_regions', self._on_regions, SENSOR_IN)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(FETCH_S, self._follow, clock=steady)
-        self._wake = node.create_timer(WAKE_S, self._follow, clock=steady)
-        self._wake.cancel()
-        self._look = node.create_timer(LOOK_S, self._look_for_images, clock=steady)
+        node.create_timer(POLL_S, self._work, clock=steady)
+        self._fast_poll = node.create_timer(FAST_POLL_S, self._work, clock=steady)
+        self._fast_poll.cancel()
+        self._search = node.create_timer(SEARCH_S, self._find_images, clock=steady)
         self._diagnostics = Diagnostics(node, self._status)
 
     def close(self) -> None:
-        """Nothing has to be put in order."""
+        """Do nothing: there is nothing to close."""
 
     def _configure(self, _: Any) -> None:
         self._live.configure(self._config.config.tracker, self._robot.config.images.patience_s)
@@ -71,8 +70,8 @@ class TrackerNode:
     def _status(self) -> Status:
         return self._live.status(time.monotonic())
 
-    def _look_for_images(self) -> None:
-        """Subscribe to the images that are published, as reliably as they are."""
+    def _find_images(self) -> None:
+        """Subscribe to the published images, with the reliability of their publishers."""
         wanted = self._robot.config.images.transport
         name = self.node.resolve_topic_name(Role.IMAGE)
         for transport, (ending, kind) in TRANSPORTS.items():
@@ -80,58 +79,60 @@ class TrackerNode:
             if offered and wanted in ('auto', transport):
                 reliable = all(o.qos_profile.reliability is ReliabilityPolicy.RELIABLE for o in offered)
                 policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-                qos = QoSProfile(depth=IMAGES_HELD, reliability=policy)
-                self._images = subscribe(self.node, kind, name + ending, self._hear_image, qos)
-                self.node.get_logger().info(f'following {name + ending}')
-                self._look.cancel()
+                qos = QoSProfile(depth=IMAGE_QUEUE, reliability=policy)
+                self._images = subscribe(self.node, kind, name + ending, self._on_image, qos)
+                self.node.get_logger().info(f'tracking images of {name + ending}')
+                self._search.cancel()
                 return
 
-    # --- what comes in ---------------------------------------------------------------------------
+    # --- input ------------------------------------------------------------------------------------
 
-    def _hear_image(self, message: Any, info: Any) -> None:
-        waited_s = seconds(time.time_ns() - info['received_timestamp'])  # odd where the middleware tells none
-        came_s = time.monotonic() - (waited_s if 0.0 < waited_s < QUEUED_S else 0.0)
+    def _on_image(self, message: Any, info: Any) -> None:
+        queued_s = seconds(
+            time.time_ns() - info['received_timestamp']
+        )  # implausible where the middleware has none
+        arrival_s = time.monotonic() - (queued_s if 0.0 < queued_s < MAX_QUEUED_S else 0.0)
         try:
             frame = images.frame(message)
         except RecordingError as error:
-            self._live.health.spoil(f'{error.what}; {error.todo}')
+            self._live.health.log.add_unusable(Role.IMAGE, f'{error.what}; {error.todo}')
             return
         self._camera_frame = message.header.frame_id
-        self._fetch_imu()
-        self._live.image(frame, self._camera_frame, came_s)
-        self._follow()
+        self._poll_imu()
+        self._live.image(frame, self._camera_frame, arrival_s)
+        self._work()
 
-    def _fetch_imu(self) -> None:
-        for message in waiting(self._imu):
+    def _poll_imu(self) -> None:
+        for message in take_messages(self._imu):
             self._live.imu(topics.IMU_SAMPLE.value(message), message.header.frame_id, time.monotonic())
 
-    def _hear_regions(self, message: PointCloud2) -> None:
+    def _on_regions(self, message: PointCloud2) -> None:
         self._live.regions(topics.search_regions(message), time.monotonic())
-        self._follow()
+        self._work()
 
-    def _hear_camera(self, message: CameraInfo) -> None:
+    def _on_camera(self, message: CameraInfo) -> None:
         try:
             camera = topics.camera_intrinsics(message)
         except RecordingError as error:
-            self._live.health.happened(f'{Role.CAMERA_INFO}: {error}', time.monotonic())
+            self._live.health.log.add_event(f'{Role.CAMERA_INFO}: {error}', time.monotonic())
             return
         self._live.camera(camera, message.header.frame_id, time.monotonic())
 
-    def _hear_links(self, message: TFMessage) -> None:
-        self._live.links(topics.transforms(message))
+    def _on_transforms(self, message: TFMessage) -> None:
+        self._live.transforms(topics.transforms(message))
 
-    # --- what goes out ---------------------------------------------------------------------------
+    # --- output -----------------------------------------------------------------------------------
 
-    def _follow(self) -> None:
-        self._fetch_imu()
+    def _work(self) -> None:
+        self._poll_imu()
         while (tracked := self._live.work(time.monotonic())) is not None:
             self._publish(tracked)
-        if self._live.is_waiting == self._wake.is_canceled():
-            (self._wake.reset if self._live.is_waiting else self._wake.cancel)()
+        if self._live.is_waiting == self._fast_poll.is_canceled():
+            (self._fast_poll.reset if self._live.is_waiting else self._fast_poll.cancel)()
 
     def _publish(self, tracked: Tracked) -> None:
         self._features.publish(to_ros.features(self._make, tracked.seen, self._camera_frame))
-        self._live.health.hand_on(time.monotonic() - tracked.came_s)
+        self._live.health.add_latency(time.monotonic() - tracked.arrival_s)
         if self._tracks.get_subscription_count():
             frame = tracked.frame
             self._tracks.publish(
@@ -140,5 +141,5 @@ class TrackerNode:
 
 
 def make() -> TrackerNode:
-    """Start the node."""
+    """Make the node."""
     return TrackerNode()

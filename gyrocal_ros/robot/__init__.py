@@ -1,1 +1,1 @@
-"""What runs on the robot, without ROS: measurements come in as they arrive, estimates go out at once."""
+"""Runs on the robot, without ROS: measurements come in as they arrive, estimates go out at once."""

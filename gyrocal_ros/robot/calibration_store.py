@@ -1,4 +1,4 @@
-"""The calibration file of a running robot: read at the start, kept up to date, never spoiled."""
+"""Keeps the calibration of a running robot in a file, read at the start and updated while it runs."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.errors import ConfigError, GyrocalError
 from gyrocal_ros.pipeline.calibration import Calibration, load_calibration, save_calibration
 
-UNUSABLE, FORGOTTEN = '.bad', '.old'
-"""What is put behind the name of a file that was set aside."""
+UNUSABLE, DISCARDED = '.bad', '.old'
+"""Suffixes of a renamed file: one that could not be read, and one that the user has discarded."""
 
 
 class CalibrationStore:
-    """Keeps a calibration in a file.
+    """Reads and writes one calibration file.
 
     Args:
         path: the file; None for none.
@@ -21,12 +21,12 @@ class CalibrationStore:
 
     def __init__(self, path: Path | None) -> None:
         self.path = path
-        self.complaint = ''
-        """What is wrong with the file, or with the writing of it."""
-        self._on_file: Calibration | None = None
+        self.problem = ''
+        """Why the file could not be read or written; empty without a problem."""
+        self._stored: Calibration | None = None
 
     def load(self, config: Config) -> Calibration | None:
-        """Read what was kept; None where there is nothing. What cannot be used is told and set aside.
+        """Return the stored calibration; None if there is none. An unusable file is renamed and reported.
 
         Raises:
             ConfigError: the path is that of a folder.
@@ -36,51 +36,51 @@ class CalibrationStore:
         if self.path.is_dir():
             raise ConfigError('is a folder', where=str(self.path), todo='name a file in live.calibration')
         try:
-            self._on_file = load_calibration(self.path)
-            _refuse_other_gyro(self._on_file, config, self.path)
+            self._stored = load_calibration(self.path)
+            _check_nominal_scale(self._stored, config, self.path)
         except ConfigError as error:
-            self._on_file = None
-            self.complaint = f'begun with the priors: {error}; {self._set_aside(UNUSABLE)}'
-        return self._on_file
+            self._stored = None
+            self.problem = f'started with the priors: {error}; {self._rename(UNUSABLE)}'
+        return self._stored
 
     def save(self, calibration: Calibration, config: Config) -> bool:
-        """Write it in one step; return whether that was possible. A failure is told, never raised."""
+        """Write the file atomically; return False, and report it, where that fails."""
         if self.path is None:
             return False
         try:
             save_calibration(calibration, config, self.path, overwrite=True)
         except GyrocalError as error:
-            self.complaint = f'the calibration could not be saved: {error}'
+            self.problem = f'the calibration could not be saved: {error}'
             return False
-        self._on_file, self.complaint = calibration, ''
+        self._stored, self.problem = calibration, ''
         return True
 
-    def is_better(self, calibration: Calibration) -> bool:
-        """Whether a calibration may replace that in the file: a half-done one no finished one."""
-        return self._on_file is None or calibration.converged or not self._on_file.converged
+    def may_replace(self, calibration: Calibration) -> bool:
+        """Return True if a calibration may replace the stored one: converged, or the stored one is not."""
+        return self._stored is None or calibration.converged or not self._stored.converged
 
-    def forget(self) -> str:
-        """Set the file aside; return what became of it, empty where there was none."""
-        self._on_file, self.complaint = None, ''
-        return self._set_aside(FORGOTTEN) if self.path is not None and self.path.exists() else ''
+    def discard(self) -> str:
+        """Rename the file; return a clause about it, empty where there was none."""
+        self._stored, self.problem = None, ''
+        return self._rename(DISCARDED) if self.path is not None and self.path.exists() else ''
 
-    def _set_aside(self, suffix: str) -> str:
-        """Give the file another name; where that fails, leave it alone for good."""
+    def _rename(self, suffix: str) -> str:
+        """Rename the file; where that fails, leave it alone from now on."""
         assert self.path is not None
         other = self.path.with_name(self.path.name + suffix)
         try:
             self.path.replace(other)
         except OSError as error:
             path, self.path = self.path, None
-            return f'{path} could not be set aside ({error.strerror}): nothing is saved'
-        return f'the file was set aside as {other}'
+            return f'{path} could not be renamed ({error.strerror}): nothing is saved'
+        return f'the file was renamed to {other}'
 
 
-def _refuse_other_gyro(calibration: Calibration, config: Config, path: Path) -> None:
-    """A scale factor is worth nothing where another nominal one is applied to the samples.
+def _check_nominal_scale(calibration: Calibration, config: Config, path: Path) -> None:
+    """Refuse a calibration made with another nominal scale factor: its scale factor is relative to that.
 
     Raises:
-        ConfigError: it was another one.
+        ConfigError: the nominal scale factors differ.
     """
     then, now = calibration.nominal_scale_factor_volt, config.gyro.nominal_scale_factor_volt
     if abs(then / now - 1.0) > 1e-9:

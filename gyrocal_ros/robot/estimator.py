@@ -1,70 +1,73 @@
-"""The filter on a running robot: begun, stopped, begun anew when it is lost; never trusted blindly."""
+"""The filter on a running robot: started, stopped, restarted when it diverges, and checked at each step."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Measurement, Rig
+from gyrocal_ros.data import Measurement, Rig, seconds
 from gyrocal_ros.ekf.convergence import Convergence
-from gyrocal_ros.ekf.slam import EkfSlam, StepRecord
-from gyrocal_ros.ekf.start import Start, initial_state, restarted_at
+from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.ekf.start import Start, initial_state
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
+from gyrocal_ros.ekf.step_record import StepRecord
+from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.pipeline.calibration import Calibration, calibration_of
 
 CHECKPOINT_S = 5.0
-"""A state is good to go back to when the filter has run well for so long since."""
-MAPS_LOST, MAPS_LOST_S = 3, 60.0
-"""So many new maps within so long: the filter is lost, whatever its numbers say."""
-DISTRUST_S = 30.0
-"""A filter that was contradicted for so long does not find back by itself."""
-WIDENING = 4.0
-"""How much larger the variances are when the filter is begun anew."""
+"""Time for which the filter has to stay consistent after a state before that becomes the checkpoint."""
+MAX_NEW_MAPS, NEW_MAPS_S = 3, 60.0
+"""Number of new maps within a time (s) that means divergence, whatever the NIS."""
+CONTRADICTED_S = 30.0
+"""Time after which a filter that the measurements contradict is restarted: it does not recover by itself."""
+RESTART_INFLATION = 4.0
+"""Factor on the covariance of the last good calibration when a diverged filter is restarted."""
 
 
 class Estimator:
-    """The filter, and what of it is served.
+    """The filter, and the last of its states that was consistent with the measurements.
+
+    The calls that may start the filter take the pose at which it starts, as `at`: the state by dead
+    reckoning. The first start of all is at the origin of the map.
 
     Args:
         model: the sensor model.
-        config: settings; may be exchanged for others at any time.
-        known: an earlier calibration to start from.
-        name: where the calibration comes from, for the file.
-        where: the robot's state by dead reckoning, to begin anew there.
+        config: settings; may be replaced at any time.
+        prior: an earlier calibration to start from.
+        name: source of the calibration, for its file.
     """
 
-    def __init__(
-        self,
-        model: SensorModel,
-        config: Config,
-        known: Calibration | None,
-        name: str,
-        where: Callable[[], State],
-    ) -> None:
+    def __init__(self, model: SensorModel, config: Config, prior: Calibration | None, name: str) -> None:
         self.model, self.name = model, name
         self.watch = Convergence()
-        self.slam: EkfSlam | None = None
+        self._stream: SlamStream | None = None
         self.restarts = 0
-        """How often the filter had to be begun anew because it was lost."""
+        """Number of restarts because the filter had diverged."""
         self.events: list[str] = []
-        """What happened that a person should know; the reader clears it."""
-        self._config, self._known, self._where = config, known, where
+        """Events for the user; the reader clears the list."""
+        self._config, self._prior = config, prior
         self._rig: Rig | None = None
         self._running_s = 0.0
         self.is_on = False
-        """Whether it estimates, as soon as it can."""
+        """True if the filter runs, or will run once the camera is known."""
         self.on_probation = False
-        """Just begun anew: it has to prove itself before it is trusted."""
+        """True after a restart, until the filter has been consistent for long enough to be trusted."""
         self.has_learned = False
-        """Whether the camera has taught anything since the start, or since all was forgotten."""
-        self._served = initial_state(model, config, self._start)
-        self._begin_watch()
+        """True once an image has updated the filter since the start or the last reset."""
+        self._trusted = initial_state(model, config, self._start)
+        self._reset_watch()
+
+    @property
+    def slam(self) -> EkfSlam | None:
+        """The filter; None while it does not run."""
+        return None if self._stream is None else self._stream.slam
 
     @property
     def config(self) -> Config:
@@ -79,151 +82,224 @@ class Estimator:
 
     @property
     def is_trusted(self) -> bool:
-        """Whether the present state may be served: nothing measured contradicts it."""
+        """True if the present state may be used: no measurement contradicts it."""
         if self.on_probation and not self.watch.is_settled:
             return False
         return not self.watch.is_contradicted(self._config.convergence)
 
     @property
-    def served(self) -> State:
+    def trusted(self) -> State:
         """The last state that was trusted."""
-        return self._served
+        return self._trusted
 
     @property
     def calibration(self) -> Calibration:
-        """What is known of the gyro, by the last state that was trusted."""
-        watch, known = self.watch, self._known
-        std = float(np.sqrt(self._served.covariance[COEFFICIENTS_START, COEFFICIENTS_START]))
-        was_converged = known is not None and known.converged and not watch.is_settled
-        is_healthy = was_converged or watch.is_consistent(self._config.convergence)
+        """The calibration of the last state that was trusted."""
+        watch, prior = self.watch, self._prior
+        std = float(np.sqrt(self._trusted.covariance[COEFFICIENTS_START, COEFFICIENTS_START]))
+        was_converged = prior is not None and prior.converged and not watch.is_settled
+        is_consistent = was_converged or watch.is_consistent(self._config.convergence)
         is_narrow = std <= self._config.convergence.scale_std
         return calibration_of(
-            self._served,
+            self._trusted,
             self.model,
             self._config,
-            converged=is_narrow and is_healthy and not self.on_probation,
+            converged=is_narrow and is_consistent and not self.on_probation,
             convergence_time_s=watch.since_s,
             duration_s=self._time_s,
             source=self.name,
-            end_ns=self._served.t_ns,
+            end_ns=self._trusted.t_ns,
         )
 
-    def set_rig(self, rig: Rig) -> None:
-        """Take in where the camera sits; what was learned with it elsewhere is not kept."""
+    def set_rig(self, rig: Rig, at: State) -> None:
+        """Set camera and mounting; another camera than before discards the estimate."""
         if self._rig is not None:
-            self.events.append('the camera or its mounting has changed; the estimate is begun anew')
-            self._served = initial_state(self.model, self._config, self._start)
+            self.events.append('the camera or its mounting has changed; the estimate is restarted')
+            self._trusted = initial_state(self.model, self._config, self._start)
             self.has_learned = False
         is_first, self._rig = self._rig is None, rig
         if self.is_on:
-            self._begin(at_origin=is_first)
+            self._start_filter(None if is_first else at)
 
-    def switch(self, on: bool) -> None:
-        """Estimate, from what was learned before, or do so no more: that is kept and served."""
+    def switch(self, on: bool, at: State) -> None:
+        """Start the filter from the present calibration, or stop it and keep the calibration."""
         if on == self.is_on:
             return
         self.is_on = on
         if not on:
-            self._end()
+            self._stop_filter()
         elif self._rig is not None:
-            self._known = self.calibration
-            self._begin()
+            self._prior = self.calibration
+            self._start_filter(at)
 
-    def reset(self) -> None:
-        """Forget what was learned; begin with the priors."""
-        self._known, self.has_learned, self.on_probation = None, False, False
-        self._served = initial_state(self.model, self._config, None)
+    def reset(self, at: State) -> None:
+        """Discard the estimate, and restart with the priors of the model."""
+        self._prior, self.has_learned, self.on_probation = None, False, False
+        self._trusted = initial_state(self.model, self._config, None)
         if self.slam is not None:
-            self._begin()
+            self._start_filter(at)
         else:
-            self._begin_watch()
+            self._reset_watch()
 
-    def step(self, measurement: Measurement) -> bool:
-        """Take one measurement; return whether the filter went on by it."""
-        assert self.slam is not None
+    def step(self, measurement: Measurement, at: State) -> bool:
+        """Process one measurement; return True if the filter took a step.
+
+        Args:
+            measurement: the next in the order of stamps.
+            at: state by dead reckoning, in case that the filter has diverged and is restarted.
+        """
+        assert self._stream is not None
         try:
-            return self._note(self.slam.step(measurement))
+            return self._check(self._stream.step(measurement))
         except (FilterDivergedError, np.linalg.LinAlgError) as error:
-            self._begin_anew(error.what if isinstance(error, FilterDivergedError) else str(error))
+            self._restart(error.what if isinstance(error, FilterDivergedError) else str(error), at)
             return False
 
     def finish(self) -> None:
-        """Use what still waits, at the end."""
-        if self.slam is None:
+        """Process what the filter still holds back, at the end."""
+        if self._stream is None:
             return
         try:
-            self._note(self.slam.finish())
+            self._check(self._stream.finish())
         except (FilterDivergedError, np.linalg.LinAlgError):
-            self._end()
+            self._stop_filter()
+
+    # --- health -----------------------------------------------------------------------------------
+
+    @property
+    def summary(self) -> str:
+        """The calibration in one clause."""
+        calibration = self.calibration
+        scale = f'scale factor {calibration.scale_factor:.5f} ± {calibration.scale_factor_std:.1g}'
+        bias_deg_s = math.degrees(float(calibration.values[0]))
+        state = 'calibrated' if self.is_on else 'not estimating; in use'
+        return f'{state}: {scale}, bias {bias_deg_s:.4f} deg/s'
+
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the estimate."""
+        if not self.is_on:
+            return
+        limits, nis = self._config.convergence, self.watch.recent_nis
+        scale_std = self.calibration.scale_factor_std
+        if self.on_probation:
+            yield 'the filter was restarted and is not trusted yet; the last good calibration is used'
+        elif not self.is_trusted:
+            yield (
+                f'the images contradict the filter: NIS {max(nis, self.watch.overall_nis):.1f} per degree of '
+                f'freedom, up to {limits.nis_high:g} is consistent; the last good calibration is used; check '
+                'the calibration, the mounting and the stamps of the camera'
+            )
+        elif nis < limits.nis_low:
+            yield (
+                f'the images are less noisy than the filter assumes (NIS {nis:.1f}, from {limits.nis_low:g} '
+                'on is consistent): it adapts to that, or lower camera.pixel_noise_px'
+            )
+        if scale_std > limits.scale_std:
+            yield (
+                'not converged yet: the standard deviation of the scale factor is '
+                f'{100.0 * scale_std:.2g} %, {100.0 * limits.scale_std:.2g} % is required; turn both ways '
+                'where the camera sees the ceiling'
+            )
+
+    def numbers(self, newest_ns: int) -> dict[str, object]:
+        """Return the figures of the estimate, by the names that /diagnostics gives them.
+
+        Args:
+            newest_ns: stamp of the newest IMU sample, for the lag of the filter.
+        """
+        calibration, slam = self.calibration, self.slam
+        return {
+            'scale_factor': round(calibration.scale_factor, 6),
+            'scale_factor_std': float(f'{calibration.scale_factor_std:.2g}'),
+            'bias_deg_s': round(math.degrees(float(calibration.values[0])), 5),
+            'bias_std_deg_s': float(f'{math.degrees(float(calibration.stds[0])):.2g}'),
+            'converged': calibration.converged,
+            'estimating': self.is_on,
+            'recent_nis': round(self.watch.recent_nis, 3),
+            'overall_nis': round(self.watch.overall_nis, 3),
+            'pixel_noise_px': round(math.nan if slam is None else slam.pixel_noise.std, 3),
+            'map_size': 0 if slam is None else len(slam.state.landmarks.ids),
+            'filter_lag_s': round(self._lag_s(newest_ns), 3),
+            'filter_restarts': self.restarts,
+        }
+
+    # --- filter -----------------------------------------------------------------------------------
 
     @property
     def _start(self) -> Start | None:
-        return None if self._known is None else self._known.start()
+        return None if self._prior is None else self._prior.start()
 
-    def _begin(self, at_origin: bool = False) -> None:
-        """Begin the filter from what is known, at the origin of the map or where the robot is."""
+    def _start_filter(self, at: State | None) -> None:
+        """Start a filter from the prior, at a pose; None: at the origin of the map."""
         assert self._rig is not None
-        self._end()
-        self.slam = EkfSlam(self.model, self._config, self._rig, start=self._start, running_s=self._running_s)
-        if not at_origin:
-            self.slam.state = restarted_at(self.slam.state, self._where())
-        self._begin_watch()
+        self._stop_filter()
+        slam = EkfSlam(self.model, self._config, self._rig, start=self._start)
+        if at is not None:
+            slam.restart_at(at)
+        self._stream = SlamStream(slam, self._running_s)
+        self._reset_watch()
 
-    def _end(self) -> None:
-        if self.slam is not None:
-            self._running_s = self.slam.running_s
-        self.slam = None
+    def _stop_filter(self) -> None:
+        if self._stream is not None:
+            self._running_s = self._stream.running_s
+        self._stream = None
 
-    def _begin_watch(self) -> None:
+    def _lag_s(self, newest_ns: int) -> float:
+        """Return how far the filter is behind the newest IMU sample."""
+        if self._stream is None or not self._stream.has_started:
+            return 0.0
+        return seconds(newest_ns - self._stream.slam.state.t_ns)
+
+    def _reset_watch(self) -> None:
         self.watch = Convergence()
         self._time_s = self._checkpoint_s = self._trusted_s = 0.0
         self._has_stepped = False
-        self._checkpoint = self._candidate = self._served
-        self._lost_maps_s: deque[float] = deque(maxlen=MAPS_LOST)
+        self._checkpoint = self._candidate = self._trusted
+        self._new_maps_s: deque[float] = deque(maxlen=MAX_NEW_MAPS)
 
-    def _begin_anew(self, why: str) -> None:
-        """Give the filter up and begin with the last good calibration, in which there is less trust now."""
+    def _restart(self, why: str, at: State) -> None:
+        """Restart a diverged filter from the last checkpoint, with an inflated covariance."""
         self.restarts += 1
         self.events.append(
-            f'the filter was lost and begun anew with the last good calibration ({why}); check the camera '
+            f'the filter diverged and was restarted with the last good calibration ({why}); check the camera '
             'and its mounting'
         )
-        self._served = self._checkpoint
+        self._trusted = self._checkpoint
         good = self.calibration
-        self._known = replace(good, covariance=WIDENING * good.covariance)
-        self._begin()
+        self._prior = replace(good, covariance=RESTART_INFLATION * good.covariance)
+        self._start_filter(at)
         self.on_probation = True
 
-    def _note(self, records: list[StepRecord]) -> bool:
+    def _check(self, records: list[StepRecord]) -> bool:
         for record in records:
-            self._judge(record)
+            self._check_step(record)
         if records and self.slam is not None:
             if self.is_trusted:
-                self._serve(self.slam.state)
-            elif self._time_s - self._trusted_s > DISTRUST_S:
-                raise FilterDivergedError(f'it was contradicted for {DISTRUST_S:.0f} s')
+                self._trust(self.slam.state)
+            elif self._time_s - self._trusted_s > CONTRADICTED_S:
+                raise FilterDivergedError(f'the measurements contradicted it for {CONTRADICTED_S:.0f} s')
         return bool(records)
 
-    def _judge(self, record: StepRecord) -> None:
+    def _check_step(self, record: StepRecord) -> None:
         if not (np.isfinite(record.mean).all() and (record.std[YAW_BIAS:] > 0.0).all()):
             raise FilterDivergedError('the estimate is no longer finite')
-        lesson = record.image.lesson
+        stats = record.update.stats
         if self._has_stepped:  # time counts from the first step, as in a replay
             self._time_s += record.block.duration_s
         self._has_stepped = True
         scale_std = float(record.std[COEFFICIENTS_START])
-        self.watch.add(self._time_s, scale_std, lesson.nis, lesson.dof, self._config.convergence)
-        if lesson.dof > 0:
+        self.watch.add(self._time_s, scale_std, stats.nis, stats.dof, self._config.convergence)
+        if stats.dof > 0:
             self.has_learned = True
         if record.event:
             self.events.append(record.event)
-            self._lost_maps_s.append(self._time_s)
-            first_s = self._lost_maps_s[0]
-            if len(self._lost_maps_s) == MAPS_LOST and self._time_s - first_s < MAPS_LOST_S:
-                raise FilterDivergedError(f'{MAPS_LOST} new maps within {self._time_s - first_s:.0f} s')
+            self._new_maps_s.append(self._time_s)
+            first_s = self._new_maps_s[0]
+            if len(self._new_maps_s) == MAX_NEW_MAPS and self._time_s - first_s < NEW_MAPS_S:
+                raise FilterDivergedError(f'{MAX_NEW_MAPS} new maps within {self._time_s - first_s:.0f} s')
 
-    def _serve(self, state: State) -> None:
-        self._served, self._trusted_s, self.on_probation = state, self._time_s, False
+    def _trust(self, state: State) -> None:
+        self._trusted, self._trusted_s, self.on_probation = state, self._time_s, False
         if self._time_s - self._checkpoint_s >= CHECKPOINT_S:
             self._checkpoint, self._candidate = self._candidate, state
             self._checkpoint_s = self._time_s

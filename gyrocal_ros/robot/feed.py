@@ -1,4 +1,4 @@
-"""What the nodes of a running robot say, gathered for those who look on: plain values, no messages."""
+"""Collects what the nodes of a running robot publish, as plain values for a display."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.robot.health import Level
 
-MOST_POINTS = 3600
-"""An hour of what is told once a second; what is older is forgotten."""
+MAX_POINTS = 3600
+"""Maximum number of values kept, an hour at one a second; the oldest are dropped first."""
 SILENT_S = 5.0
-"""A node that has said nothing for so long counts as gone."""
+"""Time without a status after which a node counts as gone."""
 
 
 @dataclass(frozen=True, slots=True)
 class NodeHealth:
-    """What one node last said of itself."""
+    """Last status of one node."""
 
     name: str
     level: Level
@@ -31,18 +31,18 @@ class NodeHealth:
 
     @property
     def is_gone(self) -> bool:
-        """Whether nothing has come for so long that it may have ended."""
+        """True if the node has been silent for longer than `SILENT_S`, so that it may have ended."""
         return self.silent_s > SILENT_S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overview:
-    """All that was said so far."""
+    """Everything received so far."""
 
     version: int
-    """Grows with everything that is heard."""
+    """Number of updates; grows with every message."""
     time_s: Array
-    """(n,) when a calibration was told, since the listening began."""
+    """(n,) times of the calibrations, since the feed began."""
     scale_factor: Array
     scale_factor_std: Array
     nis_time_s: Array
@@ -50,14 +50,14 @@ class Overview:
     nis: Array
     """(m,) per degree of freedom, over the last seconds."""
     calibration: Mapping[str, object]
-    """The last one, by parameter name."""
+    """The last calibration, by parameter name."""
     nodes: tuple[NodeHealth, ...]
     tracks: bytes | None
     """The last image with the tracks drawn, as JPEG."""
 
 
 @dataclass(slots=True)
-class _Said:
+class _Report:
     level: Level
     message: str
     numbers: Mapping[str, str]
@@ -66,22 +66,22 @@ class _Said:
 
 @dataclass(slots=True)
 class Feed:
-    """Gathers it; safe to use from several threads.
+    """Collects the messages; thread-safe.
 
-    All times are by a clock that is never set.
+    All times are by a monotonic clock.
     """
 
     start_s: float
-    _scale: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=MOST_POINTS))
-    _nis: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MOST_POINTS))
+    _scale: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=MAX_POINTS))
+    _nis: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MAX_POINTS))
     _calibration: Mapping[str, object] = field(default_factory=dict)
-    _said: dict[str, _Said] = field(default_factory=dict)
+    _reports: dict[str, _Report] = field(default_factory=dict)
     _tracks: bytes | None = None
     _version: int = 0
     _lock: Lock = field(default_factory=Lock)
 
     def calibration(self, values: Mapping[str, object], now_s: float) -> None:
-        """Take in a calibration, by parameter name as `/gyro_calibration` has it."""
+        """Add a calibration, by parameter name as on `/gyro_calibration`."""
         scale, std = values.get('gyro.scale_factor'), values.get('gyro.scale_factor_std')
         with self._lock:
             self._calibration = {**self._calibration, **values}
@@ -90,27 +90,27 @@ class Feed:
             self._version += 1
 
     def health(self, name: str, level: int, message: str, numbers: Mapping[str, str], now_s: float) -> None:
-        """Take in what a node says of itself."""
+        """Add the status of a node."""
         known = Level(level) if level in tuple(Level) else Level.ERROR
         with self._lock:
-            self._said[name] = _Said(known, message, dict(numbers), now_s)
+            self._reports[name] = _Report(known, message, dict(numbers), now_s)
             nis = _number(numbers.get('recent_nis'))
             if math.isfinite(nis):
                 self._nis.append((now_s - self.start_s, nis))
             self._version += 1
 
     def tracks(self, jpeg: bytes) -> None:
-        """Take in an image."""
+        """Replace the image."""
         with self._lock:
             self._tracks, self._version = jpeg, self._version + 1
 
     def overview(self, now_s: float) -> Overview:
-        """All so far."""
+        """Return everything received so far."""
         with self._lock:
             scale, nis = np.array(self._scale).reshape(-1, 3), np.array(self._nis).reshape(-1, 2)
             nodes = tuple(
-                NodeHealth(name, said.level, said.message, said.numbers, now_s - said.at_s)
-                for name, said in sorted(self._said.items())
+                NodeHealth(name, report.level, report.message, report.numbers, now_s - report.at_s)
+                for name, report in sorted(self._reports.items())
             )
             return Overview(
                 version=self._version,

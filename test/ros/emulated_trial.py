@@ -1,13 +1,13 @@
-"""A trial of all nodes on an emulated robot, and its figures.
+"""Runs a trial of all nodes on an emulated robot, and prints its figures.
 
     python test/ros/emulated_trial.py --minutes 10
     python test/ros/emulated_trial.py --minutes 8 --faults
 
-Board and camera are emulated with 20 ms of arrival jitter on the line, the nodes are real. With faults, the
-board is unplugged for 5 s, 5 % of its bytes are spoiled for 30 s, the camera stops for 60 s, the
-calibrator is killed, and the computer's clock is 2 s ahead for half a minute (with libfaketime, where it is
-installed). Needs a sourced ROS. No test: it takes as long as it says, and its times are this
-machine's.
+Board and camera are emulated, with 20 ms of arrival jitter on the serial line; the nodes are real. With
+faults, the board is unplugged for 5 s, 5 % of its bytes are corrupted for 30 s, the camera stops for 60 s,
+the calibrator is killed, and the computer's clock is 2 s ahead for half a minute (if libfaketime is
+installed). Needs a sourced ROS. Not a test, because it runs in real time and its latencies depend on the
+machine.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ LATENCIES = ((Role.IMU, 'imu/data'), (Role.IMAGE, Role.FEATURES))
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process has used."""
+    """CPU time and memory of a process at a time."""
 
     at_s: float
     pid: int
@@ -70,48 +70,48 @@ def usage(pid: int, at_s: float) -> Usage:
 
 
 class Monitor:
-    """Listens to everything that the figures need."""
+    """Subscribes to all topics that the figures need."""
 
     def __init__(self, graph: Graph, start_s: float) -> None:
         self.start_ns = round(start_s * NS_PER_S)
-        self.came_s: dict[str, dict[int, float]] = defaultdict(dict)
-        """When the message of each stamp came, by topic."""
-        self.said: list[tuple[float, str, str, dict[str, str]]] = []
-        """Time, node, sentence and numbers of all diagnostics."""
+        self.arrival_s: dict[str, dict[int, float]] = defaultdict(dict)
+        """Arrival times by topic and stamp."""
+        self.messages: list[tuple[float, str, str, dict[str, str]]] = []
+        """Time, node, message and numbers of all diagnostics."""
         self.calibration: dict[str, Any] = {}
         kinds = {Role.IMU: Imu, 'imu/data': Imu, Role.IMAGE: Image, Role.FEATURES: PointCloud2}
         for topic, kind in kinds.items():
             qos = SENSOR_IN if kind is Image else 1000
-            graph.node.create_subscription(kind, topic, self._hear(topic), qos)
-        graph.node.create_subscription(DiagnosticArray, '/diagnostics', self._hear_health, 100)
-        graph.node.create_subscription(ParameterEvent, 'gyro_calibration', self._hear_calibration, LATCHED)
+            graph.node.create_subscription(kind, topic, self._receiver(topic), qos)
+        graph.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_health, 100)
+        graph.node.create_subscription(ParameterEvent, 'gyro_calibration', self._on_calibration, LATCHED)
 
-    def _hear(self, topic: str) -> Any:
-        came_s = self.came_s[topic]
+    def _receiver(self, topic: str) -> Any:
+        arrival_s = self.arrival_s[topic]
 
-        def hear(message: Any, info: Any) -> None:
-            # When the middleware had it: this program may have been at another message then.
-            came_s.setdefault(stamp_ns(message), info['received_timestamp'] / NS_PER_S)
+        def receive(message: Any, info: Any) -> None:
+            # Arrival in the middleware: this program may have been busy with another message.
+            arrival_s.setdefault(stamp_ns(message), info['received_timestamp'] / NS_PER_S)
 
-        return hear
+        return receive
 
-    def _hear_health(self, message: DiagnosticArray) -> None:
+    def _on_health(self, message: DiagnosticArray) -> None:
         at_s = time.time() - self.start_ns / NS_PER_S
         for status in message.status:
             numbers = {item.key: item.value for item in status.values}
-            self.said.append((at_s, status.name, status.message, numbers))
+            self.messages.append((at_s, status.name, status.message, numbers))
 
-    def _hear_calibration(self, message: ParameterEvent) -> None:
+    def _on_calibration(self, message: ParameterEvent) -> None:
         self.calibration = {
             item.name: parameter_value_to_python(item.value) for item in message.changed_parameters
         }
 
     def latencies_ms(self, before: str, after: str) -> list[float]:
-        first, then = self.came_s[before], self.came_s[after]
-        return [1e3 * (came_s - first[t_ns]) for t_ns, came_s in then.items() if t_ns in first]
+        first, then = self.arrival_s[before], self.arrival_s[after]
+        return [1e3 * (arrival_s - first[t_ns]) for t_ns, arrival_s in then.items() if t_ns in first]
 
 
-def tell_calibration(monitor: Monitor) -> None:
+def print_calibration(monitor: Monitor) -> None:
     truth, found = find_scenario(SCENARIO).errors.scale_factor, monitor.calibration
     error, std = found['gyro.scale_factor'] - truth, found['gyro.scale_factor_std']
     print(
@@ -120,30 +120,30 @@ def tell_calibration(monitor: Monitor) -> None:
     )
 
 
-def tell_stamps(monitor: Monitor) -> None:
-    """The true moments are known: they lie on a grid that begins at the start."""
-    stamps_ns = np.array(sorted(monitor.came_s[Role.IMU])) - monitor.start_ns
+def print_stamps(monitor: Monitor) -> None:
+    """Print the errors of the stamps: the true times are multiples of the sample interval since the start."""
+    stamps_ns = np.array(sorted(monitor.arrival_s[Role.IMU])) - monitor.start_ns
     number = np.round(stamps_ns * IMU_HZ / NS_PER_S).astype(int)
     off_ms = np.abs(stamps_ns - number * NS_PER_S / IMU_HZ) / 1e6
     settled = stamps_ns > SETTLED_S * NS_PER_S
     lost = number[-1] - number[0] + 1 - len(set(number.tolist()))
     print(
-        f'{Role.IMU}: {len(number)} samples, {lost} missing; stamps off by {off_ms[settled].mean():.3f} ms '
+        f'{Role.IMU}: {len(number)} samples, {lost} missing; stamp errors {off_ms[settled].mean():.3f} ms '
         f'on average, {off_ms[settled].max():.3f} at worst after {SETTLED_S:.0f} s, '
         f'{off_ms[~settled].max():.2f} before'
     )
 
 
-def tell_latencies(monitor: Monitor) -> None:
+def print_latencies(monitor: Monitor) -> None:
     for before, after in LATENCIES:
         late_ms = np.array(monitor.latencies_ms(before, after))
         print(
-            f'{before} to {after}: {len(late_ms)} of {len(monitor.came_s[before])}, median '
+            f'{before} to {after}: {len(late_ms)} of {len(monitor.arrival_s[before])}, median '
             f'{np.median(late_ms):.1f} ms, 99 % {np.quantile(late_ms, 0.99):.1f}, worst {late_ms.max():.1f}'
         )
 
 
-def tell_usage(used: dict[str, list[Usage]]) -> None:
+def print_usage(used: dict[str, list[Usage]]) -> None:
     total = 0.0
     for name, rows in used.items():
         pairs = [(a, b) for a, b in zip(rows[2:], rows[3:], strict=False) if a.pid == b.pid]
@@ -155,14 +155,14 @@ def tell_usage(used: dict[str, list[Usage]]) -> None:
     print(f'together: {100.0 * total:.1f} % of a core')
 
 
-def tell_health(monitor: Monitor) -> None:
+def print_health(monitor: Monitor) -> None:
     last: dict[str, str] = {}
-    for at_s, name, text, _ in monitor.said:
+    for at_s, name, text, _ in monitor.messages:
         kind = re.sub(r'[\d.]+', '#', text)
         if last.get(name) != kind:
             print(f'{at_s:7.1f} s {name}: {text}')
             last[name] = kind
-    for name, numbers in {name: numbers for _, name, _, numbers in monitor.said}.items():
+    for name, numbers in {name: numbers for _, name, _, numbers in monitor.messages}.items():
         print(name, json.dumps(numbers))
 
 
@@ -179,7 +179,7 @@ def main() -> None:
 
 
 def start_driver(graph: Graph, port: Path, clock: Path | None) -> NodeProcess:
-    """Start the driver, with a clock that a file sets where that is wanted."""
+    """Start the driver; a file, if one is given, sets the offset of its clock."""
     if clock is None:
         return graph.start('driver', parameters={'driver.port': str(port)})
     clock.write_text('+0')
@@ -198,7 +198,7 @@ def start_driver(graph: Graph, port: Path, clock: Path | None) -> NodeProcess:
 
 
 def run(args: argparse.Namespace, folder: Path, graph: Graph) -> None:
-    duration_s, port, kept = 60.0 * args.minutes, folder / 'board', folder / 'calibration.yaml'
+    duration_s, port, saved = 60.0 * args.minutes, folder / 'board', folder / 'calibration.yaml'
     start_s = time.time() + READY_S
     given = ('--scenario', SCENARIO, '--seed', str(args.seed), '--duration', str(duration_s))
     board = subprocess.Popen(
@@ -213,17 +213,17 @@ def run(args: argparse.Namespace, folder: Path, graph: Graph) -> None:
     ceiling['troubles'] = CAMERA_FAULTS * args.faults + CLOCK_FAULT * has_clock_fault
     named = {f'ceiling.{name}': value for name, value in ceiling.items()}
     camera = graph.start('ceiling_emulator', parameters=named)
-    for hardware in (board, camera):  # which takes no time of a robot's computer
+    for hardware in (board, camera):  # emulated hardware would not load the computer of a robot
         os.setpriority(os.PRIO_PROCESS, hardware.pid, EMULATED_NICENESS)
-    keeping = {
-        'live.calibration': str(kept),
+    parameters = {
+        'live.calibration': str(saved),
         'live.save_interval_s': 10.0,
-        'camera.pixel_noise_px': TrackerConfig().noise_px,  # as the launch files have it
+        'camera.pixel_noise_px': TrackerConfig().noise_px,  # as in the launch files
     }
     nodes: dict[str, NodeProcess] = {
         'driver': start_driver(graph, port, clock if has_clock_fault else None),
         'tracker': graph.start('tracker'),
-        'calibrator': graph.start('calibrator', parameters=keeping),
+        'calibrator': graph.start('calibrator', parameters=parameters),
     }
     monitor, used, next_s = Monitor(graph, start_s), defaultdict[str, list[Usage]](list), 0.0
     killed_at_s = KILLED_AT_S if args.faults else math.inf
@@ -238,16 +238,16 @@ def run(args: argparse.Namespace, folder: Path, graph: Graph) -> None:
             if at_s > killed_at_s:
                 killed_at_s = math.inf
                 nodes['calibrator'].stop(signal.SIGKILL)
-                nodes['calibrator'] = graph.start('calibrator', parameters=keeping)
+                nodes['calibrator'] = graph.start('calibrator', parameters=parameters)
         for name, process in nodes.items():
-            print(f'{name}: exit status {process.stop()} {process.said[-500:]}')
+            print(f'{name}: exit status {process.stop()} {process.output[-500:]}')
     finally:
         board.terminate()
-    tell_calibration(monitor)
-    tell_stamps(monitor)
-    tell_latencies(monitor)
-    tell_usage(used)
-    tell_health(monitor)
+    print_calibration(monitor)
+    print_stamps(monitor)
+    print_latencies(monitor)
+    print_usage(used)
+    print_health(monitor)
 
 
 if __name__ == '__main__':

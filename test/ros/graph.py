@@ -1,4 +1,4 @@
-"""A graph of its own for every test: nodes as real processes, and a listener among them.
+"""An isolated ROS graph for each test: nodes as real processes, and one node of the test.
 
 with Graph() as graph:
     graph.start('calibrator', parameters={'live.estimate': False})
@@ -34,23 +34,23 @@ from std_srvs.srv import SetBool, Trigger
 T = TypeVar('T')
 
 WITHIN_S = 30.0
-"""What has not happened by then does not happen; machines under test are slow."""
+"""Timeout of a wait, long enough for a slow machine."""
 PROJECT = Path(__file__).resolve().parents[2]
 
 
 class NodeProcess:
-    """A node that runs as it does on a robot: a process of its own."""
+    """A node in its own process, as on a robot."""
 
     def __init__(self, name: str, arguments: Sequence[str], domain: int) -> None:
         """Start it.
 
         Args:
             name: one of the nodes of this package.
-            arguments: what stands behind `--ros-args`.
+            arguments: the arguments after `--ros-args`.
             domain: ROS_DOMAIN_ID.
         """
         self.name = name
-        self.told_to_end = False
+        self.may_end = False
         self._log = tempfile.TemporaryFile('w+')  # noqa: SIM115, closed in kill
         path = os.pathsep.join([str(PROJECT), os.environ.get('PYTHONPATH', '')])
         self._process = subprocess.Popen(
@@ -71,31 +71,31 @@ class NodeProcess:
         return self._process.poll()
 
     @property
-    def said(self) -> str:
-        """All it has printed so far."""
+    def output(self) -> str:
+        """Everything printed so far."""
         self._log.seek(0)
         return self._log.read()
 
     def send(self, number: signal.Signals) -> None:
-        """Send it a signal; whatever it does then is no surprise."""
-        self.told_to_end = True
+        """Send a signal, after which the process may end."""
+        self.may_end = True
         self._process.send_signal(number)
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
-        """Tell it to end (or, with SIGKILL, end it) and return its exit status."""
+        """Send a signal, wait for the end of the process, and return its exit status."""
         if self.status is None:
             self.send(number)
         return self._process.wait(WITHIN_S)
 
     def kill(self) -> None:
-        """End it, whatever it does."""
+        """Kill the process."""
         self._process.kill()
         self._process.wait()
         self._log.close()
 
 
 def claim_domain() -> tuple[int, socket.socket]:
-    """A ROS_DOMAIN_ID that no other test uses while the socket is open, as ROS's domain_coordinator does."""
+    """Claim a ROS_DOMAIN_ID while the returned socket is open, as ROS's domain_coordinator does."""
     for domain in range(20, 100):
         claim = socket.socket()
         try:
@@ -108,13 +108,13 @@ def claim_domain() -> tuple[int, socket.socket]:
 
 
 class Graph:
-    """Nodes in a domain of their own, and one node of the test among them, `self.node`."""
+    """Nodes in their own ROS domain, and the node of the test, `self.node`."""
 
     def __init__(self, namespace: str = '') -> None:
-        """Join.
+        """Claim a domain and make the node of the test.
 
         Args:
-            namespace: of the test's own node.
+            namespace: namespace of the node of the test.
         """
         self.domain, self._claim = claim_domain()
         self._context = Context()
@@ -132,8 +132,8 @@ class Graph:
     ) -> None:
         for process in self.processes:
             if error is not None:
-                print(f'--- {process.name} (pid {process.pid}, exit status {process.status}) said:')
-                print(process.said)
+                print(f'--- {process.name} (pid {process.pid}, exit status {process.status}) printed:')
+                print(process.output)
             process.kill()
         self._executor.shutdown()
         self.node.destroy_node()
@@ -151,10 +151,10 @@ class Graph:
         """Start a node of this package.
 
         Args:
-            name: which.
-            namespace: its namespace.
-            parameters: by name; a string is passed as a string.
-            arguments: more of `--ros-args`, as `('-r', 'a:=b')`.
+            name: name of the node.
+            namespace: namespace of the node.
+            parameters: parameters by name; a string stays a string.
+            arguments: further ROS arguments, as `('-r', 'a:=b')`.
         """
         given = [
             f'{name}:={yaml.safe_dump(value).splitlines()[0]}' for name, value in (parameters or {}).items()
@@ -167,36 +167,36 @@ class Graph:
         return process
 
     def spin(self, for_s: float = 0.1) -> None:
-        """Let one message come in that waits, or comes within that time."""
+        """Process one callback, if one is ready within a time."""
         self._executor.spin_once(for_s)
 
-    def wait(self, until: Callable[[], T | None], what: str, within_s: float = WITHIN_S) -> T:
-        """Spin until something holds, and return it.
+    def wait(self, condition: Callable[[], T | None], what: str, within_s: float = WITHIN_S) -> T:
+        """Spin until a condition is true; return its value.
 
         Args:
-            until: returns something true when it does.
-            what: what is waited for, for the message of the failure.
-            within_s: fails after so long.
+            condition: returns a true value when the wait is over.
+            what: description of the condition, for the failure message.
+            within_s: timeout.
         """
         end_s = time.monotonic() + within_s
-        while not (found := until()):
-            assert time.monotonic() < end_s, f'waited {within_s:.0f} s in vain for {what}'
+        while not (found := condition()):
+            assert time.monotonic() < end_s, f'timeout after {within_s:.0f} s of waiting for {what}'
             for process in self.processes:
-                alive = process.told_to_end or process.status is None
+                alive = process.may_end or process.status is None
                 assert alive, f'{process.name} ended while the test waited for {what}'
             self.spin()
         return found
 
     def listen(self, kind: type[Any], topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
-        """Subscribe; the messages gather in the list that is returned, while the test spins."""
-        gathered: list[Any] = []
-        self.node.create_subscription(kind, topic, gathered.append, qos)
-        return gathered
+        """Subscribe; return the list to which messages are appended while the test spins."""
+        received: list[Any] = []
+        self.node.create_subscription(kind, topic, received.append, qos)
+        return received
 
     def publisher(
         self, kind: type[Any], topic: str, qos: QoSProfile | int = 1000, *, readers: int = 1
     ) -> Publisher:
-        """A publisher that already has so many subscribers."""
+        """Make a publisher and wait for its subscribers."""
         publisher = self.node.create_publisher(kind, topic, qos)
         self.wait(lambda: publisher.get_subscription_count() >= readers, f'a subscriber of {topic}')
         return publisher
@@ -215,15 +215,15 @@ class Graph:
         return self.call(Trigger, service, Trigger.Request())
 
     def switch(self, service: str, on: bool) -> SetBool.Response:
-        """Call a service that turns something on or off."""
+        """Call a service that switches something on or off."""
         return self.call(SetBool, service, SetBool.Request(data=on))
 
     def get_parameters(self, node: str, *names: str) -> list[Any]:
-        """Values of parameters, as `ros2 param get` sees them; None where one is not set."""
+        """Return the values of parameters, as `ros2 param get` does; None for one that is not set."""
         answer = self.call(GetParameters, f'{node}/get_parameters', GetParameters.Request(names=list(names)))
         return [parameter_value_to_python(value) for value in answer.values]
 
     def set_parameter(self, node: str, name: str, value: Any) -> SetParametersResult:
-        """Set a parameter, as `ros2 param set` does; the result says whether it was taken and why not."""
+        """Set a parameter, as `ros2 param set` does; return success and reason."""
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
         return self.call(SetParameters, f'{node}/set_parameters', request).results[0]

@@ -1,4 +1,4 @@
-"""The package as it is built and launched: all nodes together, as a user starts them."""
+"""The package as built and launched by a user, with all nodes together."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 
 PLAYED_S = 12.0
-"""So much of the sample bag has a turn in it, and the scale factor converges."""
+"""Length of the sample bag that is played: with a turn, so that the scale factor converges."""
 WITHIN_S = 120.0
 
 
 @pytest.fixture(scope='session')
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The package, built and installed as in a workspace of a user."""
+    """Build and install the package as in the workspace of a user."""
     if shutil.which('colcon') is None:
-        pytest.skip('colcon is missing: nothing can be built')
+        pytest.skip('colcon is missing')
     workspace = tmp_path_factory.mktemp('workspace')
     command = ['colcon', 'build', '--base-paths', str(PROJECT), '--packages-select', 'gyrocal_ros']
     built = subprocess.run(command, cwd=workspace, env=without_work_tree(), capture_output=True, text=True)
@@ -44,13 +44,13 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def without_work_tree() -> dict[str, str]:
-    """The environment of a user who has no source code on the path of Python."""
+    """Return the environment without the source code on the path of Python."""
     path = os.environ.get('PYTHONPATH', '').split(os.pathsep)
     return {**os.environ, 'PYTHONPATH': os.pathsep.join(item for item in path if item != str(PROJECT))}
 
 
 class Launched:
-    """A launch file that runs."""
+    """A running launch file."""
 
     def __init__(self, installed: Path, domain: int, arguments: list[str], log: IO[str]) -> None:
         script = f'source {installed}/setup.bash && exec ros2 launch gyrocal_ros "$@"'
@@ -60,16 +60,16 @@ class Launched:
             env={**without_work_tree(), 'ROS_DOMAIN_ID': str(domain)},
             stdout=log,
             stderr=subprocess.STDOUT,
-            start_new_session=True,  # so that nothing of it is left over
+            start_new_session=True,  # so that all its processes can be killed
         )
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         self._log.seek(0)
         return self._log.read()
 
     def kill(self) -> None:
-        """End it and all that it started."""
+        """End the launch and all processes that it started."""
         self.process.send_signal(signal.SIGINT)
         try:
             self.process.wait(WITHIN_S)
@@ -89,7 +89,7 @@ def graph() -> Iterator[Graph]:
 
 @pytest.fixture
 def launch(installed: Path, graph: Graph, tmp_path: Path) -> Iterator[Launch]:
-    """Start a launch file of the installed package in the graph of the test."""
+    """Return a function that starts a launch file of the installed package in the graph of the test."""
     running = []
 
     def start(file: str, **arguments: object) -> Launched:
@@ -101,13 +101,13 @@ def launch(installed: Path, graph: Graph, tmp_path: Path) -> Iterator[Launch]:
     yield start
     for item in running:
         item.kill()
-        print(item.said)
+        print(item.output)
 
 
 def wait_for_end(graph: Graph, launched: Launched) -> None:
-    graph.wait(lambda: launched.process.poll() is not None, 'its end', WITHIN_S)
+    graph.wait(lambda: launched.process.poll() is not None, 'the end of the launch', WITHIN_S)
     assert launched.process.returncode == 0
-    assert 'process has died' not in launched.said
+    assert 'process has died' not in launched.output
 
 
 def names_in(health: list[DiagnosticArray]) -> set[str]:
@@ -116,7 +116,7 @@ def names_in(health: list[DiagnosticArray]) -> set[str]:
 
 @pytest.fixture(scope='session')
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The start of the sample bag."""
+    """Write the start of the sample bag."""
     path = tmp_path_factory.mktemp('bags') / 'start'
     with (
         open_storage(shipped('bags/demo')) as storage,
@@ -134,12 +134,12 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope='session')
 def replayed(bag: Path) -> Calibration:
-    """What the same recording tells without ROS."""
+    """Return the calibration of the same recording without ROS."""
     config = Config()
     return conclude(calibrate(open_bag(bag, config), config, default_model()))
 
 
-def test_a_recording_through_the_nodes_ends_as_its_replay_does(
+def test_a_recording_through_the_nodes_gives_the_result_of_its_replay(
     launch: Launch, graph: Graph, bag: Path, replayed: Calibration, tmp_path: Path
 ) -> None:
     path = tmp_path / 'calibration.yaml'
@@ -151,7 +151,7 @@ def test_a_recording_through_the_nodes_ends_as_its_replay_does(
     assert live.scale_factor_std == pytest.approx(replayed.scale_factor_std, rel=0.05)
 
 
-def test_an_emulated_robot_runs_and_comes_to_its_end(launch: Launch, graph: Graph) -> None:
+def test_an_emulated_robot_runs_until_the_end_of_its_drive(launch: Launch, graph: Graph) -> None:
     samples, features = graph.listen(Imu, 'imu/data'), graph.listen(PointCloud2, 'ceiling_camera/features')
     health = graph.listen(DiagnosticArray, '/diagnostics')
     launched = launch('emulated', scenario='demo', duration=6)
@@ -160,7 +160,7 @@ def test_an_emulated_robot_runs_and_comes_to_its_end(launch: Launch, graph: Grap
     assert names_in(health) >= {'driver', 'tracker', 'calibrator', 'ceiling_emulator'}
 
 
-def test_a_robot_starts_in_its_namespace_and_a_node_that_dies_comes_again(
+def test_a_robot_starts_in_its_namespace_and_a_killed_node_is_restarted(
     launch: Launch, graph: Graph, tmp_path: Path
 ) -> None:
     health = graph.listen(DiagnosticArray, '/diagnostics')
@@ -170,16 +170,17 @@ def test_a_robot_starts_in_its_namespace_and_a_node_that_dies_comes_again(
     assert any(str(tmp_path / 'none') in status.message for array in health for status in array.status)
     os.kill(pid_of(launched, 'calibrator'), signal.SIGKILL)
     graph.wait(
-        lambda: launched.said.count('[calibrator') and 'process has died' in launched.said, 'its death'
+        lambda: launched.output.count('[calibrator') and 'process has died' in launched.output,
+        'the end of the calibrator',
     )
     health.clear()
-    graph.wait(lambda: 'robot1/calibrator' in names_in(health), 'the calibrator to come again', WITHIN_S)
+    graph.wait(lambda: 'robot1/calibrator' in names_in(health), 'the restarted calibrator', WITHIN_S)
 
 
 def pid_of(launched: Launched, name: str) -> int:
-    """Process id of a node, as the launch tells it."""
+    """Return the process id of a node from the output of the launch."""
     line = next(
-        line for line in launched.said.splitlines() if f'[{name}' in line and 'started with pid' in line
+        line for line in launched.output.splitlines() if f'[{name}' in line and 'started with pid' in line
     )
     return int(line.rpartition('pid [')[2].rstrip(']'))
 
@@ -187,19 +188,19 @@ def pid_of(launched: Launched, name: str) -> int:
 @pytest.mark.parametrize('file', ['robot', 'replay', 'emulated'])
 def test_every_argument_is_described(installed: Path, file: str) -> None:
     script = f'source {installed}/setup.bash && ros2 launch gyrocal_ros {file}.launch.py --show-args'
-    shown = subprocess.run(['bash', '-c', script], env=without_work_tree(), capture_output=True, text=True)
-    assert shown.returncode == 0, shown.stderr
-    lines = [line.strip() for line in shown.stdout.splitlines() if line.strip()]
+    result = subprocess.run(['bash', '-c', script], env=without_work_tree(), capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    lines = [line.strip() for line in result.stdout.splitlines() if line.strip()]
     arguments = [number for number, line in enumerate(lines) if line.startswith("'")]
     assert len(arguments) >= 6
     for number in arguments:
         assert lines[number + 1] not in ('', 'No description given'), lines[number]
 
 
-def test_a_wrong_recording_is_told_in_one_line(launch: Launch, graph: Graph, tmp_path: Path) -> None:
+def test_a_missing_recording_is_reported(launch: Launch, graph: Graph, tmp_path: Path) -> None:
     launched = launch('replay', bag=tmp_path / 'none')
     end_s = time.monotonic() + WITHIN_S
     while launched.process.poll() is None and time.monotonic() < end_s:
         graph.spin()
     assert launched.process.returncode == 1
-    assert 'no such bag' in launched.said
+    assert 'no such bag' in launched.output

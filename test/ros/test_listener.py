@@ -1,4 +1,4 @@
-"""The studio looks on: what a calibrator says arrives as plain values."""
+"""The listener of the studio: outputs of a calibrator arrive as plain values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gyrocal_ros.robot.feed import Overview
 from gyrocal_ros.robot.health import Level
 
 
-def test_it_hears_the_calibration_the_health_and_the_tracks() -> None:
+def test_calibration_health_and_tracks_are_received() -> None:
     with Graph() as graph, listening(domain=graph.domain) as feed:
         graph.start('calibrator')
         tracks = graph.publisher(Image, 'ceiling_camera/tracks_image', 1)
@@ -24,22 +24,22 @@ def test_it_hears_the_calibration_the_health_and_the_tracks() -> None:
             now = feed.overview(time.monotonic())
             return now if len(now.time_s) and now.nodes else None
 
-        heard = graph.wait(both, 'the calibration and the health')
-        assert heard is not None
-        assert heard.scale_factor[-1] == 1.0 and heard.scale_factor_std[-1] > 0.01
-        assert heard.calibration['gyro.converged'] is False
-        assert heard.calibration['gyro.coefficient_names'] == ['scale_factor']
-        (calibrator,) = heard.nodes
+        overview = graph.wait(both, 'the calibration and the health')
+        assert overview is not None
+        assert overview.scale_factor[-1] == 1.0 and overview.scale_factor_std[-1] > 0.01
+        assert overview.calibration['gyro.converged'] is False
+        assert overview.calibration['gyro.coefficient_names'] == ['scale_factor']
+        (calibrator,) = overview.nodes
         assert calibrator.name == 'calibrator' and calibrator.level is Level.ERROR
-        assert 'nothing has come yet' in calibrator.message and 'imu_hz' in calibrator.numbers
+        assert 'no message yet' in calibrator.message and 'imu_hz' in calibrator.numbers
 
         grey = np.zeros((48, 64, 3), np.uint8)
         tracks.publish(images.colour_image(to_ros.live_maker(get_message), 0, 'camera', grey))
-        shown = graph.wait(lambda: feed.overview(time.monotonic()).tracks, 'the image')
-        assert shown is not None and shown.startswith(b'\xff\xd8'), 'a JPEG'
+        jpeg = graph.wait(lambda: feed.overview(time.monotonic()).tracks, 'the image')
+        assert jpeg is not None and jpeg.startswith(b'\xff\xd8'), 'a JPEG'
 
 
-def test_a_namespace_keeps_two_robots_apart() -> None:
+def test_a_namespace_separates_two_robots() -> None:
     with Graph() as graph, listening('other', graph.domain) as other, listening('one', graph.domain) as one:
         graph.start('calibrator', namespace='one')
         graph.wait(lambda: len(one.overview(time.monotonic()).time_s), 'the calibration of one')

@@ -52,7 +52,7 @@ def test_every_setting_is_a_parameter_with_its_description(context: Context, con
             assert (bounds.from_value, bounds.to_value) == (about.low, about.high)
 
 
-def test_values_given_at_the_start_count(context: Context) -> None:
+def test_values_given_at_the_start_are_used(context: Context) -> None:
     given = (
         Parameter('board.gyro_zero', value=[1.0, 2.0, 3.0]),
         Parameter('driver.port', value='/dev/ttyUSB7'),
@@ -72,20 +72,22 @@ def test_values_given_at_the_start_count(context: Context) -> None:
         ('board.gyro_zero', [1.0, 2.0], 'must be 3 numbers'),
     ],
 )
-def test_nonsense_at_the_start_is_refused(context: Context, name: str, value: Any, message: str) -> None:
+def test_invalid_values_at_the_start_are_refused(
+    context: Context, name: str, value: Any, message: str
+) -> None:
     node = make_node(context, Parameter(name, value=value))
     with pytest.raises(ConfigError, match=message) as caught:
         Settings(node, RobotConfig(), ['board', 'driver'])
     assert '/settings' in caught.value.where
 
 
-def test_a_change_at_run_time_works_or_is_refused_with_the_reason(context: Context) -> None:
+def test_a_change_at_run_time_is_applied_or_refused_with_the_reason(context: Context) -> None:
     node = make_node(context)
-    told: list[Config] = []
-    settings = Settings(node, Config(), ['gyro', 'features', 'convergence'], told.append)
+    changes: list[Config] = []
+    settings = Settings(node, Config(), ['gyro', 'features', 'convergence'], changes.append)
     assert changed(node, 'features.map_size', 40) == (True, '')
     assert settings.config.features.map_size == 40
-    assert [config.features.map_size for config in told] == [40]
+    assert [config.features.map_size for config in changes] == [40]
 
     for name, value, reason in (
         ('features.map_size', 2, 'map_size'),
@@ -95,13 +97,13 @@ def test_a_change_at_run_time_works_or_is_refused_with_the_reason(context: Conte
     ):
         successful, why = changed(node, name, value)
         assert not successful and reason in why, (name, why)
-    assert len(told) == 1 and settings.config == told[0]
+    assert len(changes) == 1 and settings.config == changes[0]
 
 
-def test_other_parameters_are_let_alone(context: Context) -> None:
+def test_other_parameters_are_ignored(context: Context) -> None:
     node = make_node(context)
-    told: list[Config] = []
-    Settings(node, Config(), ['rest'], told.append)
+    changes: list[Config] = []
+    Settings(node, Config(), ['rest'], changes.append)
     node.declare_parameter('mine', 1)
     assert changed(node, 'mine', 2) == (True, '')
-    assert told == []
+    assert changes == []

@@ -1,4 +1,4 @@
-"""The player as a process: what was recorded comes again, with the time of the recording."""
+"""The player as a process: it publishes a recording with the time of the recording."""
 
 from __future__ import annotations
 
@@ -41,61 +41,61 @@ def graph() -> Iterator[Graph]:
 
 
 def listen(graph: Graph, namespace: str = '') -> dict[str, list[Any]]:
-    """Listen to some of what is played."""
+    """Subscribe to some of the played topics."""
     before = f'/{namespace}/' if namespace else ''
     kinds = {'imu/data_raw': Imu, 'ceiling_camera/features': PointCloud2, 'wheel/odometry': Odometry}
     return {name: graph.listen(kind, f'{before}{name}') for name, kind in kinds.items()}
 
 
-def test_all_comes_again_and_then_it_ends(graph: Graph, bag: Path) -> None:
-    heard, clock = listen(graph), graph.listen(Clock, '/clock')
+def test_all_messages_are_played_and_then_the_node_ends(graph: Graph, bag: Path) -> None:
+    received, clock = listen(graph), graph.listen(Clock, '/clock')
     infos = graph.listen(CameraInfo, 'ceiling_camera/camera_info')
     player = graph.start('player', parameters={'player.bag': str(bag), 'player.wait_for': 'test'})
-    player.told_to_end = True
-    graph.wait(lambda: player.status is not None, 'its end')
+    player.may_end = True
+    graph.wait(lambda: player.status is not None, 'the end of the node')
     graph.spin()
     assert player.status == 0
     samples = [sample for sample in drive(LENGTH_S) if isinstance(sample, ImuSample)]
-    assert [topics.IMU_SAMPLE.value(message) for message in heard['imu/data_raw']] == samples
+    assert [topics.IMU_SAMPLE.value(message) for message in received['imu/data_raw']] == samples
     images = [item for item in drive(LENGTH_S) if isinstance(item, FeatureObservations)]
-    assert [topics.stamp_ns(message) for message in heard['ceiling_camera/features']] == [
+    assert [topics.stamp_ns(message) for message in received['ceiling_camera/features']] == [
         i.t_ns for i in images
     ]
     times_ns = [Time.from_msg(message.clock).nanoseconds for message in clock]
     assert times_ns == sorted(times_ns) and len(times_ns) > 20 * LENGTH_S
     assert times_ns[0] >= START_NS and times_ns[-1] <= START_NS + 1e9 * LENGTH_S
-    assert 2 <= len(infos) <= 4, 'recorded once, but nobody may have missed it'
+    assert 2 <= len(infos) <= 4, 'recorded once, but repeated for late subscribers'
 
 
-def test_it_waits_for_those_who_are_to_listen(graph: Graph, bag: Path) -> None:
+def test_the_player_waits_for_its_subscribers(graph: Graph, bag: Path) -> None:
     links = graph.listen(TFMessage, '/tf_static', STATIC)
     parameters = {'player.bag': str(bag), 'player.wait_for': 'test tracker'}
     player = graph.start('player', parameters=parameters)
-    heard = listen(graph)
-    graph.wait(lambda: 'waiting for tracker' in player.said, 'it to say whom it waits for')
-    assert not heard['imu/data_raw']
+    received = listen(graph)
+    graph.wait(lambda: 'waiting for tracker' in player.output, 'the log of the missing node')
+    assert not received['imu/data_raw']
     frames = {link.child_frame_id for message in links for link in message.transforms}
-    assert frames == {topics.CAMERA_FRAME, topics.IMU_FRAME}, 'transforms are there at once'
+    assert frames == {topics.CAMERA_FRAME, topics.IMU_FRAME}, 'transforms are published at once'
     graph.start('tracker')
-    graph.wait(lambda: heard['imu/data_raw'], 'the first sample')
-    assert topics.stamp_ns(heard['imu/data_raw'][0]) == START_NS
+    graph.wait(lambda: received['imu/data_raw'], 'the first sample')
+    assert topics.stamp_ns(received['imu/data_raw'][0]) == START_NS
 
 
-def test_it_plays_under_a_namespace_and_as_fast_as_told(graph: Graph, bag: Path) -> None:
-    heard = listen(graph, 'two')
+def test_namespace_and_rate_of_the_player(graph: Graph, bag: Path) -> None:
+    received = listen(graph, 'two')
     parameters = {'player.bag': str(bag), 'player.wait_for': 'test', 'player.rate': 50.0}
-    graph.start('player', namespace='two', parameters=parameters).told_to_end = True
-    graph.wait(lambda: len(heard['wheel/odometry']) == 20 * LENGTH_S, 'all of it')
+    graph.start('player', namespace='two', parameters=parameters).may_end = True
+    graph.wait(lambda: len(received['wheel/odometry']) == 20 * LENGTH_S, 'all messages')
 
 
-def test_a_bag_that_cannot_be_played_is_told(graph: Graph, tmp_path: Path) -> None:
+def test_a_bag_that_cannot_be_played_is_reported(graph: Graph, tmp_path: Path) -> None:
     for parameters, reason in (
-        ({}, 'no recording is named'),
+        ({}, 'no recording is given'),
         ({'player.bag': str(tmp_path / 'none')}, 'no such bag'),
-        ({'player.bag': str(tmp_path), 'player.rate': 0.0}, 'player.rate is how much faster'),
+        ({'player.bag': str(tmp_path), 'player.rate': 0.0}, 'player.rate is speed relative to the recording'),
     ):
         player = graph.start('player', parameters=parameters)
-        player.told_to_end = True
-        graph.wait(lambda player=player: player.status is not None, 'its end')  # type: ignore[misc]
+        player.may_end = True
+        graph.wait(lambda player=player: player.status is not None, 'the end of the node')  # type: ignore[misc]
         assert player.status == 2
-        assert reason in player.said
+        assert reason in player.output

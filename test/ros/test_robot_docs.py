@@ -1,4 +1,4 @@
-"""The example of the page about the robot, run as another node beside the calibrator."""
+"""The example of the page about the robot, run as a node beside the calibrator."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ PAGE = PROJECT / 'docs' / 'robot.md'
 
 
 def example(language: str) -> str:
-    """The only code of the page in a language."""
+    """Return the only code block of the page in a language."""
     (code,) = re.findall(
         rf'^```{language}\n(.*?)^```', PAGE.read_text(encoding='utf-8'), re.DOTALL | re.MULTILINE
     )
     return code
 
 
-def known() -> Calibration:
-    """What a calibrator may have learned before."""
+def saved() -> Calibration:
+    """Return a calibration as an earlier run may have saved it."""
     live = LiveCalibrator(default_model(), Config(), LiveConfig(), name='test', steady=True, now_s=0.0)
     start = live.calibration
     values = start.values.copy()
@@ -42,7 +42,7 @@ def known() -> Calibration:
 
 @contextmanager
 def running(code: str, folder: Path, domain: int) -> Iterator[Path]:
-    """Run a script as a process of its own; what it prints gathers in a file."""
+    """Run a script as a process; yield the file with its output."""
     script, printed = folder / 'example.py', folder / 'printed.txt'
     script.write_text(code, encoding='utf-8')
     with printed.open('w') as output:
@@ -59,13 +59,13 @@ def running(code: str, folder: Path, domain: int) -> Iterator[Path]:
             process.wait(WITHIN_S)
 
 
-def test_the_example_in_python_hears_a_calibration_told_before_it_came(tmp_path: Path) -> None:
+def test_the_python_example_receives_a_calibration_published_before_its_start(tmp_path: Path) -> None:
     path = tmp_path / 'calibration.yaml'
-    save_calibration(known(), Config(), path)
+    save_calibration(saved(), Config(), path)
     with Graph() as graph:
         graph.start('calibrator', parameters={'live.calibration': str(path), 'live.estimate': False})
-        told = graph.listen(ParameterEvent, 'gyro_calibration', LATCHED)
-        graph.wait(lambda: told, 'the calibration')
+        events = graph.listen(ParameterEvent, 'gyro_calibration', LATCHED)
+        graph.wait(lambda: events, 'the calibration')
         with running(example('python'), tmp_path, graph.domain) as printed:
             graph.wait(printed.read_text, 'a line of the example')
             graph.wait(lambda: printed.read_text().endswith('\n'), 'the rest of the line')

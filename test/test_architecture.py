@@ -39,8 +39,15 @@ ROS = {
 LIBRARY_HOMES = {
     'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'msgs/images.py'),
     **dict.fromkeys(('dash', 'flask', 'werkzeug'), ('studio',)),
-    'kaleido': ('report/figures/png.py',),
-    'plotly': ('report/figures',),
+    'kaleido': ('report/png.py',),
+    'plotly': (
+        'report/plot.py',
+        'report/png.py',
+        'report/calibration_figures.py',
+        'report/comparison_figures.py',
+        'report/diagnosis_figures.py',
+        'report/paper.py',
+    ),
     **dict.fromkeys(ROS, ('nodes',)),
     'rosbags': ('bag', 'msgs'),
     'scipy': ('statistics.py', 'bench/batch.py'),
@@ -75,6 +82,15 @@ def docstrings(module: Path) -> list[str]:
     tree = ast.parse(module.read_text(encoding='utf-8'))
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     return [ast.get_docstring(node) or '' for node in ast.walk(tree) if isinstance(node, kinds)]
+
+
+def code_of(module: Path) -> str:
+    """Return the code of a module without comments and strings."""
+    tree = ast.parse(module.read_text(encoding='utf-8'))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            node.value = ''
+    return ast.unparse(tree)
 
 
 def equations_at_home(docstring: str) -> set[int]:
@@ -125,6 +141,18 @@ def test_outside_libraries_stay_in_their_room() -> None:
             if not any(place == home or place.startswith(f'{home}/') for home in homes):
                 wrong.append(f'{place} imports {library}')
     assert wrong == []
+
+
+def test_the_report_computes_nothing() -> None:
+    """Linear algebra belongs to `diagnose`; a compute process of the studio needs no report."""
+    algebra = re.compile(r'linalg|lstsq|einsum|pinv|covariance|np\.(?:dot|cov|outer)\b|(?<=\w) @ (?=\w)')
+    wrong = [
+        f'{module.relative_to(PACKAGE)}: {found[0]}'
+        for module in MODULES
+        if room(module) == 'report' and (found := algebra.search(code_of(module)))
+    ]
+    assert wrong == []
+    assert 'report' not in rooms_imported(PACKAGE / 'studio' / 'worker.py')
 
 
 def test_modules_are_short_and_only_the_edge_prints() -> None:

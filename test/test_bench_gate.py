@@ -14,8 +14,8 @@ from gyrocal_ros.bench import gate, growth
 from gyrocal_ros.bench.gate import CHECKS, Check, Figure, baseline_to_dict, load_baseline, measure_baseline
 from gyrocal_ros.bench.speed import Process
 from gyrocal_ros.cli import bench
-from gyrocal_ros.cli.grown import growth_page
 from gyrocal_ros.cli.main import main
+from gyrocal_ros.report.growth import growth_page
 from gyrocal_ros.sim.world import SimSource
 
 
@@ -105,7 +105,7 @@ def test_growth_has_an_exponent_and_a_plot(monkeypatch: pytest.MonkeyPatch) -> N
     assert first['replay_exponent'] is None
     assert second['replay_exponent'] == pytest.approx(1.0), 'twice the features, twice the time'
     assert (second['size'], second['peak_mb']) == (10, 110.0)
-    page = growth_page([first, second])
+    page = growth_page([first, second], 'this machine')
     assert 'memory_features' in page and 'time_features' in page
 
 

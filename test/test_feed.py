@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gyrocal_ros.report.figures.calibration import live
+from gyrocal_ros.report.calibration_figures import live
 from gyrocal_ros.robot.feed import MAX_POINTS, Feed
 from gyrocal_ros.robot.health import Level
 

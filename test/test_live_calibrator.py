@@ -138,7 +138,9 @@ def test_without_transforms_the_mounting_comes_from_the_settings() -> None:
     new.run(measured())
     new.live.close()
     assert new.live.calibration.scale_factor == pytest.approx(replayed().scale_factor, abs=1e-4)
-    assert new.reported(f'no transform says how {CAMERA_FRAME} sits on base_link; the settings do')
+    assert new.reported(
+        f'no transform from base_link to {CAMERA_FRAME}; the mounting in the settings is used'
+    )
 
 
 @pytest.mark.parametrize('by_transform', [True, False])

@@ -16,9 +16,11 @@ from gyrocal_ros.data import (
     FeatureObservations,
     ImuSample,
     Measurement,
+    MotionBlock,
     WheelSample,
     seconds,
 )
+from gyrocal_ros.ekf.slam import Seen
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.robot.health import Level
@@ -129,7 +131,7 @@ def test_a_diverged_filter_is_restarted_with_the_last_good_calibration(
     before = new.live.calibration
     assert new.live.filter is not None
 
-    def diverge(item: Measurement) -> list[StepRecord]:
+    def diverge(block: MotionBlock, seen: Seen | None = None) -> StepRecord:
         raise FilterDivergedError('the images do not match the map')
 
     monkeypatch.setattr(new.live.filter, 'step', diverge)

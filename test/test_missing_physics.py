@@ -24,6 +24,7 @@ from gyrocal_ros.data import TruthSample
 from gyrocal_ros.diagnose.advice import advice
 from gyrocal_ros.diagnose.candidates import with_means
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.search import Search, search
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.summarise import summarise_recording
@@ -37,8 +38,7 @@ from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import load_calibration
 from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
-from gyrocal_ros.report.summary import summarise_diagnosis
-from gyrocal_ros.report.words import diagnosis_headline
+from gyrocal_ros.report.describe import diagnosis_headline
 from gyrocal_ros.sim.hidden import DrawnEffect, hide
 
 Output = pytest.CaptureFixture[str]
@@ -120,11 +120,11 @@ class TestDiagnose:
         assert main(['diagnose', str(plain)]) == 0
         told = capsys.readouterr().out
         assert told.startswith('Nothing is missing')
-        assert 'The strongest suspicion was' in told and 'gyrocal add' not in told
+        assert 'The most significant effect was' in told and 'gyrocal add' not in told
 
     def test_in_words(self, searched: tuple[Search, Diagnosis]) -> None:
         lines = list(in_words(searched[1]))
-        assert lines[0] == 'The model lacks scale_asymmetry.'
+        assert lines[0] == 'Missing: scale_asymmetry.'
         assert any('c = 0.01' in line and '->' in line for line in lines)
         assert 'Where the model fails, worst first:' in lines
 
@@ -161,7 +161,7 @@ class TestDiagnose:
         finding = replace(searched[1].missing[0], confused_with=('scale_quadratic',))
         unsure = replace(searched[1], verdict='cannot_tell', missing=(finding,))
         told = '\n'.join(in_words(unsure))
-        assert 'most likely scale_asymmetry; but it may as well be scale_quadratic' in told
+        assert 'Missing: scale_asymmetry (not distinguishable here from scale_quadratic).' in told
         assert any('scale_asymmetry' in text and 'scale_quadratic' in text for text in advice(unsure))
 
     def test_steps_of_the_converter_are_an_excuse(self, searched: tuple[Search, Diagnosis]) -> None:
@@ -184,11 +184,11 @@ class TestDiagnose:
         shape = shapes(search_.last.run, search_.last.seen)[0]
         jump = UnexplainedStructure('the bias jumped by +0.2 deg/s at 40 s', 80.0, 9.0, shape, at_s=40.0)
         strange = replace(diagnosis, verdict='unexplained', missing=(), unexplained=jump)
-        assert 'something that no effect explains' not in diagnosis_headline(strange)
-        assert 'no effect of the library explains: the bias jumped' in diagnosis_headline(strange)
+        assert 'Missing' not in diagnosis_headline(strange)
+        assert 'No effect of the library explains this: the bias jumped' in diagnosis_headline(strange)
         assert any('at 40 s' in text for text in advice(strange))
         both = replace(strange, missing=diagnosis.missing)
-        assert 'lacks scale_asymmetry, and something' in diagnosis_headline(both)
+        assert diagnosis_headline(both).startswith('Missing: scale_asymmetry. No effect of the library')
         shown = json.loads(json_text(summarise_diagnosis(search_, strange)))['unexplained']
         assert shown['at_s'] == 40.0 and shown['significance_sigma'] == 9.0 and shown['caution']
         assert len(shown['knots']) == len(shown['values']) == len(shown['stds'])

@@ -16,26 +16,47 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.candidate_fit import Fit
 from gyrocal_ros.diagnose.comparison import Comparison, compare
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.error_curves import MAX_CURVES, centred, errors_by_signal
 from gyrocal_ros.diagnose.heading_filter import Headings
 from gyrocal_ros.diagnose.improvement import Improvement, improvement
+from gyrocal_ros.diagnose.json_summary import (
+    summarise_comparison,
+    summarise_diagnosis,
+    summarise_improvement,
+)
+from gyrocal_ros.diagnose.model_series import (
+    MAX_PLACES,
+    coefficients,
+    failures_by_model,
+    slam_errors_deg,
+)
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search, search
+from gyrocal_ros.diagnose.search_series import (
+    candidate_rows,
+    effect_curve,
+    held_out_drifts,
+    models_that_ran,
+)
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.wander import MAX_MOMENTS, wander
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
-from gyrocal_ros.report import conclusions, model_series, write
-from gyrocal_ros.report import diagnosis_series as series
-from gyrocal_ros.report.comparison_page import comparison_page
-from gyrocal_ros.report.diagnosis_page import diagnosis_page
-from gyrocal_ros.report.figures import diagnosis as figures
-from gyrocal_ros.report.figures import drawing, models
-from gyrocal_ros.report.figures.models import Mark
-from gyrocal_ros.report.html import Section, gallery, text
-from gyrocal_ros.report.improvement_page import improvement_page
-from gyrocal_ros.report.summary import summarise_comparison, summarise_diagnosis, summarise_improvement
-from gyrocal_ros.report.tables import estimate_rows, with_gain
+from gyrocal_ros.report import comparison as comparison_report
+from gyrocal_ros.report import comparison_figures as models
+from gyrocal_ros.report import diagnosis as diagnosis_report
+from gyrocal_ros.report import diagnosis_figures as figures
+from gyrocal_ros.report import improvement as improvement_report
+from gyrocal_ros.report import plot, write
+from gyrocal_ros.report.comparison import comparison_page
+from gyrocal_ros.report.comparison_figures import Mark
+from gyrocal_ros.report.describe import NO_FAILURE, diagnosis_headline, missing_headline, with_gain
+from gyrocal_ros.report.diagnosis import diagnosis_page, estimate_rows
+from gyrocal_ros.report.html import Section, gallery, with_code
+from gyrocal_ros.report.improvement import improvement_page
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
@@ -103,6 +124,8 @@ def noisy(seed: int, bias_rad_s: float = 0.0) -> Headings:
         std_rad=np.full(count, std),
         rate_noise_rad_s=rate_noise,
         bias_walk_rad_s=0.0,
+        map_walk_rad=math.radians(DEFAULT_SETTINGS.map_walk_deg),
+        outlier_sigma=DEFAULT_SETTINGS.outlier_sigma,
     )
 
 
@@ -117,7 +140,7 @@ def shape(like: Shape, signal: str, values: list[float], stds: list[float]) -> S
 
 def check_page(page: str, names: list[str]) -> None:
     """Needs nothing else, and shows each figure once."""
-    own = page.replace(drawing.library(), '')
+    own = page.replace(plot.plotly_js(), '')
     assert re.findall(r'(?:src|href)\s*=|@import|url\(|https?://', own) == []
     assert re.findall(r'<div id="(\w+)" class="plotly-graph-div"', own) == names
     assert len(page) < 6_500_000
@@ -125,30 +148,30 @@ def check_page(page: str, names: list[str]) -> None:
 
 class TestWander:
     def test_noise_stays_within_what_noise_lets_expect(self) -> None:
-        found = [series.wander(noisy(seed)) for seed in range(8)]
+        found = [wander(noisy(seed)) for seed in range(8)]
         for error, std in (('error_rad', 'std_rad'), ('gained_rad', 'gained_std_rad')):
             z = np.concatenate([getattr(item, error) / getattr(item, std) for item in found])
             assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2, error
 
     def test_a_bias_is_taken_out_and_a_jump_of_it_is_not(self) -> None:
-        plain, biased = series.wander(noisy(0)), series.wander(noisy(0, bias_rad_s=0.01))
+        plain, biased = wander(noisy(0)), wander(noisy(0, bias_rad_s=0.01))
         np.testing.assert_allclose(biased.error_rad, plain.error_rad, atol=math.radians(0.2))
         seen = noisy(0)
         jumped = replace(seen, turn_rad=seen.turn_rad + 0.0005 * (seen.time_s > 60.0))
-        error = series.wander(jumped)
+        error = wander(jumped)
         assert (np.abs(error.error_rad) > 5.0 * error.std_rad).mean() > 0.5
 
     def test_one_image_that_errs_by_far_is_passed_over(self) -> None:
         seen = noisy(0)
         astray = seen.seen_rad.copy()
         astray[601] += 0.1
-        found = series.wander(replace(seen, seen_rad=astray))
+        found = wander(replace(seen, seen_rad=astray))
         assert np.abs(found.error_rad).max() < 0.02
 
     def test_windows_add_up_to_the_whole(self) -> None:
-        found = series.wander(noisy(1))
+        found = wander(noisy(1))
         assert len(found.gained_s) == 11
-        assert len(found.time_s) <= series.MOMENTS
+        assert len(found.time_s) <= MAX_MOMENTS
         start = found.gained_s[0] - 0.5 * (found.gained_s[1] - found.gained_s[0])
         ends = np.interp([start, start + 110.0], found.time_s, found.error_rad)
         assert found.gained_rad.sum() == pytest.approx(ends[1] - ends[0], abs=math.radians(0.2))
@@ -156,45 +179,45 @@ class TestWander:
 
 class TestSeries:
     def test_a_shape_is_told_less_its_mean(self, some_shape: Shape) -> None:
-        curve = series.centred(shape(some_shape, TIME, [0.0, 1.0, 2.0], [0.0, 0.1, 0.2]))
+        curve = centred(shape(some_shape, TIME, [0.0, 1.0, 2.0], [0.0, 0.1, 0.2]))
         np.testing.assert_allclose(curve.values, [-1.0, 0.0, 1.0], atol=1e-12)
         np.testing.assert_allclose(curve.stds[0], math.hypot(0.1, 0.2) / 3.0)
 
     def test_by_the_rate_it_is_told_less_a_straight_line(self, some_shape: Shape) -> None:
-        curve = series.centred(shape(some_shape, RATE, [0.0, 2.0, 2.0], [0.0, 0.1, 0.1]))
+        curve = centred(shape(some_shape, RATE, [0.0, 2.0, 2.0], [0.0, 0.1, 0.1]))
         np.testing.assert_allclose(curve.values, [-1.0 / 3.0, 2.0 / 3.0, -1.0 / 3.0], atol=1e-12)
 
     def test_knots_that_nothing_was_told_of_are_left_out(self, some_shape: Shape) -> None:
         part = shape(some_shape, TIME, [0.0, 1.0, math.nan], [0.0, 0.1, math.nan])
         fitted = replace(part.fit, values=part.fit.values[:1], covariance=part.fit.covariance[:1, :1])
-        curve = series.centred(replace(part, fit=fitted))
+        curve = centred(replace(part, fit=fitted))
         np.testing.assert_allclose(curve.values, [-0.5, 0.5])
 
     def test_what_was_left_over_is_flat_once_the_missing_is_added(self, searched: Search) -> None:
-        by_rate = next(item for item in series.bends(searched) if item.signal == RATE)
+        by_rate = next(item for item in errors_by_signal(searched) if item.signal == RATE)
         assert by_rate.after is not None
         before, after = (np.abs(curve.values).max() for curve in (by_rate.before, by_rate.after))
         assert after < 0.2 * before
-        questions = [(item.signal, item.of_scale) for item in series.bends(searched)]
-        assert len(set(questions)) == len(questions) <= series.MOST_SHAPES
+        questions = [(item.signal, item.of_scale) for item in errors_by_signal(searched)]
+        assert len(set(questions)) == len(questions) <= MAX_CURVES
 
     def test_nothing_is_compared_where_nothing_was_added(self, searched: Search) -> None:
-        alone = replace(searched, changes=())
-        assert all(item.after is None for item in series.bends(alone))
-        assert list(series.held_out_drifts(alone)) == ['the model as it was']
+        alone = replace(searched, additions=())
+        assert all(item.after is None for item in errors_by_signal(alone))
+        assert list(held_out_drifts(alone)) == ['the first model']
 
     def test_the_first_shape_of_a_question_is_the_most_telling(self, searched: Search) -> None:
         every = shapes(searched.first.run, searched.first.seen)
         first: dict[tuple[str, bool], Shape] = {}
         for item in every:
             first.setdefault((item.signal, item.of_scale), item)
-        shown = series.bends(searched)
+        shown = errors_by_signal(searched)
         assert [(item.signal, item.of_scale) for item in shown] == list(first)[: len(shown)]
         np.testing.assert_array_equal(shown[0].before.knots, every[0].knots)
 
     def test_candidates_have_their_roles(self, searched: Search, diagnosis: Diagnosis) -> None:
         finding = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
-        table = series.candidates(searched, replace(diagnosis, missing=(finding,)))
+        table = candidate_rows(searched, replace(diagnosis, missing=(finding,)))
         roles = {row.name: row.role for row in table}
         assert roles['scale_asymmetry'] == 'found'
         assert roles['scale_quadratic'] == 'twin'
@@ -205,34 +228,32 @@ class TestSeries:
         assert left['scale_quadratic'] < 4.5
 
     def test_a_model_that_could_not_run_is_not_shown(self, searched: Search) -> None:
-        assert list(series.stages(searched)) == ['the model as it was', 'with scale_asymmetry']
+        assert list(models_that_ran(searched)) == ['the first model', 'with scale_asymmetry']
         rescue = replace(searched.additions[0], before=None)
         rescued = Search(rescue.after, (rescue,))
-        assert (
-            list(series.stages(rescued)) == list(series.held_out_drifts(rescued)) == ['with scale_asymmetry']
-        )
+        assert list(models_that_ran(rescued)) == list(held_out_drifts(rescued)) == ['with scale_asymmetry']
 
     def test_a_limit_that_was_not_on_trial_is_shown_too(self, searched: Search, diagnosis: Diagnosis) -> None:
         limit = replace(diagnosis.missing[0], effect=find_effect('rate_saturation'), gain=900.0)
-        names = [row.name for row in series.candidates(searched, replace(diagnosis, missing=(limit,)))]
+        names = [row.name for row in candidate_rows(searched, replace(diagnosis, missing=(limit,)))]
         assert 'rate_saturation' in names
         rescue = replace(limit, gain=math.inf, sigma=math.inf)
         rescued = replace(diagnosis, missing=(rescue,))
-        assert all(math.isfinite(row.gain) for row in series.candidates(searched, rescued))
-        assert 'without it the filter loses' in conclusions.of_diagnosis(rescued).sentences[0]
+        assert all(math.isfinite(row.gain) for row in candidate_rows(searched, rescued))
+        assert 'without it the filter loses' in diagnosis_report.conclusion(rescued).sentences[0]
 
     def test_a_contribution_is_that_of_the_found_values(self, diagnosis: Diagnosis) -> None:
         finding = diagnosis.missing[0]
-        drawn = series.contribution(finding)
+        drawn = effect_curve(finding)
         assert drawn is not None
         np.testing.assert_allclose(drawn.y[-1], finding.values[0] * 100.0)
         np.testing.assert_allclose(drawn.std[0], finding.stds[0] * 100.0)
         followed = find_effect('covariate_bias:battery_state.current')
-        assert series.contribution(replace(finding, effect=followed)) is None
+        assert effect_curve(replace(finding, effect=followed)) is None
 
     def test_coefficients_are_told_in_degrees(self, searched: Search) -> None:
         run = searched.last.run
-        told = model_series.coefficients([('a', run, True)])
+        told = coefficients([('a', run, True)])
         assert list(told) == ['bias (deg/s)', 'scale_factor (1)', 'scale_asymmetry (1)']
         assert told['bias (deg/s)'][0].value == pytest.approx(math.degrees(run.state.bias_rad_s[2]))
 
@@ -241,10 +262,10 @@ class TestSeries:
         rivals = [replace(rival, fails_where=tuple(places)) for rival in comparison.results]
         in_time = Failure('10 to 20 s: off', 99.0, from_s=10.0, to_s=20.0)
         rivals[1] = replace(rivals[1], fails_where=(in_time,))
-        found = model_series.failures_by_model(rivals)
+        found = failures_by_model(rivals)
         assert found['new.yaml'] == {'10 to 20 s': 99.0}
         assert list(found['<old>.yaml'])[:2] == ['19', '18']
-        assert len(found['<old>.yaml']) == model_series.MOST_PLACES - 1
+        assert len(found['<old>.yaml']) == MAX_PLACES - 1
 
 
 class TestFigures:
@@ -252,25 +273,25 @@ class TestFigures:
         self, searched: Search, diagnosis: Diagnosis, improved: Improvement, comparison: Comparison
     ) -> None:
         revision, run = improved.final, searched.last.run
-        drawn = series.contribution(diagnosis.missing[0])
+        drawn = effect_curve(diagnosis.missing[0])
         assert drawn is not None
-        history, wander = run.history, series.wander(searched.first.seen)
+        history, errors = run.history, wander(searched.first.seen)
         every = [
-            figures.scores(series.candidates(searched, diagnosis)),
+            figures.scores(candidate_rows(searched, diagnosis)),
             figures.contribution('it', drawn),
-            *(figures.bend(asked, ('before', 'after')) for asked in series.bends(searched)),
-            figures.where_it_fails('it', {'a': wander}, history.time_s, history.dt_s),
+            *(figures.error_by_signal(asked, ('before', 'after')) for asked in errors_by_signal(searched)),
+            figures.where_it_fails('it', {'a': errors}, history.time_s, history.dt_s),
             models.drift_by_model('it', [Mark('a', 'held out', revision.held_out)]),
             models.drift_by_span({'a': revision.held_out}),
-            models.coefficients_by_model(model_series.coefficients([('a', run, True)]), ['a']),
-            models.heading_errors('it', model_series.slam_errors_deg(comparison.results)),
+            models.coefficients_by_model(coefficients([('a', run, True)]), ['a']),
+            models.heading_errors('it', slam_errors_deg(comparison.results)),
         ]
         for figure in every:
             assert figure.layout.title.text
             assert all(trace.name for trace in figure.data)
             axes = [*figure.select_xaxes(), *figure.select_yaxes()]
             assert sum(bool(axis.title.text) for axis in axes) >= 1
-            assert all(len(trace.x) < 2.2 * drawing.POINTS for trace in figure.data)
+            assert all(len(trace.x) < 2.2 * plot.MAX_POINTS for trace in figure.data)
 
     def test_estimates_come_with_their_doubt(self, improved: Improvement) -> None:
         start_s = 5.0 * np.arange(100)
@@ -302,7 +323,7 @@ class TestFigures:
         history = searched.first.run.history
         figure = figures.where_it_fails(
             'it',
-            {'a': series.wander(searched.first.seen)},
+            {'a': wander(searched.first.seen)},
             history.time_s,
             history.turn_rad,
             [Failure('', 9.0, from_s=10.0, to_s=20.0), Failure('', 8.0, from_s=40.0, to_s=50.0)],
@@ -327,10 +348,10 @@ class TestPages:
     def test_diagnosis_that_found_nothing(self, searched: Search, diagnosis: Diagnosis) -> None:
         nothing = replace(diagnosis, verdict='nothing_missing', missing=(), fails_where=())
         blind = replace(nothing, not_judged={'scale_temperature': 'not recorded: temperature'})
-        page = diagnosis_page(replace(searched, changes=()), blind)
+        page = diagnosis_page(replace(searched, additions=()), blind)
         names = ['heading', 'evidence', 'drift_by_span', *(f'left_over_{number}' for number in range(1, 7))]
         check_page(page, names)
-        assert 'Nowhere by more than chance' in page
+        assert f'<p>{NO_FAILURE}</p>' in page
         assert 'not recorded: temperature' in page
 
     def test_improvement(self, improved: Improvement) -> None:
@@ -347,7 +368,7 @@ class TestPages:
         check_page(page, names)
         assert 'With bad.yaml the filter cannot run: lost' in page
         assert '&lt;old&gt;.yaml' in page
-        assert '<old>' not in page.replace(drawing.library(), '')
+        assert '<old>' not in page.replace(plot.plotly_js(), '')
 
     def test_pages_of_short_recordings_do_without_drift(
         self, comparison: Comparison, improved: Improvement
@@ -367,7 +388,7 @@ class TestPages:
         assert re.findall(r'<figure class="(\w+)"', html) == ['half', 'half', 'full']
 
     def test_code_in_words(self) -> None:
-        assert text('a < b: run `gyrocal`') == 'a &lt; b: run <code>gyrocal</code>'
+        assert with_code('a < b: run `gyrocal`') == 'a &lt; b: run <code>gyrocal</code>'
 
 
 class TestConclusions:
@@ -382,7 +403,7 @@ class TestConclusions:
             ('unexplained', (), odd, 'bad'),
         ):
             case = replace(diagnosis, verdict=verdict, missing=missing, unexplained=left)
-            words = conclusions.of_diagnosis(case)
+            words = diagnosis_report.conclusion(case)
             assert words.kind == kind
             assert words.good == (verdict == 'nothing_missing')
             assert bool(words.todo) == (verdict != 'nothing_missing')
@@ -391,38 +412,41 @@ class TestConclusions:
         sure = diagnosis.missing[0]
         doubtful = replace(sure, effect=find_effect('bias_temperature'), confused_with=('bias_warmup',))
         case = replace(diagnosis, verdict='cannot_tell', missing=(sure, doubtful))
-        assert conclusions.of_diagnosis(case).headline == (
-            'The model lacks scale_asymmetry, and something more, most likely bias_temperature; '
-            'but it may as well be bias_warmup.'
+        assert diagnosis_report.conclusion(case).headline == (
+            'Missing: scale_asymmetry and bias_temperature (not distinguishable here from bias_warmup).'
         )
+        swapped = replace(case, missing=(doubtful, sure))
+        assert diagnosis_headline(swapped) == diagnosis_headline(case)
+        twins = {'scale_asymmetry': (), 'bias_temperature': ('bias_warmup',)}
+        assert missing_headline(twins) == diagnosis_headline(case)
 
     def test_drift_before_and_after_is_said(self, diagnosis: Diagnosis) -> None:
         finding = replace(diagnosis.missing[0], drift_before_deg=2.0, drift_after_deg=0.25)
-        words = conclusions.of_diagnosis(replace(diagnosis, missing=(finding,)))
+        words = diagnosis_report.conclusion(replace(diagnosis, missing=(finding,)))
         assert 'drifts 2.00 deg without it and 0.25 deg with it' in ' '.join(words.sentences)
 
     def test_comparison_says_whether_it_is_chance(self, comparison: Comparison) -> None:
         old, new = comparison.results
         sure = replace(comparison, results=(old, replace(new, gain=50.0, gain_sigma=6.0)))
-        assert 'new.yaml foresees the recording better than' in conclusions.of_comparison(sure).headline
+        assert 'new.yaml predicts the recording better than' in comparison_report.conclusion(sure).headline
         by_chance = replace(comparison, results=(old, replace(new, gain=0.5, gain_sigma=0.4)))
-        assert 'hardly better' in conclusions.of_comparison(by_chance).headline
+        assert 'not significantly better' in comparison_report.conclusion(by_chance).headline
         worse = replace(comparison, results=(old, replace(new, gain=-5.0)))
-        assert conclusions.of_comparison(worse).headline.startswith('No other model is better')
+        assert comparison_report.conclusion(worse).headline.startswith('No other model is better')
 
     def test_one_model_alone(self, comparison: Comparison) -> None:
         old = comparison.results[0]
-        words = conclusions.of_comparison(replace(comparison, results=(old,)))
+        words = comparison_report.conclusion(replace(comparison, results=(old,)))
         assert not words.good
         assert 'diagnose' in words.todo[0]
         fine = replace(comparison, results=(replace(old, fails_where=()),))
-        assert conclusions.of_comparison(fine).good
+        assert comparison_report.conclusion(fine).good
 
     def test_improvement_says_how_far_it_fell(self, improved: Improvement) -> None:
-        words = conclusions.of_improvement(improved)
+        words = improvement_report.conclusion(improved)
         assert words.headline.startswith('Added scale_asymmetry')
         alone = replace(improved, revisions=improved.revisions[:1])
-        assert conclusions.of_improvement(alone).todo == ()
+        assert improvement_report.conclusion(alone).todo == ()
 
     def test_estimates_are_told_with_their_meaning(self, diagnosis: Diagnosis) -> None:
         finding = diagnosis.missing[0]
@@ -439,7 +463,7 @@ class TestConclusions:
     def test_gains_that_are_not_numbers(self) -> None:
         assert with_gain(12.34, 3.21) == '+12.3 (3.2 sigma)'
         assert with_gain(-1.0, math.nan) == '-1.0'
-        assert with_gain(math.inf, math.nan) == 'runs at all'
+        assert with_gain(math.inf, math.nan) == 'diverges without it'
 
 
 class TestFolders:

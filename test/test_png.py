@@ -1,4 +1,4 @@
-"""Figures as PNG: an extra that may be missing, and then says so."""
+"""Figures as PNG pictures; a machine without kaleido gets a message."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import pytest
 
 from gyrocal_ros.cli.figures import draw_if_wanted
 from gyrocal_ros.errors import GyrocalError
-from gyrocal_ros.report.figures import png
-from gyrocal_ros.report.figures.drawing import curves
+from gyrocal_ros.report import png
+from gyrocal_ros.report.effect import curves
 from gyrocal_ros.report.html import Section
 
 FIGURE = curves('A line', 'x (s)', 'y (deg)', np.arange(3.0), {'it': np.arange(3.0)})
 
 
-def test_without_kaleido_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_kaleido_the_error_names_the_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(png, 'find_spec', lambda _: None)
     with pytest.raises(GyrocalError, match='pip install') as caught:
         png.save_png({'line': FIGURE}, tmp_path)
     assert 'button that saves it' in str(caught.value) and not any(tmp_path.iterdir())
 
 
-def test_a_command_goes_on_without_pictures(
+def test_a_command_continues_without_pictures(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(png, 'find_spec', lambda _: None)
@@ -31,7 +31,7 @@ def test_a_command_goes_on_without_pictures(
     assert 'warning: figures were not drawn' in capsys.readouterr().err
 
 
-def test_nothing_is_drawn_unless_wanted(tmp_path: Path) -> None:
+def test_nothing_is_drawn_unless_requested(tmp_path: Path) -> None:
     def never() -> list[Section]:
         raise AssertionError
 
@@ -39,7 +39,7 @@ def test_nothing_is_drawn_unless_wanted(tmp_path: Path) -> None:
     assert not any(tmp_path.iterdir())
 
 
-def test_the_name_of_a_picture_is_that_of_its_figure(tmp_path: Path) -> None:
+def test_a_picture_has_the_name_and_height_of_its_figure(tmp_path: Path) -> None:
     (order,) = png._orders({'line': FIGURE}, tmp_path)
     assert order['path'] == str(tmp_path / 'line.png') and order['opts']['height'] == FIGURE.layout.height
     assert order['fig'].layout.paper_bgcolor == 'white' != FIGURE.layout.paper_bgcolor

@@ -1,4 +1,4 @@
-"""What a run leaves behind: files that can be read again, and a page that needs nothing else."""
+"""The result folder of a calibration: files that load again, and a self-contained page."""
 
 from __future__ import annotations
 
@@ -7,35 +7,49 @@ import math
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gyrocal_ros.cli.replay import verdict as in_words
 from gyrocal_ros.config.declare import with_settings
 from gyrocal_ros.config.parameter_file import load_config
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import seconds
 from gyrocal_ros.diagnose.comparison import compare
-from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning
+from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning, heading_error
+from gyrocal_ros.diagnose.json_summary import summarise
+from gyrocal_ros.diagnose.run_series import (
+    CONFIDENCE,
+    MAX_WINDOWS,
+    distances_m,
+    rows_to_draw,
+    uncorrected,
+    windows,
+)
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
 from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.state import EULER, no_landmarks
 from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.msgs.transforms import rotation_from_quaternion
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
-from gyrocal_ros.report import page, series, write
-from gyrocal_ros.report.figures import calibration as figures
-from gyrocal_ros.report.figures import drawing
-from gyrocal_ros.report.sections import sections
-from gyrocal_ros.report.summary import summarise
-from gyrocal_ros.report.tables import coefficient_rows, verdict, with_std
-from gyrocal_ros.report.words import sigma_in_words
+from gyrocal_ros.report import calibration_figures as figures
+from gyrocal_ros.report import plot, write
+from gyrocal_ros.report.calibration import (
+    calibration_page,
+    calibration_sections,
+    coefficient_rows,
+    conclusion,
+)
+from gyrocal_ros.report.describe import calibration_headline, sigma_in_words, with_std
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -65,12 +79,24 @@ def calibration(run: Run) -> Calibration:
 @pytest.fixture(scope='module')
 def folder(run: Run, calibration: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
     target = tmp_path_factory.mktemp('report') / 'out'
-    write.write_report(run, calibration, target, [('warning', 'gaps in the <imu>')])
+    write_results(run, calibration, target, [('warning', 'gaps in the <imu>')])
     return target
 
 
+def write_results(
+    run: Run,
+    calibration: Calibration,
+    folder: Path,
+    findings: Sequence[tuple[str, str]] = (),
+    overwrite: bool = False,
+) -> None:
+    """Write the results as the command does."""
+    with new_folder(folder, overwrite=overwrite) as part:
+        write.fill_calibration(part, run, calibration, findings)
+
+
 def without_features(run: Run) -> Run:
-    """As a run with another heading reference ends: no map, and no pixel was ever used."""
+    """Return the run as with another heading reference: without a map and without used features."""
     size = run.state.robot_size
     state = replace(
         run.state,
@@ -83,14 +109,14 @@ def without_features(run: Run) -> Run:
 
 
 def shortened(run: Run, steps: int) -> Run:
-    """A recording that ends early."""
+    """Return a run that ends after a number of steps."""
     history = run.history
     columns = {item.name: getattr(history, item.name)[:steps] for item in fields(type(history))}
     return replace(run, history=type(history)(**columns))
 
 
 def repeated(run: Run, times: int) -> Run:
-    """A recording as long as so many of this one."""
+    """Return a run that repeats this one a number of times."""
     history = run.history
     length_ns = int(history.t_ns[-1] - history.t_ns[0]) + 66_000_000
     columns = {
@@ -102,12 +128,11 @@ def repeated(run: Run, times: int) -> Run:
 
 
 def figure_names(run: Run) -> list[str]:
-    drift = blind_drift(run)
-    return [section.name for section in sections(run, conclude(run), drift, drift)]
+    return [section.name for section in calibration_sections(run, conclude(run))]
 
 
 class TestFolder:
-    def test_holds_everything(self, folder: Path) -> None:
+    def test_it_contains_all_files(self, folder: Path) -> None:
         assert {file.name for file in folder.iterdir()} == FILES
         assert [item.name for item in folder.parent.iterdir()] == ['out']
 
@@ -120,7 +145,7 @@ class TestFolder:
         assert load_model(folder / 'model.yaml') == run.model
         assert load_config(folder / 'settings.yaml') == run.config != Config()
 
-    def test_summary_is_that_of_the_run(self, folder: Path, run: Run, calibration: Calibration) -> None:
+    def test_the_summary_is_that_of_the_run(self, folder: Path, run: Run, calibration: Calibration) -> None:
         assert json.loads((folder / 'summary.json').read_text()) == summarise(run, calibration)
 
     def test_trajectories_are_in_tum_format(self, folder: Path, run: Run) -> None:
@@ -140,60 +165,58 @@ class TestFolder:
                 atol=1e-7,
             )
 
-    def test_files_of_the_user_are_left_alone(
-        self, run: Run, calibration: Calibration, tmp_path: Path
-    ) -> None:
+    def test_files_of_the_user_are_kept(self, run: Run, calibration: Calibration, tmp_path: Path) -> None:
         (tmp_path / 'mine.txt').write_text('mine')
         with pytest.raises(GyrocalError, match='not empty'):
-            write.write_report(run, calibration, tmp_path)
-        write.write_report(run, calibration, tmp_path, overwrite=True)
+            write_results(run, calibration, tmp_path)
+        write_results(run, calibration, tmp_path, overwrite=True)
         assert {file.name for file in tmp_path.iterdir()} == FILES | {'mine.txt'}
 
-    def test_is_whole_or_not_there(
+    def test_an_interruption_leaves_no_folder(
         self, run: Run, calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         def interrupted(*_: object) -> str:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(write, 'report_page', interrupted)
+        monkeypatch.setattr(write, 'calibration_page', interrupted)
         with pytest.raises(KeyboardInterrupt):
-            write.write_report(run, calibration, tmp_path / 'out')
+            write_results(run, calibration, tmp_path / 'out')
         assert list(tmp_path.iterdir()) == []
 
 
 class TestPage:
-    def test_needs_no_other_file_and_no_network(self, folder: Path) -> None:
+    def test_it_needs_no_other_file_and_no_network(self, folder: Path) -> None:
         text = (folder / 'report.html').read_text(encoding='utf-8')
-        library = drawing.library()
+        library = plot.plotly_js()
         assert text.count(library) == 1
         own = text.replace(library, '')
         assert re.findall(r'(?:src|href)\s*=|@import|url\(|https?://', own) == []
         assert own.count('"showSendToCloud": false') == own.count('Plotly.newPlot(') > 0
         assert len(text) < 6_000_000
 
-    def test_shows_every_figure_once(self, folder: Path, run: Run) -> None:
+    def test_it_shows_every_figure_once(self, folder: Path, run: Run) -> None:
         text = (folder / 'report.html').read_text(encoding='utf-8')
         names = figure_names(run)
         assert len(set(names)) == len(names)
         assert re.findall(r'<div id="(\w+)" class="plotly-graph-div"', text) == names
 
-    def test_escapes_what_comes_from_outside(self, run: Run, calibration: Calibration, folder: Path) -> None:
+    def test_text_from_outside_is_escaped(self, run: Run, calibration: Calibration, folder: Path) -> None:
         assert 'gaps in the &lt;imu&gt;' in (folder / 'report.html').read_text(encoding='utf-8')
-        text = page.report_page(replace(run, source='<b>bag</b>'), calibration)
+        text = calibration_page(replace(run, source='<b>bag</b>'), calibration)
         assert '<b>bag' not in text
         assert 'No warnings' in text
 
-    def test_tells_the_events_with_their_times(self, run: Run, calibration: Calibration) -> None:
+    def test_events_are_listed_with_their_times(self, run: Run, calibration: Calibration) -> None:
         event = RunEvent(run.span.start_ns + 12_300_000_000, 'a new map was begun')
-        text = page.report_page(replace(run, events=(event,)), calibration)
+        text = calibration_page(replace(run, events=(event,)), calibration)
         assert '12.3 s after the start: a new map was begun' in text
 
-    def test_is_the_same_for_the_same_run(self, run: Run, calibration: Calibration) -> None:
-        assert page.report_page(run, calibration) == page.report_page(run, calibration)
+    def test_the_same_run_gives_the_same_page(self, run: Run, calibration: Calibration) -> None:
+        assert calibration_page(run, calibration) == calibration_page(run, calibration)
 
 
 class TestSections:
-    def test_leave_out_what_a_run_cannot_show(self, run: Run) -> None:
+    def test_figures_without_data_are_omitted(self, run: Run) -> None:
         assert figure_names(run) == [
             'scale_factor', 'path', 'map', 'distance', 'blind_drift', 'heading', 'bias', 'innovations',
         ]  # fmt: skip
@@ -205,7 +228,7 @@ class TestSections:
             'one span, no figure'
         )
 
-    def test_show_the_other_coefficients_of_a_larger_model(self) -> None:
+    def test_other_coefficients_of_a_larger_model_are_shown(self) -> None:
         model = model_from_dict({'effects': ['scale_factor', 'scale_cubic', 'bias_warmup']}, 'test')
         run = calibrate(SimSource(replace(SCENARIO, duration_s=25.0), 0), Config(), model)
         calibration = conclude(run)
@@ -215,18 +238,17 @@ class TestSections:
         rows = coefficient_rows(calibration, run.history)
         assert [row.name for row in rows] == ['bias', *model.coefficient_names]
         last = model.coefficients[-1]
-        assert rows[-1].known_before == with_std(last.prior_mean, last.prior_std)
+        assert rows[-1].prior == with_std(last.prior_mean, last.prior_std)
 
-    def test_size_does_not_grow_with_the_recording(self, run: Run) -> None:
+    def test_the_size_does_not_grow_with_the_recording(self, run: Run) -> None:
         hour = repeated(run, 40)
         assert len(hour.history.t_ns) > 40_000
-        for section in sections(hour, conclude(hour), blind_drift(hour), blind_drift(hour)):
+        for section in calibration_sections(hour, conclude(hour)):
             for trace in section.figure.data:
-                assert len(trace.x) == len(trace.y) < 2.2 * drawing.POINTS, (section.name, trace.name)
+                assert len(trace.x) == len(trace.y) < 2.2 * plot.MAX_POINTS, (section.name, trace.name)
 
     def test_axes_have_titles_and_lines_have_names(self, run: Run, calibration: Calibration) -> None:
-        drift = blind_drift(run)
-        for section in sections(run, calibration, drift, drift):
+        for section in calibration_sections(run, calibration):
             layout = section.figure.layout
             assert layout.title.text
             assert all(trace.name for trace in section.figure.data)
@@ -239,42 +261,42 @@ class TestSeries:
     def test_thinning_keeps_the_extremes(self) -> None:
         values = np.random.default_rng(0).normal(size=(50_000, 2))
         values[31_234, 0], values[7, 1], values[100:200, 0] = 50.0, -60.0, np.nan
-        rows = series.kept(values, 1000)
+        rows = rows_to_draw(values, 1000)
         assert len(rows) <= 1002
         assert {0, 7, 31_234, 49_999} <= set(rows.tolist())
         assert (np.diff(rows) > 0).all()
-        np.testing.assert_array_equal(series.kept(values[:1000], 1000), np.arange(1000))
+        np.testing.assert_array_equal(rows_to_draw(values[:1000], 1000), np.arange(1000))
 
-    def test_windows_lose_nothing(self, run: Run) -> None:
-        windows = series.windows(run.history)
-        assert windows.rejected.sum() == run.history.rejected.sum()
-        covered = windows.used == 0.0
+    def test_windows_contain_every_step(self, run: Run) -> None:
+        found = windows(run.history)
+        assert found.rejected.sum() == run.history.rejected.sum()
+        covered = found.used == 0.0
         assert covered.any(), 'the camera is off at the end'
-        assert np.isnan(windows.nis_per_dof[covered]).all()
+        assert np.isnan(found.nis_per_dof[covered]).all()
 
     def test_a_consistent_filter_stays_within_the_bounds(self, run: Run) -> None:
         rng = np.random.default_rng(1)
         hour = repeated(run, 40).history
-        windows = series.windows(replace(hour, nis=rng.chisquare(np.maximum(hour.dof, 1e-9))))
-        assert len(windows.time_s) <= series.WINDOWS + 1
-        assert windows.share_inside == pytest.approx(series.CONFIDENCE, abs=0.04)
-        too_sure = series.windows(replace(hour, nis=2.0 * hour.dof))
-        assert too_sure.share_inside == 0.0
+        consistent = windows(replace(hour, nis=rng.chisquare(np.maximum(hour.dof, 1e-9))))
+        assert len(consistent.time_s) <= MAX_WINDOWS + 1
+        assert consistent.share_inside == pytest.approx(CONFIDENCE, abs=0.04)
+        overconfident = windows(replace(hour, nis=2.0 * hour.dof))
+        assert overconfident.share_inside == 0.0
 
-    def test_uncorrected_gyro_turns_by_its_samples_alone(self, run: Run) -> None:
+    def test_the_uncorrected_gyro_turns_by_its_samples_alone(self, run: Run) -> None:
         history = run.history
-        track = dead_reckoning(series.uncorrected(run), run.state.coefficients, 0.0)
+        track = dead_reckoning(uncorrected(run), run.state.coefficients, 0.0)
         turned = track.yaw_rad - track.yaw_rad[0]
         sampled = np.cumsum(history.turn_rad + history.tilt_rad)
         np.testing.assert_allclose(turned, sampled - sampled[0], atol=1e-9)
 
-    def test_heading_error_is_what_the_filter_says(self, run: Run) -> None:
-        error = series.heading_error(run)
+    def test_the_heading_error_fits_its_standard_deviation(self, run: Run) -> None:
+        error = heading_error(run)
         assert error is not None
         assert np.mean(np.abs(error.error_rad) < 3.0 * error.std_rad) > 0.97
-        assert series.heading_error(replace(run, truth=None)) is None
+        assert heading_error(replace(run, truth=None)) is None
 
-    def test_outlines_are_as_many_sigmas_away(self, run: Run) -> None:
+    def test_outlines_have_the_given_distance_in_sigmas(self, run: Run) -> None:
         ceiling = ceiling_map(run.state, run.config.features.parametrisation)
         assert len(ceiling.ids) == len(run.state.landmarks.ids) > 5
         offsets = ceiling.outlines(3.0) - ceiling.points_m[:, None, :2]
@@ -283,14 +305,14 @@ class TestSeries:
         np.testing.assert_allclose(distances, 9.0, rtol=1e-4)
         assert 2.0 < np.median(ceiling.points_m[:, 2]) < 3.0, 'a ceiling is above the floor'
 
-    def test_distances_are_measured_to_the_truth(self, run: Run) -> None:
+    def test_distances_are_those_from_the_truth(self, run: Run) -> None:
         path = dead_reckoning(run, run.state.coefficients, float(run.state.bias_rad_s[2]))
         moved = replace(path, position_m=path.position_m + [0.3, -0.4])
-        _, distances = series.distances_m({'moved': moved}, path)
+        _, distances = distances_m({'moved': moved}, path)
         np.testing.assert_allclose(distances['moved'], 0.5)
 
 
-class TestWords:
+class TestSentences:
     @pytest.mark.parametrize(
         ('value', 'std', 'text'),
         [
@@ -303,46 +325,57 @@ class TestWords:
             (1.0, math.nan, '1 ± nan'),
         ],
     )
-    def test_numbers_are_as_long_as_their_doubt_allows(self, value: float, std: float, text: str) -> None:
+    def test_numbers_have_two_digits_of_their_std(self, value: float, std: float, text: str) -> None:
         assert with_std(value, std) == text
 
     def test_a_good_calibration(self, run: Run, calibration: Calibration) -> None:
-        words = verdict(calibration, run.config, blind_drift(series.uncorrected(run)), blind_drift(run))
-        assert words.good
-        assert words.headline.startswith('Calibrated: the scale factor was known to 0.05 % after')
-        assert '135.' in words.sentences[0]
-        assert '8.0' in words.sentences[0]
-        assert 'too much' in words.sentences[0]
-        assert 'against the ground truth' in words.sentences[2]
+        verdict = conclusion(calibration, run.config, blind_drift(uncorrected(run)), blind_drift(run))
+        assert verdict.good
+        assert verdict.headline.startswith('Calibrated: the scale factor was known to 0.05 % after')
+        assert '135.' in verdict.sentences[0]
+        assert '8.0' in verdict.sentences[0]
+        assert 'too much' in verdict.sentences[0]
+        assert 'against the ground truth' in verdict.sentences[2]
 
-    def test_one_that_needs_more_turns(self, run: Run, calibration: Calibration) -> None:
+    def test_a_calibration_that_needs_more_turns(self, run: Run, calibration: Calibration) -> None:
         early = replace(calibration, converged=False, convergence_time_s=None)
-        words = verdict(early, run.config, blind_drift(run), blind_drift(run))
-        assert not words.good
-        assert 'Record more turns' in words.headline
+        verdict = conclusion(early, run.config, blind_drift(run), blind_drift(run))
+        assert not verdict.good
+        assert 'Record more turns' in verdict.headline
 
-    def test_one_that_contradicts_itself(self, run: Run, calibration: Calibration) -> None:
-        words = verdict(replace(calibration, converged=False), run.config, blind_drift(run), blind_drift(run))
-        assert not words.good
-        assert 'Not to be trusted' in words.headline
+    def test_an_inconsistent_calibration(self, run: Run, calibration: Calibration) -> None:
+        inconsistent = replace(calibration, converged=False)
+        verdict = conclusion(inconsistent, run.config, blind_drift(run), blind_drift(run))
+        assert not verdict.good
+        assert 'Not to be trusted' in verdict.headline
 
-    def test_a_gyro_that_is_mounted_upside_down(self, run: Run, calibration: Calibration) -> None:
+    def test_a_gyro_mounted_upside_down(self, run: Run, calibration: Calibration) -> None:
         turned = replace(calibration, values=np.array([0.0, -1.99]))
-        words = verdict(turned, run.config, blind_drift(run), blind_drift(run))
-        assert 'reports 1.01 % too much, and turns the wrong way round' in words.sentences[0]
+        verdict = conclusion(turned, run.config, blind_drift(run), blind_drift(run))
+        assert 'reports 1.01 % too much, and turns the wrong way round' in verdict.sentences[0]
+
+    def test_page_and_command_state_the_same_reason(self, run: Run, calibration: Calibration) -> None:
+        for converged_s in (None, calibration.convergence_time_s):
+            failed = replace(calibration, converged=False, convergence_time_s=converged_s)
+            headline = conclusion(failed, run.config, blind_drift(run), blind_drift(run)).headline
+            assert headline in in_words(summarise(run, failed), run.config)
+            assert headline == calibration_headline(
+                False, converged_s, calibration.scale_factor_std, run.config
+            )
 
 
-def test_a_calibration_and_a_comparison_tell_the_same_drift(run: Run) -> None:
-    drift = compare({'default': run}).rivals[0].drift
+def test_a_calibration_and_a_comparison_have_the_same_drift(run: Run) -> None:
+    drift = compare({'default': run}).results[0].drift
     assert summarise(run, conclude(run))['blind_drift_deg'] == {'rms': drift.rms_deg, 'max': drift.max_deg}
 
 
-@pytest.mark.parametrize(('sigma', 'said'), [(7.46, '7.5'), (30.0, '30.0'), (37.0, '> 30'), (math.nan, '-')])
-def test_sigmas_beyond_doubt_are_not_counted(sigma: float, said: str) -> None:
-    assert sigma_in_words(sigma) == said
+@pytest.mark.parametrize(('sigma', 'text'), [(7.46, '7.5'), (30.0, '30.0'), (37.0, '> 30'), (math.nan, '-')])
+def test_large_sigmas_have_no_exact_number(sigma: float, text: str) -> None:
+    assert sigma_in_words(sigma) == text
 
 
-def test_figures_of_merit_come_without_plotly() -> None:
-    code = 'import sys, gyrocal_ros.report.summary; print("plotly" in sys.modules)'
+@pytest.mark.parametrize('module', ['diagnose.json_summary', 'report.describe', 'studio.worker'])
+def test_numbers_and_sentences_need_no_plotly(module: str) -> None:
+    code = f'import sys, gyrocal_ros.{module}; print("plotly" in sys.modules)'
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == 'False'

@@ -1,4 +1,4 @@
-"""Reproduction of the paper: the experiments at small size, the command, and the page."""
+"""`gyrocal reproduce`: short versions of the experiments, the command, and the page."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from gyrocal_ros.sim.sensors import SensorErrors
 SHORT_LANES = replace(find_scenario('lanes'), duration_s=40.0)
 
 
-def test_without_noise_the_proposed_form_finds_a_landmark_after_one_step() -> None:
+def test_without_noise_the_proposed_form_finds_a_landmark_at_once() -> None:
     result = landmark.figure_14(map, 1)
     proposed, inverse, conventional = (method.errors_cm[0] for method in result.methods)
     assert proposed[0] == conventional[0] == pytest.approx(500.0 - 273.86, abs=0.01), 'the assumed range'
-    assert inverse[0] > proposed[0], 'the assumed depth is a larger range'
+    assert inverse[0] > proposed[0], 'the same range is a larger depth'
     assert proposed[1:].max() < 0.1 and np.all(np.diff(proposed[1:]) <= 0.0)
     assert conventional[1] > 100.0 and conventional[-1] > 50.0
     assert result.moved_cm[-1] == pytest.approx(50.0)
 
 
-def test_with_noise_errors_are_near_the_bound() -> None:
+def test_with_noise_all_forms_get_the_same_pixels_and_stay_near_the_bound() -> None:
     result = landmark.figure_15(map, 12)
     proposed, inverse, conventional = result.methods
     assert proposed.errors_cm.shape == (12, 11)
@@ -48,14 +48,14 @@ def test_with_noise_errors_are_near_the_bound() -> None:
     assert conventional.failed > 0 and np.isnan(conventional.errors_cm).any()
 
 
-def test_the_bound_agrees_with_triangulation_by_two_views() -> None:
+def test_the_bound_is_that_of_triangulation_from_two_views() -> None:
     """After one step the error of the depth, z^2 / (f b) sqrt(2) sigma, dominates."""
     distance, height = float(np.linalg.norm(landmark.LANDMARK_M)), 2.5
     parallax = 100.0 * height / (200.0 * landmark.STEP_M) * np.sqrt(2.0) * landmark.NOISE_PX
     assert landmark.bound_cm()[1] == pytest.approx(parallax * distance, rel=0.01)
 
 
-def test_the_fit_at_rest_finds_the_true_parameters() -> None:
+def test_the_fit_at_rest_recovers_the_simulated_parameters() -> None:
     truth = at_rest.Warmup(0.6, 6.04, 500.0)
     time_s = np.arange(5.0, 2500.0, 10.0)
     found = at_rest.fit(time_s, truth.at(time_s))
@@ -63,35 +63,35 @@ def test_the_fit_at_rest_finds_the_true_parameters() -> None:
     assert (found.c1_deg_s, found.c2_deg_s) == pytest.approx((0.6, 6.04), abs=0.01)
 
 
-def test_a_gyro_that_warms_up_follows_the_model_of_the_paper(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gyro_that_warms_up_reads_as_in_the_paper(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(at_rest, 'DURATION_S', 300.0)
     result = at_rest.figure_9(map, 1)
     expected = at_rest.Warmup(0.6, 6.04, 500.0).at(result.time_s)
     assert np.abs(result.read_deg_s - expected).max() < 0.02
 
 
-def test_the_rate_table_determines_the_scale_factor_at_every_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rate_table_measures_the_scale_factor_at_every_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rate_table, 'RATES_DEG_S', np.array([30.0, 90.0]))
     straight, straight_std = rate_table.measure_on_table(rate_table.SAMPLES[0], 0)
     assert np.all(np.abs(straight - 135.40) < 6.0 * straight_std)
-    nonlinear, _ = rate_table.measure_on_table(rate_table.SAMPLES[3], 0)
+    bent, _ = rate_table.measure_on_table(rate_table.SAMPLES[3], 0)
     expected = (
         135.48 + NOMINAL_VOLT * rate_table.BEND * (np.array([30.0, 90.0]) * NOMINAL_VOLT / 13548.0) ** 2
     )
-    assert nonlinear == pytest.approx(expected, abs=0.06)
+    assert bent == pytest.approx(expected, abs=0.06)
 
 
-def test_the_bias_wander_has_the_stability_of_the_data_sheet() -> None:
+def test_a_data_sheet_is_converted_to_a_wandering_bias() -> None:
     errors = without_camera.Gyro('some', 0.008, 8.0).in_robot(SensorErrors())
     noise, walk = 28.8, errors.bias_wander_deg_h * np.sqrt(2.0 / errors.bias_wander_time_s)
     time_s = np.geomspace(1.0, 1e4, 2000)
     allan = np.sqrt(noise**2 / time_s + walk**2 * time_s / 3.0)
     assert allan.min() == pytest.approx(8.0, rel=1e-3)
-    default = without_camera.GYROS[1].in_robot(SensorErrors())
-    assert default.bias_wander_deg_h == pytest.approx(SensorErrors().bias_wander_deg_h, rel=0.01)
+    usual = without_camera.GYROS[1].in_robot(SensorErrors())
+    assert usual.bias_wander_deg_h == pytest.approx(SensorErrors().bias_wander_deg_h, rel=0.01)
 
 
-def test_ten_rotations_show_the_error_of_the_data_sheet(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ten_rotations_show_the_error_of_the_nominal_scale_factor(monkeypatch: pytest.MonkeyPatch) -> None:
     short = replace(
         find_scenario('blind_spins'),
         stages=(('lanes', 40.0), ('spins', 0.0)),
@@ -101,13 +101,13 @@ def test_ten_rotations_show_the_error_of_the_data_sheet(monkeypatch: pytest.Monk
     monkeypatch.setattr(without_camera, 'find_scenario', lambda name: short)
     monkeypatch.setattr(without_camera, 'RUNS', 2)
     result = without_camera.table_1(map, 2)
-    assert np.sign(result.nominal_deg).tolist() == [1.0, -1.0], 'one to each side'
+    assert np.sign(result.nominal_deg).tolist() == [1.0, -1.0], 'one run to each side'
     assert np.abs(result.nominal_deg) == pytest.approx([25.0, 25.0], abs=2.0)
     assert np.abs(result.calibrated_deg).max() < 3.0
     assert len(result.every_calibrated_deg) == 4
 
 
-def test_each_part_has_one_scale_factor() -> None:
+def test_each_part_has_its_own_scale_factor_in_all_its_runs() -> None:
     parts = [
         without_camera.part_of(number) for number in range(without_camera.PARTS * without_camera.REPEATS)
     ]
@@ -115,7 +115,7 @@ def test_each_part_has_one_scale_factor() -> None:
     assert parts[0] == parts[without_camera.REPEATS - 1] != parts[without_camera.REPEATS]
 
 
-def test_tracks_begin_at_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tracks_start_at_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracks, 'OFF_S', 30.0)
     monkeypatch.setattr(tracks, 'END_S', 50.0)
     result = tracks.figure_13(map, 1)
@@ -125,7 +125,7 @@ def test_tracks_begin_at_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0.0 < float(result.end_errors_m[tracks.SLAM][0]) < 0.05
 
 
-def test_mapped_features_agree_with_the_corners(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mapped_features_are_near_the_corners(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mapping, 'find_scenario', lambda name: SHORT_LANES)
     ceiling, path, corners, errors = mapping._lanes(0)
     assert errors.shape == (len(ceiling.ids), 2) and len(corners) == 68
@@ -136,20 +136,20 @@ def test_mapped_features_agree_with_the_corners(monkeypatch: pytest.MonkeyPatch)
 def test_convergence_is_reported_for_every_variant(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(convergence, 'DURATION_S', 25.0)
     result = convergence.figure_10(map, 1)
-    assert [variant.name for variant in result.varieties] == [item.name for item in convergence.VARIANTS]
+    assert [variety.name for variety in result.varieties] == [item.name for item in convergence.VARIANTS]
     ours = result.varieties[0]
     assert ours.first is not None and 5.0 < ours.first.settled_s == ours.settled_s[0] < 20.0
     assert ours.final_volt[0] == pytest.approx(135.5, abs=0.1)
 
 
-def test_every_result_has_figures() -> None:
+def test_every_result_has_its_figures() -> None:
     assert len(reproduced.SECTIONS) == 8 and len(EXPERIMENTS) == 10
     assert list(EXPERIMENTS)[0] == 'fig7' and 'table1' in EXPERIMENTS
 
 
 @pytest.fixture
 def landmarks_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Restrict the command to two quick experiments in this process."""
+    """Limit the command to two quick experiments, run in this process."""
     monkeypatch.setattr(reproduce, 'in_parallel', map)
     chosen: dict[str, Experiment] = {name: EXPERIMENTS[name] for name in ('fig14', 'fig15')}
     monkeypatch.setattr(reproduce, 'EXPERIMENTS', chosen)
@@ -169,13 +169,13 @@ def test_the_command_writes_page_and_numbers(tmp_path: Path, capsys: pytest.Capt
 
 
 @pytest.mark.usefixtures('landmarks_only')
-def test_the_command_prints_verdicts(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_which_claims_hold(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['reproduce', 'fig14']) == 0
     out = capsys.readouterr().out
     assert 'Fig. 14' in out and 'Fig. 15' not in out and ': holds\n' in out
 
 
-def test_an_unknown_name_is_refused_before_anything_is_written(
+def test_an_unknown_name_is_refused_before_any_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['reproduce', 'fig16', '-o', str(tmp_path / 'made')]) == 2
@@ -183,9 +183,9 @@ def test_an_unknown_name_is_refused_before_anything_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_claim_has_a_verdict() -> None:
-    assert assess('it flies', '1 m', '2 m', True).verdict == 'holds'
-    assert assess('it flies', '1 m', '0 m', False).verdict == 'does not hold'
+def test_a_claim_holds_or_not() -> None:
+    assert assess('a claim', '1 m', '2 m', True).verdict == 'holds'
+    assert assess('a claim', '1 m', '0 m', False).verdict == 'does not hold'
 
 
 def test_some_experiments_have_a_fixed_number_of_runs() -> None:

@@ -1,4 +1,4 @@
-"""The figures of the page stay small however long the recording is, and hide no spike."""
+"""Figures of the studio: small for recordings of any length, without loss of spikes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from gyrocal_ros.studio.session import Session
 from gyrocal_ros.studio.state import StudioState
 
 HOUR = 36
-"""So many times as long as the recording is."""
-MOST_BYTES = 200_000
+"""Number of repetitions of the recording."""
+MAX_BYTES = 200_000
 SPIKE_DEG = 33.0
 
 
@@ -38,7 +38,7 @@ def view(opened: tuple[Session, Desk]) -> StudioState:
 
 
 def lengthened(history: History) -> History:
-    """An hour of the same, with one innovation that is far off."""
+    """Repeat a history to an hour, with one innovation that is far off."""
     long = {item.name: np.concatenate([getattr(history, item.name)] * HOUR) for item in fields(history)}
     steps = len(history.time_s)
     long['time_s'] += np.repeat(np.arange(HOUR), steps) * (history.time_s[-1] + history.dt_s[-1])
@@ -48,7 +48,7 @@ def lengthened(history: History) -> History:
 
 
 def an_hour(view: StudioState) -> StudioState:
-    """The state after an hour's recording."""
+    """Return the state after a recording of an hour."""
     every = []
     for trial in view.trials.every:
         assert trial.examined is not None
@@ -62,17 +62,17 @@ def size_bytes(figure: Any) -> int:
     return len(figure.to_json())
 
 
-def test_the_figures_of_an_hour_are_as_small_as_those_of_a_minute(view: StudioState) -> None:
+def test_figures_of_an_hour_are_small(view: StudioState) -> None:
     long = an_hour(view)
     first = replace(long, trials=replace(long.trials, present=long.trials.every[0].label))
     for state in (long, first):
         assert state.trials.now is not None and state.trials.now.examined is not None
         assert state.trials.now.examined.stage.run.history.time_s[-1] > 3500.0
         for kind in pictures.KINDS:
-            assert size_bytes(pictures.against_measurement(state, kind)) < MOST_BYTES, kind
+            assert size_bytes(pictures.against_measurement(state, kind)) < MAX_BYTES, kind
 
 
-def test_a_spike_is_seen_in_an_hour(view: StudioState) -> None:
+def test_a_spike_in_an_hour_is_drawn(view: StudioState) -> None:
     long = an_hour(view)
     first = replace(long, trials=replace(long.trials, present=long.trials.every[0].label))
     figure = pictures.against_measurement(first, 'innovations')
@@ -81,7 +81,7 @@ def test_a_spike_is_seen_in_an_hour(view: StudioState) -> None:
     assert np.nanmax(drawn.y) == pytest.approx(SPIKE_DEG) and len(drawn.x) <= 1500
 
 
-def test_what_the_added_effect_says_goes_through_what_was_left_over(view: StudioState) -> None:
+def test_the_curve_of_the_added_effect_fits_the_error_before(view: StudioState) -> None:
     figure = pictures.left_over(view, 'rate (deg/s)', False)
     assert figure is not None
     first, now, added = (
@@ -92,7 +92,7 @@ def test_what_the_added_effect_says_goes_through_what_was_left_over(view: Studio
     assert np.abs(now.y).max() < 0.1 * np.abs(first.y).max()
 
 
-def test_where_the_camera_was_off_is_shaded(view: StudioState) -> None:
+def test_spans_with_the_camera_off_are_shaded(view: StudioState) -> None:
     now = view.trials.now
     assert now is not None and now.examined is not None
     run = now.examined.stage.run

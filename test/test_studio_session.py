@@ -290,7 +290,7 @@ class TestTheReport:
     def test_it_holds_pages_models_and_history(
         self, session: Session, opened: tuple[Session, Desk], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr('gyrocal_ros.report.figures.png.find_spec', lambda _: None)
+        monkeypatch.setattr('gyrocal_ros.report.png.find_spec', lambda _: None)
         session.add(HIDDEN)
         opened[1].work()
         said = export(session.view, session.folder)

@@ -256,7 +256,10 @@ def test_without_a_transform_the_mounting_comes_from_the_settings() -> None:
     assert show(live, 0.0) is None, 'a transform may still arrive'
     tracked = [show(live, 0.1 * k) for k in range(1, 40)]
     assert tracked[-1] is not None
-    assert 'no transform says how ceiling_camera_optical_frame sits' in live.status(4.0).message
+    assert (
+        'no transform from base_link to ceiling_camera_optical_frame; the mounting in the settings is used'
+        in live.status(4.0).message
+    )
 
 
 def test_without_transform_and_imu_the_mounting_comes_from_the_settings() -> None:

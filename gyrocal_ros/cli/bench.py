@@ -97,9 +97,11 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print_json(provenance() | {'seeds': args.seeds, 'benches': tables})
     if args.out and 'growth' in tables:
-        from gyrocal_ros.cli.grown import growth_page  # only a page needs the plotting library
+        from gyrocal_ros.report.growth import growth_page  # only a page needs the plotting library
 
-        write_text_atomic(args.out, growth_page(tables['growth']), overwrite=args.overwrite)
+        about = provenance()
+        page = growth_page(tables['growth'], f'gyrocal {about["version"]}, {about["machine"]}')
+        write_text_atomic(args.out, page, overwrite=args.overwrite)
 
 
 def _refuse_unknown_cases(args: argparse.Namespace) -> None:

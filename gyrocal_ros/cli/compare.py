@@ -18,14 +18,13 @@ from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
 from gyrocal_ros.diagnose.comparison import Comparison, ModelResult, compare
 from gyrocal_ros.diagnose.drift import REFERENCES
+from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_comparison
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.pipeline.calibration import conclude
-from gyrocal_ros.report.summary import nis_per_dof, summarise_comparison
-from gyrocal_ros.report.tables import with_std
-from gyrocal_ros.report.words import drift_in_words, failures_in_words
+from gyrocal_ros.report.describe import drift_in_words, failures_in_words, with_std
 
 EXAMPLE = """gyrocal compare my_bag
 gyrocal compare my_bag --model default.yaml --model model.yaml
@@ -60,7 +59,7 @@ def run(args: argparse.Namespace) -> None:
         comparison = _compare(passes, models)
         if folder is not None:
             # Only a page needs the plotting library.
-            from gyrocal_ros.report.comparison_page import comparison_sections
+            from gyrocal_ros.report.comparison import comparison_sections
             from gyrocal_ros.report.write import fill_comparison
 
             fill_comparison(folder, comparison, passes.findings)
@@ -89,7 +88,7 @@ def _compare(passes: Passes, models: dict[str, SensorModel]) -> Comparison:
 def in_words(comparison: Comparison) -> Iterator[str]:
     """The comparison in lines for a person."""
     yield from table(
-        ('model', 'drift in 60 s (deg)', 'heading (deg rms)', 'foreseen', 'NIS/dof', 'scale factor'),
+        ('model', 'drift in 60 s (deg)', 'heading (deg rms)', 'predictive gain', 'NIS/dof', 'scale factor'),
         [_row(rival) for rival in comparison.results],
     )
     yield f'(drift rms and interval, held out, against {REFERENCES[comparison.drift_reference]})'
@@ -111,7 +110,7 @@ def _row(rival: ModelResult) -> tuple[str, ...]:
         rival.label,
         drift_in_words(rival.drift),
         '-' if heading is None else f'{heading:.3f}',
-        f'{rival.gain:+.1f} ({rival.gain_sigma:+.1f} sigma)' if rival.gain else 'the measure',
+        f'{rival.gain:+.1f} ({rival.gain_sigma:+.1f} sigma)' if rival.gain else 'reference',
         f'{nis_per_dof(run):.2f}',
         with_std(scale.scale_factor, scale.scale_factor_std),
     )

@@ -29,10 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Replay the packaged bag."""
-    out = args.out or OWN_FOLDER
+    out, config = args.out or OWN_FOLDER, Config()
     summary = replay(
         shipped('bags/demo'),
-        Config(),
+        config,
         load_model(None),
         {'remap': {}, 'namespace': None, 'heading_reference': None},
         out=out,
@@ -41,5 +41,5 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print_json(summary)
     else:
-        print(verdict(summary))
+        print(verdict(summary, config))
         print(f'\nReport: {out / "report.html"}')

@@ -20,17 +20,17 @@ from gyrocal_ros.cli.passes import add_pass_options, open_passes, result_folder,
 from gyrocal_ros.diagnose.advice import advice, grouped, join
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.drift import REFERENCES
+from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.model_file import options_of
 from gyrocal_ros.model.sensor import Effect
-from gyrocal_ros.report.summary import summarise_diagnosis
-from gyrocal_ros.report.words import (
+from gyrocal_ros.report.describe import (
     coefficients_in_words,
     diagnosis_headline,
     failures_in_words,
-    figure,
+    number,
     sigma_in_words,
 )
 
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> None:
         diagnosis = diagnose(searched, recorded)
         if folder is not None:
             # Only a page needs the plotting library.
-            from gyrocal_ros.report.diagnosis_page import diagnosis_sections
+            from gyrocal_ros.report.diagnosis import diagnosis_sections
             from gyrocal_ros.report.write import fill_diagnosis
 
             fill_diagnosis(folder, searched, diagnosis, passes.findings)
@@ -88,13 +88,20 @@ def in_words(diagnosis: Diagnosis) -> Iterator[str]:
 def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.missing:
         yield from table(
-            ('missing', 'coefficients', 'sigma', 'log-likelihood', 'drift in 60 s, held out', 'or else'),
+            (
+                'missing',
+                'coefficients',
+                'sigma',
+                'log-likelihood',
+                'drift in 60 s, held out',
+                'indistinguishable from',
+            ),
             [
                 (
                     finding.effect.name,
                     coefficients_in_words(finding.effect, finding.values, finding.stds),
                     sigma_in_words(finding.sigma),
-                    figure(finding.gain, '+.0f'),
+                    number(finding.gain, '+.0f'),
                     _drift_change(finding),
                     ', '.join(finding.confused_with) or '-',
                 )
@@ -104,13 +111,13 @@ def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
         yield f'(drift against {REFERENCES[diagnosis.drift_reference]})'
     elif diagnosis.ranked:
         best = diagnosis.ranked[0]
-        yield f'The strongest suspicion was {best.effect.name}, at {best.fit.sigma:.1f} sigma.'
+        yield f'The most significant effect was {best.effect.name}, at {best.fit.sigma:.1f} sigma.'
 
 
 def _drift_change(finding: MissingEffect) -> str:
     if not math.isfinite(finding.drift_after_deg):
         return '-'
-    return f'{figure(finding.drift_before_deg)} -> {finding.drift_after_deg:.2f} deg'
+    return f'{number(finding.drift_before_deg)} -> {finding.drift_after_deg:.2f} deg'
 
 
 def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:

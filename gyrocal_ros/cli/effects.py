@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> None:
     name = f'{args.name}:SIGNAL' if args.name in COVARIATE_EFFECTS else args.name
     effect = find_effect(name)
     if args.out:
-        from gyrocal_ros.report.effect_page import effect_page  # plotly is loaded for the page alone
+        from gyrocal_ros.report.effect import effect_page  # plotly is loaded for the page alone
 
         write_text_atomic(args.out, effect_page(effect), overwrite=args.overwrite)
     if args.json:

@@ -19,6 +19,7 @@ from gyrocal_ros.cli.output import print_json, table, tell
 from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
+from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
 from gyrocal_ros.diagnose.search import Calibrate, search, try_effect
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
@@ -26,9 +27,7 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibration import conclude
-from gyrocal_ros.report.summary import nis_per_dof, summarise_improvement
-from gyrocal_ros.report.tables import with_std
-from gyrocal_ros.report.words import drift_in_words, improvement_headline
+from gyrocal_ros.report.describe import drift_in_words, improvement_headline, missing_headline, with_std
 
 EXAMPLE = """gyrocal improve my_bag -o improved
 gyrocal improve my_bag --model model.yaml -o improved
@@ -67,7 +66,7 @@ def run(args: argparse.Namespace) -> None:
         improved = improvement(searched)
         if folder is not None:
             # Only a page needs the plotting library.
-            from gyrocal_ros.report.improvement_page import improvement_sections
+            from gyrocal_ros.report.improvement import improvement_sections
             from gyrocal_ros.report.write import fill_improvement
 
             fill_improvement(folder, improved, passes.findings)
@@ -102,7 +101,7 @@ def in_words(improved: Improvement) -> Iterator[str]:
     yield improvement_headline(improved)
     yield ''
     yield from table(
-        ('revision', '', 'held-out drift (deg)', 'fitted', 'foreseen', 'NIS/dof', 'scale factor'),
+        ('revision', '', 'held-out drift (deg)', 'fitted', 'predictive gain', 'NIS/dof', 'scale factor'),
         [_row(revision) for revision in improved.revisions],
     )
     reference = REFERENCES[improved.drift_reference]
@@ -111,7 +110,7 @@ def in_words(improved: Improvement) -> Iterator[str]:
     yield from (f'{revision.label}: {revision.why}' for revision in improved.revisions)
     odd = improved.final.examined.unexplained_structure
     if odd is not None:
-        yield f'still there, and no effect explains it: {odd.what} ({odd.sigma:.0f} sigma)'
+        yield missing_headline({}, odd)
 
 
 def _row(revision: Revision) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from gyrocal_ros.cli.options import (
 )
 from gyrocal_ros.cli.output import print_json, progress, warn
 from gyrocal_ros.config.sections import Config
+from gyrocal_ros.diagnose.json_summary import summarise
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.effects.traits import followers_by_signal
 from gyrocal_ros.ekf.run import Run
@@ -34,9 +35,7 @@ from gyrocal_ros.msgs.issues import BagIssue, raise_first_error, worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.pipeline.run_filter import Progress
-from gyrocal_ros.report.summary import summarise
-from gyrocal_ros.report.tables import with_std
-from gyrocal_ros.report.words import quantity
+from gyrocal_ros.report.describe import calibration_headline, quantity, with_std
 
 EXAMPLE = """gyrocal replay my_bag -o result
 gyrocal replay my_bag --json
@@ -79,7 +78,7 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print_json(summary)
     else:
-        print(verdict(summary))
+        print(verdict(summary, config))
         if args.out:
             print(f'\nReport: {args.out / "report.html"}')
 
@@ -118,8 +117,8 @@ def replay(
     return summarise(finished, calibration) | {'wall_s': time.perf_counter() - began_s}
 
 
-def verdict(summary: dict[str, Any]) -> str:
-    """The result in a few lines for a person."""
+def verdict(summary: dict[str, Any], config: Config) -> str:
+    """Return the result in a few lines for a person."""
     scale = with_std(summary['scale_factor'], summary['scale_factor_std'])
     rows = [
         ('scale factor', f'{scale}   ({summary["scale_factor_volt"]:.3f} deg/s/V)'),
@@ -128,11 +127,8 @@ def verdict(summary: dict[str, Any]) -> str:
             for name, entry in summary['coefficients'].items()
             if name != 'scale_factor'
         ),
-        ('converged', 'no: see the warnings, and record more turns both ways'),
+        ('converged', _convergence(summary, config)),
     ]
-    if summary['converged']:
-        converged_s, duration_s = summary['convergence_time_s'], summary['duration_s']
-        rows[-1] = ('converged', f'after {converged_s:.1f} s of {duration_s:.0f} s')
     if 'blind_drift_deg' in summary:
         drift = summary['blind_drift_deg']
         rows.append(('heading', f'{summary["heading_rms_deg"]:.3f} deg rms against the ground truth'))
@@ -145,6 +141,13 @@ def verdict(summary: dict[str, Any]) -> str:
             rows.append(('blind drift', f'{size}, {after}'))
     width = max(len(label) for label, _ in rows)
     return '\n'.join(f'{label:{width}}  {text}' for label, text in rows)
+
+
+def _convergence(summary: dict[str, Any], config: Config) -> str:
+    converged_s, std = summary.get('convergence_time_s'), summary['scale_factor_std']
+    if summary['converged']:
+        return f'after {converged_s:.1f} s of {summary["duration_s"]:.0f} s'
+    return f'no. {calibration_headline(False, converged_s, std, config)}'
 
 
 def _calibrate(
@@ -163,8 +166,8 @@ def _write(
     folder: Path, finished: Run, calibration: Calibration, issues: Sequence[BagIssue], png: bool
 ) -> None:
     # Only those who want pages pay for the plotting library.
-    from gyrocal_ros.report.page import report_sections
-    from gyrocal_ros.report.write import fill
+    from gyrocal_ros.report.calibration import calibration_sections
+    from gyrocal_ros.report.write import fill_calibration
 
-    fill(folder, finished, calibration, [(issue.severity, str(issue)) for issue in issues])
-    draw_if_wanted(png, folder, report_sections(finished, calibration))
+    fill_calibration(folder, finished, calibration, [(issue.severity, str(issue)) for issue in issues])
+    draw_if_wanted(png, folder, calibration_sections(finished, calibration))

@@ -21,9 +21,9 @@ from gyrocal_ros.bench.paper.without_camera import (
     HeadingTable,
     Histograms,
 )
-from gyrocal_ros.report.figures import paper as figures
+from gyrocal_ros.report import paper as figures
 from gyrocal_ros.report.html import Section
-from gyrocal_ros.report.paper_page import Part, paper_page
+from gyrocal_ros.report.paper import Part, paper_page
 
 PAPER_MEAN_SD_DEG = (-0.18, 0.91)
 """Fig. 11 of the paper, calibrated."""

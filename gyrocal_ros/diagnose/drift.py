@@ -116,15 +116,33 @@ def reference_path(run: Run) -> tuple[Trajectory2D, str]:
     return slam_path(run), 'slam' if run.rig.camera is not None else 'heading reference'
 
 
-def heading_rms_deg(run: Run) -> float | None:
-    """Return the rms heading error of the filter against the ground truth; None without ground truth."""
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadingError:
+    """Heading by the filter less the ground truth, aligned at the first common moment."""
+
+    time_s: Array
+    """(s,) steps of the filter with ground truth."""
+    error_rad: Array
+    std_rad: Array
+    """(s,) standard deviation by the filter."""
+
+
+def heading_error(run: Run) -> HeadingError | None:
+    """Return the heading error of the filter against the ground truth; None without ground truth."""
     truth = truth_path(run)
     if truth is None:
         return None
     slam = slam_path(run)
     inside = (slam.time_s >= truth.time_s[0]) & (slam.time_s <= truth.time_s[-1])
-    error = slam.yaw_rad[inside] - np.interp(slam.time_s[inside], truth.time_s, truth.yaw_rad)
-    return float(np.degrees(np.sqrt(np.mean(error**2))))
+    time_s = slam.time_s[inside]
+    error = slam.yaw_rad[inside] - np.interp(time_s, truth.time_s, truth.yaw_rad)
+    return HeadingError(time_s, error, run.history.std[inside, YAW])
+
+
+def heading_rms_deg(run: Run) -> float | None:
+    """Return the rms heading error of the filter against the ground truth; None without ground truth."""
+    error = heading_error(run)
+    return None if error is None else float(np.degrees(np.sqrt(np.mean(error.error_rad**2))))
 
 
 def turns(run: Run, coefficients: Array) -> Array:

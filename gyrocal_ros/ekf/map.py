@@ -31,6 +31,11 @@ class CeilingMap:
         """Median over the features of the standard deviation along the longest axis on the floor."""
         return math.sqrt(float(np.median(np.linalg.eigvalsh(self.covariances_m2[:, :2, :2])[:, -1])))
 
+    @property
+    def stds_m(self) -> Array:
+        """(m, 3) standard deviations along the axes of the map frame."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariances_m2, axis1=1, axis2=2), 0.0))
+
     def outlines(self, sigmas: float, corners: int = 40) -> Array:
         """Return the ellipses in the floor plane as closed polygons (m, corners + 1, 2)."""
         angle = np.linspace(0.0, 2.0 * math.pi, corners + 1)

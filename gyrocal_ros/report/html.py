@@ -1,4 +1,4 @@
-"""What all pages are made of: one HTML file that needs nothing else, on light and on dark."""
+"""Pages: one HTML file that needs no other file and no network, readable on light and on dark."""
 
 from __future__ import annotations
 
@@ -9,27 +9,26 @@ from html import escape
 from itertools import groupby
 from typing import Any
 
-from gyrocal_ros.report.figures.drawing import fragment, library
-from gyrocal_ros.report.tables import Verdict
+from gyrocal_ros.report.describe import Verdict
+from gyrocal_ros.report.plot import plotly_js, to_fragment
+
+FIGURE_HELP = 'In the figures: drag to zoom in, double-click to see all, click a name to hide it.'
+SIGNS = {'good': '✓', 'found': '→', 'bad': '✗'}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """A figure and how to read it."""
+    """A figure with its caption."""
 
     name: str
     figure: Any
     caption: str
     half: bool = False
-    """Two of them stand side by side where the screen is wide."""
-
-
-HANDLING = 'In the figures: drag to zoom in, double-click to see all, click a name to hide it.'
-SIGNS = {'good': '✓', 'found': '→', 'bad': '✗'}
+    """True to place two of them side by side on a wide screen."""
 
 
 def document(title: str, about: str, parts: Iterable[str]) -> str:
-    """A whole page as HTML text.
+    """Assemble a page.
 
     Args:
         title: its heading, plain text.
@@ -37,35 +36,36 @@ def document(title: str, about: str, parts: Iterable[str]) -> str:
         parts: pieces of HTML in their order.
     """
     body = '\n'.join(part for part in parts if part)
-    return PAGE.format(title=escape(title), about=escape(about), style=STYLE, library=library(), body=body)
+    return PAGE.format(title=escape(title), about=escape(about), style=STYLE, library=plotly_js(), body=body)
 
 
-def verdict_box(words: Verdict) -> str:
-    """What a person wants to know first."""
-    sentences = ''.join(f'<p>{text(sentence)}</p>' for sentence in words.sentences)
-    todo = ''.join(f'<li>{text(sentence)}</li>' for sentence in words.todo)
+def verdict_box(verdict: Verdict) -> str:
+    """Return the verdict, its reasons and the next steps in a coloured box."""
+    sentences = ''.join(f'<p>{with_code(sentence)}</p>' for sentence in verdict.sentences)
+    todo = ''.join(f'<li>{with_code(sentence)}</li>' for sentence in verdict.todo)
     next_steps = f'<p><b>What to do next</b></p><ul>{todo}</ul>' if todo else ''
     return (
-        f'<section class="verdict {words.kind}"><h2>{SIGNS[words.kind]} {text(words.headline)}</h2>'
+        f'<section class="verdict {verdict.kind}">'
+        f'<h2>{SIGNS[verdict.kind]} {with_code(verdict.headline)}</h2>'
         f'{sentences}{next_steps}</section>'
     )
 
 
-def text(words: str) -> str:
-    """Plain words as HTML; what stands between backticks as code."""
-    return re.sub(r'`([^`]+)`', r'<code>\1</code>', escape(words))
+def with_code(text: str) -> str:
+    """Convert plain text to HTML; text between backticks becomes code."""
+    return re.sub(r'`([^`]+)`', r'<code>\1</code>', escape(text))
 
 
 def warnings(findings: Iterable[tuple[str, str]]) -> str:
-    """What is odd: severities and texts."""
+    """Return a list of severities and texts."""
     items = ''.join(f'<li><b>{escape(severity)}</b> {escape(text)}</li>' for severity, text in findings)
     return f'<h2>Warnings and notes</h2><ul>{items}</ul>' if items else '<p>No warnings.</p>'
 
 
 def table(
-    title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note: str = '', words: bool = False
+    title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note: str = '', wrap: bool = False
 ) -> str:
-    """A table under a heading; the first cell of each row is its name. With `words`, cells wrap."""
+    """Return a table under a heading; the first cell of a row is its name. With `wrap`, cells wrap."""
     lines = ''.join(
         f'<tr><th scope="row">{escape(row[0])}</th>'
         + ''.join(f'<td>{escape(cell)}</td>' for cell in row[1:])
@@ -74,15 +74,15 @@ def table(
     )
     top = ''.join(f'<th scope="col">{escape(head)}</th>' for head in heads)
     below = f'<p class="note">{escape(note)}</p>' if note else ''
-    kind = ' class="words"' if words else ''
+    kind = ' class="words"' if wrap else ''
     return (
         f'<h2>{escape(title)}</h2><div class="wide"><table{kind}>'
         f'<thead><tr>{top}</tr></thead><tbody>{lines}</tbody></table></div>{below}'
     )
 
 
-def meter_table(title: str, heads: tuple[str, str], rows: Sequence[tuple[str, float]], note: str) -> str:
-    """A table of names and sizes, each size drawn as a bar behind its number."""
+def bar_table(title: str, heads: tuple[str, str], rows: Sequence[tuple[str, float]], note: str) -> str:
+    """Return a table of names and sizes with a bar behind each size."""
     most = max(size for _, size in rows)
     lines = ''.join(
         f'<tr><th scope="row">{escape(name)}</th><td class="meter">'
@@ -96,10 +96,10 @@ def meter_table(title: str, heads: tuple[str, str], rows: Sequence[tuple[str, fl
     )
 
 
-def gallery(sections: Iterable[Section], title: str = '', note: str = HANDLING) -> str:
-    """Figures with their captions, under a heading and a note."""
+def gallery(sections: Iterable[Section], title: str = '', note: str = FIGURE_HELP) -> str:
+    """Return figures with their captions, under a heading and a note; nothing without figures."""
     drawn = '\n'.join(
-        f'<figure class="{width}">{fragment(part.figure, part.name)}'
+        f'<figure class="{width}">{to_fragment(part.figure, part.name)}'
         f'<figcaption>{escape(part.caption)}</figcaption></figure>'
         for part, width in _widths(list(sections))
     )
@@ -108,7 +108,7 @@ def gallery(sections: Iterable[Section], title: str = '', note: str = HANDLING) 
 
 
 def _widths(sections: list[Section]) -> Iterator[tuple[Section, str]]:
-    """Halves stand in pairs; one that is left alone takes the whole width."""
+    """Pair the halves; one without a partner takes the whole width."""
     for is_half, group in groupby(sections, key=lambda part: part.half):
         parts = list(group)
         for place, part in enumerate(parts):
@@ -117,7 +117,7 @@ def _widths(sections: list[Section]) -> Iterator[tuple[Section, str]]:
 
 
 def details(title: str, text: str) -> str:
-    """Text that is folded away at first."""
+    """Return preformatted text that is folded at first."""
     return f'<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>'
 
 

@@ -8,7 +8,7 @@ from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import new_folder
-from gyrocal_ros.report.figures.png import save_png
+from gyrocal_ros.report.png import save_png
 from gyrocal_ros.report.write import fill_diagnosis, fill_improvement
 from gyrocal_ros.studio import pictures
 from gyrocal_ros.studio.state import StudioState

@@ -7,7 +7,7 @@ from typing import Any
 
 from dash import dcc, html
 
-from gyrocal_ros.report.figures.drawing import handling
+from gyrocal_ros.report.plot import plot_config
 from gyrocal_ros.studio.pictures import COMPARED, KINDS
 
 POLL_MS = 400
@@ -216,7 +216,7 @@ def _radio(name: str, options: dict[str, str], value: str, meaning: str) -> html
 
 
 def _graph(name: str, size: str) -> html.Div:
-    graph = dcc.Graph(id=name, config=handling(name), style={'height': '100%'}, responsive=True)
+    graph = dcc.Graph(id=name, config=plot_config(name), style={'height': '100%'}, responsive=True)
     return html.Div(
         [html.P('', id=f'{name}-words', className='empty'), html.Div(graph, id=f'{name}-box', hidden=True)],
         className=f'figure {size}',

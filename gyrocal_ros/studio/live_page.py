@@ -9,9 +9,9 @@ from typing import Any
 
 from dash import Dash, Input, Output, State, dcc, html, no_update
 
-from gyrocal_ros.report.figures.calibration import live
-from gyrocal_ros.report.figures.drawing import handling
-from gyrocal_ros.report.tables import with_std
+from gyrocal_ros.report.calibration_figures import live
+from gyrocal_ros.report.describe import with_std
+from gyrocal_ros.report.plot import plot_config
 from gyrocal_ros.robot.feed import NodeHealth, Overview
 from gyrocal_ros.robot.health import Level
 
@@ -22,7 +22,7 @@ NOBODY = 'Nothing has been heard yet. Does the calibrator run, in the same ROS_D
 
 def layout() -> html.Div:
     """The whole page."""
-    graph = dcc.Graph(id='live-figure', config=handling('live'), style={'height': '100%'}, responsive=True)
+    graph = dcc.Graph(id='live-figure', config=plot_config('live'), style={'height': '100%'}, responsive=True)
     return html.Div(
         [
             dcc.Interval(id='poll', interval=POLL_MS),

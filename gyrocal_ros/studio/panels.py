@@ -16,8 +16,14 @@ from gyrocal_ros.diagnose.separability import how_to_tell_apart
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Effect
-from gyrocal_ros.report.tables import with_gain
-from gyrocal_ros.report.words import coefficients_in_words, drift_in_words, sigma_in_words
+from gyrocal_ros.report.describe import (
+    NO_FAILURE,
+    coefficients_in_words,
+    drift_in_words,
+    missing_headline,
+    sigma_in_words,
+    with_gain,
+)
 from gyrocal_ros.studio.lesson import off_in_words
 from gyrocal_ros.studio.pictures import drift_deg
 from gyrocal_ros.studio.state import StudioState
@@ -79,7 +85,7 @@ def failures(view: StudioState) -> list[Any]:
         return []
     found = now.failures
     if not found:
-        return [html.P('Nowhere by more than chance and a slowly wandering bias explain.')]
+        return [html.P(NO_FAILURE)]
     rows = [(item.what, f'{item.sigma:.0f}') for item in found[:MOST_FAILURES]]
     more = f' and {len(found) - MOST_FAILURES} more' if len(found) > MOST_FAILURES else ''
     return [
@@ -94,20 +100,18 @@ def failures(view: StudioState) -> list[Any]:
 
 
 def verdict(view: StudioState) -> str:
-    """What the recording says of the present model, in a sentence."""
+    """State which effect the present model lacks, in one or two sentences."""
     now = view.examined
     if now is None:
         return ''
-    best, odd = now.best, now.stage.unexplained_structure
+    best = now.best
     if best is not None:
-        likely = f'{best.effect.name} explains most of what is left ({sigma_in_words(best.fit.sigma)} sigma)'
-        others = f'; it may as well be {join([*now.twins], "or")}' if now.twins else ''
-        return f'{likely}{others}.'
-    if odd is not None:
-        return f'No effect of the library explains what is left: {odd.what} ({odd.sigma:.0f} sigma).'
+        headline = missing_headline({best.effect.name: now.twins})
+        return f'{headline} It explains most of what is left ({sigma_in_words(best.fit.sigma)} sigma).'
+    otherwise = 'No effect of the library explains more than chance would.'
     if now.limits:
-        return f'The readings suggest a limit: {join([one.name for one in now.limits], "or")}.'
-    return 'No effect of the library explains more than chance would.'
+        otherwise = f'The readings suggest a limit: {join([one.name for one in now.limits], "or")}.'
+    return missing_headline({}, now.stage.unexplained_structure, otherwise)
 
 
 def candidate_list(view: StudioState) -> list[Any]:
@@ -175,7 +179,7 @@ def _evidence(ranked_effect: RankedEffect, examined: Examined, chosen: str | Non
         rows.append(('on the second half', f'{gain:+.1f} log-likelihood, fitted on the first half alone'))
     if examined.best is not None and chosen == examined.best.effect.name and examined.twins:
         apart = ' '.join(how_to_tell_apart(ranked_effect.effect.name, examined.twins))
-        rows.append(('or else', f'{join([*examined.twins], "or")}. {apart}'))
+        rows.append(('indistinguishable from', f'{join([*examined.twins], "or")}. {apart}'))
     return rows
 
 
@@ -232,7 +236,7 @@ def lesson(view: StudioState) -> list[Any]:
     ]
     remarks = [f'Hidden: {hidden}.', said[told.guessed_right]]
     if told.missed:
-        remarks.append(f'The model lacks {join([*told.missed])}.')
+        remarks.append(missing_headline(dict.fromkeys(told.missed, ())))
     if told.needless:
         remarks.append(f'The model has what the robot has not: {join([*told.needless])}.')
     return [html.P(' '.join(remarks), id='truth'), _table(('', 'truth', 'found', 'off by'), rows)]

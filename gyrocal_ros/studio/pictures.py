@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s, reference_path
+from gyrocal_ros.diagnose.error_curves import ErrorBySignal, curve_by_effects
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
-from gyrocal_ros.report.diagnosis_series import Bend, Wander, open_candidates, predicted
-from gyrocal_ros.report.figures import calibration as calibration_figures
-from gyrocal_ros.report.figures import diagnosis as figures
-from gyrocal_ros.report.figures import models
-from gyrocal_ros.report.figures.models import Mark
-from gyrocal_ros.report.model_series import coefficients
-from gyrocal_ros.report.series import camera_off, windows
+from gyrocal_ros.diagnose.model_series import coefficients
+from gyrocal_ros.diagnose.run_series import camera_off, windows
+from gyrocal_ros.diagnose.search_series import FIRST_MODEL, open_candidate_rows
+from gyrocal_ros.diagnose.wander import Wander
+from gyrocal_ros.report import calibration_figures, comparison_figures
+from gyrocal_ros.report import diagnosis_figures as figures
+from gyrocal_ros.report.improvement import drift_marks
 from gyrocal_ros.studio.revisions import TriedModel
 from gyrocal_ros.studio.state import StudioState
 from gyrocal_ros.studio.worker import Examined
@@ -25,7 +26,7 @@ STRETCHES = 5
 MOST_CANDIDATES = 10
 MOST_SIGNALS = 4
 """Of what is left over, so many are written with a report, the most telling ones."""
-AS_IT_WAS, NOW = 'the first model', 'the present model'
+AS_IT_WAS, NOW = FIRST_MODEL, 'the present model'
 KINDS = {
     'heading': 'Heading error',
     'drift': 'Blind drift',
@@ -73,15 +74,21 @@ def _held_against(kind: str, trials: Mapping[str, TriedModel], improved: Improve
     last = list(examined.values())[-1]
     if kind == 'drift':
         drifts = {name: revision.held_out for name, revision in revisions.items()}
-        return models.drift_by_span(drifts) if all(len(one.error_rad) for one in drifts.values()) else None
+        return (
+            comparison_figures.drift_by_span(drifts)
+            if all(len(one.error_rad) for one in drifts.values())
+            else None
+        )
     if kind == 'coefficients':
         told = coefficients((name, one.stage.run, True) for name, one in examined.items())
-        return models.coefficients_by_model(told, list(examined))
+        return comparison_figures.coefficients_by_model(told, list(examined))
     if kind == 'innovations':
         if len(examined) == 1:
             history = last.stage.run.history
             return calibration_figures.innovations(history, windows(history))
-        return models.consistency({name: windows(one.stage.run.history) for name, one in examined.items()})
+        return comparison_figures.consistency(
+            {name: windows(one.stage.run.history) for name, one in examined.items()}
+        )
     wanders = {name: one.wander for name, one in examined.items()}
     return _heading(wanders, last, list(revisions.values())[-1].held_out)
 
@@ -125,8 +132,8 @@ def left_over(view: StudioState, signal: str, of_scale: bool) -> Any | None:
     before, after, told = first.left_over[question], None, None
     if len(chain) > 1:
         after = now.left_over.get(question)
-        told = predicted(now.stage.run, len(chain) - 1, signal, before, of_scale)
-    return figures.bend(Bend(signal, of_scale, before, after, told), (AS_IT_WAS, NOW))
+        told = curve_by_effects(now.stage.run, len(chain) - 1, signal, before, of_scale)
+    return figures.error_by_signal(ErrorBySignal(signal, of_scale, before, after, told), (AS_IT_WAS, NOW))
 
 
 def signals(view: StudioState) -> list[tuple[str, bool]]:
@@ -140,7 +147,7 @@ def scores(view: StudioState) -> Any | None:
     if examined is None:
         return None
     best = None if examined.best is None else examined.best.effect.name
-    table = open_candidates(examined.stage, best, examined.twins, MOST_CANDIDATES)
+    table = open_candidate_rows(examined.stage, best, examined.twins, MOST_CANDIDATES)
     return figures.scores(table) if table else None
 
 
@@ -149,12 +156,7 @@ def revisions(view: StudioState) -> Any | None:
     improved = view.improvement
     if improved is None or not all(len(one.held_out.error_rad) for one in improved.revisions):
         return None
-    marks = [
-        Mark(one.label, series, drift, one.is_kept)
-        for one in improved.revisions
-        for series, drift in (('held out', one.held_out), ('fitted', one.fitted))
-    ]
-    return models.drift_by_model('Drift in 60 s without the camera', marks)
+    return comparison_figures.drift_by_model('Drift in 60 s without the camera', drift_marks(improved))
 
 
 def all_of(view: StudioState) -> dict[str, Any]:

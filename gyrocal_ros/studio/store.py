@@ -22,7 +22,7 @@ from gyrocal_ros.diagnose.improvement import Improvement, Revision
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import json_text, new_folder, write_text_atomic
-from gyrocal_ros.report.history import fill_result, fill_revision
+from gyrocal_ros.report.write import fill_result, fill_revision
 from gyrocal_ros.studio.revisions import ModelTree, TriedModel
 
 STATE = 'studio.json'

@@ -20,19 +20,20 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.error_curves import ErrorCurve, centred
 from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.ranking import RankedEffect, best_explanation, indistinguishable
 from gyrocal_ros.diagnose.regimes import Failure, failures
+from gyrocal_ros.diagnose.run_series import rows_to_draw
 from gyrocal_ros.diagnose.search import NONE, ExaminedModel, examine, recover, suspected_limits
 from gyrocal_ros.diagnose.shapes import shapes
+from gyrocal_ros.diagnose.wander import Wander, wander
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError, GyrocalError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.run_filter import Progress
-from gyrocal_ros.report.diagnosis_series import Curve, Wander, centred, wander
-from gyrocal_ros.report.series import kept
 from gyrocal_ros.studio.recordings import Bag, Contents, HiddenEffectTask, Opened, look_into, read
 
 GLIMPSE_S = 0.8
@@ -93,7 +94,7 @@ class Examined:
     """Effects that may be meant in place of the best."""
     failures: tuple[Failure, ...]
     wander: Wander
-    left_over: Mapping[tuple[str, bool], Curve]
+    left_over: Mapping[tuple[str, bool], ErrorCurve]
     """By signal, and whether of the scale: what is left over, the most telling first."""
 
 
@@ -283,5 +284,5 @@ def _glimpse(run: Run) -> RunPreview | None:
     if not len(history.time_s) or history.time_s[-1] < SHORTEST_S or seen < FEWEST_SEEN:
         return None
     rate_deg_s = np.degrees(history.turn_rad / history.dt_s)
-    rows = kept(rate_deg_s[:, None], GLIMPSE_POINTS)
+    rows = rows_to_draw(rate_deg_s[:, None], GLIMPSE_POINTS)
     return RunPreview(wander(headings(run)), history.time_s[rows], rate_deg_s[rows])

@@ -110,7 +110,7 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
 
     # see what is in the bag, and the failing span
     expect(page.locator('#bag-words')).to_contain_text('100 s')
-    expect(page.locator('#verdict')).to_contain_text(f'{HIDDEN} explains most')
+    expect(page.locator('#verdict')).to_contain_text(f'Missing: {HIDDEN}')
     figure = page.locator('#model-figure')
     expect(figure).to_contain_text('gyro less seen')
     expect(figure).to_contain_text('worst without camera')

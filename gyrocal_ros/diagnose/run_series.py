@@ -1,4 +1,4 @@
-"""What a report shows that does not stand in a run as it is, as plain arrays."""
+"""Time series of a finished run: consistency over windows, distances from the truth, spans without camera."""
 
 from __future__ import annotations
 
@@ -10,34 +10,36 @@ from itertools import pairwise
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.drift import Trajectory2D, slam_path, truth_path
+from gyrocal_ros.diagnose.drift import Trajectory2D
 from gyrocal_ros.ekf.run import History, Run
-from gyrocal_ros.ekf.state import YAW
 from gyrocal_ros.statistics import chi_square_quantile
 
-WINDOWS = 240
-"""A run of any length is summed up in no more windows than this."""
-SHORTEST_WINDOW_S = 2.0
-SHORTEST_BLIND_S = 2.0
+MAX_WINDOWS = 240
+"""Maximum number of windows into which a run of any length is divided."""
+MIN_WINDOW_S = 2.0
+"""Minimum length of a window."""
+MIN_CAMERA_OFF_S = 2.0
+"""Minimum length of a gap between observed headings that is reported."""
 CONFIDENCE = 0.95
+"""Probability with which a consistent filter keeps within the bounds of a window."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Windows:
-    """Steps of the filter summed up over windows of equal length, w of them."""
+    """Sums over the steps of the filter in w windows of equal length."""
 
     length_s: float
     time_s: Array
-    """(w,) middles, since the first step."""
+    """(w,) centres, since the first step."""
     nis_per_dof: Array
     """(w,) NaN where nothing was measured."""
     low: Array
     high: Array
-    """(w,) what a consistent filter keeps between with the probability `CONFIDENCE`."""
+    """(w,) bounds within which a consistent filter stays with the probability `CONFIDENCE`."""
     used: Array
     """(w,) features used, mean over the images of the window."""
     rejected: Array
-    """(w,) features rejected, all images of the window together."""
+    """(w,) features rejected in all images of the window."""
 
     @property
     def share_inside(self) -> float:
@@ -47,29 +49,11 @@ class Windows:
         return float(inside.sum() / max(measured.sum(), 1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HeadingError:
-    """Heading by the filter less the ground truth, aligned at the first common moment."""
-
-    time_s: Array
-    """(s,) steps of the filter for which there is ground truth."""
-    error_rad: Array
-    std_rad: Array
-    """(s,) what the filter says of itself."""
-
-
-def uncorrected(run: Run) -> Run:
-    """The same run with the gyro as its data sheet has it: no coefficient corrects a turn."""
-    history = run.history
-    nothing, no_columns = np.zeros_like(history.correction_rad), np.zeros_like(history.columns)
-    return replace(run, history=replace(history, correction_rad=nothing, columns=no_columns))
-
-
 def windows(history: History) -> Windows:
-    """Sum the steps up, so that an hour is as easy to look at as a minute."""
+    """Sum the steps over at most `MAX_WINDOWS` windows."""
     time_s = history.time_s
-    length_s = max(SHORTEST_WINDOW_S, float(np.ceil(time_s[-1] / WINDOWS)))
-    window = np.minimum(time_s / length_s, WINDOWS).astype(int)
+    length_s = max(MIN_WINDOW_S, float(np.ceil(time_s[-1] / MAX_WINDOWS)))
+    window = np.minimum(time_s / length_s, MAX_WINDOWS).astype(int)
     count = int(window.max()) + 1
 
     def total(values: Array) -> Array:
@@ -89,27 +73,22 @@ def windows(history: History) -> Windows:
     )
 
 
+def uncorrected(run: Run) -> Run:
+    """Return the run with the gyro of the data sheet: no coefficient corrects a turn."""
+    history = run.history
+    nothing, no_columns = np.zeros_like(history.correction_rad), np.zeros_like(history.columns)
+    return replace(run, history=replace(history, correction_rad=nothing, columns=no_columns))
+
+
 def camera_off(history: History) -> list[tuple[float, float]]:
-    """Stretches of time (s) in which the heading was not seen for `SHORTEST_BLIND_S` or longer."""
+    """Return beginning and end (s) of spans without an observed heading, `MIN_CAMERA_OFF_S` or longer."""
     seen_s = history.time_s[np.isfinite(history.heading_innovation_rad)]
     times = np.concatenate([history.time_s[:1], seen_s, history.time_s[-1:]])
-    return [(low, high) for low, high in pairwise(times.tolist()) if high - low >= SHORTEST_BLIND_S]
-
-
-def heading_error(run: Run) -> HeadingError | None:
-    """The heading error where there is ground truth."""
-    truth = truth_path(run)
-    if truth is None:
-        return None
-    slam = slam_path(run)
-    both = (slam.time_s >= truth.time_s[0]) & (slam.time_s <= truth.time_s[-1])
-    time_s = slam.time_s[both]
-    error = slam.yaw_rad[both] - np.interp(time_s, truth.time_s, truth.yaw_rad)
-    return HeadingError(time_s, error, run.history.std[both, YAW])
+    return [(low, high) for low, high in pairwise(times.tolist()) if high - low >= MIN_CAMERA_OFF_S]
 
 
 def distances_m(tracks: Mapping[str, Trajectory2D], truth: Trajectory2D) -> tuple[Array, dict[str, Array]]:
-    """How far paths are from the ground truth.
+    """Compute the distances of trajectories from the ground truth.
 
     Returns:
         Times (j,) and, by name, distances (j,).
@@ -122,15 +101,15 @@ def distances_m(tracks: Mapping[str, Trajectory2D], truth: Trajectory2D) -> tupl
     return time_s, {name: np.hypot(*gap) for name, gap in apart.items()}
 
 
-def kept(columns: Array, limit: int) -> IntArray:
-    """Which rows of a long table to draw: every bin keeps the extremes of each column.
+def rows_to_draw(columns: Array, limit: int) -> IntArray:
+    """Select rows of a long table so that every bin of rows keeps the extremes of each column.
 
     Args:
         columns: (n, c), NaN allowed.
-        limit: about so many rows remain.
+        limit: number of rows to keep, about.
 
     Returns:
-        Sorted row numbers, with the first and the last row.
+        Sorted row numbers, the first and the last row among them.
     """
     count, width = columns.shape
     if count <= limit:
@@ -141,20 +120,6 @@ def kept(columns: Array, limit: int) -> IntArray:
         for filled in (np.nan_to_num(columns, nan=np.inf), np.nan_to_num(-columns, nan=np.inf))
     )
     return np.unique(np.concatenate([[0, count - 1], *lowest, *highest]))
-
-
-def quaternions(euler_rad: Array) -> Array:
-    """Attitudes (s, 4) as x, y, z, w from roll, pitch, yaw (s, 3)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(euler_rad.T / 2.0), np.sin(euler_rad.T / 2.0)
-    return np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=1,
-    )
 
 
 def _chi_square_bounds(dof: int) -> tuple[float, float]:

@@ -1,9 +1,11 @@
-"""What commands print for other programs, under the names that scripts rely on."""
+"""Dictionaries that commands print as JSON, under the keys that scripts rely on."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+from gyrocal_ros import statistics
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.advice import CAUTION, advice
 from gyrocal_ros.diagnose.comparison import Comparison, ModelResult
@@ -20,7 +22,7 @@ from gyrocal_ros.pipeline.calibration import Calibration, coefficient_table, con
 
 
 def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
-    """What `replay --json` prints, but for the time it took."""
+    """Return what `replay --json` prints, except the wall time."""
     summary: dict[str, Any] = {
         'source': run.source,
         'scale_factor': calibration.scale_factor,
@@ -44,29 +46,29 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
 
 
 def summarise_diagnosis(searched: Search, diagnosis: Diagnosis) -> dict[str, Any]:
-    """What `diagnose --json` prints, but for the time it took."""
+    """Return what `diagnose --json` prints, except the wall time."""
     run = searched.first.run
     return {
         'source': run.source,
         'verdict': diagnosis.verdict,
-        'missing': [_finding(finding) for finding in diagnosis.missing],
+        'missing': [_missing(item) for item in diagnosis.missing],
         'fails_where': [_failure(failure) for failure in diagnosis.fails_where],
-        'unexplained': _oddity(diagnosis.unexplained),
+        'unexplained': _structure(diagnosis.unexplained),
         'advice': advice(diagnosis),
         'not_judged': diagnosis.not_judged,
-        'ranked': [_suspect(ranked_effect) for ranked_effect in diagnosis.ranked],
+        'ranked': [_ranked(ranked) for ranked in diagnosis.ranked],
         'drift_reference': diagnosis.drift_reference,
         'duration_s': run.span.duration_s,
     }
 
 
 def summarise_comparison(comparison: Comparison) -> dict[str, Any]:
-    """What `compare --json` prints, but for the time it took."""
+    """Return what `compare --json` prints, except the wall time."""
     run = comparison.results[0].run
     return {
         'source': run.source,
         'best': comparison.best.label,
-        'models': [_rival(rival) for rival in comparison.results],
+        'models': [_model(result) for result in comparison.results],
         'diverged': [{'model': label, 'why': why} for label, why in comparison.diverged.items()],
         'drift_reference': comparison.drift_reference,
         'duration_s': run.span.duration_s,
@@ -74,21 +76,21 @@ def summarise_comparison(comparison: Comparison) -> dict[str, Any]:
 
 
 def summarise_improvement(improved: Improvement) -> dict[str, Any]:
-    """What `improve --json` prints, but for the time it took."""
+    """Return what `improve --json` prints, except the wall time."""
     run = improved.final.examined.run
     return {
         'source': run.source,
         'effects': [effect.name for effect in run.model.effects],
         'coefficients': coefficient_table(conclude(run)),
         'revisions': [merit(revision) for revision in improved.revisions],
-        'unexplained': _oddity(improved.final.examined.unexplained_structure),
+        'unexplained': _structure(improved.final.examined.unexplained_structure),
         'drift_reference': improved.drift_reference,
         'duration_s': run.span.duration_s,
     }
 
 
 def merit(revision: Revision) -> dict[str, Any]:
-    """The figures of merit of one revision."""
+    """Return the figures of merit of one revision."""
     run = revision.examined.run
     calibration = conclude(run)
     return {
@@ -110,33 +112,32 @@ def merit(revision: Revision) -> dict[str, Any]:
 
 
 def nis_per_dof(run: Run) -> float:
-    """Innovations as a part of what the filter expects, 1 where it is right."""
-    return float(run.history.nis.sum() / run.history.dof.sum())
+    """Return the NIS per degree of freedom: 1 for a consistent filter, NaN without measurements."""
+    value = statistics.nis_per_dof(run.history.nis, run.history.dof)
+    return math.nan if value is None else value
 
 
-def _finding(finding: MissingEffect) -> dict[str, Any]:
+def _missing(item: MissingEffect) -> dict[str, Any]:
     return {
-        'effect': finding.effect.name,
-        'coefficients': _coefficients(finding.effect, finding.values, finding.stds),
-        'log_likelihood_gain': finding.gain,
-        'significance_sigma': finding.sigma,
-        'p_value': finding.p_value,
-        'held_out_drift_before_deg': finding.drift_before_deg,
-        'held_out_drift_after_deg': finding.drift_after_deg,
-        'confused_with': finding.confused_with,
+        'effect': item.effect.name,
+        'coefficients': _coefficients(item.effect, item.values, item.stds),
+        'log_likelihood_gain': item.gain,
+        'significance_sigma': item.sigma,
+        'p_value': item.p_value,
+        'held_out_drift_before_deg': item.drift_before_deg,
+        'held_out_drift_after_deg': item.drift_after_deg,
+        'confused_with': item.confused_with,
     }
 
 
-def _suspect(ranked_effect: RankedEffect) -> dict[str, Any]:
+def _ranked(ranked: RankedEffect) -> dict[str, Any]:
     return {
-        'effect': ranked_effect.effect.name,
-        'coefficients': _coefficients(
-            ranked_effect.effect, estimate(ranked_effect), estimate_stds(ranked_effect)
-        ),
-        'log_likelihood_gain': ranked_effect.fit.gain,
-        'significance_sigma': ranked_effect.fit.sigma,
-        'p_value': ranked_effect.fit.p_value,
-        'significant': ranked_effect.is_significant,
+        'effect': ranked.effect.name,
+        'coefficients': _coefficients(ranked.effect, estimate(ranked), estimate_stds(ranked)),
+        'log_likelihood_gain': ranked.fit.gain,
+        'significance_sigma': ranked.fit.sigma,
+        'p_value': ranked.fit.p_value,
+        'significant': ranked.is_significant,
     }
 
 
@@ -153,42 +154,42 @@ def _failure(failure: Failure) -> dict[str, Any]:
     return {'what': failure.what, **place, 'sigma': failure.sigma}
 
 
-def _oddity(odd: UnexplainedStructure | None) -> dict[str, Any] | None:
-    if odd is None:
+def _structure(structure: UnexplainedStructure | None) -> dict[str, Any] | None:
+    if structure is None:
         return None
-    shape = odd.shape
+    shape = structure.shape
     return {
-        'what': odd.what,
+        'what': structure.what,
         'signal': shape.signal,
         'of': 'scale' if shape.of_scale else 'bias',
         'unit': '1' if shape.of_scale else 'rad/s',
-        'at_s': odd.at_s,
+        'at_s': structure.at_s,
         'knots': shape.knots,
         'values': shape.values,
         'stds': shape.stds,
-        'log_likelihood_gain': odd.gain,
-        'significance_sigma': odd.sigma,
+        'log_likelihood_gain': structure.gain,
+        'significance_sigma': structure.sigma,
         'caution': CAUTION,
     }
 
 
-def _rival(rival: ModelResult) -> dict[str, Any]:
-    calibration = conclude(rival.run)
-    by_truth = rival.fails_by_truth
+def _model(result: ModelResult) -> dict[str, Any]:
+    calibration = conclude(result.run)
+    by_truth = result.fails_by_truth
     return {
-        'model': rival.label,
-        'effects': [effect.name for effect in rival.run.model.effects],
+        'model': result.label,
+        'effects': [effect.name for effect in result.run.model.effects],
         'scale_factor': calibration.scale_factor,
         'scale_factor_std': calibration.scale_factor_std,
         'coefficients': coefficient_table(calibration),
         'converged': calibration.converged,
-        'heading_rms_deg': rival.heading_rms_deg,
-        'blind_drift_deg': _drift(rival.drift),
-        'drift_fell_sigma': rival.drift_sigma,
-        'log_likelihood_gain': rival.gain,
-        'log_likelihood_gain_sigma': rival.gain_sigma,
-        'nis_per_dof': nis_per_dof(rival.run),
-        'fails_where': [_failure(failure) for failure in rival.fails_where],
+        'heading_rms_deg': result.heading_rms_deg,
+        'blind_drift_deg': _drift(result.drift),
+        'drift_fell_sigma': result.drift_sigma,
+        'log_likelihood_gain': result.gain,
+        'log_likelihood_gain_sigma': result.gain_sigma,
+        'nis_per_dof': nis_per_dof(result.run),
+        'fails_where': [_failure(failure) for failure in result.fails_where],
         'fails_by_truth': None if by_truth is None else [_failure(failure) for failure in by_truth],
     }
 

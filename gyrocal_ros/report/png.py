@@ -1,4 +1,4 @@
-"""Figures as PNG pictures, for papers and slides: drawn by a Chromium or Chrome of this machine."""
+"""Figures as PNG pictures for papers and slides, drawn by a Chromium or Chrome of this machine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gyrocal_ros.errors import GyrocalError
 
 WIDTH_PX = 1100
 SCALE = 2
-"""So many pixels of the picture for one of the figure."""
+"""Number of picture pixels for a pixel of the figure."""
 REMEDY = (
     "`pip install 'kaleido>=1'` and a Chromium are needed for that; "
     'every figure of report.html has a button that saves it'
@@ -24,14 +24,14 @@ def save_png(figures: Mapping[str, go.Figure], folder: Path) -> None:
     """Draw figures into a folder, `NAME.png` each, on white.
 
     Raises:
-        GyrocalError: this machine has no browser that could draw them.
+        GyrocalError: kaleido is missing, or this machine has no browser that it can use.
     """
     if find_spec('kaleido') is None:
         raise GyrocalError('figures were not drawn as PNG, kaleido is missing', todo=REMEDY)
     import kaleido
 
     try:
-        # Without mathjax, which it would fetch from the network.
+        # Without mathjax, which it would load from the network.
         kaleido.write_fig_from_object_sync(
             [*_orders(figures, folder)], cancel_on_error=True, kopts={'mathjax': False}
         )

@@ -1,0 +1,117 @@
+"""The page about an improved model: its revisions, and how the error fell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from gyrocal_ros import __version__
+from gyrocal_ros.diagnose.drift import REFERENCES, SPAN_S
+from gyrocal_ros.diagnose.improvement import Improvement, Revision
+from gyrocal_ros.diagnose.model_series import coefficients
+from gyrocal_ros.effects.model_file import model_to_yaml
+from gyrocal_ros.report.comparison_figures import (
+    Mark,
+    coefficients_by_model,
+    drift_by_span,
+    drift_section,
+)
+from gyrocal_ros.report.describe import (
+    Verdict,
+    drift_in_words,
+    events_in_words,
+    improvement_headline,
+    with_gain,
+)
+from gyrocal_ros.report.diagnosis_figures import heading_section
+from gyrocal_ros.report.html import Section, details, document, gallery, table, verdict_box, warnings
+
+FITTED = """Fitted: the same spans with the final coefficients; where that is much smaller, the model fits the
+    noise of this recording. Hollow marks are revisions that were left out."""
+DRIFT_BY_SPAN = 'The held-out spans one by one; the lines are the rms.'
+COEFFICIENTS = """With three standard deviations. A coefficient that moves by more than that when an effect is
+    added was biased before: it had absorbed a part of the missing effect."""
+HEADS = ('revision', '', 'held-out drift (deg)', 'fitted drift (deg)', 'predictive gain', 'reason')
+NOTE = (
+    f'Drift: rms after {SPAN_S:.0f} s without the camera, with its 90 % interval. Predictive gain: '
+    'log-likelihood of the recording relative to the revision that it builds on; each measurement is '
+    'predicted from those before it.'
+)
+
+
+def improvement_page(improved: Improvement, findings: Sequence[tuple[str, str]] = ()) -> str:
+    """Return the page as HTML text.
+
+    Args:
+        improved: all revisions.
+        findings: severity and text of the issues of the recording.
+    """
+    run = improved.final.examined.run
+    return document(
+        f'Improved model of {run.source}',
+        f'{run.span.duration_s:.0f} s recorded, model {run.model.name}, gyrocal {__version__}',
+        [
+            verdict_box(conclusion(improved)),
+            warnings([*findings, *events_in_words(run)]),
+            table('Revisions', HEADS, [_row(revision) for revision in improved.revisions], NOTE),
+            gallery(improvement_sections(improved)),
+            details('Final sensor model (model.yaml)', model_to_yaml(run.model)),
+        ],
+    )
+
+
+def conclusion(improved: Improvement) -> Verdict:
+    """State what was added, and how far the error fell."""
+    first, final = improved.kept[0], improved.final
+    before, after = drift_in_words(first.held_out), drift_in_words(final.held_out)
+    against = f'rms on held-out spans against {REFERENCES[improved.drift_reference]}'
+    drifts = f'With the camera covered for {SPAN_S:.0f} s the heading drifts'
+    tried = [
+        f'{revision.effect.name} was tried and {revision.why}.'
+        for revision in improved.revisions
+        if revision.effect is not None and not revision.is_kept
+    ]
+    if final is first:
+        result = f'{drifts} {before} deg ({against}).'
+        return Verdict('good', improvement_headline(improved), (result, *tried))
+    result = f'{drifts} {after} deg; before, it was {before} deg ({against}).'
+    todo = 'Give the robot the new model.yaml and calibration.yaml of this folder.'
+    return Verdict('good', improvement_headline(improved), (result, *tried), (todo,))
+
+
+def _row(revision: Revision) -> tuple[str, ...]:
+    return (
+        revision.label,
+        'kept' if revision.is_kept else 'left out',
+        drift_in_words(revision.held_out),
+        drift_in_words(revision.fitted),
+        with_gain(revision.gain, revision.gain_sigma) if revision.effect is not None else '',
+        revision.why,
+    )
+
+
+def improvement_sections(improved: Improvement) -> Iterator[Section]:
+    """Yield the figures of the page."""
+    revisions, final = improved.revisions, improved.final
+    if all(len(revision.held_out.error_rad) for revision in revisions):
+        marks = drift_marks(improved)
+        yield drift_section('Drift without the camera, revision by revision', marks, more=FITTED)
+    first = improved.kept[0]
+    shown = {revision.label: revision.examined.seen for revision in dict.fromkeys((first, final))}
+    yield heading_section('Heading by the gyro alone', shown, final.examined.run.history)
+    if final is not first and len(final.held_out.error_rad):
+        drifts = {revision.label: revision.held_out for revision in improved.kept}
+        yield Section('drift_by_span', drift_by_span(drifts), DRIFT_BY_SPAN)
+    estimates = coefficients(
+        (revision.label, revision.examined.run, revision.is_kept) for revision in revisions
+    )
+    labels = [revision.label for revision in revisions]
+    yield Section('coefficients', coefficients_by_model(estimates, labels), COEFFICIENTS)
+
+
+def drift_marks(improved: Improvement) -> list[Mark]:
+    """Return the held-out and the fitted drift of each revision."""
+    return [
+        Mark(revision.label, series, drift, revision.is_kept)
+        for revision in improved.revisions
+        for series, drift in (('held out', revision.held_out), ('fitted', revision.fitted))
+    ]

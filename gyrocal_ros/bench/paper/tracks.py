@@ -71,13 +71,13 @@ def figure_13(each: Mapper, seeds: int) -> Tracks:
         assess(
             'SLAM stays on the ground truth',
             'by eye',
-            f'{_centimetres(ends[SLAM])} error at the end of 5 minutes',
+            f'error at the end of 5 minutes: {_centimetres(ends[SLAM])}',
             float(ends[SLAM].max()) < 0.10,
         ),
         assess(
             'dead reckoning with the calibrated gyro does not',
             'by eye',
-            f'{_centimetres(ends[GYRO])} error after {END_S - OFF_S:.0f} s without the camera',
+            f'error after {END_S - OFF_S:.0f} s without the camera: {_centimetres(ends[GYRO])}',
             float(ends[GYRO].mean()) > float(ends[SLAM].mean()),
         ),
     )

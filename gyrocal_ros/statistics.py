@@ -11,14 +11,14 @@ from scipy import special
 from gyrocal_ros.data import Array
 
 SMALLEST_P_VALUE = 1e-300
-"""Floor of p-values: smaller ones underflow; it stands for 37 sigma."""
+"""Floor of p-values: smaller ones underflow; it corresponds to 37 sigma."""
 NORMAL_MAD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
 
 
 @lru_cache(maxsize=256)
 def chi_square_quantile(probability: float, dof: float) -> float:
-    """Return the value below which a chi-square variable lies with the given probability."""
+    """Return the quantile of the chi-square distribution: the value with the given probability below it."""
     return float(special.chdtri(dof, 1.0 - probability))
 
 
@@ -28,7 +28,7 @@ def chi_square_tail(value: float, dof: float) -> float:
 
 
 def normal_quantile(probability: float) -> float:
-    """Return the value below which a standard normal variable lies with the given probability."""
+    """Return the quantile of the standard normal distribution."""
     return float(special.ndtri(probability))
 
 

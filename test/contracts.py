@@ -17,9 +17,10 @@ import pytest
 from numpy.typing import ArrayLike
 
 from gyrocal_ros.config.sections import FeatureConfig
-from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds, seconds
+from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds, seconds
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, find_effect
 from gyrocal_ros.effects.base import LibraryEffect
+from gyrocal_ros.effects.checks import faults
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.effects.sketch import sketch
 from gyrocal_ros.ekf.effects_by_place import (
@@ -39,6 +40,7 @@ from gyrocal_ros.model.features.base import (
     Prediction,
     posed_camera,
 )
+from gyrocal_ros.model.recording import GyroReadings
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import (
     Effect,
@@ -294,6 +296,18 @@ class EffectContract:
             assert 0.0 <= item.prior_std < math.inf
             assert 0.0 <= item.walk < math.inf
 
+    def test_nothing_keeps_it_from_being_used(self, effect: Effect) -> None:
+        named = replace(effect, name=effect.name.partition(':')[0])  # type: ignore[type-var]
+        assert list(faults(named)) == []
+
+    def test_typical_ranges_are_complete(self, effect: Effect) -> None:
+        ranges = [item.typical for item in effect.coefficients]
+        assert all(item is None for item in ranges) or None not in ranges
+        for item in filter(None, ranges):
+            assert item.low > 0.0 and item.high > 0.0 and item.low != item.high
+            assert item.value(0.0) == item.low and item.value(1.0) == pytest.approx(item.high)
+        assert not any(ranges) or any(item.is_strength for item in filter(None, ranges))
+
     def test_a_model_file_reproduces_it(self, effect: Effect) -> None:
         items = tuple(
             replace(item, prior_mean=item.prior_mean + 0.1, prior_std=2.0 * item.prior_std + 0.01, walk=1e-6)
@@ -443,6 +457,46 @@ class ImageEffectContract(EffectContract):
         by_values = self.by_values(effect, form, draws(effect)[1])
         moved = prediction.by_feature @ first_sight_by_values(prediction, by_values)
         np.testing.assert_allclose(moved, -by_values, atol=1e-7 * np.abs(by_values).max())
+
+
+class LimitContract:
+    """A limit is detected in the readings of a sensor that has it."""
+
+    T_NS = np.arange(20_000) * 5_000_000
+
+    def nominal(self) -> Array:
+        """Readings of a sensor without the limit: turns of 100 deg/s, and rests with noise."""
+        time_s = self.T_NS / NS_PER_S
+        turning = math.radians(100.0) * np.sin(time_s / 3.0) * (time_s % 60.0 < 40.0)
+        noise: Array = math.radians(0.5) * np.random.default_rng(0).normal(size=len(time_s))
+        return turning + noise
+
+    def limited(self, effect: Any, limit: float) -> GyroReadings:
+        dt_s = np.full(len(self.T_NS), 0.005)
+        return GyroReadings(self.T_NS, effect.readings(self.nominal(), dt_s, np.array([limit]), 1.0))
+
+    def test_it_is_detected(self, effect: Any) -> None:
+        typical = effect.coefficients[0].typical
+        for limit in (typical.value(0.3), typical.value(0.7)):
+            found = effect.detect(self.limited(effect, limit))
+            assert found is not None and found.value == pytest.approx(limit, rel=0.05)
+            assert effect.is_plausible(self.limited(effect, limit), found.value)
+
+    def test_it_is_not_detected_in_noise(self, effect: Any) -> None:
+        noise = math.radians(20.0) * np.random.default_rng(0).normal(size=len(self.T_NS))
+        assert effect.detect(GyroReadings(self.T_NS, noise)) is None
+        assert effect.detect(GyroReadings(self.T_NS[:0], noise[:0])) is None
+
+    def test_the_rate_error_has_the_sign_of_the_rate_lost(self, effect: Any) -> None:
+        """The sign matters where readings are clipped; inside a dead band the rate is noise."""
+        limit = effect.coefficients[0].typical.value(0.5)
+        read = self.limited(effect, limit).rate_rad_s
+        error, bias_part = effect.rate_error(read, limit)
+        assert error.shape == bias_part.shape == read.shape
+        clipped = np.abs(self.nominal()) > 1.01 * limit
+        lost = (self.nominal() - read)[clipped]
+        assert np.all(error[clipped] * lost >= 0.0)
+        assert np.any(error) or np.any(bias_part)
 
 
 class OdometryContract:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from gyrocal_ros.diagnose.heading_filter import Headings, headings
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import History, Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
-from gyrocal_ros.ekf.state import YAW, State, no_landmarks
-from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State, no_landmarks
+from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 from gyrocal_ros.model.sensor import Effect
 
 DT_S = 0.1
@@ -128,11 +128,30 @@ def drive(
     return Drive(run, headings(run))
 
 
-def readings(rate_rad_s: Array, hz: float = 1.0 / DT_S, *, start_s: float = 0.0) -> RecordingSummary:
-    """A recording of nothing but readings (n,) of the yaw rate."""
-    time_s = start_s + np.arange(len(rate_rad_s)) / hz
-    duration_s = len(rate_rad_s) / hz
-    return RecordingSummary(RIG, (), (), False, duration_s, _ns(time_s), rate_rad_s)
+def banded(width_rad_s: float) -> Drive:
+    """Make the run of a gyro with a dead band whose edge noise hides: at rest the bias does not show."""
+    bias = 0.8 * width_rad_s
+    made = drive(np.where(turning_rad_s(300.0) == 0.0, 0.0, bias))
+    mean = made.run.history.mean.copy()
+    mean[:, YAW_BIAS] = bias
+    return replace(made, run=replace(made.run, history=replace(made.run.history, mean=mean)))
+
+
+def readings(rate_rad_s: Array, hz: float = 1.0 / DT_S, *, start_s: float = 0.0) -> GyroReadings:
+    """Stamp readings (n,) of the yaw rate."""
+    return GyroReadings(_ns(start_s + np.arange(len(rate_rad_s)) / hz), rate_rad_s)
+
+
+def readings_of(made: Drive) -> GyroReadings:
+    """Return the readings that a drive was run on, one in the middle of each step."""
+    history = made.run.history
+    return readings(history.turn_rad / history.dt_s, start_s=0.5 * DT_S)
+
+
+def recording_of(made: GyroReadings) -> RecordingSummary:
+    """Summarise a recording that holds nothing but readings of the yaw rate."""
+    duration_s = float(np.ptp(made.t_ns)) / NS_PER_S if len(made.t_ns) else 0.0
+    return RecordingSummary(RIG, (), (), frozenset(), duration_s, made)
 
 
 def _ns(time_s: Array) -> IntArray:

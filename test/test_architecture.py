@@ -5,8 +5,13 @@ from __future__ import annotations
 import ast
 import re
 import sys
+from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
+
+import pytest
+
+from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS
 
 PROJECT = Path(__file__).resolve().parent.parent
 PACKAGE = PROJECT / 'gyrocal_ros'
@@ -55,6 +60,21 @@ LIBRARY_HOMES = {
     'tqdm': ('cli/output.py',),
 }
 """The one room of each outside library, so that it can be exchanged or go missing without harm elsewhere."""
+
+EFFECTS_APART = {
+    *('__init__', 'base', 'checks', 'describe', 'library', 'model_file', 'registry', 'sketch', 'traits')
+}
+"""Modules of the room of effects that hold no effect."""
+ROOMS_WITHOUT_EFFECTS = ('bench', 'diagnose', 'sim')
+EFFECT_MAKERS = {
+    'scale.scale_power',
+    'scale.FULL_RATE_RAD_S',
+    'covariate.covariate_bank',
+    'covariate.covariate_bias',
+    'covariate.covariate_effects',
+    'covariate.covariate_scale',
+}
+"""Functions, and the constant of one, by which rooms without effects make those that have a parameter."""
 
 MAX_LINES, NODE_LINES = 400, 200
 EQUATIONS_OF_THE_PAPER = range(1, 23)
@@ -193,8 +213,55 @@ def test_every_effect_is_in_the_table_of_contents() -> None:
     modules = {module.stem for module in (PACKAGE / 'effects').glob('*.py')}
     contents = imported_modules(PACKAGE / 'effects' / 'library.py')
     listed = {name.split('.')[2] for name in contents if name.startswith('gyrocal_ros.effects.')}
-    machinery = {'checks', 'describe', 'library', 'model_file', 'registry', 'sketch', 'traits'}
-    assert modules - listed == {'__init__', *machinery}
+    assert listed <= modules
+    assert modules - listed | {'base'} == EFFECTS_APART
+
+
+def effect_names_in(module: Path) -> Iterator[str]:
+    """Names of effects that a module mentions: as a string, or as its beginning before `:` or `.`."""
+    for node in ast.walk(ast.parse(module.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            name = re.split('[:.]', node.value, maxsplit=1)[0]
+            if name in EFFECTS or name in COVARIATE_EFFECTS:
+                yield name
+
+
+def effects_imported_by(module: Path) -> Iterator[str]:
+    """What a module imports from modules of effects, but for what any effect may be made with."""
+    for name in imported_modules(module):
+        room_name, effect, made = [*name.split('.'), '', '', ''][1:4]
+        is_module = room_name == 'effects' and (PACKAGE / 'effects' / f'{effect}.py').is_file()
+        if is_module and effect not in EFFECTS_APART and f'{effect}.{made}' not in EFFECT_MAKERS:
+            yield name
+
+
+@pytest.mark.parametrize('name', ROOMS_WITHOUT_EFFECTS)
+def test_the_room_knows_no_effect_by_name(name: str) -> None:
+    """An effect of the user's is then treated as one of the library."""
+    modules = sorted((PACKAGE / name).rglob('*.py'))
+    assert modules
+    found = {
+        module.relative_to(PACKAGE).as_posix(): [*effect_names_in(module), *effects_imported_by(module)]
+        for module in modules
+    }
+    assert {place: names for place, names in found.items() if names} == {}
+
+
+def test_names_and_imports_of_effects_are_found(tmp_path: Path) -> None:
+    module = tmp_path / 'module.py'
+    module.write_text(
+        'from gyrocal_ros.effects import EFFECTS\n'
+        'from gyrocal_ros.effects.base import column\n'
+        'from gyrocal_ros.effects.scale import scale_power\n'
+        'from gyrocal_ros.effects.gyro_lag import GyroLag\n'
+        'import gyrocal_ros.effects.turn_slip\n'
+        "names = ['wheel_scale', 'the wheel_scale', f'covariate_bias:{1}', 'cross_axis.mx', 'scale']\n"
+    )
+    assert sorted(effect_names_in(module)) == ['covariate_bias', 'cross_axis', 'wheel_scale']
+    assert sorted(effects_imported_by(module)) == [
+        'gyrocal_ros.effects.gyro_lag.GyroLag',
+        'gyrocal_ros.effects.turn_slip',
+    ]
 
 
 def test_no_text_knows_the_machine_it_was_written_on() -> None:

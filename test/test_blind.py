@@ -1,4 +1,4 @@
-"""Blind trials: the matrix, what counts as right, the arithmetic of the rows; and one very short trial."""
+"""Blind trials: the cases, the right answers, the figures of a row, and one short trial."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from synthetic import drive
 
 from gyrocal_ros.bench import blind as bench
 from gyrocal_ros.bench.blind import (
-    MET_BY,
     MOMENT_S,
     PAIRS,
     WRONG_NOISE,
@@ -26,17 +25,19 @@ from gyrocal_ros.bench.blind import (
     run_blind,
 )
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
+from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.effects import EFFECTS, find_effect
+from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import LIBRARY_RANGES, OUT_OF_LIBRARY_RANGES
-from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
+from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY, VOLTAGE
 from gyrocal_ros.sim.scenarios import find_scenario
 
 
 class TestCases:
-    def test_the_matrix_holds_every_effect_pairs_strangers_and_nothing(self) -> None:
+    def test_the_cases_are_nothing_every_effect_pairs_and_effects_out_of_the_library(self) -> None:
         every = cases()
         assert [case.label for case in every if not case.names and case.noise == 1.0] == ['none']
         assert sorted(case.noise for case in every if case.noise != 1.0) == [1.0 / WRONG_NOISE, WRONG_NOISE]
@@ -64,7 +65,9 @@ def finding(effect: Effect, *confused_with: str, **changes: Any) -> MissingEffec
     return replace(found, **changes)
 
 
-def said(*names: str, verdict: str = 'effect_found', left: UnexplainedStructure | None = None) -> Diagnosis:
+def diagnosed(
+    *names: str, verdict: str = 'effect_found', left: UnexplainedStructure | None = None
+) -> Diagnosis:
     missing = tuple(finding(find_effect(name)) for name in names)
     return Diagnosis(verdict, missing, (), {}, left, (), 'ground truth')
 
@@ -76,51 +79,63 @@ def hidden(*names: str) -> tuple[Case, list[HiddenEffect]]:
 
 
 @cache
-def odd(signal: str, at_s: float | None = None) -> UnexplainedStructure:
-    """Something left over that goes with a signal."""
+def structure(signal: str, at_s: float | None = None) -> UnexplainedStructure:
+    """Make unexplained structure that goes with a signal."""
     made = drive(duration_s=60.0, signals={signal: np.linspace(0.0, 1.0, 600)})
     shape = next(item for item in shapes(made.run, made.seen) if item.signal == signal)
-    return UnexplainedStructure('odd', 50.0, 9.0, shape, at_s)
+    return UnexplainedStructure('structure', 50.0, 9.0, shape, at_s)
 
 
 class TestIsRight:
     def test_nothing(self) -> None:
-        assert is_right(Case('none'), [], said(verdict='nothing_missing'))
-        assert not is_right(Case('none'), [], said('gyro_lag'))
-        assert not is_right(Case('none'), [], said(verdict='cannot_tell'))
+        assert is_right(Case('none'), [], diagnosed(verdict='nothing_missing'))
+        assert not is_right(Case('none'), [], diagnosed('gyro_lag'))
+        assert not is_right(Case('none'), [], diagnosed(verdict='cannot_tell'))
 
-    def test_one_has_to_be_named_first(self) -> None:
+    def test_one_effect_has_to_be_named_first(self) -> None:
         one = hidden('gyro_lag')
-        assert is_right(*one, said('gyro_lag')) and is_right(*one, said('gyro_lag', 'scale_cubic'))
-        assert not is_right(*one, said('scale_cubic', 'gyro_lag'))
-        assert not is_right(*one, said(verdict='nothing_missing'))
+        assert is_right(*one, diagnosed('gyro_lag')) and is_right(*one, diagnosed('gyro_lag', 'scale_cubic'))
+        assert not is_right(*one, diagnosed('scale_cubic', 'gyro_lag'))
+        assert not is_right(*one, diagnosed(verdict='nothing_missing'))
 
-    def test_of_two_both_and_no_third(self) -> None:
+    def test_of_two_effects_both_have_to_be_named_and_no_third(self) -> None:
         two = hidden('gyro_lag', 'scale_cubic')
-        assert is_right(*two, said('scale_cubic', 'gyro_lag'))
-        assert not is_right(*two, said('gyro_lag'))
-        assert not is_right(*two, said('gyro_lag', 'scale_cubic', 'turn_slip'))
+        assert is_right(*two, diagnosed('scale_cubic', 'gyro_lag'))
+        assert not is_right(*two, diagnosed('gyro_lag'))
+        assert not is_right(*two, diagnosed('gyro_lag', 'scale_cubic', 'turn_slip'))
 
     @pytest.mark.parametrize(('late_s', 'right'), [(0.9 * MOMENT_S, True), (1.1 * MOMENT_S, False)])
-    def test_a_knock_has_to_be_told_when(self, late_s: float, right: bool) -> None:
+    def test_the_moment_of_a_jump_has_to_be_right(self, late_s: float, right: bool) -> None:
         case, (knock,) = hidden('stranger_knock')
         knock = replace(knock, values=(0.01, 150.0))
-        unknown = odd('time since the start (s)', 150.0 + late_s)
-        assert is_right(case, [knock], said(verdict='unexplained', left=unknown)) == right
-        assert not is_right(case, [knock], said(verdict='unexplained', left=replace(unknown, at_s=None)))
-        assert not is_right(case, [knock], said('bias_temperature'))
+        unknown = structure('time since the start (s)', 150.0 + late_s)
+        assert is_right(case, [knock], diagnosed(verdict='unexplained', left=unknown)) == right
+        assert not is_right(case, [knock], diagnosed(verdict='unexplained', left=replace(unknown, at_s=None)))
+        assert not is_right(case, [knock], diagnosed('bias_temperature'))
 
-    @pytest.mark.parametrize('name', MET_BY)
-    def test_of_other_strangers_an_effect_or_the_signal(self, name: str) -> None:
-        stranger, (effect, signal) = hidden(name), MET_BY[name]
-        assert is_right(*stranger, said(effect))
-        assert is_right(*stranger, said(verdict='unexplained', left=odd(signal)))
-        assert not is_right(*stranger, said(verdict='unexplained', left=odd('another')))
-        assert not is_right(*stranger, said('gyro_lag', effect))
-        assert not is_right(*stranger, said(verdict='nothing_missing'))
+    @pytest.mark.parametrize(
+        ('name', 'effect', 'signal'),
+        [
+            ('stranger_speed_bias', f'covariate_bias:{SPEED_SIGNAL}', SPEED_SIGNAL),
+            ('stranger_supply_kink', f'covariate_scale:{VOLTAGE}', VOLTAGE),
+        ],
+    )
+    def test_out_of_the_library_an_effect_or_the_signal_is_right(
+        self, name: str, effect: str, signal: str
+    ) -> None:
+        unknown = hidden(name)
+        assert (OUT_OF_LIBRARY[name].right_effect, OUT_OF_LIBRARY[name].right_signal) == (effect, signal)
+        assert is_right(*unknown, diagnosed(effect))
+        assert is_right(*unknown, diagnosed(verdict='unexplained', left=structure(signal)))
+        assert not is_right(*unknown, diagnosed(verdict='unexplained', left=structure('another')))
+        assert not is_right(*unknown, diagnosed('gyro_lag', effect))
+        assert not is_right(*unknown, diagnosed(verdict='nothing_missing'))
 
-    def test_every_stranger_can_be_met(self) -> None:
-        assert {'stranger_knock', *MET_BY} == set(OUT_OF_LIBRARY_RANGES)
+    def test_every_effect_out_of_the_library_has_a_right_answer(self) -> None:
+        assert set(OUT_OF_LIBRARY) == set(OUT_OF_LIBRARY_RANGES)
+        with_signal = {name for name, effect in OUT_OF_LIBRARY.items() if effect.right_signal is not None}
+        assert set(OUT_OF_LIBRARY) - with_signal == {'stranger_knock'}
+        assert all(OUT_OF_LIBRARY[name].right_effect for name in with_signal)
 
 
 LAG = Case('gyro_lag', ('gyro_lag',))
@@ -153,7 +168,7 @@ DIVERGED = BlindResult(LAG, 9, RIGHT.hidden, is_costly=True, drift_known_deg=0.3
 
 
 class TestRow:
-    def test_shares_of_what_is_costly_and_means_over_all(self) -> None:
+    def test_shares_of_costly_recordings_and_means_over_all(self) -> None:
         found = row('gyro_lag', [RIGHT, TWIN, WRONG, MISSED])
         assert (found['hidden'], found['bags'], found['costly']) == ('gyro_lag', 4, 3)
         assert found['right'] == pytest.approx(1 / 3) and found['or_twin'] == pytest.approx(2 / 3)
@@ -162,10 +177,10 @@ class TestRow:
         assert found['before_deg'] == pytest.approx(2.0) and found['known_deg'] == pytest.approx(0.1)
         assert found['after_deg'] == pytest.approx((0.2 + 0.2 + 0.2 + 2.0) / 4)
 
-    def test_what_was_named(self) -> None:
+    def test_the_effects_named_are_counted(self) -> None:
         left = replace(MISSED, verdict='unexplained', left='the bias jumped')
-        told = row('x', [RIGHT, RIGHT, WRONG, MISSED, left, DIVERGED])['named']
-        assert told.split(', ') == [
+        named = row('x', [RIGHT, RIGHT, WRONG, MISSED, left, DIVERGED])['named']
+        assert named.split(', ') == [
             'gyro_lag 2',
             'scale_cubic + turn_slip 1',
             'nothing_missing 1',
@@ -173,12 +188,12 @@ class TestRow:
             'diverged 1',
         ]
 
-    def test_what_cannot_be_told_is_empty(self) -> None:
+    def test_unknown_figures_are_empty(self) -> None:
         found = row('gyro_lag', [replace(MISSED, is_right=False)])
         assert found['right'] is found['or_twin'] is found['in_3_sigma'] is found['max_sigma'] is None
         assert found['wrong'] == 0.0
 
-    def test_a_filter_that_diverged_counts_against_us(self) -> None:
+    def test_a_filter_that_diverged_is_not_right(self) -> None:
         found = row('gyro_lag', [RIGHT, DIVERGED])
         assert found['right'] == 0.5 and found['wrong'] == 0.0
         assert found['before_deg'] == 2.0 and found['known_deg'] == pytest.approx(0.2)
@@ -189,11 +204,11 @@ class TestRow:
         found = row('none', [quiet, quiet, quiet, alarm])
         assert found['costly'] == 4 and found['right'] == 0.75 and found['wrong'] == 0.25
 
-    def test_a_row_a_case_and_one_of_all(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_one_row_a_case_and_one_of_all(self, monkeypatch: pytest.MonkeyPatch) -> None:
         trials = {'none': replace(MISSED, case=Case('none'), is_right=True), 'gyro_lag': RIGHT}
 
-        def in_order(function: object, tasks: list[tuple[Case, int]]) -> Any:
-            return (replace(trials[case.label], case=case, seed=seed) for case, seed in tasks)
+        def in_order(function: object, tasks: list[tuple[Case, int, DiagnosisSettings]]) -> Any:
+            return (replace(trials[case.label], case=case, seed=seed) for case, seed, _ in tasks)
 
         monkeypatch.setattr(bench, 'in_parallel', in_order)
         rows = list(blind(2, ['none', 'gyro_lag']))
@@ -213,9 +228,9 @@ def short() -> BlindResult:
         return run_blind(LAG, 2)
 
 
-def test_a_trial_knows_what_was_hidden_and_what_was_said(short: BlindResult) -> None:
+def test_a_trial_holds_what_was_hidden_and_what_was_found(short: BlindResult) -> None:
     ((name, (lag_s,)),) = short.hidden
-    assert name == 'gyro_lag' and LIBRARY_RANGES[name][0].visible <= lag_s <= LIBRARY_RANGES[name][0].large
+    assert name == 'gyro_lag' and LIBRARY_RANGES[name][0].low <= lag_s <= LIBRARY_RANGES[name][0].high
     assert short.named[0] == 'gyro_lag' and short.is_right and not short.is_excused
     assert len(short.errors_sigma) == 1 and abs(short.errors_sigma[0]) < 4.0
     drifts = [short.drift_known_deg, short.drift_before_deg, short.drift_after_deg]

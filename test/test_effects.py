@@ -16,6 +16,7 @@ from contracts import (
     GroundEffectContract,
     GyroEffectContract,
     ImageEffectContract,
+    LimitContract,
     OdometryContract,
     WheelEffectContract,
     eventful_block,
@@ -34,6 +35,7 @@ from gyrocal_ros.model.sensor import (
     Effect,
     GyroEffect,
     GyroTerm,
+    LimitEffect,
     Memory,
     coefficient_names,
     placed,
@@ -80,6 +82,13 @@ class TestEachEffectOnImages(ImageEffectContract):
     'effect', [effect for effect in ALL if isinstance(effect, CameraEffectOnOdometry)], ids=lambda e: e.name
 )
 class TestEachEffectOnOdometry(OdometryContract):
+    pass
+
+
+@pytest.mark.parametrize(
+    'effect', [effect for effect in ALL if isinstance(effect, LimitEffect)], ids=lambda e: e.name
+)
+class TestEachLimit(LimitContract):
     pass
 
 

@@ -1,16 +1,15 @@
-"""Every effect hidden in a recording without noise: a filter that is told of it has nothing left over."""
+"""Every effect hidden in a recording without noise: with it in the model the innovations vanish."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Measurement, Rig, Span, TruthSample, WheelSample
+from gyrocal_ros.data import TruthSample, WheelSample
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
 from gyrocal_ros.ekf.run import Run
@@ -19,6 +18,7 @@ from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import InMemorySource
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import SCENARIOS
@@ -29,7 +29,7 @@ PERFECT = replace(without_noise(SensorErrors()), track_error=0.0, force_bias_m_s
 SHORT = replace(SCENARIOS['cleaning'], duration_s=20.0, errors=PERFECT)
 DEG = math.radians(1.0)
 LEFT_OVER = 0.03
-"""Of a sigma: half of it is how the filter joins up the samples, the rest is of the signals' estimates."""
+"""Largest root mean square of the innovations in sigma: interpolation of samples and estimates of signals."""
 
 HIDDEN: dict[str, tuple[Effect, tuple[float, ...]]] = {
     name: (find_effect(name), values)
@@ -72,25 +72,13 @@ HIDDEN |= {
 }
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """A source whose measurements are made once."""
-
-    name: str
-    rig: Rig
-    span: Span
-    made: tuple[Measurement, ...]
-
-    def measurements(self) -> Iterator[Measurement]:
-        return iter(self.made)
-
-
-def recorded(source: SimSource) -> Recorded:
-    return Recorded(source.name, source.rig, source.span, tuple(source.measurements()))
+def in_memory(source: SimSource) -> InMemorySource:
+    """Simulate once, to run the filter on it several times."""
+    return InMemorySource(source.name, source.rig, source.span, tuple(source.measurements()))
 
 
 def known(effect: Effect, values: tuple[float, ...]) -> Effect:
-    """The effect with no doubt about its coefficients."""
+    """Return the effect with known coefficients."""
     items = tuple(
         replace(item, prior_mean=value, prior_std=0.0)
         for item, value in zip(effect.coefficients, values, strict=True)
@@ -98,12 +86,12 @@ def known(effect: Effect, values: tuple[float, ...]) -> Effect:
     return replace(effect, coefficients=items)  # type: ignore[type-var]
 
 
-def run_with(source: Recorded, *effects: Effect) -> Run:
+def run_with(source: InMemorySource, *effects: Effect) -> Run:
     return calibrate(source, Config(), SensorModel('m', BiasModel(), (find_effect('scale_factor'), *effects)))
 
 
 def left_over(run: Run) -> float:
-    """Root mean square of the innovations, in the sigmas that the filter expects with noise."""
+    """Return the root mean square of the innovations, in the standard deviations of a filter with noise."""
     history = run.history
     return math.sqrt(history.nis.sum() / history.dof.sum())
 
@@ -113,23 +101,23 @@ def scale_error_sigma(run: Run, scale_factor: float) -> float:
     return float((1.0 + history.mean[-1, place] - scale_factor) / history.std[-1, place])
 
 
-def test_every_effect_of_the_library_is_tried() -> None:
+def test_every_effect_is_among_the_hidden_ones() -> None:
     assert set(HIDDEN) >= set(EFFECTS) - {'scale_factor'}
     assert set(HIDDEN) >= set(OUT_OF_LIBRARY)
 
 
 @pytest.mark.parametrize('name', HIDDEN)
-def test_with_the_effect_in_the_model_nothing_is_left_over(name: str) -> None:
+def test_with_the_effect_in_the_model_the_innovations_vanish(name: str) -> None:
     effect, values = HIDDEN[name]
     shaking = SensorErrors().vibration_m_s2 if name == 'vibration_rectification' else 0.0
     scenario = replace(SHORT, errors=replace(PERFECT, vibration_m_s2=shaking))
     source = SimSource(scenario, 3, hidden=(HiddenEffect(effect, values),))
-    measured = recorded(source)
-    told = run_with(measured, known(source.hidden[0].effect, values))
-    assert left_over(told) < LEFT_OVER
-    assert abs(scale_error_sigma(told, source.truth.scale_factor)) < 0.3
-    untold = run_with(measured)
-    assert max(left_over(untold) / LEFT_OVER, abs(scale_error_sigma(untold, source.truth.scale_factor))) > 1.0
+    measured, true_scale = in_memory(source), source.truth.scale_factor
+    complete = run_with(measured, known(source.hidden[0].effect, values))
+    assert left_over(complete) < LEFT_OVER
+    assert abs(scale_error_sigma(complete, true_scale)) < 0.3
+    without = run_with(measured)
+    assert max(left_over(without) / LEFT_OVER, abs(scale_error_sigma(without, true_scale))) > 1.0
 
 
 def test_effects_hidden_together_add_up() -> None:
@@ -144,13 +132,13 @@ def test_effects_hidden_together_add_up() -> None:
     )
     hidden = tuple(HiddenEffect(*HIDDEN[name]) for name in names)
     source = SimSource(SHORT, 3, hidden=hidden)
-    told = run_with(recorded(source), *(known(item.effect, item.values) for item in hidden))
-    assert left_over(told) < LEFT_OVER
-    assert abs(scale_error_sigma(told, source.truth.scale_factor)) < 0.3
+    run = run_with(in_memory(source), *(known(item.effect, item.values) for item in hidden))
+    assert left_over(run) < LEFT_OVER
+    assert abs(scale_error_sigma(run, source.truth.scale_factor)) < 0.3
 
 
 def test_the_robot_moves_as_it_does_without_hidden_effects() -> None:
-    """Effects change what is read; only the ground changes where the robot goes."""
+    """Effects change the readings; only the ground changes the motion."""
     plain = [item for item in SimSource(SHORT, 3).measurements() if isinstance(item, TruthSample)]
     for name, (effect, values) in HIDDEN.items():
         source = SimSource(SHORT, 3, hidden=(HiddenEffect(effect, values),))
@@ -169,7 +157,7 @@ def test_wheels_at_rest_stay_at_rest_whatever_is_hidden() -> None:
     assert all(item.speed_m_s == 0.0 and item.yaw_rate_rad_s == 0.0 for item in resting[:140])
 
 
-def test_a_signal_counts_from_its_mean() -> None:
+def test_a_covariate_effect_counts_from_the_mean_of_its_signal() -> None:
     effect = find_effect('covariate_bias:battery_state.voltage')
     source = SimSource(SHORT, 3, hidden=(HiddenEffect(effect, (1e-3,)),))
     assert source.hidden[0].effect.reference == pytest.approx(16.2, abs=0.2)  # type: ignore[attr-defined]
@@ -184,6 +172,8 @@ def test_a_signal_counts_from_its_mean() -> None:
         ('scale_cubic', (3.0,), 'too strong'),
     ],
 )
-def test_what_cannot_be_hidden_is_refused(name: str, values: tuple[float, ...], message: str) -> None:
+def test_effects_that_cannot_be_hidden_are_refused(
+    name: str, values: tuple[float, ...], message: str
+) -> None:
     with pytest.raises(ConfigError, match=message):
         list(SimSource(SHORT, 3, hidden=(HiddenEffect(find_effect(name), values),)).measurements())

@@ -1,4 +1,4 @@
-"""Recordings that hide something: the draws, the sealed answer, and the commands about them."""
+"""Recordings with hidden effects: the draws, the sealed answer, and the commands for them."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ def test_sizes_run_from_just_visible_to_large(name: str) -> None:
     draws = np.array([draw_values(name, rng, 1.0).values for _ in range(200)])
     assert draws.shape[1] == len(hide([DrawnEffect(name, tuple(draws[0]))], find_effect)[0].values)
     for values, item in zip(draws.T, SIZED[name], strict=True):
-        low, high = sorted((item.visible, item.large))
+        low, high = sorted((item.low, item.high))
         assert np.all((np.abs(values) >= low * 0.999) & (np.abs(values) <= high * 1.001))
         assert np.median(np.abs(values)) == pytest.approx((low * high) ** 0.5, rel=0.35)
         assert np.any(values < 0.0) == item.signed
     assert draw_values(name, rng, 1.0, size=1.0).values[0] in (
-        pytest.approx(SIZED[name][0].large),
-        pytest.approx(-SIZED[name][0].large),
+        pytest.approx(SIZED[name][0].high),
+        pytest.approx(-SIZED[name][0].high),
     )
 
 
@@ -70,23 +70,23 @@ def test_draws_depend_on_the_seed_alone() -> None:
     assert abs(draw_scale_factor(5) - 1.0) <= SCALE_ERROR
 
 
-def test_nothing_one_two_and_strangers_come_up() -> None:
+def test_nothing_one_two_and_effects_out_of_the_library_are_drawn() -> None:
     draws = [draw_hidden(seed, 300.0) for seed in range(1000)]
-    strange = sum(bool(drawn) and drawn[0].name in OUT_OF_LIBRARY for drawn in draws)
+    unknown = sum(bool(drawn) and drawn[0].name in OUT_OF_LIBRARY for drawn in draws)
     counts = Counter(len(drawn) for drawn in draws)
-    assert [counts[0], counts[1] - strange, counts[2], strange] == pytest.approx([200, 450, 150, 200], abs=45)
+    assert [counts[0], counts[1] - unknown, counts[2], unknown] == pytest.approx([200, 450, 150, 200], abs=45)
     assert {item.name for drawn in draws for item in drawn} == set(SIZED)
     assert all(len({item.name for item in drawn}) == len(drawn) for drawn in draws)
 
 
-def test_a_knock_falls_into_the_recording() -> None:
+def test_a_jump_happens_during_the_recording() -> None:
     rng = np.random.default_rng(0)
     times = [draw_values('stranger_knock', rng, 200.0).values[1] for _ in range(50)]
     assert min(times) >= 50.0
     assert max(times) <= 150.0
 
 
-def test_an_effect_without_sizes_is_refused() -> None:
+def test_an_effect_without_typical_ranges_is_refused() -> None:
     with pytest.raises(ConfigError, match="no sizes to draw from; did you mean 'scale_"):
         draw_hidden(0, 300.0, ['scale_power_4'])
 
@@ -96,12 +96,12 @@ def test_an_effect_without_sizes_is_refused() -> None:
 
 def test_the_answer_is_sealed_and_revealed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     seed = next(seed for seed in range(99) if len(draw_hidden(seed, 5.0)) == 2)
-    bag = tmp_path / 'riddle'
+    bag = tmp_path / 'hidden'
     assert simulate(bag, '--hidden', '--seed', str(seed)) == 0
-    told = capsys.readouterr().out
+    shown = capsys.readouterr().out
     names = [item.name for item in draw_hidden(seed, 5.0)]
     sealed = sealed_path(bag).read_text()
-    assert not any(name in text for name in names for text in (told, sealed))
+    assert not any(name in text for name in names for text in (shown, sealed))
     assert main(['reveal', str(bag), '--json']) == 0
     answer = json.loads(capsys.readouterr().out)
     assert [item['effect'] for item in answer['effects']] == names
@@ -112,25 +112,27 @@ def test_the_answer_is_sealed_and_revealed(tmp_path: Path, capsys: pytest.Captur
     assert all(name in capsys.readouterr().out for name in names[:1])
 
 
-def test_the_bag_itself_says_no_more_than_one_whose_effects_are_told(tmp_path: Path) -> None:
+def test_a_bag_with_hidden_effects_is_the_bag_with_the_same_effects_given(tmp_path: Path) -> None:
     assert simulate(tmp_path / 'a' / 'bag', '--hidden', '--seed', '3') == 0
-    told = [f'scale_factor={draw_scale_factor(3) - 1.0!r}']
-    told += [f'{item.name}={",".join(map(repr, item.values))}' for item in draw_hidden(3, 5.0)]
-    options = [part for text in told for part in ('--effect', text)]
+    given = [f'scale_factor={draw_scale_factor(3) - 1.0!r}']
+    given += [f'{item.name}={",".join(map(repr, item.values))}' for item in draw_hidden(3, 5.0)]
+    options = [part for text in given for part in ('--effect', text)]
     assert simulate(tmp_path / 'b' / 'bag', '--seed', '3', *options) == 0
     assert digest(tmp_path / 'a' / 'bag') == digest(tmp_path / 'b' / 'bag')
     assert not sealed_path(tmp_path / 'b' / 'bag').exists()
 
 
-def test_effects_are_put_in_as_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_effects_are_simulated_with_the_values_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     options = ['--effect', 'bias_warmup=time_constant:100,amplitude:0.01', '--effect', 'gyro_lag']
     assert simulate(tmp_path / 'bag', *options) == 0
-    told = capsys.readouterr().out
-    assert 'with bias_warmup: amplitude = 0.01 rad/s (0.573 deg/s), time_constant = 100 s' in told
-    assert f'with gyro_lag: tau = {EFFECTS["gyro_lag"].about.example[0]:g} s' in told
+    shown = capsys.readouterr().out
+    assert 'with bias_warmup: amplitude = 0.01 rad/s (0.573 deg/s), time_constant = 100 s' in shown
+    assert f'with gyro_lag: tau = {EFFECTS["gyro_lag"].about.example[0]:g} s' in shown
 
 
-def test_nothing_hidden_is_an_answer_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_hidden_effect_is_an_answer_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     seed = next(seed for seed in range(99) if not draw_hidden(seed, 5.0))
     assert simulate(tmp_path / 'bag', '--hidden', '--seed', str(seed)) == 0
     assert main(['reveal', str(tmp_path / 'bag')]) == 0
@@ -159,7 +161,7 @@ def test_the_answer_holds_the_truth_of_the_source() -> None:
         ('covariate_bias:fan_sped.data=1e-6', "did you mean 'fan_speed.data'?"),
     ],
 )
-def test_effects_that_cannot_be_put_in_are_refused(
+def test_effects_that_cannot_be_simulated_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, message: str
 ) -> None:
     assert simulate(tmp_path / 'bag', '--effect', option) == 2
@@ -178,7 +180,7 @@ def test_an_answer_is_not_overwritten_unasked(tmp_path: Path, capsys: pytest.Cap
     assert unseal(tmp_path / 'bag')['scenario'] == 'cleaning'
 
 
-def test_what_cannot_be_revealed_is_one_clear_line(
+def test_an_answer_that_cannot_be_revealed_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = tmp_path / 'bag'

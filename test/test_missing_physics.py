@@ -1,4 +1,4 @@
-"""The commands about missing physics: `diagnose`, `compare`, `improve`, on short simulated bags."""
+"""The commands `diagnose`, `compare` and `improve` on short simulated bags."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from gyrocal_ros.cli.passes import Passes
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import TruthSample
 from gyrocal_ros.diagnose.advice import advice
-from gyrocal_ros.diagnose.candidates import with_means
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.search import Search, search
@@ -34,7 +33,7 @@ from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import json_text
-from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import load_calibration
 from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
@@ -47,7 +46,7 @@ DURATION_S = 100.0
 
 
 def bag_of(path: Path, *drawn: DrawnEffect, with_truth: bool = True) -> Path:
-    """A short bag that hides something."""
+    """Write a short bag with hidden effects."""
     source = recording('cleaning', 3, DURATION_S, hide(drawn, find_effect))
     with new_bag(path) as bag:
         bag.write_rig(source.rig, source.span.start_ns, R_bi=np.eye(3))
@@ -59,18 +58,18 @@ def bag_of(path: Path, *drawn: DrawnEffect, with_truth: bool = True) -> Path:
 
 @pytest.fixture(scope='module')
 def skewed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag whose gyro reads turns to one side larger."""
+    """A bag of a gyro that reads turns to one side larger."""
     return bag_of(tmp_path_factory.mktemp('bags') / 'skewed', DrawnEffect('scale_asymmetry', (ASYMMETRY,)))
 
 
 @pytest.fixture(scope='module')
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag that hides nothing and holds no ground truth."""
+    """A bag without hidden effects and without ground truth."""
     return bag_of(tmp_path_factory.mktemp('bags') / 'plain', with_truth=False)
 
 
 def read_json(capsys: Output) -> dict[str, Any]:
-    """What a command has printed; NaN and infinity are no JSON."""
+    """Return the JSON that a command has printed, which has no NaN and no infinity."""
 
     def refuse(word: str) -> None:
         raise AssertionError(f'{word} in JSON')
@@ -81,20 +80,22 @@ def read_json(capsys: Output) -> dict[str, Any]:
 
 @pytest.fixture(scope='module')
 def searched() -> tuple[Search, Diagnosis]:
-    """The same as the bag `skewed`, by the library."""
+    """The diagnosis of the bag `skewed`, by the library."""
     source = recording(
         'cleaning', 3, DURATION_S, hide([DrawnEffect('scale_asymmetry', (ASYMMETRY,))], find_effect)
     )
     held, config = preload(source, Config(), default_model())
     recorded = summarise_recording(held)
     found = search(
-        default_model(), recorded, lambda model, trials: calibrate(held, config, model, candidates=trials)
+        default_model(),
+        recorded,
+        lambda model, candidates: calibrate(held, config, model, candidates=candidates),
     )
     return found, diagnose(found, recorded)
 
 
 class TestDiagnose:
-    def test_what_scripts_rely_on(self, skewed: Path, tmp_path: Path, capsys: Output) -> None:
+    def test_the_json_that_scripts_rely_on(self, skewed: Path, tmp_path: Path, capsys: Output) -> None:
         out = tmp_path / 'out'
         assert main(['diagnose', str(skewed), '--json', '-o', str(out)]) == 0
         found = read_json(capsys)
@@ -116,11 +117,11 @@ class TestDiagnose:
         assert isinstance(found['advice'], list) and isinstance(found['not_judged'], dict)
         assert {item.name for item in out.iterdir()} >= {'diagnosis.json', 'report.html'}
 
-    def test_on_a_bag_that_hides_nothing(self, plain: Path, capsys: Output) -> None:
+    def test_a_bag_without_hidden_effects(self, plain: Path, capsys: Output) -> None:
         assert main(['diagnose', str(plain)]) == 0
-        told = capsys.readouterr().out
-        assert told.startswith('Nothing is missing')
-        assert 'The most significant effect was' in told and 'gyrocal add' not in told
+        printed = capsys.readouterr().out
+        assert printed.startswith('Nothing is missing')
+        assert 'The most significant effect was' in printed and 'gyrocal add' not in printed
 
     def test_in_words(self, searched: tuple[Search, Diagnosis]) -> None:
         lines = list(in_words(searched[1]))
@@ -128,7 +129,9 @@ class TestDiagnose:
         assert any('c = 0.01' in line and '->' in line for line in lines)
         assert 'Where the model fails, worst first:' in lines
 
-    def test_without_a_camera_its_faults_cannot_be_judged(self, searched: tuple[Search, Diagnosis]) -> None:
+    def test_camera_effects_cannot_be_judged_without_a_camera(
+        self, searched: tuple[Search, Diagnosis]
+    ) -> None:
         source = recording('cleaning', 3, 5.0)
         recorded = summarise_recording(
             InMemorySource(source.name, replace(source.rig, camera=None), source.span, ())
@@ -142,34 +145,35 @@ class TestDiagnose:
         parser = argparse.ArgumentParser()
         add_arguments(parser)
         args = parser.parse_args(['my bag', '-r', 'imu/data_raw:=/imu', '--model', str(model)])
-        finding = searched[1].missing[0]
+        missing = searched[1].missing[0]
         saturation = with_means(find_effect('rate_saturation'), (1.0472,))
         current = covariate_bias('battery_state.current', reference=-1.61605, spread=0.5)
-        several = tuple(replace(finding, effect=effect) for effect in (finding.effect, saturation, current))
+        several = tuple(replace(missing, effect=effect) for effect in (missing.effect, saturation, current))
         lines = list(next_steps(replace(searched[1], missing=several), args))
         assert f"gyrocal improve 'my bag' -r imu/data_raw:=/imu --model '{model}' -o improved" in lines[5]
         for line in lines[2:5]:
             assert main(shlex.split(line.partition(': ')[2])[1:]) == 0
         _, asymmetry, limit, bias = load_model(model).effects
-        assert asymmetry.coefficients[0].prior_mean == pytest.approx(finding.values[0], rel=1e-3)
+        assert asymmetry.coefficients[0].prior_mean == pytest.approx(missing.values[0], rel=1e-3)
         assert limit.coefficients[0].prior_mean == 1.047
         assert getattr(bias, 'reference') == -1.616  # noqa: B009
 
-    def test_twins_are_named_with_the_motion_that_tells_them_apart(
+    def test_effects_that_look_alike_are_named_with_the_drive_that_separates_them(
         self, searched: tuple[Search, Diagnosis]
     ) -> None:
-        finding = replace(searched[1].missing[0], confused_with=('scale_quadratic',))
-        unsure = replace(searched[1], verdict='cannot_tell', missing=(finding,))
-        told = '\n'.join(in_words(unsure))
-        assert 'Missing: scale_asymmetry (not distinguishable here from scale_quadratic).' in told
+        missing = replace(searched[1].missing[0], confused_with=('scale_quadratic',))
+        unsure = replace(searched[1], verdict='cannot_tell', missing=(missing,))
+        printed = '\n'.join(in_words(unsure))
+        assert 'Missing: scale_asymmetry (not distinguishable here from scale_quadratic).' in printed
         assert any('scale_asymmetry' in text and 'scale_quadratic' in text for text in advice(unsure))
 
-    def test_steps_of_the_converter_are_an_excuse(self, searched: tuple[Search, Diagnosis]) -> None:
+    def test_a_coarse_converter_makes_the_verdict_uncertain(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched
         source = recording('cleaning', 3, DURATION_S)
         fine = summarise_recording(preload(source, Config(), default_model())[0])
         step = math.radians(0.5)
-        coarse = replace(fine, rate_rad_s=step * np.round(fine.rate_rad_s / step) + math.radians(0.1))
+        rate = step * np.round(fine.readings.rate_rad_s / step) + math.radians(0.1)
+        coarse = replace(fine, readings=replace(fine.readings, rate_rad_s=rate))
         assert diagnose(search_, fine).verdict == 'effect_found'
         unsure = diagnose(search_, coarse)
         assert unsure.verdict == 'cannot_tell' and unsure.coarse_step_rad_s == pytest.approx(step)
@@ -179,7 +183,7 @@ class TestDiagnose:
         clean = replace(unsure, missing=(), verdict='nothing_missing')
         assert diagnosis_headline(clean).startswith('Nothing is missing')
 
-    def test_what_no_effect_explains(self, searched: tuple[Search, Diagnosis]) -> None:
+    def test_unexplained_structure(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched
         shape = shapes(search_.last.run, search_.last.seen)[0]
         jump = UnexplainedStructure('the bias jumped by +0.2 deg/s at 40 s', 80.0, 9.0, shape, at_s=40.0)
@@ -194,7 +198,7 @@ class TestDiagnose:
         assert len(shown['knots']) == len(shown['values']) == len(shown['stds'])
         assert shown['of'] in ('bias', 'scale') and shown['signal'] == shape.signal
 
-    def test_what_to_record_for_what_could_not_be_judged(self, searched: tuple[Search, Diagnosis]) -> None:
+    def test_advice_on_effects_that_could_not_be_judged(self, searched: tuple[Search, Diagnosis]) -> None:
         why = dict.fromkeys(('bias_temperature', 'scale_temperature'), 'not recorded: temperature')
         why['cross_axis'] = 'nothing in this recording depends on it'
         unsure = replace(searched[1], missing=(), verdict='cannot_tell', not_judged=why)
@@ -202,13 +206,13 @@ class TestDiagnose:
         assert 'Record temperature to judge bias_temperature and scale_temperature.' in sentences
         assert any(text.startswith('To judge cross_axis, record five minutes') for text in sentences)
         assert any('turns to both sides' in text for text in sentences)
-        told = '\n'.join(in_words(unsure))
-        assert told.startswith('This recording cannot tell')
-        assert 'bias_temperature and scale_temperature: not recorded: temperature' in told
+        printed = '\n'.join(in_words(unsure))
+        assert printed.startswith('This recording cannot tell')
+        assert 'bias_temperature and scale_temperature: not recorded: temperature' in printed
 
 
 class TestCompare:
-    def test_what_scripts_rely_on(self, skewed: Path, tmp_path: Path, capsys: Output) -> None:
+    def test_the_json_that_scripts_rely_on(self, skewed: Path, tmp_path: Path, capsys: Output) -> None:
         models = [tmp_path / 'default.yaml', tmp_path / 'better.yaml']
         assert main(['add', 'scale_factor', '--model', str(models[0])]) == 0
         assert main(['add', 'scale_asymmetry', '--model', str(models[1])]) == 0
@@ -234,13 +238,13 @@ class TestCompare:
     def test_without_a_model_and_without_truth(self, plain: Path, tmp_path: Path, capsys: Output) -> None:
         out = tmp_path / 'out'
         assert main(['compare', str(plain), '-o', str(out)]) == 0
-        told = capsys.readouterr().out
-        assert 'default' in told and 'against the heading by SLAM' in told
-        assert 'nowhere by more than chance' in told and 'ground truth' not in told
+        printed = capsys.readouterr().out
+        assert 'default' in printed and 'against the heading by SLAM' in printed
+        assert 'nowhere by more than chance' in printed and 'ground truth' not in printed
         (model,) = json.loads((out / 'comparison.json').read_text(encoding='utf-8'))['models']
         assert model['heading_rms_deg'] is None and model['fails_by_truth'] is None
 
-    def test_a_model_that_the_filter_cannot_run_with_is_said(
+    def test_a_model_that_the_filter_cannot_run_with_is_reported(
         self, plain: Path, tmp_path: Path, capsys: Output, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         model = tmp_path / 'broken.yaml'
@@ -278,7 +282,7 @@ class TestImprove:
         for kind in ('held_out_drift_deg', 'fitted_drift_deg'):
             assert after[kind]['rms'] < 0.5 * before[kind]['rms']
         assert after['log_likelihood_gain'] > 100.0 and after['log_likelihood'] > before['log_likelihood']
-        assert after['kept'] and after['why'].startswith('kept: what follows is foreseen better')
+        assert after['kept'] and after['why'].startswith('kept: the recording is predicted better')
         assert after['nis_per_dof'] < before['nis_per_dof'] and after['effect'] == 'scale_asymmetry'
         for folder in (out, out / '1_scale_asymmetry'):
             assert [effect.name for effect in load_model(folder / 'model.yaml').effects] == [
@@ -292,7 +296,7 @@ class TestImprove:
         assert main(['improve', str(skewed), '-o', str(out)]) == 2
         assert 'is not empty' in capsys.readouterr().err
 
-    def test_an_effect_that_is_not_there_is_left_out_and_said(self, plain: Path, capsys: Output) -> None:
+    def test_an_effect_that_is_not_there_is_left_out_and_reported(self, plain: Path, capsys: Output) -> None:
         assert main(['improve', str(plain), '--effect', 'scale_cubic', '--json']) == 0
         found = read_json(capsys)
         assert found['effects'] == ['scale_factor']

@@ -1,4 +1,4 @@
-"""The pages about a diagnosis, a comparison and an improvement."""
+"""The pages of a diagnosis, a comparison and an improvement."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def searched(searched_and_diagnosed: tuple[Search, Diagnosis]) -> Search:
 @pytest.fixture(scope='module')
 def diagnosis(searched_and_diagnosed: tuple[Search, Diagnosis]) -> Diagnosis:
     found = searched_and_diagnosed[1]
-    assert [finding.effect.name for finding in found.missing] == ['scale_asymmetry']
+    assert [item.effect.name for item in found.missing] == ['scale_asymmetry']
     return found
 
 
@@ -108,7 +108,7 @@ def comparison(searched: Search) -> Comparison:
 
 
 def noisy(seed: int, bias_rad_s: float = 0.0) -> Headings:
-    """Two minutes of a gyro and a camera that are as noisy as they say."""
+    """Make two minutes of a gyro and a camera with the noise of their settings."""
     rng, count, dt_s = np.random.default_rng(seed), 1200, 0.1
     time_s = dt_s * np.arange(count)
     rate_noise, std = math.radians(0.03), math.radians(0.05)
@@ -130,16 +130,16 @@ def noisy(seed: int, bias_rad_s: float = 0.0) -> Headings:
 
 
 def shape(like: Shape, signal: str, values: list[float], stds: list[float]) -> Shape:
-    """A shape with knots at -50, 0, 50 and so on."""
+    """Make a shape with knots at -50, 0, 50 and so on."""
     covariance = np.diag(np.square(stds[1:]))
     fitted = Fit(np.arange(len(values) - 1), np.array(values[1:]), covariance, 10.0, np.ones(9))
     knots = 50.0 * np.arange(-1, len(values) - 1)
-    told = replace(like, knots=knots, values=np.array(values), stds=np.array(stds), fit=fitted)
-    return replace(told, signal=signal, of_scale=False)
+    made = replace(like, knots=knots, values=np.array(values), stds=np.array(stds), fit=fitted)
+    return replace(made, signal=signal, of_scale=False)
 
 
 def check_page(page: str, names: list[str]) -> None:
-    """Needs nothing else, and shows each figure once."""
+    """Check that a page needs no other file and shows each figure once."""
     own = page.replace(plot.plotly_js(), '')
     assert re.findall(r'(?:src|href)\s*=|@import|url\(|https?://', own) == []
     assert re.findall(r'<div id="(\w+)" class="plotly-graph-div"', own) == names
@@ -147,13 +147,13 @@ def check_page(page: str, names: list[str]) -> None:
 
 
 class TestWander:
-    def test_noise_stays_within_what_noise_lets_expect(self) -> None:
+    def test_the_error_of_noise_has_its_standard_deviation(self) -> None:
         found = [wander(noisy(seed)) for seed in range(8)]
         for error, std in (('error_rad', 'std_rad'), ('gained_rad', 'gained_std_rad')):
             z = np.concatenate([getattr(item, error) / getattr(item, std) for item in found])
             assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2, error
 
-    def test_a_bias_is_taken_out_and_a_jump_of_it_is_not(self) -> None:
+    def test_a_constant_bias_is_removed_and_a_jump_is_not(self) -> None:
         plain, biased = wander(noisy(0)), wander(noisy(0, bias_rad_s=0.01))
         np.testing.assert_allclose(biased.error_rad, plain.error_rad, atol=math.radians(0.2))
         seen = noisy(0)
@@ -161,7 +161,7 @@ class TestWander:
         error = wander(jumped)
         assert (np.abs(error.error_rad) > 5.0 * error.std_rad).mean() > 0.5
 
-    def test_one_image_that_errs_by_far_is_passed_over(self) -> None:
+    def test_an_outlier_of_the_heading_is_ignored(self) -> None:
         seen = noisy(0)
         astray = seen.seen_rad.copy()
         astray[601] += 0.1
@@ -178,22 +178,22 @@ class TestWander:
 
 
 class TestSeries:
-    def test_a_shape_is_told_less_its_mean(self, some_shape: Shape) -> None:
+    def test_a_shape_is_shown_less_its_mean(self, some_shape: Shape) -> None:
         curve = centred(shape(some_shape, TIME, [0.0, 1.0, 2.0], [0.0, 0.1, 0.2]))
         np.testing.assert_allclose(curve.values, [-1.0, 0.0, 1.0], atol=1e-12)
         np.testing.assert_allclose(curve.stds[0], math.hypot(0.1, 0.2) / 3.0)
 
-    def test_by_the_rate_it_is_told_less_a_straight_line(self, some_shape: Shape) -> None:
+    def test_a_shape_over_the_rate_is_shown_less_a_straight_line(self, some_shape: Shape) -> None:
         curve = centred(shape(some_shape, RATE, [0.0, 2.0, 2.0], [0.0, 0.1, 0.1]))
         np.testing.assert_allclose(curve.values, [-1.0 / 3.0, 2.0 / 3.0, -1.0 / 3.0], atol=1e-12)
 
-    def test_knots_that_nothing_was_told_of_are_left_out(self, some_shape: Shape) -> None:
+    def test_knots_without_data_are_left_out(self, some_shape: Shape) -> None:
         part = shape(some_shape, TIME, [0.0, 1.0, math.nan], [0.0, 0.1, math.nan])
         fitted = replace(part.fit, values=part.fit.values[:1], covariance=part.fit.covariance[:1, :1])
         curve = centred(replace(part, fit=fitted))
         np.testing.assert_allclose(curve.values, [-0.5, 0.5])
 
-    def test_what_was_left_over_is_flat_once_the_missing_is_added(self, searched: Search) -> None:
+    def test_the_shape_is_flat_with_the_missing_effect(self, searched: Search) -> None:
         by_rate = next(item for item in errors_by_signal(searched) if item.signal == RATE)
         assert by_rate.after is not None
         before, after = (np.abs(curve.values).max() for curve in (by_rate.before, by_rate.after))
@@ -201,12 +201,12 @@ class TestSeries:
         questions = [(item.signal, item.of_scale) for item in errors_by_signal(searched)]
         assert len(set(questions)) == len(questions) <= MAX_CURVES
 
-    def test_nothing_is_compared_where_nothing_was_added(self, searched: Search) -> None:
+    def test_without_additions_nothing_is_compared(self, searched: Search) -> None:
         alone = replace(searched, additions=())
         assert all(item.after is None for item in errors_by_signal(alone))
         assert list(held_out_drifts(alone)) == ['the first model']
 
-    def test_the_first_shape_of_a_question_is_the_most_telling(self, searched: Search) -> None:
+    def test_shapes_are_shown_in_the_order_of_their_gain(self, searched: Search) -> None:
         every = shapes(searched.first.run, searched.first.seen)
         first: dict[tuple[str, bool], Shape] = {}
         for item in every:
@@ -216,8 +216,8 @@ class TestSeries:
         np.testing.assert_array_equal(shown[0].before.knots, every[0].knots)
 
     def test_candidates_have_their_roles(self, searched: Search, diagnosis: Diagnosis) -> None:
-        finding = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
-        table = candidate_rows(searched, replace(diagnosis, missing=(finding,)))
+        missing = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
+        table = candidate_rows(searched, replace(diagnosis, missing=(missing,)))
         roles = {row.name: row.role for row in table}
         assert roles['scale_asymmetry'] == 'found'
         assert roles['scale_quadratic'] == 'twin'
@@ -233,7 +233,7 @@ class TestSeries:
         rescued = Search(rescue.after, (rescue,))
         assert list(models_that_ran(rescued)) == list(held_out_drifts(rescued)) == ['with scale_asymmetry']
 
-    def test_a_limit_that_was_not_on_trial_is_shown_too(self, searched: Search, diagnosis: Diagnosis) -> None:
+    def test_a_limit_without_scores_is_shown_too(self, searched: Search, diagnosis: Diagnosis) -> None:
         limit = replace(diagnosis.missing[0], effect=find_effect('rate_saturation'), gain=900.0)
         names = [row.name for row in candidate_rows(searched, replace(diagnosis, missing=(limit,)))]
         assert 'rate_saturation' in names
@@ -242,20 +242,20 @@ class TestSeries:
         assert all(math.isfinite(row.gain) for row in candidate_rows(searched, rescued))
         assert 'without it the filter loses' in diagnosis_report.conclusion(rescued).sentences[0]
 
-    def test_a_contribution_is_that_of_the_found_values(self, diagnosis: Diagnosis) -> None:
-        finding = diagnosis.missing[0]
-        drawn = effect_curve(finding)
+    def test_a_contribution_is_drawn_for_the_estimates(self, diagnosis: Diagnosis) -> None:
+        missing = diagnosis.missing[0]
+        drawn = effect_curve(missing)
         assert drawn is not None
-        np.testing.assert_allclose(drawn.y[-1], finding.values[0] * 100.0)
-        np.testing.assert_allclose(drawn.std[0], finding.stds[0] * 100.0)
+        np.testing.assert_allclose(drawn.y[-1], missing.values[0] * 100.0)
+        np.testing.assert_allclose(drawn.std[0], missing.stds[0] * 100.0)
         followed = find_effect('covariate_bias:battery_state.current')
-        assert effect_curve(replace(finding, effect=followed)) is None
+        assert effect_curve(replace(missing, effect=followed)) is None
 
-    def test_coefficients_are_told_in_degrees(self, searched: Search) -> None:
+    def test_coefficients_are_shown_in_degrees(self, searched: Search) -> None:
         run = searched.last.run
-        told = coefficients([('a', run, True)])
-        assert list(told) == ['bias (deg/s)', 'scale_factor (1)', 'scale_asymmetry (1)']
-        assert told['bias (deg/s)'][0].value == pytest.approx(math.degrees(run.state.bias_rad_s[2]))
+        shown = coefficients([('a', run, True)])
+        assert list(shown) == ['bias (deg/s)', 'scale_factor (1)', 'scale_asymmetry (1)']
+        assert shown['bias (deg/s)'][0].value == pytest.approx(math.degrees(run.state.bias_rad_s[2]))
 
     def test_the_worst_places_of_any_model_are_compared(self, comparison: Comparison) -> None:
         places = [Failure(f'{place}: off', 5.0 + place, regime=f'{place}') for place in range(20)]
@@ -293,7 +293,7 @@ class TestFigures:
             assert sum(bool(axis.title.text) for axis in axes) >= 1
             assert all(len(trace.x) < 2.2 * plot.MAX_POINTS for trace in figure.data)
 
-    def test_estimates_come_with_their_doubt(self, improved: Improvement) -> None:
+    def test_estimates_are_drawn_with_their_interval(self, improved: Improvement) -> None:
         start_s = 5.0 * np.arange(100)
         drift = replace(improved.final.held_out, start_s=start_s, error_rad=0.01 * np.sin(start_s))
         figure = models.drift_by_model('it', [Mark('a', 'held out', drift)])
@@ -302,7 +302,7 @@ class TestFigures:
         assert trace.y[0] - trace.error_y.arrayminus[0] == pytest.approx(low, rel=1e-5)
         assert trace.y[0] + trace.error_y.array[0] == pytest.approx(high, rel=1e-5)
 
-    def test_an_interval_without_end_leaves_the_panel(self, improved: Improvement) -> None:
+    def test_an_infinite_interval_leaves_the_panel(self, improved: Improvement) -> None:
         drift = improved.final.held_out
         few = replace(drift, start_s=drift.start_s[:1], error_rad=drift.error_rad[:1])
         assert math.isinf(few.interval_deg[1])
@@ -310,7 +310,7 @@ class TestFigures:
         (trace,) = figure.data
         assert trace.y[0] + trace.error_y.array[0] > figure.layout.yaxis.range[1] > trace.y[0]
 
-    def test_trials_that_were_left_out_are_hollow(self, improved: Improvement) -> None:
+    def test_revisions_that_were_left_out_are_hollow(self, improved: Improvement) -> None:
         drift = improved.final.held_out
         figure = models.drift_by_model('it', [Mark('a', 'x', drift), Mark('b', 'x', drift, is_kept=False)])
         kept, left_out = figure.data
@@ -370,7 +370,7 @@ class TestPages:
         assert '&lt;old&gt;.yaml' in page
         assert '<old>' not in page.replace(plot.plotly_js(), '')
 
-    def test_pages_of_short_recordings_do_without_drift(
+    def test_pages_of_short_recordings_show_no_drift(
         self, comparison: Comparison, improved: Improvement
     ) -> None:
         drift = comparison.results[0].drift
@@ -382,7 +382,7 @@ class TestPages:
         revisions = tuple(replace(item, held_out=empty, fitted=empty) for item in improved.revisions)
         assert '<div id="drift' not in improvement_page(replace(improved, revisions=revisions))
 
-    def test_halves_stand_in_pairs(self, improved: Improvement) -> None:
+    def test_half_figures_are_shown_in_pairs(self, improved: Improvement) -> None:
         figure = models.drift_by_span({'a': improved.final.held_out})
         html = gallery([Section(str(number), figure, '', half=True) for number in range(3)])
         assert re.findall(r'<figure class="(\w+)"', html) == ['half', 'half', 'full']
@@ -393,14 +393,14 @@ class TestPages:
 
 class TestConclusions:
     def test_each_verdict_has_its_kind(self, diagnosis: Diagnosis, some_shape: Shape) -> None:
-        odd = UnexplainedStructure('the bias jumped', 50.0, 9.0, some_shape, at_s=12.0)
-        twin = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
+        structure = UnexplainedStructure('the bias jumped', 50.0, 9.0, some_shape, at_s=12.0)
+        uncertain = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
         for verdict, missing, left, kind in (
             ('nothing_missing', (), None, 'good'),
             ('effect_found', diagnosis.missing, None, 'found'),
-            ('cannot_tell', (twin,), None, 'found'),
+            ('cannot_tell', (uncertain,), None, 'found'),
             ('cannot_tell', (), None, 'bad'),
-            ('unexplained', (), odd, 'bad'),
+            ('unexplained', (), structure, 'bad'),
         ):
             case = replace(diagnosis, verdict=verdict, missing=missing, unexplained=left)
             words = diagnosis_report.conclusion(case)
@@ -408,24 +408,24 @@ class TestConclusions:
             assert words.good == (verdict == 'nothing_missing')
             assert bool(words.todo) == (verdict != 'nothing_missing')
 
-    def test_effects_without_a_twin_are_told_from_those_with_one(self, diagnosis: Diagnosis) -> None:
+    def test_certain_and_uncertain_effects_are_named_apart(self, diagnosis: Diagnosis) -> None:
         sure = diagnosis.missing[0]
-        doubtful = replace(sure, effect=find_effect('bias_temperature'), confused_with=('bias_warmup',))
-        case = replace(diagnosis, verdict='cannot_tell', missing=(sure, doubtful))
+        uncertain = replace(sure, effect=find_effect('bias_temperature'), confused_with=('bias_warmup',))
+        case = replace(diagnosis, verdict='cannot_tell', missing=(sure, uncertain))
         assert diagnosis_report.conclusion(case).headline == (
             'Missing: scale_asymmetry and bias_temperature (not distinguishable here from bias_warmup).'
         )
-        swapped = replace(case, missing=(doubtful, sure))
+        swapped = replace(case, missing=(uncertain, sure))
         assert diagnosis_headline(swapped) == diagnosis_headline(case)
         twins = {'scale_asymmetry': (), 'bias_temperature': ('bias_warmup',)}
         assert missing_headline(twins) == diagnosis_headline(case)
 
-    def test_drift_before_and_after_is_said(self, diagnosis: Diagnosis) -> None:
-        finding = replace(diagnosis.missing[0], drift_before_deg=2.0, drift_after_deg=0.25)
-        words = diagnosis_report.conclusion(replace(diagnosis, missing=(finding,)))
+    def test_the_drift_before_and_after_is_stated(self, diagnosis: Diagnosis) -> None:
+        missing = replace(diagnosis.missing[0], drift_before_deg=2.0, drift_after_deg=0.25)
+        words = diagnosis_report.conclusion(replace(diagnosis, missing=(missing,)))
         assert 'drifts 2.00 deg without it and 0.25 deg with it' in ' '.join(words.sentences)
 
-    def test_comparison_says_whether_it_is_chance(self, comparison: Comparison) -> None:
+    def test_a_comparison_states_whether_it_is_chance(self, comparison: Comparison) -> None:
         old, new = comparison.results
         sure = replace(comparison, results=(old, replace(new, gain=50.0, gain_sigma=6.0)))
         assert 'new.yaml predicts the recording better than' in comparison_report.conclusion(sure).headline
@@ -442,21 +442,21 @@ class TestConclusions:
         fine = replace(comparison, results=(replace(old, fails_where=()),))
         assert comparison_report.conclusion(fine).good
 
-    def test_improvement_says_how_far_it_fell(self, improved: Improvement) -> None:
+    def test_an_improvement_states_the_decrease(self, improved: Improvement) -> None:
         words = improvement_report.conclusion(improved)
         assert words.headline.startswith('Added scale_asymmetry')
         alone = replace(improved, revisions=improved.revisions[:1])
         assert improvement_report.conclusion(alone).todo == ()
 
-    def test_estimates_are_told_with_their_meaning(self, diagnosis: Diagnosis) -> None:
-        finding = diagnosis.missing[0]
+    def test_estimates_are_shown_with_their_meaning(self, diagnosis: Diagnosis) -> None:
+        missing = diagnosis.missing[0]
         ((name, value, unit, means),) = estimate_rows(
-            replace(finding, values=np.array([0.008]), stds=np.array([1e-4]))
+            replace(missing, values=np.array([0.008]), stds=np.array([1e-4]))
         )
         assert (name, value, unit, means) == (
             'scale_asymmetry', '0.00800 ± 0.00010', '1', '0.800 ± 0.010 % of the rate',
         )  # fmt: skip
-        limit = replace(finding, effect=find_effect('rate_saturation'), stds=np.zeros(1))
+        limit = replace(missing, effect=find_effect('rate_saturation'), stds=np.zeros(1))
         ((_, _, _, means),) = estimate_rows(limit)
         assert 'not estimated' in means
 

@@ -18,6 +18,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.drift import blind_drift
 from gyrocal_ros.diagnose.search import Search, search, with_effect
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
@@ -98,9 +99,17 @@ def cases(only: Sequence[str] = ()) -> list[Case]:
     return [case for case in every if not only or case.label in only]
 
 
-def blind(seeds: int, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
-    """Yield one row per case as they become ready, and one for all cases together."""
-    tasks = [(case, seed) for case in cases(only) for seed in range(seeds)]
+def blind(
+    seeds: int, only: Sequence[str] = (), settings: DiagnosisSettings = DEFAULT_SETTINGS
+) -> Iterator[dict[str, Any]]:
+    """Yield one row per case as they become ready, and one for all cases together.
+
+    Args:
+        seeds: number of recordings of each case.
+        only: labels of cases; empty for all.
+        settings: thresholds of the diagnosis.
+    """
+    tasks = [(case, seed, settings) for case in cases(only) for seed in range(seeds)]
     every = []
     for _, group in groupby(in_parallel(_run_task, tasks), key=lambda result: result.case):
         results = list(group)
@@ -130,7 +139,7 @@ def row(label: str, results: Sequence[BlindResult]) -> dict[str, Any]:
     }
 
 
-def run_blind(case: Case, seed: int) -> BlindResult:
+def run_blind(case: Case, seed: int, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> BlindResult:
     """Hide effects in a simulated recording, diagnose it and compare with the truth."""
     scenario, config = find_scenario('cleaning'), _with_noise(Config(), case.noise)
     drawn = draw_hidden(seed, scenario.duration_s, case.names)
@@ -141,7 +150,9 @@ def run_blind(case: Case, seed: int) -> BlindResult:
     run, hidden = partial(calibrate, source, config), simulated.hidden
     recorded = summarise_recording(source)
     try:
-        searched = search(default_model(), recorded, lambda model, tried: run(model, candidates=tried))
+        searched = search(
+            default_model(), recorded, lambda model, tried: run(model, candidates=tried), settings=settings
+        )
     except FilterDivergedError:
         searched = None
 
@@ -215,10 +226,10 @@ def _with_diagnosis(
 
 
 def is_right(case: Case, hidden: Sequence[HiddenEffect], found: Diagnosis) -> bool:
-    """Return True if the hidden effect is named first, or both hidden effects are named.
+    """Return True if the diagnosis is right.
 
-    For an effect that the library does not have, the time of its jump or the signal that it follows has to be
-    right.
+    One hidden effect has to be named first, and of two both and no other. For an effect out of the library,
+    the time of its jump, the signal that it follows, or the effect that explains most of it has to be found.
     """
     named = [missing.effect.name for missing in found.missing]
     if not hidden:
@@ -286,5 +297,5 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(known.mean()) if len(known) else None
 
 
-def _run_task(task: tuple[Case, int]) -> BlindResult:
+def _run_task(task: tuple[Case, int, DiagnosisSettings]) -> BlindResult:
     return run_blind(*task)

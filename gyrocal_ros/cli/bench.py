@@ -1,8 +1,8 @@
 """Measure accuracy, consistency, speed and diagnosis on simulated robots whose truth is known.
 
 Without a name: accuracy, comparison, speed and blind diagnosis, which takes hours. With --quick and no
-name a few quick figures are held against those that are kept, and the command fails when accuracy or
-consistency is worse than chance allows; time is never judged. Seeds are 0, 1, 2 and so on.
+name a few quick figures are compared with the kept ones, and the command fails if accuracy or consistency
+is worse by more than chance; time is not compared. Seeds are 0, 1, 2 and so on.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.tracker import tracker_accuracy
 from gyrocal_ros.cli.output import print_json, print_row, progress, tell
 from gyrocal_ros.cli.provenance import provenance
+from gyrocal_ros.diagnose.settings import DiagnosisSettings, differing, with_thresholds
 from gyrocal_ros.errors import GyrocalError, did_you_mean
 from gyrocal_ros.files import json_text, write_text_atomic
 
 EXAMPLE = """gyrocal bench
 gyrocal bench accuracy comparison --seeds 20
 gyrocal bench blind --seeds 10 --only none scale_cubic
+gyrocal bench blind --only none --set significant_sigma=3.5 --set min_predictive_gain=2
 gyrocal bench growth -o growth.html
 gyrocal bench --quick"""
 
@@ -38,7 +40,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'accuracy': lambda args: accuracy(args.seeds, args.quick, args.only),
     'comparison': lambda args: comparison(args.seeds),
     'camera_off': lambda args: camera_off(args.seeds),
-    'blind': lambda args: blind(args.seeds, args.only),
+    'blind': lambda args: blind(args.seeds, args.only, _settings(args)),
     'tracker': lambda args: tracker_accuracy(args.seeds),
     'motions': lambda args: motions(),
     'speed': lambda args: speed(args.quick),
@@ -49,7 +51,7 @@ CASES: dict[str, Callable[[], list[str]]] = {
     'accuracy': lambda: [case[0] for case in accuracy_cases(quick=False)],
     'blind': lambda: [case.label for case in blind_cases()],
 }
-"""Labels of the cases of those benches that can be asked for some of them."""
+"""Labels of the cases of the benches that can run some of them."""
 
 USUAL = ('accuracy', 'comparison', 'speed', 'blind')
 
@@ -62,11 +64,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('what', nargs='*', metavar='WHAT', help=f'what to measure: {", ".join(BENCHES)}')
     parser.add_argument('--seeds', type=int, default=20, help='recordings a case (default 20)')
     parser.add_argument(
-        '--quick', action='store_true', help='hold the kept figures; with a name, its first case only'
+        '--quick', action='store_true', help='compare with the kept figures; with a name, its first case only'
     )
     parser.add_argument('--keep', action='store_true', help='with --quick: keep the figures of this code')
     parser.add_argument(
         '--only', nargs='+', default=[], metavar='CASE', help='of accuracy or blind: these cases only'
+    )
+    parser.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME=VALUE',
+        help='of blind: a threshold of the diagnosis (docs/diagnosis_settings.md); may be repeated',
     )
     parser.add_argument('-o', '--out', type=Path, metavar='FILE', help='of `growth`: a page with the plots')
     parser.add_argument('--overwrite', action='store_true', help='replace the page where it exists')
@@ -77,25 +86,28 @@ def run(args: argparse.Namespace) -> None:
     """Measure, and print each row as it becomes ready.
 
     Raises:
-        GyrocalError: a name is not known, or a kept figure is left.
+        GyrocalError: a name is not known, or a figure is worse than the kept one.
     """
     for name in args.what:
         if name not in BENCHES:
-            raise GyrocalError('is not a bench', where=repr(name), todo=f'choose of {", ".join(BENCHES)}')
+            raise GyrocalError('is not a bench', where=repr(name), todo=f'choose from {", ".join(BENCHES)}')
     if args.only:
         _refuse_unknown_cases(args)
+    settings = _settings(args)
+    if args.set and (not args.what or set(args.what) != {'blind'}):
+        raise GyrocalError('needs the bench that it means', where='--set', todo='name blind')
     if args.seeds < 1:
         raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
     if args.keep and (args.what or not args.quick):
         raise GyrocalError('keeps the figures of `gyrocal bench --quick` alone', where='--keep')
     if args.quick and not args.what:
-        _hold_the_gate(args)
+        _compare_with_kept(args)
         return
     if args.out and args.out.exists() and not args.overwrite:
         raise GyrocalError('exists already', where=str(args.out), todo='choose another name or --overwrite')
     tables = {name: _rows(name, args) for name in args.what or USUAL}
     if args.json:
-        print_json(provenance() | {'seeds': args.seeds, 'benches': tables})
+        print_json(provenance() | {'seeds': args.seeds, 'settings': differing(settings), 'benches': tables})
     if args.out and 'growth' in tables:
         from gyrocal_ros.report.growth import growth_page  # only a page needs the plotting library
 
@@ -113,6 +125,10 @@ def _refuse_unknown_cases(args: argparse.Namespace) -> None:
             raise GyrocalError('is not a case', where=repr(label), todo=did_you_mean(label, known))
 
 
+def _settings(args: argparse.Namespace) -> DiagnosisSettings:
+    return with_thresholds(args.set, '--set')
+
+
 def _rows(name: str, args: argparse.Namespace) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for row in progress(f'bench {name}', BENCHES[name](args), unit='case'):
@@ -120,12 +136,13 @@ def _rows(name: str, args: argparse.Namespace) -> list[dict[str, Any]]:
         if not args.json:
             if len(rows) == 1:
                 about = provenance()
-                print(f'{name}: gyrocal {about["version"]}, {about["machine"]}')
+                changed = ''.join(f', {key} = {value:g}' for key, value in differing(_settings(args)).items())
+                print(f'{name}: gyrocal {about["version"]}, {about["machine"]}{changed}')
             print_row(row, header=len(rows) == 1)
     return rows
 
 
-def _hold_the_gate(args: argparse.Namespace) -> None:
+def _compare_with_kept(args: argparse.Namespace) -> None:
     def each(function: Callable[[T], R], tasks: Sequence[T], /) -> Iterable[R]:
         return progress(function.__name__, in_parallel(function, tasks), total=len(tasks), unit='seed')
 

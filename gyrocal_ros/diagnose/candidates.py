@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.covariate import CovariateBank, covariate_effects
+from gyrocal_ros.effects.covariate import covariate_bank, covariate_effects
 from gyrocal_ros.effects.traits import forms_of, is_limit, scanned_coefficient, strengths, why_unobservable
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.recording import RecordingSummary, Signal
@@ -113,11 +113,11 @@ def candidates_for(model: SensorModel, recording: RecordingSummary) -> Candidate
     for name, effect in EFFECTS.items():
         if name in present or is_limit(effect) or why_unobservable(effect, recording):
             continue
-        for form in forms_of(effect):
+        for number, form in enumerate(forms_of(effect), start=1):
             if scanned_coefficient(form) is None:
                 found.append(Candidate(form, form, np.eye(len(form.coefficients))))
             else:
-                found.extend(_scanned(form))
+                found.extend(_scanned(form, f'{name} scan {number}'))
     if recording.signals:
         found.extend(item for item in _covariates(recording.signals) if item.effect.name not in present)
     return CandidateSet(tuple(found))
@@ -129,16 +129,14 @@ def columns_of(effects: Sequence[Effect]) -> list[IntArray]:
     return [np.arange(start, end) for start, end in zip(ends, ends[1:], strict=False)]
 
 
-def _scanned(effect: Effect) -> Iterator[Candidate]:
-    """Yield a candidate for each value of the scan; all share one bank."""
-    bank, linear = ScanBank(effect, f'{effect.name} scan'), strengths(effect)
+def _scanned(effect: Effect, bank_name: str) -> Iterator[Candidate]:
+    """Yield a candidate for each value of the scan; all share one bank of that name."""
+    bank, linear = ScanBank(effect, bank_name), strengths(effect)
     place = scanned_coefficient(effect)
     assert place is not None
     for row, value in enumerate(bank.scan.tolist()):
-        values, weights = (
-            np.zeros(len(effect.coefficients)),
-            np.zeros((len(bank.coefficients), len(linear) + 1)),
-        )
+        values = np.zeros(len(effect.coefficients))
+        weights = np.zeros((len(bank.coefficients), len(linear) + 1))
         values[place] = value
         weights[len(linear) * row + np.arange(len(linear)), linear] = 1.0
         yield Candidate(with_means(effect, values.tolist()), bank, weights)
@@ -146,6 +144,6 @@ def _scanned(effect: Effect) -> Iterator[Candidate]:
 
 def _covariates(signals: tuple[Signal, ...]) -> Iterator[Candidate]:
     """Yield the candidates that follow a recorded signal; all share one bank."""
-    bank, effects = CovariateBank(signals), covariate_effects(signals)
+    bank, effects = covariate_bank(signals), covariate_effects(signals)
     for row, effect in enumerate(effects):
         yield Candidate(effect, bank, np.eye(len(effects))[:, row : row + 1])

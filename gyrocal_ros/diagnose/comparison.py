@@ -45,9 +45,9 @@ class ModelResult:
     drift_sigma: float
     """Significance of the decrease of the drift relative to the first model."""
     fails_where: tuple[Failure, ...]
-    """Where gyro and camera differ by more than chance, worst first."""
+    """Places where gyro and camera differ by more than chance, worst first."""
     fails_by_truth: tuple[Failure, ...] | None
-    """Where gyro and ground truth differ; None without ground truth."""
+    """Places where gyro and ground truth differ; None without ground truth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

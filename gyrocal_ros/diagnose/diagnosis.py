@@ -39,7 +39,7 @@ class MissingEffect:
     drift_after_deg: float
     """Held-out blind drift: each span starts with what was known by then."""
     confused_with: tuple[str, ...]
-    """Effects that this recording cannot tell from it."""
+    """Effects that this recording cannot distinguish from it."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -49,20 +49,20 @@ class MissingEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """What the model lacks on one recording."""
+    """The conclusion from one recording: effects that the model lacks, and what is left over."""
 
     verdict: str
     """`nothing_missing`, `effect_found`, `cannot_tell` or `unexplained`."""
     missing: tuple[MissingEffect, ...]
     """Missing effects, the one that explains most first."""
     ranked: tuple[RankedEffect, ...]
-    """All candidates for the model as it was, the best first."""
+    """All candidates beside the first model, the best first."""
     not_judged: dict[str, str]
     """Effects that this recording cannot judge, and why."""
     unexplained: UnexplainedStructure | None
-    """What is left over that no effect explains."""
+    """Structure that no effect explains; None without."""
     fails_where: tuple[Failure, ...]
-    """Where the model as it was is off by more than chance, worst first."""
+    """Places where the first model is off by more than chance, worst first."""
     drift_reference: str
     """The reference of the drift."""
     coarse_step_rad_s: float | None = None

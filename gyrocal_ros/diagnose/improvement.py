@@ -117,7 +117,7 @@ def revision(added: Addition, label: str, reference: tuple[Trajectory2D, str], i
     """
     held_out, fitted = _drifts(added.after, reference)
     gain_sigma = drift_sigma = float('nan')
-    why = f'{"kept" if is_kept else "removed"}: {_reason(added)}'
+    why = f'{"kept" if is_kept else "left out"}: {_reason(added)}'
     if added.before is not None:
         before = _drifts(added.before, reference)[0]
         gain_sigma = vuong_sigma(predictive_gain(added.before.run, added.after.run))

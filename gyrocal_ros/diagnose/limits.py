@@ -34,7 +34,7 @@ class LimitProposal:
 
 @dataclass(frozen=True, slots=True)
 class Competition:
-    """What else explains the recording that a limit is proposed for."""
+    """Other explanations of the recording that a limit is proposed for."""
 
     structure_gain: float
     """Log-likelihood gain of the unexplained structure; zero where there is none."""
@@ -117,8 +117,9 @@ def _hidden_by_noise(
     widest = scan[int(np.flatnonzero(gains >= settings.widest_limit_part * gains.max())[-1])]
     explained = max(others.structure_gain, others.rival_gain)
     least = max(settings.limit_heading_gain, settings.limit_unexplained_part * explained)
-    is_plausible = effect.is_plausible(readings, widest)  # type: ignore[attr-defined]
-    return widest if gains.max() > least and is_plausible else None
+    if gains.max() <= least or not effect.is_plausible(readings, widest):  # type: ignore[attr-defined]
+        return None
+    return widest
 
 
 def _rate_error(effect: Effect, limit: float, run: Run, readings: GyroReadings) -> Array:

@@ -26,7 +26,7 @@ class RankedEffect:
     """(k,) indices of its coefficients among all candidates'."""
     fit: Fit
     """Fit of the coefficients. With a scan, of the linear ones at the best value and its better neighbour
-    together, for the true value lies between."""
+    together, for the true value is between."""
     merit: float
     """Log-likelihood gain less the price of the coefficients."""
     is_significant: bool
@@ -147,9 +147,9 @@ def with_estimate(ranked: RankedEffect, scores: ScoreStatistics, settings: Diagn
     """
     stds = np.array([item.prior_std for item in ranked.effect.coefficients])
     if ranked.profile is not None:
-        told = ranked.profile
-        stds[ranked.places] = np.maximum(np.abs(told.linear), told.linear_stds)
-        stds[scanned_coefficient(ranked.effect)] = settings.scan_start_part * told.value
+        found = ranked.profile
+        stds[ranked.places] = np.maximum(np.abs(found.linear), found.linear_stds)
+        stds[scanned_coefficient(ranked.effect)] = settings.scan_start_part * found.value
         return _with_priors(ranked.effect, estimate(ranked), stds)
     values = np.array([item.prior_mean for item in ranked.effect.coefficients])
     half, whole, places = fit(scores.first_half(), ranked.fit.columns), ranked.fit, ranked.places
@@ -219,7 +219,10 @@ def _best_of(
     form = with_means(best.effect, nothing)
     series = [item for item in variants if with_means(item.effect, nothing) == form]
     row = series.index(best)
-    neighbour = max(series[max(row - 1, 0) : row] + series[row + 1 : row + 2], key=_order)
+    neighbours = series[max(row - 1, 0) : row] + series[row + 1 : row + 2]
+    if not neighbours:  # the other values of the scan are not excited
+        return best
+    neighbour = max(neighbours, key=_order)
     between = fit(scores, np.concatenate([best.fit.columns, neighbour.fit.columns]))
     scanned = [item.effect.coefficients[place].prior_mean for item in series]
     along = profile(scanned, [item.fit for item in series])

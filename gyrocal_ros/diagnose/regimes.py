@@ -1,4 +1,4 @@
-"""Where a model fails: stretches of time and regimes of everything recorded."""
+"""Places where a model fails: stretches of time, and regimes of everything recorded."""
 
 from __future__ import annotations
 

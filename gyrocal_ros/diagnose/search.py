@@ -51,7 +51,7 @@ class ExaminedModel:
     """Candidate effects, the best first."""
     seen: Headings
     unexplained_structure: UnexplainedStructure | None
-    """What is left over as a function of something recorded, where it is more than chance."""
+    """Structure left over as a function of something recorded; None where it may be chance."""
     settings: DiagnosisSettings
 
     def find(self, name: str) -> RankedEffect | None:
@@ -380,7 +380,7 @@ def _rivals(present: ExaminedModel, name: str, tried: set[str]) -> list[RankedEf
         return []
     others = [item for item in present.ranked if item.effect.name not in tried and item.profile is None]
     names = set(indistinguishable(found, others, present.scores, NONE, present.settings))
-    return [item for item in others if item.effect.name in names][: int(present.settings.max_rivals)]
+    return [item for item in others if item.effect.name in names][: present.settings.max_rivals]
 
 
 def _confirmed(
@@ -388,7 +388,7 @@ def _confirmed(
 ) -> UnexplainedStructure | None:
     """Return the structure if the full filter sees it too: some effect then explains a part of it.
 
-    The headings alone cannot tell structure from errors of the map, which come and go with its features.
+    The headings alone cannot distinguish structure from errors of the map, which change with its features.
     """
     if structure is None:
         return None

@@ -1,6 +1,7 @@
-"""Which motion tells effects apart: what to record next where two explanations are left.
+"""Test drives that tell effects apart: what to record next where two explanations are left.
 
-`separability.json` holds the output of `gyrocal bench motions --json`; see `bench.separability`.
+`separability.json` holds the rows of `gyrocal bench motions --json` (see `bench.separability`) and the
+instructions of the drives (`sim.drives`).
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class Table:
     """The computed figures of each drive."""
 
     everyday: str
-    """Name of the drive that stands for everyday use."""
+    """Name of the drive that represents everyday use."""
     drives: dict[str, str]
     """Name and instruction of each drive."""
     significance: dict[str, dict[str, float]]

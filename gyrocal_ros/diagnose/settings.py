@@ -1,12 +1,14 @@
 """Thresholds of the diagnosis, declared once: value, unit, statistical meaning, and what guards them.
 
-`gyrocal bench blind --set NAME=VALUE` tries another value on recordings with hidden effects.
+`gyrocal bench blind --set NAME=VALUE` tries another value on recordings with hidden effects. The table of
+docs/diagnosis_settings.md is the output of `markdown_table`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
-from dataclasses import Field, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from gyrocal_ros.errors import ConfigError, did_you_mean
@@ -18,8 +20,8 @@ def threshold(default: float, unit: str, meaning: str, guard: str) -> Any:
     Args:
         default: its value.
         unit: its unit; `sigma`, `nat` (log-likelihood), `1` (a ratio) or an SI unit.
-        meaning: what it separates, and why it lies where it lies.
-        guard: cases of `gyrocal bench blind` that get worse when it is wrong.
+        meaning: definition and reason of the value.
+        guard: cases of `gyrocal bench blind` that get worse with a wrong value.
     """
     return field(default=default, metadata={'unit': unit, 'meaning': meaning, 'guard': guard})
 
@@ -30,7 +32,10 @@ class DiagnosisSettings:
 
     # --- significance of an effect
     significant_sigma: float = threshold(
-        4.0, 'sigma', 'smaller estimates count as chance: some forty candidates are tried', 'none'
+        4.0,
+        'sigma',
+        'significance from which an estimate is not chance: some forty candidates are tried',
+        'none',
     )
     coefficient_price: float = threshold(
         4.0,
@@ -40,16 +45,20 @@ class DiagnosisSettings:
         'none; pairs of effects',
     )
     pair_part: float = threshold(
-        0.02, '1', 'part by which two effects must explain more than one alone', 'pairs of effects'
+        0.02,
+        '1',
+        'part by which two effects together must explain more than the best one alone',
+        'pairs of effects',
     )
     residual_part: float = threshold(
         0.004,
         '1',
-        'what gains less than this part of what was found before is due to that not being exact',
-        'every single effect',
+        'part of the gain of the effects found that a further one must gain: less is due to their inexact '
+        'coefficients',
+        'single effects',
     )
     min_predictive_gain: float = threshold(
-        3.0, 'nat', 'predictive log-likelihood that an effect must gain to be kept: odds of 20', 'none'
+        3.0, 'nat', 'predictive log-likelihood that an effect must gain to be kept: odds of 20 to 1', 'none'
     )
     nonzero_sigma: float = threshold(
         3.0, 'sigma', 'distance from zero that a coefficient must keep in the final model', 'pairs of effects'
@@ -57,8 +66,8 @@ class DiagnosisSettings:
     min_judgeable_part: float = threshold(
         0.5,
         '1',
-        'part of the effects that any turns show which a recording must be able to judge before '
-        'nothing counts as missing',
+        'part of the effects that show in any turns which a recording must be able to judge for the verdict '
+        '`nothing_missing`',
         'none',
     )
 
@@ -66,14 +75,15 @@ class DiagnosisSettings:
     indistinguishable_sigma: float = threshold(
         3.0,
         'sigma',
-        'an effect preferred by less is not told from the other (Vuong 1989)',
-        'every single effect',
+        'preference below which two effects are not distinguished (Vuong 1989)',
+        'single effects',
     )
     indistinguishable_correlation: float = threshold(
         0.87,
         '1',
-        'correlation from which on two effects look alike; squared, the part explained',
-        'every single effect',
+        'correlation above which two effects look alike; its square is the part that one explains of the '
+        'other',
+        'single effects',
     )
     max_rivals: int = threshold(
         2,
@@ -86,13 +96,13 @@ class DiagnosisSettings:
     start_sigma: float = threshold(
         3.0,
         'sigma',
-        'least prior standard deviation of a coefficient, in those of its estimate',
+        'smallest prior standard deviation of a coefficient, in standard deviations of its estimate',
         'single effects',
     )
     start_part: float = threshold(
         0.2,
         '1',
-        'least prior standard deviation of a coefficient, as a part of its estimate',
+        'smallest prior standard deviation of a coefficient, as a part of its estimate',
         'single effects',
     )
     scan_start_part: float = threshold(
@@ -106,32 +116,33 @@ class DiagnosisSettings:
     limit_heading_gain: float = threshold(
         40.0,
         'nat',
-        'gain by the headings that makes a limit worth a run; straight drives gain some by a dead band, '
-        'which removes noise',
+        'log-likelihood that a limit must gain by the headings alone to be tried in a run: a dead band gains '
+        'some on straight drives, where it removes noise',
         'limits; none',
     )
     limit_unexplained_part: float = threshold(
         0.4,
         '1',
-        'part of the unexplained structure that a hidden limit must explain by the headings',
+        'part of the unexplained structure that a limit hidden by noise must explain by the headings alone',
         'limits',
     )
     limit_rival_part: float = threshold(
         0.5,
         '1',
-        'part of what the best other effect explains that a limit must explain by the headings',
+        'part of the gain of the best other effect that a limit must gain by the headings alone',
         'limits',
     )
     limit_margin: float = threshold(
         1.05,
         '1',
-        'factor by which a limit must beat every other effect: its process noise helps any model',
+        'factor over the gain of every other effect that a limit must gain: its process noise improves any '
+        'model',
         'limits',
     )
     widest_limit_part: float = threshold(
         0.97,
         '1',
-        'the largest limit that gains this part of the best is taken: noise blurs the edge inwards',
+        'part of the largest gain from which a larger limit is preferred: noise blurs the edge inwards',
         'limits',
     )
 
@@ -139,47 +150,50 @@ class DiagnosisSettings:
     structure_sigma: float = threshold(
         6.0,
         'sigma',
-        'less is chance: free functions are many and bend freely',
+        'significance from which structure is not chance: the functions are many and flexible',
         'none; effects out of the library',
     )
     structure_margin: float = threshold(
         1.25,
         '1',
-        'factor by which structure must exceed the best effect to be unexplained',
-        'out of the library',
+        'factor over the gain of the best effect from which structure is not explained by it',
+        'effects out of the library',
     )
     structure_shown_part: float = threshold(
         0.1,
         '1',
-        'part of the structure that an effect must explain in the full filter: the headings alone cannot '
-        'tell it from errors of the map',
+        'part of the structure that some effect must explain in the full filter: the headings alone cannot '
+        'distinguish it from errors of the map',
         'none',
     )
     structure_shown_gain: float = threshold(
         40.0,
         'nat',
-        'gain of an effect in the full filter that is enough whatever the part',
-        'out of the library',
+        'gain of an effect in the full filter that is enough, whatever part of the structure it is',
+        'effects out of the library',
     )
     leftover_part: float = threshold(
-        0.2, '1', 'structure below this part of what was found does not change the verdict', 'single effects'
+        0.2,
+        '1',
+        'part of the gain of the effects found below which structure does not change the verdict',
+        'single effects',
     )
     oscillation_part: float = threshold(
         0.8,
         '1',
-        'recorded signals that explain this part of an oscillation are preferred to it',
-        'out of the library',
+        'part of the gain of an oscillation from which a recorded signal is preferred to it',
+        'effects out of the library',
     )
     min_inflation: float = threshold(
         2.0,
         '1',
-        'least factor on the variance of chance: the bias wanders by itself',
-        'none, noise set too low',
+        'smallest factor on the variance of chance: the bias drifts by itself',
+        'none; none, noise set too low',
     )
 
     # --- where the model fails
     failure_sigma: float = threshold(
-        4.5, 'sigma', 'smaller failures count as chance: many places are tried', 'none'
+        4.5, 'sigma', 'significance from which a failure is not chance: many places are tried', 'none'
     )
     failure_length_s: float = threshold(
         5.0, 's', 'shortest total duration of a regime that is judged', 'none'
@@ -187,15 +201,29 @@ class DiagnosisSettings:
     outlier_sigma: float = threshold(
         3.0,
         'sigma',
-        'larger heading innovations get a larger variance: few features, a new map',
-        'image bags',
+        'heading innovation above which its variance is enlarged: few features, a new map',
+        'no case; recordings with images',
     )
     map_walk_deg: float = threshold(
-        0.005, 'deg/sqrt(s)', "random walk of the map's own heading", 'none; image bags'
+        0.005, 'deg/sqrt(s)', "random walk of the map's own heading", 'none; recordings with images'
     )
 
 
 DEFAULT_SETTINGS = DiagnosisSettings()
+
+
+def differing(settings: DiagnosisSettings) -> dict[str, float]:
+    """Return the thresholds that differ from the default, by name."""
+    values = {item.name: getattr(settings, item.name) for item in fields(settings)}
+    return {name: value for name, value in values.items() if value != getattr(DEFAULT_SETTINGS, name)}
+
+
+def markdown_table(settings: DiagnosisSettings = DEFAULT_SETTINGS) -> str:
+    """Return the table of all thresholds in Markdown."""
+    rows = [('threshold', 'value', 'unit', 'meaning', 'guard'), ('---',) * 5]
+    for item in described(settings):
+        rows.append((f'`{item["name"]}`', f'{item["value"]:g}', item['unit'], item['meaning'], item['guard']))
+    return '\n'.join(f'| {" | ".join(row)} |' for row in rows)
 
 
 def described(settings: DiagnosisSettings = DEFAULT_SETTINGS) -> Iterator[dict[str, Any]]:
@@ -207,17 +235,25 @@ def described(settings: DiagnosisSettings = DEFAULT_SETTINGS) -> Iterator[dict[s
 def with_thresholds(assignments: Iterable[str], where: str) -> DiagnosisSettings:
     """Return the settings with values given as `NAME=VALUE`.
 
+    Args:
+        assignments: thresholds; the last one of a name counts.
+        where: option that gives them, for the error message.
+
     Raises:
         ConfigError: a name is not known or a value is not a number of the right kind.
     """
-    known: dict[str, Field[Any]] = {item.name: item for item in fields(DiagnosisSettings)}
-    values: dict[str, float] = {}
+    known = {item.name: getattr(DEFAULT_SETTINGS, item.name) for item in fields(DiagnosisSettings)}
+    values: dict[str, Any] = {}
     for text in assignments:
         name, _, value = text.partition('=')
         if name not in known:
             raise ConfigError(f'{name!r} is not known', where=where, todo=did_you_mean(name, known))
+        kind = type(known[name])
         try:
-            values[name] = float(value)
+            values[name] = kind(value)
         except ValueError as error:
-            raise ConfigError(f'{name} is {value!r}', where=where, todo='give NAME=NUMBER') from error
-    return replace(DEFAULT_SETTINGS, **values)  # type: ignore[arg-type]
+            todo = f'give NAME={"WHOLE_NUMBER" if kind is int else "NUMBER"}'
+            raise ConfigError(f'{name} is {value!r}', where=where, todo=todo) from error
+        if not 0.0 <= values[name] < math.inf:
+            raise ConfigError(f'{name} is {value!r}', where=where, todo='give a finite number, 0 or more')
+    return replace(DEFAULT_SETTINGS, **values)

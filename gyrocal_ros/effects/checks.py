@@ -10,8 +10,9 @@ from typing import Any, get_args
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock, nanoseconds
-from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.sensor import Coefficient, Place
+from gyrocal_ros.effects.base import Explanation, Stimulus
+from gyrocal_ros.effects.traits import forms_of, is_limit, required_signals, scanned_coefficient, strengths
+from gyrocal_ros.model.sensor import Coefficient, Place, ScannedColumns
 
 METHODS = {
     'gyro': ('contribute',),
@@ -23,6 +24,8 @@ METHODS = {
 """Methods that an effect needs, by the place where it acts."""
 REQUIRED_WORDS = ('physics', 'equation', 'usual_size', 'best_motion')
 """Fields of the explanation that must not be empty."""
+MIN_SCAN = 3
+"""Minimum number of values of a scan: a likelihood has a maximum only between two others."""
 
 
 def faults(effect: Any) -> Iterator[str]:
@@ -44,8 +47,13 @@ def faults(effect: Any) -> Iterator[str]:
     missing = [method for method in METHODS[str(place)] if not callable(getattr(effect, method, None))]
     if missing:
         yield f'lacks {" and ".join(missing)}'
-    elif 'contribute' in METHODS[str(place)]:
+        return
+    yield from _faults_of_scan(effect)
+    if 'contribute' in METHODS[str(place)]:
         yield from _faults_of_contribution(effect)
+    if scanned_coefficient(effect) is not None and not is_limit(effect):
+        for form in forms_of(effect):
+            yield from _faults_of_columns(form)
 
 
 def _faults_of_explanation(effect: Any, count: int) -> Iterator[str]:
@@ -58,6 +66,30 @@ def _faults_of_explanation(effect: Any, count: int) -> Iterator[str]:
             yield f'about says nothing of {word}'
     if len(about.example) != count:
         yield f'about.example has {len(about.example)} values for {count} coefficients'
+    if not isinstance(about.needs, tuple) or not all(isinstance(name, str) for name in about.needs):
+        yield f"about.needs is {about.needs!r}, not a tuple of signals such as ('temperature',)"
+        return
+    if about.shown_against not in get_args(Stimulus):
+        yield f'about.shown_against is {about.shown_against!r}, not one of {", ".join(get_args(Stimulus))}'
+    elif about.shown_against == 'signal' and len(required_signals(effect)) != 1:
+        yield 'about.shown_against is signal, which takes one signal in about.needs'
+
+
+def _faults_of_scan(effect: Any) -> Iterator[str]:
+    """Check the values that the diagnosis tries, and what makes an effect a limit."""
+    if is_limit(effect):
+        if effect.acts_on != 'gyro' or len(effect.coefficients) > 1 or effect.coefficients[0].prior_std > 0.0:
+            yield 'is a limit, which acts on the gyro and has one coefficient with prior_std 0'
+        return
+    scanned = [item for item in effect.coefficients if item.scan]
+    if len(scanned) > 1:
+        yield f'{" and ".join(item.name for item in scanned)} have a scan; only one coefficient may'
+    elif scanned and effect.acts_on != 'gyro':
+        yield f'{scanned[0].name} has a scan; only effects on the gyro may'
+    elif scanned:
+        values = np.array(scanned[0].scan, float)
+        if len(values) < MIN_SCAN or not (values > 0.0).all() or not (np.diff(values) > 0.0).all():
+            yield f'the scan of {scanned[0].name} is not {MIN_SCAN} or more positive, increasing values'
 
 
 def _faults_of_contribution(effect: Any) -> Iterator[str]:
@@ -85,6 +117,27 @@ def _faults_of_contribution(effect: Any) -> Iterator[str]:
         wrong = np.abs(by_values[..., place] - expected).max() > 1e-3 * np.abs(expected).max() + 1e-12
         if item.prior_std > 0.0 and wrong:
             yield f'contribute gives a wrong derivative by {item.name}'
+
+
+def _faults_of_columns(effect: Any) -> Iterator[str]:
+    """Check that an effect with a scan is linear in its other coefficients, and its `columns_at`."""
+    block, linear, place = _test_block(), strengths(effect), scanned_coefficient(effect)
+    assert place is not None
+    scan = np.array(effect.coefficients[place].scan)
+    columns = []
+    for value in scan.tolist():
+        values = np.zeros(len(effect.coefficients))
+        values[place] = value
+        added, by_values = _contribution(effect, block, values)
+        if np.any(added):
+            yield f'contribute is not zero where all but {effect.coefficients[place].name} are zero'
+            return
+        columns.append(by_values[:, linear])
+    if isinstance(effect, ScannedColumns):
+        expected = np.concatenate(columns, axis=1)
+        found, _ = effect.columns_at(block, scan, None)
+        if np.shape(found) != expected.shape or not np.allclose(found, expected, rtol=1e-6, atol=1e-12):
+            yield 'columns_at differs from the derivative that contribute gives'
 
 
 def _contribution(effect: Any, block: MotionBlock, values: Array) -> tuple[Array, Array]:

@@ -120,6 +120,11 @@ class CovariateBank(LinearGyroEffect):
         return np.concatenate([stacked, stacked * block.rate_rad_s[:, 2:]], axis=1)
 
 
+def covariate_bank(signals: Sequence[Signal]) -> CovariateBank:
+    """Make the one effect that holds a column for each of the `covariate_effects` of some signals."""
+    return CovariateBank(tuple(signals))
+
+
 def deviation(block: MotionBlock, signal: str, reference: float) -> Array:
     """Return a recorded signal less its reference, (N,); zero where it is not recorded."""
     values = block.covariates.get(signal)

@@ -20,7 +20,7 @@ from typing import Any
 import yaml
 
 from gyrocal_ros.config.yaml_file import YamlLoader, read_yaml
-from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.effects import SCALE_FACTOR, default_model, find_effect
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, SensorModel
@@ -49,8 +49,8 @@ def model_from_dict(tree: Mapping[str, Any], where: str) -> SensorModel:
         raise ConfigError('lists no effects', where=where, todo='begin with `effects: [scale_factor]`')
     effects = tuple(_effect(entry, where) for entry in entries)
     names = [effect.name for effect in effects]
-    if names[0] != 'scale_factor':
-        raise ConfigError('the first effect must be scale_factor', where=where)
+    if names[0] != SCALE_FACTOR:
+        raise ConfigError(f'the first effect must be {SCALE_FACTOR}', where=where)
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
         raise ConfigError(f'{twice} is listed twice', where=where)

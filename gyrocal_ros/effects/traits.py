@@ -12,7 +12,6 @@ from gyrocal_ros.model.sensor import (
     Effect,
     EffectWithForms,
     LimitEffect,
-    RelativeEffect,
     SensorModel,
 )
 
@@ -50,11 +49,6 @@ def why_unobservable(effect: Effect, recording: RecordingSummary) -> str:
 def is_limit(effect: Effect) -> bool:
     """Return True if the effect enters by a limit that is detected instead of estimated."""
     return isinstance(effect, LimitEffect)
-
-
-def is_relative(effect: Effect) -> bool:
-    """Return True if the effect is relative to the mean of a recorded signal."""
-    return isinstance(effect, RelativeEffect)
 
 
 def may_break_the_filter(effect: Effect) -> bool:

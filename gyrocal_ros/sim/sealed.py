@@ -12,6 +12,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+from gyrocal_ros.effects import SCALE_FACTOR
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.files import write_text_atomic
 from gyrocal_ros.sim.world import SimSource
@@ -32,7 +33,7 @@ def answer_of(source: SimSource) -> dict[str, Any]:
         'scenario': source.scenario.name,
         'seed': source.seed,
         'duration_s': source.scenario.duration_s,
-        'scale_factor': source.truth.scale_factor,
+        SCALE_FACTOR: source.truth.scale_factor,
         'bias': {'start': float(bias[0]), 'end': float(bias[-1]), 'unit': 'rad/s'},
         'effects': [
             {

@@ -1,4 +1,4 @@
-"""Gyro against camera, headings alone: errors of the rate are found, and where, with an honest doubt."""
+"""Headings by gyro and camera: errors of the rate, unexplained structure, and where the model fails."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidate_fit import fit
 from gyrocal_ros.diagnose.drift import truth_path
-from gyrocal_ros.diagnose.heading_filter import UNBELIEVABLE, heading_scores, headings, misfits
-from gyrocal_ros.diagnose.regimes import FAILURE_SIGMA, Failure, failures
+from gyrocal_ros.diagnose.heading_filter import heading_scores, headings, misfits
+from gyrocal_ros.diagnose.regimes import Failure, failures
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.shapes import (
     HEADING,
-    ODD_SIGMA,
+    JUMP_STEP_S,
     RATE,
-    STEP_S,
     TIME,
     UnexplainedStructure,
-    jump,
+    find_jump,
+    find_oscillation,
     shapes,
-    swing,
     unexplained_structure,
 )
 from gyrocal_ros.effects import default_model
@@ -49,13 +49,13 @@ def times_s(duration_s: float = 300.0) -> Array:
 
 
 def switched(duration_s: float = 300.0) -> Array:
-    """A motor's current that goes up and down every 25 s, and its noise."""
+    """Return the current of a motor that goes up and down every 25 s, with noise."""
     rng = np.random.default_rng(9)
     return np.sin(2.0 * np.pi * times_s(duration_s) / 50.0) + 0.05 * rng.normal(size=round(duration_s / DT_S))
 
 
 def size_of(failure: Failure) -> float:
-    """The size of the error as it is told, in deg/s or per cent."""
+    """Return the size of the error in the description, in deg/s or per cent."""
     return float(re.findall(r'[+-]\d+\.\d+', failure.what)[-1])
 
 
@@ -69,8 +69,8 @@ def knocked() -> Drive:
     return drive(deg(0.2) * (times_s() > KNOCK_S), signals={SIGNAL: switched()})
 
 
-class TestEvidence:
-    """What headings say of errors of the rate."""
+class TestHeadingScores:
+    """Errors of the rate are estimated from headings."""
 
     def columns(self) -> tuple[Array, Array]:
         rate = turning_rad_s(300.0)
@@ -85,7 +85,7 @@ class TestEvidence:
         np.testing.assert_array_less(np.abs(found.values - errors), 4.0 * std)
         assert np.all(std < 5e-4)
 
-    def test_the_doubt_is_honest(self) -> None:
+    def test_the_standard_deviation_is_right(self) -> None:
         rate, size = self.columns()
         off = []
         for seed in range(25):
@@ -94,8 +94,8 @@ class TestEvidence:
             off.append((found.values[0] - 0.001) / math.sqrt(found.covariance[0, 0]))
         assert 0.5 < float(np.sqrt(np.mean(np.square(off)))) < 1.4
 
-    def test_a_lasting_bias_is_no_news(self) -> None:
-        """The bias is what the filter finds anyway."""
+    def test_a_constant_bias_changes_nothing(self) -> None:
+        """The filter estimates the bias anyway."""
         plain, off = drive(), drive(deg(0.3))
         size = self.columns()[1][:, None]
         values = []
@@ -105,10 +105,10 @@ class TestEvidence:
             values.append(found.values[0])
         assert values[1] == pytest.approx(values[0], abs=2e-4)
 
-    def test_headings_that_nobody_can_believe_count_little(self) -> None:
+    def test_outliers_of_the_heading_count_little(self) -> None:
         made = drive(0.01 * self.columns()[1])
         wrong = made.seen.seen_rad.copy()
-        wrong[1000::97] += 1000.0 * UNBELIEVABLE * made.seen.std_rad[1000::97]
+        wrong[1000::97] += 1000.0 * made.seen.outlier_sigma * made.seen.std_rad[1000::97]
         found = fit(
             heading_scores(replace(made.seen, seen_rad=wrong), self.columns()[1][:, None]), np.array([0])
         )
@@ -117,21 +117,21 @@ class TestEvidence:
         )
         assert abs(found.values[0] - 0.01) < 0.005
 
-    def test_blocks_of_time_add_up(self) -> None:
+    def test_scores_are_kept_by_block_of_time(self) -> None:
         size = self.columns()[1][:, None]
         scores = heading_scores(clean().seen, size)
         np.testing.assert_array_equal(scores.start_s, BLOCK_S * np.arange(30))
         assert scores.information.shape == (30, 1, 1) and np.all(scores.information[1:] > 0.0)
 
-    def test_without_a_camera_nothing_is_said(self) -> None:
+    def test_without_headings_there_is_no_information(self) -> None:
         made = drive(0.05 * self.columns()[1])
         blind = replace(made.seen, seen_rad=np.full(len(made.seen.time_s), np.nan))
         scores = heading_scores(blind, self.columns()[1][:, None])
         assert not np.any(scores.information) and not np.any(scores.score)
         assert fit(scores, np.array([0])) is None
 
-    def test_a_turn_that_nobody_can_tell_tells_nothing(self) -> None:
-        """Where the gyro is lost in every turn, no turn shows an error."""
+    def test_turns_that_no_sensor_observed_hold_no_information(self) -> None:
+        """Where the gyro reads nothing valid in any turn, no turn shows an error."""
         rate, size = self.columns()
         made = drive(0.01 * size)
         lost = replace(made.seen, unobserved_turn_std_rad=np.where(size > 0.0, 1.0, 0.0))
@@ -140,16 +140,16 @@ class TestEvidence:
 
 
 class TestMisfits:
-    def test_they_are_of_size_one_where_the_noise_is_as_said(self) -> None:
+    def test_they_have_variance_one_where_the_noise_is_that_of_the_settings(self) -> None:
         left = np.concatenate([misfits(clean(seed).seen, np.zeros((3000, 1))) for seed in range(5)])
         assert len(left) > 100
         assert 0.7 < float(np.sqrt(np.mean(left**2))) < 1.3
 
-    def test_they_grow_with_noise_that_nobody_told(self) -> None:
+    def test_they_grow_with_noise_beyond_the_settings(self) -> None:
         quiet, noisy = (misfits(drive(gyro_noise=factor).seen, np.zeros((3000, 1))) for factor in (1.0, 5.0))
         assert np.std(noisy) > 3.0 * np.std(quiet)
 
-    def test_what_is_fitted_is_no_misfit(self) -> None:
+    def test_fitted_columns_leave_no_misfit(self) -> None:
         size = np.abs(turning_rad_s(300.0))[:, None]
         seen = drive(0.01 * size[:, 0]).seen
         assert np.std(misfits(seen, size)) < 1.3 < 3.0 < np.std(misfits(seen, np.zeros_like(size)))
@@ -171,13 +171,13 @@ class TestOfARun:
         assert 0.5 < known.mean() < 1.0
         assert np.degrees(np.std(off[known])) < 0.3
 
-    def test_the_gyro_tells_its_turns_by_the_final_coefficients(self, run: Run) -> None:
+    def test_turns_by_the_gyro_use_the_final_coefficients(self, run: Run) -> None:
         seen, history = headings(run), run.history
         expected = (1.0 + run.state.coefficients[0]) * history.turn_rad + history.tilt_rad
         np.testing.assert_allclose(seen.turn_rad, expected, atol=1e-12)
         np.testing.assert_array_equal(seen.time_s, history.time_s)
 
-    def test_a_rough_floor_is_not_laid_to_the_gyro(self) -> None:
+    def test_a_rough_floor_is_no_error_of_the_gyro(self) -> None:
         rough = calibrate(recording(bumps=40, floor_tilt_deg=1.5), Config(), default_model())
         seen, truth = headings(rough), truth_path(rough)
         assert truth is not None
@@ -186,82 +186,90 @@ class TestOfARun:
         tilted = np.cumsum(rough.history.tilt_rad)
         assert np.std(off) < 0.5 * np.std(off - tilted)
 
-    def test_nothing_is_left_over_of_a_clean_run(self, run: Run) -> None:
+    def test_a_clean_run_has_no_structure_and_no_failure(self, run: Run) -> None:
         seen = headings(run)
-        assert unexplained_structure(run, seen) is None and failures(run, seen) == []
+        assert unexplained_structure(run, seen, DEFAULT_SETTINGS) is None and failures(run, seen) == []
 
 
-class TestShapes:
+def structure_of(made: Drive) -> UnexplainedStructure | None:
+    return unexplained_structure(made.run, made.seen, DEFAULT_SETTINGS)
+
+
+class TestStructure:
     def test_a_clean_drive_has_none(self) -> None:
         for seed in range(4):
-            assert unexplained_structure(clean(seed).run, clean(seed).seen) is None
+            assert structure_of(clean(seed)) is None
 
     def test_a_jump_is_found_where_it_is(self) -> None:
-        found = jump(knocked().seen)
+        found = find_jump(knocked().seen)
         assert found is not None
         at_s, fitted = found
-        assert at_s == pytest.approx(KNOCK_S, abs=2.0 * STEP_S)
+        assert at_s == pytest.approx(KNOCK_S, abs=2.0 * JUMP_STEP_S)
         assert fitted.values[0] == pytest.approx(deg(0.2), rel=0.15)
-        odd = unexplained_structure(knocked().run, knocked().seen)
-        assert odd is not None and odd.at_s == at_s and odd.sigma > ODD_SIGMA
-        assert odd.what.startswith('the bias jumped by +0.') and odd.what.endswith(f'at {at_s:.0f} s')
+        structure = self.structure(knocked())
+        assert structure.at_s == at_s and structure.sigma > DEFAULT_SETTINGS.structure_sigma
+        assert structure.what.startswith('the bias jumped by +0.')
+        assert structure.what.endswith(f'at {at_s:.0f} s')
 
     def test_a_jump_in_a_long_drive(self) -> None:
-        found = jump(drive(deg(0.1) * (times_s(1200.0) > 777.0), duration_s=1200.0).seen)
-        assert found is not None and found[0] == pytest.approx(777.0, abs=2.0 * STEP_S)
+        found = find_jump(drive(deg(0.1) * (times_s(1200.0) > 777.0), duration_s=1200.0).seen)
+        assert found is not None and found[0] == pytest.approx(777.0, abs=2.0 * JUMP_STEP_S)
 
-    def test_a_drive_too_short_for_a_jump_or_a_swing(self) -> None:
-        short = drive(duration_s=4.0 * STEP_S - 1.0).seen
-        assert jump(short) is None and swing(short) is None
+    def test_a_drive_too_short_for_a_jump_or_an_oscillation(self) -> None:
+        short = drive(duration_s=4.0 * JUMP_STEP_S - 1.0).seen
+        assert find_jump(short) is None and find_oscillation(short) is None
 
-    def odd(self, made: Drive) -> UnexplainedStructure:
-        found = unexplained_structure(made.run, made.seen)
+    def structure(self, made: Drive) -> UnexplainedStructure:
+        found = structure_of(made)
         assert found is not None
         return found
 
     def test_a_bias_that_follows_a_signal(self) -> None:
         current = switched()
-        odd = self.odd(drive(deg(0.1) * current, signals={'battery.voltage': times_s(), SIGNAL: current}))
-        assert odd.what == f'the bias goes with {SIGNAL}' and odd.at_s is None
-        assert odd.shape.signal == SIGNAL and not odd.shape.of_scale
-        slope = np.polyfit(odd.shape.knots, odd.shape.values, 1)[0]
+        structure = self.structure(
+            drive(deg(0.1) * current, signals={'battery.voltage': times_s(), SIGNAL: current})
+        )
+        assert structure.what == f'the bias goes with {SIGNAL}' and structure.at_s is None
+        assert structure.shape.signal == SIGNAL and not structure.shape.of_scale
+        slope = np.polyfit(structure.shape.knots, structure.shape.values, 1)[0]
         assert slope == pytest.approx(deg(0.1), rel=0.15)
-        assert odd.gain > 100.0
+        assert structure.gain > 100.0
 
     @pytest.mark.parametrize('period_s', [13.3, 31.0, 55.0])
-    def test_a_bias_that_swings(self, period_s: float) -> None:
-        odd = self.odd(drive(deg(0.1) * np.sin(2.0 * np.pi * times_s() / period_s)))
-        told = re.fullmatch(r'the bias swings by (\S+) deg/s to either side, once in (\S+) s', odd.what)
-        assert told is not None
-        assert [float(text) for text in told.groups()] == pytest.approx([0.1, period_s], rel=0.15)
-        assert odd.at_s is None and odd.shape.signal == TIME
+    def test_a_bias_that_oscillates(self, period_s: float) -> None:
+        structure = self.structure(drive(deg(0.1) * np.sin(2.0 * np.pi * times_s() / period_s)))
+        sentence = r'the bias oscillates with an amplitude of (\S+) deg/s and a period of (\S+) s'
+        match = re.fullmatch(sentence, structure.what)
+        assert match is not None
+        assert [float(text) for text in match.groups()] == pytest.approx([0.1, period_s], rel=0.15)
+        assert structure.at_s is None and structure.shape.signal == TIME
 
     @pytest.mark.parametrize('phase_deg', [0.0, 77.0, 200.0])
     def test_a_bias_that_goes_with_the_heading(self, phase_deg: float) -> None:
         heading_rad = np.cumsum(turning_rad_s(300.0)) * DT_S
-        odd = self.odd(drive(deg(0.1) * np.cos(heading_rad - deg(phase_deg))))
-        assert odd.what == f'the bias goes with {HEADING}' and not odd.shape.of_scale
-        assert np.degrees(np.ptp(odd.shape.values)) == pytest.approx(0.2, rel=0.3)
+        structure = self.structure(drive(deg(0.1) * np.cos(heading_rad - deg(phase_deg))))
+        assert structure.what == f'the bias goes with {HEADING}' and not structure.shape.of_scale
+        assert np.degrees(np.ptp(structure.shape.values)) == pytest.approx(0.2, rel=0.3)
 
     def test_a_scale_that_follows_a_signal(self) -> None:
         rng = np.random.default_rng(3)
         load = np.repeat(rng.uniform(0.0, 1.0, 30), 100)
-        odd = self.odd(drive(0.02 * load * turning_rad_s(300.0), signals={SIGNAL: load}))
-        assert odd.what == f'the scale goes with {SIGNAL}' and odd.shape.of_scale
-        slope = np.polyfit(odd.shape.knots, odd.shape.values, 1)[0]
+        structure = self.structure(drive(0.02 * load * turning_rad_s(300.0), signals={SIGNAL: load}))
+        assert structure.what == f'the scale goes with {SIGNAL}' and structure.shape.of_scale
+        slope = np.polyfit(structure.shape.knots, structure.shape.values, 1)[0]
         assert slope == pytest.approx(0.02, rel=0.2)
 
-    def test_what_goes_with_the_rate(self) -> None:
-        """Fast turns to the left read too small: the rest of the rate has nothing to do with it."""
-        odd = self.odd(drive(0.01 * np.maximum(turning_rad_s(300.0) - deg(45.0), 0.0)))
-        assert odd.what == f'the bias goes with {RATE}' and not odd.shape.of_scale
-        *others, fastest = np.degrees(odd.shape.values).tolist()
+    def test_an_error_that_goes_with_the_rate(self) -> None:
+        """Fast turns to the left read too small; all other rates are right."""
+        structure = self.structure(drive(0.01 * np.maximum(turning_rad_s(300.0) - deg(45.0), 0.0)))
+        assert structure.what == f'the bias goes with {RATE}' and not structure.shape.of_scale
+        *others, fastest = np.degrees(structure.shape.values).tolist()
         assert fastest == pytest.approx(0.45, rel=0.2) and np.ptp(others) < 0.1
 
-    def test_a_gyro_too_noisy_is_no_oddity(self) -> None:
+    def test_a_gyro_too_noisy_has_none(self) -> None:
         for seed in range(3):
             made = drive(gyro_noise=4.0, seed=seed, signals={SIGNAL: switched()})
-            assert unexplained_structure(made.run, made.seen) is None
+            assert structure_of(made) is None
 
     def test_signals_that_do_not_vary_or_are_unknown_have_no_shape(self) -> None:
         count = len(times_s())
@@ -283,7 +291,7 @@ class TestFailures:
     def places(self, made: Drive) -> list[Failure]:
         found = failures(made.run, made.seen)
         assert [failure.sigma for failure in found] == sorted((item.sigma for item in found), reverse=True)
-        assert all(failure.sigma >= FAILURE_SIGMA for failure in found)
+        assert all(failure.sigma >= DEFAULT_SETTINGS.failure_sigma for failure in found)
         return found
 
     def worst_regime(self, made: Drive) -> Failure:
@@ -312,7 +320,7 @@ class TestFailures:
         made = drive(deg(1.0) * (rate > deg(TOP_DEG_S - 5.0)))
         assert self.worst_regime(made).regime == 'turning left faster than 80 deg/s'
 
-    def test_for_a_while_after_a_turn(self) -> None:
+    def test_some_seconds_after_a_turn(self) -> None:
         rate, error = turning_rad_s(300.0), np.zeros(3000)
         ends = np.flatnonzero((rate[:-1] > 0.0) & (rate[1:] == 0.0)) + 1
         for end in ends:
@@ -321,8 +329,8 @@ class TestFailures:
         assert worst.regime == '0 to 2 s after a turn to the left'
         assert size_of(worst) == pytest.approx(0.5, rel=0.35)
 
-    def test_over_time(self) -> None:
-        """A knock shows where it happened, not all along after it."""
+    def test_a_stretch_of_time(self) -> None:
+        """A jump of the bias shows where it happened, not in all blocks after it."""
         stretches = [failure for failure in self.places(knocked()) if failure.from_s is not None]
         assert stretches
         worst = stretches[0]
@@ -337,7 +345,7 @@ class TestFailures:
         scales = [size_of(item) for item in by_signal if item.what.endswith(' %')]
         assert -1.5 < min(scales) < -0.5 and 0.5 < max(scales) < 1.5
 
-    def test_without_odometry_nothing_is_said_of_distance(self) -> None:
+    def test_without_odometry_there_is_no_regime_of_distance(self) -> None:
         rate, error = turning_rad_s(300.0), np.zeros(3000)
         for end in np.flatnonzero((rate[:-1] != 0.0) & (rate[1:] == 0.0)) + 1:
             error[end : end + 20] = deg(0.5)

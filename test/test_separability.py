@@ -1,4 +1,4 @@
-"""Which motion tells which effects apart: the figures that come with the package, and the advice."""
+"""Which motion separates which effects: the figures that come with the package, and the advice."""
 
 from __future__ import annotations
 
@@ -16,7 +16,14 @@ from gyrocal_ros.bench.separability import Figures, Lost, figures
 from gyrocal_ros.cli.output import print_row
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.search import examine
-from gyrocal_ros.diagnose.separability import MIN_APART, kind_of, table, tell_apart, to_tell_apart
+from gyrocal_ros.diagnose.separability import (
+    MIN_SEPARATION,
+    best_drive,
+    drive_for,
+    how_to_tell_apart,
+    kind_of,
+    table,
+)
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, default_model, find_effect
 from gyrocal_ros.errors import ConfigError
@@ -33,30 +40,37 @@ def speeds() -> Figures:
     return figures('speeds')
 
 
-def test_the_figures_are_those_that_come_out_today(speeds: Figures) -> None:
+def test_the_figures_are_those_of_this_code(speeds: Figures) -> None:
     for name, sigma in speeds.shows.items():
-        assert table().shows[name]['speeds'] == pytest.approx(sigma, rel=0.05, abs=0.5), name
-    for pair, row in table().alike.items():
+        assert table().significance[name]['speeds'] == pytest.approx(sigma, rel=0.05, abs=0.5), name
+    for pair, row in table().correlations.items():
         first, second = sorted(pair)
         assert row['speeds'] == pytest.approx(speeds.alike.get((first, second)), abs=0.02), pair
 
 
 def test_the_figures_cover_the_library_and_every_drive() -> None:
-    assert table().shows.keys() == {*EFFECTS, *COVARIATE_EFFECTS}
-    rows = [set(row) for table_of in (table().shows, table().alike) for row in table_of.values()]
+    assert table().significance.keys() == {*EFFECTS, *COVARIATE_EFFECTS}
+    rows = [
+        set(row) for table_of in (table().significance, table().correlations) for row in table_of.values()
+    ]
     assert all(row == {EVERYDAY.name, *TEST_DRIVES, *CONTROLS} for row in rows)
+    drives = {EVERYDAY.name: EVERYDAY, **TEST_DRIVES}
+    assert table().drives == {name: drive.about for name, drive in drives.items()}
+    assert table().everyday == EVERYDAY.name
 
 
-def test_sigma_between_two_effects_is_what_the_other_cannot_explain(speeds: Figures) -> None:
+def test_the_separation_of_two_effects_is_what_the_other_cannot_explain(speeds: Figures) -> None:
     pair = ('scale_asymmetry', 'scale_quadratic')
     weaker = min(speeds.shows[name] for name in pair)
     expected = weaker * math.sqrt(1.0 - speeds.alike[pair] ** 2)
-    assert table().apart(*pair, 'speeds') == pytest.approx(expected, rel=0.05)
-    cubic = table().shows['scale_cubic']['speeds']
-    assert table().apart('scale_cubic', 'scale_factor', 'speeds') == cubic, 'the scale factor is free already'
-    assert table().apart('gyro_lag', 'camera_tilt', 'speeds') > 0.4 * min(
-        table().shows[name]['speeds'] for name in ('gyro_lag', 'camera_tilt')
-    ), 'no twins: they have at most the correlation of twins'
+    assert table().separation(*pair, 'speeds') == pytest.approx(expected, rel=0.05)
+    cubic = table().significance['scale_cubic']['speeds']
+    assert table().separation('scale_cubic', 'scale_factor', 'speeds') == cubic, (
+        'the scale factor is free already'
+    )
+    assert table().separation('gyro_lag', 'camera_tilt', 'speeds') > 0.4 * min(
+        table().significance[name]['speeds'] for name in ('gyro_lag', 'camera_tilt')
+    ), 'a pair without a row has at most the correlation of one with a row'
 
 
 @pytest.mark.parametrize(
@@ -67,70 +81,77 @@ def test_sigma_between_two_effects_is_what_the_other_cannot_explain(speeds: Figu
         ('bias_temperature', 'bias_warmup', 'cooled'),
     ],
 )
-def test_twins_have_a_drive_that_tells_them_apart(first: str, second: str, drive: str) -> None:
-    found = tell_apart(first, second)
+def test_effects_that_look_alike_have_a_drive_that_separates_them(
+    first: str, second: str, drive: str
+) -> None:
+    found = best_drive(first, second)
     assert found.helps and found.drive == drive
     assert found.sigma > found.everyday_sigma
     assert found.everyday_correlation is not None and found.correlation < found.everyday_correlation
-    assert tell_apart(second, first).drive == drive
+    assert best_drive(second, first).drive == drive
 
 
-def test_wheel_scale_and_the_place_of_the_camera_are_never_told_apart() -> None:
-    found = tell_apart('wheel_scale', 'camera_position')
-    assert not found.helps and found.sigma < 0.1 * MIN_APART
-    (sentence,) = to_tell_apart('wheel_scale', ['camera_position'])
+def test_no_drive_separates_wheel_scale_and_the_place_of_the_camera() -> None:
+    found = best_drive('wheel_scale', 'camera_position')
+    assert not found.helps and found.sigma < 0.1 * MIN_SEPARATION
+    (sentence,) = how_to_tell_apart('wheel_scale', ['camera_position'])
     assert 'no motion' in sentence
 
 
-def test_what_shows_wheel_scale_and_focal_length() -> None:
-    wheel_scale, focal_length = table().shows['wheel_scale'], table().shows['focal_length']
+def test_drives_that_show_wheel_scale_and_focal_length() -> None:
+    wheel_scale, focal_length = table().significance['wheel_scale'], table().significance['focal_length']
     assert wheel_scale['centred'] == 0.0 and wheel_scale['level'] > 10.0
     assert focal_length['rough'] > 20.0 > focal_length['square'] > focal_length['level']
     assert focal_length['pinhole'] < 4.5
 
 
-def test_advice_is_a_sentence_for_each_twin() -> None:
-    twins = ['scale_factor', 'rate_saturation']
-    sentences = to_tell_apart('scale_cubic', twins)
-    for twin, sentence in zip(twins, sentences, strict=True):
+def test_advice_is_a_sentence_for_each_alternative() -> None:
+    others = ['scale_factor', 'rate_saturation']
+    sentences = how_to_tell_apart('scale_cubic', others)
+    for other, sentence in zip(others, sentences, strict=True):
         assert sentence.startswith(
-            f'To tell scale_cubic from {twin}, record five minutes of this: three full'
+            f'To tell scale_cubic from {other}, record five minutes of this: three full'
         )
         assert 'sigma' in sentence and sentence.endswith('.')
-    assert to_tell_apart('scale_cubic', []) == []
+    assert how_to_tell_apart('scale_cubic', []) == []
 
 
 def test_advice_on_recorded_signals() -> None:
     fan, motor = 'covariate_bias:fan.rpm', 'covariate_bias:motor.current'
-    to_fan, to_temperature = to_tell_apart(motor, [fan, 'bias_temperature'])
+    to_fan, to_temperature = how_to_tell_apart(motor, [fan, 'bias_temperature'])
     assert 'without the other' in to_fan and TEST_DRIVES['fan'].about in to_temperature
     assert kind_of(fan) == 'covariate_bias' and kind_of('scale_cubic') == 'scale_cubic'
 
 
-def test_advice_on_effects_without_figures_is_their_own() -> None:
-    (sentence,) = to_tell_apart('scale_power_4', ['scale_cubic'])
+def test_the_drive_that_shows_an_effect_best() -> None:
+    assert drive_for('rate_deadband') == TEST_DRIVES['creeping'].about
+    assert drive_for('covariate_bias:fan.rpm') == TEST_DRIVES['fan'].about
+    assert drive_for('scale_power_4') is None, 'it has no figures'
+
+
+def test_advice_on_effects_without_figures_is_their_best_motion() -> None:
+    (sentence,) = how_to_tell_apart('scale_power_4', ['scale_cubic'])
     for name in ('scale_power_4', 'scale_cubic'):
         assert find_effect(name).about.best_motion in sentence
     with pytest.raises(ConfigError, match='scale_power_4'):
-        tell_apart('scale_power_4', 'scale_cubic')
+        best_drive('scale_power_4', 'scale_cubic')
 
 
-def test_a_diagnosis_follows_the_advice() -> None:
-    """What the advised drive promises is what is then found."""
-    effect, twin = find_effect('bias_temperature'), 'bias_warmup'
-    drive = TEST_DRIVES[tell_apart(effect.name, twin).drive]
+def test_a_diagnosis_on_the_advised_drive_finds_the_effect() -> None:
+    effect, other = find_effect('bias_temperature'), 'bias_warmup'
+    drive = TEST_DRIVES[best_drive(effect.name, other).drive]
     source = SimSource(drive, seed=3, hidden=(HiddenEffect(effect, (math.radians(0.02),)),))
-    stage = examine(
+    examined = examine(
         default_model(),
         summarise_recording(source),
-        lambda model, on: calibrate(source, Config(), model, candidates=on),
+        lambda model, candidates: calibrate(source, Config(), model, candidates=candidates),
     )
-    gains = {ranked_effect.effect.name: ranked_effect.fit.gain for ranked_effect in stage.ranked}
-    assert stage.ranked[0].effect.name == effect.name
-    assert gains[effect.name] > 2.0 * gains[twin]
+    gains = {item.effect.name: item.fit.gain for item in examined.ranked}
+    assert examined.ranked[0].effect.name == effect.name
+    assert gains[effect.name] > 2.0 * gains[other]
 
 
-def test_what_a_limit_takes_away_is_a_column() -> None:
+def test_the_rate_lost_beyond_a_limit_is_a_column() -> None:
     block = eventful_block()
     rate = block.rate_rad_s[:, 2]
     limit = 0.5 * float(np.abs(rate).max())
@@ -138,7 +159,7 @@ def test_what_a_limit_takes_away_is_a_column() -> None:
     assert lost.columns(block)[:, 0] == pytest.approx(rate - np.clip(rate, -limit, limit))
 
 
-def test_the_table_is_made_of_what_the_drives_tell(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_table_has_the_figures_of_each_drive(monkeypatch: pytest.MonkeyPatch) -> None:
     def invented(drive: str) -> Figures:
         shows = dict.fromkeys(('scale_cubic', 'gyro_lag', 'turn_slip'), 10.0)
         alike = {('gyro_lag', 'turn_slip'): 0.95 if drive == 'rough' else 0.1}
@@ -149,7 +170,9 @@ def test_the_table_is_made_of_what_the_drives_tell(monkeypatch: pytest.MonkeyPat
     rows = {row['effect']: row for row in bench.motions()}
     assert rows['scale_cubic']['speeds'] == 10.0 and rows['wheel_scale']['speeds'] == 0.0
     assert rows['gyro_lag/turn_slip']['rough'] == 0.95
-    assert rows['camera_time_offset/gyro_lag']['rough'] is None, 'a declared twin, of which nothing is known'
+    assert rows['camera_time_offset/gyro_lag']['rough'] is None, (
+        'declared to look alike, but not shown by any drive'
+    )
     assert 'gyro_lag/scale_cubic' not in rows
 
 
@@ -160,7 +183,7 @@ def test_the_page_shows_the_figures(capsys: pytest.CaptureFixture[str]) -> None:
     page = PAGE.read_text(encoding='utf-8')
     for line in capsys.readouterr().out.splitlines():
         assert line in page, 'paste the output of `gyrocal bench motions`'
-    assert all(sentence in page for sentence in to_tell_apart('bias_warmup', ['bias_temperature']))
+    assert all(sentence in page for sentence in how_to_tell_apart('bias_warmup', ['bias_temperature']))
     for drive in (*TEST_DRIVES.values(), *CONTROLS.values()):
         assert f'| `{drive.name}` | {drive.about} |' in page
 
@@ -175,7 +198,7 @@ def test_test_drives_stay_in_the_room(name: str) -> None:
     assert np.degrees(np.abs(motion.rate_rad_s[:, 2])).max() < 95.0
 
 
-def test_cooling_ends_what_the_start_began() -> None:
+def test_cooling_reverses_the_warming_up() -> None:
     climate = SimSource(TEST_DRIVES['cooled']).truth.climate
     start, middle, end = climate.temperature_c(np.array([0.0, 150.0, 300.0]))
     assert middle - start > 5.0 and middle - end > 4.0

@@ -1,0 +1,46 @@
+"""Predictive log-likelihood: the gain of one run over another, by blocks of time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import DT_S, drive
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.score_statistics import BLOCK_S
+
+DURATION_S = 100.0
+
+
+def run_with(log_likelihood: Array | float, dof: Array | float = 1.0) -> Run:
+    made = drive(duration_s=DURATION_S).run
+    full = np.ones(len(made.history.time_s))
+    return replace(made, history=replace(made.history, log_likelihood=log_likelihood * full, dof=dof * full))
+
+
+def test_it_is_the_difference_of_the_log_likelihoods_by_block() -> None:
+    ramp = np.linspace(0.0, 1.0, round(DURATION_S / DT_S))
+    gains = predictive_gain(run_with(1.0), run_with(1.0 + ramp))
+    each = round(BLOCK_S / DT_S)
+    np.testing.assert_allclose(gains, ramp.reshape(-1, each).sum(axis=1))
+    back = predictive_gain(run_with(1.0 + ramp), run_with(1.0))
+    np.testing.assert_allclose(back.sum(), -ramp.sum(), rtol=0.01)
+
+
+def test_more_features_are_no_gain() -> None:
+    """Twice as many features, each predicted as well as before."""
+    np.testing.assert_allclose(predictive_gain(run_with(-2.0, 4.0), run_with(-4.0, 8.0)), 0.0, atol=1e-9)
+    better = predictive_gain(run_with(-2.0, 4.0), run_with(-3.0, 8.0))
+    assert better.sum() == pytest.approx(1000.0)
+
+
+def test_a_run_that_ended_earlier_gains_nothing_later() -> None:
+    short = run_with(3.0)
+    half = {name: getattr(short.history, name)[:500] for name in ('time_s', 'log_likelihood', 'dof', 't_ns')}
+    gains = predictive_gain(run_with(1.0), replace(short, history=replace(short.history, **half)))
+    assert len(gains) == round(DURATION_S / BLOCK_S)
+    assert np.all(gains[:5] > 0.0)

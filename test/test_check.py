@@ -290,7 +290,7 @@ def test_the_command_prints_a_table(tmp_path: Path, capsys: pytest.CaptureFixtur
     out = capsys.readouterr().out
     assert '/ceiling_camera/features' in out
     assert 'warning: /imu/data_raw: 1 gap' in out
-    assert 'This bag can be calibrated from.' in out
+    assert 'This bag can be used for a calibration.' in out
 
 
 def test_the_command_prints_one_json_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

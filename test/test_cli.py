@@ -17,7 +17,7 @@ import pytest
 from gyrocal_ros import __version__
 from gyrocal_ros.cli.main import COMMANDS, main
 from gyrocal_ros.cli.output import print_json
-from gyrocal_ros.cli.replay import verdict
+from gyrocal_ros.cli.replay import as_text
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import shipped
@@ -170,7 +170,7 @@ def test_demo_finds_the_true_scale_factor(
 def test_the_drift_of_one_span_is_not_given_out_for_many(worst: float, said: str) -> None:
     names = ('scale_factor', 'scale_factor_std', 'scale_factor_volt', 'bias', 'bias_std', 'heading_rms_deg')
     summary = dict.fromkeys(names, 0.1) | {'coefficients': {}, 'converged': False}
-    assert said in verdict(summary | {'blind_drift_deg': {'rms': 0.2, 'max': worst}}, Config())
+    assert said in as_text(summary | {'blind_drift_deg': {'rms': 0.2, 'max': worst}}, Config())
 
 
 def test_a_calibration_brings_its_model_along(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

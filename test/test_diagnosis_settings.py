@@ -157,8 +157,11 @@ class TestSweep:
         ('args', 'message'),
         [
             (['blind', '--set', 'structure_sgma=3'], "did you mean 'structure_sigma'?"),
-            (['accuracy', '--set', 'structure_sigma=3'], '--set: needs the bench that it means; name blind'),
-            (['--set', 'structure_sigma=3'], '--set: needs the bench that it means; name blind'),
+            (
+                ['accuracy', '--set', 'structure_sigma=3'],
+                '--set: is only for the bench blind; name blind',
+            ),
+            (['--set', 'structure_sigma=3'], '--set: is only for the bench blind; name blind'),
         ],
     )
     def test_other_thresholds_and_benches_are_refused(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrocal_ros.cli.main import COMMANDS, parser_of
+from gyrocal_ros.cli.main import COMMANDS, command_parser
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob('*.md'), *ROOT.glob('docs/*.md'), *ROOT.glob('bags/*.md')])
@@ -39,7 +39,7 @@ def check(command: str) -> None:
     name, *arguments = shlex.split(command, comments=True)
     assert name in COMMANDS, command
     if arguments and '--help' not in arguments:
-        parser_of(name).parse_args(arguments)
+        command_parser(name).parse_args(arguments)
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)

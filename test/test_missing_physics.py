@@ -16,9 +16,9 @@ from recordings import recording
 
 from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.cli import improve
-from gyrocal_ros.cli.diagnose import add_arguments, in_words, next_steps
+from gyrocal_ros.cli.bag_runs import BagRuns
+from gyrocal_ros.cli.diagnose import add_arguments, as_text, next_steps
 from gyrocal_ros.cli.main import main
-from gyrocal_ros.cli.passes import Passes
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import TruthSample
 from gyrocal_ros.diagnose.advice import advice
@@ -124,7 +124,7 @@ class TestDiagnose:
         assert 'The most significant effect was' in printed and 'gyrocal add' not in printed
 
     def test_in_words(self, searched: tuple[Search, Diagnosis]) -> None:
-        lines = list(in_words(searched[1]))
+        lines = list(as_text(searched[1]))
         assert lines[0] == 'Missing: scale_asymmetry.'
         assert any('c = 0.01' in line and '->' in line for line in lines)
         assert 'Where the model fails, worst first:' in lines
@@ -163,7 +163,7 @@ class TestDiagnose:
     ) -> None:
         missing = replace(searched[1].missing[0], confused_with=('scale_quadratic',))
         unsure = replace(searched[1], verdict='cannot_tell', missing=(missing,))
-        printed = '\n'.join(in_words(unsure))
+        printed = '\n'.join(as_text(unsure))
         assert 'Missing: scale_asymmetry (not distinguishable here from scale_quadratic).' in printed
         assert any('scale_asymmetry' in text and 'scale_quadratic' in text for text in advice(unsure))
 
@@ -206,7 +206,7 @@ class TestDiagnose:
         assert 'Record temperature to judge bias_temperature and scale_temperature.' in sentences
         assert any(text.startswith('To judge cross_axis, record five minutes') for text in sentences)
         assert any('turns to both sides' in text for text in sentences)
-        printed = '\n'.join(in_words(unsure))
+        printed = '\n'.join(as_text(unsure))
         assert printed.startswith('This recording cannot tell')
         assert 'bias_temperature and scale_temperature: not recorded: temperature' in printed
 
@@ -249,19 +249,19 @@ class TestCompare:
     ) -> None:
         model = tmp_path / 'broken.yaml'
         assert main(['add', 'gyro_lag', '--model', str(model)]) == 0
-        runs = Passes.calibrate
+        runs = BagRuns.calibrate
 
-        def run(self: Passes, model: SensorModel, candidates: tuple[Effect, ...] = ()) -> Run:
+        def run(self: BagRuns, model: SensorModel, candidates: tuple[Effect, ...] = ()) -> Run:
             if len(model.effects) > 1:
                 raise FilterDivergedError('lost the measurements', where='bag')
             return runs(self, model, candidates)
 
-        monkeypatch.setattr(Passes, 'calibrate', run)
+        monkeypatch.setattr(BagRuns, 'calibrate', run)
         default = tmp_path / 'default.yaml'
         assert main(['add', 'scale_factor', '--model', str(default)]) == 0
         capsys.readouterr()
         assert main(['compare', str(plain), '--model', str(model), '--model', str(default)]) == 0
-        assert f'{model}: the filter cannot run with it: bag: lost' in capsys.readouterr().out
+        assert f'{model}: the filter cannot run with this model: bag: lost' in capsys.readouterr().out
         assert main(['compare', str(plain), '--model', str(model)]) == 2
         assert 'lost the measurements' in capsys.readouterr().err
 
@@ -311,7 +311,7 @@ class TestImprove:
         def interrupt(*args: Any) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(improve, 'open_passes', interrupt)
+        monkeypatch.setattr(improve, 'open_bag_runs', interrupt)
         assert main(['improve', str(plain), '-o', str(tmp_path / 'out')]) == 130
         assert list(tmp_path.iterdir()) == []
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal_ros.cli.figures import draw_if_wanted
+from gyrocal_ros.cli.figures import draw_if_requested
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.report import png
 from gyrocal_ros.report.effect import curves
@@ -27,7 +27,7 @@ def test_a_command_continues_without_pictures(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(png, 'find_spec', lambda _: None)
-    draw_if_wanted(True, tmp_path, [Section('line', FIGURE, '')])
+    draw_if_requested(True, tmp_path, [Section('line', FIGURE, '')])
     assert 'warning: figures were not drawn' in capsys.readouterr().err
 
 
@@ -35,7 +35,7 @@ def test_nothing_is_drawn_unless_requested(tmp_path: Path) -> None:
     def never() -> list[Section]:
         raise AssertionError
 
-    draw_if_wanted(False, tmp_path, (section for _ in (1,) for section in never()))
+    draw_if_requested(False, tmp_path, (section for _ in (1,) for section in never()))
     assert not any(tmp_path.iterdir())
 
 

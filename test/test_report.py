@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal_ros.cli.replay import verdict as in_words
+from gyrocal_ros.cli.replay import as_text
 from gyrocal_ros.config.declare import with_settings
 from gyrocal_ros.config.parameter_file import load_config
 from gyrocal_ros.config.sections import Config
@@ -358,7 +358,7 @@ class TestSentences:
         for converged_s in (None, calibration.convergence_time_s):
             failed = replace(calibration, converged=False, convergence_time_s=converged_s)
             headline = conclusion(failed, run.config, blind_drift(run), blind_drift(run)).headline
-            assert headline in in_words(summarise(run, failed), run.config)
+            assert headline in as_text(summarise(run, failed), run.config)
             assert headline == calibration_headline(
                 False, converged_s, calibration.scale_factor_std, run.config
             )

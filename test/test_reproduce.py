@@ -20,7 +20,7 @@ from gyrocal_ros.bench.paper import (
 )
 from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, Experiment
 from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, assess
-from gyrocal_ros.cli import reproduce, reproduced
+from gyrocal_ros.cli import reproduce, reproduce_page
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sensors import SensorErrors
@@ -143,7 +143,7 @@ def test_convergence_is_reported_for_every_variant(monkeypatch: pytest.MonkeyPat
 
 
 def test_every_result_has_its_figures() -> None:
-    assert len(reproduced.SECTIONS) == 8 and len(EXPERIMENTS) == 10
+    assert len(reproduce_page.SECTIONS) == 8 and len(EXPERIMENTS) == 10
     assert list(EXPERIMENTS)[0] == 'fig7' and 'table1' in EXPERIMENTS
 
 

@@ -1,7 +1,8 @@
-"""Put a physical effect into a sensor model, model.yaml.
+"""Add a physical effect to a sensor model, model.yaml.
 
-From then on it is estimated with everything else, in replay and on the robot. A model that does not
-exist yet begins as the default one. One that does is added to, its comments and all else stay.
+From then on the filter estimates its coefficients, in replay and on the robot. If the model does not
+exist, the effect is added to a copy of the default one. Otherwise one entry is added to the file, and its
+comments and everything else are kept.
 """
 
 from __future__ import annotations
@@ -24,35 +25,39 @@ gyrocal add rate_saturation --set limit=1.05 --model model.yaml"""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('effect', metavar='EFFECT', help='its name, see `gyrocal effects`')
+    parser.add_argument('effect', metavar='EFFECT', help='name of the effect, see `gyrocal effects`')
     parser.add_argument(
-        '--model', type=Path, metavar='FILE', default=Path('model.yaml'), help='what to add to (%(default)s)'
+        '--model',
+        type=Path,
+        metavar='FILE',
+        default=Path('model.yaml'),
+        help='model to add it to (%(default)s)',
     )
     parser.add_argument(
         '--set',
         action='append',
         default=[],
         metavar='NAME=VALUE',
-        help='what a coefficient is expected to be, in its unit, or an option of the effect; may be repeated',
+        help='prior mean of a coefficient, in its unit, or an option of the effect; may be repeated',
     )
     add_own_effects_option(parser)
-    parser.add_argument('-o', '--out', type=Path, metavar='FILE', help='where to (into the model itself)')
-    parser.add_argument('--overwrite', action='store_true', help='write over a file OUT of an earlier time')
+    parser.add_argument('-o', '--out', type=Path, metavar='FILE', help='file to write (the model itself)')
+    parser.add_argument('--overwrite', action='store_true', help='overwrite the file given by -o')
 
 
 def run(args: argparse.Namespace) -> None:
-    """Add the effect, and say what the model then is.
+    """Add the effect, and print the effects of the new model.
 
     Raises:
-        ConfigError: there is no such effect, or the model cannot be used.
+        ConfigError: the effect does not exist, or the model cannot be used.
     """
     load_own_effects(args)
-    entry = entry_of(args.effect, args.set)
+    entry = model_entry(args.effect, args.set)
     start = args.model if args.model.exists() else shipped('config/model.yaml')
     names = [effect.name for effect in load_model(start).effects]
     text, out = start.read_text(encoding='utf-8'), args.out or args.model
     if args.effect in names:
-        print(f'{start}: has {args.effect} already, and keeps it as it is')
+        print(f'{start}: has {args.effect} already, which is left unchanged')
     else:
         text = with_entry(text, entry, str(start))
         names.append(args.effect)
@@ -60,15 +65,15 @@ def run(args: argparse.Namespace) -> None:
     print(f'{out}: {", ".join(names)}')
 
 
-def entry_of(name: str, settings: Sequence[str]) -> str | Mapping[str, Any]:
-    """An effect as it stands in `model.yaml`, with what was set.
+def model_entry(name: str, settings: Sequence[str]) -> str | Mapping[str, Any]:
+    """Return the entry of an effect in `model.yaml`, with its settings.
 
     Args:
-        name: of the effect.
-        settings: NAME=VALUE, the name that of a coefficient or of an option of the effect.
+        name: name of the effect.
+        settings: NAME=VALUE, where NAME is a coefficient or an option of the effect.
 
     Raises:
-        ConfigError: there is no such effect, or a setting is not written so.
+        ConfigError: the effect does not exist, or a setting is not of this form.
     """
     coefficients = [item.name for item in find_effect(name).coefficients]
     means: dict[str, float | str] = {}

@@ -23,7 +23,7 @@ from gyrocal_ros.bench.methods import comparison
 from gyrocal_ros.bench.separability import motions
 from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.tracker import tracker_accuracy
-from gyrocal_ros.cli.output import print_json, print_row, progress, tell
+from gyrocal_ros.cli.output import print_json, print_message, print_row, progress
 from gyrocal_ros.cli.provenance import provenance
 from gyrocal_ros.diagnose.settings import DiagnosisSettings, differing, with_thresholds
 from gyrocal_ros.errors import GyrocalError, did_you_mean
@@ -53,7 +53,7 @@ CASES: dict[str, Callable[[], list[str]]] = {
 }
 """Labels of the cases of the benches that can run some of them."""
 
-USUAL = ('accuracy', 'comparison', 'speed', 'blind')
+DEFAULT_BENCHES = ('accuracy', 'comparison', 'speed', 'blind')
 
 T = TypeVar('T')
 R = TypeVar('R')
@@ -62,23 +62,25 @@ R = TypeVar('R')
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('what', nargs='*', metavar='WHAT', help=f'what to measure: {", ".join(BENCHES)}')
-    parser.add_argument('--seeds', type=int, default=20, help='recordings a case (default 20)')
+    parser.add_argument('--seeds', type=int, default=20, help='number of recordings per case (default 20)')
     parser.add_argument(
         '--quick', action='store_true', help='compare with the kept figures; with a name, its first case only'
     )
     parser.add_argument('--keep', action='store_true', help='with --quick: keep the figures of this code')
     parser.add_argument(
-        '--only', nargs='+', default=[], metavar='CASE', help='of accuracy or blind: these cases only'
+        '--only', nargs='+', default=[], metavar='CASE', help='for accuracy and blind: run these cases only'
     )
     parser.add_argument(
         '--set',
         action='append',
         default=[],
         metavar='NAME=VALUE',
-        help='of blind: a threshold of the diagnosis (docs/diagnosis_settings.md); may be repeated',
+        help='for blind: a threshold of the diagnosis (docs/diagnosis_settings.md); may be repeated',
     )
-    parser.add_argument('-o', '--out', type=Path, metavar='FILE', help='of `growth`: a page with the plots')
-    parser.add_argument('--overwrite', action='store_true', help='replace the page where it exists')
+    parser.add_argument(
+        '-o', '--out', type=Path, metavar='FILE', help='for growth: write a page with the plots'
+    )
+    parser.add_argument('--overwrite', action='store_true', help='overwrite the page')
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the tables')
 
 
@@ -95,17 +97,17 @@ def run(args: argparse.Namespace) -> None:
         _refuse_unknown_cases(args)
     settings = _settings(args)
     if args.set and (not args.what or set(args.what) != {'blind'}):
-        raise GyrocalError('needs the bench that it means', where='--set', todo='name blind')
+        raise GyrocalError('is only for the bench blind', where='--set', todo='name blind')
     if args.seeds < 1:
         raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
     if args.keep and (args.what or not args.quick):
-        raise GyrocalError('keeps the figures of `gyrocal bench --quick` alone', where='--keep')
+        raise GyrocalError('is for `gyrocal bench --quick` only', where='--keep')
     if args.quick and not args.what:
         _compare_with_kept(args)
         return
     if args.out and args.out.exists() and not args.overwrite:
         raise GyrocalError('exists already', where=str(args.out), todo='choose another name or --overwrite')
-    tables = {name: _rows(name, args) for name in args.what or USUAL}
+    tables = {name: _rows(name, args) for name in args.what or DEFAULT_BENCHES}
     if args.json:
         print_json(provenance() | {'seeds': args.seeds, 'settings': differing(settings), 'benches': tables})
     if args.out and 'growth' in tables:
@@ -118,7 +120,7 @@ def run(args: argparse.Namespace) -> None:
 
 def _refuse_unknown_cases(args: argparse.Namespace) -> None:
     if not args.what or not CASES.keys() >= set(args.what):
-        raise GyrocalError('needs the bench that it means', where='--only', todo=f'name {" or ".join(CASES)}')
+        raise GyrocalError('needs the name of a bench', where='--only', todo=f'name {" or ".join(CASES)}')
     known = [label for name in args.what for label in CASES[name]()]
     for label in args.only:
         if label not in known:
@@ -148,7 +150,7 @@ def _compare_with_kept(args: argparse.Namespace) -> None:
 
     if args.keep:
         write_text_atomic(BASELINE, json_text(baseline_to_dict(measure_baseline(each))), overwrite=True)
-        tell(f'kept in {BASELINE}')
+        print_message(f'kept in {BASELINE}')
         return
     outcomes = gate(each, load_baseline())
     if args.json:

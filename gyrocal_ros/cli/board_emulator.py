@@ -1,11 +1,11 @@
 """Plays a simulated robot, or a recorded bag, as an IMU and encoder board on a pseudo-terminal.
 
-It speaks the protocol of docs/board_protocol.md, answers commands, has faults on demand and ends when
-all is played or it is interrupted. It needs no ROS.
+It uses the protocol of docs/board_protocol.md, answers commands, simulates faults on request, and ends
+when everything has been played or when it is interrupted. It needs no ROS.
 
 faults:
   KIND@FROM+FOR[=SHARE]  from FROM seconds after the start, for FOR seconds
-  KIND+FOR[=SHARE]       at once: typed while it runs, one a line
+  KIND+FOR[=SHARE]       immediately: typed while it runs, one per line
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 
 from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.board.protocol import TIME_WRAP
-from gyrocal_ros.cli.main import guarded, make_parser
+from gyrocal_ros.cli.main import make_parser, run_program
 from gyrocal_ros.cli.scenario_options import add_scenario_options, check_bounds, scenario_source
 from gyrocal_ros.config.parameter_file import load_all
 from gyrocal_ros.config.sections import BoardConfig, Config, DriverConfig
@@ -38,36 +38,39 @@ board_emulator --link /tmp/board --jitter 0.02 --fault unplug@60+5 --fault noise
 board_emulator --link /tmp/board --bag bags/demo"""
 
 MAX_JITTER_S, MAX_DRIFT_PPM = 1.0, 1000.0
+"""Bounds of the arguments."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('--link', type=Path, metavar='PATH', help='symbolic link that leads to the port')
-    parser.add_argument('--bag', type=Path, metavar='BAG', help='play a recording, not a simulated robot')
+    parser.add_argument('--link', type=Path, metavar='PATH', help='symbolic link to the port')
+    parser.add_argument(
+        '--bag', type=Path, metavar='BAG', help='play a recording in place of a simulated robot'
+    )
     add_scenario_options(parser)
     parser.add_argument('--config', type=Path, metavar='FILE', help='parameter file with the section board')
     parser.add_argument(
-        '--start-at', type=float, metavar='S', help='seconds since 1970 at which it starts (when it is ready)'
+        '--start-at', type=float, metavar='S', help='start time in seconds since 1970 (when it is ready)'
     )
     parser.add_argument(
         '--baud-rate',
         type=int,
         default=DriverConfig().baud_rate,
         metavar='BD',
-        help='speed of the wire (%(default)s)',
+        help='speed of the serial line (%(default)s)',
     )
     parser.add_argument(
-        '--jitter', type=float, default=0.0, metavar='S', help='frames come up to so much later (%(default)s)'
+        '--jitter', type=float, default=0.0, metavar='S', help='maximum random delay of a frame (%(default)s)'
     )
     parser.add_argument(
         '--drift-ppm',
         type=float,
         default=30.0,
         metavar='PPM',
-        help="how much too fast the board's clock runs (%(default)s)",
+        help="rate error of the board's clock, positive if it is fast (%(default)s)",
     )
     parser.add_argument(
-        '--uptime', type=float, metavar='S', help="what the board's clock reads at the start (by the seed)"
+        '--uptime', type=float, metavar='S', help="time on the board's clock at the start (drawn by the seed)"
     )
     parser.add_argument(
         '--fault',
@@ -80,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Play.
+    """Play the robot.
 
     Raises:
         GyrocalError: an argument is out of bounds, or the bag or the link cannot be used.
@@ -88,11 +91,11 @@ def run(args: argparse.Namespace) -> None:
     config, robot = load_all(args.config)
     emulator = _emulator(args, config, robot.board)
     port = PseudoTerminal(args.link)
-    signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background it must not stop at what is typed
-    with suppress(KeyboardInterrupt), closing(port):  # to be interrupted is as good an end as any
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # input must not stop it in the background
+    with suppress(KeyboardInterrupt), closing(port):  # an interruption is a normal end
         port.plug_in()
         print(args.link or port.name, flush=True)
-        player = RealTimePlayer(emulator, port, _tell, sys.stdin.fileno() if sys.stdin else None)
+        player = RealTimePlayer(emulator, port, _print_message, sys.stdin.fileno() if sys.stdin else None)
         player.play(time.time() if args.start_at is None else args.start_at)
 
 
@@ -101,7 +104,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else list(argv)
     if '--ros-args' in arguments:  # a launch file adds them for nodes
         arguments = arguments[: arguments.index('--ros-args')]
-    return guarded(PROGRAM, lambda: run(make_parser(PROGRAM, sys.modules[__name__]).parse_args(arguments)))
+    return run_program(
+        PROGRAM, lambda: run(make_parser(PROGRAM, sys.modules[__name__]).parse_args(arguments))
+    )
 
 
 def _emulator(args: argparse.Namespace, config: Config, board: BoardConfig) -> Emulator:
@@ -113,16 +118,16 @@ def _emulator(args: argparse.Namespace, config: Config, board: BoardConfig) -> E
     faults = [parse_fault(text) for text in args.fault]
     rng = stream(args.seed, PROGRAM)
     uptime_us = rng.integers(TIME_WRAP) if args.uptime is None else round(1e6 * args.uptime)
-    span, measurements = _played(args, config)
+    span, measurements = _measurements(args, config)
     sensors, measurements = detect_sensors(measurements)
     if not sensors.rates.imu:
-        raise GyrocalError('holds no IMU', where=str(args.bag), todo='play another recording')
+        raise GyrocalError('contains no IMU data', where=str(args.bag), todo='play another recording')
     oscillator = Oscillator(int(uptime_us), args.drift_ppm)
     line = EmulatedLine(args.baud_rate, args.jitter, faults, rng)
     return Emulator(measurements, span.start_ns, EmulatedBoard(board, sensors, oscillator), line)
 
 
-def _played(args: argparse.Namespace, config: Config) -> tuple[Span, Iterator[Measurement]]:
+def _measurements(args: argparse.Namespace, config: Config) -> tuple[Span, Iterator[Measurement]]:
     if args.bag is not None:
         recording = open_bag(args.bag, config, with_covariates=True)
         return recording.span, recording.measurements()
@@ -130,7 +135,7 @@ def _played(args: argparse.Namespace, config: Config) -> tuple[Span, Iterator[Me
     return robot.span, robot.board_measurements()
 
 
-def _tell(message: str) -> None:
+def _print_message(message: str) -> None:
     print(f'{PROGRAM}: {message}', file=sys.stderr, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""Say what is in a bag, and what is wrong with it: topics, rates, gaps, stamps, units, mounting, turns."""
+"""Report the contents of a bag and its problems: topics, rates, gaps, stamps, units, mounting, turns."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Check the bag and print what was found."""
+    """Check the bag and print the report."""
     report = check_bag(args.bag, read_config(args), **bag_options(args))
     if args.json:
         values = asdict(report)
@@ -39,7 +39,8 @@ def _text(report: CheckReport) -> Iterator[str]:
     yield ''
     for issue in report.issues:
         yield f'{issue.severity}: {issue}'
-    yield 'This bag can be calibrated from.' if report.usable else 'This bag cannot be calibrated from.'
+    usable = 'can' if report.usable else 'cannot'
+    yield f'This bag {usable} be used for a calibration.'
 
 
 def _row(topic: TopicSummary) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
-"""Hold sensor models against a recording: which foresees it best, how far each drifts, where each fails.
+"""Compare sensor models on a recording: which predicts it best, how far each drifts, where each fails.
 
-Every model runs over the bag by itself. Drift is the heading error after 60 s by the gyro alone, on
-spans of the second half, each begun with what was known by then; its interval holds in 90 of 100
-recordings. Ground truth is compared with where it is recorded, never estimated from.
+The filter runs over the bag once for each model. Drift is the heading error after 60 s by the gyro
+alone, on spans of the second half; each span begins with the estimate of that time. The interval of the
+drift is a 90 % interval. Ground truth, if recorded, is only compared with; no estimate uses it.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from gyrocal_ros.cli.figures import draw_if_wanted
+from gyrocal_ros.cli.bag_runs import BagRuns, add_run_options, open_bag_runs, result_folder
+from gyrocal_ros.cli.figures import draw_if_requested
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
 from gyrocal_ros.cli.output import print_json, table
-from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
 from gyrocal_ros.diagnose.comparison import Comparison, ModelResult, compare
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_comparison
@@ -33,84 +33,84 @@ gyrocal compare my_bag --model model.yaml -o comparison --json"""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    add_pass_options(parser)
+    add_run_options(parser)
     parser.add_argument(
         '--model',
         type=Path,
         action='append',
         default=[],
         metavar='FILE',
-        help='sensor model (model.yaml); may be repeated, the first is what others are measured by',
+        help='sensor model (model.yaml); may be repeated, the others are compared with the first',
     )
     add_own_effects_option(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Run every model, and say how they compare.
+    """Run every model, and print the comparison.
 
     Raises:
-        GyrocalError: the bag or a model cannot be used, or the filter runs with none of them.
+        GyrocalError: the bag or a model cannot be used, or the filter diverges with every model.
     """
     began_s = time.perf_counter()
     load_own_effects(args)
     models = {str(path): load_model(path) for path in args.model} or {'default': load_model(None)}
     with result_folder(args) as folder:
-        passes = open_passes(args, next(iter(models.values())))
-        comparison = _compare(passes, models)
+        runs = open_bag_runs(args, next(iter(models.values())))
+        comparison = _compare(runs, models)
         if folder is not None:
             # Only a page needs the plotting library.
             from gyrocal_ros.report.comparison import comparison_sections
             from gyrocal_ros.report.write import fill_comparison
 
-            fill_comparison(folder, comparison, passes.findings)
-            draw_if_wanted(args.png, folder, comparison_sections(comparison))
+            fill_comparison(folder, comparison, runs.issues)
+            draw_if_requested(args.png, folder, comparison_sections(comparison))
     if args.json:
         print_json(summarise_comparison(comparison) | {'wall_s': time.perf_counter() - began_s})
     else:
-        print('\n'.join(in_words(comparison)))
+        print('\n'.join(as_text(comparison)))
         if args.out:
             print(f'\nReport: {args.out / "report.html"}')
 
 
-def _compare(passes: Passes, models: dict[str, SensorModel]) -> Comparison:
-    runs: dict[str, Run] = {}
+def _compare(runs: BagRuns, models: dict[str, SensorModel]) -> Comparison:
+    finished: dict[str, Run] = {}
     diverged: dict[str, FilterDivergedError] = {}
     for label, model in models.items():
         try:
-            runs[label] = passes.calibrate(model)
+            finished[label] = runs.calibrate(model)
         except FilterDivergedError as error:
             diverged[label] = error
-    if not runs:
+    if not finished:
         raise next(iter(diverged.values()))
-    return compare(runs, {label: str(error) for label, error in diverged.items()})
+    return compare(finished, {label: str(error) for label, error in diverged.items()})
 
 
-def in_words(comparison: Comparison) -> Iterator[str]:
-    """The comparison in lines for a person."""
+def as_text(comparison: Comparison) -> Iterator[str]:
+    """Yield the comparison in lines of text."""
     yield from table(
         ('model', 'drift in 60 s (deg)', 'heading (deg rms)', 'predictive gain', 'NIS/dof', 'scale factor'),
-        [_row(rival) for rival in comparison.results],
+        [_row(result) for result in comparison.results],
     )
     yield f'(drift rms and interval, held out, against {REFERENCES[comparison.drift_reference]})'
     for label, why in comparison.diverged.items():
-        yield f'{label}: the filter cannot run with it: {why}'
-    for rival in comparison.results:
+        yield f'{label}: the filter cannot run with this model: {why}'
+    for result in comparison.results:
         yield ''
-        yield f'Where {rival.label} fails, worst first:'
-        yield from failures_in_words(rival.fails_where)
-        if rival.fails_by_truth is not None:
+        yield f'Where {result.label} fails, worst first:'
+        yield from failures_in_words(result.fails_where)
+        if result.fails_by_truth is not None:
             yield 'and against the ground truth:'
-            yield from failures_in_words(rival.fails_by_truth)
+            yield from failures_in_words(result.fails_by_truth)
 
 
-def _row(rival: ModelResult) -> tuple[str, ...]:
-    run, heading = rival.run, rival.heading_rms_deg
+def _row(result: ModelResult) -> tuple[str, ...]:
+    run, heading = result.run, result.heading_rms_deg
     scale = conclude(run)
     return (
-        rival.label,
-        drift_in_words(rival.drift),
+        result.label,
+        drift_in_words(result.drift),
         '-' if heading is None else f'{heading:.3f}',
-        f'{rival.gain:+.1f} ({rival.gain_sigma:+.1f} sigma)' if rival.gain else 'reference',
+        f'{result.gain:+.1f} ({result.gain_sigma:+.1f} sigma)' if result.gain else 'reference',
         f'{nis_per_dof(run):.2f}',
         with_std(scale.scale_factor, scale.scale_factor_std),
     )

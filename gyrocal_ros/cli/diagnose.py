@@ -1,8 +1,8 @@
-"""Say which physical effect the sensor model lacks, how sure that is, and what to do about it.
+"""Find the physical effect that the sensor model lacks, with its significance, and what to do next.
 
-The filter runs over the bag with every effect of the library on trial, then once more with each that
-it finds. An effect counts as missing when the recording is foreseen better with it than without:
-each measurement is judged by what was known before it.
+The filter runs over the bag with every effect of the library as a candidate, then once more for each
+effect found. An effect counts as missing if it raises the predictive log-likelihood of the recording:
+each measurement is scored by the prediction from the measurements before it.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import shlex
 import time
 from collections.abc import Iterator
 
-from gyrocal_ros.cli.figures import draw_if_wanted
+from gyrocal_ros.cli.bag_runs import add_run_options, bag_arguments, open_bag_runs, result_folder
+from gyrocal_ros.cli.figures import draw_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table
-from gyrocal_ros.cli.passes import add_pass_options, open_passes, result_folder, same_bag
 from gyrocal_ros.diagnose.advice import advice, grouped, join
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.drift import REFERENCES
@@ -41,39 +41,43 @@ gyrocal diagnose my_bag --json"""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    add_pass_options(parser)
+    add_run_options(parser)
     add_model_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Search for what is missing, and say it."""
+    """Search for missing effects, and print the diagnosis.
+
+    Raises:
+        GyrocalError: the bag or the model cannot be used, or OUT cannot be written.
+    """
     began_s = time.perf_counter()
     model = read_model(args)
     with result_folder(args) as folder:
-        passes = open_passes(args, model)
-        recorded = summarise_recording(passes.source)
-        searched = search(model, recorded, passes.calibrate)
+        runs = open_bag_runs(args, model)
+        recorded = summarise_recording(runs.source)
+        searched = search(model, recorded, runs.calibrate)
         diagnosis = diagnose(searched, recorded)
         if folder is not None:
             # Only a page needs the plotting library.
             from gyrocal_ros.report.diagnosis import diagnosis_sections
             from gyrocal_ros.report.write import fill_diagnosis
 
-            fill_diagnosis(folder, searched, diagnosis, passes.findings)
-            draw_if_wanted(args.png, folder, diagnosis_sections(searched, diagnosis))
+            fill_diagnosis(folder, searched, diagnosis, runs.issues)
+            draw_if_requested(args.png, folder, diagnosis_sections(searched, diagnosis))
     if args.json:
         print_json(summarise_diagnosis(searched, diagnosis) | {'wall_s': time.perf_counter() - began_s})
     else:
-        print('\n'.join([*in_words(diagnosis), *next_steps(diagnosis, args)]))
+        print('\n'.join([*as_text(diagnosis), *next_steps(diagnosis, args)]))
         if args.out:
             print(f'\nReport: {args.out / "report.html"}')
 
 
-def in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """The diagnosis in lines for a person, the verdict first."""
+def as_text(diagnosis: Diagnosis) -> Iterator[str]:
+    """Yield the diagnosis in lines of text, the verdict first."""
     yield diagnosis_headline(diagnosis)
     yield ''
-    yield from _evidence(diagnosis)
+    yield from _missing_effects(diagnosis)
     if diagnosis.fails_where:
         yield ''
         yield 'Where the model fails, worst first:'
@@ -85,7 +89,7 @@ def in_words(diagnosis: Diagnosis) -> Iterator[str]:
             yield f'  {join(names)}: {why}'
 
 
-def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
+def _missing_effects(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.missing:
         yield from table(
             (
@@ -98,14 +102,14 @@ def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
             ),
             [
                 (
-                    finding.effect.name,
-                    coefficients_in_words(finding.effect, finding.values, finding.stds),
-                    sigma_in_words(finding.sigma),
-                    number(finding.gain, '+.0f'),
-                    _drift_change(finding),
-                    ', '.join(finding.confused_with) or '-',
+                    item.effect.name,
+                    coefficients_in_words(item.effect, item.values, item.stds),
+                    sigma_in_words(item.sigma),
+                    number(item.gain, '+.0f'),
+                    _drift_change(item),
+                    ', '.join(item.confused_with) or '-',
                 )
-                for finding in diagnosis.missing
+                for item in diagnosis.missing
             ],
         )
         yield f'(drift against {REFERENCES[diagnosis.drift_reference]})'
@@ -114,20 +118,22 @@ def _evidence(diagnosis: Diagnosis) -> Iterator[str]:
         yield f'The most significant effect was {best.effect.name}, at {best.fit.sigma:.1f} sigma.'
 
 
-def _drift_change(finding: MissingEffect) -> str:
-    if not math.isfinite(finding.drift_after_deg):
+def _drift_change(missing: MissingEffect) -> str:
+    if not math.isfinite(missing.drift_after_deg):
         return '-'
-    return f'{number(finding.drift_before_deg)} -> {finding.drift_after_deg:.2f} deg'
+    return f'{number(missing.drift_before_deg)} -> {missing.drift_after_deg:.2f} deg'
 
 
 def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
-    """What to do, with the very commands."""
+    """Yield the next steps, with the commands to copy."""
     steps = advice(diagnosis)
     if diagnosis.missing:
-        improve = shlex.join(['gyrocal', 'improve', *same_bag(args), *_same_model(args), '-o', 'improved'])
+        improve = shlex.join(
+            ['gyrocal', 'improve', *bag_arguments(args), *_model_arguments(args), '-o', 'improved']
+        )
         steps = [
-            *(f'Put it into the model: {add_command(item.effect, args)}' for item in diagnosis.missing),
-            f'Or have that done and measured: {improve}',
+            *(f'Add it to the model: {add_command(item.effect, args)}' for item in diagnosis.missing),
+            f'Or let this add it and measure the error: {improve}',
             *steps,
         ]
     if steps:
@@ -137,7 +143,7 @@ def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
 
 
 def add_command(effect: Effect, args: argparse.Namespace) -> str:
-    """How to add an effect, with what was found of it."""
+    """Return the command that adds an effect, with the values that were found."""
     usual = find_effect(effect.name)
     before = options_of(usual)
     settings = {name: value for name, value in options_of(effect).items() if value != before[name]}
@@ -148,13 +154,13 @@ def add_command(effect: Effect, args: argparse.Namespace) -> str:
         f'{name}={value:.4g}' if isinstance(value, float) else f'{name}={value}'
         for name, value in settings.items()
     ]
-    model = _same_model(args) if args.model else ['--model', 'model.yaml', *_same_model(args)]
+    model = _model_arguments(args) if args.model else ['--model', 'model.yaml', *_model_arguments(args)]
     return shlex.join(
         ['gyrocal', 'add', effect.name, *(word for text in texts for word in ('--set', text)), *model]
     )
 
 
-def _same_model(args: argparse.Namespace) -> list[str]:
-    """The model and the effects of the user's own, as they were given."""
-    named = (('--model', args.model), ('--effects-from', args.effects_from))
-    return [word for option, value in named if value for word in (option, str(value))]
+def _model_arguments(args: argparse.Namespace) -> list[str]:
+    """Return the model and the file of the user's effects, as arguments for another command."""
+    options = (('--model', args.model), ('--effects-from', args.effects_from))
+    return [word for option, value in options if value for word in (option, str(value))]

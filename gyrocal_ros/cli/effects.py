@@ -1,7 +1,7 @@
 """List the physical effects that a sensor model can be made of, or explain one of them.
 
-Beside the library these are your own effects: classes in a Python file, or in an installed package.
-docs/your_own_effect.md shows how to write one.
+The list includes your own effects: classes in a Python file given by --effects-from, or in an installed
+package. docs/your_own_effect.md shows how to write one.
 """
 
 from __future__ import annotations
@@ -24,15 +24,18 @@ EXAMPLE = """gyrocal effects
 gyrocal effects gyro_lag
 gyrocal effects gyro_lag -o gyro_lag.html
 gyrocal effects my_effect --effects-from my_effects.py"""
-WIDTH = 100
+MAX_WIDTH = 100
+"""Maximum length of a line."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('name', nargs='?', metavar='NAME', help='the effect to explain')
+    parser.add_argument('name', nargs='?', metavar='NAME', help='effect to explain')
     add_own_effects_option(parser)
-    parser.add_argument('-o', '--out', type=Path, metavar='FILE', help='a page with a picture of the effect')
-    parser.add_argument('--overwrite', action='store_true', help='write over a page of an earlier time')
+    parser.add_argument(
+        '-o', '--out', type=Path, metavar='FILE', help='write a page with a figure of the effect'
+    )
+    parser.add_argument('--overwrite', action='store_true', help='overwrite the page')
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
 
 
@@ -40,12 +43,12 @@ def run(args: argparse.Namespace) -> None:
     """List the effects, or explain one.
 
     Raises:
-        GyrocalError: there is no such effect, or the page cannot be written.
+        GyrocalError: the effect does not exist, or the page cannot be written.
     """
     load_own_effects(args)
     if args.name is None:
         if args.out:
-            raise GyrocalError('shows one effect', where='-o', todo='give its name')
+            raise GyrocalError('is for one effect', where='-o', todo='give its name')
         listed = [*EFFECTS.values(), *(make('SIGNAL') for make in COVARIATE_EFFECTS.values())]
         if args.json:
             print_json({'effects': [as_dict(effect) for effect in listed]})
@@ -55,19 +58,19 @@ def run(args: argparse.Namespace) -> None:
     name = f'{args.name}:SIGNAL' if args.name in COVARIATE_EFFECTS else args.name
     effect = find_effect(name)
     if args.out:
-        from gyrocal_ros.report.effect import effect_page  # plotly is loaded for the page alone
+        from gyrocal_ros.report.effect import effect_page  # only a page needs the plotting library
 
         write_text_atomic(args.out, effect_page(effect), overwrite=args.overwrite)
     if args.json:
         print_json(as_dict(effect))
     else:
-        print('\n'.join(explained(effect)))
+        print('\n'.join(explanation(effect)))
     if args.out and not args.json:
         print(f'\nPage: {args.out}')
 
 
 def table(effects: list[LibraryEffect]) -> Iterator[str]:
-    """One line an effect."""
+    """Yield a table with one line for each effect."""
     rows = [('name', 'acts on', 'correction', 'usual size')]
     rows += [(item.name, place_of(item), item.about.equation, item.about.usual_size) for item in effects]
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
@@ -76,18 +79,18 @@ def table(effects: list[LibraryEffect]) -> Iterator[str]:
         yield '  '.join([*cells, row[-1]])
 
 
-def explained(effect: LibraryEffect) -> Iterator[str]:
-    """All that the library says of one effect."""
+def explanation(effect: LibraryEffect) -> Iterator[str]:
+    """Yield the complete description of an effect."""
     yield f'{effect.name}, {PLACES[place_of(effect)]}'
     yield ''
-    yield from textwrap.wrap(effect.about.physics, WIDTH)
+    yield from textwrap.wrap(effect.about.physics, MAX_WIDTH)
     yield ''
     for name, text in effect_rows(effect):
-        yield from textwrap.wrap(text, WIDTH, initial_indent=f'{name:18}', subsequent_indent=18 * ' ')
+        yield from textwrap.wrap(text, MAX_WIDTH, initial_indent=f'{name:18}', subsequent_indent=18 * ' ')
 
 
 def as_dict(effect: LibraryEffect) -> dict[str, Any]:
-    """An effect for other programs."""
+    """Return the description of an effect for `--json`."""
     about = effect.about
     return {
         'name': effect.name,

@@ -1,4 +1,4 @@
-"""The option of the commands that write a page: its figures as PNG too."""
+"""The option --png of the commands that write a page."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from gyrocal_ros.errors import GyrocalError
 
 
 def add_png_option(parser: argparse.ArgumentParser) -> None:
-    """Declare that pictures are wanted."""
+    """Declare the option to draw the figures as PNG."""
     parser.add_argument(
-        '--png', action='store_true', help='draw the figures of the page as PNG too, into OUT/figures'
+        '--png', action='store_true', help='also draw the figures of the page as PNG, in OUT/figures'
     )
 
 
-def draw_if_wanted(is_wanted: bool, folder: Path, sections: Iterable[Any]) -> None:
-    """Draw the figures of a page; where this machine cannot, say so and go on.
+def draw_if_requested(is_requested: bool, folder: Path, sections: Iterable[Any]) -> None:
+    """Draw the figures of a page as PNG; print a warning if this machine cannot.
 
     Args:
-        is_wanted: whether to draw at all.
-        folder: with the page.
-        sections: of the page, as the report has them.
+        is_requested: True if the figures are to be drawn.
+        folder: folder of the page.
+        sections: sections of the page.
     """
-    if not is_wanted:
+    if not is_requested:
         return
     from gyrocal_ros.report.write import draw_figures  # only a page needs the plotting library
 

@@ -1,9 +1,9 @@
-"""Add what is missing to the sensor model, effect by effect, while the recording is foreseen better.
+"""Add missing effects to the sensor model, one by one, while they improve the prediction of the recording.
 
-Each revision is judged on what was not used yet: every measurement by what was known before it, and
-the drift over spans that begin with what was known by then. What does not help there is left out and
-said so. With -o the history is kept: a folder a revision with its model, calibration and figures of
-merit, and the final model.yaml and calibration.yaml for the robot.
+Each revision is scored on held-out measurements: every measurement by the prediction from those before
+it, and the drift on spans that begin with the estimate of that time. An effect that does not help there
+is left out and reported. With -o the history is written: for each revision a folder with its model,
+calibration and figures of merit, and the final model.yaml and calibration.yaml for the robot.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import time
 from collections.abc import Iterator
 from itertools import count
 
-from gyrocal_ros.cli.figures import draw_if_wanted
+from gyrocal_ros.cli.bag_runs import BagRuns, add_run_options, open_bag_runs, result_folder
+from gyrocal_ros.cli.figures import draw_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, read_model
-from gyrocal_ros.cli.output import print_json, table, tell
-from gyrocal_ros.cli.passes import Passes, add_pass_options, open_passes, result_folder
+from gyrocal_ros.cli.output import print_json, print_message, table
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
@@ -34,33 +34,33 @@ gyrocal improve my_bag --model model.yaml -o improved
 gyrocal improve my_bag --effect gyro_lag
 gyrocal replay another_bag --model improved/model.yaml"""
 
-MOST = 6
-"""Effects that are tried."""
+MAX_EFFECTS = 6
+"""Maximum number of effects that are tried."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    add_pass_options(parser)
+    add_run_options(parser)
     add_model_options(parser)
     parser.add_argument(
-        '--effect', metavar='NAME', help='try this effect alone, whatever the recording says of it'
+        '--effect', metavar='NAME', help='try this effect only, even if the diagnosis does not find it'
     )
 
 
 def run(args: argparse.Namespace) -> None:
-    """Search, keep what helps, and write the history.
+    """Search, keep the effects that help, and write the history.
 
     Raises:
         GyrocalError: the bag, the model or the effect cannot be used, or OUT cannot be written.
     """
     began_s = time.perf_counter()
     model = read_model(args)
-    effect = _asked_for(args.effect, model)
+    effect = _requested_effect(args.effect, model)
     with result_folder(args) as folder:
-        passes = open_passes(args, model)
-        recorded, calibrate = summarise_recording(passes.source), _telling(passes)
+        runs = open_bag_runs(args, model)
+        recorded, calibrate = summarise_recording(runs.source), _announced(runs)
         if effect is None:
-            searched = search(model, recorded, calibrate, MOST)
+            searched = search(model, recorded, calibrate, MAX_EFFECTS)
         else:
             searched = try_effect(model, recorded, calibrate, effect)
         improved = improvement(searched)
@@ -69,35 +69,35 @@ def run(args: argparse.Namespace) -> None:
             from gyrocal_ros.report.improvement import improvement_sections
             from gyrocal_ros.report.write import fill_improvement
 
-            fill_improvement(folder, improved, passes.findings)
-            draw_if_wanted(args.png, folder, improvement_sections(improved))
+            fill_improvement(folder, improved, runs.issues)
+            draw_if_requested(args.png, folder, improvement_sections(improved))
     if args.json:
         print_json(summarise_improvement(improved) | {'wall_s': time.perf_counter() - began_s})
     else:
-        print('\n'.join(in_words(improved)))
+        print('\n'.join(as_text(improved)))
         if args.out:
             print(f'\nModel: {args.out / "model.yaml"}\nReport: {args.out / "report.html"}')
 
 
-def _asked_for(name: str | None, model: SensorModel) -> Effect | None:
+def _requested_effect(name: str | None, model: SensorModel) -> Effect | None:
     if name is not None and any(effect.name == name for effect in model.effects):
         raise ConfigError('is in the model already', where=f'--effect {name}', todo='name another effect')
     return None if name is None else find_effect(name, '--effect')
 
 
-def _telling(passes: Passes) -> Calibrate:
-    """A run of the filter that is announced."""
+def _announced(runs: BagRuns) -> Calibrate:
+    """Return a function that runs the filter and prints a message before each run."""
     numbers = count(1)
 
     def calibrate(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
-        tell(f'run {next(numbers)}: {", ".join(effect.name for effect in model.effects)}')
-        return passes.calibrate(model, candidates)
+        print_message(f'run {next(numbers)}: {", ".join(effect.name for effect in model.effects)}')
+        return runs.calibrate(model, candidates)
 
     return calibrate
 
 
-def in_words(improved: Improvement) -> Iterator[str]:
-    """The improvement in lines for a person: the error falling, revision by revision."""
+def as_text(improved: Improvement) -> Iterator[str]:
+    """Yield the improvement in lines of text, with the error of each revision."""
     yield improvement_headline(improved)
     yield ''
     yield from table(
@@ -108,9 +108,9 @@ def in_words(improved: Improvement) -> Iterator[str]:
     yield f'(drift in 60 s, rms and interval, against {reference})'
     yield ''
     yield from (f'{revision.label}: {revision.why}' for revision in improved.revisions)
-    odd = improved.final.examined.unexplained_structure
-    if odd is not None:
-        yield missing_headline({}, odd)
+    structure = improved.final.examined.unexplained_structure
+    if structure is not None:
+        yield missing_headline({}, structure)
 
 
 def _row(revision: Revision) -> tuple[str, ...]:

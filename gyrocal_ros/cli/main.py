@@ -1,13 +1,13 @@
-"""The command `gyrocal`: finds the command's module, runs it, and turns errors into one clear line.
+"""The command `gyrocal`: finds the module of a command, runs it, and reports an error in one line.
 
-A command is a module of this folder named after it, with
+A command is a module of this folder with the same name. It has
 
     the module's docstring               shown by --help
-    EXAMPLE: str                         a line or two to copy, shown below it
+    EXAMPLE: str                         a few lines to copy, shown below it
     add_arguments(parser) -> None        declares its arguments
-    run(args) -> None                    does the work; raises GyrocalError for all that a user can mend
+    run(args) -> None                    does the work; raises GyrocalError for every error a user can fix
 
-It is imported only when it is asked for, so no command pays for the imports of another.
+A command's module is imported only when the command runs, so no command pays for the imports of another.
 """
 
 from __future__ import annotations
@@ -28,42 +28,47 @@ from gyrocal_ros.errors import GyrocalError
 COMMANDS = {
     'demo': 'calibrate on the bag that comes with the package and show the result',
     'simulate': 'write a bag of a simulated robot',
-    'check': 'say what is in a bag, and what is wrong with it',
+    'check': 'report the contents of a bag and its problems',
     'replay': 'calibrate the gyro from a bag',
-    'diagnose': 'say which physical effect the sensor model lacks',
-    'compare': 'hold sensor models against a bag: errors, and where each fails',
+    'diagnose': 'find the physical effect that the sensor model lacks',
+    'compare': 'compare sensor models on a bag: errors, and where each fails',
     'effects': 'list the physical effects of the library, or explain one',
-    'add': 'put an effect into a sensor model',
-    'improve': 'add what is missing while the held-out error falls',
-    'studio': 'do all that on a web page',
+    'add': 'add an effect to a sensor model',
+    'improve': 'add missing effects while the held-out error falls',
+    'studio': 'do all this on a web page',
     'reveal': 'open the sealed answer of a simulated bag',
-    'reproduce': 'make the figures of the paper anew',
+    'reproduce': 'reproduce the figures of the paper',
     'bench': 'measure speed and accuracy',
 }
-"""Name and meaning of every command, in the order of `gyrocal --help`."""
+"""Names and descriptions of the commands, in the order of `gyrocal --help`."""
 
 
 class ArgumentParser(argparse.ArgumentParser):
-    """An argparse parser whose complaints are errors like any other: one line."""
+    """An argparse parser that raises GyrocalError, so that a wrong argument is reported in one line."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise what argparse has to complain about."""
+        """Raise an error of argparse as a GyrocalError."""
         raise GyrocalError(message, todo=f'see {self.prog} --help')
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `gyrocal` and return its exit status."""
     arguments = sys.argv[1:] if argv is None else list(argv)
-    return guarded('gyrocal', lambda: _run(arguments))
+    return run_program('gyrocal', lambda: _run(arguments))
 
 
-def guarded(program: str, work: Callable[[], None]) -> int:
-    """Do the work of a program, and tell what went wrong in one line.
+def run_program(program: str, work: Callable[[], None]) -> int:
+    """Do the work of a program, and report an error in one line.
+
+    Args:
+        program: name of the program, for the message.
+        work: the work.
 
     Returns:
-        Exit status: 0 done, 2 the user can mend it, 130 interrupted.
+        Exit status: 0 done, 2 an error that the user can fix, 130 interrupted, 141 the reader of the
+        output has ended.
     """
-    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # the filter's matrices are too small to share
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # the filter's matrices are too small for threads
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that half-written results are removed
     try:
         work()
@@ -74,14 +79,14 @@ def guarded(program: str, work: Callable[[], None]) -> int:
     except KeyboardInterrupt:
         print(f'{program}: interrupted', file=sys.stderr)
         return 130
-    except BrokenPipeError:  # the reader, `head` for one, has seen enough
+    except BrokenPipeError:  # the reader, for example `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     return 0
 
 
-def parser_of(name: str) -> ArgumentParser:
-    """The parser of one command.
+def command_parser(name: str) -> ArgumentParser:
+    """Return the parser of one command.
 
     Args:
         name: one of `COMMANDS`.
@@ -90,7 +95,12 @@ def parser_of(name: str) -> ArgumentParser:
 
 
 def make_parser(program: str, module: ModuleType) -> ArgumentParser:
-    """The parser of a command, or of a program that is made like one."""
+    """Return the parser of a command, or of a program with the same structure.
+
+    Args:
+        program: name of the program.
+        module: module of the program, with the contents of a command's module.
+    """
     parser = ArgumentParser(
         prog=program,
         description=module.__doc__,
@@ -102,12 +112,12 @@ def make_parser(program: str, module: ModuleType) -> ArgumentParser:
 
 
 def _run(arguments: list[str]) -> None:
-    name = _overview().parse_args(arguments[:1]).command
-    args = parser_of(name).parse_args(arguments[1:])
+    name = _main_parser().parse_args(arguments[:1]).command
+    args = command_parser(name).parse_args(arguments[1:])
     importlib.import_module(f'gyrocal_ros.cli.{name}').run(args)
 
 
-def _overview() -> ArgumentParser:
+def _main_parser() -> ArgumentParser:
     width = max(map(len, COMMANDS))
     parser = ArgumentParser(
         prog='gyrocal',

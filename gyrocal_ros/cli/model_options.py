@@ -11,13 +11,13 @@ from gyrocal_ros.model.sensor import SensorModel
 
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the sensor model, and where effects of the user's own come from."""
+    """Declare the sensor model and the file of the user's effects."""
     parser.add_argument('--model', type=Path, metavar='FILE', help='sensor model (model.yaml)')
     add_own_effects_option(parser)
 
 
 def add_own_effects_option(parser: argparse.ArgumentParser) -> None:
-    """Declare where effects of the user's own come from."""
+    """Declare the file of the user's effects."""
     parser.add_argument(
         '--effects-from',
         type=Path,
@@ -27,7 +27,7 @@ def add_own_effects_option(parser: argparse.ArgumentParser) -> None:
 
 
 def read_model(args: argparse.Namespace) -> SensorModel:
-    """Load the user's own effects, then the sensor model.
+    """Load the user's effects, then the sensor model.
 
     Raises:
         ConfigError: one of them cannot be used.
@@ -37,7 +37,7 @@ def read_model(args: argparse.Namespace) -> SensorModel:
 
 
 def load_own_effects(args: argparse.Namespace) -> None:
-    """Load the effects of the user's own into the library.
+    """Load the user's effects into the library, from installed packages and from the file given.
 
     Raises:
         ConfigError: one of them cannot be used.

@@ -13,7 +13,7 @@ from gyrocal_ros.config.sections import Config
 
 
 class BagOptions(TypedDict):
-    """What a person says about the topics of a bag: the keywords of `open_bag` and `check_bag`."""
+    """Topics of a bag, as the user gave them: keywords of `open_bag` and `check_bag`."""
 
     remap: dict[str, str]
     namespace: str | None
@@ -21,22 +21,22 @@ class BagOptions(TypedDict):
 
 
 def add_bag_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the bag to read and all that says how to read it."""
+    """Declare the bag and the options for reading it."""
     parser.add_argument('bag', type=Path, help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag')
     add_topic_options(parser)
 
 
 def add_topic_options(parser: argparse.ArgumentParser) -> None:
-    """Declare all that says how to read a bag."""
+    """Declare the options for reading a bag."""
     parser.add_argument(
         '-r',
         '--remap',
         action='append',
         default=[],
         metavar='NAME:=TOPIC',
-        help='a topic under another name, as in -r imu/data_raw:=/imu/data; may be repeated',
+        help='use TOPIC in place of NAME, as in -r imu/data_raw:=/imu/data; may be repeated',
     )
-    parser.add_argument('--namespace', metavar='NAME', help='which robot, where the bag holds several')
+    parser.add_argument('--namespace', metavar='NAME', help='robot to use, if the bag contains several')
     parser.add_argument(
         '--heading-reference',
         metavar='TOPIC',
@@ -51,14 +51,16 @@ def add_config_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_images_option(parser: argparse.ArgumentParser) -> None:
-    """Declare that images are wanted even where a tracker was recorded."""
+    """Declare the option to track images even if the bag contains the output of a tracker."""
     parser.add_argument(
-        '--from-images', action='store_true', help='track the images even if there are features'
+        '--from-images',
+        action='store_true',
+        help='track features in the images even if the bag contains features',
     )
 
 
 def read_config(args: argparse.Namespace) -> Config:
-    """Read the settings file, if one is given; `--from-images`, where it is declared, goes before it.
+    """Read the settings file, if one is given; `--from-images`, if declared, overrides it.
 
     Raises:
         ConfigError: it cannot be read, or a setting in it is unknown or out of bounds.
@@ -70,7 +72,7 @@ def read_config(args: argparse.Namespace) -> Config:
 
 
 def bag_options(args: argparse.Namespace) -> BagOptions:
-    """Return the keywords for `open_bag` and `check_bag`.
+    """Return the keywords of `open_bag` and `check_bag`.
 
     Raises:
         ConfigError: a remap is not written NAME:=TOPIC.

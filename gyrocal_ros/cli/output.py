@@ -1,4 +1,4 @@
-"""What the commands say: results on standard output, all else on standard error."""
+"""Output of the commands: results on standard output, everything else on standard error."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from gyrocal_ros.files import json_text
 def progress(
     label: str, items: Iterable[Any] = (), *, total: float | None = None, unit: str = 'it'
 ) -> tqdm[Any]:
-    """Show a progress bar with the time left, where a person is watching and the work takes a while.
+    """Return a progress bar, shown on a terminal after 2 s of work.
 
-    Iterate over it to get `items`, or give `total`, use it as a context and call its `update`.
+    Either iterate over it to get `items`, or give `total`, use it as a context and call its `update`.
 
     Args:
-        label: what is being done.
-        items: what is worked through.
-        total: amount of work, where there are no `items` or they have no length.
+        label: description of the work.
+        items: items of the work.
+        total: amount of work, if there are no `items` or they have no length.
         unit: unit of `total`.
     """
     return tqdm(
@@ -36,7 +36,7 @@ def progress(
 
 
 def warn(message: str) -> None:
-    """Tell a person about something that the command has worked around."""
+    """Print a warning on standard error."""
     print(f'gyrocal: warning: {message}', file=sys.stderr)
 
 
@@ -46,11 +46,11 @@ def print_json(values: Mapping[str, Any]) -> None:
 
 
 def print_row(row: Mapping[str, Any], header: bool) -> None:
-    """Print one row of a table at once, so that a long one grows as its rows become ready.
+    """Print one row of a table immediately, for tables whose rows take long to compute.
 
     Args:
-        row: names and values; the columns are as wide as their names, those of texts wider.
-        header: print the names above it.
+        row: names and values; a column is at least 9 characters wide, 32 for text.
+        header: print the names above the row.
     """
     widths = [max(len(name), 32 if isinstance(value, str) else 9) for name, value in row.items()]
     if header:
@@ -60,14 +60,14 @@ def print_row(row: Mapping[str, Any], header: bool) -> None:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield the lines of a table, its columns as wide as they need to be."""
+    """Yield the lines of a table; each column is as wide as its longest cell."""
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
     for row in (header, *rows):
         yield '  '.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
-def tell(message: str) -> None:
-    """Say on standard error how far the work has come."""
+def print_message(message: str) -> None:
+    """Print a message on the state of the work on standard error."""
     print(f'gyrocal: {message}', file=sys.stderr, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""On what machine and with which version figures were measured."""
+"""Version and machine with which figures were measured."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ CPU_INFO = Path('/proc/cpuinfo')
 
 
 def provenance() -> dict[str, str]:
-    """Version and machine, to stand beside every figure."""
+    """Return version and machine, for output beside measured figures."""
     software = f'{platform.system()}, Python {platform.python_version()}, NumPy {np.__version__}'
     return {'version': __version__, 'machine': f'{_processor()}, {os.cpu_count()} cores, {software}'}
 
 
 def _processor() -> str:
-    """Its name where the system tells, else its kind."""
+    """Return the name of the processor if the system reports it, otherwise its architecture."""
     if CPU_INFO.is_file():
         for line in CPU_INFO.read_text(encoding='utf-8').splitlines():
             name, _, value = line.partition(':')

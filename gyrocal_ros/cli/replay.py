@@ -1,4 +1,4 @@
-"""Calibrate the gyro from a recorded bag: the same estimator as on the robot, without ROS."""
+"""Calibrate the gyro from a recorded bag, with the estimator of the robot and without ROS."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from gyrocal_ros.bag.check import check_bag
 from gyrocal_ros.bag.source import open_bag
-from gyrocal_ros.cli.figures import add_png_option, draw_if_wanted
+from gyrocal_ros.cli.figures import add_png_option, draw_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, load_own_effects
 from gyrocal_ros.cli.options import (
     BagOptions,
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--start-from',
         type=Path,
         metavar='FILE',
-        help='calibration.yaml of an earlier run to begin with, and its model, if none is given',
+        help='calibration.yaml of an earlier run to start with; its model is used unless --model is given',
     )
     add_images_option(parser)
     parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the report and the results')
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Calibrate, print the result, and write the report where one is wanted."""
+    """Calibrate, print the result, and write the report if requested."""
     config = read_config(args)
     load_own_effects(args)
     known = load_calibration(args.start_from) if args.start_from else None
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print_json(summary)
     else:
-        print(verdict(summary, config))
+        print(as_text(summary, config))
         if args.out:
             print(f'\nReport: {args.out / "report.html"}')
 
@@ -94,7 +94,7 @@ def replay(
     overwrite: bool = False,
     png: bool = False,
 ) -> dict[str, Any]:
-    """Check a bag, calibrate from it and write the report; returns what `--json` prints."""
+    """Check a bag, calibrate from it, write the report, and return the values for `--json`."""
     began_s = time.perf_counter()
     with ExitStack() as stack:
         folder = stack.enter_context(new_folder(out, overwrite=overwrite)) if out else None
@@ -107,7 +107,7 @@ def replay(
         except FilterDivergedError as error:
             if start is None:
                 raise
-            todo = 'try without --start-from: the calibration may be that of another gyro'
+            todo = 'try without --start-from: it may be the calibration of another gyro'
             raise FilterDivergedError(error.what, where=error.where, todo=todo) from error
         calibration = conclude(finished)
         for event in finished.events:
@@ -117,8 +117,8 @@ def replay(
     return summarise(finished, calibration) | {'wall_s': time.perf_counter() - began_s}
 
 
-def verdict(summary: dict[str, Any], config: Config) -> str:
-    """Return the result in a few lines for a person."""
+def as_text(summary: dict[str, Any], config: Config) -> str:
+    """Return the result in a few lines of text."""
     scale = with_std(summary['scale_factor'], summary['scale_factor_std'])
     rows = [
         ('scale factor', f'{scale}   ({summary["scale_factor_volt"]:.3f} deg/s/V)'),
@@ -134,7 +134,7 @@ def verdict(summary: dict[str, Any], config: Config) -> str:
         rows.append(('heading', f'{summary["heading_rms_deg"]:.3f} deg rms against the ground truth'))
         if math.isfinite(drift['rms']):
             after = 'after 60 s without the camera, held out'
-            if drift['rms'] == drift['max']:  # a short recording has room for no more
+            if drift['rms'] == drift['max']:  # a short recording has a single span
                 size = f'{drift["rms"]:.2f} deg in one span'
             else:
                 size = f'{drift["rms"]:.2f} deg rms, {drift["max"]:.2f} at worst'
@@ -165,9 +165,9 @@ def _calibrate(
 def _write(
     folder: Path, finished: Run, calibration: Calibration, issues: Sequence[BagIssue], png: bool
 ) -> None:
-    # Only those who want pages pay for the plotting library.
+    # Only a page needs the plotting library.
     from gyrocal_ros.report.calibration import calibration_sections
     from gyrocal_ros.report.write import fill_calibration
 
     fill_calibration(folder, finished, calibration, [(issue.severity, str(issue)) for issue in issues])
-    draw_if_wanted(png, folder, calibration_sections(finished, calibration))
+    draw_if_requested(png, folder, calibration_sections(finished, calibration))

@@ -1,8 +1,8 @@
-"""Make the figures and the table of the paper anew, and say which of its claims hold.
+"""Reproduce the figures and the table of the paper, and report which of its claims hold.
 
 Lee, Choi, Park, Myung 2012, Self-calibration of Gyro using Monocular SLAM for an Indoor Mobile Robot,
-International Journal of Control, Automation, and Systems 10(3). Everything comes from the simulator and
-the estimator of this package; the seeds are 0, 1, 2 and so on, and the same seeds give the same figures.
+International Journal of Control, Automation, and Systems 10(3). All data come from the simulator and the
+estimator of this package; the seeds are 0, 1, 2 and so on, and the same seeds give the same figures.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, PaperResult
-from gyrocal_ros.cli.output import print_json, progress, tell
+from gyrocal_ros.cli.output import print_json, print_message, progress
 from gyrocal_ros.cli.provenance import provenance
 from gyrocal_ros.errors import GyrocalError, did_you_mean
 from gyrocal_ros.files import json_text, new_folder, write_text_atomic
@@ -32,16 +32,18 @@ R = TypeVar('R')
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        'names', nargs='*', metavar='NAME', help=f'what to make: {", ".join(EXPERIMENTS)}; all without'
+        'names', nargs='*', metavar='NAME', help=f'figure or table: {", ".join(EXPERIMENTS)} (all)'
     )
-    parser.add_argument('--seeds', type=int, metavar='N', help='runs of each, in place of its usual number')
+    parser.add_argument(
+        '--seeds', type=int, metavar='N', help='number of runs of each, in place of its usual number'
+    )
     parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the page and the numbers')
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
 
 
 def run(args: argparse.Namespace) -> None:
-    """Make what is asked for, and say how it compares.
+    """Reproduce the requested figures, and print the comparison with the paper.
 
     Raises:
         GyrocalError: a name is not known, or the folder may not be written.
@@ -50,10 +52,10 @@ def run(args: argparse.Namespace) -> None:
     if args.seeds is not None and args.seeds < 1:
         raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
     with new_folder(args.out, overwrite=args.overwrite) if args.out else nullcontext() as folder:
-        results = {name: _make(name, args.seeds, to_text=not args.json) for name in names}
+        results = {name: _reproduce(name, args.seeds, to_text=not args.json) for name in names}
         document = _document(results, args.seeds)
         if folder is not None:
-            from gyrocal_ros.cli.reproduced import page  # only a page needs the plotting library
+            from gyrocal_ros.cli.reproduce_page import page  # only a page needs the plotting library
 
             write_text_atomic(folder / 'reproduced.json', json_text(document))
             write_text_atomic(folder / 'report.html', page(results))
@@ -63,17 +65,17 @@ def run(args: argparse.Namespace) -> None:
         print(f'\nReport: {args.out / "report.html"}')
 
 
-def _names(asked: Sequence[str]) -> list[str]:
-    for name in asked:
+def _names(requested: Sequence[str]) -> list[str]:
+    for name in requested:
         if name not in EXPERIMENTS:
             todo = did_you_mean(name, list(EXPERIMENTS))
             raise GyrocalError('is not a figure or table of the paper', where=repr(name), todo=todo)
-    return [name for name in EXPERIMENTS if name in asked or not asked]
+    return [name for name in EXPERIMENTS if name in requested or not requested]
 
 
-def _make(name: str, seeds: int | None, to_text: bool) -> PaperResult:
+def _reproduce(name: str, seeds: int | None, to_text: bool) -> PaperResult:
     experiment = EXPERIMENTS[name]
-    tell(f'{experiment.title} ...')
+    print_message(f'{experiment.title} ...')
 
     def each(function: Callable[[T], R], tasks: Sequence[T], /) -> Iterable[R]:
         return progress(name, in_parallel(function, tasks), total=len(tasks), unit='run')

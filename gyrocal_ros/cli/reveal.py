@@ -1,6 +1,6 @@
-"""Open the sealed answer of a simulated bag: which effects are hidden in it, and how large.
+"""Open the sealed answer of a simulated bag: the hidden effects and their sizes.
 
-`gyrocal simulate OUT --hidden` writes the bag and, beside it, the answer.
+`gyrocal simulate OUT --hidden` writes the bag, and the answer beside it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Open the answer.
+    """Print the answer.
 
     Raises:
         RecordingError: there is none, or it belongs to another bag.
@@ -35,11 +35,11 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print_json(answer)
     else:
-        print('\n'.join(in_words(answer)))
+        print('\n'.join(as_text(answer)))
 
 
-def in_words(answer: Mapping[str, Any]) -> Iterator[str]:
-    """Say a sealed answer in lines of text."""
+def as_text(answer: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sealed answer in lines of text."""
     bias = answer['bias']
     start, end = math.degrees(bias['start']), math.degrees(bias['end'])
     yield f'{answer["scenario"]}, seed {answer["seed"]}, {answer["duration_s"]:g} s'
@@ -49,5 +49,5 @@ def in_words(answer: Mapping[str, Any]) -> Iterator[str]:
         yield 'hidden        nothing'
     for effect in answer['effects']:
         values = effect['coefficients'].items()
-        words = ', '.join(f'{name} = {with_unit(item["value"], item["unit"])}' for name, item in values)
-        yield f'hidden        {effect["effect"]}: {words}'
+        text = ', '.join(f'{name} = {with_unit(item["value"], item["unit"])}' for name, item in values)
+        yield f'hidden        {effect["effect"]}: {text}'

@@ -1,4 +1,4 @@
-"""Which simulated robot: the options that commands share, and the source that they mean."""
+"""Options that describe a simulated robot, and the source of its measurements."""
 
 from __future__ import annotations
 
@@ -17,26 +17,31 @@ from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
 from gyrocal_ros.sim.world import SimSource
 
 MAX_DURATION_S = 2 * 3600.0
+"""Maximum length of a simulated recording."""
 
 
 def add_scenario_options(parser: argparse.ArgumentParser) -> argparse._MutuallyExclusiveGroup:
-    """Declare scenario, seed, length and the effects that the robot has.
+    """Declare scenario, seed, length and the effects of the robot.
 
     Returns:
-        The group of `--effect`, for options that do not go with it.
+        The group of `--effect`, for options that exclude it.
     """
     scenarios = '; '.join(f'{name}: {scenario.about}' for name, scenario in SCENARIOS.items())
     parser.add_argument('--scenario', default='cleaning', metavar='NAME', help=f'{scenarios} (%(default)s)')
-    parser.add_argument('--seed', type=int, default=0, metavar='N', help='of all randomness (%(default)s)')
-    parser.add_argument('--duration', type=float, metavar='S', help="length in seconds (the scenario's own)")
+    parser.add_argument(
+        '--seed', type=int, default=0, metavar='N', help='seed of all random numbers (%(default)s)'
+    )
+    parser.add_argument(
+        '--duration', type=float, metavar='S', help='length in seconds (that of the scenario)'
+    )
     effects = parser.add_mutually_exclusive_group()
     effects.add_argument(
         '--effect',
         action='append',
         default=[],
         metavar='NAME[=VALUE,...]',
-        help="give the robot a physical effect; values in the effect library's units, without them "
-        'a usual size; may be repeated',
+        help='give the robot a physical effect, with values in the units of `gyrocal effects` or, without '
+        'values, of a usual size; may be repeated',
     )
     add_own_effects_option(parser)
     return effects
@@ -49,9 +54,9 @@ def scenario_source(
 
     Args:
         args: with the options of `add_scenario_options`.
-        images: film the ceiling, in place of following its corners.
-        hidden: let the seed decide which effects the robot has.
-        imu_hz: rate of its IMU; without it, the scenario's own.
+        images: render images of the ceiling in place of tracked features.
+        hidden: draw the effects of the robot by the seed.
+        imu_hz: rate of the IMU; None for that of the scenario.
 
     Raises:
         GyrocalError: an option is unknown or out of bounds.
@@ -77,7 +82,7 @@ def parse_effect(text: str) -> DrawnEffect:
     """Read `NAME`, `NAME=VALUE,VALUE` or `NAME=coefficient:value,...`.
 
     Raises:
-        ConfigError: the effect or a coefficient is not known, or a value is no number.
+        ConfigError: the effect or a coefficient is not known, or a value is not a number.
     """
     name, has_values, given = text.partition('=')
     effect = OUT_OF_LIBRARY.get(name) or find_effect(name, '--effect')
@@ -104,10 +109,10 @@ def parse_effect(text: str) -> DrawnEffect:
 
 
 def check_bounds(option: str, value: float, low: float, high: float, unit: str = '') -> None:
-    """Refuse a value out of its bounds.
+    """Check that the value of an option is within its bounds.
 
     Raises:
-        GyrocalError: it is.
+        GyrocalError: it is not.
     """
     if not low <= value <= high:
         bounds = f'at least {low:g}' if math.isinf(high) else f'{low:g} to {high:g}'

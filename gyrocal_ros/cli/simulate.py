@@ -1,7 +1,8 @@
-"""Writes a bag of a simulated robot: all topics that a real one records, and the ground truth.
+"""Write a bag of a simulated robot, with all topics that a real robot records and the ground truth.
 
-With `--effect` the robot has a physical effect that the usual sensor model lacks (`gyrocal effects`
-lists them); with `--hidden` the seed decides which, or none, and the answer is sealed beside the bag.
+With `--effect` the robot has a physical effect that the default sensor model lacks (`gyrocal effects`
+lists them). With `--hidden` the effects are drawn by the seed, possibly none, and the answer is written to
+a sealed file beside the bag.
 """
 
 from __future__ import annotations
@@ -25,27 +26,35 @@ from gyrocal_ros.sim.sealed import answer_of, seal, sealed_path
 EXAMPLE = """gyrocal simulate my_bag --scenario furniture --seed 7 --duration 120
 gyrocal simulate my_images --duration 60 --images
 gyrocal simulate slow_gyro --effect gyro_lag=0.02 --effect bias_warmup=amplitude:0.01,time_constant:200
-gyrocal simulate riddle --hidden --seed 7"""
+gyrocal simulate exercise --hidden --seed 7"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `gyrocal simulate`."""
+    """Declare the arguments."""
     parser.add_argument('out', metavar='OUT', type=Path, help='folder of the bag to write')
     add_scenario_options(parser).add_argument(
-        '--hidden', action='store_true', help='hide what the seed decides; `gyrocal reveal OUT` tells it'
-    )
-    parser.add_argument('--images', action='store_true', help='images of the ceiling, not tracked features')
-    parser.add_argument(
-        '--jpeg-quality', type=int, default=80, metavar='Q', help='of the images, 1 to 100 (%(default)s)'
+        '--hidden',
+        action='store_true',
+        help='hide effects drawn by the seed; `gyrocal reveal OUT` shows them',
     )
     parser.add_argument(
-        '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='kind of the file (%(default)s)'
+        '--images', action='store_true', help='write images of the ceiling in place of tracked features'
+    )
+    parser.add_argument(
+        '--jpeg-quality',
+        type=int,
+        default=80,
+        metavar='Q',
+        help='quality of the images, 1 to 100 (%(default)s)',
+    )
+    parser.add_argument(
+        '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='storage format (%(default)s)'
     )
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write the bag and say what is in it.
+    """Write the bag and print its contents.
 
     Raises:
         GyrocalError: an argument is out of bounds, or the bag cannot be written.
@@ -72,8 +81,8 @@ def run(args: argparse.Namespace) -> None:
         f'{counts["ImuSample"]} IMU samples, {camera}, {size_mb:.1f} MB'
     )
     if args.hidden:
-        print(f'what it hides: gyrocal reveal {args.out}')
+        print(f'to see the hidden effects: gyrocal reveal {args.out}')
     for item in () if args.hidden else source.hidden:
-        named = zip(item.effect.coefficients, item.values, strict=True)
-        values = ', '.join(f'{about.name} = {with_unit(value, about.unit)}' for about, value in named)
+        pairs = zip(item.effect.coefficients, item.values, strict=True)
+        values = ', '.join(f'{about.name} = {with_unit(value, about.unit)}' for about, value in pairs)
         print(f'with {item.effect.name}: {values}')

@@ -1,4 +1,4 @@
-"""Which figures show which results of `gyrocal reproduce`, and what stands below them."""
+"""The page of `gyrocal reproduce`: figures and captions of each result."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from gyrocal_ros.report.html import Section
 from gyrocal_ros.report.paper import Part, paper_page
 
 PAPER_MEAN_SD_DEG = (-0.18, 0.91)
-"""Fig. 11 of the paper, calibrated."""
+"""Mean and standard deviation of the calibrated errors in Fig. 11 of the paper."""
 
 
 def page(results: Mapping[str, PaperResult]) -> str:
-    """The page about some results, by name, as HTML text."""
+    """Return the page about some results, by name, as HTML text."""
     return paper_page(_part(name, result) for name, result in results.items())
 
 
@@ -42,14 +42,14 @@ def _part(name: str, result: PaperResult) -> Part:
 def _feature_map(name: str, result: FeatureMap) -> list[Section]:
     figure = figures.feature_map(result.ceiling, result.path, result.corners_m)
     caption = """Seed 0 after two minutes of lanes with 5 features at a time. Most ellipses, of three standard
-        deviations, are smaller than the marks; a long one is a feature that was seen for a moment only."""
+        deviations, are smaller than the marks; a long one belongs to a feature observed only briefly."""
     return [Section(name, figure, caption)]
 
 
 def _rate_table(name: str, result: RateTable) -> list[Section]:
     samples = {item.sample.name: (item.volt, item.volt_std) for item in result.samples}
-    caption = """Each rate is held for 30 s between rests of 10 s, from which the zero is taken. What bias
-        wander is left makes the slowest rates worst."""
+    caption = """Each rate lasts 30 s between rests of 10 s, which give the zero. The remaining wander of
+        the bias affects the slowest rates most."""
     return [Section(name, figures.scale_by_rate(result.rates_deg_s, samples), caption)]
 
 
@@ -61,13 +61,13 @@ def _at_rest(name: str, result: AtRest) -> list[Section]:
 
 
 def _convergence(name: str, result: ConvergenceFigure) -> list[Section]:
-    courses = {
+    curves = {
         variant.name: (variant.first.time_s, variant.first.volt, variant.first.std_volt)
         for variant in result.varieties
         if variant.first is not None
     }
     caption = 'Seed 0 with 5 features. The scale factor is not observable before the first turn.'
-    return [Section(name, figures.convergence(courses, TRUE_VOLT), caption)]
+    return [Section(name, figures.convergence(curves, TRUE_VOLT), caption)]
 
 
 def _ten_rotations(name: str, result: HeadingTable) -> list[Section]:
@@ -80,7 +80,7 @@ def _ten_rotations(name: str, result: HeadingTable) -> list[Section]:
 def _histograms(name: str, result: Histograms) -> list[Section]:
     kinds = {kind.gyro.name: (kind.calibrated_deg, kind.nominal_deg) for kind in result.kinds}
     caption = """Four parts, three runs each; two minutes of lanes with the camera, then ten minutes of
-        cleaning without it. The spread of the calibrated errors comes from noise and bias."""
+        cleaning without it. The spread of the calibrated errors is caused by noise and bias."""
     return [Section(name, figures.histograms(kinds, PAPER_MEAN_SD_DEG), caption)]
 
 
@@ -101,10 +101,10 @@ def _landmark(name: str, result: LandmarkErrors) -> list[Section]:
     title = EXPERIMENTS[name].title.partition(': ')[2].capitalize()
     figure = figures.landmark_errors(title, result.moved_cm, methods, result.bound_cm)
     caption = (
-        'One run; without noise all are the same.'
+        'One run; without noise all runs are the same.'
         if result.noise_px == 0.0
-        else """Medians over the seeds with quartiles; runs in which the filter failed are left out from there
-        on. The bound is that of the root mean square, which is larger than the median."""
+        else """Medians over the seeds with quartiles; runs in which the filter failed are left out from that
+        point on. The bound is for the root mean square, which is larger than the median."""
     )
     return [Section(name, figure, caption)]
 

@@ -1,4 +1,4 @@
-"""Several runs of the filter over one bag, for the commands that compare models, and their options."""
+"""Several runs of the filter over one bag, for the commands that compare models, and the options of these."""
 
 from __future__ import annotations
 
@@ -25,36 +25,38 @@ from gyrocal_ros.pipeline.run_filter import Progress
 
 
 @dataclass(frozen=True, slots=True)
-class Passes:
-    """A bag, held for several runs."""
+class BagRuns:
+    """A bag that is kept for several runs of the filter."""
 
     source: Source
     config: Config
-    findings: tuple[tuple[str, str], ...]
-    """Severity and text of what is odd about the recording."""
+    issues: tuple[tuple[str, str], ...]
+    """Severity and text of each issue of the recording."""
 
     def calibrate(self, model: SensorModel, candidates: tuple[Effect, ...] = ()) -> Run:
         """Run the filter once.
 
         Raises:
-            GyrocalError: it cannot be done with this bag or this model.
+            GyrocalError: the filter cannot run with this bag or this model.
         """
-        with _bar(f'running with {model.effects[-1].name}', self.source) as report:
+        with _progress_bar(f'running with {model.effects[-1].name}', self.source) as report:
             return calibrate(self.source, self.config, model, report=report, candidates=candidates)
 
 
-def add_pass_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the bag, and where and how the results are wanted."""
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the bag and the form of the results."""
     add_bag_options(parser)
     add_images_option(parser)
-    parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the page and the results')
+    parser.add_argument(
+        '-o', '--out', type=Path, metavar='OUT', help='folder for the page and the result files'
+    )
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
     add_png_option(parser)
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
 
 
-def same_bag(args: argparse.Namespace) -> list[str]:
-    """The bag and how to read it, as arguments for another command."""
+def bag_arguments(args: argparse.Namespace) -> list[str]:
+    """Return the bag and the options for reading it, as arguments for another command."""
     options = [
         *(('-r', text) for text in args.remap),
         ('--namespace', args.namespace),
@@ -67,12 +69,12 @@ def same_bag(args: argparse.Namespace) -> list[str]:
 
 @contextmanager
 def result_folder(args: argparse.Namespace) -> Iterator[Path | None]:
-    """The folder for the results, complete when the block ends well; None where none is wanted.
+    """Provide the folder for the results; None if none is requested.
 
-    Enter it before the work starts.
+    The folder appears when the block ends without an error. Enter it before the work starts.
 
     Raises:
-        GyrocalError: the folder holds files and may not be written, or cannot be made.
+        GyrocalError: the folder is not empty and may not be overwritten, or cannot be made.
     """
     if args.out is None:
         yield None
@@ -81,11 +83,11 @@ def result_folder(args: argparse.Namespace) -> Iterator[Path | None]:
             yield folder
 
 
-def open_passes(args: argparse.Namespace, model: SensorModel) -> Passes:
-    """Check the bag that the arguments name, read it, and follow its images.
+def open_bag_runs(args: argparse.Namespace, model: SensorModel) -> BagRuns:
+    """Check the bag given by the arguments, read it, and track features in its images.
 
     Raises:
-        GyrocalError: it cannot be calibrated from.
+        GyrocalError: it cannot be used for a calibration.
     """
     config, options = read_config(args), bag_options(args)
     issues = check_bag(args.bag, config, **options).issues
@@ -93,13 +95,13 @@ def open_passes(args: argparse.Namespace, model: SensorModel) -> Passes:
     for issue in worst_per_kind(issues):
         warn(str(issue))
     source = open_bag(args.bag, config, with_covariates=True, **options)
-    with _bar('reading', source) as report:
-        held, config = preload(source, config, model, report)
-    return Passes(held, config, tuple((issue.severity, str(issue)) for issue in issues))
+    with _progress_bar('reading', source) as report:
+        preloaded, config = preload(source, config, model, report)
+    return BagRuns(preloaded, config, tuple((issue.severity, str(issue)) for issue in issues))
 
 
 @contextmanager
-def _bar(label: str, source: Source) -> Iterator[Callable[[Progress], None]]:
+def _progress_bar(label: str, source: Source) -> Iterator[Callable[[Progress], None]]:
     with progress(label, total=round(source.span.duration_s), unit='s') as bar:
 
         def report(state: Progress) -> None:

@@ -1,4 +1,4 @@
-"""Says loudly which tests this machine leaves out: of the nodes without ROS, of the page without Chromium."""
+"""Reports the tests that this machine skips: of the nodes without ROS, of the page without Chromium."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ collect_ignore_glob = [*(['ros/*'] if not HAS_ROS else []), *(['browser/*'] if n
 
 
 def tests_in(folder: Path) -> int:
-    """How many tests the modules of a folder hold."""
+    """Return the number of tests in the modules of a folder."""
     return sum(
         isinstance(node, ast.FunctionDef) and node.name.startswith('test_')
         for module in folder.glob('test_*.py')
@@ -30,18 +30,18 @@ def tests_in(folder: Path) -> int:
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if not HAS_ROS:
         terminalreporter.section('ROS')
-        words = f'{tests_in(ROS_TESTS)} tests of the nodes SKIPPED: rclpy is missing'
-        terminalreporter.write_line(words, yellow=True)
+        text = f'{tests_in(ROS_TESTS)} tests of the nodes SKIPPED: rclpy is missing'
+        terminalreporter.write_line(text, yellow=True)
     if not HAS_BROWSER:
         missing = 'Chromium' if CHROMIUM is None else 'playwright'
         terminalreporter.section('browser')
-        words = f'{tests_in(BROWSER_TESTS)} tests of the page SKIPPED: {missing} is missing'
-        terminalreporter.write_line(words, yellow=True)
+        text = f'{tests_in(BROWSER_TESTS)} tests of the page SKIPPED: {missing} is missing'
+        terminalreporter.write_line(text, yellow=True)
 
 
 @pytest.fixture(scope='session')
 def uneven_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag that hides an effect, see `studio_parts`."""
+    """A bag with a hidden effect, see `studio_parts`."""
     from studio_parts import write_bag
 
     return write_bag(tmp_path_factory.mktemp('bags'))

@@ -1,4 +1,4 @@
-"""For tests of the studio: a bag that hides an effect, and a worker that works when it is told to."""
+"""For tests of the studio: a bag with a hidden effect, and a worker in the process of the test."""
 
 from __future__ import annotations
 
@@ -17,13 +17,21 @@ from gyrocal_ros.sim.sealed import answer_of, seal
 from gyrocal_ros.sim.world import SimSource
 from gyrocal_ros.studio.recordings import Bag
 from gyrocal_ros.studio.session import Session
-from gyrocal_ros.studio.worker import News, OpenRecording, Ready, Stopped, Task, _outcome, _Workbench
+from gyrocal_ros.studio.worker import (
+    OpenRecording,
+    Ready,
+    Stopped,
+    Task,
+    TaskMessage,
+    _execute,
+    _TaskExecutor,
+)
 
 HIDDEN, SIZE = 'scale_asymmetry', 0.02
 
 
 def write_bag(folder: Path) -> Path:
-    """Many turns of a gyro whose scale depends on the side, the answer sealed beside it."""
+    """Write a bag with many turns of a gyro with a scale asymmetry, and the sealed answer beside it."""
     scenario = replace(find_scenario('demo'), duration_s=100.0, camera_hz=8)
     source = SimSource(scenario, 3, hidden=(HiddenEffect(find_effect(HIDDEN), (SIZE,)),))
     path = folder / 'uneven'
@@ -35,13 +43,13 @@ def write_bag(folder: Path) -> Path:
     return path
 
 
-class Desk:
-    """Does the work of a worker in this process, what was done before from memory."""
+class InProcessWorker:
+    """Executes tasks in this process when `work` is called; repeated tasks return the stored messages."""
 
     def __init__(self) -> None:
         self.session: Session | None = None
-        self.ran: list[Task] = []
-        self.told: list[News] = []
+        self.executed: list[Task] = []
+        self.sent: list[TaskMessage] = []
         self._queue: list[tuple[int, Task]] = []
         self._count = self._cancelled = 0
 
@@ -54,39 +62,39 @@ class Desk:
         self._cancelled = self._count
 
     def work(self) -> None:
-        """Do all that is queued."""
+        """Execute all queued tasks."""
         assert self.session is not None
         while self._queue:
             number, task = self._queue.pop(0)
             if number <= self._cancelled:
-                self.session.hear(number, Stopped())
+                self.session.receive(number, Stopped())
                 continue
-            self.ran.append(task)
-            news, outcome = _done(task)
-            for one in (*news, outcome):
-                self.told.append(one)
-                self.session.hear(number, one)
+            self.executed.append(task)
+            messages, result = _messages(task)
+            for message in (*messages, result):
+                self.sent.append(message)
+                self.session.receive(number, message)
 
 
-_before_it: list[_Workbench] = []
-_known: dict[str, tuple[list[News], News]] = {}
+_executors: list[_TaskExecutor] = []
+_stored: dict[str, tuple[list[TaskMessage], TaskMessage]] = {}
 
 
-def _done(task: Task) -> tuple[list[News], News]:
+def _messages(task: Task) -> tuple[list[TaskMessage], TaskMessage]:
     key = str(task.recording) if isinstance(task, OpenRecording) else model_to_yaml(task.model)
-    if key not in _known:
-        news: list[News] = []
-        desk = _Workbench() if isinstance(task, OpenRecording) else _before_it[-1]
-        _known[key] = news, _outcome(desk, task, news.append)
-        if isinstance(_known[key][1], Ready):
-            _before_it.append(desk)
-    return _known[key]
+    if key not in _stored:
+        messages: list[TaskMessage] = []
+        executor = _TaskExecutor() if isinstance(task, OpenRecording) else _executors[-1]
+        _stored[key] = messages, _execute(executor, task, messages.append)
+        if isinstance(_stored[key][1], Ready):
+            _executors.append(executor)
+    return _stored[key]
 
 
-def open_session(bag: Path, folder: Path, work: bool = True) -> tuple[Session, Desk]:
-    """A session on a bag, the first model run where there is to be work."""
-    desk = Desk()
-    session = desk.session = Session(Bag(bag, Config()), default_model(), folder, desk)
+def open_session(bag: Path, folder: Path, work: bool = True) -> tuple[Session, InProcessWorker]:
+    """Open a session on a bag, and run the first model unless `work` is False."""
+    worker = InProcessWorker()
+    session = worker.session = Session(Bag(bag, Config()), default_model(), folder, worker)
     if work:
-        desk.work()
-    return session, desk
+        worker.work()
+    return session, worker

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from studio_parts import HIDDEN, Desk, open_session
+from studio_parts import HIDDEN, InProcessWorker, open_session
 
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.studio import pictures
@@ -24,21 +24,23 @@ SPIKE_DEG = 33.0
 
 
 @pytest.fixture(scope='module')
-def opened(uneven_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Session, Desk]]:
-    session, desk = open_session(uneven_bag, tmp_path_factory.mktemp('out') / 'session')
+def opened(
+    uneven_bag: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Session, InProcessWorker]]:
+    session, worker = open_session(uneven_bag, tmp_path_factory.mktemp('out') / 'session')
     session.add(HIDDEN)
-    desk.work()
-    yield session, desk
+    worker.work()
+    yield session, worker
     session.close()
 
 
 @pytest.fixture
-def view(opened: tuple[Session, Desk]) -> StudioState:
-    return opened[0].view
+def state(opened: tuple[Session, InProcessWorker]) -> StudioState:
+    return opened[0].state
 
 
 def lengthened(history: History) -> History:
-    """Repeat a history to an hour, with one innovation that is far off."""
+    """Repeat a history to an hour, with one large innovation."""
     long = {item.name: np.concatenate([getattr(history, item.name)] * HOUR) for item in fields(history)}
     steps = len(history.time_s)
     long['time_s'] += np.repeat(np.arange(HOUR), steps) * (history.time_s[-1] + history.dt_s[-1])
@@ -47,70 +49,71 @@ def lengthened(history: History) -> History:
     return History(**long)
 
 
-def an_hour(view: StudioState) -> StudioState:
+def an_hour(state: StudioState) -> StudioState:
     """Return the state after a recording of an hour."""
-    every = []
-    for trial in view.trials.every:
-        assert trial.examined is not None
-        stage = trial.examined.stage
-        run = replace(stage.run, history=lengthened(stage.run.history), truth=None)
-        every.append(replace(trial, examined=replace(trial.examined, stage=replace(stage, run=run))))
-    return replace(view, trials=ModelTree(tuple(every), view.trials.present))
+    models = []
+    for tried in state.tree.models:
+        assert tried.examination is not None
+        examined = tried.examination.examined
+        run = replace(examined.run, history=lengthened(examined.run.history), truth=None)
+        examination = replace(tried.examination, examined=replace(examined, run=run))
+        models.append(replace(tried, examination=examination))
+    return replace(state, tree=ModelTree(tuple(models), state.tree.present_label))
 
 
 def size_bytes(figure: Any) -> int:
     return len(figure.to_json())
 
 
-def test_figures_of_an_hour_are_small(view: StudioState) -> None:
-    long = an_hour(view)
-    first = replace(long, trials=replace(long.trials, present=long.trials.every[0].label))
-    for state in (long, first):
-        assert state.trials.now is not None and state.trials.now.examined is not None
-        assert state.trials.now.examined.stage.run.history.time_s[-1] > 3500.0
+def test_figures_of_an_hour_are_small(state: StudioState) -> None:
+    long = an_hour(state)
+    first = replace(long, tree=replace(long.tree, present_label=long.tree.models[0].label))
+    for one in (long, first):
+        assert one.examination is not None
+        assert one.examination.examined.run.history.time_s[-1] > 3500.0
         for kind in pictures.KINDS:
-            assert size_bytes(pictures.against_measurement(state, kind)) < MAX_BYTES, kind
+            assert size_bytes(pictures.against_measurement(one, kind)) < MAX_BYTES, kind
 
 
-def test_a_spike_in_an_hour_is_drawn(view: StudioState) -> None:
-    long = an_hour(view)
-    first = replace(long, trials=replace(long.trials, present=long.trials.every[0].label))
+def test_a_spike_in_an_hour_is_drawn(state: StudioState) -> None:
+    long = an_hour(state)
+    first = replace(long, tree=replace(long.tree, present_label=long.tree.models[0].label))
     figure = pictures.against_measurement(first, 'innovations')
     assert figure is not None
     drawn = next(trace for trace in figure.data if trace.name == 'innovation as a heading')
     assert np.nanmax(drawn.y) == pytest.approx(SPIKE_DEG) and len(drawn.x) <= 1500
 
 
-def test_the_curve_of_the_added_effect_fits_the_error_before(view: StudioState) -> None:
-    figure = pictures.left_over(view, 'rate (deg/s)', False)
+def test_the_curve_of_the_added_effect_fits_the_error_before(state: StudioState) -> None:
+    figure = pictures.error_by_signal(state, 'rate (deg/s)', False)
     assert figure is not None
-    first, now, added = (
+    first, present, added = (
         next(trace for trace in figure.data if trace.name == name)
-        for name in (pictures.AS_IT_WAS, pictures.NOW, 'by the effects added')
+        for name in (pictures.FIRST, pictures.PRESENT, 'by the effects added')
     )
     assert np.allclose(added.y, first.y, atol=first.error_y.array.max())
-    assert np.abs(now.y).max() < 0.1 * np.abs(first.y).max()
+    assert np.abs(present.y).max() < 0.1 * np.abs(first.y).max()
 
 
-def test_spans_with_the_camera_off_are_shaded(view: StudioState) -> None:
-    now = view.trials.now
-    assert now is not None and now.examined is not None
-    run = now.examined.stage.run
+def test_spans_with_the_camera_off_are_shaded(state: StudioState) -> None:
+    present = state.tree.present
+    assert present is not None and present.examination is not None
+    examined = present.examination.examined
+    run = examined.run
     blind = (run.history.time_s > 30.0) & (run.history.time_s < 45.0)
     seen = np.where(blind, np.nan, run.history.heading_innovation_rad)
     run = replace(run, history=replace(run.history, heading_innovation_rad=seen))
-    examined = replace(now.examined, stage=replace(now.examined.stage, run=run))
-    figure = pictures.against_measurement(
-        replace(view, trials=view.trials.ran(now.label, examined)), 'heading'
-    )
+    examination = replace(present.examination, examined=replace(examined, run=run))
+    tree = state.tree.with_examination(present.label, examination)
+    figure = pictures.against_measurement(replace(state, tree=tree), 'heading')
     assert figure is not None
     spans = {(shape.x0, shape.x1) for shape in figure.layout.shapes if shape.type == 'rect'}
     assert [(pytest.approx(30.0, abs=0.3), pytest.approx(45.0, abs=0.3))] == sorted(spans)
     assert [note.text for note in figure.layout.annotations].count('camera off') == 1
 
 
-def test_every_panel_names_its_unit(view: StudioState) -> None:
-    for name, figure in pictures.all_of(view).items():
+def test_every_panel_names_its_unit(state: StudioState) -> None:
+    for name, figure in pictures.all_figures(state).items():
         axes = [axis.title.text or '' for axis in figure.select_yaxes()]
         assert figure.layout.title.text, name
         if name in ('heading', 'drift', 'revisions', 'left_over_1'):

@@ -1,4 +1,4 @@
-"""The door of the studio: who gets in, what is loaded, and what a browser may name."""
+"""The server of the studio: access, sources of the page, and recordings that a browser may choose."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from gyrocal_ros.studio.server import is_loopback, listen, make_app, make_live_a
 NAMES = frozenset({'127.0.0.1', 'localhost', '[::1]'})
 
 
-class Desk:
-    """One session, as the page sees it."""
+class OneSession:
+    """A workspace with one session."""
 
     titles = ('uneven',)
 
@@ -29,44 +29,44 @@ class Desk:
         self.session = session
 
     @property
-    def view(self) -> Any:
-        return self.session.view
+    def state(self) -> Any:
+        return self.session.state
 
-    def draw_riddle(self) -> None:
-        raise AssertionError('nobody asked for it')
+    def draw_task(self) -> None:
+        raise AssertionError('was not requested')
 
 
 @pytest.fixture(scope='module')
-def desk(uneven_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def workspace(uneven_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     session, _ = open_session(uneven_bag, tmp_path_factory.mktemp('out') / 'session')
-    yield Desk(session)
+    yield OneSession(session)
     session.close()
 
 
 @pytest.fixture
-def visitor(desk: Any) -> Any:
-    return make_app(desk, names=NAMES).server.test_client()
+def client(workspace: Any) -> Any:
+    return make_app(workspace, names=NAMES).server.test_client()
 
 
-class TestTheDoor:
+class TestAccess:
     @pytest.mark.parametrize('host', ['127.0.0.1:8350', 'localhost', '[::1]:8350'])
-    def test_this_machine_gets_in(self, visitor: Any, host: str) -> None:
-        assert visitor.get('/', headers={'Host': host}).status_code == 200
+    def test_requests_from_this_machine_are_accepted(self, client: Any, host: str) -> None:
+        assert client.get('/', headers={'Host': host}).status_code == 200
 
     @pytest.mark.parametrize('host', ['evil.example', 'evil.example:8350', '127.0.0.1.evil.example', ''])
-    def test_a_name_that_was_made_to_point_here_does_not(self, visitor: Any, host: str) -> None:
+    def test_other_host_names_that_resolve_to_this_machine_are_refused(self, client: Any, host: str) -> None:
         for path in ('/', '/_dash-layout', '/assets/studio.css'):
-            assert visitor.get(path, headers={'Host': host}).status_code == 403
+            assert client.get(path, headers={'Host': host}).status_code == 403
 
     @pytest.mark.parametrize('origin', ['http://evil.example', 'http://localhost:9999', 'null'])
-    def test_the_page_of_another_site_cannot_press_buttons_here(self, visitor: Any, origin: str) -> None:
+    def test_requests_from_pages_of_other_sites_are_refused(self, client: Any, origin: str) -> None:
         headers = {'Host': 'localhost', 'Origin': origin, 'Content-Type': 'text/plain'}
-        assert visitor.post('/_dash-update-component', data='{}', headers=headers).status_code == 403
-        own = {'Host': 'localhost', 'Origin': 'http://localhost'}
-        assert visitor.get('/', headers=own).status_code == 200
+        assert client.post('/_dash-update-component', data='{}', headers=headers).status_code == 403
+        same_site = {'Host': 'localhost', 'Origin': 'http://localhost'}
+        assert client.get('/', headers=same_site).status_code == 200
 
-    def test_the_network_has_to_know_the_token(self, desk: Any) -> None:
-        visitor = make_app(desk, token='secret').server.test_client()
+    def test_access_over_the_network_needs_the_token(self, workspace: Any) -> None:
+        client = make_app(workspace, token='secret').server.test_client()
         for path in (
             '/',
             '/_dash-layout',
@@ -75,59 +75,59 @@ class TestTheDoor:
             '/?token=guess',
             '/?token=%C3%A9',
         ):
-            answer = visitor.get(path)
+            answer = client.get(path)
             assert answer.status_code == 401 and b'uneven' not in answer.data
-        assert visitor.post('/_dash-update-component', json={}).status_code == 401
-        answer = visitor.get('/?token=secret')
+        assert client.post('/_dash-update-component', json={}).status_code == 401
+        answer = client.get('/?token=secret')
         assert answer.status_code == 302 and answer.headers['Location'] == '/'
         cookie = answer.headers['Set-Cookie']
         assert 'HttpOnly' in cookie and 'SameSite=Strict' in cookie
-        assert visitor.get('/_dash-layout').status_code == 200
+        assert client.get('/_dash-layout').status_code == 200
 
-    def test_loopback_is_told_from_the_network(self) -> None:
+    def test_loopback_addresses_are_recognised(self) -> None:
         assert all(map(is_loopback, ('127.0.0.1', '127.0.1.1', '::1', 'localhost')))
         assert not any(map(is_loopback, ('0.0.0.0', '192.168.1.2', '::', 'robot')))
 
-    def test_a_port_that_is_taken_is_told(self, desk: Any) -> None:
-        app = make_app(desk)
+    def test_a_port_in_use_is_reported(self, workspace: Any) -> None:
+        app = make_app(workspace)
         first = listen(app, '127.0.0.1', 0)
-        with pytest.raises(GyrocalError, match='cannot be listened on'):
+        with pytest.raises(GyrocalError, match='cannot be used'):
             listen(app, '127.0.0.1', first.server_port)
         first.server_close()
 
 
-class TestThePage:
-    def test_everything_comes_from_here(self, visitor: Any) -> None:
-        page = visitor.get('/', headers={'Host': 'localhost'})
+class TestPage:
+    def test_the_page_loads_from_this_server_only(self, client: Any) -> None:
+        page = client.get('/', headers={'Host': 'localhost'})
         sources = re.findall(r'(?:src|href)="([^"]+)"', page.text)
         assert len(sources) > 5 and all(source.startswith('/') for source in sources), sources
         policy = page.headers['Content-Security-Policy']
         assert "default-src 'self'" in policy and 'http' not in policy and 'unsafe-eval' not in policy
 
-    def test_the_layout_holds_the_parts_in_their_order(self, visitor: Any) -> None:
-        words = visitor.get('/_dash-layout', headers={'Host': 'localhost'}).text
+    def test_the_layout_has_the_parts_in_order(self, client: Any) -> None:
+        text = client.get('/_dash-layout', headers={'Host': 'localhost'}).text
         places = [
-            words.index(f'"{name}-title"') for name in ('bag', 'model', 'residual', 'missing', 'history')
+            text.index(f'"{name}-title"') for name in ('bag', 'model', 'residual', 'missing', 'history')
         ]
         assert places == sorted(places)
 
-    def test_what_has_not_changed_is_not_drawn_again(self, desk: Any) -> None:
-        before = marks(desk.view)
-        desk.session.say('hello')
-        assert marks(desk.view) == before
-        desk.session.guess('gyro_lag')
-        desk.session.reveal()
-        changed = marks(desk.view)
+    def test_marks_change_only_for_parts_that_change(self, workspace: Any) -> None:
+        before = marks(workspace.state)
+        workspace.session.show_message('hello')
+        assert marks(workspace.state) == before
+        workspace.session.guess('gyro_lag')
+        workspace.session.reveal()
+        changed = marks(workspace.state)
         assert {name for name in before if before[name] != changed[name]} == {'lesson'}
 
-    def test_buttons_that_a_busy_browser_sends_as_one_are_all_heeded(self, desk: Any, visitor: Any) -> None:
+    def test_several_clicks_in_one_request_are_all_processed(self, workspace: Any, client: Any) -> None:
         inputs: list[dict[str, Any]] = [
             {'id': name, 'property': 'n_clicks', 'value': None} for name in BUTTONS
         ]
         for one in inputs:
             if one['id'] in ('undo', 'write'):
                 one['value'] = 1
-        asked = {
+        request = {
             'output': 'acted.data',
             'outputs': {'id': 'acted', 'property': 'data'},
             'inputs': [*inputs, {'id': 'recording', 'property': 'value', 'value': 0}],
@@ -137,18 +137,18 @@ class TestThePage:
             ],
             'changedPropIds': ['undo.n_clicks', 'write.n_clicks'],
         }
-        answer = visitor.post('/_dash-update-component', json=asked, headers={'Host': 'localhost'})
+        answer = client.post('/_dash-update-component', json=request, headers={'Host': 'localhost'})
         assert answer.status_code == 200
-        assert (desk.session.folder / 'model.yaml').is_file(), 'the second is not lost for the first'
+        assert (workspace.session.folder / 'model.yaml').is_file(), 'the second click is processed as well'
 
 
-class TestTheLivePage:
-    def test_it_is_guarded_as_the_other_and_shows_what_is_heard(self) -> None:
+class TestLivePage:
+    def test_it_has_the_same_access_control_and_shows_received_values(self) -> None:
         feed = Feed(0.0)
         feed.calibration({'gyro.scale_factor': 0.93, 'gyro.scale_factor_std': 0.001}, 1.0)
         feed.health('calibrator', 1, 'not converged yet', {'recent_nis': '1.1'}, 1.0)
-        visitor = make_live_app(feed.overview, names=NAMES).server.test_client()
-        assert visitor.get('/', headers={'Host': 'evil.example'}).status_code == 403
+        client = make_live_app(feed.overview, names=NAMES).server.test_client()
+        assert client.get('/', headers={'Host': 'evil.example'}).status_code == 403
         outputs = (
             'shown.data',
             'message.children',
@@ -156,18 +156,18 @@ class TestTheLivePage:
             'tracks.children',
             'nodes.children',
         )
-        asked = {
+        request = {
             'output': f'..{"...".join(outputs)}..',
             'outputs': [dict(zip(('id', 'property'), one.split('.'), strict=True)) for one in outputs],
             'inputs': [{'id': 'poll', 'property': 'n_intervals', 'value': 1}],
             'state': [{'id': 'shown', 'property': 'data', 'value': None}],
             'changedPropIds': ['poll.n_intervals'],
         }
-        answer = visitor.post('/_dash-update-component', json=asked, headers={'Host': 'localhost'})
+        answer = client.post('/_dash-update-component', json=request, headers={'Host': 'localhost'})
         assert answer.status_code == 200
         assert 'Scale factor 0.9300' in answer.text and 'not converged yet' in answer.text
 
-    def test_without_ros_it_says_what_to_do(
+    def test_without_ros_the_error_names_the_remedy(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
         monkeypatch.setattr('gyrocal_ros.cli.studio.find_spec', lambda _: None)
@@ -175,18 +175,18 @@ class TestTheLivePage:
         assert 'source the setup.bash' in capsys.readouterr().err
 
 
-class TestTheCommand:
-    def test_only_bags_right_inside_the_folder_are_offered(self, uneven_bag: Path, tmp_path: Path) -> None:
-        inside = tmp_path / 'given'
-        inside.mkdir()
-        (inside / 'elsewhere').symlink_to(uneven_bag)
-        (inside / 'notes.txt').write_text('no bag')
-        (inside / 'one.mcap').touch()
-        assert [path.name for path in bags_in(inside)] == ['one.mcap']
+class TestCommand:
+    def test_only_bags_directly_in_the_folder_are_offered(self, uneven_bag: Path, tmp_path: Path) -> None:
+        folder = tmp_path / 'given'
+        folder.mkdir()
+        (folder / 'elsewhere').symlink_to(uneven_bag)
+        (folder / 'notes.txt').write_text('no bag')
+        (folder / 'one.mcap').touch()
+        assert [path.name for path in bags_in(folder)] == ['one.mcap']
         assert [path.name for path in bags_in(uneven_bag.parent)] == ['uneven']
 
     def test_a_folder_without_bags_is_refused(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         assert main(['studio', str(tmp_path), '--no-browser']) == 2
-        assert 'holds no bag' in capsys.readouterr().err
+        assert 'contains no bag' in capsys.readouterr().err

@@ -1,5 +1,17 @@
-"""The web page on which a person finds the missing physics, and the state machine behind it.
+"""The studio: a web page for the diagnosis of a recording, and the state machine behind it.
 
-`session` knows what a person has done and `worker` does the long work in a process of its own; neither
-knows of a browser. `page` lays the screen out, `pictures` fills it, `server` guards the door.
+recordings    what a session works on: a bag or a hidden-effect task
+worker        long work, in a process of its own
+session       the actions of a user on one recording; `state` is its state as a value
+revisions     the models that were tried
+store         the folder of a session
+lesson        the hidden effects compared with the estimates
+workspace     the recordings of a studio and the open session
+
+layout        layout of the page             panels     texts and tables
+callbacks     updates of the page, buttons   pictures   figures
+export        the report of a session        live_page  the page about a running robot
+server        serves the page and controls access
+
+The first group does not depend on the browser.
 """

@@ -1,4 +1,4 @@
-"""What happens on the page: which part of it follows what, and what the buttons do."""
+"""Callbacks of the page: updates of its parts, and the actions of its buttons."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio import panels, pictures
 from gyrocal_ros.studio.export import export
 from gyrocal_ros.studio.layout import MARKS
-from gyrocal_ros.studio.lesson import NOTHING, STRANGER
+from gyrocal_ros.studio.lesson import NOTHING, UNKNOWN
 from gyrocal_ros.studio.state import StudioState
 from gyrocal_ros.studio.workspace import Workspace
 
 BUTTONS = ('add', 'undo', 'write', 'export', 'go-to', 'cancel', 'resume', 'riddle', 'reveal')
-WAIT = 'The first run is under way.'
+WAIT = 'The first run is in progress.'
 FORECAST_STEP = 10
-"""How finely the progress of a trial in advance is shown, %."""
+"""Step in which the progress of a run in advance is shown, %."""
 
 
-def connect(app: Dash, desk: Workspace) -> None:
-    """Bring the page to life."""
-    _follow(app, desk)
-    _act(app, desk)
-    _show_words(app, desk)
-    _show_figures(app, desk)
-    _compare(app, desk)
+def connect(app: Dash, workspace: Workspace) -> None:
+    """Connect the page to the workspace."""
+    _connect_status(app, workspace)
+    _connect_actions(app, workspace)
+    _connect_texts(app, workspace)
+    _connect_figures(app, workspace)
+    _connect_comparison(app, workspace)
     app.clientside_callback(
         ClientsideFunction('studio', 'theme'),
         Output('theme', 'data'),
@@ -39,27 +39,27 @@ def connect(app: Dash, desk: Workspace) -> None:
     )
 
 
-def marks(view: StudioState) -> dict[str, str]:
-    """What each part of the page follows, as a text that changes when it has to be drawn anew."""
-    ran = [trial.label for trial in view.trials.every if trial.examined is not None]
-    model = f'{view.title} {view.trials.present} {ran}'
-    so_far = '' if view.glimpse is None else f' {view.glimpse.time_s[-1]:.1f}'
-    ahead = sorted(effect for label, effect in view.forecasts if label == view.trials.present)
-    doing = view.doing
-    if doing is not None and doing.what == 'forecast':
-        ahead.append(f'{doing.subject} {int(100.0 * doing.advance.part) // FORECAST_STEP}')
+def marks(state: StudioState) -> dict[str, str]:
+    """Return a text for each part of the page, which changes when that part has to be drawn again."""
+    ran = [tried.label for tried in state.tree.models if tried.examination is not None]
+    model = f'{state.title} {state.tree.present_label} {ran}'
+    preview = '' if state.preview is None else f' {state.preview.time_s[-1]:.1f}'
+    forecasts = sorted(effect for label, effect in state.forecasts if label == state.tree.present_label)
+    running = state.running
+    if running is not None and running.kind == 'forecast':
+        forecasts.append(f'{running.subject} {int(100.0 * running.progress.fraction) // FORECAST_STEP}')
     return {
-        'session': view.title,
-        'bag': f'{view.title} {view.contents is not None}',
-        'model': model if ran else model + so_far,
+        'session': state.title,
+        'bag': f'{state.title} {state.contents is not None}',
+        'model': model if ran else model + preview,
         'missing': model,
-        'forecast': f'{model} {ahead}',
-        'lesson': f'{view.title} {view.has_answer} {view.revealed}',
+        'forecast': f'{model} {forecasts}',
+        'lesson': f'{state.title} {state.has_answer} {state.revealed}',
     }
 
 
-def _follow(app: Dash, desk: Workspace) -> None:
-    """The state, asked for again and again."""
+def _connect_status(app: Dash, workspace: Workspace) -> None:
+    """Update the status line, and the marks that the other parts of the page depend on."""
 
     @app.callback(
         Output('message', 'children'),
@@ -76,32 +76,32 @@ def _follow(app: Dash, desk: Workspace) -> None:
         Input('acted', 'data'),
         *(State(f'mark-{name}', 'data') for name in MARKS),
     )
-    def follow(_polled: Any, _acted: Any, *known: str | None) -> tuple[Any, ...]:
-        view = desk.view
-        doing, now = view.doing, view.trials.now
-        has_run = view.examined is not None
-        told = marks(view)
+    def update(_polled: Any, _acted: Any, *shown: str | None) -> tuple[Any, ...]:
+        state = workspace.state
+        running, present = state.running, state.tree.present
+        has_run = state.examination is not None
+        new = marks(state)
         changed = [
-            no_update if told[name] == old else told[name] for name, old in zip(MARKS, known, strict=True)
+            no_update if new[name] == old else new[name] for name, old in zip(MARKS, shown, strict=True)
         ]
-        advance = None if doing is None else doing.advance
+        progress = None if running is None else running.progress
         return (
-            view.message or panels.verdict(view),
-            'trouble' if view.is_trouble else '',
-            '' if advance is None else f'{advance.doing} {100.0 * advance.part:.0f} %',
-            '0' if advance is None else f'{100.0 * advance.part:.0f}',
-            doing is None,
-            doing is None,
-            doing is not None or (has_run and view.trials.waiting is None),
-            view.is_busy or now is None or now.builds_on is None,
+            state.message or panels.verdict(state),
+            'error-message' if state.is_error else '',
+            '' if progress is None else f'{progress.text} {100.0 * progress.fraction:.0f} %',
+            '0' if progress is None else f'{100.0 * progress.fraction:.0f}',
+            running is None,
+            running is None,
+            running is not None or (has_run and state.tree.next_to_run is None),
+            state.is_busy or present is None or present.builds_on is None,
             *[not has_run] * 2,
-            not (has_run and view.has_answer),
+            not (has_run and state.has_answer),
             *changed,
         )
 
 
-def _act(app: Dash, desk: Workspace) -> None:
-    """Buttons and choices that change the session."""
+def _connect_actions(app: Dash, workspace: Workspace) -> None:
+    """Connect the buttons and choices that change the session."""
 
     @app.callback(
         Output('acted', 'data'),
@@ -113,30 +113,30 @@ def _act(app: Dash, desk: Workspace) -> None:
     )
     def act(*given: Any) -> float:
         number, chosen, right = given[len(BUTTONS) :]
-        session = desk.session
-        todo: dict[str, Callable[[], object]] = {
+        session = workspace.session
+        actions: dict[str, Callable[[], object]] = {
             'add': lambda: session.add(str(chosen)),
             'undo': session.undo,
             'write': session.write,
-            'export': lambda: _export(desk),
+            'export': lambda: _export(workspace),
             'go-to': lambda: session.go_to(str(right)),
             'cancel': session.cancel,
             'resume': session.resume,
-            'riddle': desk.draw_riddle,
+            'riddle': workspace.draw_task,
             'reveal': session.reveal,
-            'recording': lambda: desk.choose(int(number)),
+            'recording': lambda: workspace.choose(int(number)),
         }
         for name in _triggered():
             try:
-                todo[str(name)]()
+                actions[str(name)]()
             except GyrocalError as error:
-                session.say(str(error), is_trouble=True)
+                session.show_message(str(error), is_error=True)
         return time.time()
 
-    # Apart from the buttons: the page itself sets it when it opens, and a click must not wait for that.
+    # Not with the buttons: the page sets it when it opens, and a click must not wait for that.
     @app.callback(Input('guess', 'value'), prevent_initial_call=True)
     def guess(effect: str | None) -> None:
-        desk.session.guess(effect)
+        workspace.session.guess(effect)
 
     @app.callback(
         Output('chosen', 'data'),
@@ -145,55 +145,54 @@ def _act(app: Dash, desk: Workspace) -> None:
         Input('mark-missing', 'data'),
         State('chosen', 'data'),
     )
-    def choose(_clicks: list[Any], drawn: Any, _mark: Any, chosen: str | None) -> str | None:
-        now = desk.view.examined
-        if now is None:
+    def choose(_clicks: list[Any], point: Any, _mark: Any, chosen: str | None) -> str | None:
+        examination = workspace.state.examination
+        if examination is None:
             return None
-        names = [choice.effect.name for choice in panels.choices(now)]
-        wanted = chosen
+        names = [choice.effect.name for choice in panels.choices(examination)]
         for name in _triggered():
             if isinstance(name, dict):
-                wanted = str(name['effect'])
+                chosen = str(name['effect'])
             elif name == 'evidence-figure':
-                wanted = str(drawn['points'][0]['y']).replace('<br>', '')
-        if wanted not in names:
-            wanted = None if now.best is None else now.best.effect.name
-        if wanted is not None:
+                chosen = str(point['points'][0]['y']).replace('<br>', '')
+        if chosen not in names:
+            chosen = None if examination.best is None else examination.best.effect.name
+        if chosen is not None:
             try:
-                desk.session.forecast(wanted)
+                workspace.session.forecast(chosen)
             except GyrocalError as error:
-                desk.session.say(str(error), is_trouble=True)
-        return wanted
+                workspace.session.show_message(str(error), is_error=True)
+        return chosen
 
 
 def _triggered() -> list[Any]:
-    """The ids of all that a callback answers to: a busy browser sends what came together as one."""
+    """Return the ids of all triggers of a callback: a busy browser sends several clicks as one request."""
     ids = ctx.triggered_prop_ids
     return [ids[one['prop_id']] for one in ctx.triggered if one['value'] is not None]
 
 
-def _export(desk: Workspace) -> None:
-    """Write the report while the page goes on."""
-    session, view = desk.session, desk.view
+def _export(workspace: Workspace) -> None:
+    """Write the report in a thread, so that the page stays responsive."""
+    session, state = workspace.session, workspace.state
 
     def work() -> None:
         try:
-            session.say(export(view, session.folder))
+            session.show_message(export(state, session.folder))
         except GyrocalError as error:
-            session.say(str(error), is_trouble=True)
+            session.show_message(str(error), is_error=True)
 
-    session.say('Writing the report ...')
+    session.show_message('Writing the report ...')
     Thread(target=work, name='report').start()
 
 
-def _show_words(app: Dash, desk: Workspace) -> None:
+def _connect_texts(app: Dash, workspace: Workspace) -> None:
     @app.callback(Output('title', 'children'), Input('mark-session', 'data'))
     def title(_mark: Any) -> str:
-        return desk.view.title
+        return workspace.state.title
 
     @app.callback(Output('bag-words', 'children'), Input('mark-bag', 'data'))
-    def bag(_mark: Any) -> Any:
-        return panels.bag(desk.view)
+    def recording(_mark: Any) -> Any:
+        return panels.recording(workspace.state)
 
     @app.callback(
         Output('verdict', 'children'),
@@ -203,9 +202,9 @@ def _show_words(app: Dash, desk: Workspace) -> None:
         Input('mark-missing', 'data'),
     )
     def missing(_mark: Any) -> Any:
-        view = desk.view
-        words = panels.verdict(view) or WAIT
-        return words, panels.candidate_list(view), panels.failures(view), panels.revision_table(view)
+        state = workspace.state
+        verdict = panels.verdict(state) or WAIT
+        return verdict, panels.candidate_list(state), panels.failures(state), panels.revision_table(state)
 
     @app.callback(
         Output({'do': 'choose', 'effect': ALL}, 'aria-pressed'),
@@ -225,13 +224,13 @@ def _show_words(app: Dash, desk: Workspace) -> None:
         Input('acted', 'data'),
     )
     def card(chosen: str | None, _mark: Any, _acted: Any) -> Any:
-        view = desk.view
-        words = 'Add to the model' if chosen is None else f'Add {chosen}'
-        return panels.candidate_card(view, chosen), chosen is None or view.is_busy, words
+        state = workspace.state
+        label = 'Add to the model' if chosen is None else f'Add {chosen}'
+        return panels.candidate_card(state, chosen), chosen is None or state.is_busy, label
 
     @app.callback(Output('guess', 'value'), Input('mark-session', 'data'))
-    def guessed(_mark: Any) -> str | None:
-        return desk.view.guess
+    def stored_guess(_mark: Any) -> str | None:
+        return workspace.state.guess
 
     @app.callback(
         Output('truth-words', 'children'),
@@ -240,18 +239,19 @@ def _show_words(app: Dash, desk: Workspace) -> None:
         Input('mark-missing', 'data'),
     )
     def lesson(_mark: Any, _model: Any) -> Any:
-        view = desk.view
-        followers = [] if view.examined is None else view.examined.stage.ranked
-        covariates = [one.effect.name for one in followers if ':' in one.effect.name]
-        return panels.lesson(view), [NOTHING, STRANGER, *EFFECTS, *sorted(covariates)]
+        state = workspace.state
+        examination = state.examination
+        ranked = [] if examination is None else examination.examined.ranked
+        covariates = [one.effect.name for one in ranked if ':' in one.effect.name]
+        return panels.lesson(state), [NOTHING, UNKNOWN, *EFFECTS, *sorted(covariates)]
 
 
-def _show_figures(app: Dash, desk: Workspace) -> None:
+def _connect_figures(app: Dash, workspace: Workspace) -> None:
     @app.callback(*_figure('model-figure'), Input('mark-model', 'data'), Input('kind', 'value'))
     def model(mark: str, kind: str) -> Any:
-        view = desk.view
-        figure = pictures.against_measurement(view, kind)
-        return _shown(figure, 'The recording is too short for that.' if view.trials.every else WAIT, kind)
+        state = workspace.state
+        figure = pictures.against_measurement(state, kind)
+        return _figure_or_text(figure, 'The recording is too short.' if state.tree.models else WAIT, kind)
 
     @app.callback(
         Output('signal', 'options'),
@@ -260,7 +260,7 @@ def _show_figures(app: Dash, desk: Workspace) -> None:
         State('signal', 'value'),
     )
     def signals(_mark: Any, chosen: str | None) -> Any:
-        found = pictures.signals(desk.view)
+        found = pictures.signals(workspace.state)
         options = [
             {'label': f'{signal} - {_kind(of_scale)}', 'value': f'{_kind(of_scale)}:{signal}'}
             for signal, of_scale in found
@@ -271,21 +271,21 @@ def _show_figures(app: Dash, desk: Workspace) -> None:
     @app.callback(*_figure('residual-figure'), Input('signal', 'value'), Input('mark-missing', 'data'))
     def residual(chosen: str | None, _mark: Any) -> Any:
         kind, _, signal = (chosen or '').partition(':')
-        figure = pictures.left_over(desk.view, signal, kind == 'scale') if chosen else None
-        return _shown(figure, 'This recording cannot tell.' if chosen else WAIT, chosen)
+        figure = pictures.error_by_signal(workspace.state, signal, kind == 'scale') if chosen else None
+        return _figure_or_text(figure, 'Not known from this recording.' if chosen else WAIT, chosen)
 
     @app.callback(*_figure('evidence-figure'), Input('mark-missing', 'data'))
     def scores(_mark: Any) -> Any:
-        return _shown(pictures.scores(desk.view), WAIT)
+        return _figure_or_text(pictures.scores(workspace.state), WAIT)
 
     @app.callback(*_figure('history-figure'), Input('mark-missing', 'data'))
     def history(_mark: Any) -> Any:
-        view = desk.view
-        words = 'No span of a minute is left for the drift.' if view.improvement else WAIT
-        return _shown(pictures.revisions(view), words)
+        state = workspace.state
+        text = 'The recording has no held-out span of a minute.' if state.improvement else WAIT
+        return _figure_or_text(pictures.revisions(state), text)
 
 
-def _compare(app: Dash, desk: Workspace) -> None:
+def _connect_comparison(app: Dash, workspace: Workspace) -> None:
     @app.callback(
         Output('left', 'options'),
         Output('left', 'value'),
@@ -295,11 +295,11 @@ def _compare(app: Dash, desk: Workspace) -> None:
         State('left', 'value'),
         State('right', 'value'),
     )
-    def offered(_mark: Any, left: str | None, _right: str | None) -> Any:
-        trials = desk.view.trials
-        labels = [trial.label for trial in trials.every if trial.examined is not None]
+    def options(_mark: Any, left: str | None, _right: str | None) -> Any:
+        tree = workspace.state.tree
+        labels = [tried.label for tried in tree.models if tried.examination is not None]
         first = left if left in labels else next(iter(labels), None)
-        return labels, first, labels, trials.present if trials.present in labels else None
+        return labels, first, labels, tree.present_label if tree.present_label in labels else None
 
     @app.callback(
         *_figure('compare-figure'),
@@ -309,19 +309,21 @@ def _compare(app: Dash, desk: Workspace) -> None:
     )
     def compared(left: str | None, right: str | None, kind: str) -> Any:
         if left is None or right is None or left == right:
-            return _shown(None, 'Choose two revisions.')
-        return _shown(pictures.side_by_side(desk.view, (left, right), kind), 'One of them has to run first.')
+            return _figure_or_text(None, 'Choose two revisions.')
+        return _figure_or_text(
+            pictures.side_by_side(workspace.state, (left, right), kind), 'One of them has not run yet.'
+        )
 
 
 def _figure(name: str) -> tuple[Output, Output, Output]:
     return Output(name, 'figure'), Output(f'{name}-box', 'hidden'), Output(f'{name}-words', 'children')
 
 
-def _shown(figure: Any | None, words: str, kept_while: str | None = None) -> tuple[Any, bool, str]:
-    """A figure that fills its place, or words; zoomed as before while `kept_while` is the same."""
+def _figure_or_text(figure: Any | None, text: str, zoom_key: str | None = None) -> tuple[Any, bool, str]:
+    """Return a figure that fills its place, or a text; the zoom is kept while `zoom_key` is the same."""
     if figure is None:
-        return no_update, True, words
-    figure.update_layout(height=None, autosize=True, uirevision=kept_while, font_size=12)
+        return no_update, True, text
+    figure.update_layout(height=None, autosize=True, uirevision=zoom_key, font_size=12)
     figure.update_layout(margin_t=60, margin_b=40, title_font_size=14)
     figure.update_yaxes(title_font_size=10, title_standoff=4)
     return figure, False, ''

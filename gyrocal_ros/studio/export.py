@@ -1,4 +1,4 @@
-"""The report of a session, to be sent to a colleague: pages that need nothing else, pictures, the models."""
+"""The report of a session: pages that need no other file, figures as PNG, models and calibrations."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from gyrocal_ros.studio.state import StudioState
 NAME = 'report'
 
 
-def export(view: StudioState, folder: Path) -> str:
-    """Write `report/` into the folder of a session; returns what a person should know of it.
+def export(state: StudioState, folder: Path) -> str:
+    """Write `report/` into the folder of a session; return a message to the user.
 
-    It holds the history with all models, `report.html` about it, `present/report.html` about what the
-    present model still lacks, and `figures/` as pictures where this machine can draw them.
+    It contains the history with all models, `report.html` about it, `present/report.html` about the
+    effects that the present model still lacks, and `figures/` as PNG if this machine can draw them.
 
     Raises:
-        GyrocalError: nothing has run yet, or it cannot be written.
+        GyrocalError: the model has not run yet, or the report cannot be written.
     """
-    improved, contents, recorded = view.improvement, view.contents, view.recorded
+    improved, contents, recorded = state.improvement, state.contents, state.recorded
     if improved is None or contents is None or recorded is None:
         raise GyrocalError('the model has not run yet', where='report', todo='wait a moment')
     remark = ''
     with new_folder(folder / NAME, overwrite=True) as part:
-        fill_improvement(part, improved, contents.findings)
+        fill_improvement(part, improved, contents.issues)
         searched = Search(improved.final.examined, ())
         (part / 'present').mkdir()
-        fill_diagnosis(part / 'present', searched, diagnose(searched, recorded), contents.findings)
+        fill_diagnosis(part / 'present', searched, diagnose(searched, recorded), contents.issues)
         (part / 'figures').mkdir()
         try:
-            save_png(pictures.all_of(view), part / 'figures')
+            save_png(pictures.all_figures(state), part / 'figures')
         except GyrocalError as error:
             remark = f' {error}.'
     return f'The report is in {folder / NAME}.{remark}'

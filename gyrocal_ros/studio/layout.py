@@ -1,4 +1,4 @@
-"""How the screen is laid out. What stands in it comes from `panels` and `pictures`."""
+"""Layout of the page. Its contents come from `panels` and `pictures`."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from gyrocal_ros.report.plot import plot_config
 from gyrocal_ros.studio.pictures import COMPARED, KINDS
 
 POLL_MS = 400
-"""How often the page asks whether something has changed."""
+"""Period at which the page asks for changes."""
 STEPS = (
     ('bag', '1', 'The recording'),
     ('model', '2', 'Model against measurement'),
-    ('residual', '3', 'Where it fails'),
-    ('missing', '4', 'Which effect is missing'),
-    ('history', '5', 'The error falling'),
-    ('lesson', '6', 'Find the missing physics'),
+    ('residual', '3', 'Where the model fails'),
+    ('missing', '4', 'Missing effect'),
+    ('history', '5', 'Error by revision'),
+    ('lesson', '6', 'Lesson: find the hidden effect'),
 )
-"""Name, number and title of each part of the screen, in its order."""
+"""Name, number and title of each part of the page, in its order."""
 
 
 def layout(titles: Sequence[str]) -> html.Div:
-    """The whole page.
+    """Return the page.
 
     Args:
-        titles: of the recordings that may be opened.
+        titles: titles of the recordings that may be opened.
     """
     return html.Div(
         [
@@ -46,7 +46,7 @@ def layout(titles: Sequence[str]) -> html.Div:
 
 
 MARKS = ('session', 'bag', 'model', 'missing', 'forecast', 'lesson')
-"""Parts of the state that the page follows; each changes when something in it has."""
+"""Parts of the state. The page stores a mark of each, which changes with that part."""
 
 
 def _header(titles: Sequence[str]) -> html.Header:
@@ -58,13 +58,13 @@ def _header(titles: Sequence[str]) -> html.Header:
                     html.H1(['gyrocal studio ', html.Span(id='title')]),
                     dcc.Dropdown(
                         id='recording',
-                        options=[{'label': title, 'value': place} for place, title in enumerate(titles)],
+                        options=[{'label': title, 'value': number} for number, title in enumerate(titles)],
                         placeholder='open another recording',
                         clearable=False,
                         style={'display': 'block' if len(titles) > 1 else 'none'},
                     ),
                     html.Nav(jumps, **{'aria-label': 'Parts of the page'}),
-                    html.Button('Light or dark', id='theme-button', className='quiet'),
+                    html.Button('Light / dark', id='theme-button', className='quiet'),
                 ],
                 className='top',
             ),
@@ -74,7 +74,7 @@ def _header(titles: Sequence[str]) -> html.Header:
                     html.Progress(id='progress', max='100', value='0'),
                     html.Span(id='doing'),
                     html.Button('Cancel', id='cancel'),
-                    html.Button('Go on', id='resume'),
+                    html.Button('Resume', id='resume'),
                 ],
                 className='status',
             ),
@@ -90,7 +90,7 @@ def _model() -> html.Section:
     return _part(
         'model',
         [
-            _radio('kind', KINDS, 'heading', 'What to hold the model against'),
+            _radio('kind', KINDS, 'heading', 'Quantity to show'),
             _graph('model-figure', 'tall'),
         ],
     )
@@ -102,15 +102,15 @@ def _residual() -> html.Section:
         [
             html.Div(
                 [
-                    html.Label('What is left over, by', htmlFor='signal', id='signal-label'),
+                    html.Label('Error left over, as a function of', htmlFor='signal', id='signal-label'),
                     dcc.Dropdown(id='signal', clearable=False),
                 ],
                 className='row',
             ),
             _graph('residual-figure', 'low'),
             html.P(
-                'Error of the bias or the scale that is left, with three standard deviations; its mean taken '
-                'out, by the rate a straight line. A signal that changes slowly fits anything that does.',
+                'Error left over in bias or scale, with three standard deviations, less its mean (against '
+                'the rate, less a straight line). A slow signal fits everything that changes slowly.',
                 className='note',
             ),
             html.Div(id='failures'),
@@ -135,9 +135,7 @@ def _missing() -> html.Section:
                 ],
                 className='halves',
             ),
-            html.Details(
-                [html.Summary('The evidence in full'), _graph('evidence-figure', 'tall')], id='evidence'
-            ),
+            html.Details([html.Summary('All scores'), _graph('evidence-figure', 'tall')], id='evidence'),
         ],
     )
 
@@ -161,15 +159,15 @@ def _history() -> html.Section:
                     html.Summary('Compare two revisions'),
                     html.Div(
                         [
-                            html.Label('this', htmlFor='left'),
+                            html.Label('first', htmlFor='left'),
                             dcc.Dropdown(id='left', clearable=False),
-                            html.Label('with', htmlFor='right'),
+                            html.Label('second', htmlFor='right'),
                             dcc.Dropdown(id='right', clearable=False),
-                            html.Button('Make the second the present one', id='go-to'),
+                            html.Button('Use the second revision', id='go-to'),
                         ],
                         className='row',
                     ),
-                    _radio('compare-kind', COMPARED, 'heading', 'What to compare'),
+                    _radio('compare-kind', COMPARED, 'heading', 'Quantity to compare'),
                     _graph('compare-figure', 'tall'),
                 ],
                 id='compare',
@@ -183,15 +181,15 @@ def _lesson() -> html.Section:
         'lesson',
         [
             html.P(
-                'A simulated robot hides an effect, or two, or none, or one that the library does not know. '
-                'Explore, guess, add what you believe in, and see the truth.'
+                'A simulated robot has one or two hidden effects, none, or one that is not in the library. '
+                'Explore the recording, add the effects that you find, enter a guess, and see the answer.'
             ),
             html.Div(
                 [
-                    html.Button('Draw a riddle', id='riddle'),
+                    html.Button('New exercise', id='riddle'),
                     html.Label('My guess', htmlFor='guess'),
-                    dcc.Dropdown(id='guess', placeholder='what is hidden?'),
-                    html.Button('Reveal the truth', id='reveal'),
+                    dcc.Dropdown(id='guess', placeholder='hidden effect'),
+                    html.Button('Reveal the answer', id='reveal'),
                 ],
                 className='row',
             ),
@@ -206,12 +204,12 @@ def _part(name: str, content: list[Any]) -> html.Section:
     return html.Section([heading, *content], id=name, **{'aria-labelledby': f'{name}-title'})
 
 
-def _radio(name: str, options: dict[str, str], value: str, meaning: str) -> html.Div:
+def _radio(name: str, options: dict[str, str], value: str, description: str) -> html.Div:
     choices = [{'label': label, 'value': key} for key, label in options.items()]
     return html.Div(
         dcc.RadioItems(id=name, options=choices, value=value, inline=True, className='choice'),
         role='radiogroup',
-        **{'aria-label': meaning},
+        **{'aria-label': description},
     )
 
 

@@ -1,4 +1,4 @@
-"""The page about a running robot: its scale factor with the band, its innovations, tracks and health."""
+"""The page about a running robot: scale factor with its band, innovations, tracks and health."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from gyrocal_ros.robot.feed import NodeHealth, Overview
 from gyrocal_ros.robot.health import Level
 
 POLL_MS = 1000
-SIGNS = {Level.OK: '✓ well', Level.WARN: '! beware', Level.ERROR: '✗ wrong'}
-NOBODY = 'Nothing has been heard yet. Does the calibrator run, in the same ROS_DOMAIN_ID and namespace?'
+LEVEL_TEXT = {Level.OK: '✓ ok', Level.WARN: '! warning', Level.ERROR: '✗ error'}
+NO_MESSAGES = 'No message yet. Is the calibrator running, in the same ROS_DOMAIN_ID and namespace?'
 
 
 def layout() -> html.Div:
-    """The whole page."""
+    """Return the page."""
     graph = dcc.Graph(id='live-figure', config=plot_config('live'), style={'height': '100%'}, responsive=True)
     return html.Div(
         [
@@ -30,17 +30,17 @@ def layout() -> html.Div:
             html.Header(
                 [
                     html.Div([html.H1(['gyrocal studio ', html.Span('live')])], className='top'),
-                    html.Div(html.Div(NOBODY, id='message', role='status'), className='status'),
+                    html.Div(html.Div(NO_MESSAGES, id='message', role='status'), className='status'),
                 ]
             ),
             html.Main(
                 [
                     html.Section(
-                        [html.H2('The estimate'), html.Div(html.Div(graph), className='figure tall')],
+                        [html.H2('Estimate'), html.Div(html.Div(graph), className='figure tall')],
                         id='model',
                     ),
-                    html.Section([html.H2('What the tracker sees'), html.Div(id='tracks')], id='residual'),
-                    html.Section([html.H2('How the nodes are'), html.Div(id='nodes')], id='bag'),
+                    html.Section([html.H2('Tracked features'), html.Div(id='tracks')], id='residual'),
+                    html.Section([html.H2('Health of the nodes'), html.Div(id='nodes')], id='bag'),
                 ]
             ),
         ]
@@ -48,11 +48,11 @@ def layout() -> html.Div:
 
 
 def connect(app: Dash, overview: Callable[[float], Overview]) -> None:
-    """Let the page follow what is heard.
+    """Update the page with the messages of the robot.
 
     Args:
         app: the page.
-        overview: what was heard up to a moment of the monotonic clock.
+        overview: returns everything received up to a time of the monotonic clock.
     """
 
     @app.callback(
@@ -64,31 +64,37 @@ def connect(app: Dash, overview: Callable[[float], Overview]) -> None:
         Input('poll', 'n_intervals'),
         State('shown', 'data'),
     )
-    def follow(_polled: Any, shown: int | None) -> tuple[Any, ...]:
-        heard = overview(time.monotonic())
-        if not heard.version:
+    def update(_polled: Any, shown: int | None) -> tuple[Any, ...]:
+        received = overview(time.monotonic())
+        if not received.version:
             return (no_update,) * 5
-        nodes = _nodes(heard.nodes)
-        if heard.version == shown:
+        nodes = _nodes(received.nodes)
+        if received.version == shown:
             return shown, no_update, no_update, no_update, nodes
-        figure = live(heard.time_s, heard.scale_factor, heard.scale_factor_std, heard.nis_time_s, heard.nis)
+        figure = live(
+            received.time_s,
+            received.scale_factor,
+            received.scale_factor_std,
+            received.nis_time_s,
+            received.nis,
+        )
         figure.update_layout(height=None, autosize=True, uirevision='live')
-        return heard.version, _in_words(heard), figure, _tracks(heard.tracks), nodes
+        return received.version, _estimate_text(received), figure, _tracks(received.tracks), nodes
 
 
-def _in_words(heard: Overview) -> str:
-    if not len(heard.time_s):
-        return 'No calibration has been told yet.'
-    scale = with_std(float(heard.scale_factor[-1]), float(heard.scale_factor_std[-1]))
-    converged = 'converged' if heard.calibration.get('gyro.converged') else 'not converged yet'
-    return f'Scale factor {scale}, {converged}; model {heard.calibration.get("gyro.model", "")}.'
+def _estimate_text(received: Overview) -> str:
+    if not len(received.time_s):
+        return 'No calibration received yet.'
+    scale = with_std(float(received.scale_factor[-1]), float(received.scale_factor_std[-1]))
+    converged = 'converged' if received.calibration.get('gyro.converged') else 'not converged yet'
+    return f'Scale factor {scale}, {converged}; model {received.calibration.get("gyro.model", "")}.'
 
 
 def _tracks(jpeg: bytes | None) -> Any:
     if jpeg is None:
-        return html.P('No image: the tracker is not running, or sees none.', className='empty')
+        return html.P('No image: the tracker is not running, or receives none.', className='empty')
     source = f'data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}'
-    return html.Img(src=source, alt='The ceiling with the tracks drawn', style={'width': '100%'})
+    return html.Img(src=source, alt='Image of the ceiling with the tracks', style={'width': '100%'})
 
 
 def _nodes(nodes: tuple[NodeHealth, ...]) -> Any:
@@ -96,17 +102,17 @@ def _nodes(nodes: tuple[NodeHealth, ...]) -> Any:
         html.Tr(
             [
                 html.Th(node.name, scope='row'),
-                html.Td('silent' if node.is_gone else SIGNS[node.level]),
-                html.Td(f'nothing for {node.silent_s:.0f} s' if node.is_gone else node.message),
-                html.Td(_numbers(node)),
+                html.Td('silent' if node.is_gone else LEVEL_TEXT[node.level]),
+                html.Td(f'no message for {node.silent_s:.0f} s' if node.is_gone else node.message),
+                html.Td(_values(node)),
             ]
         )
         for node in nodes
     ]
-    heads = html.Tr([html.Th(head, scope='col') for head in ('node', '', 'says', 'numbers')])
+    heads = html.Tr([html.Th(head, scope='col') for head in ('node', 'level', 'status', 'values')])
     return html.Div(html.Table([html.Thead(heads), html.Tbody(rows)]), className='wide')
 
 
-def _numbers(node: NodeHealth) -> Any:
-    words = ', '.join(f'{name} {value}' for name, value in node.numbers.items())
-    return html.Details([html.Summary(f'{len(node.numbers)}'), html.Span(words, className='note')])
+def _values(node: NodeHealth) -> Any:
+    text = ', '.join(f'{name} {value}' for name, value in node.numbers.items())
+    return html.Details([html.Summary(f'{len(node.numbers)}'), html.Span(text, className='note')])

@@ -1,4 +1,4 @@
-"""The words and tables of the page, from the state of a session."""
+"""Texts and tables of the page, from the state of a session."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.report.describe import (
+    FAILURE_HEADS,
     NO_FAILURE,
     coefficients_in_words,
     drift_in_words,
@@ -24,13 +25,15 @@ from gyrocal_ros.report.describe import (
     sigma_in_words,
     with_gain,
 )
-from gyrocal_ros.studio.lesson import off_in_words
+from gyrocal_ros.studio.lesson import error_text
 from gyrocal_ros.studio.pictures import drift_deg
 from gyrocal_ros.studio.state import StudioState
-from gyrocal_ros.studio.worker import Examined
+from gyrocal_ros.studio.worker import Examination
 
-MOST_LISTED = 8
-MOST_FAILURES = 8
+MAX_LISTED = 8
+"""Number of effects up to which the significant ones are complemented by others."""
+MAX_FAILURES = 8
+"""Maximum number of failures in the table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,26 +41,28 @@ class EffectChoice:
     """One effect that may be added."""
 
     effect: Effect
-    ranked_effect: RankedEffect | None
-    """None for a limit, which only a run can judge."""
+    ranked: RankedEffect | None
+    """None for a limit, which only a run can score."""
 
 
-def choices(examined: Examined) -> list[EffectChoice]:
-    """What may be added, the most telling first: all that is significant, and what comes next."""
-    ranked = [EffectChoice(ranked_effect.effect, ranked_effect) for ranked_effect in examined.stage.ranked]
-    ranked.sort(key=lambda one: one.ranked_effect is not examined.best)
-    certain = sum(one.ranked_effect is not None and one.ranked_effect.is_significant for one in ranked)
-    limits = [EffectChoice(effect, None) for effect in examined.limits]
-    return [*ranked[:certain], *limits, *ranked[certain : max(certain, MOST_LISTED)]]
+def choices(examination: Examination) -> list[EffectChoice]:
+    """Return the effects that may be added: the significant ones, best first, then limits and others."""
+    candidates = [EffectChoice(ranked.effect, ranked) for ranked in examination.examined.ranked]
+    candidates.sort(key=lambda one: one.ranked is not examination.best)
+    significant = sum(one.ranked is not None and one.ranked.is_significant for one in candidates)
+    limits = [EffectChoice(effect, None) for effect in examination.limits]
+    return [*candidates[:significant], *limits, *candidates[significant : max(significant, MAX_LISTED)]]
 
 
-def bag(view: StudioState) -> list[Any]:
-    """What is in the recording, and what is wrong with it."""
-    contents = view.contents
+def recording(state: StudioState) -> list[Any]:
+    """Return contents and issues of the recording."""
+    contents = state.contents
     if contents is None:
-        return [html.P('Looking into the recording ...')]
+        return [html.P('Checking the recording ...')]
     if contents.check is None:
-        return [html.P(f'A simulated robot cleaned for {contents.duration_s:.0f} s. What is odd about it?')]
+        return [
+            html.P(f'A simulated robot cleans for {contents.duration_s:.0f} s, with hidden effects or none.')
+        ]
     check = contents.check
     used = [topic for topic in check.topics if topic.role]
     summary = f'{check.duration_s:.0f} s, {len(used)} topics in use of {len(check.topics)}'
@@ -65,68 +70,68 @@ def bag(view: StudioState) -> list[Any]:
         (topic.name, topic.role or 'not used', str(topic.count), _number(topic.rate_hz, '.4g'))
         for topic in check.topics
     ]
-    complaints = [
+    issues = [
         html.Li([html.B(f'{issue.severity}: '), str(issue)], className=str(issue.severity))
         for issue in check.issues
     ]
     return [
-        html.P([html.B(summary), ' - ' if complaints else '; nothing to complain of.']),
-        html.Ul(complaints, className='findings') if complaints else None,
+        html.P([html.B(summary), ' - ' if issues else '; no issues.']),
+        html.Ul(issues, className='issues') if issues else None,
         html.Details(
             [html.Summary('Topics'), _table(('topic', 'used as', 'messages', 'Hz'), rows)], id='topics'
         ),
     ]
 
 
-def failures(view: StudioState) -> list[Any]:
-    """Where the present model is off by more than chance."""
-    now = view.examined
-    if now is None:
+def failures(state: StudioState) -> list[Any]:
+    """Return where the present model fails by more than chance."""
+    examination = state.examination
+    if examination is None:
         return []
-    found = now.failures
+    found = examination.failures
     if not found:
         return [html.P(NO_FAILURE)]
-    rows = [(item.what, f'{item.sigma:.0f}') for item in found[:MOST_FAILURES]]
-    more = f' and {len(found) - MOST_FAILURES} more' if len(found) > MOST_FAILURES else ''
+    rows = [(item.what, f'{item.sigma:.0f}') for item in found[:MAX_FAILURES]]
+    more = f' and {len(found) - MAX_FAILURES} more' if len(found) > MAX_FAILURES else ''
     return [
         html.Details(
             [
-                html.Summary(f'The worst places, in words: {found[0].what}'),
-                _table(('place, and what would have to be added', 'sigma'), rows),
+                html.Summary(f'Worst place: {found[0].what}'),
+                _table(FAILURE_HEADS, rows),
                 html.P(more) if more else None,
             ]
         )
     ]
 
 
-def verdict(view: StudioState) -> str:
+def verdict(state: StudioState) -> str:
     """State which effect the present model lacks, in one or two sentences."""
-    now = view.examined
-    if now is None:
+    examination = state.examination
+    if examination is None:
         return ''
-    best = now.best
+    best = examination.best
     if best is not None:
-        headline = missing_headline({best.effect.name: now.twins})
-        return f'{headline} It explains most of what is left ({sigma_in_words(best.fit.sigma)} sigma).'
-    otherwise = 'No effect of the library explains more than chance would.'
-    if now.limits:
-        otherwise = f'The readings suggest a limit: {join([one.name for one in now.limits], "or")}.'
-    return missing_headline({}, now.stage.unexplained_structure, otherwise)
+        headline = missing_headline({best.effect.name: examination.indistinguishable})
+        return f'{headline} It explains most of the error left over ({sigma_in_words(best.fit.sigma)} sigma).'
+    otherwise = 'No effect of the library explains more than chance.'
+    if examination.limits:
+        otherwise = f'The readings suggest a limit: {join([one.name for one in examination.limits], "or")}.'
+    return missing_headline({}, examination.examined.unexplained_structure, otherwise)
 
 
-def candidate_list(view: StudioState) -> list[Any]:
-    """A button for every effect that may be added, with a bar: the logarithm of what it explains."""
-    now = view.examined
-    if now is None:
+def candidate_list(state: StudioState) -> list[Any]:
+    """Return a button for each effect that may be added, with a bar: the logarithm of its gain."""
+    examination = state.examination
+    if examination is None:
         return []
-    offered = choices(now)
-    most = max([_log_gain(one) for one in offered] + [1.0])
+    offered = choices(examination)
+    longest = max([_log_gain(one) for one in offered] + [1.0])
     return [
         html.Button(
             [
                 html.B(one.effect.name),
                 html.Span(
-                    html.Span(style={'width': f'{100.0 * _log_gain(one) / most:.0f}%'}), className='bar'
+                    html.Span(style={'width': f'{100.0 * _log_gain(one) / longest:.0f}%'}), className='bar'
                 ),
                 html.Span(_strength(one), className='strength'),
             ],
@@ -138,68 +143,69 @@ def candidate_list(view: StudioState) -> list[Any]:
 
 
 def _log_gain(choice: EffectChoice) -> float:
-    return 0.0 if choice.ranked_effect is None else math.log10(1.0 + max(choice.ranked_effect.fit.gain, 0.0))
+    return 0.0 if choice.ranked is None else math.log10(1.0 + max(choice.ranked.fit.gain, 0.0))
 
 
 def _strength(choice: EffectChoice) -> str:
-    if choice.ranked_effect is None:
-        return 'by the readings'
-    fit = choice.ranked_effect.fit
+    if choice.ranked is None:
+        return 'from the readings'
+    fit = choice.ranked.fit
     return f'+{max(fit.gain, 0.0):.0f}, {sigma_in_words(fit.sigma)} sigma'
 
 
-def candidate_card(view: StudioState, chosen: str | None) -> list[Any]:
-    """All about one effect that may be added."""
-    now = view.examined
-    if now is None:
+def candidate_card(state: StudioState, chosen: str | None) -> list[Any]:
+    """Return the description of one effect that may be added."""
+    examination = state.examination
+    if examination is None:
         return []
-    choice = next((one for one in choices(now) if one.effect.name == chosen), None)
+    choice = next((one for one in choices(examination) if one.effect.name == chosen), None)
     if choice is None:
-        return [html.P('Choose an effect above to see what it is and what it would do.')]
+        return [html.P('Choose an effect to see its description and its scores.')]
     about: Explanation = find_effect(choice.effect.name).about
     rows: list[tuple[str, Any]] = [('equation', html.Code(about.equation))]
-    if choice.ranked_effect is not None:
-        rows += _evidence(choice.ranked_effect, now, chosen)
-    rows.append(('held-out drift', html.Span(_forecast(view, choice.effect.name), id='forecast')))
+    if choice.ranked is not None:
+        rows += _scores(choice.ranked, examination, chosen)
+    rows.append(('held-out drift', html.Span(_forecast(state, choice.effect.name), id='forecast')))
     return [
         html.H3(choice.effect.name, id='candidate-name'),
         html.P(about.physics, className='physics'),
-        html.Dl([part for term, what in rows for part in (html.Dt(term), html.Dd(what))]),
+        html.Dl([part for term, value in rows for part in (html.Dt(term), html.Dd(value))]),
     ]
 
 
-def _evidence(ranked_effect: RankedEffect, examined: Examined, chosen: str | None) -> list[tuple[str, Any]]:
-    found = coefficients_in_words(ranked_effect.effect, estimate(ranked_effect), estimate_stds(ranked_effect))
-    gain = held_out_gain(examined.stage.scores, ranked_effect.fit.columns)
+def _scores(ranked: RankedEffect, examination: Examination, chosen: str | None) -> list[tuple[str, Any]]:
+    found = coefficients_in_words(ranked.effect, estimate(ranked), estimate_stds(ranked))
+    gain = held_out_gain(examination.examined.scores, ranked.fit.columns)
     rows: list[tuple[str, Any]] = [
         ('coefficients', found),
-        ('log-likelihood', with_gain(ranked_effect.fit.gain, ranked_effect.fit.sigma)),
+        ('log-likelihood', with_gain(ranked.fit.gain, ranked.fit.sigma)),
     ]
     if gain is not None:
-        rows.append(('on the second half', f'{gain:+.1f} log-likelihood, fitted on the first half alone'))
-    if examined.best is not None and chosen == examined.best.effect.name and examined.twins:
-        apart = ' '.join(how_to_tell_apart(ranked_effect.effect.name, examined.twins))
-        rows.append(('indistinguishable from', f'{join([*examined.twins], "or")}. {apart}'))
+        rows.append(('held-out gain', f'{gain:+.1f} on the second half, fitted on the first half only'))
+    others = examination.indistinguishable
+    if examination.best is not None and chosen == examination.best.effect.name and others:
+        advice = ' '.join(how_to_tell_apart(ranked.effect.name, others))
+        rows.append(('indistinguishable from', f'{join([*others], "or")}. {advice}'))
     return rows
 
 
-def _forecast(view: StudioState, effect: str) -> str:
-    """What adding the effect would do to the held-out error."""
-    improved, ahead = view.improvement, view.forecast(effect)
+def _forecast(state: StudioState, effect: str) -> str:
+    """Return the held-out drift before and, if known, after adding an effect."""
+    improved, forecast = state.improvement, state.forecast(effect)
     if improved is None or not len(improved.final.held_out.error_rad):
-        return 'the recording is too short to tell'
+        return 'the recording is too short'
     before = improved.final.held_out.rms_deg
-    if ahead is not None:
-        return f'from {before:.2f} to {drift_deg(ahead, view):.2f} deg'
-    doing = view.doing
-    if doing is not None and doing.what == 'forecast' and doing.subject == effect:
-        return f'now {before:.2f} deg; being tried in advance, {100.0 * doing.advance.part:.0f} %'
+    if forecast is not None:
+        return f'from {before:.2f} to {drift_deg(forecast, state):.2f} deg'
+    running = state.running
+    if running is not None and running.kind == 'forecast' and running.subject == effect:
+        return f'now {before:.2f} deg; running in advance, {100.0 * running.progress.fraction:.0f} %'
     return f'now {before:.2f} deg'
 
 
-def revision_table(view: StudioState) -> list[Any]:
-    """The revisions with their figures of merit."""
-    improved = view.improvement
+def revision_table(state: StudioState) -> list[Any]:
+    """Return the revisions with their figures of merit."""
+    improved = state.improvement
     if improved is None:
         return []
     rows = [
@@ -218,28 +224,29 @@ def revision_table(view: StudioState) -> list[Any]:
     ]
 
 
-def lesson(view: StudioState) -> list[Any]:
-    """The truth, once it is wanted."""
-    told = view.revealed
-    if told is None:
+def lesson(state: StudioState) -> list[Any]:
+    """Return the answer, if it has been revealed."""
+    revealed = state.revealed
+    if revealed is None:
         return []
-    hidden = join([*told.hidden]) if told.hidden else 'nothing'
-    said = {True: 'Your guess was right.', False: 'Your guess was wrong.', None: 'You did not guess.'}
+    hidden = join([*revealed.hidden]) if revealed.hidden else 'nothing'
+    guess_text = {True: 'Your guess was right.', False: 'Your guess was wrong.', None: 'You did not guess.'}
     rows = [
         (
-            line.name,
-            f'{line.truth:.6g} {line.unit}'.removesuffix(' 1'),
-            '' if line.found is None else f'{line.found:.6g}',
-            off_in_words(line),
+            item.name,
+            f'{item.truth:.6g} {item.unit}'.removesuffix(' 1'),
+            '' if item.estimate is None else f'{item.estimate:.6g}',
+            error_text(item),
         )
-        for line in told.lines
+        for item in revealed.coefficients
     ]
-    remarks = [f'Hidden: {hidden}.', said[told.guessed_right]]
-    if told.missed:
-        remarks.append(missing_headline(dict.fromkeys(told.missed, ())))
-    if told.needless:
-        remarks.append(f'The model has what the robot has not: {join([*told.needless])}.')
-    return [html.P(' '.join(remarks), id='truth'), _table(('', 'truth', 'found', 'off by'), rows)]
+    sentences = [f'Hidden: {hidden}.', guess_text[revealed.guessed_right]]
+    if revealed.missed:
+        sentences.append(missing_headline(dict.fromkeys(revealed.missed, ())))
+    if revealed.superfluous:
+        sentences.append(f'In the model but not hidden: {join([*revealed.superfluous])}.')
+    heads = ('coefficient', 'truth', 'estimate', 'error')
+    return [html.P(' '.join(sentences), id='truth'), _table(heads, rows)]
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> html.Div:

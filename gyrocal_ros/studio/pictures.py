@@ -1,4 +1,4 @@
-"""The figures of the page: from the state of a session to figures of the report's own kind."""
+"""Figures of the page, from the state of a session; the report draws them."""
 
 from __future__ import annotations
 
@@ -20,58 +20,61 @@ from gyrocal_ros.report import diagnosis_figures as figures
 from gyrocal_ros.report.improvement import drift_marks
 from gyrocal_ros.studio.revisions import TriedModel
 from gyrocal_ros.studio.state import StudioState
-from gyrocal_ros.studio.worker import Examined
+from gyrocal_ros.studio.worker import Examination
 
-STRETCHES = 5
-MOST_CANDIDATES = 10
-MOST_SIGNALS = 4
-"""Of what is left over, so many are written with a report, the most telling ones."""
-AS_IT_WAS, NOW = FIRST_MODEL, 'the present model'
+MAX_STRETCHES = 5
+"""Maximum number of stretches of time that are marked as failures."""
+MAX_CANDIDATES = 10
+"""Number of candidates up to which the significant ones are complemented by others."""
+MAX_SIGNALS = 4
+"""Maximum number of figures of the error left over in a report, the most significant first."""
+FIRST, PRESENT = FIRST_MODEL, 'the present model'
 KINDS = {
     'heading': 'Heading error',
     'drift': 'Blind drift',
     'innovations': 'Innovations',
     'coefficients': 'Coefficients',
 }
-"""What the model can be held against, and in words."""
+"""Quantities that can be shown, with their labels."""
 COMPARED = {'heading': 'Heading error', 'drift': 'Blind drift', 'innovations': 'Innovations'}
+"""Quantities that can be compared between two revisions, with their labels."""
 
 
-def against_measurement(view: StudioState, kind: str) -> Any | None:
-    """Model against measurement over time; while a first run is under way, as far as that has come.
+def against_measurement(state: StudioState, kind: str) -> Any | None:
+    """Draw model against measurement over time; during the first run, its preview.
 
     Args:
-        view: the state.
-        kind: one of `KINDS`.
+        state: the state.
+        kind: a key of `KINDS`.
     """
-    chain, improved = view.trials.chain, view.improvement
+    chain, improved = state.tree.chain, state.improvement
     if improved is None:
-        return _glimpse(view)
+        return _preview(state)
     shown = [chain[0], chain[-1]] if len(chain) > 1 else list(chain)
-    names = [AS_IT_WAS, NOW] if len(chain) > 1 else [NOW]
-    return _held_against(kind, dict(zip(names, shown, strict=True)), improved)
+    names = [FIRST, PRESENT] if len(chain) > 1 else [PRESENT]
+    return _model_figure(kind, dict(zip(names, shown, strict=True)), improved)
 
 
-def side_by_side(view: StudioState, labels: tuple[str, str], kind: str) -> Any | None:
-    """Two revisions side by side; None where one of them has not run.
+def side_by_side(state: StudioState, labels: tuple[str, str], kind: str) -> Any | None:
+    """Draw two revisions side by side; None if one of them has not run.
 
     Args:
-        view: the state.
-        labels: of the revisions.
-        kind: one of `COMPARED`.
+        state: the state.
+        labels: labels of the revisions.
+        kind: a key of `COMPARED`.
     """
-    found = {label: view.trials.find(label) for label in labels}
-    chosen = {label: one for label, one in found.items() if one is not None and one.examined is not None}
-    if view.improvement is None or len(chosen) < len(found):
+    found = {label: state.tree.find(label) for label in labels}
+    chosen = {label: one for label, one in found.items() if one is not None and one.examination is not None}
+    if state.improvement is None or len(chosen) < len(found):
         return None
-    return _held_against(kind, chosen, view.improvement)
+    return _model_figure(kind, chosen, state.improvement)
 
 
-def _held_against(kind: str, trials: Mapping[str, TriedModel], improved: Improvement) -> Any | None:
-    """Several trials over time, the last one being the one whose failures are marked."""
-    examined = {name: _examined(trial) for name, trial in trials.items()}
-    revisions = {name: _revision(improved, trial.label) for name, trial in trials.items()}
-    last = list(examined.values())[-1]
+def _model_figure(kind: str, models: Mapping[str, TriedModel], improved: Improvement) -> Any | None:
+    """Draw several models over time, with the failures of the last one."""
+    examinations = {name: _examination(tried) for name, tried in models.items()}
+    revisions = {name: _revision(improved, tried.label) for name, tried in models.items()}
+    last = list(examinations.values())[-1]
     if kind == 'drift':
         drifts = {name: revision.held_out for name, revision in revisions.items()}
         return (
@@ -80,106 +83,105 @@ def _held_against(kind: str, trials: Mapping[str, TriedModel], improved: Improve
             else None
         )
     if kind == 'coefficients':
-        told = coefficients((name, one.stage.run, True) for name, one in examined.items())
-        return comparison_figures.coefficients_by_model(told, list(examined))
+        estimates = coefficients((name, one.examined.run, True) for name, one in examinations.items())
+        return comparison_figures.coefficients_by_model(estimates, list(examinations))
     if kind == 'innovations':
-        if len(examined) == 1:
-            history = last.stage.run.history
+        if len(examinations) == 1:
+            history = last.examined.run.history
             return calibration_figures.innovations(history, windows(history))
         return comparison_figures.consistency(
-            {name: windows(one.stage.run.history) for name, one in examined.items()}
+            {name: windows(one.examined.run.history) for name, one in examinations.items()}
         )
-    wanders = {name: one.wander for name, one in examined.items()}
+    wanders = {name: one.wander for name, one in examinations.items()}
     return _heading(wanders, last, list(revisions.values())[-1].held_out)
 
 
-def _heading(wanders: Mapping[str, Wander], examined: Examined, drift: BlindDrift) -> Any:
-    run = examined.stage.run
-    history, odd = run.history, examined.stage.unexplained_structure
-    stretches = [failure for failure in examined.failures if failure.from_s is not None]
+def _heading(wanders: Mapping[str, Wander], examination: Examination, drift: BlindDrift) -> Any:
+    history, structure = examination.examined.run.history, examination.examined.unexplained_structure
+    stretches = [failure for failure in examination.failures if failure.from_s is not None]
     return figures.where_it_fails(
-        'Heading by the gyro alone, less the heading that was seen',
+        'Heading by the gyro alone, less the observed heading',
         wanders,
         history.time_s,
         np.degrees(history.turn_rad / history.dt_s),
-        stretches[:STRETCHES],
-        None if odd is None else odd.at_s,
+        stretches[:MAX_STRETCHES],
+        None if structure is None else structure.at_s,
         camera_off(history),
         drift,
     )
 
 
-def _glimpse(view: StudioState) -> Any | None:
-    glimpse = view.glimpse
-    if glimpse is None:
+def _preview(state: StudioState) -> Any | None:
+    preview = state.preview
+    if preview is None:
         return None
-    title = 'Heading by the gyro alone, less the heading that was seen: so far'
-    figure = figures.where_it_fails(title, {'so far': glimpse.wander}, glimpse.time_s, glimpse.rate_deg_s)
-    if view.contents is not None:
-        figure.update_xaxes(range=[0.0, view.contents.duration_s])
+    title = 'Heading by the gyro alone, less the observed heading: so far'
+    figure = figures.where_it_fails(title, {'so far': preview.wander}, preview.time_s, preview.rate_deg_s)
+    if state.contents is not None:
+        figure.update_xaxes(range=[0.0, state.contents.duration_s])
     return figure
 
 
-def left_over(view: StudioState, signal: str, of_scale: bool) -> Any | None:
-    """What is left over as a function of a signal; None where the recording cannot tell."""
-    chain = view.trials.chain
-    if not chain or chain[0].examined is None or chain[-1].examined is None:
+def error_by_signal(state: StudioState, signal: str, of_scale: bool) -> Any | None:
+    """Draw the error left over as a function of a signal; None if it is not known."""
+    chain = state.tree.chain
+    if not chain or chain[0].examination is None or chain[-1].examination is None:
         return None
-    first, now = chain[0].examined, chain[-1].examined
-    question = (signal, of_scale)
-    if question not in first.left_over:
+    first, present = chain[0].examination, chain[-1].examination
+    key = (signal, of_scale)
+    if key not in first.error_curves:
         return None
-    before, after, told = first.left_over[question], None, None
+    before, after, added = first.error_curves[key], None, None
     if len(chain) > 1:
-        after = now.left_over.get(question)
-        told = curve_by_effects(now.stage.run, len(chain) - 1, signal, before, of_scale)
-    return figures.error_by_signal(ErrorBySignal(signal, of_scale, before, after, told), (AS_IT_WAS, NOW))
+        after = present.error_curves.get(key)
+        added = curve_by_effects(present.examined.run, len(chain) - 1, signal, before, of_scale)
+    return figures.error_by_signal(ErrorBySignal(signal, of_scale, before, after, added), (FIRST, PRESENT))
 
 
-def signals(view: StudioState) -> list[tuple[str, bool]]:
-    """What the rest can be told by, and whether as an error of the scale, the most telling first."""
-    return [] if view.examined is None else list(view.examined.left_over)
+def signals(state: StudioState) -> list[tuple[str, bool]]:
+    """Return the keys of the error curves of the present model, the most significant first."""
+    return [] if state.examination is None else list(state.examination.error_curves)
 
 
-def scores(view: StudioState) -> Any | None:
-    """What every effect that the present model lacks would explain."""
-    examined = view.examined
-    if examined is None:
+def scores(state: StudioState) -> Any | None:
+    """Draw the score of each effect that the present model lacks."""
+    examination = state.examination
+    if examination is None:
         return None
-    best = None if examined.best is None else examined.best.effect.name
-    table = open_candidate_rows(examined.stage, best, examined.twins, MOST_CANDIDATES)
-    return figures.scores(table) if table else None
+    best = None if examination.best is None else examination.best.effect.name
+    rows = open_candidate_rows(examination.examined, best, examination.indistinguishable, MAX_CANDIDATES)
+    return figures.scores(rows) if rows else None
 
 
-def revisions(view: StudioState) -> Any | None:
-    """The error falling, revision by revision."""
-    improved = view.improvement
+def revisions(state: StudioState) -> Any | None:
+    """Draw the drift of each revision."""
+    improved = state.improvement
     if improved is None or not all(len(one.held_out.error_rad) for one in improved.revisions):
         return None
     return comparison_figures.drift_by_model('Drift in 60 s without the camera', drift_marks(improved))
 
 
-def all_of(view: StudioState) -> dict[str, Any]:
-    """All figures that the page can show of the present model, by name."""
-    found = {kind: against_measurement(view, kind) for kind in KINDS}
-    found |= {'evidence': scores(view), 'revisions': revisions(view)}
-    for place, (signal, of_scale) in enumerate(signals(view)[:MOST_SIGNALS], start=1):
-        found[f'left_over_{place}'] = left_over(view, signal, of_scale)
+def all_figures(state: StudioState) -> dict[str, Any]:
+    """Draw all figures of the present model, by name."""
+    found = {kind: against_measurement(state, kind) for kind in KINDS}
+    found |= {'evidence': scores(state), 'revisions': revisions(state)}
+    for number, (signal, of_scale) in enumerate(signals(state)[:MAX_SIGNALS], start=1):
+        found[f'left_over_{number}'] = error_by_signal(state, signal, of_scale)
     return {name: figure for name, figure in found.items() if figure is not None}
 
 
-def drift_deg(examined: Examined, view: StudioState) -> float:
-    """Held-out drift of something that may become a revision, told as the revisions are."""
-    now = view.examined
-    if now is None:
+def drift_deg(examination: Examination, state: StudioState) -> float:
+    """Return the held-out drift of a forecast, relative to the same reference as that of the revisions."""
+    present = state.examination
+    if present is None:
         return math.nan
-    run = examined.stage.run
-    return blind_drift(run, reference_path(now.stage.run), held_out_from_s(run)).rms_deg
+    run = examination.examined.run
+    return blind_drift(run, reference_path(present.examined.run), held_out_from_s(run)).rms_deg
 
 
-def _examined(trial: TriedModel) -> Examined:
-    assert trial.examined is not None
-    return trial.examined
+def _examination(tried: TriedModel) -> Examination:
+    assert tried.examination is not None
+    return tried.examination
 
 
 def _revision(improved: Improvement, label: str) -> Revision:

@@ -1,4 +1,4 @@
-"""What a session works on: a bag, or a riddle that is drawn and never written."""
+"""Recordings of a session: a bag, or a simulated robot with hidden effects that is never written to disk."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sealed import answer_of
 from gyrocal_ros.sim.world import SimSource
 
-RIDDLE_SCENARIO = 'cleaning'
-RIDDLE_S = 240.0
+TASK_SCENARIO = 'cleaning'
+TASK_DURATION_S = 240.0
 
 
 @dataclass(frozen=True, slots=True)
 class Bag:
-    """A recording on disk, and how to read it."""
+    """A recording on disk, with the options for reading it."""
 
     path: Path
     config: Config
@@ -38,26 +38,26 @@ class Bag:
 
     @property
     def title(self) -> str:
-        """What a person calls it, and the name of its folder of revisions."""
+        """Name of the recording for the user, and name of its folder of revisions."""
         return self.path.resolve().name
 
 
 @dataclass(frozen=True, slots=True)
 class HiddenEffectTask:
-    """A simulated robot that hides what its seed decides."""
+    """A simulated robot with hidden effects, drawn by a seed."""
 
     seed: int
     config: Config
-    duration_s: float = RIDDLE_S
+    duration_s: float = TASK_DURATION_S
 
     @property
     def title(self) -> str:
-        """What a person calls it, and the name of its folder of revisions."""
+        """Name of the recording for the user, and name of its folder of revisions."""
         return f'lesson_{self.seed}'
 
     def source(self) -> SimSource:
-        """The recording, made anew."""
-        scenario = find_scenario(RIDDLE_SCENARIO)
+        """Simulate the recording."""
+        scenario = find_scenario(TASK_SCENARIO)
         errors = replace(scenario.errors, scale_factor=draw_scale_factor(self.seed))
         scenario = replace(scenario, duration_s=self.duration_s, errors=errors)
         hidden = hide(draw_hidden(self.seed, self.duration_s), find_effect)
@@ -65,63 +65,66 @@ class HiddenEffectTask:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Opened:
-    """A recording, held for many runs of the filter."""
+class LoadedRecording:
+    """A recording in memory, for several runs of the filter."""
 
     source: Source
     config: Config
     recorded: RecordingSummary
     answer: Mapping[str, Any] | None
-    """What a riddle hides."""
+    """Hidden effects; None for a bag."""
 
 
 @dataclass(frozen=True, slots=True)
-class Contents:
-    """What is in a recording, for a person."""
+class RecordingContents:
+    """Contents and issues of a recording."""
 
     duration_s: float
     check: CheckReport | None
-    """None for a riddle, whose recording is in order."""
+    """None for a simulated robot, whose recording has no issues."""
 
     @property
-    def findings(self) -> tuple[tuple[str, str], ...]:
-        """Severity and text of what is odd."""
+    def issues(self) -> tuple[tuple[str, str], ...]:
+        """Severity and text of each issue."""
         issues = self.check.issues if self.check is not None else ()
         return tuple((issue.severity, str(issue)) for issue in issues)
 
 
-def look_into(what: Bag | HiddenEffectTask) -> Contents:
-    """See what a recording holds.
+def inspect_recording(recording: Bag | HiddenEffectTask) -> RecordingContents:
+    """Check a recording.
 
     Raises:
         GyrocalError: it cannot be read.
     """
-    if isinstance(what, HiddenEffectTask):
-        return Contents(what.duration_s, None)
-    report = check_bag(what.path, what.config, **what.options)
-    return Contents(report.duration_s, report)
+    if isinstance(recording, HiddenEffectTask):
+        return RecordingContents(recording.duration_s, None)
+    report = check_bag(recording.path, recording.config, **recording.options)
+    return RecordingContents(report.duration_s, report)
 
 
-def read(
-    what: Bag | HiddenEffectTask, contents: Contents, model: SensorModel, report: Callable[[Progress], None]
-) -> Opened:
-    """Read a recording, and follow its images once.
+def load_recording(
+    recording: Bag | HiddenEffectTask,
+    contents: RecordingContents,
+    model: SensorModel,
+    report: Callable[[Progress], None],
+) -> LoadedRecording:
+    """Read a recording into memory, and track features in its images.
 
     Args:
-        what: the recording.
-        contents: what was found when it was looked into.
-        model: the sensor model that helps to follow the images.
-        report: told of the progress about once a second of recorded time.
+        recording: the recording.
+        contents: its contents, from `inspect_recording`.
+        model: the sensor model for the filter that guides the tracker.
+        report: called with the progress about once a second of recorded time.
 
     Raises:
-        GyrocalError: it cannot be calibrated from.
+        GyrocalError: it cannot be used for a calibration.
     """
-    if isinstance(what, HiddenEffectTask):
-        riddle = what.source()
-        held, config = preload(riddle, what.config, model, report)
-        return Opened(held, config, summarise_recording(held), answer_of(riddle))
+    if isinstance(recording, HiddenEffectTask):
+        simulated = recording.source()
+        source, config = preload(simulated, recording.config, model, report)
+        return LoadedRecording(source, config, summarise_recording(source), answer_of(simulated))
     assert contents.check is not None
-    raise_first_error(contents.check.issues, str(what.path))
-    source = open_bag(what.path, what.config, with_covariates=True, **what.options)
-    held, config = preload(source, what.config, model, report)
-    return Opened(held, config, summarise_recording(held), None)
+    raise_first_error(contents.check.issues, str(recording.path))
+    bag = open_bag(recording.path, recording.config, with_covariates=True, **recording.options)
+    source, config = preload(bag, recording.config, model, report)
+    return LoadedRecording(source, config, summarise_recording(source), None)

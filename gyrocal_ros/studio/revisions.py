@@ -1,4 +1,4 @@
-"""What a person has tried on one recording: a tree of models, of which one is the present one."""
+"""The models that were tried on one recording: a tree, one of whose models is the present one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gyrocal_ros.diagnose.improvement import (
 )
 from gyrocal_ros.diagnose.search import addition
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.studio.worker import Examined
+from gyrocal_ros.studio.worker import Examination
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,97 +22,99 @@ class TriedModel:
     """One model that was tried."""
 
     label: str
-    """The name of its folder."""
+    """Name of its folder."""
     builds_on: str | None
-    """Label of the trial that it adds an effect to; None for the first."""
+    """Label of the model to which it adds an effect; None for the first."""
     model: SensorModel
-    examined: Examined | None = None
+    examination: Examination | None = None
     """None until it has run; after a restart of the studio it runs again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelTree:
-    """All that were tried, in the order in which they were, and which is the present one."""
+    """All models that were tried, in order of time, and the label of the present one."""
 
-    every: tuple[TriedModel, ...] = ()
-    present: str | None = None
+    models: tuple[TriedModel, ...] = ()
+    present_label: str | None = None
 
     def find(self, label: str | None) -> TriedModel | None:
-        """The trial of that label."""
-        return next((trial for trial in self.every if trial.label == label), None)
+        """Return the model of that label."""
+        return next((tried for tried in self.models if tried.label == label), None)
 
     @property
-    def now(self) -> TriedModel | None:
-        """The present one."""
-        return self.find(self.present)
+    def present(self) -> TriedModel | None:
+        """The present model."""
+        return self.find(self.present_label)
 
     @property
     def chain(self) -> tuple[TriedModel, ...]:
-        """The present trial and all that it builds on, the first one first."""
+        """The present model and all that it builds on, the first one first."""
         chain: list[TriedModel] = []
-        trial = self.now
-        while trial is not None:
-            chain.insert(0, trial)
-            trial = self.find(trial.builds_on)
+        tried = self.present
+        while tried is not None:
+            chain.insert(0, tried)
+            tried = self.find(tried.builds_on)
         return tuple(chain)
 
     @property
-    def waiting(self) -> TriedModel | None:
-        """The next one that has to run, the present one before all others."""
+    def next_to_run(self) -> TriedModel | None:
+        """The next model that has not run, the present one before all others."""
         return next(
-            (one for one in (self.now, *self.every) if one is not None and one.examined is None), None
+            (one for one in (self.present, *self.models) if one is not None and one.examination is None), None
         )
 
-    def known(self, effect: str) -> TriedModel | None:
-        """That which adds the effect to the present one, if it was tried."""
+    def find_addition(self, effect: str) -> TriedModel | None:
+        """Return the tried model that adds the effect to the present one."""
         return next(
             (
-                trial
-                for trial in self.every
-                if trial.builds_on == self.present
-                and trial.builds_on is not None
-                and trial.model.effects[-1].name == effect
+                tried
+                for tried in self.models
+                if tried.builds_on == self.present_label
+                and tried.builds_on is not None
+                and tried.model.effects[-1].name == effect
             ),
             None,
         )
 
-    def begun(self, examined: Examined) -> ModelTree:
-        """With the first model, which has run."""
-        model = examined.stage.model
-        return ModelTree(
-            (TriedModel(revision_label(0, model.name), None, model, examined),), revision_label(0, model.name)
-        )
+    def with_first(self, examination: Examination) -> ModelTree:
+        """Return a tree of the first model."""
+        model = examination.examined.model
+        label = revision_label(0, model.name)
+        return ModelTree((TriedModel(label, None, model, examination),), label)
 
-    def added(self, examined: Examined) -> ModelTree:
-        """With one more, which builds on the present one and takes its place."""
-        model = examined.stage.model
-        label = revision_label(len(self.every), model.effects[-1].name)
-        return ModelTree((*self.every, TriedModel(label, self.present, model, examined)), label)
+    def with_addition(self, examination: Examination) -> ModelTree:
+        """Return the tree with one more model, which builds on the present one and replaces it."""
+        model = examination.examined.model
+        label = revision_label(len(self.models), model.effects[-1].name)
+        tried = TriedModel(label, self.present_label, model, examination)
+        return ModelTree((*self.models, tried), label)
 
-    def ran(self, label: str, examined: Examined) -> ModelTree:
-        """With what came of running one of them."""
-        every = [replace(one, examined=examined) if one.label == label else one for one in self.every]
-        return replace(self, every=tuple(every))
+    def with_examination(self, label: str, examination: Examination) -> ModelTree:
+        """Return the tree with the result of a run of one of its models."""
+        models = [replace(one, examination=examination) if one.label == label else one for one in self.models]
+        return replace(self, models=tuple(models))
 
     def improvement(self) -> Improvement | None:
-        """Those that have run as revisions; those that make up the present model count as kept.
+        """Return the models that have run as revisions; those in the chain of the present model are kept.
 
-        Drifts are told against the ground truth or the present model. None before anything has run.
+        The drift is relative to the ground truth, or to the heading by the present model. None if a
+        model of the chain has not run.
         """
-        now = self.now
-        if now is None or now.examined is None:
+        present = self.present
+        if present is None or present.examination is None:
             return None
-        reference = reference_path(now.examined.stage.run)
-        kept = {trial.label for trial in self.chain}
+        reference = reference_path(present.examination.examined.run)
+        kept = {tried.label for tried in self.chain}
         revisions: list[Revision] = []
-        for trial in self.every:
-            before = self.find(trial.builds_on)
-            if trial.examined is None:
+        for tried in self.models:
+            before = self.find(tried.builds_on)
+            if tried.examination is None:
                 continue
             if before is None:
-                revisions.append(replace(first_revision(trial.examined.stage, reference), label=trial.label))
-            elif before.examined is not None:
-                change = addition(before.examined.stage, trial.examined.stage)
-                revisions.append(revision(change, trial.label, reference, trial.label in kept))
-        complete = kept <= {item.label for item in revisions}
-        return Improvement(tuple(revisions), reference[1]) if complete else None
+                first = first_revision(tried.examination.examined, reference)
+                revisions.append(replace(first, label=tried.label))
+            elif before.examination is not None:
+                change = addition(before.examination.examined, tried.examination.examined)
+                revisions.append(revision(change, tried.label, reference, tried.label in kept))
+        is_complete = kept <= {item.label for item in revisions}
+        return Improvement(tuple(revisions), reference[1]) if is_complete else None

@@ -1,8 +1,8 @@
-"""Serves the page, and guards it: to this machine alone, or to those who have the token.
+"""Serves the page, to this machine only or to browsers that have the token.
 
-Nothing comes from elsewhere: all scripts lie in installed packages, and the browser is told to load
-from here only. A browser can name no file: recordings go by number, revisions by the labels that are
-known, effects by names of the library.
+The page needs no other server: all scripts are in installed packages, and the browser may load from this
+server only. A browser cannot name files: it chooses recordings by number, revisions by known labels and
+effects by names of the library.
 """
 
 from __future__ import annotations
@@ -32,33 +32,33 @@ POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; frame-ancestors 'none'; form-action 'self'"
 )
-DOOR = """<!doctype html><html lang="en"><meta charset="utf-8"><title>gyrocal studio</title>
-<form><p><label>The token that the studio printed: <input name="token" type="password" autofocus></label>
+TOKEN_PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>gyrocal studio</title>
+<form><p><label>Token printed by the studio: <input name="token" type="password" autofocus></label>
 <button>Open</button></p></form></html>"""
 
 
-def make_app(desk: Workspace, token: str | None = None, names: frozenset[str] | None = None) -> Dash:
-    """The page about recordings as an application.
+def make_app(workspace: Workspace, token: str | None = None, names: frozenset[str] | None = None) -> Dash:
+    """Make the application of the page about recordings.
 
     Args:
-        desk: what it shows.
-        token: asked of every browser; None to let this machine's in.
-        names: of the host by which it may be called; any where None. A page of the internet that
-            makes its own name point here is so turned away.
+        workspace: the recordings and the open session.
+        token: token that every browser needs; None if no token is needed.
+        names: host names that requests may use; None for any. This refuses pages of the internet whose
+            name resolves to this machine (DNS rebinding).
     """
     app = _app(token, names)
-    app.layout = lambda: layout(desk.titles)
-    connect(app, desk)
+    app.layout = lambda: layout(workspace.titles)
+    connect(app, workspace)
     return app
 
 
 def make_live_app(
     overview: Callable[[float], Overview], token: str | None = None, names: frozenset[str] | None = None
 ) -> Dash:
-    """The page about a running robot as an application.
+    """Make the application of the page about a running robot.
 
     Args:
-        overview: what was heard of it, up to a moment of the monotonic clock.
+        overview: returns everything received up to a time of the monotonic clock.
         token: as in `make_app`.
         names: as in `make_app`.
     """
@@ -75,15 +75,15 @@ def _app(token: str | None, names: frozenset[str] | None) -> Dash:
         update_title=None,
         serve_locally=True,
         assets_folder=str(Path(__file__).parent / 'assets'),
-        suppress_callback_exceptions=True,  # the buttons of the effects come and go
+        suppress_callback_exceptions=True,  # the buttons of the effects are created at run time
         meta_tags=[{'name': 'viewport', 'content': 'width=device-width, initial-scale=1'}],
     )
-    _guard(app.server, token, names)
+    _control_access(app.server, token, names)
     return app
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is reached from this machine alone."""
+    """Return True if an address can be reached from this machine only."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -91,42 +91,40 @@ def is_loopback(host: str) -> bool:
 
 
 def new_token() -> str:
-    """A token that nobody guesses."""
+    """Return a random token."""
     return secrets.token_urlsafe(16)
 
 
 def listen(app: Dash, host: str, port: int) -> BaseWSGIServer:
-    """A server that listens but does not serve yet; port 0 takes any that is free.
+    """Make a server that listens but does not serve yet; port 0 takes any free port.
 
     Raises:
-        GyrocalError: the address or the port cannot be had.
+        GyrocalError: the address or the port cannot be used.
     """
     logging.getLogger('werkzeug').setLevel(logging.ERROR)
     try:
         return make_server(host, port, app.server, threaded=True)
-    except (OSError, SystemExit) as error:  # werkzeug exits where a port is taken
-        raise GyrocalError(
-            'cannot be listened on', where=f'{host}:{port}', todo='choose another --port'
-        ) from error
+    except (OSError, SystemExit) as error:  # werkzeug exits if the port is in use
+        raise GyrocalError('cannot be used', where=f'{host}:{port}', todo='choose another --port') from error
 
 
-def _guard(server: Any, token: str | None, names: frozenset[str] | None) -> None:
+def _control_access(server: Any, token: str | None, names: frozenset[str] | None) -> None:
     @server.before_request
     def check() -> Any:
         request = flask.request
-        called = request.host.rpartition(':')[0] if ':' in request.host.rpartition(']')[2] else request.host
-        if names is not None and called not in names:
-            return flask.Response('This name is not that of the studio.', 403)
+        name = request.host.rpartition(':')[0] if ':' in request.host.rpartition(']')[2] else request.host
+        if names is not None and name not in names:
+            return flask.Response('The studio does not have this host name.', 403)
         origin = request.headers.get('Origin')
         if origin is not None and urlsplit(origin).netloc != request.host:
-            return flask.Response('The page of another site may not speak here.', 403)
+            return flask.Response('Requests from pages of other sites are refused.', 403)
         if token is None or _matches(request.cookies.get(COOKIE), token):
             return None
         if _matches(request.args.get('token'), token):
             answer = flask.redirect('/')
             answer.set_cookie(COOKIE, token, httponly=True, samesite='Strict')
             return answer
-        return flask.Response(DOOR, 401, mimetype='text/html')
+        return flask.Response(TOKEN_PAGE, 401, mimetype='text/html')
 
     @server.after_request
     def harden(answer: Any) -> Any:

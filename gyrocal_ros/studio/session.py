@@ -1,7 +1,7 @@
-"""What a person does with one recording: a state machine that knows neither browser nor ROS.
+"""The actions of a user on one recording: a state machine without browser and without ROS.
 
-Everything that can be done is a method; each answers at once, long work goes to the worker. `view`
-gives the state as one frozen value. Whatever is done is written to the session's folder.
+Every action is a method that returns at once; long work goes to the worker. `state` is the state as an
+immutable value. All results are written to the session's folder.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.sim.sealed import sealed_path, unseal
 from gyrocal_ros.studio import store
 from gyrocal_ros.studio.lesson import reveal
-from gyrocal_ros.studio.recordings import Bag, Contents, HiddenEffectTask
+from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask, RecordingContents
 from gyrocal_ros.studio.revisions import ModelTree
-from gyrocal_ros.studio.state import Doing, StudioState
+from gyrocal_ros.studio.state import RunningTask, StudioState
 from gyrocal_ros.studio.worker import (
-    Advance,
+    Examination,
     Examine,
-    Examined,
     Failed,
-    News,
     OpenRecording,
     Ready,
     RunPreview,
     Stopped,
     Task,
+    TaskMessage,
+    TaskProgress,
 )
 
-MOST_FORECASTS = 5
-"""So many are remembered beside the last one; each takes some megabytes."""
+MAX_EARLIER_FORECASTS = 5
+"""Maximum number of forecasts that are kept beside the latest; each takes some megabytes."""
 
 
-class Works(Protocol):
-    """What does the long work."""
+class TaskRunner(Protocol):
+    """Does long work."""
 
     def submit(self, task: Task) -> int: ...
 
@@ -51,272 +51,282 @@ class Works(Protocol):
 
 
 class Session:
-    """One recording on the desk. Safe to use from several threads."""
+    """Work on one recording. Thread-safe."""
 
     def __init__(
-        self, recording: Bag | HiddenEffectTask, model: SensorModel, folder: Path, worker: Works
+        self, recording: Bag | HiddenEffectTask, model: SensorModel, folder: Path, worker: TaskRunner
     ) -> None:
-        """Begin to read the recording.
+        """Start to read the recording.
 
         Args:
-            recording: what to work on.
-            model: to begin with, where the folder knows of no other.
-            folder: of the session, kept from others as long as this one is open.
-            worker: does the long work; `hear` is to be told its news.
+            recording: the recording.
+            model: the first model, unless the folder contains an earlier session.
+            folder: folder of the session, locked for other studios while this one is open.
+            worker: does the long work; its messages go to `receive`.
 
         Raises:
-            GyrocalError: another studio works in the folder.
+            GyrocalError: another studio uses the folder.
         """
         self._recording, self._model, self._folder, self._worker = recording, model, folder, worker
         self._changed = Condition()
         self._answer: Mapping[str, Any] | None = None
-        self._open = ExitStack()
-        self._open.enter_context(store.locked(folder))
+        self._lock = ExitStack()
+        self._lock.enter_context(store.locked(folder))
         has_answer = isinstance(recording, HiddenEffectTask) or sealed_path(recording.path).is_file()
-        self._view = StudioState(title=recording.title, has_answer=has_answer)
+        self._state = StudioState(title=recording.title, has_answer=has_answer)
         with self._changed:
-            self._begin('open', recording.title, OpenRecording(recording, model))
+            self._start_task('open', recording.title, OpenRecording(recording, model))
 
     @property
-    def view(self) -> StudioState:
+    def state(self) -> StudioState:
         """The present state."""
-        return self._view
+        return self._state
 
     @property
     def folder(self) -> Path:
-        """Where everything is written."""
+        """Folder of the results."""
         return self._folder
 
-    def wait(self, reached: Callable[[StudioState], bool], timeout_s: float) -> StudioState:
-        """Wait until the state is as wanted, or the time is up; returns the state."""
+    def wait(self, condition: Callable[[StudioState], bool], timeout_s: float) -> StudioState:
+        """Wait until the state satisfies a condition or the time is over; return the state."""
         with self._changed:
-            self._changed.wait_for(lambda: reached(self._view), timeout_s)
-            return self._view
+            self._changed.wait_for(lambda: condition(self._state), timeout_s)
+            return self._state
 
     def close(self) -> None:
-        """Let the folder go; what the worker still tells is not heard any more."""
+        """Release the folder; later messages of the worker are ignored."""
         with self._changed:
-            self._view = replace(self._view, doing=None)
-            self._open.close()
+            self._state = replace(self._state, running=None)
+            self._lock.close()
 
-    # --- what a person does ----------------------------------------------------------------------
+    # --- actions of the user ---------------------------------------------------------------------
 
     def add(self, effect: str) -> None:
-        """Put an effect into the present model and fit it.
+        """Add an effect to the present model and fit it.
 
         Raises:
-            GyrocalError: it cannot be added, or something else is under way.
+            GyrocalError: it cannot be added, or another task is running.
         """
         with self._changed:
             self._refuse_while_busy()
-            view = self._view
-            known = view.trials.known(effect)
-            if known is not None:
-                self._set_present(known.label, f'{effect} is in the model again.')
+            state = self._state
+            tried = state.tree.find_addition(effect)
+            if tried is not None:
+                self._set_present(tried.label, f'{effect} is in the model again.')
                 return
-            ahead = view.forecast(effect)
-            if ahead is not None:
-                self._take_in(ahead)
+            forecast = state.forecast(effect)
+            if forecast is not None:
+                self._add_examination(forecast)
                 return
             model = self._model_with(effect)
-            doing = view.doing
-            if doing is not None and (doing.subject, doing.parent) == (effect, view.trials.present):
-                self._publish(doing=replace(doing, what='add'), message='')  # it is being run already
+            running = state.running
+            if running is not None and (running.subject, running.parent) == (
+                effect,
+                state.tree.present_label,
+            ):
+                self._publish(running=replace(running, kind='add'), message='')  # its forecast is running
                 return
-            self._begin('add', effect, Examine(model))
+            self._start_task('add', effect, Examine(model))
 
     def forecast(self, effect: str) -> None:
-        """Find out what would come of adding an effect, unless something more urgent is under way.
+        """Run the present model with one more effect in advance, unless another task is running.
 
         Raises:
-            GyrocalError: it cannot be added.
+            GyrocalError: the effect cannot be added.
         """
         with self._changed:
-            view, doing = self._view, self._view.doing
-            is_asked = doing is not None and doing.subject == effect
-            if not view.is_busy and not is_asked and view.forecast(effect) is None:
-                self._begin('forecast', effect, Examine(self._model_with(effect)))
+            state, running = self._state, self._state.running
+            is_running = running is not None and running.subject == effect
+            if not state.is_busy and not is_running and state.forecast(effect) is None:
+                self._start_task('forecast', effect, Examine(self._model_with(effect)))
 
     def go_to(self, label: str) -> None:
-        """Make a trial the present one.
+        """Make another tried model the present one.
 
         Raises:
-            GyrocalError: there is no such trial, or something is under way.
+            GyrocalError: there is no such model, or another task is running.
         """
         with self._changed:
             self._refuse_while_busy()
-            if self._view.trials.find(label) is None:
+            if self._state.tree.find(label) is None:
                 raise GyrocalError('there is no such revision', where=label)
             self._set_present(label, f'{label} is the present model.')
 
     def undo(self) -> None:
-        """Take the last effect out again; the trial stays in the history.
+        """Remove the last effect from the present model; the larger model stays in the history.
 
         Raises:
-            GyrocalError: nothing was added, or something is under way.
+            GyrocalError: no effect was added, or another task is running.
         """
         with self._changed:
             self._refuse_while_busy()
-            now = self._view.trials.now
-            if now is None or now.builds_on is None:
-                raise GyrocalError('nothing was added yet', where='undo')
-            self._set_present(now.builds_on, f'{now.model.effects[-1].name} is out of the model again.')
+            present = self._state.tree.present
+            if present is None or present.builds_on is None:
+                raise GyrocalError('no effect has been added yet', where='undo')
+            removed = present.model.effects[-1].name
+            self._set_present(present.builds_on, f'{removed} has been removed from the model.')
 
     def cancel(self) -> None:
-        """Stop what is under way."""
+        """Stop the running task."""
         self._worker.cancel()
 
     def resume(self) -> None:
-        """Go on where work was cancelled or failed.
+        """Start again what was cancelled or has failed.
 
         Raises:
-            GyrocalError: something is under way.
+            GyrocalError: another task is running.
         """
         with self._changed:
             self._refuse_while_busy()
-            if self._view.recorded is None:
-                self._begin('open', self._recording.title, OpenRecording(self._recording, self._model))
+            if self._state.recorded is None:
+                self._start_task('open', self._recording.title, OpenRecording(self._recording, self._model))
             else:
-                self._replay()
+                self._run_next()
 
     def write(self) -> Path:
-        """Write the present model.yaml and calibration.yaml; returns their folder.
+        """Write model.yaml and calibration.yaml of the present model; return their folder.
 
         Raises:
-            GyrocalError: nothing has run yet, or they cannot be written.
+            GyrocalError: the model has not run yet, or they cannot be written.
         """
         with self._changed:
             store.save_result(self._folder, self.improvement())
-            self._publish(message=f'model.yaml and calibration.yaml are in {self._folder}.', is_trouble=False)
+            self.show_message(f'model.yaml and calibration.yaml are in {self._folder}.')
             return self._folder
 
-    def say(self, message: str, is_trouble: bool = False) -> None:
-        """Tell the person something."""
+    def show_message(self, message: str, is_error: bool = False) -> None:
+        """Show a message to the user."""
         with self._changed:
-            self._publish(message=message, is_trouble=is_trouble)
+            self._publish(message=message, is_error=is_error)
 
     def guess(self, effect: str | None) -> None:
-        """Note what the person believes to be hidden."""
+        """Store the user's guess of the hidden effect."""
         with self._changed:
             self._publish(guess=effect)
 
     def reveal(self) -> None:
-        """Open the answer, and hold the present model against it.
+        """Open the answer, and compare it with the present model.
 
         Raises:
-            GyrocalError: there is none, or nothing has run yet.
+            GyrocalError: there is no answer, or the model has not run yet.
         """
         with self._changed:
             if self._answer is None and isinstance(self._recording, Bag):
                 self._answer = unseal(self._recording.path)
-            now = self._view.examined
-            if self._answer is None or now is None:
+            examination = self._state.examination
+            if self._answer is None or examination is None:
                 raise GyrocalError('the model has not run yet', where='reveal')
-            added = tuple(trial.model.effects[-1].name for trial in self._view.trials.chain[1:])
-            found = conclude(now.stage.run)
-            self._publish(revealed=reveal(self._answer, self._view.guess, found, added, set(EFFECTS)))
+            added = tuple(tried.model.effects[-1].name for tried in self._state.tree.chain[1:])
+            found = conclude(examination.examined.run)
+            self._publish(revealed=reveal(self._answer, self._state.guess, found, added, set(EFFECTS)))
 
     def improvement(self) -> Improvement:
-        """The trials as revisions.
+        """Return the tried models as revisions.
 
         Raises:
-            GyrocalError: they have not all run yet.
+            GyrocalError: the present model, or one that it builds on, has not run yet.
         """
-        improved = self._view.improvement
+        improved = self._state.improvement
         if improved is None:
-            raise GyrocalError('the model has not run yet', where=self._view.title, todo='wait a moment')
+            raise GyrocalError('the model has not run yet', where=self._state.title, todo='wait a moment')
         return improved
 
-    # --- what the worker tells -------------------------------------------------------------------
+    # --- messages of the worker ------------------------------------------------------------------
 
-    def hear(self, number: int, news: News) -> None:
-        """Take in news of a task."""
+    def receive(self, number: int, message: TaskMessage) -> None:
+        """Process a message about a task.
+
+        Args:
+            number: number of the task; messages about earlier tasks are ignored.
+            message: progress, or a result.
+        """
         with self._changed:
-            doing = self._view.doing
-            if doing is None or number != doing.number:
+            running = self._state.running
+            if running is None or number != running.number:
                 return
-            if isinstance(news, Advance):
-                self._publish(doing=replace(doing, advance=news))
-            elif isinstance(news, Contents):
-                self._publish(contents=news)
-            elif isinstance(news, RunPreview):
-                if doing.what != 'forecast':
-                    self._publish(glimpse=news)
-            elif isinstance(news, Failed | Stopped):
-                self._ended(doing, news)
+            if isinstance(message, TaskProgress):
+                self._publish(running=replace(running, progress=message))
+            elif isinstance(message, RecordingContents):
+                self._publish(contents=message)
+            elif isinstance(message, RunPreview):
+                if running.kind != 'forecast':
+                    self._publish(preview=message)
+            elif isinstance(message, Failed | Stopped):
+                self._end_task(running, message)
             else:
                 try:
-                    self._done(doing, news)
+                    self._finish_task(running, message)
                 except GyrocalError as error:
-                    self._publish(doing=None, message=str(error), is_trouble=True)
+                    self._publish(running=None, message=str(error), is_error=True)
 
-    def _ended(self, doing: Doing, news: Failed | Stopped) -> None:
-        self._publish(doing=None, glimpse=None)
-        if isinstance(news, Stopped):
-            self._publish(message=f'Cancelled: {_WORDS[doing.what].format(doing.subject)}.', is_trouble=False)
-        elif doing.what != 'forecast':
-            self._publish(message=news.why, is_trouble=True)
+    def _end_task(self, running: RunningTask, message: Failed | Stopped) -> None:
+        self._publish(running=None, preview=None)
+        if isinstance(message, Stopped):
+            self.show_message(f'Cancelled: {_TASK_TEXT[running.kind].format(running.subject)}.')
+        elif running.kind != 'forecast':
+            self.show_message(message.why, is_error=True)
 
-    def _done(self, doing: Doing, news: Ready | Examined) -> None:
-        self._publish(doing=None, glimpse=None)
-        if isinstance(news, Ready):
-            self._answer = news.answer
-            self._publish(recorded=news.recorded, trials=store.load(self._folder, self._identity()))
-            self._replay()
-        elif doing.what == 'begin':
-            self._commit(self._view.trials.begun(news), '')
-        elif doing.what == 'add':
-            self._take_in(news)
-        elif doing.what == 'forecast':
-            key = (doing.parent or '', doing.subject)
-            kept = list(self._view.forecasts.items())[-MOST_FORECASTS:]
-            self._publish(forecasts={**dict(kept), key: news})
+    def _finish_task(self, running: RunningTask, message: Ready | Examination) -> None:
+        self._publish(running=None, preview=None)
+        tree = self._state.tree
+        if isinstance(message, Ready):
+            self._answer = message.answer
+            self._publish(recorded=message.recorded, tree=store.load(self._folder, self._identity()))
+            self._run_next()
+        elif running.kind == 'begin':
+            self._commit(tree.with_first(message), '')
+        elif running.kind == 'add':
+            self._add_examination(message)
+        elif running.kind == 'forecast':
+            key = (running.parent or '', running.subject)
+            earlier = list(self._state.forecasts.items())[-MAX_EARLIER_FORECASTS:]
+            self._publish(forecasts={**dict(earlier), key: message})
         else:
-            self._publish(trials=self._view.trials.ran(doing.subject, news))
-            self._replay()
+            self._publish(tree=tree.with_examination(running.subject, message))
+            self._run_next()
 
-    def _replay(self) -> None:
-        """Run what has not run in this process, the present model first."""
-        waiting = self._view.trials.waiting
-        if not self._view.trials.every:
-            self._begin('begin', self._model.name, Examine(self._model, is_first=True))
-        elif waiting is not None:
-            self._begin('replay', waiting.label, Examine(waiting.model))
+    def _run_next(self) -> None:
+        """Run a model that has not run in this process, the present one first."""
+        tried = self._state.tree.next_to_run
+        if not self._state.tree.models:
+            self._start_task('begin', self._model.name, Examine(self._model, is_first=True))
+        elif tried is not None:
+            self._start_task('replay', tried.label, Examine(tried.model))
 
     # --- the state -------------------------------------------------------------------------------
 
-    def _begin(self, what: str, subject: str, task: Task) -> None:
-        if self._view.doing is not None:
+    def _start_task(self, kind: str, subject: str, task: Task) -> None:
+        if self._state.running is not None:
             self._worker.cancel()
         number = self._worker.submit(task)
-        advance = Advance(0.0, _WORDS[what].format(subject))
-        doing = Doing(number, what, subject, self._view.trials.present, advance)
-        self._publish(doing=doing, message='', is_trouble=False)
+        progress = TaskProgress(0.0, _TASK_TEXT[kind].format(subject))
+        running = RunningTask(number, kind, subject, self._state.tree.present_label, progress)
+        self._publish(running=running, message='', is_error=False)
 
-    def _take_in(self, examined: Examined) -> None:
-        effect = examined.stage.model.effects[-1].name
+    def _add_examination(self, examination: Examination) -> None:
+        effect = examination.examined.model.effects[-1].name
         before = self.improvement().final
-        self._commit(self._view.trials.added(examined), '')
+        self._commit(self._state.tree.with_addition(examination), '')
         after = self.improvement().final
         drift = f'{before.held_out.rms_deg:.2f} to {after.held_out.rms_deg:.2f} deg'
-        self._publish(message=f'{effect} is in the model: held-out drift from {drift}.', is_trouble=False)
+        self.show_message(f'{effect} is in the model: held-out drift from {drift}.')
 
     def _set_present(self, label: str, message: str) -> None:
-        self._commit(replace(self._view.trials, present=label), message)
+        self._commit(replace(self._state.tree, present_label=label), message)
 
-    def _commit(self, trials: ModelTree, message: str) -> None:
-        """Make it so, on disk first."""
-        new = {trial.label for trial in trials.every} - {trial.label for trial in self._view.trials.every}
-        improved = trials.improvement()
+    def _commit(self, tree: ModelTree, message: str) -> None:
+        """Write the new tree to disk, then publish it."""
+        new = {tried.label for tried in tree.models} - {tried.label for tried in self._state.tree.models}
+        improved = tree.improvement()
         for revision in improved.revisions if improved is not None else ():
             if revision.label in new:
                 store.save_revision(self._folder, revision)
-        store.save_state(self._folder, self._identity(), trials)
-        self._publish(trials=trials, doing=None, message=message, is_trouble=False, revealed=None)
+        store.save_state(self._folder, self._identity(), tree)
+        self._publish(tree=tree, running=None, message=message, is_error=False, revealed=None)
 
     def _identity(self) -> dict[str, Any]:
-        """What tells the recording from others."""
-        contents = self._view.contents
+        """Return properties that distinguish the recording from others."""
+        contents = self._state.contents
         assert contents is not None
         if isinstance(self._recording, HiddenEffectTask):
             return {'seed': self._recording.seed, 'duration_s': contents.duration_s}
@@ -326,29 +336,30 @@ class Session:
         return {'duration_s': contents.duration_s, 'messages': topics, **options}
 
     def _model_with(self, effect: str) -> SensorModel:
-        now = self._view.examined
-        if now is None:
+        examination = self._state.examination
+        if examination is None:
             raise GyrocalError('the model has not run yet', where=effect, todo='wait a moment')
-        if any(one.name == effect for one in now.stage.model.effects):
+        examined = examination.examined
+        if any(one.name == effect for one in examined.model.effects):
             raise GyrocalError('is in the model already', where=effect)
-        limit = next((one for one in now.limits if one.name == effect), None)
+        limit = next((one for one in examination.limits if one.name == effect), None)
         if limit is not None:
-            return with_effect(now.stage.model, limit)
-        return wider_model(now.stage, find_effect(effect))
+            return with_effect(examined.model, limit)
+        return wider_model(examined, find_effect(effect))
 
     def _refuse_while_busy(self) -> None:
-        if self._view.is_busy:
-            raise GyrocalError('something is under way', where='studio', todo='wait for it, or cancel it')
+        if self._state.is_busy:
+            raise GyrocalError('another task is running', where='studio', todo='wait for it, or cancel it')
 
     def _publish(self, **changes: Any) -> None:
-        self._view = replace(self._view, **changes, version=self._view.version + 1)
+        self._state = replace(self._state, **changes, version=self._state.version + 1)
         self._changed.notify_all()
 
 
-_WORDS = {
+_TASK_TEXT = {
     'open': 'opening {}',
     'begin': 'the first run',
     'add': 'adding {}',
-    'forecast': 'trying {} in advance',
+    'forecast': 'running {} in advance',
     'replay': 'running {} again',
 }

@@ -1,4 +1,4 @@
-"""The state of a session, as one value that never changes: what the page is made from."""
+"""The state of a session as an immutable value, from which the page is made."""
 
 from __future__ import annotations
 
@@ -9,67 +9,68 @@ from functools import cached_property
 from gyrocal_ros.diagnose.improvement import Improvement
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.studio.lesson import Reveal
-from gyrocal_ros.studio.recordings import Contents
+from gyrocal_ros.studio.recordings import RecordingContents
 from gyrocal_ros.studio.revisions import ModelTree
-from gyrocal_ros.studio.worker import Advance, Examined, RunPreview
+from gyrocal_ros.studio.worker import Examination, RunPreview, TaskProgress
 
 
 @dataclass(frozen=True, slots=True)
-class Doing:
-    """What is under way."""
+class RunningTask:
+    """The task that the worker is doing."""
 
     number: int
-    """Of the task."""
-    what: str
+    """Number of the task."""
+    kind: str
     """`open`, `begin`, `add`, `forecast` or `replay`."""
     subject: str
-    """The effect or the trial that it is about."""
+    """Name of the effect, label of the model, or title of the recording."""
     parent: str | None
-    """The trial that was the present one when it began."""
-    advance: Advance
+    """Label of the model that was the present one when the task began."""
+    progress: TaskProgress
 
 
 @dataclass(frozen=True, eq=False)
 class StudioState:
-    """The state of a session at one moment. Nothing in it changes."""
+    """The state of a session at one moment."""
 
     version: int = 0
-    """Grows with every change."""
+    """Number of changes since the session was opened."""
     title: str = ''
-    contents: Contents | None = None
+    contents: RecordingContents | None = None
     recorded: RecordingSummary | None = None
-    doing: Doing | None = None
-    glimpse: RunPreview | None = None
-    trials: ModelTree = field(default_factory=ModelTree)
-    forecasts: Mapping[tuple[str, str], Examined] = field(default_factory=dict)
-    """By label of the trial and name of the effect: what would come of adding it."""
+    running: RunningTask | None = None
+    preview: RunPreview | None = None
+    tree: ModelTree = field(default_factory=ModelTree)
+    forecasts: Mapping[tuple[str, str], Examination] = field(default_factory=dict)
+    """Runs in advance of models with one more effect, by label of the model and name of the effect."""
     message: str = ''
-    """The last thing that a person should know."""
-    is_trouble: bool = False
-    """Whether the message tells of something that did not work."""
+    """Last message to the user."""
+    is_error: bool = False
+    """True if the message reports an error."""
     has_answer: bool = False
+    """True if the hidden effects of the recording can be revealed."""
     guess: str | None = None
     revealed: Reveal | None = None
 
     @property
     def is_busy(self) -> bool:
-        """Whether nothing can be added just now; a forecast makes way."""
-        return self.doing is not None and self.doing.what != 'forecast'
+        """True if no effect can be added now; a forecast is cancelled by other work and does not count."""
+        return self.running is not None and self.running.kind != 'forecast'
 
     @property
-    def examined(self) -> Examined | None:
-        """What there is to tell of the present model; None before it has run."""
-        now = self.trials.now
-        return None if now is None else now.examined
+    def examination(self) -> Examination | None:
+        """Examination of the present model; None before it has run."""
+        present = self.tree.present
+        return None if present is None else present.examination
 
     @cached_property
     def improvement(self) -> Improvement | None:
-        """The trials as revisions with their figures of merit."""
-        return self.trials.improvement()
+        """The tried models as revisions with their figures of merit."""
+        return self.tree.improvement()
 
-    def forecast(self, effect: str) -> Examined | None:
-        """What would come of adding an effect to the present model, where that is known."""
-        known = self.trials.known(effect)
-        if known is not None and known.examined is not None:
-            return known.examined
-        return self.forecasts.get((self.trials.present or '', effect))
+    def forecast(self, effect: str) -> Examination | None:
+        """Return the examination of the present model with one more effect, if it has run."""
+        tried = self.tree.find_addition(effect)
+        if tried is not None and tried.examination is not None:
+            return tried.examination
+        return self.forecasts.get((self.tree.present_label or '', effect))

@@ -1,12 +1,12 @@
-"""The folder of a session: what survives a reload, a second tab and a killed server.
+"""The folder of a session, which survives a reload, a second tab and a killed server.
 
-    studio.json          which recording, what builds on what, and which one is the present one
-    0_default/           a revision, as `gyrocal improve` leaves it: model.yaml, calibration.yaml, merit.json
+    studio.json          the recording, the tree of revisions, and the present one
+    0_default/           a revision as of `gyrocal improve`: model.yaml, calibration.yaml, merit.json
     1_scale_asymmetry/
-    model.yaml  calibration.yaml  history.json      the present one, once it was written
+    model.yaml  calibration.yaml  history.json      results of the present revision, on request
 
-A revision is complete before studio.json names it, and each file is replaced in one step; so whatever
-moment a server is killed at, the folder tells of a state that a person has seen.
+A revision is complete before studio.json names it, and each file is replaced in one step. So the folder
+is consistent at any time at which a server may be killed.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ LOCK = '.lock'
 
 
 def load(folder: Path, recording: Mapping[str, Any]) -> ModelTree:
-    """What was tried before; nothing where the folder is new.
+    """Load the tried models of an earlier session; an empty tree if the folder is new.
 
     Args:
-        folder: of the session.
-        recording: what tells the recording from others.
+        folder: folder of the session.
+        recording: properties that distinguish the recording from others.
 
     Raises:
-        GyrocalError: the folder is that of another recording, or damaged.
+        GyrocalError: the folder belongs to another recording, or is damaged.
     """
     path = folder / STATE
     if not path.is_file():
@@ -45,23 +45,23 @@ def load(folder: Path, recording: Mapping[str, Any]) -> ModelTree:
     todo = 'give another folder with -o, or move this one away'
     try:
         saved = json.loads(path.read_text(encoding='utf-8'))
-        same, present, revisions = saved['recording'] == recording, saved['present'], saved['revisions']
+        is_same, present, revisions = saved['recording'] == recording, saved['present'], saved['revisions']
         names = [(str(item['label']), item['builds_on']) for item in revisions]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise GyrocalError('is damaged', where=str(path), todo=todo) from error
-    if not same:
+    if not is_same:
         raise GyrocalError('belongs to another recording', where=str(folder), todo=todo)
-    known = {path.name for path in folder.iterdir()}  # a label is the name of a folder here, no path
-    if not {label for label, _ in names} <= known or present not in dict(names):
-        raise GyrocalError('names revisions that are not there', where=str(path), todo=todo)
-    every = tuple(
+    folders = {path.name for path in folder.iterdir()}  # a label is a name in this folder, not a path
+    if not {label for label, _ in names} <= folders or present not in dict(names):
+        raise GyrocalError('names revisions that do not exist', where=str(path), todo=todo)
+    models = tuple(
         TriedModel(label, builds_on, load_model(folder / label / 'model.yaml')) for label, builds_on in names
     )
-    return ModelTree(every, present)
+    return ModelTree(models, present)
 
 
 def save_revision(folder: Path, revision: Revision) -> None:
-    """Write a revision that is new.
+    """Write a new revision.
 
     Raises:
         GyrocalError: it cannot be written.
@@ -70,22 +70,22 @@ def save_revision(folder: Path, revision: Revision) -> None:
         fill_revision(part, revision)
 
 
-def save_state(folder: Path, recording: Mapping[str, Any], trials: ModelTree) -> None:
-    """Write which revisions count, and which one is the present one.
+def save_state(folder: Path, recording: Mapping[str, Any], tree: ModelTree) -> None:
+    """Write the tree of revisions, and which one is the present one.
 
     Raises:
         GyrocalError: it cannot be written.
     """
     state = {
         'recording': recording,
-        'present': trials.present,
-        'revisions': [{'label': trial.label, 'builds_on': trial.builds_on} for trial in trials.every],
+        'present': tree.present_label,
+        'revisions': [{'label': tried.label, 'builds_on': tried.builds_on} for tried in tree.models],
     }
     write_text_atomic(folder / STATE, json_text(state), overwrite=True)
 
 
 def save_result(folder: Path, improved: Improvement) -> None:
-    """Write the present model and its calibration for the robot, and the history for programs.
+    """Write the present model and its calibration for the robot, and the history as JSON.
 
     Raises:
         GyrocalError: they cannot be written.
@@ -96,10 +96,10 @@ def save_result(folder: Path, improved: Improvement) -> None:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other servers out of a folder; the lock ends with the process, however that ends.
+    """Lock a folder for other servers; the lock ends with the process, even if that is killed.
 
     Raises:
-        GyrocalError: another studio works in it, or it cannot be made.
+        GyrocalError: another studio uses the folder, or it cannot be made.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -113,7 +113,7 @@ def locked(folder: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise GyrocalError(
-                'another studio works in it',
+                'another studio uses it',
                 where=str(folder),
                 todo='close that one, or choose another with -o',
             ) from error

@@ -1,8 +1,8 @@
-"""The long work, in a process of its own, so that the page answers at once and a cancel is heeded.
+"""Long work in a process of its own, so that the page answers at once and a task can be cancelled.
 
-One process serves one studio: it keeps the recording in memory and runs the filter over it, one task
-after the other. What it needs to know it is told over a pipe; how far it is and what came of it it
-tells back. It dies with the studio.
+A studio has one such process. It keeps the recording in memory and runs the filter over it, one task after
+the other. Tasks arrive over a pipe; progress and results go back over the same pipe. The process ends with
+the studio.
 """
 
 from __future__ import annotations
@@ -34,19 +34,28 @@ from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.run_filter import Progress
-from gyrocal_ros.studio.recordings import Bag, Contents, HiddenEffectTask, Opened, look_into, read
+from gyrocal_ros.studio.recordings import (
+    Bag,
+    HiddenEffectTask,
+    LoadedRecording,
+    RecordingContents,
+    inspect_recording,
+    load_recording,
+)
 
-GLIMPSE_S = 0.8
-"""How often a run that is under way shows itself."""
-GLIMPSE_POINTS = 600
-FEWEST_SEEN = 50
-SHORTEST_S = 15.0
-"""A run that has come less far shows nothing yet."""
+PREVIEW_PERIOD_S = 0.8
+"""Minimum time between two previews of a running filter."""
+PREVIEW_POINTS = 600
+"""Maximum number of points of the rate in a preview."""
+MIN_PREVIEW_HEADINGS = 50
+"""Minimum number of observed headings for a preview."""
+MIN_PREVIEW_S = 15.0
+"""Minimum recorded time for a preview."""
 
 
 @dataclass(frozen=True, slots=True)
 class OpenRecording:
-    """See what is in a recording, and read it."""
+    """Task: inspect a recording, and load it."""
 
     recording: Bag | HiddenEffectTask
     model: SensorModel
@@ -54,27 +63,29 @@ class OpenRecording:
 
 @dataclass(frozen=True, slots=True)
 class Examine:
-    """Run a model over the recording, everything else on trial."""
+    """Task: run a model over the recording, with all other effects as candidates."""
 
     model: SensorModel
     is_first: bool = False
-    """Where the filter cannot run with it, look for an effect with which it can."""
+    """If the filter diverges with this model, look for an effect with which it does not."""
 
 
 Task: TypeAlias = OpenRecording | Examine
 
 
 @dataclass(frozen=True, slots=True)
-class Advance:
-    """How far a task has come, 0 to 1."""
+class TaskProgress:
+    """Progress of a task."""
 
-    part: float
-    doing: str
+    fraction: float
+    """0 to 1."""
+    text: str
+    """Description of the present step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunPreview:
-    """The heading so far, as far as a run that is under way can tell."""
+    """The heading error of a running filter up to now."""
 
     wander: Wander
     time_s: Array
@@ -82,25 +93,25 @@ class RunPreview:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Examined:
-    """A model on the recording, with all that takes a while to tell of it."""
+class Examination:
+    """A model on the recording, with everything about it that takes long to compute."""
 
-    stage: ExaminedModel
+    examined: ExaminedModel
     best: RankedEffect | None
-    """The effect that explains most of what is left over; None where that is no more than chance."""
+    """The effect that explains most of the remaining error; None if that is no more than chance."""
     limits: tuple[Effect, ...]
-    """Limits that the readings suggest; only a run can tell what they explain."""
-    twins: tuple[str, ...]
-    """Effects that may be meant in place of the best."""
+    """Limits that the readings suggest; only a run can score them."""
+    indistinguishable: tuple[str, ...]
+    """Effects that this recording cannot distinguish from the best."""
     failures: tuple[Failure, ...]
     wander: Wander
-    left_over: Mapping[tuple[str, bool], ErrorCurve]
-    """By signal, and whether of the scale: what is left over, the most telling first."""
+    error_curves: Mapping[tuple[str, bool], ErrorCurve]
+    """Remaining error of the bias (False) or the scale (True) by signal, the most significant first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """A recording that was read."""
+    """Result: a recording that was loaded."""
 
     recorded: RecordingSummary
     answer: Any
@@ -108,49 +119,54 @@ class Ready:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """A task that cannot be done, and why."""
+    """Result: the reason why a task failed."""
 
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """A task that was cancelled."""
+    """Result: the task was cancelled."""
 
 
-News: TypeAlias = Advance | Contents | Ready | RunPreview | Examined | Failed | Stopped
-Listener: TypeAlias = Callable[[int, News], None]
-"""Told the number of a task, and news of it."""
+TaskMessage: TypeAlias = (
+    TaskProgress | RecordingContents | Ready | RunPreview | Examination | Failed | Stopped
+)
+Listener: TypeAlias = Callable[[int, TaskMessage], None]
+"""Called with the number of a task and a message about it."""
 
 
-ENDED, AGAIN = 'the process that does the work has ended', 'start the studio again, nothing is lost'
+ENDED, RESTART = 'the worker process has ended', 'start the studio again, nothing is lost'
 
 
 class Worker:
-    """The process, seen from the studio. Make it before the studio has threads."""
+    """The worker process, as seen from the studio. It forks: make it before any thread is started."""
 
     def __init__(self) -> None:
         context = get_context('fork')
-        self._pipe, theirs = context.Pipe()
+        self._pipe, other_end = context.Pipe()
         self._cancelled = context.Value('l', 0)
         self._process = context.Process(
-            target=_serve, args=(theirs, self._pipe, self._cancelled), name='gyrocal studio', daemon=True
+            target=_run_tasks,
+            args=(other_end, self._pipe, self._cancelled),
+            name='gyrocal studio',
+            daemon=True,
         )
         self._process.start()
-        theirs.close()
+        other_end.close()
         self._lock, self._count = Lock(), 0
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Id of the process."""
         return self._process.pid or 0
 
     def listen(self, listener: Listener) -> None:
-        """Have a listener told all news, in a thread of its own."""
-        Thread(target=self._hear, args=(listener,), name='news', daemon=True).start()
+        """Pass all messages to a listener, in a thread of its own."""
+        Thread(target=self._listen, args=(listener,), name='worker messages', daemon=True).start()
 
     def submit(self, task: Task) -> int:
-        """Queue a task; returns its number, larger than all before.
+        """Queue a task; return its number, which is larger than all earlier ones.
 
         Raises:
             GyrocalError: the process has ended.
@@ -160,11 +176,11 @@ class Worker:
             try:
                 self._pipe.send((self._count, task))
             except OSError as error:
-                raise GyrocalError(ENDED, todo=AGAIN) from error
+                raise GyrocalError(ENDED, todo=RESTART) from error
             return self._count
 
     def cancel(self) -> None:
-        """Stop all tasks so far."""
+        """Stop all tasks that have been submitted."""
         self._cancelled.value = self._count
 
     def close(self) -> None:
@@ -173,116 +189,118 @@ class Worker:
         self._process.terminate()
         self._process.join(2.0)
 
-    def _hear(self, listener: Listener) -> None:
+    def _listen(self, listener: Listener) -> None:
         try:
             while True:
                 listener(*self._pipe.recv())
         except (EOFError, OSError):
-            listener(self._count, Failed(f'{ENDED}; {AGAIN}'))
+            listener(self._count, Failed(f'{ENDED}; {RESTART}'))
 
 
 class _Cancelled(Exception):
-    """The task is not wanted any more."""
+    """The task was cancelled."""
 
 
-def _serve(pipe: Connection, other_end: Connection, cancelled: Any) -> None:
-    """Do tasks until the studio hangs up."""
+def _run_tasks(pipe: Connection, other_end: Connection, cancelled: Any) -> None:
+    """Execute tasks until the studio closes the pipe."""
     other_end.close()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the studio decides when to end
-    desk = _Workbench()
+    executor = _TaskExecutor()
     with suppress(EOFError, OSError):
         while True:
             number, task = pipe.recv()
 
-            def tell(news: News, number: int = number) -> None:
+            def send(message: TaskMessage, number: int = number) -> None:
                 if cancelled.value >= number:
                     raise _Cancelled
-                pipe.send((number, news))
+                pipe.send((number, message))
 
-            pipe.send((number, _outcome(desk, task, tell)))
+            pipe.send((number, _execute(executor, task, send)))
 
 
-def _outcome(desk: _Workbench, task: Task, tell: Callable[[News], None]) -> News:
+def _execute(executor: _TaskExecutor, task: Task, send: Callable[[TaskMessage], None]) -> TaskMessage:
     try:
-        tell(Advance(0.0, 'beginning'))
-        return desk.look(task, tell) if isinstance(task, OpenRecording) else desk.examine(task, tell)
+        send(TaskProgress(0.0, 'starting'))
+        return executor.open(task, send) if isinstance(task, OpenRecording) else executor.examine(task, send)
     except _Cancelled:
         return Stopped()
     except GyrocalError as error:
         return Failed(str(error))
     except MemoryError:
-        return Failed('the memory of this machine does not suffice')
+        return Failed('this machine has too little memory')
 
 
-class _Workbench:
-    """What the process has before it."""
+class _TaskExecutor:
+    """Executes tasks; keeps the open recording between them."""
 
     def __init__(self) -> None:
-        self._opened: Opened | None = None
+        self._loaded: LoadedRecording | None = None
 
-    def look(self, task: OpenRecording, tell: Callable[[News], None]) -> Ready:
-        self._opened = None
-        tell(Advance(0.0, 'looking into the recording'))
-        contents = look_into(task.recording)
-        tell(contents)
+    def open(self, task: OpenRecording, send: Callable[[TaskMessage], None]) -> Ready:
+        self._loaded = None
+        send(TaskProgress(0.0, 'checking the recording'))
+        contents = inspect_recording(task.recording)
+        send(contents)
 
-        def report(state: Progress) -> None:
-            tell(Advance(state.done_s / max(state.total_s, 1.0), 'reading'))
+        def report(progress: Progress) -> None:
+            send(TaskProgress(progress.done_s / max(progress.total_s, 1.0), 'reading'))
 
-        self._opened = read(task.recording, contents, task.model, report)
-        return Ready(self._opened.recorded, self._opened.answer)
+        self._loaded = load_recording(task.recording, contents, task.model, report)
+        return Ready(self._loaded.recorded, self._loaded.answer)
 
-    def examine(self, task: Examine, tell: Callable[[News], None]) -> Examined:
-        assert self._opened is not None
-        opened = self._opened
-        reported_s = 0.0
+    def examine(self, task: Examine, send: Callable[[TaskMessage], None]) -> Examination:
+        assert self._loaded is not None
+        loaded = self._loaded
+        preview_sent_s = 0.0
 
         def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
-            doing = f'running with {", ".join(effect.name for effect in model.effects)}'
+            text = f'running with {", ".join(effect.name for effect in model.effects)}'
 
-            def report(state: Progress) -> None:
-                nonlocal reported_s
-                tell(Advance(state.done_s / max(state.total_s, 1.0), doing))
-                if state.so_far is not None and time.monotonic() - reported_s > GLIMPSE_S:
-                    glimpse = _glimpse(state.so_far())
-                    if glimpse is not None:
-                        tell(glimpse)
-                        reported_s = time.monotonic()
+            def report(progress: Progress) -> None:
+                nonlocal preview_sent_s
+                send(TaskProgress(progress.done_s / max(progress.total_s, 1.0), text))
+                if progress.so_far is not None and time.monotonic() - preview_sent_s > PREVIEW_PERIOD_S:
+                    preview = _preview(progress.so_far())
+                    if preview is not None:
+                        send(preview)
+                        preview_sent_s = time.monotonic()
 
-            return calibrate(opened.source, opened.config, model, report=report, candidates=candidates)
+            return calibrate(loaded.source, loaded.config, model, report=report, candidates=candidates)
 
         try:
-            stage = examine(task.model, opened.recorded, run)
+            examined = examine(task.model, loaded.recorded, run)
         except FilterDivergedError:
-            change = recover(task.model, opened.recorded, run) if task.is_first else None
+            change = recover(task.model, loaded.recorded, run) if task.is_first else None
             if change is None:
                 raise
-            stage = change.after
-        return _examined(stage, opened.recorded)
+            examined = change.after
+        return _examination(examined, loaded.recorded)
 
 
-def _examined(stage: ExaminedModel, recorded: RecordingSummary) -> Examined:
-    best = best_explanation(stage.ranked, stage.scores, (), stage.settings)
-    others = [ranked_effect for ranked_effect in stage.ranked if ranked_effect is not best]
-    return Examined(
-        stage=stage,
+def _examination(examined: ExaminedModel, recorded: RecordingSummary) -> Examination:
+    best = best_explanation(examined.ranked, examined.scores, (), examined.settings)
+    others = [ranked for ranked in examined.ranked if ranked is not best]
+    return Examination(
+        examined=examined,
         best=best,
-        limits=tuple(limit.effect for limit in suspected_limits(stage, recorded, best)),
-        twins=()
+        limits=tuple(limit.effect for limit in suspected_limits(examined, recorded, best)),
+        indistinguishable=()
         if best is None
-        else tuple(indistinguishable(best, others, stage.scores, NONE, stage.settings)),
-        failures=tuple(failures(stage.run, stage.seen)),
-        wander=wander(stage.seen),
-        left_over={(item.signal, item.of_scale): centred(item) for item in shapes(stage.run, stage.seen)},
+        else tuple(indistinguishable(best, others, examined.scores, NONE, examined.settings)),
+        failures=tuple(failures(examined.run, examined.seen)),
+        wander=wander(examined.seen),
+        error_curves={
+            (item.signal, item.of_scale): centred(item) for item in shapes(examined.run, examined.seen)
+        },
     )
 
 
-def _glimpse(run: Run) -> RunPreview | None:
+def _preview(run: Run) -> RunPreview | None:
     history = run.history
-    seen = np.isfinite(history.heading_innovation_rad).sum()
-    if not len(history.time_s) or history.time_s[-1] < SHORTEST_S or seen < FEWEST_SEEN:
+    count = np.isfinite(history.heading_innovation_rad).sum()
+    if not len(history.time_s) or history.time_s[-1] < MIN_PREVIEW_S or count < MIN_PREVIEW_HEADINGS:
         return None
     rate_deg_s = np.degrees(history.turn_rad / history.dt_s)
-    rows = rows_to_draw(rate_deg_s[:, None], GLIMPSE_POINTS)
+    rows = rows_to_draw(rate_deg_s[:, None], PREVIEW_POINTS)
     return RunPreview(wander(headings(run)), history.time_s[rows], rate_deg_s[rows])

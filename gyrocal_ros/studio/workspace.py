@@ -1,4 +1,4 @@
-"""What one studio serves: the recordings that it was given, and the session that is open."""
+"""The recordings of one studio, and the session that is open."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask
-from gyrocal_ros.studio.session import Session, Works
+from gyrocal_ros.studio.session import Session, TaskRunner
 from gyrocal_ros.studio.state import StudioState
-from gyrocal_ros.studio.worker import Listener, News
+from gyrocal_ros.studio.worker import Listener, TaskMessage
 
 SEEDS = 10_000
-"""Riddles are drawn from so many."""
+"""Number of seeds from which hidden-effect tasks are drawn."""
 
 
-class Helper(Works, Protocol):
-    """Does the long work, and tells of it."""
+class TaskProcess(TaskRunner, Protocol):
+    """Does long work in another process, and sends messages about it."""
 
     def listen(self, listener: Listener) -> None: ...
 
@@ -29,7 +29,7 @@ class Helper(Works, Protocol):
 
 
 class Workspace:
-    """The recordings by number, so that a browser can name none that was not given."""
+    """The recordings, which a browser can choose by number only, and the open session."""
 
     def __init__(
         self,
@@ -37,63 +37,63 @@ class Workspace:
         model: SensorModel,
         config: Config,
         out: Path,
-        worker: Helper,
-        riddle: int | None = None,
+        worker: TaskProcess,
+        task_seed: int | None = None,
     ) -> None:
-        """Open the first recording, or a riddle.
+        """Open the first recording, or a hidden-effect task.
 
         Args:
-            bags: that may be opened.
-            model: to begin with.
-            config: settings for riddles.
-            out: a folder for the folders of the sessions.
+            bags: recordings that may be opened.
+            model: first model of each session.
+            config: settings for hidden-effect tasks.
+            out: folder of the folders of the sessions.
             worker: does the long work.
-            riddle: seed of the riddle to begin with; None to begin with the first recording.
+            task_seed: seed of the hidden-effect task to open; None for the first recording.
 
         Raises:
-            GyrocalError: another studio works in the folder.
+            GyrocalError: another studio uses the folder.
         """
         self._bags, self._model, self._config, self._out = tuple(bags), model, config, out
         self._worker = worker
         self._lock = RLock()
-        self._session = self._opened(self._bags[0] if riddle is None else self._riddle(riddle))
-        worker.listen(self._hear)
+        self._session = self._open(self._bags[0] if task_seed is None else self._task(task_seed))
+        worker.listen(self._receive)
 
     @property
     def titles(self) -> list[str]:
-        """Of the recordings that may be opened."""
+        """Titles of the recordings that may be opened."""
         return [bag.title for bag in self._bags]
 
     @property
     def session(self) -> Session:
-        """The one that is open."""
+        """The open session."""
         return self._session
 
     @property
-    def view(self) -> StudioState:
-        """The state of the open session."""
-        return self._session.view
+    def state(self) -> StudioState:
+        """State of the open session."""
+        return self._session.state
 
     def choose(self, number: int) -> None:
         """Open another recording.
 
         Raises:
-            GyrocalError: there is no such recording, or another studio works on it.
+            GyrocalError: there is no such recording, or another studio uses its folder.
         """
         if not 0 <= number < len(self._bags):
             raise GyrocalError('there is no such recording', where=str(number))
         self._change(self._bags[number])
 
-    def draw_riddle(self, seed: int | None = None) -> None:
-        """Open a recording that hides something, and that nobody has seen.
+    def draw_task(self, seed: int | None = None) -> None:
+        """Open a simulated recording with hidden effects.
 
         Args:
-            seed: of all draws; None to draw that too.
+            seed: seed of all random numbers; None for a random one.
 
         Raises:
-            GyrocalError: another studio works on it.
+            GyrocalError: another studio uses its folder.
         """
-        self._change(self._riddle(seed))
+        self._change(self._task(seed))
 
     def close(self) -> None:
         """End all work."""
@@ -101,19 +101,19 @@ class Workspace:
         self._session.close()
         self._worker.close()
 
-    def _riddle(self, seed: int | None = None) -> HiddenEffectTask:
+    def _task(self, seed: int | None = None) -> HiddenEffectTask:
         return HiddenEffectTask(secrets.randbelow(SEEDS) if seed is None else seed, self._config)
 
     def _change(self, recording: Bag | HiddenEffectTask) -> None:
         with self._lock:
-            if recording.title != self._session.view.title:
+            if recording.title != self._session.state.title:
                 self._worker.cancel()
-                opened = self._opened(recording)  # where this fails, the other one stays
+                session = self._open(recording)  # if this fails, the old session stays open
                 self._session.close()
-                self._session = opened
+                self._session = session
 
-    def _opened(self, recording: Bag | HiddenEffectTask) -> Session:
+    def _open(self, recording: Bag | HiddenEffectTask) -> Session:
         return Session(recording, self._model, self._out / recording.title, self._worker)
 
-    def _hear(self, number: int, news: News) -> None:
-        self._session.hear(number, news)
+    def _receive(self, number: int, message: TaskMessage) -> None:
+        self._session.receive(number, message)

@@ -1,4 +1,4 @@
-"""The whole loop in a real browser, as a person does it."""
+"""The page of the studio in a real browser."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ FLAGS = (
     '--no-first-run',
 )
 LAPTOP, TABLET = {'width': 1440, 'height': 900}, {'width': 820, 'height': 1180}
-PATIENCE_MS = 60_000
-PICTURES = os.environ.get('GYROCAL_SCREENSHOTS')
-"""A folder for pictures of the page, where they are wanted for the documentation."""
-expect.set_options(timeout=PATIENCE_MS)
+TIMEOUT_MS = 60_000
+SCREENSHOTS = os.environ.get('GYROCAL_SCREENSHOTS')
+"""Folder for the screenshots of the documentation, if they are to be taken."""
+expect.set_options(timeout=TIMEOUT_MS)
 
 
 @pytest.fixture(scope='module')
@@ -41,7 +41,7 @@ def browser() -> Iterator[Browser]:
 
 
 class Studio:
-    """A studio in a process of its own, as a person starts it."""
+    """A studio, started by the command."""
 
     def __init__(self, bag: Path, out: Path, port: int = 0) -> None:
         self.out = out
@@ -50,9 +50,9 @@ class Studio:
             [*command, '--port', str(port), '--no-browser'], stderr=subprocess.PIPE, text=True
         )
         assert self._process.stderr is not None
-        said = self._process.stderr.readline()
-        found = re.search(r'http://127\.0\.0\.1:(\d+)/', said)
-        assert found, said
+        printed = self._process.stderr.readline()
+        found = re.search(r'http://127\.0\.0\.1:(\d+)/', printed)
+        assert found, printed
         self.address, self.port = found[0], int(found[1])
 
     def kill(self) -> None:
@@ -74,52 +74,52 @@ def studio(uneven_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 @pytest.fixture
 def page(browser: Browser, studio: Studio) -> Iterator[Page]:
     page = browser.new_page(viewport=LAPTOP)
-    page.set_default_timeout(PATIENCE_MS)
+    page.set_default_timeout(TIMEOUT_MS)
     yield page
     page.close()
 
 
 def drift_deg(page: Page, label: str) -> float:
-    """Held-out drift of a revision, as the page tells it."""
+    """Return the held-out drift of a revision on the page."""
     row = page.locator('#revisions tr', has_text=label)
     return float(row.locator('td').nth(1).inner_text().split()[0])
 
 
-def picture(page: Page, name: str, part: str = '') -> None:
-    """Keep a picture of the page from its top, or of a part of it, where pictures are wanted."""
-    if PICTURES:
+def screenshot(page: Page, name: str, part: str = '') -> None:
+    """Take a screenshot of the page from its top, or of a part of it, if screenshots are to be taken."""
+    if SCREENSHOTS:
         page.wait_for_timeout(1500)
         page.evaluate('window.scrollTo(0, 0)')
-        path = str(Path(PICTURES) / f'studio_{name}.png')
+        path = str(Path(SCREENSHOTS) / f'studio_{name}.png')
         page.locator(part).screenshot(path=path) if part else page.screenshot(path=path)
 
 
-def beyond_the_screen(page: Page) -> list[str]:
-    """Parts of the loop that do not end on the screen of a laptop."""
+def parts_below_the_screen(page: Page) -> list[str]:
+    """Return the parts 1 to 5 that do not fit on the screen of a laptop."""
     names = ('bag', 'model', 'residual', 'missing', 'history')
     boxes = {name: page.locator(f'#{name}').bounding_box() for name in names}
     return [name for name, box in boxes.items() if not box or box['y'] + box['height'] > LAPTOP['height']]
 
 
-def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
+def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> None:
     hosts: set[str] = set()
-    troubles: list[str] = []
+    errors: list[str] = []
     page.on('request', lambda request: hosts.add(urlsplit(request.url).netloc))
-    page.on('console', lambda said: troubles.append(said.text) if said.type == 'error' else None)
+    page.on('console', lambda entry: errors.append(entry.text) if entry.type == 'error' else None)
     page.goto(studio.address)
 
-    # see what is in the bag, and the failing span
+    # contents of the bag, and the worst stretch
     expect(page.locator('#bag-words')).to_contain_text('100 s')
     expect(page.locator('#verdict')).to_contain_text(f'Missing: {HIDDEN}')
     figure = page.locator('#model-figure')
-    expect(figure).to_contain_text('gyro less seen')
+    expect(figure).to_contain_text('gyro less observed')
     expect(figure).to_contain_text('worst without camera')
     expect(figure.locator('.annotation-text', has_text=re.compile('^1$'))).to_have_count(1)
     expect(page.locator('#failures')).to_contain_text('turning')
-    assert not beyond_the_screen(page)
-    picture(page, 'fails')
+    assert not parts_below_the_screen(page)
+    screenshot(page, 'fails')
 
-    # open a candidate
+    # description of a candidate
     candidate = page.locator('.candidate', has_text=HIDDEN)
     candidate.focus()
     page.keyboard.press('Enter')
@@ -127,37 +127,37 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
     expect(page.locator('#candidate-name')).to_have_text(HIDDEN)
     expect(page.locator('#card')).to_contain_text('equation')
     expect(page.locator('#forecast')).to_contain_text('from')
-    foreseen = page.locator('#forecast').inner_text()
+    forecast = page.locator('#forecast').inner_text()
 
-    # add it and see the held-out error fall by what the command line gives
+    # adding it reduces the held-out error as on the command line
     page.locator('#add').click()
     expect(page.locator('#revisions')).to_contain_text(f'1_{HIDDEN}')
     command = [sys.executable, '-m', 'gyrocal_ros.cli.main', 'improve', str(uneven_bag)]
-    said = subprocess.run([*command, '--effect', HIDDEN, '--json'], capture_output=True, check=True)
-    wanted = [one['held_out_drift_deg']['rms'] for one in json.loads(said.stdout)['revisions']]
+    done = subprocess.run([*command, '--effect', HIDDEN, '--json'], capture_output=True, check=True)
+    expected = [one['held_out_drift_deg']['rms'] for one in json.loads(done.stdout)['revisions']]
     shown = [drift_deg(page, '0_default'), drift_deg(page, f'1_{HIDDEN}')]
-    assert shown == [pytest.approx(one, abs=0.0051) for one in wanted]
-    assert foreseen == f'from {shown[0]:.2f} to {shown[1]:.2f} deg' and shown[1] < 0.1 * shown[0]
+    assert shown == [pytest.approx(one, abs=0.0051) for one in expected]
+    assert forecast == f'from {shown[0]:.2f} to {shown[1]:.2f} deg' and shown[1] < 0.1 * shown[0]
     expect(page.locator('#history-figure')).to_contain_text('held out')
     expect(figure).to_contain_text('the present model')
-    assert not beyond_the_screen(page)
-    picture(page, 'added')
-    picture(page, 'falling', '#history')
+    assert not parts_below_the_screen(page)
+    screenshot(page, 'added')
+    screenshot(page, 'falling', '#history')
 
-    # undo, and add it again
+    # undo, and adding it again
     page.locator('#undo').click()
     expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')
     expect(page.locator('#undo')).to_be_disabled()
     page.locator('#add').click()
     expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('present')
 
-    # compare the two
+    # comparison of the two revisions
     page.locator('#compare summary').click()
     expect(page.locator('#compare-figure')).to_contain_text('0_default')
     page.locator('#compare-kind input[value=drift]').check()
     expect(page.locator('#compare-figure')).to_contain_text('Drift span by span')
 
-    # write and export
+    # results and report
     page.locator('#write').click()
     expect(page.locator('#message')).to_contain_text('model.yaml and calibration.yaml are in')
     page.locator('#export').click()
@@ -166,37 +166,35 @@ def test_the_whole_loop(page: Page, studio: Studio, uneven_bag: Path) -> None:
     assert HIDDEN in (folder / 'model.yaml').read_text()
     assert HIDDEN in (folder / 'report' / 'report.html').read_text()
     if find_spec('kaleido'):
-        drawn = (folder / 'report' / 'figures' / 'heading.png').read_bytes()
-        assert drawn.startswith(b'\x89PNG') and len(drawn) > 20_000
+        png = (folder / 'report' / 'figures' / 'heading.png').read_bytes()
+        assert png.startswith(b'\x89PNG') and len(png) > 20_000
 
-    # the truth
+    # the answer
     page.locator('#guess').click()
     page.get_by_role('option', name=HIDDEN, exact=True).click()
     page.locator('#reveal').click()
     expect(page.locator('#truth')).to_contain_text(f'Hidden: {HIDDEN}. Your guess was right.')
     expect(page.locator('#truth-words table')).to_contain_text(f'{SIZE:g}')
-    assert hosts <= {urlsplit(studio.address).netloc, ''}, 'nothing comes from elsewhere'
-    assert not troubles
+    assert hosts <= {urlsplit(studio.address).netloc, ''}, 'the page needs no other server'
+    assert not errors
 
 
-def test_the_rest_can_be_told_by_any_signal(page: Page, studio: Studio) -> None:
+def test_the_error_left_over_is_shown_against_any_signal(page: Page, studio: Studio) -> None:
     page.goto(studio.address)
     expect(page.locator('#residual-figure')).to_contain_text('error of the')
     page.locator('#signal').click()
     page.get_by_role('option', name='temperature (deg C) - bias').click()
     expect(page.locator('#residual-figure')).to_contain_text('Bias by temperature')
-    for kind, words in (
+    for kind, text in (
         ('drift', 'Drift span by span'),
         ('innovations', 'NIS'),
         ('coefficients', 'Coefficients'),
     ):
         page.locator(f'#kind input[value={kind}]').check()
-        expect(page.locator('#model-figure')).to_contain_text(words)
+        expect(page.locator('#model-figure')).to_contain_text(text)
 
 
-def test_a_second_tab_shows_the_same_and_a_reload_loses_nothing(
-    browser: Browser, page: Page, studio: Studio
-) -> None:
+def test_second_tabs_and_reloads_show_the_same_session(browser: Browser, page: Page, studio: Studio) -> None:
     page.goto(studio.address)
     expect(page.locator('#revisions')).to_contain_text(f'1_{HIDDEN}')
     second = browser.new_page(viewport=TABLET, color_scheme='dark')
@@ -206,34 +204,34 @@ def test_a_second_tab_shows_the_same_and_a_reload_loses_nothing(
     expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')
     page.reload()
     expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text('present')
-    picture(second, 'tablet_dark', '#missing')
+    screenshot(second, 'tablet_dark', '#missing')
     second.close()
 
 
-def test_light_and_dark_and_no_wider_than_a_tablet(page: Page, studio: Studio) -> None:
+def test_the_theme_can_be_changed_and_the_page_fits_a_tablet(page: Page, studio: Studio) -> None:
     page.set_viewport_size(TABLET)
     page.goto(studio.address)
     expect(page.locator('#revisions')).to_contain_text('0_default')
-    paper = 'getComputedStyle(document.body).backgroundColor'
-    light = page.evaluate(paper)
+    background = 'getComputedStyle(document.body).backgroundColor'
+    light = page.evaluate(background)
     page.locator('#theme-button').click()
     expect(page.locator('html')).to_have_class('dark')
-    assert page.evaluate(paper) != light
+    assert page.evaluate(background) != light
     assert page.evaluate('document.documentElement.scrollWidth') <= TABLET['width']
 
 
-def test_everything_is_reached_by_the_keyboard(page: Page, studio: Studio) -> None:
+def test_all_controls_can_be_reached_by_the_keyboard(page: Page, studio: Studio) -> None:
     page.goto(studio.address)
     expect(page.locator('.candidate')).not_to_have_count(0)
     reached = set()
     for _ in range(80):
         page.keyboard.press('Tab')
         reached |= set(page.evaluate('[document.activeElement.id, document.activeElement.className]'))
-    wanted = {'theme-button', 'signal', 'candidate', 'write', 'export', 'riddle', 'guess', 'reveal'}
-    assert wanted <= reached
+    controls = {'theme-button', 'signal', 'candidate', 'write', 'export', 'riddle', 'guess', 'reveal'}
+    assert controls <= reached
 
 
-def test_a_killed_studio_is_told_and_taken_up_where_it_was(
+def test_a_killed_studio_is_reported_and_a_new_one_continues_its_session(
     browser: Browser, studio: Studio, uneven_bag: Path
 ) -> None:
     page = browser.new_page()

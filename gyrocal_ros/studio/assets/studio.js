@@ -1,4 +1,4 @@
-// Light or dark: as the machine has it, until the button is pressed.
+// Light or dark: by the setting of the machine, until the button is pressed.
 window.dash_clientside = Object.assign({}, window.dash_clientside, {
   studio: {
     theme: function (clicks, stored) {
@@ -11,24 +11,24 @@ window.dash_clientside = Object.assign({}, window.dash_clientside, {
   },
 });
 
-// A page whose studio has ended looks alive and does nothing, so it is told.
+// Shows a message if the server does not answer: without it the page would look as before.
 (function () {
-  const ask = window.fetch;
-  const words = document.createElement('p');
-  words.id = 'gone';
-  words.setAttribute('role', 'alert');
-  function tell(isGone) {
-    const told = 'The studio does not answer: start it again with the same command, nothing is lost.';
-    words.textContent = isGone ? told : '';
-    if (!words.isConnected) document.body.prepend(words);
+  const originalFetch = window.fetch;
+  const alert = document.createElement('p');
+  alert.id = 'gone';
+  alert.setAttribute('role', 'alert');
+  function show(isGone) {
+    const message = 'The studio does not answer: start it again with the same command, nothing is lost.';
+    alert.textContent = isGone ? message : '';
+    if (!alert.isConnected) document.body.prepend(alert);
   }
-  window.fetch = async function (...order) {
+  window.fetch = async function (...args) {
     try {
-      const answer = await ask.apply(this, order);
-      tell(false);
-      return answer;
+      const response = await originalFetch.apply(this, args);
+      show(false);
+      return response;
     } catch (error) {
-      tell(true);
+      show(true);
       throw error;
     }
   };

@@ -1,7 +1,7 @@
-"""Contracts that every feature parametrisation and every physical effect must fulfil.
+"""Contracts of feature parametrisations and of physical effects.
 
-A test class inherits a contract and is parametrised over a registry: each test then runs with each entry.
-A new kind of effect gets its class here, on top of `EffectContract`.
+A test class inherits a contract and is parametrised over a registry, so each test runs with each entry. A new
+kind of effect gets a class here, derived from `EffectContract`.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ MOUNT = Mount(rotation_from_euler(np.array([0.03, -0.02, -1.2])), np.array([0.09
 
 
 def differences(function: Callable[[Array], Array], at: ArrayLike, step: float | Array = 1e-6) -> Array:
-    """Return the derivative of `function` at a vector (k,) by central differences, as the last axis."""
+    """Return central differences of `function` at a vector (k,); the derivative is the last axis."""
     centre = np.asarray(at, float)
     steps = np.broadcast_to(step, centre.shape)
     columns = []
@@ -88,7 +88,7 @@ def view_at(pose: Array) -> PosedCamera:
 
 
 class ParametrisationContract:
-    """Initialisation, prediction and all derivatives of a feature parametrisation are consistent."""
+    """Contract of a feature parametrisation: initial values, predictions and all derivatives."""
 
     @pytest.fixture
     def first(self, form: Parametrisation) -> NewFeatures:
@@ -96,11 +96,11 @@ class ParametrisationContract:
 
     @pytest.fixture
     def moved(self, first: NewFeatures) -> tuple[Array, Anchors]:
-        """Features whose estimate has changed since their first observation."""
+        """Return features whose estimate has changed since their first observation."""
         change = 1.0 + 0.05 * np.random.default_rng(0).standard_normal(first.parameters.shape)
         return first.parameters * change, first.anchors
 
-    def test_a_new_feature_is_predicted_where_it_was_observed(
+    def test_a_new_feature_is_predicted_at_its_measurement(
         self, form: Parametrisation, first: NewFeatures
     ) -> None:
         view = view_at(FIRST_POSE)
@@ -110,14 +110,14 @@ class ParametrisationContract:
         np.testing.assert_allclose(project(CAMERA, prediction.points_c), PIXELS, atol=1e-8)
 
     def test_a_new_feature_has_the_assumed_depth(self, form: Parametrisation, first: NewFeatures) -> None:
-        """The paper's d is the range, other forms take the depth along the optical axis."""
+        """It is the range in the parametrisation of the paper, the depth along the optical axis in others."""
         view = view_at(FIRST_POSE)
         points_c = (form.world(first.parameters, first.anchors)[0] - view.p_wc) @ view.R_wc
         assert np.all(points_c[:, 2] < FEATURES.prior_depth_m + 1e-9)
         assert np.all(np.linalg.norm(points_c, axis=1) > FEATURES.prior_depth_m - 1e-9)
 
-    def test_a_new_feature_depends_on_the_pose(self, form: Parametrisation, first: NewFeatures) -> None:
-        """Another pose at the first observation moves the point as `by_pose` and `world` give it."""
+    def test_a_new_feature_moves_with_the_pose(self, form: Parametrisation, first: NewFeatures) -> None:
+        """The derivative of the point by the pose is that of `world` times `by_pose`."""
 
         def points(pose: Array) -> Array:
             new = form.initialise(view_at(pose), PIXELS, NOISE_PX, FEATURES)
@@ -128,21 +128,21 @@ class ParametrisationContract:
             world_by_parameters @ first.by_pose, differences(points, FIRST_POSE), atol=1e-7
         )
 
-    def test_the_first_observation_holds_no_information_on_the_pose(
+    def test_a_new_feature_does_not_depend_on_the_pose_in_the_image(
         self, form: Parametrisation, first: NewFeatures
     ) -> None:
-        """From another pose the feature would have been placed elsewhere, and seen at the same pixel."""
+        """A robot at another pose would have initialised the feature elsewhere, at the same pixel."""
         seen = form.predict(view_at(FIRST_POSE), first.parameters, first.anchors)
         np.testing.assert_allclose(
             seen.by_pose + seen.by_feature @ first.by_pose, 0.0, atol=1e-9 * np.abs(seen.by_pose).max()
         )
 
-    def test_the_initial_noise_is_a_covariance(self, form: Parametrisation, first: NewFeatures) -> None:
+    def test_initial_noise_is_a_covariance(self, form: Parametrisation, first: NewFeatures) -> None:
         assert first.noise.shape == (len(PIXELS), 3, 3)
         assert_positive_definite(first.noise)
 
-    def test_the_initial_noise_is_that_of_a_pixel_and_of_the_depth(self, form: Parametrisation) -> None:
-        """In the image centre, where the paper's noise of one focal length holds."""
+    def test_initial_noise_is_that_of_a_pixel_and_of_the_depth(self, form: Parametrisation) -> None:
+        """Checked in the image centre, where the paper's noise with one focal length is exact."""
         view, centre = view_at(FIRST_POSE), np.array([[CAMERA.cx_px, CAMERA.cy_px]])
         new = form.initialise(view, centre, NOISE_PX, FEATURES)
         points_w, by_parameters = form.world(new.parameters, new.anchors)
@@ -154,7 +154,7 @@ class ParametrisationContract:
         )
         assert noise_c[2, 2] > 0.5**2, 'the depth is nearly unknown'
 
-    def test_a_measurement_has_its_rows(self, form: Parametrisation) -> None:
+    def test_measurement_has_the_right_shape(self, form: Parametrisation) -> None:
         measured, noise = form.measure(view_at(LATER_POSE), PIXELS, NOISE_PX, FEATURES)
         assert measured.shape == (len(PIXELS), form.rows)
         assert noise.shape == (len(PIXELS), form.rows, form.rows)
@@ -182,10 +182,10 @@ class ParametrisationContract:
         points_c = (points_w - view.p_wc) @ view.R_wc
         prediction = form.predict(view, *moved)
         np.testing.assert_allclose(project(CAMERA, prediction.points_c), project(CAMERA, points_c), atol=1e-8)
-        assert np.all(prediction.points_c[:, 2] * points_c[:, 2] > 0.0), 'points behind the camera stay there'
+        assert np.all(prediction.points_c[:, 2] * points_c[:, 2] > 0.0), 'behind the camera'
 
     def test_prediction_by_point(self, form: Parametrisation, moved: tuple[Array, Anchors]) -> None:
-        """`by_point` is the derivative by `points_c`, which are scaled by `scale`."""
+        """The derivative is by `points_c`, which are the points times `scale`."""
         view = view_at(LATER_POSE)
         prediction = form.predict(view, *moved)
         points_c = (form.world(*moved)[0] - view.p_wc) @ view.R_wc
@@ -214,7 +214,7 @@ POSE_RATE = np.array([0.2, 0.1, 0.0, 0.01, -0.02, 1.3])
 
 
 def eventful_block(count: int = 12, seed: int = 0, start_s: float = 30.0) -> MotionBlock:
-    """Return a block in which every signal that an effect may need varies."""
+    """Return a block in which every signal that an effect may require varies."""
     rng = np.random.default_rng(seed)
     dt_s = rng.uniform(0.004, 0.006, count)
     end_s = start_s + np.cumsum(dt_s)
@@ -244,7 +244,7 @@ def eventful_blocks() -> list[MotionBlock]:
 
 
 def draws(effect: Effect) -> list[Array]:
-    """Return coefficient values: the prior mean, and some within half a sigma."""
+    """Return values of the coefficients: the prior mean, and values within half a sigma of it."""
     rng = np.random.default_rng(1)
     mean = np.array([item.prior_mean for item in effect.coefficients])
     std = np.array([item.prior_std for item in effect.coefficients])
@@ -263,13 +263,13 @@ def assert_derivative(
 
 
 class EffectContract:
-    """An effect of any kind is complete and consistent."""
+    """Contract of an effect of any kind: name, explanation, sketch, coefficients and model file."""
 
-    def test_the_name_is_valid_in_a_file(self, effect: Effect) -> None:
+    def test_name_is_valid_and_finds_the_effect(self, effect: Effect) -> None:
         assert re.fullmatch(r'[a-z][a-z0-9_]*(:[\w./]+)?', effect.name)
         assert find_effect(effect.name) == effect
 
-    def test_the_explanation_is_complete(self, effect: LibraryEffect) -> None:
+    def test_it_has_an_explanation(self, effect: LibraryEffect) -> None:
         about = effect.about
         assert len(about.physics) > 100
         assert about.physics.endswith('.')
@@ -277,7 +277,7 @@ class EffectContract:
         assert set(about.twins) <= {*EFFECTS, *COVARIATE_EFFECTS, 'bias'} - {effect.name}
         assert len(about.example) == len(effect.coefficients)
 
-    def test_it_can_be_drawn(self, effect: LibraryEffect) -> None:
+    def test_it_has_a_sketch(self, effect: LibraryEffect) -> None:
         drawn = sketch(effect)
         assert drawn.lines
         for name, line in drawn.lines.items():
@@ -285,7 +285,7 @@ class EffectContract:
             assert np.ptp(line) > 0.0 or effect.name in ('principal_point', 'camera_position'), name
 
     def test_coefficients_are_complete(self, effect: Effect) -> None:
-        """A prior standard deviation of zero is that of a limit, which is detected and not estimated."""
+        """A coefficient that is detected in the readings, not estimated, has a prior of zero width."""
         assert effect.coefficients
         names = [item.name for item in effect.coefficients]
         assert len(set(names)) == len(names)
@@ -308,7 +308,7 @@ class EffectContract:
             assert item.value(0.0) == item.low and item.value(1.0) == pytest.approx(item.high)
         assert not any(ranges) or any(item.is_strength for item in filter(None, ranges))
 
-    def test_a_model_file_keeps_it(self, effect: Effect) -> None:
+    def test_a_model_file_reproduces_it(self, effect: Effect) -> None:
         items = tuple(
             replace(item, prior_mean=item.prior_mean + 0.1, prior_std=2.0 * item.prior_std + 0.01, walk=1e-6)
             for item in effect.coefficients
@@ -321,11 +321,11 @@ class EffectContract:
 
 
 class GyroEffectContract(EffectContract):
-    """An effect on the yaw rate."""
+    """Contract of an effect on the yaw rate."""
 
     @staticmethod
     def over_blocks(effect: GyroEffect, values: Array) -> tuple[Array, Array]:
-        """Return contribution (N,) and derivative (N, k) over consecutive blocks."""
+        """Return contribution (N,) and derivative (N, k) over consecutive blocks with their memory."""
         memory: Memory = None
         terms = []
         for block in eventful_blocks():
@@ -354,7 +354,7 @@ class GyroEffectContract(EffectContract):
                 lambda values: self.over_blocks(effect, values)[1],
             )
 
-    def test_its_size_is_plausible(self, effect: GyroEffect) -> None:
+    def test_its_contribution_has_a_plausible_size(self, effect: GyroEffect) -> None:
         values = [item.prior_mean + item.prior_std if item.prior_std else 0.7 for item in effect.coefficients]
         block = eventful_block()
         term = effect.contribute(block, np.array(values), None)
@@ -370,14 +370,14 @@ class GyroEffectContract(EffectContract):
         at_once = effect.contribute(whole, values, None).rate_rad_s
         np.testing.assert_allclose(np.concatenate(rates), at_once, rtol=1e-9, atol=1e-12)
 
-    def test_the_block_is_not_changed(self, effect: GyroEffect) -> None:
+    def test_it_does_not_change_the_block(self, effect: GyroEffect) -> None:
         block, untouched = eventful_block(), eventful_block()
         effect.contribute(block, draws(effect)[1], None)
         assert repr(block) == repr(untouched)
 
 
 class WheelEffectContract(EffectContract):
-    """An effect on the distance by the wheels."""
+    """Contract of an effect on the distance by the wheels."""
 
     def test_shapes(self, effect: WheelEffect) -> None:
         for count in (1, 12):
@@ -393,12 +393,12 @@ class WheelEffectContract(EffectContract):
             lambda values: effect.contribute(block, values)[1],
         )
 
-    def test_it_vanishes_at_zero(self, effect: WheelEffect) -> None:
+    def test_zero_coefficients_change_nothing(self, effect: WheelEffect) -> None:
         assert not np.any(effect.contribute(eventful_block(), np.zeros(len(effect.coefficients)))[0])
 
 
 class GroundEffectContract(EffectContract):
-    """An effect that moves the robot over the floor."""
+    """Contract of an effect that moves the robot over the floor."""
 
     def test_shapes(self, effect: GroundEffect) -> None:
         moved, by_values = effect.contribute(eventful_block(), draws(effect)[1])
@@ -415,7 +415,7 @@ class GroundEffectContract(EffectContract):
 
 
 class ImageEffectContract(EffectContract):
-    """An effect on the images: on the camera, or on their stamps."""
+    """Contract of an effect on the camera, or on the stamps of its images."""
 
     @pytest.fixture(
         params=[form for form in PARAMETRISATIONS.values() if form.rows == 2], ids=lambda f: f.name
@@ -424,36 +424,36 @@ class ImageEffectContract(EffectContract):
         return request.param
 
     @staticmethod
-    def predict(effect: Effect, form: Parametrisation, values: Array) -> tuple[PosedCamera, Prediction]:
-        """Predict a fixed map with the camera that the effect gives."""
+    def observe(effect: Effect, form: Parametrisation, values: Array) -> tuple[PosedCamera, Prediction]:
+        """Return the view of a fixed map by the camera with the effect."""
         first = form.initialise(view_at(FIRST_POSE), PIXELS, NOISE_PX, FEATURES)
-        parts = sort_effects((effect,))
-        late_s = sum(float(values[place][0]) for _, place in parts.time)
-        camera, mount = true_camera(parts, CAMERA, MOUNT, values)
+        effects = sort_effects((effect,))
+        late_s = sum(float(values[place][0]) for _, place in effects.time)
+        camera, mount = true_camera(effects, CAMERA, MOUNT, values)
         pose = LATER_POSE - POSE_RATE * late_s
         view = posed_camera(camera, mount, pose[:3], pose[3:])
         return view, form.predict(view, first.parameters, first.anchors)
 
     def by_values(self, effect: Effect, form: Parametrisation, values: Array) -> Array:
-        view, prediction = self.predict(effect, form, values)
+        view, prediction = self.observe(effect, form, values)
         return measurement_by_values(sort_effects((effect,)), view, prediction, POSE_RATE, values)
 
     def test_derivative(self, effect: Effect, form: Parametrisation) -> None:
         assert_derivative(
             effect,
-            lambda values: self.predict(effect, form, values)[1].expected,
+            lambda values: self.observe(effect, form, values)[1].expected,
             lambda values: self.by_values(effect, form, values),
         )
 
-    def test_it_vanishes_at_zero(self, effect: Effect, form: Parametrisation) -> None:
-        seen = self.predict(effect, form, np.zeros(len(effect.coefficients)))[1].expected
+    def test_zero_coefficients_change_nothing(self, effect: Effect, form: Parametrisation) -> None:
+        seen = self.observe(effect, form, np.zeros(len(effect.coefficients)))[1].expected
         first = form.initialise(view_at(FIRST_POSE), PIXELS, NOISE_PX, FEATURES)
         nominal = form.predict(view_at(LATER_POSE), first.parameters, first.anchors).expected
         np.testing.assert_allclose(seen, nominal, atol=1e-9)
 
     def test_a_new_feature_keeps_its_pixel(self, effect: Effect, form: Parametrisation) -> None:
-        """Whatever the coefficients are."""
-        view, prediction = self.predict(effect, form, draws(effect)[1])
+        """The derivative of a new feature compensates that of its pixel by the coefficients."""
+        view, prediction = self.observe(effect, form, draws(effect)[1])
         by_values = self.by_values(effect, form, draws(effect)[1])
         moved = prediction.by_feature @ first_sight_by_values(prediction, by_values)
         np.testing.assert_allclose(moved, -by_values, atol=1e-7 * np.abs(by_values).max())
@@ -500,14 +500,14 @@ class LimitContract:
 
 
 class OdometryContract:
-    """Filter and simulator agree where the odometer's metre is wrong."""
+    """Contract of a camera effect on odometry: simulator and filter agree on the length unit."""
 
-    def test_the_camera_sits_as_far_as_the_odometer_counts(self, effect: Any) -> None:
+    def test_the_camera_position_is_in_metres_of_the_odometer(self, effect: Any) -> None:
         for values in draws(effect):
             camera, mount = effect.corrected(CAMERA, MOUNT, values)
             assert camera == CAMERA and np.array_equal(mount.R_bs, MOUNT.R_bs)
             np.testing.assert_allclose(mount.p_bs[:2], effect.odometry(MOUNT.p_bs[:2], values), rtol=1e-12)
-            assert mount.p_bs[2] == MOUNT.p_bs[2], 'heights are free'
+            assert mount.p_bs[2] == MOUNT.p_bs[2], 'heights do not change'
 
-    def test_nothing_is_counted_at_rest(self, effect: Any) -> None:
+    def test_odometry_is_zero_at_rest(self, effect: Any) -> None:
         assert not np.any(effect.odometry(np.zeros(3), draws(effect)[1]))

@@ -1,4 +1,4 @@
-"""The benches: their arithmetic, and short trials."""
+"""The benches: their arithmetic, and short runs."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ SHORT = replace(find_scenario('lanes'), duration_s=40.0)
 
 
 @pytest.fixture(scope='module')
-def trial() -> BenchRun:
+def run() -> BenchRun:
     return run_bench(SHORT, 0, OURS, with_bound=True)
 
 
-def test_a_trial_tells_how_far_the_truth_is(trial: BenchRun) -> None:
-    assert not trial.diverged
-    assert abs(trial.early_error) < 1e-3 and abs(trial.settled_error) < 5e-4
-    assert trial.nees == pytest.approx((trial.final_error / trial.final_std) ** 2) and trial.nees < 9.0
-    assert trial.nis_per_dof == pytest.approx(1.0, abs=0.06)
-    assert 0.0 < trial.heading_rms_rad < math.radians(0.2)
+def test_a_run_has_errors_of_the_right_size(run: BenchRun) -> None:
+    assert not run.diverged
+    assert abs(run.early_error) < 1e-3 and abs(run.settled_error) < 5e-4
+    assert run.nees == pytest.approx((run.final_error / run.final_std) ** 2) and run.nees < 9.0
+    assert run.nis_per_dof == pytest.approx(1.0, abs=0.06)
+    assert 0.0 < run.heading_rms_rad < math.radians(0.2)
 
 
-def test_the_bound_is_a_bound_and_is_nearly_reached(trial: BenchRun) -> None:
-    assert 0.9 < trial.final_std / trial.bound_std < 1.1
-    assert bound_std(replace(SHORT, duration_s=20.0), 0) > trial.bound_std, 'more time, more knowledge'
+def test_the_standard_deviation_is_close_to_the_bound(run: BenchRun) -> None:
+    assert 0.9 < run.final_std / run.bound_std < 1.1
+    assert bound_std(replace(SHORT, duration_s=20.0), 0) > run.bound_std, 'a shorter run has less information'
 
 
-def test_a_trial_that_diverges_says_so() -> None:
-    trial = run_bench(SHORT, 0, CONVENTIONAL)
-    assert trial.diverged and math.isnan(trial.final_error)
+def test_a_run_that_diverges_is_marked() -> None:
+    run = run_bench(SHORT, 0, CONVENTIONAL)
+    assert run.diverged and math.isnan(run.final_error)
 
 
 def test_the_first_turn_ends_where_the_robot_has_turned() -> None:
@@ -54,7 +54,7 @@ def test_the_first_turn_ends_where_the_robot_has_turned() -> None:
     assert end_of_first_turn_s(standing) == 10.0
 
 
-def test_a_variant_changes_what_it_is_named_for() -> None:
+def test_a_variant_changes_settings_and_model() -> None:
     assert OURS.config(Config()) == Config() and OURS.model().bias.form == 'drift'
     features = PAPER.config(Config()).features
     assert (features.parametrisation, features.motion_gate_m) == ('camera_frame', 0.0)
@@ -62,13 +62,13 @@ def test_a_variant_changes_what_it_is_named_for() -> None:
     assert Variant('small', map_size=5).config(Config()).features.map_size == 5
 
 
-def test_rows_sum_up_over_seeds() -> None:
-    trials = [
+def test_rows_summarise_the_seeds() -> None:
+    runs = [
         BenchRun(0, 1e-3, -2e-4, 3e-5, 1e-5, 0.98, math.radians(0.1), 1e-5),
         BenchRun(1, -2e-3, 1e-4, -4e-5, 2e-5, 1.02, math.radians(0.1), 1.6e-5),
         BenchRun(2, *(math.nan,) * 6, diverged=True),
     ]
-    row = accuracy_row(cases(True)[0], trials)
+    row = accuracy_row(cases(True)[0], runs)
     assert (row['seeds'], row['diverged'], row['variant']) == (3, 1, 'inverse_depth')
     expected = {
         'early_max_percent': 0.2,
@@ -83,7 +83,7 @@ def test_rows_sum_up_over_seeds() -> None:
         'heading_rms_deg': 0.1,
     }
     assert {name: row[name] for name in expected} == pytest.approx(expected)
-    nothing = accuracy_row(cases(True)[0], trials[2:])
+    nothing = accuracy_row(cases(True)[0], runs[2:])
     assert nothing['final_rms_percent'] is None and nothing['nees'] is None
 
 
@@ -98,17 +98,17 @@ def negative(value: int) -> int:
     return -value
 
 
-def test_tasks_run_in_parallel_and_stay_in_order() -> None:
+def test_parallel_results_keep_the_order_of_the_tasks() -> None:
     assert list(in_parallel(negative, range(5))) == [0, -1, -2, -3, -4]
 
 
-def test_the_filter_is_timed_on_what_lies_in_memory() -> None:
+def test_the_filter_is_timed_on_measurements_in_memory() -> None:
     row = filter_alone(replace(SHORT, duration_s=5.0), repeats=1)
     assert row['times_real_time'] == pytest.approx(5.0 / row['wall_s'])
     assert '100 Hz' in row['case']
 
 
-def test_the_memory_of_a_process_is_its_own() -> None:
+def test_the_memory_of_a_process_excludes_that_of_its_parent() -> None:
     ours = np.ones(30_000_000)
     process = gyrocal_process('effects')
     assert 10.0 < process.peak_mb < 150.0 < ours.nbytes / 1e6
@@ -117,7 +117,7 @@ def test_the_memory_of_a_process_is_its_own() -> None:
 
 
 def test_dead_reckoning_with_the_camera_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In small: 40 s with the camera, then spins; once per process is enough."""
+    """The scenario is short: 40 s with the camera, then spins."""
     short = replace(
         find_scenario('blind_spins'),
         stages=(('lanes', 40.0), ('spins', 0.0)),
@@ -128,7 +128,7 @@ def test_dead_reckoning_with_the_camera_off(monkeypatch: pytest.MonkeyPatch) -> 
     calibrated, nominal = camera_off.ten_rotations(0)
     assert calibrated.heading_rad.shape == nominal.heading_rad.shape == (2,)
     assert np.degrees(np.abs(calibrated.heading_rad)).max() < 3.0
-    assert np.degrees(np.abs(nominal.heading_rad)).min() > 100.0, 'an eighth of ten rotations'
+    assert np.degrees(np.abs(nominal.heading_rad)).min() > 100.0, 'the nominal scale factor is 8 % too large'
 
 
 def test_the_table_has_a_row_for_each_case(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,7 +140,7 @@ def test_the_table_has_a_row_for_each_case(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize(
-    ('args', 'told'),
+    ('args', 'message'),
     [
         (['accuracy', '--only', 'lane'], "did you mean 'lanes'?"),
         (['blind', '--only', 'none', 'scale_cubi'], "did you mean 'scale_cubic'?"),
@@ -148,8 +148,8 @@ def test_the_table_has_a_row_for_each_case(monkeypatch: pytest.MonkeyPatch) -> N
         (['--only', 'lanes'], 'name accuracy or blind'),
     ],
 )
-def test_a_case_that_is_not_there_is_refused(
-    args: list[str], told: str, capsys: pytest.CaptureFixture[str]
+def test_an_unknown_case_is_refused(
+    args: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['bench', *args]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""From a recording to a calibration, end to end, on good recordings and on bad ones."""
+"""Calibration of good and of bad recordings, end to end."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ TRUE_SCALE = SensorErrors().scale_factor
 
 @cache
 def plain_run(scenario: str = 'cleaning', seed: int = 1) -> Run:
-    """A recording with nothing special, calibrated by the defaults."""
+    """Calibrate an ordinary recording with the default settings."""
     return calibrate(recording(scenario, seed), Config(), default_model())
 
 
@@ -72,7 +72,7 @@ def with_features(**changes: Any) -> Config:
 
 
 def assert_calibrated(run: Run, percent: float = 0.04, true_scale: float = TRUE_SCALE) -> None:
-    """The scale factor is right to so many per cent, and within 4 of its standard deviations."""
+    """Check the scale factor to a percentage, and to 4 of its standard deviations."""
     error = 1.0 + float(run.state.coefficients[0]) - true_scale
     std = math.sqrt(run.state.covariance[COEFFICIENTS_START, COEFFICIENTS_START])
     assert abs(error) < 4.0 * std
@@ -81,7 +81,7 @@ def assert_calibrated(run: Run, percent: float = 0.04, true_scale: float = TRUE_
 
 
 def same_estimates(run: Run, other: Run) -> bool:
-    """To the last bit, at every step."""
+    """Return True if the estimates are bit-identical at every step."""
     return np.array_equal(run.history.mean, other.history.mean) and np.array_equal(
         run.state.covariance, other.state.covariance
     )
@@ -107,7 +107,7 @@ def test_scale_and_bias_are_found(scenario: str, seed: int) -> None:
     assert calibration.convergence_time_s is not None and calibration.convergence_time_s < 25.0
 
 
-def test_the_doubt_is_honest_over_many_seeds() -> None:
+def test_errors_agree_with_the_standard_deviation_over_many_seeds() -> None:
     errors = []
     for seed in range(12):
         run = calibrate(recording('lanes', seed, 30.0), Config(), default_model())
@@ -121,7 +121,7 @@ def test_the_same_recording_gives_the_same_bits() -> None:
     assert same_estimates(again, plain_run())
 
 
-def test_ground_truth_is_never_read() -> None:
+def test_ground_truth_does_not_enter_the_estimate() -> None:
     def scrambled(sample: TruthSample) -> TruthSample:
         return replace(sample, position_m=(7.0, -3.0, 99.0), yaw_rad=math.sin(1e3 * sample.yaw_rad))
 
@@ -131,31 +131,31 @@ def test_ground_truth_is_never_read() -> None:
         )
 
 
-def test_progress_is_told() -> None:
-    told: list[Progress] = []
-    calibrate(recording(duration_s=20.0), Config(), default_model(), report=told.append)
-    times_s = [progress.done_s for progress in told]
+def test_progress_is_reported() -> None:
+    reported: list[Progress] = []
+    calibrate(recording(duration_s=20.0), Config(), default_model(), report=reported.append)
+    times_s = [progress.done_s for progress in reported]
     assert times_s == sorted(times_s) and len(times_s) == pytest.approx(20, abs=2)
-    assert all(progress.total_s == 20.0 for progress in told)
+    assert all(progress.total_s == 20.0 for progress in reported)
 
 
-def test_the_paper_s_points_calibrate_too() -> None:
+def test_the_parametrisation_of_the_paper_calibrates() -> None:
     config = with_features(parametrisation='camera_frame')
     assert_calibrated(calibrate(recording(), config, default_model()), percent=0.05)
 
 
-def test_conventional_points_calibrate_where_depths_are_known_better() -> None:
+def test_conventional_points_calibrate_with_better_known_depths() -> None:
     config = with_features(parametrisation='pixel', ray_std_m=0.3)
     assert_calibrated(calibrate(recording(), config, default_model()), percent=0.05)
 
 
-def test_conventional_points_fail_as_the_paper_says_and_say_so() -> None:
+def test_conventional_points_diverge_as_in_the_paper() -> None:
     with pytest.raises(FilterDivergedError, match='cleaning-1'):
         calibrate(recording(), with_features(parametrisation='pixel'), default_model())
 
 
-def test_a_map_that_is_full_keeps_what_it_sees() -> None:
-    """More features than the map holds are no worse than as many as it holds."""
+def test_a_full_map_keeps_the_features_in_view() -> None:
+    """More features than the size of the map give results as good as exactly that many."""
     few, many = (
         calibrate(recording(features=count), with_features(map_size=20), default_model())
         for count in (20, 40)
@@ -166,7 +166,7 @@ def test_a_map_that_is_full_keeps_what_it_sees() -> None:
     assert heading_rms_deg(many) == pytest.approx(heading_rms_deg(few), abs=0.03)
 
 
-def test_noise_of_the_pixels_is_found() -> None:
+def test_pixel_noise_is_estimated() -> None:
     for noise_px in (0.15, 1.2):
         errors = replace(SensorErrors(), pixel_noise_px=noise_px)
         run = calibrate(recording(errors=errors), Config(), default_model())
@@ -174,7 +174,7 @@ def test_noise_of_the_pixels_is_found() -> None:
         assert run.history.pixel_noise_px[-1] == pytest.approx(noise_px, rel=0.1)
 
 
-# --- recordings with holes ----------------------------------------------------------------------
+# --- recordings with missing measurements -------------------------------------------------------
 
 
 @pytest.mark.parametrize('step_s', [100.0, -100.0, 1.7e9, -1.6e9])
@@ -189,7 +189,7 @@ def test_a_step_of_the_clock_keeps_the_calibration(step_s: float) -> None:
     np.testing.assert_allclose(run.history.mean[before], plain.mean[: before.sum()], rtol=1e-8, atol=1e-11)
     np.testing.assert_allclose(run.history.std[-1, 9], plain.std[-1, 9], rtol=0.3)
     grown = run.history.std[run.history.time_s > 30.05][0]
-    assert grown[0] > 0.2 and grown[YAW] > math.radians(3.0), 'the pose is in doubt'
+    assert grown[0] > 0.2 and grown[YAW] > math.radians(3.0), 'the covariance of the pose grows'
     assert np.all(np.diff(run.history.time_s) > 0.0)
     assert run.history.time_s[-1] == pytest.approx(plain.time_s[-1], abs=0.1)
     assert conclude(run).convergence_time_s == conclude(plain_run()).convergence_time_s
@@ -201,17 +201,17 @@ def test_a_step_of_the_clock_keeps_the_calibration(step_s: float) -> None:
 
 
 @pytest.mark.parametrize(('from_s', 'to_s'), [(20.0, 21.0), (10.0, 30.0), (40.0, 1e6)])
-def test_a_gap_in_the_imu_is_survived(from_s: float, to_s: float) -> None:
+def test_calibration_continues_after_a_gap_in_the_imu(from_s: float, to_s: float) -> None:
     run = calibrate(ModifiedSource(recording(), without(ImuSample, from_s, to_s)), Config(), default_model())
     assert_calibrated(run)
     assert run.history.gap_s.sum() == pytest.approx(min(to_s, 60.0) - from_s, abs=0.1)
     drift = blind_drift(run, from_s=5.0, span_s=5.0)
     touched = (drift.start_s + 5.0 > from_s + 0.1) & (drift.start_s < to_s - 0.1)
-    assert len(touched) > 4 and not touched.any(), 'what happens in a gap is no drift of the gyro'
+    assert len(touched) > 4 and not touched.any(), 'spans with a gap do not count as drift'
 
 
-def test_a_gap_in_the_imu_is_not_standing_still() -> None:
-    """Camera and IMU are away while the wheels say rest: nobody knows whether somebody turned it."""
+def test_a_gap_in_the_imu_is_not_rest() -> None:
+    """The heading is unknown while camera and IMU are missing, even though the wheels are at rest."""
     hidden = (without(ImuSample, 1.0, 2.5), without(FeatureObservations, 1.0, 2.6))
     source = ModifiedSource(ModifiedSource(recording(), hidden[0]), hidden[1])
     history = calibrate(source, Config(), default_model()).history
@@ -222,7 +222,7 @@ def test_a_gap_in_the_imu_is_not_standing_still() -> None:
     assert stds[0] > math.radians(20.0) and stds[1] < math.radians(0.1)
 
 
-def test_a_covered_camera_is_survived() -> None:
+def test_calibration_continues_after_the_camera_was_covered() -> None:
     source = ModifiedSource(recording(), without(FeatureObservations, 20.0, 35.0))
     run = calibrate(source, Config(), default_model())
     assert_calibrated(run)
@@ -231,7 +231,7 @@ def test_a_covered_camera_is_survived() -> None:
 
 
 @pytest.mark.parametrize(('from_s', 'to_s'), [(20.0, 25.0), (-1.0, 1e6)])
-def test_missing_wheels_are_survived(from_s: float, to_s: float) -> None:
+def test_missing_wheels_do_no_harm(from_s: float, to_s: float) -> None:
     run = calibrate(
         ModifiedSource(recording(), without(WheelSample, from_s, to_s)), Config(), default_model()
     )
@@ -239,7 +239,7 @@ def test_missing_wheels_are_survived(from_s: float, to_s: float) -> None:
 
 
 @pytest.mark.parametrize('share', [0.02, 0.1])
-def test_outliers_are_left_out(share: float) -> None:
+def test_outliers_are_rejected(share: float) -> None:
     errors = replace(SensorErrors(), outliers=share)
     run = calibrate(recording(errors=errors), Config(), default_model())
     assert_calibrated(run)
@@ -247,7 +247,7 @@ def test_outliers_are_left_out(share: float) -> None:
     assert rejected == pytest.approx(0.95 * share, rel=0.15)  # one in twenty outliers is small
 
 
-# --- recordings that hold no answer -------------------------------------------------------------
+# --- recordings that cannot be calibrated -------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -260,14 +260,14 @@ def test_outliers_are_left_out(share: float) -> None:
     ],
     ids=['another recording', 'a second late', 'random', 'degrees'],
 )
-def test_nonsense_is_no_calibration(change: Modification) -> None:
+def test_contradictory_measurements_diverge(change: Modification) -> None:
     with pytest.raises(FilterDivergedError, match='changed cleaning-1') as caught:
         calibrate(ModifiedSource(recording(), change), Config(), default_model())
     assert caught.value.todo
 
 
 def straight_on() -> SimSource:
-    """A minute of driving straight, with a bias that alone would make a full turn of it."""
+    """Return a minute of driving straight, with a bias that accumulates to a full turn."""
     errors = replace(SensorErrors(), turn_on_bias_deg_s=3.0)
     driving_style = DrivingStyle(area_m=(24.0, 1.0))
     return recording('lanes', 2, room_m=(30.0, 5.0), driving_style=driving_style, errors=errors)
@@ -282,14 +282,14 @@ def straight_on() -> SimSource:
     ],
     ids=['standing', 'straight', 'covered'],
 )
-def test_what_cannot_be_known_is_not_told(source: Source, message: str) -> None:
+def test_an_unobservable_scale_factor_raises(source: Source, message: str) -> None:
     with pytest.raises(NotObservableError, match=message) as caught:
         calibrate(source, Config(), default_model())
     assert caught.value.where == source.name and caught.value.todo
 
 
 @pytest.mark.parametrize('kind', [ImuSample, object], ids=['no IMU', 'nothing'])
-def test_nothing_to_work_on_is_refused(kind: type[Any]) -> None:
+def test_a_recording_without_imu_samples_raises(kind: type[Any]) -> None:
     with pytest.raises(RecordingError, match='no stretch with IMU samples'):
         calibrate(ModifiedSource(recording(), without(kind)), Config(), default_model())
 
@@ -319,7 +319,7 @@ HIDDEN: dict[str, tuple[float, ...]] = {
 
 
 @pytest.mark.parametrize('name', HIDDEN)
-def test_a_hidden_effect_is_found_by_a_model_that_has_it(name: str) -> None:
+def test_a_model_with_the_hidden_effect_estimates_it(name: str) -> None:
     effect, values = find_effect(name), HIDDEN[name]
     source = recording(hidden=(HiddenEffect(effect, values),))
     model = SensorModel('with it', BiasModel(), (find_effect('scale_factor'), effect))
@@ -328,12 +328,12 @@ def test_a_hidden_effect_is_found_by_a_model_that_has_it(name: str) -> None:
     std = np.sqrt(np.diagonal(run.state.covariance))[COEFFICIENTS_START + 1 : run.state.robot_size]
     np.testing.assert_array_less(np.abs(run.state.coefficients[1:] - values), 4.0 * std)
     prior = [item.prior_std for item in effect.coefficients]
-    assert np.all(std < prior), 'something was learned'
+    assert np.all(std < prior), 'the coefficient is observable'
     assert run.history.nis.sum() / run.history.dof.sum() == pytest.approx(1.0, abs=0.06)
 
 
 @pytest.mark.parametrize(('name', 'limit'), [('rate_saturation', 60.0), ('rate_deadband', 0.3)])
-def test_a_limit_that_is_known_does_no_harm(name: str, limit: float) -> None:
+def test_a_known_limit_does_no_harm(name: str, limit: float) -> None:
     effect: Any = find_effect(name)
     item = replace(effect.coefficients[0], prior_mean=math.radians(limit))
     effect = replace(effect, coefficients=(item,))
@@ -345,21 +345,26 @@ def test_a_limit_that_is_known_does_no_harm(name: str, limit: float) -> None:
         assert abs(float(unaware.state.coefficients[0]) + 1.0 - TRUE_SCALE) > 0.01
 
 
-def test_a_candidate_shows_in_the_evidence() -> None:
-    """One pass without the effect tells its size, and the pass does not depend on who asks."""
+def test_score_statistics_estimate_a_candidate() -> None:
+    """One pass without the effect estimates its size, and candidates do not change the estimate."""
     cubic = find_effect('scale_cubic')
     source = recording(hidden=(HiddenEffect(cubic, (0.003,)),))
-    asked = calibrate(source, Config(), default_model(), candidates=(cubic, find_effect('turn_slip')))
+    with_candidates = calibrate(
+        source, Config(), default_model(), candidates=(cubic, find_effect('turn_slip'))
+    )
     plain = calibrate(source, Config(), default_model())
-    np.testing.assert_allclose(asked.history.mean, plain.history.mean, rtol=1e-9, atol=1e-12)
-    assert plain.scores is None and asked.scores is not None
-    information, score = asked.scores.information.sum(axis=0), asked.scores.score.sum(axis=0)
+    np.testing.assert_allclose(with_candidates.history.mean, plain.history.mean, rtol=1e-9, atol=1e-12)
+    assert plain.scores is None and with_candidates.scores is not None
+    information, score = (
+        with_candidates.scores.information.sum(axis=0),
+        with_candidates.scores.score.sum(axis=0),
+    )
     estimate = np.linalg.solve(information, score)
     assert estimate[0] == pytest.approx(0.003, rel=0.15)
     assert estimate[0] > 10.0 / math.sqrt(information[0, 0])
 
 
-def test_effects_on_images_need_pixels() -> None:
+def test_effects_on_images_require_pixels() -> None:
     model = SensorModel('tilted', BiasModel(), (find_effect('scale_factor'), find_effect('camera_tilt')))
     with pytest.raises(ConfigError, match='pixels'):
         calibrate(recording(), with_features(parametrisation='camera_frame'), model)
@@ -371,7 +376,7 @@ def test_effects_on_images_need_pixels() -> None:
 def by_heading(
     noise_deg: float = 0.2, offset_s: float = 0.0, sign: float = 1.0, scale: float = 1.0
 ) -> Source:
-    """The true heading, noisy and in a frame of its own, takes the place of the camera."""
+    """Return a recording with noisy headings, in a frame of their own, in place of the camera."""
     rng = np.random.default_rng(0)
 
     def heading(sample: TruthSample) -> HeadingSample:
@@ -392,7 +397,7 @@ def test_a_heading_reference_calibrates(offset_s: float) -> None:
     run = calibrate(by_heading(offset_s=offset_s), Config(), default_model())
     assert_calibrated(run, percent=0.1)
     assert [event.text for event in run.events] == (
-        ['the reference is stamped 100 ms too late; allowed for'] if offset_s else []
+        ['the reference is stamped 100 ms too late; this is corrected'] if offset_s else []
     )
 
 
@@ -402,10 +407,10 @@ def test_a_reference_that_does_not_fit_is_refused(change: dict[str, float]) -> N
         calibrate(by_heading(**change), Config(), default_model())
 
 
-# --- what is kept -------------------------------------------------------------------------------
+# --- calibration files --------------------------------------------------------------------------
 
 
-def test_a_calibration_is_kept_in_a_file(tmp_path: Path) -> None:
+def test_a_calibration_is_written_and_read_back(tmp_path: Path) -> None:
     effects = (find_effect('scale_factor'), find_effect('bias_warmup'))
     run = calibrate(recording(duration_s=20.0), Config(), SensorModel('warm', BiasModel(), effects, 2))
     calibration, file = conclude(run), tmp_path / 'calibration.yaml'
@@ -426,28 +431,28 @@ def test_a_calibration_is_kept_in_a_file(tmp_path: Path) -> None:
 def test_an_added_effect_is_announced() -> None:
     effects = (find_effect('scale_factor'), find_effect('bias_warmup'), find_effect('scale_cubic'))
     run = calibrate(recording(duration_s=20.0), Config(), SensorModel('mine', BiasModel(), effects, 3))
-    told = announcement(conclude(run))
-    assert told['gyro.model'] == 'mine 3'
+    parameters = announcement(conclude(run))
+    assert parameters['gyro.model'] == 'mine 3'
     names = ['scale_factor', 'bias_warmup.amplitude', 'bias_warmup.time_constant', 'scale_cubic']
-    assert told['gyro.coefficient_names'] == names
-    assert told['gyro.coefficients'] == run.state.coefficients.tolist()
-    assert told['gyro.coefficient_stds'] == pytest.approx(run.history.std[-1, COEFFICIENTS_START:])
-    assert told['gyro.scale_factor'] == 1.0 + run.state.coefficients[0]
-    assert told['gyro.bias'] == run.history.mean[-1, YAW_BIAS]
+    assert parameters['gyro.coefficient_names'] == names
+    assert parameters['gyro.coefficients'] == run.state.coefficients.tolist()
+    assert parameters['gyro.coefficient_stds'] == pytest.approx(run.history.std[-1, COEFFICIENTS_START:])
+    assert parameters['gyro.scale_factor'] == 1.0 + run.state.coefficients[0]
+    assert parameters['gyro.bias'] == run.history.mean[-1, YAW_BIAS]
 
 
-SPOILT: dict[str, Callable[[dict[str, Any]], Any]] = {
+INVALID: dict[str, Callable[[dict[str, Any]], Any]] = {
     'another file': lambda tree: {'camera': {'pixel_noise_px': 0.4}},
     'no model': lambda tree: tree.pop('model'),
     'no list of effects': lambda tree: tree.update(model=[]),
     'an unknown effect': lambda tree: tree['model'].update(effects=['scale_factr']),
     'a model with more': lambda tree: tree['model']['effects'].append('scale_cubic'),
     'a value that is a word': lambda tree: tree['coefficients']['bias'].update(value='small'),
-    'a value that is none': lambda tree: tree['coefficients']['bias'].update(value=math.nan),
+    'a value that is NaN': lambda tree: tree['coefficients']['bias'].update(value=math.nan),
     'a list of coefficients': lambda tree: tree.update(coefficients=[1.0]),
     'too small a covariance': lambda tree: tree.update(covariance=[[1.0]]),
     'a ragged covariance': lambda tree: tree.update(covariance=[[1.0, 0.0], [0.0]]),
-    'a lopsided covariance': lambda tree: tree.update(covariance=[[1.0, 0.5], [0.0, 1.0]]),
+    'an asymmetric covariance': lambda tree: tree.update(covariance=[[1.0, 0.5], [0.0, 1.0]]),
     'a negative variance': lambda tree: tree.update(covariance=[[1.0, 0.0], [0.0, -1.0]]),
     'a correlation beyond one': lambda tree: tree.update(covariance=[[1.0, 2.0], [2.0, 1.0]]),
     'an infinite end': lambda tree: tree['provenance'].update(end_ns=math.inf),
@@ -456,18 +461,18 @@ SPOILT: dict[str, Callable[[dict[str, Any]], Any]] = {
 }
 
 
-@pytest.mark.parametrize('how', SPOILT)
-def test_a_file_that_is_no_calibration_is_refused(how: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize('fault', INVALID)
+def test_an_invalid_calibration_file_is_refused(fault: str, tmp_path: Path) -> None:
     file = tmp_path / 'calibration.yaml'
     save_calibration(conclude(plain_run()), Config(), file)
     tree = yaml.safe_load(file.read_text(encoding='utf-8'))
-    result = SPOILT[how](tree)
-    file.write_text(yaml.safe_dump(result if how == 'another file' else tree))
+    result = INVALID[fault](tree)
+    file.write_text(yaml.safe_dump(result if fault == 'another file' else tree))
     with pytest.raises(ConfigError, match='calibration.yaml'):
         load_calibration(file)
 
 
-def test_a_calibration_to_start_from_saves_time(tmp_path: Path) -> None:
+def test_an_earlier_calibration_shortens_the_next_one(tmp_path: Path) -> None:
     file = tmp_path / 'calibration.yaml'
     save_calibration(conclude(plain_run()), Config(), file)
     known = load_calibration(file)
@@ -479,13 +484,13 @@ def test_a_calibration_to_start_from_saves_time(tmp_path: Path) -> None:
     assert warm.convergence_time_s == 0.0
     assert warm.scale_factor_std < min(cold.scale_factor_std, known.scale_factor_std)
     true_bias = source.truth.bias_rad_s[-1, 2]
-    assert abs(warm.values[0] - true_bias) < 4.0 * warm.stds[0], 'the bias of another day does not stick'
+    assert abs(warm.values[0] - true_bias) < 4.0 * warm.stds[0], 'the old bias has a large variance'
 
 
 # --- the filter, measurement by measurement -----------------------------------------------------
 
 
-def test_measurements_before_the_imu_and_at_one_moment_do_no_harm() -> None:
+def test_measurements_before_the_imu_and_duplicates_do_no_harm() -> None:
     def doubled(measurements: Any) -> Any:
         for item in measurements:
             yield item
@@ -496,7 +501,7 @@ def test_measurements_before_the_imu_and_at_one_moment_do_no_harm() -> None:
     assert_calibrated(calibrate(ModifiedSource(late_imu, doubled), Config(), default_model()))
 
 
-def test_an_image_without_features_is_no_measurement() -> None:
+def test_an_image_without_features_does_no_harm() -> None:
     def nothing(sample: FeatureObservations) -> FeatureObservations:
         if sample.t_ns % 7 < 3:
             return sample
@@ -509,7 +514,7 @@ def test_an_image_without_features_is_no_measurement() -> None:
     assert isinstance(run.rig.camera, CameraIntrinsics)
 
 
-def test_a_stream_gives_its_steps_as_soon_as_wheels_allow() -> None:
+def test_a_stream_returns_steps_as_soon_as_the_wheels_cover_them() -> None:
     source = recording()
     slam = VisualSlam(EkfSlam(default_model(), Config(), source.rig))
     newest_ns = 0

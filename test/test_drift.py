@@ -1,4 +1,4 @@
-"""How far the gyro alone goes astray: against hand-made sums, and frames that do not matter."""
+"""Blind drift: comparison with direct sums, and independence of the frame."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_turns_follow_the_coefficients(run: Run) -> None:
     np.testing.assert_allclose(more, 0.1 * run.history.turn_rad, atol=1e-12)
 
 
-def test_the_calibrated_gyro_finds_home_and_the_nominal_one_does_not(run: Run) -> None:
+def test_dead_reckoning_is_accurate_with_the_calibrated_gyro_only(run: Run) -> None:
     truth, bias = truth_path(run), float(run.history.mean[-1, YAW_BIAS])
     assert truth is not None
 
@@ -58,7 +58,7 @@ def test_the_calibrated_gyro_finds_home_and_the_nominal_one_does_not(run: Run) -
     assert heading_deg > 5.0
 
 
-def test_blind_drift_is_what_a_span_by_hand_gives(run: Run) -> None:
+def test_blind_drift_agrees_with_direct_sums(run: Run) -> None:
     history, drift = run.history, blind_drift(run, span_s=20.0)
     assert drift.reference == 'ground truth' and len(drift.start_s) >= 4
     truth = truth_path(run)
@@ -105,7 +105,7 @@ def test_without_truth_the_filter_is_the_reference(run: Run) -> None:
     )
 
 
-def test_another_reference_may_be_given(run: Run) -> None:
+def test_the_reference_can_be_given(run: Run) -> None:
     history = run.history
     wrong = Trajectory2D(history.time_s, history.mean[:, :2], history.mean[:, YAW] + 0.001 * history.time_s)
     drift = blind_drift(run, (wrong, 'drifting'), span_s=20.0)
@@ -120,14 +120,14 @@ def test_a_run_that_is_too_short_has_no_drift(run: Run) -> None:
 
 
 def random_drift(rng: np.random.Generator, length_s: float, size_deg: float) -> BlindDrift:
-    """Spans of 60 s over a heading that the gyro's white noise carries away."""
+    """Return spans of 60 s over a heading that drifts by the white noise of the gyro."""
     steps = int(length_s / STRIDE_S) + 12
     walk = np.cumsum(rng.normal(0.0, math.radians(size_deg) / math.sqrt(12.0), steps + 1))
     error = walk[12:] - walk[:-12]
     return BlindDrift(60.0, STRIDE_S * np.arange(len(error)), error, 'slam')
 
 
-def test_the_interval_of_the_drift_holds_in_nine_of_ten_recordings() -> None:
+def test_the_interval_of_the_drift_covers_90_per_cent() -> None:
     rng = np.random.default_rng(1)
     drifts = [random_drift(rng, 240.0, 0.5) for _ in range(1000)]
     inside = np.mean([low < 0.5 < high for low, high in (drift.interval_deg for drift in drifts)])
@@ -138,7 +138,7 @@ def test_the_interval_of_the_drift_holds_in_nine_of_ten_recordings() -> None:
     assert short.interval_deg[0] < short.rms_deg
 
 
-def test_a_drift_is_smaller_by_more_than_chance_or_not() -> None:
+def test_the_significance_of_a_smaller_drift() -> None:
     rng = np.random.default_rng(2)
     pairs = [[random_drift(rng, 120.0, 0.5) for _ in range(2)] for _ in range(500)]
     sigmas = np.array([better_sigma(*pair) for pair in pairs])
@@ -161,7 +161,7 @@ def test_the_final_coefficients_fit_best(run: Run) -> None:
     )
 
 
-def test_models_are_judged_in_the_second_half_or_by_the_last_spans(run: Run) -> None:
+def test_held_out_spans_are_in_the_second_half_or_at_the_end(run: Run) -> None:
     def from_s(end_s: float) -> float:
         stretched = run.history.time_s * end_s / run.history.time_s[-1]
         return held_out_from_s(replace(run, history=replace(run.history, time_s=stretched)))

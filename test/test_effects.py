@@ -1,4 +1,4 @@
-"""Every effect of the library against its contract, and `model.yaml`."""
+"""Contracts of all effects of the library, properties of single effects, and `model.yaml`."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ CONTRACTS: dict[str, type[EffectContract]] = {}
 
 
 def acting_on(*places: str) -> Callable[[type[EffectContract]], type[EffectContract]]:
-    """Run the contract with every effect that acts at these places."""
+    """Parametrise a contract over the effects that act at the given places."""
     effects = [effect for effect in ALL if effect.acts_on in places]
     mark = pytest.mark.parametrize('effect', effects, ids=lambda effect: effect.name)
 
@@ -104,7 +104,7 @@ def term(name: str, block: MotionBlock, *values: float, memory: Memory = None) -
     return effect.contribute(block, np.array(values), memory)
 
 
-def test_effects_are_registered_by_their_names() -> None:
+def test_effects_are_stored_by_their_names() -> None:
     assert all(effect.name == name for name, effect in EFFECTS.items())
 
 
@@ -119,21 +119,21 @@ def test_powers_of_the_nominal_rate() -> None:
     assert units == ['1', 's/rad', 's^2/rad^2', 's^4/rad^4']
 
 
-def test_warmup_fades_to_zero() -> None:
+def test_warmup_vanishes_long_after_power_on() -> None:
     for time_s, expected in ((0.0, -0.01), (300.0, -0.01 / math.e), (1e5, 0.0)):
         block = replace(eventful_block(2), time_s=np.full(2, time_s))
         assert term('bias_warmup', block, 0.01, 300.0).rate_rad_s == pytest.approx(expected)
 
 
 @pytest.mark.parametrize('name', ['bias_warmup', 'turn_hysteresis'])
-def test_any_time_constant_is_accepted(name: str) -> None:
+def test_any_time_constant_gives_finite_values(name: str) -> None:
     for time_constant in (-5.0, 0.0, 1e-9, 1e9):
         found = term(name, eventful_block(), 0.01, time_constant)
         assert np.isfinite(found.rate_rad_s).all() and np.isfinite(found.by_values).all()
 
 
-def test_hysteresis_is_a_fading_memory_of_the_turns() -> None:
-    """After a turn of 1 rad/s for 5 s, tau = 20 s: h = 1 - exp(-5/20), which then fades."""
+def test_hysteresis_is_a_low_pass_of_the_turns() -> None:
+    """After a turn of 1 rad/s for 5 s, with tau = 20 s, h is 1 - exp(-5/20); then it decays."""
     turning = replace(
         eventful_block(1000), dt_s=np.full(1000, 0.005), rate_rad_s=np.tile([0.0, 0.0, 1.0], (1000, 1))
     )
@@ -160,7 +160,7 @@ def test_hysteresis_does_not_depend_on_the_blocks() -> None:
     np.testing.assert_allclose(np.concatenate(parts), term('turn_hysteresis', whole, 0.1, 20.0).rate_rad_s)
 
 
-def test_the_rate_lost_by_saturation_is_taken_from_the_wheels() -> None:
+def test_clipped_rates_are_replaced_by_those_of_the_wheels() -> None:
     block, limit = eventful_block(), 1.0
     clipped = replace(block, rate_rad_s=np.clip(block.rate_rad_s, -limit, limit))
     found = term('rate_saturation', clipped, limit)
@@ -171,7 +171,7 @@ def test_the_rate_lost_by_saturation_is_taken_from_the_wheels() -> None:
     np.testing.assert_array_equal(found.noise_rad_s > 0.0, over)
 
 
-def test_the_rate_lost_in_the_dead_band_has_its_noise() -> None:
+def test_rates_in_the_dead_band_have_a_standard_deviation() -> None:
     block = eventful_block()
     found = term('rate_deadband', block, 0.5)
     assert found.noise_rad_s is not None
@@ -188,12 +188,12 @@ def test_the_rate_lost_in_the_dead_band_has_its_noise() -> None:
         (f'covariate_scale:{SIGNAL}', {'covariates': {}}),
     ],
 )
-def test_an_effect_vanishes_where_its_signal_is_missing(name: str, missing: dict[str, Any]) -> None:
+def test_a_missing_signal_contributes_nothing(name: str, missing: dict[str, Any]) -> None:
     found = term(name, replace(eventful_block(), **missing), 0.1)
     assert not found.rate_rad_s.any() and not found.by_values.any()
 
 
-def test_covariate_effects_count_from_their_reference() -> None:
+def test_covariates_are_relative_to_their_reference() -> None:
     tree = {'effects': ['scale_factor', {'name': f'covariate_bias:{SIGNAL}', 'reference': 15.0}]}
     effect = model_from_dict(tree, 'm.yaml').effects[1]
     assert isinstance(effect, CovariateBias)
@@ -212,7 +212,7 @@ def test_covariate_effects_count_from_their_reference() -> None:
         ('qqq', 'known are'),
     ],
 )
-def test_an_unknown_effect_is_refused_with_the_nearest(name: str, hint: str) -> None:
+def test_an_unknown_effect_is_refused_with_a_suggestion(name: str, hint: str) -> None:
     with pytest.raises(ConfigError, match=hint) as caught:
         find_effect(name, 'my_model.yaml')
     assert caught.value.where == 'my_model.yaml'
@@ -253,13 +253,13 @@ def test_a_model_is_written_and_read_back(tmp_path: Path) -> None:
     assert load_model(file) == model
 
 
-def test_a_model_without_a_name_is_called_after_its_file(tmp_path: Path) -> None:
+def test_a_model_without_a_name_takes_that_of_its_file(tmp_path: Path) -> None:
     file = tmp_path / 'warm.yaml'
     file.write_text('effects: [scale_factor, bias_warmup]')
     assert load_model(file).name == 'warm'
 
 
-def test_names_of_coefficients_are_given_where_there_are_several() -> None:
+def test_names_of_several_coefficients_contain_that_of_the_effect() -> None:
     assert coefficient_names(find_effect('scale_cubic')) == ('scale_cubic',)
     assert coefficient_names(find_effect('cross_axis')) == ('cross_axis.mx', 'cross_axis.my')
 
@@ -313,14 +313,14 @@ def test_corrections_of_all_effects_add_up() -> None:
         ({'effects': ['scale_factor'], 'bias': {'form': 'settling', 'settled_deg_s': math.nan}}, 'nan'),
     ],
 )
-def test_a_model_that_cannot_be_used_is_refused(tree: dict[str, Any], message: str) -> None:
+def test_an_invalid_model_is_refused(tree: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message) as caught:
         model_from_dict(tree, 'my_model.yaml')
     assert 'my_model.yaml' in caught.value.where
 
 
 @pytest.mark.parametrize('text', ['', '[scale_factor]', 'effects: [', '\x00'])
-def test_a_file_that_is_no_model_is_refused(text: str, tmp_path: Path) -> None:
+def test_an_invalid_model_file_is_refused(text: str, tmp_path: Path) -> None:
     file = tmp_path / 'model.yaml'
     file.write_text(text)
     with pytest.raises(ConfigError, match='model.yaml'):
@@ -332,6 +332,6 @@ def test_a_missing_model_is_refused(tmp_path: Path) -> None:
         load_model(tmp_path / 'none.yaml')
 
 
-def test_every_effect_goes_through_the_file_of_a_model() -> None:
+def test_every_effect_is_written_and_read_back() -> None:
     model = model_from_dict({'name': 'all', 'effects': list(EFFECTS)}, 'all.yaml')
     assert model_from_dict(model_to_dict(model), 'all.yaml') == model

@@ -1,4 +1,4 @@
-"""Every feature parametrisation against its contract, and what is special to one of them."""
+"""Contracts of all feature parametrisations, and properties of single ones."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def test_the_table_and_the_setting_agree() -> None:
     assert FEATURES.parametrisation == 'inverse_depth'
 
 
-def test_only_the_paper_needs_its_motion_gate() -> None:
+def test_only_the_form_of_the_paper_has_a_motion_gate() -> None:
     assert [name for name, form in PARAMETRISATIONS.items() if form.needs_motion_gate] == ['camera_frame']
 
 
-def test_points_go_to_the_camera_and_back() -> None:
+def test_transforms_to_the_camera_and_back_are_inverse() -> None:
     view = view_at(LATER_POSE)
     points_w = np.array([[1.0, -0.5, 2.6], [0.2, 0.3, 2.1]])
     points_c, _, _ = points_in_camera(view, points_w)
@@ -40,8 +40,8 @@ def test_points_go_to_the_camera_and_back() -> None:
     np.testing.assert_allclose(points_c, (points_w - view.p_wc) @ view.R_wc, atol=1e-12)
 
 
-def test_rays_lie_at_their_range_in_every_quadrant() -> None:
-    """Where the paper's arctangents would lose the quadrant: left of and above the image centre."""
+def test_rays_have_their_range_in_every_quadrant() -> None:
+    """The paper's arctangents would lose the quadrant left of and above the image centre."""
     corners = np.array([[10.0, 10.0], [630.0, 10.0], [10.0, 470.0], [630.0, 470.0]])
     points_c = ray_points(CAMERA, corners, 5.0)
     np.testing.assert_allclose(np.linalg.norm(points_c, axis=1), 5.0)
@@ -57,21 +57,21 @@ def test_ray_noise_has_the_axes_of_the_paper() -> None:
         assert abs(axes[:, 2] @ point) == pytest.approx(5.0)
 
 
-def test_cross_noise_is_the_figure_of_the_paper() -> None:
-    """1.25 cm: d = 5 m, f = 200 px, and 0.5 px of tracking and calibration error together."""
+def test_cross_noise_agrees_with_the_paper() -> None:
+    """It is 1.25 cm for d = 5 m, f = 200 px, and 0.5 px of tracking and calibration error together."""
     camera = replace(CAMERA, fx_px=200.0, fy_px=200.0)
     config = replace(FEATURES, prior_depth_m=5.0, calibration_noise_px=0.3)
     assert cross_std(camera, 0.4, config) == pytest.approx(0.0125)
 
 
-def test_inverse_depth_hardly_moves_the_pixel_without_parallax() -> None:
+def test_without_parallax_the_pixel_does_not_depend_on_inverse_depth() -> None:
     form, view = AnchoredInverseDepth(), view_at(FIRST_POSE)
     new = form.initialise(view, PIXELS, 0.4, FEATURES)
     prediction = form.predict(view, new.parameters, new.anchors)
     np.testing.assert_allclose(prediction.by_feature[:, :, 2], 0.0, atol=1e-10)
 
 
-def test_inverse_depth_that_is_not_positive_is_far_away() -> None:
+def test_a_nonpositive_inverse_depth_is_far_away() -> None:
     anchors = Anchors(np.eye(3)[None], np.zeros((1, 3)))
     for inverse_depth in (0.0, -0.3):
         point, by_parameters = AnchoredInverseDepth().world(np.array([[0.1, 0.2, inverse_depth]]), anchors)
@@ -79,7 +79,7 @@ def test_inverse_depth_that_is_not_positive_is_far_away() -> None:
         assert point[0, 2] >= 1000.0
 
 
-def test_anchors_join_and_are_chosen_by_rows() -> None:
+def test_anchors_are_joined_and_selected_by_rows() -> None:
     one = Anchors(np.eye(3)[None], np.array([[1.0, 2.0, 3.0]]))
     both = no_anchors(2).joined(one)
     assert both.R_wc.shape == (3, 3, 3) and both.p_wc.shape == (3, 3)

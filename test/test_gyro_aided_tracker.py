@@ -283,7 +283,7 @@ def test_the_filter_uses_images_and_their_own_noise() -> None:
     stream = VisualSlam(slam)
     for item in source.measurements():
         stream.step(item)
-    used = sum(record.image.used for record in stream.finish())
+    used = sum(record.update.used for record in stream.finish())
     assert used > 10 or len(slam.state.landmarks.ids) > 10
     assert slam.pixel_noise.std < 0.2, 'the noise of recorded features is not used'
 

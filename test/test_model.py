@@ -1,4 +1,4 @@
-"""The paper's formulas: attitude, motion, camera, bias."""
+"""The formulas of the paper: attitude, motion, camera, bias."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ ATTITUDES = [np.array(euler) for euler in ([0, 0, 0], [0.1, -0.2, 3.0], [-0.7, 1
 
 @pytest.mark.parametrize('euler', ATTITUDES, ids=str)
 class TestRotation:
-    def test_matrix_is_that_of_z_y_x_angles(self, euler: Array) -> None:
+    def test_matrix_agrees_with_z_y_x_angles(self, euler: Array) -> None:
         expected = Rotation.from_euler('ZYX', euler[::-1]).as_matrix()
         np.testing.assert_allclose(rotation_from_euler(euler), expected, atol=1e-15)
 
@@ -41,8 +41,8 @@ class TestRotation:
         expected = differences(rotation_from_euler, euler).transpose(2, 0, 1)
         np.testing.assert_allclose(rotation_derivatives(euler), expected, atol=1e-9)
 
-    def test_body_rates_turn_into_angle_rates(self, euler: Array) -> None:
-        """`R exp([w] dt)` has the angles `euler + E w dt`."""
+    def test_body_rates_convert_to_angle_rates(self, euler: Array) -> None:
+        """The angles of `R exp([w] dt)` are `euler + E w dt`."""
         rate = np.array([0.3, -0.5, 0.8])
 
         def attitude(turn: Array) -> Array:
@@ -56,11 +56,11 @@ class TestRotation:
 # --- kinematics ---------------------------------------------------------------------------------
 
 FRAME_S = 0.07
-"""About what lies between two images."""
+"""Interval between two images."""
 
 
 def drive(intervals: int, tilt_rad: float, seed: int = 0) -> tuple[Array, Array, Array, Array]:
-    """A start pose (6,), body rates, intervals and steps of a turn at 92 deg/s over a rough floor."""
+    """Return a start pose (6,), body rates, intervals and steps of a turn at 92 deg/s over a rough floor."""
     rng = np.random.default_rng(seed)
     dt_s = rng.uniform(0.9, 1.1, intervals) * FRAME_S / intervals
     rate = np.column_stack([rng.normal(0.0, 5.0 * tilt_rad, (intervals, 2)), np.full(intervals, 1.6)])
@@ -72,8 +72,10 @@ def step(pose: Array, rate: Array, dt_s: Array, distance_m: Array) -> Array:
     return np.concatenate([motion.position_m, motion.euler_rad])
 
 
-def finely(pose: Array, rate: Array, dt_s: Array, distance_m: Array, steps: int = 200) -> tuple[Array, Array]:
-    """Position and attitude matrix by turning and moving in many small steps."""
+def fine_integration(
+    pose: Array, rate: Array, dt_s: Array, distance_m: Array, steps: int = 200
+) -> tuple[Array, Array]:
+    """Integrate position and attitude matrix in many small steps."""
     position, attitude = pose[:3].copy(), rotation_from_euler(pose[3:])
     for rates, interval, distance in zip(rate, dt_s, distance_m, strict=True):
         half = Rotation.from_rotvec(rates * interval / steps / 2.0).as_matrix()
@@ -88,7 +90,7 @@ def finely(pose: Array, rate: Array, dt_s: Array, distance_m: Array, steps: int 
 @pytest.mark.parametrize('intervals', [7, 14])
 def test_integration_agrees_with_a_fine_one(intervals: int, tilt_deg: float) -> None:
     drawn = drive(intervals, math.radians(tilt_deg))
-    position, attitude = finely(*drawn)
+    position, attitude = fine_integration(*drawn)
     after = step(*drawn)
     turn_rad = 1.6 * FRAME_S / intervals
     np.testing.assert_allclose(
@@ -97,7 +99,7 @@ def test_integration_agrees_with_a_fine_one(intervals: int, tilt_deg: float) -> 
     np.testing.assert_allclose(after[:3], position, atol=1e-6)
 
 
-def test_yaw_on_a_level_floor_is_exact_and_goes_on_beyond_half_a_turn() -> None:
+def test_yaw_on_a_level_floor_is_exact_and_not_wrapped() -> None:
     count = 500
     dt_s, rate = np.full(count, 0.01), np.zeros((count, 3))
     rate[:, 2] = np.linspace(0.0, 3.0, count)
@@ -105,7 +107,7 @@ def test_yaw_on_a_level_floor_is_exact_and_goes_on_beyond_half_a_turn() -> None:
     assert motion.euler_rad[2] == pytest.approx(3.0 + rate[:, 2] @ dt_s, rel=1e-14)
 
 
-def test_a_full_circle_comes_back() -> None:
+def test_a_full_circle_is_closed() -> None:
     count, radius_m = 720, 0.5
     rate = np.tile([0.0, 0.0, 1.0], (count, 1))
     dt_s = np.full(count, 2.0 * math.pi / count)
@@ -114,7 +116,7 @@ def test_a_full_circle_comes_back() -> None:
 
 
 class TestDerivativesOfMotion:
-    """To first order in what happens inside the block, so they fit a short block better."""
+    """The derivatives are of first order in the motion inside the block: better for a short block."""
 
     @pytest.fixture(params=[(1, 0.0), (7, 0.01), (14, 0.05)], ids=str)
     def drawn(self, request: pytest.FixtureRequest) -> tuple[Array, Array, Array, Array]:
@@ -155,7 +157,7 @@ class TestCamera:
         expected, _ = cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion))
         np.testing.assert_allclose(project(camera, POINTS), expected[:, 0], atol=1e-9)
 
-    def test_only_the_direction_counts(self, camera: CameraIntrinsics) -> None:
+    def test_only_the_direction_matters(self, camera: CameraIntrinsics) -> None:
         np.testing.assert_allclose(project(camera, 7.0 * POINTS), project(camera, POINTS), atol=1e-9)
 
     def test_derivative(self, camera: CameraIntrinsics) -> None:
@@ -174,7 +176,7 @@ class TestCamera:
         np.testing.assert_allclose(bearing_jacobian(camera, bearing(camera, pixels)), expected, atol=1e-9)
 
 
-def test_points_at_or_behind_the_camera_give_numbers() -> None:
+def test_points_at_or_behind_the_camera_give_finite_pixels() -> None:
     points = np.array([[0.1, 0.2, 0.0], [0.1, 0.2, -2.0], [0.0, 0.0, 0.0]])
     assert np.isfinite(project(CAMERA, points)).all()
     assert all(np.isfinite(part).all() for part in project_with_jacobian(CAMERA, points))
@@ -187,7 +189,7 @@ def test_inside_the_image() -> None:
 
 
 def test_mount_by_yaw() -> None:
-    """-90 deg: the right of the image is the right of the robot, and its bottom is behind it."""
+    """At -90 deg the right of the image is the right of the robot, and its bottom points backwards."""
     mount = mount_from_yaw(0.1, 0.0, 0.2, -90.0)
     np.testing.assert_allclose(mount.R_bs @ [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], atol=1e-15)
     np.testing.assert_allclose(mount.R_bs @ [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], atol=1e-15)
@@ -198,11 +200,11 @@ def test_mount_by_yaw() -> None:
 # --- gyro ---------------------------------------------------------------------------------------
 
 
-def test_a_drifting_bias_stays() -> None:
+def test_a_drifting_bias_has_a_constant_mean() -> None:
     assert BiasModel().step(0.02, 100.0) == (0.02, 1.0)
 
 
-def test_a_settling_bias_is_the_paper_s_however_it_is_stepped() -> None:
+def test_a_settling_bias_follows_the_paper_for_any_step() -> None:
     model = BiasModel('settling', 500.0, 0.03)
     at_once, slope = model.step(0.01, 60.0)
     bias = 0.01
@@ -225,7 +227,7 @@ def test_corrections_of_all_terms_add_up() -> None:
     np.testing.assert_allclose(columns, np.stack([rate, rate**3], axis=1))
 
 
-def test_body_rates_take_biases_and_correction() -> None:
+def test_body_rates_contain_biases_and_correction() -> None:
     block, nominal = eventful_block(), eventful_block().rate_rad_s
     bias, added = np.array([0.01, -0.02, 0.03]), np.linspace(0.0, 0.1, 12)
     rates = body_rates(block, Correction(added, np.zeros((12, 0)), 0.0, ()), bias)

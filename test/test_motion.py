@@ -18,7 +18,7 @@ from gyrocal_ros.data import (
     nanoseconds,
     seconds,
 )
-from gyrocal_ros.ekf.motion import GAP_NS, WHEEL_PATIENCE_NS, MotionBuffer
+from gyrocal_ros.ekf.motion import GAP_NS, WHEEL_TIMEOUT_NS, MotionBuffer
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -101,7 +101,7 @@ def test_blocks_partition_the_whole_turn_and_the_whole_distance() -> None:
 
 
 @pytest.mark.parametrize('block_s', [0.03, 0.1, 0.25])
-def test_vibration_is_the_variance_about_the_trend_whatever_the_blocks(block_s: float) -> None:
+def test_vibration_is_the_variance_about_the_trend_for_any_blocks(block_s: float) -> None:
     buffer, rng = MotionBuffer(), np.random.default_rng(0)
     for i in range(4001):
         x, y, z = 0.2 * rng.standard_normal(3)
@@ -149,25 +149,25 @@ def test_slow_samples_are_not_a_gap() -> None:
     assert gaps(buffer, [0.0, 0.25, 0.5]) == [0.0, 0.0]
 
 
-def test_a_short_hole_counts_less_than_a_gap() -> None:
+def test_a_dropout_counts_less_than_a_gap() -> None:
     buffer = MotionBuffer()
     for i in range(121):
         if not 60 < i < 70:
             buffer.add(imu(i / 200.0))
-    hole_s = 0.05
-    assert gaps(buffer, [0.0, 0.25, 0.32, 0.5]) == pytest.approx([0.0, 0.02 * hole_s, 0.03 * hole_s])
+    dropout_s = 0.05
+    assert gaps(buffer, [0.0, 0.25, 0.32, 0.5]) == pytest.approx([0.0, 0.02 * dropout_s, 0.03 * dropout_s])
 
 
-def test_holes_are_counted_while_most_samples_are_lost() -> None:
+def test_dropouts_are_counted_while_most_samples_are_lost() -> None:
     rng = np.random.default_rng(0)
     buffer = MotionBuffer()
     times_s = [i / 200.0 for i in range(6001) if i < 200 or rng.random() < 0.2 or i == 6000]
     for time_s in times_s:
         buffer.add(imu(time_s))
-    holes = [b - a for a, b in pairwise(times_s) if 0.021 < b - a <= seconds(GAP_NS)]
+    dropouts = [b - a for a, b in pairwise(times_s) if 0.021 < b - a <= seconds(GAP_NS)]
     wide = [b - a for a, b in pairwise(times_s) if b - a > seconds(GAP_NS)]
     gap_s = buffer.cut(at(0.0), at(30.0)).gap_s
-    assert gap_s == pytest.approx(sum(wide) + sum(np.square(holes)), rel=0.1)
+    assert gap_s == pytest.approx(sum(wide) + sum(np.square(dropouts)), rel=0.1)
     assert gap_s > 0.3
 
 
@@ -190,7 +190,7 @@ def test_blocks_wait_for_the_wheels_until_a_timeout() -> None:
     buffer.add(wheels(0.2))
     assert buffer.covered_until_ns() == at(0.1)
     buffer.add(imu(0.9))
-    assert buffer.covered_until_ns() == at(0.9) - WHEEL_PATIENCE_NS
+    assert buffer.covered_until_ns() == at(0.9) - WHEEL_TIMEOUT_NS
 
 
 def test_blocks_do_not_wait_without_wheels() -> None:

@@ -9,9 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal_ros.bench.paper import at_rest, convergence, landmark, mapping, rate_table, tracks, unseen
+from gyrocal_ros.bench.paper import (
+    at_rest,
+    convergence,
+    landmark,
+    mapping,
+    rate_table,
+    tracks,
+    without_camera,
+)
 from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, Experiment
-from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, assessed
+from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, assess
 from gyrocal_ros.cli import reproduce, reproduced
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.sim.scenarios import find_scenario
@@ -64,9 +72,9 @@ def test_a_gyro_that_warms_up_reads_as_in_the_paper(monkeypatch: pytest.MonkeyPa
 
 def test_the_rate_table_measures_the_scale_factor_at_every_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rate_table, 'RATES_DEG_S', np.array([30.0, 90.0]))
-    straight, straight_std = rate_table.on_the_table(rate_table.SAMPLES[0], 0)
+    straight, straight_std = rate_table.measure_on_table(rate_table.SAMPLES[0], 0)
     assert np.all(np.abs(straight - 135.40) < 6.0 * straight_std)
-    bent, _ = rate_table.on_the_table(rate_table.SAMPLES[3], 0)
+    bent, _ = rate_table.measure_on_table(rate_table.SAMPLES[3], 0)
     expected = (
         135.48 + NOMINAL_VOLT * rate_table.BEND * (np.array([30.0, 90.0]) * NOMINAL_VOLT / 13548.0) ** 2
     )
@@ -74,12 +82,12 @@ def test_the_rate_table_measures_the_scale_factor_at_every_rate(monkeypatch: pyt
 
 
 def test_a_data_sheet_is_converted_to_a_wandering_bias() -> None:
-    errors = unseen.Gyro('some', 0.008, 8.0).put_in(SensorErrors())
+    errors = without_camera.Gyro('some', 0.008, 8.0).in_robot(SensorErrors())
     noise, walk = 28.8, errors.bias_wander_deg_h * np.sqrt(2.0 / errors.bias_wander_time_s)
     time_s = np.geomspace(1.0, 1e4, 2000)
     allan = np.sqrt(noise**2 / time_s + walk**2 * time_s / 3.0)
     assert allan.min() == pytest.approx(8.0, rel=1e-3)
-    usual = unseen.GYROS[1].put_in(SensorErrors())
+    usual = without_camera.GYROS[1].in_robot(SensorErrors())
     assert usual.bias_wander_deg_h == pytest.approx(SensorErrors().bias_wander_deg_h, rel=0.01)
 
 
@@ -90,9 +98,9 @@ def test_ten_rotations_show_the_error_of_the_nominal_scale_factor(monkeypatch: p
         duration_s=160.0,
         camera_until_s=40.0,
     )
-    monkeypatch.setattr(unseen, 'find_scenario', lambda name: short)
-    monkeypatch.setattr(unseen, 'RUNS', 2)
-    result = unseen.table_1(map, 2)
+    monkeypatch.setattr(without_camera, 'find_scenario', lambda name: short)
+    monkeypatch.setattr(without_camera, 'RUNS', 2)
+    result = without_camera.table_1(map, 2)
     assert np.sign(result.nominal_deg).tolist() == [1.0, -1.0], 'one run to each side'
     assert np.abs(result.nominal_deg) == pytest.approx([25.0, 25.0], abs=2.0)
     assert np.abs(result.calibrated_deg).max() < 3.0
@@ -100,9 +108,11 @@ def test_ten_rotations_show_the_error_of_the_nominal_scale_factor(monkeypatch: p
 
 
 def test_each_part_has_its_own_scale_factor_in_all_its_runs() -> None:
-    parts = [unseen.part_of(number) for number in range(unseen.PARTS * unseen.REPEATS)]
-    assert len(set(parts)) == unseen.PARTS
-    assert parts[0] == parts[unseen.REPEATS - 1] != parts[unseen.REPEATS]
+    parts = [
+        without_camera.part_of(number) for number in range(without_camera.PARTS * without_camera.REPEATS)
+    ]
+    assert len(set(parts)) == without_camera.PARTS
+    assert parts[0] == parts[without_camera.REPEATS - 1] != parts[without_camera.REPEATS]
 
 
 def test_tracks_start_at_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,11 +184,11 @@ def test_an_unknown_name_is_refused_before_any_work(
 
 
 def test_a_claim_holds_or_not() -> None:
-    assert assessed('a claim', '1 m', '2 m', True).verdict == 'holds'
-    assert assessed('a claim', '1 m', '0 m', False).verdict == 'does not hold'
+    assert assess('a claim', '1 m', '2 m', True).verdict == 'holds'
+    assert assess('a claim', '1 m', '0 m', False).verdict == 'does not hold'
 
 
 def test_some_experiments_have_a_fixed_number_of_runs() -> None:
     assert EXPERIMENTS['fig15'].count(None) == 200 and EXPERIMENTS['fig15'].count(7) == 7
     assert EXPERIMENTS['fig11'].count(3) == EXPERIMENTS['fig11'].count(50) == 12
-    assert EXPERIMENTS['table1'].count(3) == unseen.RUNS
+    assert EXPERIMENTS['table1'].count(3) == without_camera.RUNS

@@ -1,4 +1,4 @@
-"""Wheels of another size: the path stays in the odometer's metres, and only the camera's lever arm tells."""
+"""Wheels of another size: the path stays in metres of the odometer; only the camera's lever arm shows it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SLIP = HiddenEffect(find_effect('turn_slip'), (SLIP_M,))
 
 
 def larger_wheels(*more: HiddenEffect) -> SimSource:
-    """A drive by wheels that are larger than believed."""
+    """Return a drive with wheels that are larger than assumed."""
     return recording('cleaning', 2, 100.0, (WHEELS, *more))
 
 
@@ -43,27 +43,27 @@ def model_with(*names: str) -> SensorModel:
 
 @cache
 def refit(*names: str) -> Run:
-    """The drive, run with effects whose values are to be found."""
+    """Run the filter over the drive with additional effects."""
     return calibrate(larger_wheels(), Config(), model_with(*names))
 
 
 def estimate(run: Run, name: str) -> tuple[float, float]:
-    """Value and standard deviation of a coefficient at the end of a run."""
+    """Return value and standard deviation of a coefficient at the end of a run."""
     place = COEFFICIENTS_START + run.model.coefficient_names.index(name)
     return float(run.history.mean[-1, place]), float(run.history.std[-1, place])
 
 
-def looked_at(source: SimSource) -> tuple[ExaminedModel, dict[str, str]]:
-    """What everything on trial explains, and what is not judged."""
+def examined(source: SimSource) -> tuple[ExaminedModel, dict[str, str]]:
+    """Return the examined model, and the effects that are not judged with their reasons."""
     recorded = summarise_recording(source)
     stage = examine(
-        default_model(), recorded, lambda model, trials: calibrate(source, Config(), model, candidates=trials)
+        default_model(), recorded, lambda model, tried: calibrate(source, Config(), model, candidates=tried)
     )
     return stage, diagnose(Search(stage, ()), recorded).not_judged
 
 
-def counted_m(*hidden: HiddenEffect) -> Array:
-    """What noiseless wheels report of every interval."""
+def reported_m(*hidden: HiddenEffect) -> Array:
+    """Return the distance that noiseless wheels report for every interval."""
     errors = without_noise(SensorErrors())
     source = recording('cleaning', 2, 20.0, hidden, errors=errors)
     speeds = [item.speed_m_s for item in source.measurements() if isinstance(item, WheelSample)]
@@ -71,22 +71,22 @@ def counted_m(*hidden: HiddenEffect) -> Array:
 
 
 def test_true_distance_is_odometry_times_one_plus_s() -> None:
-    np.testing.assert_allclose((1.0 + SCALE) * counted_m(WHEELS), counted_m(), atol=1e-12)
+    np.testing.assert_allclose((1.0 + SCALE) * reported_m(WHEELS), reported_m(), atol=1e-12)
 
 
-def test_the_wheels_slip_in_metres_of_the_odometer() -> None:
-    slipped = counted_m(SLIP) - counted_m()
+def test_turn_slip_is_in_metres_of_the_odometer() -> None:
+    slipped = reported_m(SLIP) - reported_m()
     assert slipped.max() > 1e-4
-    np.testing.assert_allclose(counted_m(WHEELS, SLIP) - counted_m(WHEELS), slipped, atol=1e-12)
-    np.testing.assert_array_equal(counted_m(WHEELS, SLIP), counted_m(SLIP, WHEELS))
+    np.testing.assert_allclose(reported_m(WHEELS, SLIP) - reported_m(WHEELS), slipped, atol=1e-12)
+    np.testing.assert_array_equal(reported_m(WHEELS, SLIP), reported_m(SLIP, WHEELS))
 
 
-def test_the_camera_is_where_it_should_be() -> None:
+def test_the_simulated_camera_has_its_nominal_mounting() -> None:
     source = larger_wheels()
     np.testing.assert_array_equal(source.truth.camera_mount.p_bs, source.rig.camera_mount.p_bs)
 
 
-def test_the_estimate_is_as_good_as_it_says() -> None:
+def test_the_estimate_agrees_with_its_standard_deviation() -> None:
     value, std = estimate(refit('wheel_scale'), 'wheel_scale')
     assert abs(value - SCALE) < 3.0 * std
     assert 0.002 < std < 0.01, 'half a millimetre of the lever arm of 9 cm'
@@ -101,16 +101,16 @@ def test_the_path_stays_in_metres_of_the_odometer() -> None:
     assert found_m * (1.0 + SCALE) == pytest.approx(reach_m, rel=0.015)
 
 
-def test_beside_the_place_of_the_camera_nothing_is_learnt() -> None:
+def test_beside_the_camera_position_it_is_not_observable() -> None:
     run = refit('wheel_scale', 'camera_position')
     value, std = estimate(run, 'wheel_scale')
     assert std > 0.9 * find_effect('wheel_scale').coefficients[0].prior_std
     assert abs(value - SCALE) < 3.0 * std
 
 
-def test_to_the_evidence_it_is_the_camera_along_its_lever_arm() -> None:
-    stage, not_judged = looked_at(larger_wheels())
-    found = {ranked_effect.effect.name: ranked_effect for ranked_effect in stage.ranked}
+def test_its_score_statistics_are_those_of_the_camera_along_its_lever_arm() -> None:
+    stage, not_judged = examined(larger_wheels())
+    found = {ranked.effect.name: ranked for ranked in stage.ranked}
     wheels, camera = found['wheel_scale'], found['camera_position']
     assert correlation(stage.scores, wheels.columns, camera.columns) == pytest.approx(1.0, abs=1e-6)
     assert abs(wheels.fit.values[0] - SCALE) < 4.0 * np.sqrt(wheels.fit.covariance[0, 0])
@@ -120,12 +120,12 @@ def test_to_the_evidence_it_is_the_camera_along_its_lever_arm() -> None:
 @pytest.mark.parametrize('at_m', [0.0, 0.005])
 def test_without_a_lever_arm_it_is_not_judged(at_m: float) -> None:
     centred = recording('cleaning', 2, 20.0, (WHEELS,), mount_xyz_m=(0.0, at_m, 0.1))
-    stage, not_judged = looked_at(centred)
-    assert 'wheel_scale' not in {ranked_effect.effect.name for ranked_effect in stage.ranked}
+    stage, not_judged = examined(centred)
+    assert 'wheel_scale' not in {ranked.effect.name for ranked in stage.ranked}
     assert 'distance from the turning centre' in not_judged['wheel_scale']
 
 
-def test_people_find_it_in_the_wheels(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_effects_command_places_it_in_the_wheels(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['effects', 'wheel_scale', '--json']) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told['acts_on'] == 'wheels' and 'metres of the odometer' in told['physics']
+    printed = json.loads(capsys.readouterr().out)
+    assert printed['acts_on'] == 'wheels' and 'metres of the odometer' in printed['physics']

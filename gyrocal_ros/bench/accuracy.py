@@ -1,4 +1,4 @@
-"""Accuracy and consistency over many seeds, beside the paper's parametrisation and the bound."""
+"""Accuracy and consistency over many seeds, compared with the paper's parametrisation and the bound."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ CONVENTIONAL = Variant('conventional pixel', 'pixel')
 
 
 def in_parallel(function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
-    """Map over all cores, in order; each process keeps to one thread of linear algebra.
+    """Map a function over tasks on all cores, in order, with one thread of linear algebra per process.
 
-    The processes are spawned, for one that is forked has the threads of its parent.
+    The processes are spawned, because a forked one would inherit the threads of its parent.
     """
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     with ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
@@ -34,11 +34,11 @@ def in_parallel(function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
 
 
 Case = tuple[str, Scenario, Variant, bool, bool]
-"""Label, scenario, variant, from images, with the bound."""
+"""Label, scenario, variant, True for images in place of features, True for the bound."""
 
 
 def cases(quick: bool) -> list[Case]:
-    """Everything that the accuracy bench runs; `quick` leaves the long ones out."""
+    """Return the cases of the benchmark; `quick` selects the first one."""
     lanes, cleaning = find_scenario('lanes'), find_scenario('cleaning')
     table: list[Case] = [
         ('lanes', lanes, OURS, False, True),
@@ -54,21 +54,21 @@ def cases(quick: bool) -> list[Case]:
     return table[:1] if quick else table
 
 
-def accuracy_row(case: Case, trials: list[BenchRun]) -> dict[str, Any]:
-    """The figures of one case over its seeds; errors in per cent of the scale factor."""
+def accuracy_row(case: Case, runs: list[BenchRun]) -> dict[str, Any]:
+    """Return the figures of one case over its seeds; errors in per cent of the scale factor."""
     label, _, variant, _, _ = case
-    good = [trial for trial in trials if not trial.diverged]
+    good = [run for run in runs if not run.diverged]
 
     def column(name: str) -> np.ndarray:
-        return np.array([getattr(trial, name) for trial in good])
+        return np.array([getattr(run, name) for run in good])
 
     final = 100.0 * column('final_error')
     bound = column('bound_std')
     return {
         'case': label,
         'variant': variant.name,
-        'seeds': len(trials),
-        'diverged': len(trials) - len(good),
+        'seeds': len(runs),
+        'diverged': len(runs) - len(good),
         'early_max_percent': _max(100.0 * column('early_error')),
         'settled_max_percent': _max(100.0 * column('settled_error')),
         'final_rms_percent': _rms(final),
@@ -84,12 +84,12 @@ def accuracy_row(case: Case, trials: list[BenchRun]) -> dict[str, Any]:
 
 
 def accuracy(seeds: int, quick: bool = False, only: Collection[str] = ()) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the accuracy table as they become ready, of all cases or those of some labels."""
+    """Yield the rows of the accuracy table as they become ready, for all cases or those with some labels."""
     for case in (case for case in cases(quick) if not only or case[0] in only):
-        yield accuracy_row(case, list(in_parallel(_trial, [(case, seed) for seed in range(seeds)])))
+        yield accuracy_row(case, list(in_parallel(_run, [(case, seed) for seed in range(seeds)])))
 
 
-def _trial(task: tuple[Case, int]) -> BenchRun:
+def _run(task: tuple[Case, int]) -> BenchRun:
     (_, scenario, variant, images, with_bound), seed = task
     return run_bench(scenario, seed, variant, images=images, with_bound=with_bound)
 

@@ -1,8 +1,8 @@
-"""The full-information bound: the most probable whole trajectory, map and gyro, by batch least squares.
+"""Full-information bound: maximum a posteriori estimate of trajectory, map and gyro by batch least squares.
 
-Everything that the filter is told goes into one problem: all poses and biases at once, the features in
-anchored inverse depth, and the scale factor, with the filter's own motion model, noise and priors. What
-is left to the filter is only that it must forget; nobody can know more of the scale factor than this.
+All measurements of the filter enter one problem: all poses and biases at once, the features in anchored
+inverse depth, and the scale factor, with the motion model, noise and priors of the filter. The filter differs
+only by its recursion; no estimator has more information on the scale factor than this.
 """
 
 from __future__ import annotations
@@ -30,15 +30,16 @@ from gyrocal_ros.model.features.base import Anchors, posed_camera
 POSE_AND_BIAS = COEFFICIENTS_START
 FORM = PARAMETRISATIONS['inverse_depth']
 MAP_SIZE = 1000
-"""No feature is forgotten."""
+"""Size of the map; so large that no feature is dropped."""
 FLOOR_STD = 1e-6
-"""What a pose may move unforeseen where the model says not at all, m and rad: rounding, no more."""
+"""Lower bound of the process noise of a pose, m and rad: above rounding, where the model has no noise."""
 MAX_ROUNDS, CONVERGED_SIGMA = 10, 1e-2
+"""Limits of the iteration: number of rounds, and step of the scale factor in its standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """What all the measurements together say of the gyro."""
+    """Estimate of the gyro from all measurements together."""
 
     scale_factor: float
     scale_factor_std: float
@@ -54,14 +55,14 @@ class _BatchStep:
     block: MotionBlock
     is_resting: bool
     features: IntArray
-    """(m,) which features were seen at its end."""
+    """(m,) indices of the features that were observed at its end."""
     pixels: Array
     """(m, 2)"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
-    """The whole recording as least squares. Unknowns: n poses with biases (9 each), a1, the features."""
+    """The recording as a least squares problem. Unknowns: n poses with biases (9 each), a1, the features."""
 
     steps: list[_BatchStep]
     anchors: Anchors
@@ -72,17 +73,17 @@ class _Problem:
 
     @property
     def coefficient(self) -> int:
-        """Where a1 stands among the unknowns."""
+        """Index of a1 among the unknowns."""
         return POSE_AND_BIAS * (len(self.steps) + 1)
 
 
 def solve(measurements: Iterable[Measurement], rig: Rig, config: Config) -> Solution:
-    """Batch maximum a posteriori by Gauss-Newton, from where a filter with a map of everything ends.
+    """Compute the maximum a posteriori estimate by Gauss-Newton, starting at the result of a filter.
 
     Args:
-        measurements: features, not images; without outliers, for all of them are believed.
+        measurements: features, not images; without outliers, because all of them are used.
         rig: camera and mounting.
-        config: settings, whose pixel noise is taken as it is.
+        config: settings; their pixel noise is not estimated.
 
     Raises:
         GyrocalError: SciPy is not installed.
@@ -95,7 +96,7 @@ def solve(measurements: Iterable[Measurement], rig: Rig, config: Config) -> Solu
         residuals, rows, columns, values = _linearised(problem, unknowns)
         shape = (len(residuals), len(unknowns))
         jacobian = sparse.coo_matrix((values, (rows, columns)), shape=shape).tocsr()
-        # In this order, poses first and by time, elimination fills in hardly anything.
+        # In this order, poses first and by time, elimination has hardly any fill-in.
         factor = linalg.splu(
             (jacobian.T @ jacobian).tocsc(), permc_spec='NATURAL', options={'SymmetricMode': True}
         )
@@ -109,7 +110,7 @@ def solve(measurements: Iterable[Measurement], rig: Rig, config: Config) -> Solu
 
 
 def _set_up(measurements: Iterable[Measurement], rig: Rig, config: Config) -> tuple[_Problem, Array]:
-    """The problem, and where a filter says its solution is about."""
+    """Return the problem, and an initial solution by a filter with a map of all features."""
     model = default_model()
     features = replace(config.features, map_size=MAP_SIZE)
     camera = replace(config.camera, estimate_pixel_noise=False)
@@ -127,11 +128,11 @@ def _set_up(measurements: Iterable[Measurement], rig: Rig, config: Config) -> tu
     row_of = {feature: row for row, feature in enumerate(landmarks.ids.tolist())}
     steps = []
     for record in records:
-        look = seen.get(record.t_ns)
-        ids = [] if look is None else look.ids.tolist()
+        observed = seen.get(record.t_ns)
+        ids = [] if observed is None else observed.ids.tolist()
         known = [i for i, feature in enumerate(ids) if feature in row_of]
         rows = np.array([row_of[ids[i]] for i in known], np.int64)
-        pixels = np.empty((0, 2)) if look is None else look.pixels[known]
+        pixels = np.empty((0, 2)) if observed is None else observed.pixels[known]
         steps.append(_BatchStep(record.block, record.resting.dof > 0, rows, pixels))
     start = np.zeros(POSE_AND_BIAS)
     start[BIAS] = records[0].mean[BIAS]
@@ -144,7 +145,7 @@ def _set_up(measurements: Iterable[Measurement], rig: Rig, config: Config) -> tu
 
 
 def _linearised(problem: _Problem, unknowns: Array) -> tuple[Array, Array, Array, Array]:
-    """Residuals in units of their noise, and their Jacobian as rows, columns and values."""
+    """Return whitened residuals, and their Jacobian as rows, columns and values."""
     residuals, rows, columns, values = [], [], [], []
     count = 0
     for residual, places, jacobian in _terms(problem, unknowns):
@@ -158,7 +159,7 @@ def _linearised(problem: _Problem, unknowns: Array) -> tuple[Array, Array, Array
 
 
 _Term = tuple[Array, IntArray, Array]
-"""Residual (q,), which unknowns it depends on (p,), and its derivative by them (q, p)."""
+"""Residual (q,), indices of the unknowns that it depends on (p,), and its derivative by them (q, p)."""
 
 
 def _terms(problem: _Problem, unknowns: Array) -> Iterator[_Term]:
@@ -168,26 +169,26 @@ def _terms(problem: _Problem, unknowns: Array) -> Iterator[_Term]:
         if step.is_resting:
             yield _rest(problem, unknowns, number)
         if len(step.features):
-            yield from _sightings(problem, unknowns, number, step)
+            yield from _observations(problem, unknowns, number, step)
 
 
 def _priors(problem: _Problem, unknowns: Array) -> Iterator[_Term]:
-    """The first pose is zero by definition; bias, scale factor and inverse depths are doubtful."""
+    """Yield the priors of the first pose, which is zero by definition, of bias, scale and inverse depths."""
     bias_std = math.radians(problem.config.gyro.bias_prior_std_deg_s)
     stds = np.array([*[FLOOR_STD] * 6, *[bias_std] * 3])
-    first = _places(0, POSE_AND_BIAS)
+    first = _indices(0, POSE_AND_BIAS)
     yield unknowns[first] / stds, first, np.diag(1.0 / stds)
     place, features = problem.coefficient, problem.config.features
-    scale = _places(place, 1)
+    scale = _indices(place, 1)
     yield unknowns[scale] / problem.prior_scale_std, scale, np.array([[1.0 / problem.prior_scale_std]])
-    depths = _places(place + 1, len(unknowns) - place - 1)[2::3]
+    depths = _indices(place + 1, len(unknowns) - place - 1)[2::3]
     std = features.prior_inverse_depth_std
     yield (unknowns[depths] - 1.0 / features.prior_depth_m) / std, depths, np.eye(len(depths)) / std
 
 
 def _motion(problem: _Problem, unknowns: Array, number: int, step: _BatchStep) -> _Term:
-    """The filter's own prediction of a step, from a state without doubt: then its P is its noise."""
-    before = _places(POSE_AND_BIAS * number, POSE_AND_BIAS)
+    """Return the prediction of the filter; from a state without covariance its P is the process noise."""
+    before = _indices(POSE_AND_BIAS * number, POSE_AND_BIAS)
     after, place = before + POSE_AND_BIAS, problem.coefficient
     r = POSE_AND_BIAS + 1
     mean = np.append(unknowns[before], unknowns[place])
@@ -204,18 +205,18 @@ def _motion(problem: _Problem, unknowns: Array, number: int, step: _BatchStep) -
 
 
 def _rest(problem: _Problem, unknowns: Array, number: int) -> _Term:
-    """At rest the robot does not turn."""
-    before = _places(POSE_AND_BIAS * number + EULER.start, 3)
+    """Return the constraint that the robot does not turn at rest."""
+    before = _indices(POSE_AND_BIAS * number + EULER.start, 3)
     after = before + POSE_AND_BIAS
     std = math.radians(problem.config.rest.rotation_noise_deg)
     jacobian = np.concatenate([np.eye(3), -np.eye(3)], axis=1) / std
     return (unknowns[after] - unknowns[before]) / std, np.concatenate([after, before]), jacobian
 
 
-def _sightings(problem: _Problem, unknowns: Array, number: int, step: _BatchStep) -> Iterator[_Term]:
-    """The pixels of one image."""
+def _observations(problem: _Problem, unknowns: Array, number: int, step: _BatchStep) -> Iterator[_Term]:
+    """Yield the pixels of one image."""
     assert problem.rig.camera is not None
-    pose = _places(POSE_AND_BIAS * (number + 1) + POSE.start, 6)
+    pose = _indices(POSE_AND_BIAS * (number + 1) + POSE.start, 6)
     first = problem.coefficient + 1 + 3 * step.features
     places = first[:, None] + np.arange(3)
     view = posed_camera(problem.rig.camera, problem.rig.camera_mount, unknowns[pose[:3]], unknowns[pose[3:]])
@@ -229,8 +230,8 @@ def _sightings(problem: _Problem, unknowns: Array, number: int, step: _BatchStep
         yield residual, np.concatenate([pose, place]), jacobian
 
 
-def _places(first: int, count: int) -> IntArray:
-    """So many unknowns from one on."""
+def _indices(first: int, count: int) -> IntArray:
+    """Return the indices of `count` unknowns from `first` on."""
     return np.arange(first, first + count, dtype=np.int64)
 
 

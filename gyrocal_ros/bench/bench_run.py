@@ -1,4 +1,4 @@
-"""One simulated recording, one run of the filter, and how far that is from the truth."""
+"""One simulated recording, one run of the filter, and its errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from gyrocal_ros.data import NS_PER_S, Array
 from gyrocal_ros.diagnose.drift import heading_rms_deg
 from gyrocal_ros.effects import SCALE_FACTOR, default_model
 from gyrocal_ros.effects.scale import scale_power
-from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
@@ -22,14 +21,15 @@ from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import Scenario
 from gyrocal_ros.sim.sensors import without_noise
 from gyrocal_ros.sim.world import START_NS, SimSource
+from gyrocal_ros.statistics import nis_per_dof
 
 EARLY_S, SETTLED_S = 5.0, 20.0
-"""When convergence is looked at, after the end of the first turn."""
+"""Times after the end of the first turn at which convergence is assessed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A way of running the filter, by the name that stands in the table."""
+    """A variant of the filter, with its name in the tables."""
 
     name: str
     parametrisation: str = 'inverse_depth'
@@ -38,7 +38,7 @@ class Variant:
     map_size: int | None = None
 
     def config(self, config: Config) -> Config:
-        """The settings of this variant."""
+        """Return the settings of this variant."""
         features = replace(config.features, parametrisation=self.parametrisation)
         if not self.motion_gate:
             features = replace(features, motion_gate_m=0.0, motion_gate_deg=0.0)
@@ -47,7 +47,7 @@ class Variant:
         return replace(config, features=features)
 
     def model(self) -> SensorModel:
-        """The sensor model of this variant."""
+        """Return the sensor model of this variant."""
         if not self.settling_bias:
             return default_model()
         return SensorModel('paper', BiasModel('settling'), (scale_power(1),))
@@ -55,13 +55,13 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class BenchRun:
-    """What one seed shows. Errors are relative to the true scale factor."""
+    """Result of one seed. Errors are relative to the true scale factor."""
 
     seed: int
     early_error: float
-    """5 s after the end of the first turn."""
+    """Error 5 s after the end of the first turn."""
     settled_error: float
-    """20 s after it."""
+    """Error 20 s after the end of the first turn."""
     final_error: float
     final_std: float
     nis_per_dof: float
@@ -72,7 +72,7 @@ class BenchRun:
 
     @property
     def nees(self) -> float:
-        """Squared final error by its variance."""
+        """Normalised estimation error squared: squared final error over its variance."""
         return (self.final_error / self.final_std) ** 2
 
 
@@ -85,7 +85,7 @@ def run_bench(
     with_bound: bool = False,
     config: Config | None = None,
 ) -> BenchRun:
-    """Simulate a scenario, run the filter on it and compare."""
+    """Simulate a scenario, run the filter on it and compare with the truth."""
     source = SimSource(scenario, seed, images=images)
     try:
         run = calibrate(source, variant.config(config or Config()), variant.model())
@@ -105,19 +105,19 @@ def run_bench(
         settled_error=error_at(turned_s + SETTLED_S),
         final_error=float(scale[-1]) / true_scale - 1.0,
         final_std=float(run.history.std[-1, COEFFICIENTS_START]) / true_scale,
-        nis_per_dof=nis_per_dof(run.history),
+        nis_per_dof=nis_per_dof(run.history.nis, run.history.dof) or math.nan,
         heading_rms_rad=math.radians(heading_rms_deg(run) or math.nan),
         bound_std=bound_std(scenario, seed) if with_bound else math.nan,
     )
 
 
 def bound_std(scenario: Scenario, seed: int) -> float:
-    """Cramer-Rao bound of the scale factor's relative standard deviation at the end.
+    """Compute the Cramer-Rao bound of the relative standard deviation of the scale factor at the end.
 
     The posterior bound (Tichavsky, Muravchik, Nehorai 1998) obeys the covariance recursion with all
-    Jacobians at the truth. They are there when the same recording is made without noise and the
-    filter starts at the true coefficients, its noise settings being as they are. The map keeps
-    every feature that can come back, so no information is thrown away.
+    Jacobians at the truth. That is the case for the same recording without noise, where the filter starts at
+    the true coefficients with unchanged noise settings. The map keeps every feature that may reappear, so no
+    information is discarded.
     """
     source = SimSource(replace(scenario, errors=without_noise(scenario.errors)), seed)
     model, config = default_model(), Variant('bound', map_size=100).config(Config())
@@ -130,7 +130,7 @@ def bound_std(scenario: Scenario, seed: int) -> float:
 
 
 def end_of_first_turn_s(source: SimSource) -> float:
-    """When the robot has finished its first turn of at least 45 deg."""
+    """Return the time at which the robot has finished its first turn of at least 45 deg."""
     time_s = np.arange(0.0, source.scenario.duration_s, 0.02)
     rate = source.truth.trajectory.motion(time_s).rate_rad_s[:, 2]
     turning = np.abs(rate) > math.radians(2.0)
@@ -143,12 +143,7 @@ def end_of_first_turn_s(source: SimSource) -> float:
 
 
 def settled_after_s(time_s: Array, errors: Array, within: float) -> float:
-    """From when on an error (n,) stays within bounds to the end; NaN if it ends outside."""
+    """Return the time from which an error (n,) stays within bounds to the end; NaN if it ends outside."""
     outside = np.flatnonzero(~(np.abs(errors) <= within))
     first = int(outside[-1]) + 1 if len(outside) else 0
     return float(time_s[first]) if first < len(errors) else math.nan
-
-
-def nis_per_dof(history: History) -> float:
-    """Normalised innovation squared by its degrees of freedom, over the whole run."""
-    return float(history.nis.sum() / max(history.dof.sum(), 1.0))

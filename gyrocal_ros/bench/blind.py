@@ -35,18 +35,18 @@ from gyrocal_ros.sim.world import SimSource
 
 COSTLY_DRIFT_DEG = 0.5
 COSTLY_SCALE = 2e-4
-"""Blind drift and relative error of the scale factor below which the lack of an effect may be overlooked."""
+"""Thresholds of blind drift and relative scale error; an effect that exceeds neither may be missed."""
 WRONG_NOISE = 2.0
-"""Factor by which the noise settings of the filter are wrong in two of the cases."""
+"""Factor by which the noise settings are wrong, to either side."""
 PAIRS = 20
-"""Number of cases of two effects at once."""
+"""Number of cases with two effects at once."""
 MOMENT_S = 5.0
-"""Largest error of the moment of a jump that counts as right."""
+"""Maximum error of the reported time of a jump."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Effects to hide, and the factor by which the noise settings of the filter are wrong."""
+    """The hidden effects, and the factor by which the noise settings of the filter are wrong."""
 
     label: str
     names: tuple[str, ...] = ()
@@ -55,28 +55,28 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class BlindResult:
-    """Result of the diagnosis of one recording."""
+    """Result of one recording."""
 
     case: Case
     seed: int
     hidden: tuple[tuple[str, tuple[float, ...]], ...]
     """Names and true values."""
     is_costly: bool
-    """True if the lack of any one of them costs more than may be overlooked."""
+    """True if the omission of any one of them from the model exceeds a threshold."""
     drift_known_deg: float
     """Blind drift with the true sensor model."""
     verdict: str = 'diverged'
     named: tuple[str, ...] = ()
-    """Names of the effects found, the one that explains most first."""
+    """Effects that the diagnosis reports as missing, in decreasing order of explanation."""
     excuses: tuple[str, ...] = ()
-    """Names of effects that this recording cannot distinguish from them."""
+    """Effects that this recording cannot distinguish from the named ones."""
     left: str = ''
-    """Description of the unexplained structure; empty without."""
+    """Description of the structure that no effect explains."""
     is_right: bool = False
     is_excused: bool = False
-    """True if it is not right, but all hidden effects are named or among the excuses."""
+    """True if not right, but all hidden effects are named or indistinguishable from named ones."""
     errors_sigma: tuple[float, ...] = ()
-    """Errors of the coefficients of the hidden effects that were found, in standard deviations."""
+    """Errors of the coefficients of effects that were found, in standard deviations."""
     drift_before_deg: float = math.nan
     drift_after_deg: float = math.nan
 
@@ -84,8 +84,8 @@ class BlindResult:
 def cases(only: Sequence[str] = ()) -> list[Case]:
     """Return all cases, or those with the given labels.
 
-    There is one for each effect of the library and out of it, one for nothing, two for nothing with wrong
-    noise settings, and some for two effects at once.
+    The cases hide each effect alone, nothing, nothing with wrong noise settings, effects that the library
+    does not have, and two effects at once.
     """
     rng = stream(0, 'pairs of effects')
     pairs = [rng.choice(list(LIBRARY_RANGES), 2, replace=False).tolist() for _ in range(PAIRS)]
@@ -102,7 +102,7 @@ def cases(only: Sequence[str] = ()) -> list[Case]:
 def blind(
     seeds: int, only: Sequence[str] = (), settings: DiagnosisSettings = DEFAULT_SETTINGS
 ) -> Iterator[dict[str, Any]]:
-    """Yield a row for each case as it becomes ready, and one for all.
+    """Yield one row per case as they become ready, and one for all cases together.
 
     Args:
         seeds: number of recordings of each case.
@@ -111,36 +111,36 @@ def blind(
     """
     tasks = [(case, seed, settings) for case in cases(only) for seed in range(seeds)]
     every = []
-    for _, group in groupby(in_parallel(_trial, tasks), key=lambda trial: trial.case):
-        trials = list(group)
-        every += trials
-        yield row(trials[0].case.label, trials)
+    for _, group in groupby(in_parallel(_run_task, tasks), key=lambda result: result.case):
+        results = list(group)
+        every += results
+        yield row(results[0].case.label, results)
     yield row('all', every)
 
 
-def row(label: str, trials: Sequence[BlindResult]) -> dict[str, Any]:
+def row(label: str, results: Sequence[BlindResult]) -> dict[str, Any]:
     """Return the figures of some recordings."""
-    costly = [trial for trial in trials if trial.is_costly] if trials[0].case.names else list(trials)
-    errors = np.abs([error for trial in trials for error in trial.errors_sigma])
-    firsts = Counter(_said(trial) for trial in trials)
+    costly = [result for result in results if result.is_costly] if results[0].case.names else list(results)
+    errors = np.abs([error for result in results for error in result.errors_sigma])
+    answers = Counter(_answer(result) for result in results)
     return {
         'hidden': label,
-        'bags': len(trials),
+        'bags': len(results),
         'costly': len(costly),
-        'right': _share([trial.is_right for trial in costly]),
-        'or_twin': _share([trial.is_right or trial.is_excused for trial in costly]),
-        'wrong': _share([_is_confident(trial) and not trial.is_right for trial in trials]),
+        'right': _share([result.is_right for result in costly]),
+        'or_twin': _share([result.is_right or result.is_excused for result in costly]),
+        'wrong': _share([_is_confident(result) and not result.is_right for result in results]),
         'in_3_sigma': _share((errors < 3.0).tolist()),
         'max_sigma': float(errors.max()) if len(errors) else None,
-        'before_deg': _mean([trial.drift_before_deg for trial in trials]),
-        'after_deg': _mean([trial.drift_after_deg for trial in trials]),
-        'known_deg': _mean([trial.drift_known_deg for trial in trials]),
-        'named': ', '.join(f'{name} {count}' for name, count in firsts.most_common()),
+        'before_deg': _mean([result.drift_before_deg for result in results]),
+        'after_deg': _mean([result.drift_after_deg for result in results]),
+        'known_deg': _mean([result.drift_known_deg for result in results]),
+        'named': ', '.join(f'{name} {count}' for name, count in answers.most_common()),
     }
 
 
 def run_blind(case: Case, seed: int, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> BlindResult:
-    """Hide the effects of a case, simulate, diagnose, and compare with the truth."""
+    """Hide effects in a simulated recording, diagnose it and compare with the truth."""
     scenario, config = find_scenario('cleaning'), _with_noise(Config(), case.noise)
     drawn = draw_hidden(seed, scenario.duration_s, case.names)
     scale_factor = draw_scale_factor(seed)
@@ -160,60 +160,65 @@ def run_blind(case: Case, seed: int, settings: DiagnosisSettings = DEFAULT_SETTI
         has_run = searched is not None and searched.first.model == model
         return searched.first.run if has_run else run(model)  # type: ignore[union-attr]
 
-    known = _merit(finished, hidden, scale_factor)
-    trial = BlindResult(
+    known = _model_error(finished, hidden, scale_factor)
+    result = BlindResult(
         case=case,
         seed=seed,
         hidden=tuple((item.effect.name, item.values) for item in hidden),
         is_costly=all(
-            _merit(finished, hidden[:i] + hidden[i + 1 :], scale_factor).costs_more_than(known)
+            _model_error(finished, hidden[:i] + hidden[i + 1 :], scale_factor).is_much_worse_than(known)
             for i in range(len(hidden))
         ),
         drift_known_deg=known.drift_deg,
     )
-    return trial if searched is None else _judged(trial, hidden, searched, diagnose(searched, recorded))
+    if searched is None:
+        return result
+    return _with_diagnosis(result, hidden, searched, diagnose(searched, recorded))
 
 
 @dataclass(frozen=True, slots=True)
-class _Merit:
-    """Errors of a sensor model on a recording with known truth."""
+class _ModelError:
+    """Errors of a sensor model on a recording whose truth is known."""
 
     drift_deg: float
     scale_error: float
 
-    def costs_more_than(self, other: _Merit) -> bool:
-        """Return True if a model is worse by more than may be overlooked; one that diverges (NaN) is."""
+    def is_much_worse_than(self, other: _ModelError) -> bool:
+        """Return True if the model is worse by more than the thresholds; NaN (divergence) is."""
         cost_deg = math.sqrt(max(self.drift_deg**2 - other.drift_deg**2, 0.0))
         return not (cost_deg <= COSTLY_DRIFT_DEG and self.scale_error <= COSTLY_SCALE)
 
 
-def _merit(run: Callable[[SensorModel], Run], hidden: Sequence[HiddenEffect], scale_factor: float) -> _Merit:
-    """Run the model with some effects, with priors about the true coefficients."""
+def _model_error(
+    run: Callable[[SensorModel], Run], hidden: Sequence[HiddenEffect], scale_factor: float
+) -> _ModelError:
+    """Return the errors of the model with these effects, its prior means at their true values."""
     model = default_model()
     for item in hidden:
         model = with_effect(model, with_means(item.effect, item.values))
     try:
         finished = run(model)
     except FilterDivergedError:
-        return _Merit(math.nan, math.nan)
+        return _ModelError(math.nan, math.nan)
     scale_error = abs((1.0 + float(finished.state.coefficients[0])) / scale_factor - 1.0)
-    return _Merit(_drift_deg(finished), scale_error)
+    return _ModelError(_drift_deg(finished), scale_error)
 
 
-def _judged(
-    trial: BlindResult, hidden: Sequence[HiddenEffect], searched: Search, found: Diagnosis
+def _with_diagnosis(
+    result: BlindResult, hidden: Sequence[HiddenEffect], searched: Search, found: Diagnosis
 ) -> BlindResult:
-    excuses = {finding.effect.name: finding.confused_with for finding in found.missing}
-    right = is_right(trial.case, hidden, found)
-    said = {*excuses, *(name for names in excuses.values() for name in names)}
+    """Return the result with the answers of the diagnosis."""
+    named = {missing.effect.name: missing.confused_with for missing in found.missing}
+    right = is_right(result.case, hidden, found)
+    possible = {*named, *(name for names in named.values() for name in names)}
     return replace(
-        trial,
+        result,
         verdict=found.verdict,
-        named=tuple(excuses),
-        excuses=tuple(sorted(said - set(excuses))),
+        named=tuple(named),
+        excuses=tuple(sorted(possible - set(named))),
         left=found.unexplained.what if found.unexplained is not None else '',
         is_right=right,
-        is_excused=not right and bool(hidden) and said.issuperset(trial.case.names),
+        is_excused=not right and bool(hidden) and possible.issuperset(result.case.names),
         errors_sigma=tuple(_errors_sigma(hidden, found)),
         drift_before_deg=_drift_deg(searched.first.run),
         drift_after_deg=_drift_deg(searched.last.run),
@@ -223,28 +228,28 @@ def _judged(
 def is_right(case: Case, hidden: Sequence[HiddenEffect], found: Diagnosis) -> bool:
     """Return True if the diagnosis is right.
 
-    One hidden effect has to be named first, and of two both and no other. For an effect out of the library
-    the moment of its jump, the signal that it goes with, or the effect that explains most of it is right.
+    One hidden effect has to be named first, and of two both and no other. For an effect out of the library,
+    the time of its jump, the signal that it follows, or the effect that explains most of it has to be found.
     """
-    named = [finding.effect.name for finding in found.missing]
+    named = [missing.effect.name for missing in found.missing]
     if not hidden:
         return found.verdict == 'nothing_missing'
     if case.names[0] not in OUT_OF_LIBRARY:
         return set(named) == set(case.names) if len(hidden) > 1 else named[:1] == list(case.names)
-    left, unknown = found.unexplained, OUT_OF_LIBRARY[case.names[0]]
+    structure, unknown = found.unexplained, OUT_OF_LIBRARY[case.names[0]]
     if unknown.right_signal is None:
-        moment_s = hidden[0].values[1]
-        return left is not None and left.at_s is not None and abs(left.at_s - moment_s) < MOMENT_S
+        jump_s, found_s = hidden[0].values[1], structure.at_s if structure is not None else None
+        return found_s is not None and abs(found_s - jump_s) < MOMENT_S
     if named[:1] == [unknown.right_effect]:
         return True
-    return left is not None and left.shape.signal == unknown.right_signal
+    return structure is not None and structure.shape.signal == unknown.right_signal
 
 
 def _errors_sigma(hidden: Sequence[HiddenEffect], found: Diagnosis) -> Iterator[float]:
-    for finding in found.missing:
+    for missing in found.missing:
         for item in hidden:
-            if item.effect.name == finding.effect.name:
-                for value, std, truth in zip(finding.values, finding.stds, item.values, strict=True):
+            if item.effect.name == missing.effect.name:
+                for value, std, truth in zip(missing.values, missing.stds, item.values, strict=True):
                     yield float((value - truth) / std) if std > 0.0 else 0.0
 
 
@@ -268,19 +273,19 @@ def _with_noise(config: Config, factor: float) -> Config:
 
 
 def _drift_deg(run: Run) -> float:
-    """Return the held-out drift: in the second half, each span starts with the estimates of its beginning."""
+    """Return the held-out drift: in the second half, each span starts with the estimate of that time."""
     return blind_drift(run, from_s=0.5 * float(run.history.time_s[-1])).rms_deg
 
 
-def _is_confident(trial: BlindResult) -> bool:
-    return trial.verdict == 'effect_found'
+def _is_confident(result: BlindResult) -> bool:
+    return result.verdict == 'effect_found'
 
 
-def _said(trial: BlindResult) -> str:
-    """Return the effects named, or the verdict."""
-    if trial.verdict == 'unexplained':
-        return f'unexplained ({trial.left})'
-    return ' + '.join(trial.named) or trial.verdict
+def _answer(result: BlindResult) -> str:
+    """Return the named effects, or the verdict where there are none."""
+    if result.verdict == 'unexplained':
+        return f'unexplained ({result.left})'
+    return ' + '.join(result.named) or result.verdict
 
 
 def _share(cases: Sequence[bool]) -> float | None:
@@ -292,5 +297,5 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(known.mean()) if len(known) else None
 
 
-def _trial(task: tuple[Case, int, DiagnosisSettings]) -> BlindResult:
+def _run_task(task: tuple[Case, int, DiagnosisSettings]) -> BlindResult:
     return run_blind(*task)

@@ -1,4 +1,4 @@
-"""What the calibration is for: dead reckoning once the camera is off, beside the nominal gyro."""
+"""Dead reckoning with the camera off, by the calibrated and by the nominal gyro."""
 
 from __future__ import annotations
 
@@ -25,41 +25,41 @@ TEN_MINUTES_S = 600.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """Errors gathered between two moments without the camera, one row an interval."""
+    """Errors that accumulate without the camera, one row per interval."""
 
     heading_rad: Array
     position_m: Array
     turned_rad: Array
-    """By how much the robot truly turned, to the left positive."""
+    """True turn of the robot, to the left positive."""
 
 
 def ten_rotations(seed: int) -> tuple[Drift, Drift]:
-    """Errors after ten rotations to one side and after ten to the other: calibrated, nominal."""
+    """Return the errors after ten rotations to one side and after ten to the other: calibrated, nominal."""
     return rotations(find_scenario('blind_spins'), seed)
 
 
 def ten_minutes(seed: int) -> tuple[Drift, Drift]:
-    """Errors after ten minutes of cleaning: calibrated, nominal."""
+    """Return the errors after ten minutes of cleaning: calibrated, nominal."""
     return minutes(find_scenario('blind_cleaning'), seed)
 
 
 def rotations(scenario: Scenario, seed: int) -> tuple[Drift, Drift]:
-    """`ten_rotations` by a robot like that of `blind_spins`."""
+    """Run `ten_rotations` with a scenario like `blind_spins`."""
     source = SimSource(scenario, seed)
     run = calibrate(source, Config(), default_model())
-    return both(source, run, rotation_ends_s(source))
+    return calibrated_and_nominal(source, run, rotation_ends_s(source))
 
 
 def minutes(scenario: Scenario, seed: int, config: Config | None = None) -> tuple[Drift, Drift]:
-    """`ten_minutes` by a robot like that of `blind_cleaning`, with settings of its own."""
+    """Run `ten_minutes` with a scenario like `blind_cleaning`, with other settings."""
     source = SimSource(scenario, seed)
     run = calibrate(source, config or Config(), default_model())
     off_s = source.scenario.camera_until_s
-    return both(source, run, np.array([off_s, off_s + TEN_MINUTES_S - 0.1]))
+    return calibrated_and_nominal(source, run, np.array([off_s, off_s + TEN_MINUTES_S - 0.1]))
 
 
 def rotation_ends_s(source: SimSource) -> Array:
-    """When the camera goes off, and when ten and twenty rotations have been turned since, (3,)."""
+    """Return the times (3,) at which the camera goes off, and after ten and after twenty rotations."""
     off_s = source.scenario.camera_until_s
     time_s = np.arange(off_s, source.scenario.duration_s, 0.02)
     turned = np.abs(np.gradient(source.truth.trajectory.motion(time_s).euler_rad[:, 2]))
@@ -87,38 +87,40 @@ def camera_off(seeds: int) -> Iterator[dict[str, Any]]:
             }
 
 
-def both(source: SimSource, run: Run, moments_s: Array) -> tuple[Drift, Drift]:
-    """The filter's own dead reckoning, and that of a nominal gyro whose bias was taken at rest."""
+def calibrated_and_nominal(source: SimSource, run: Run, moments_s: Array) -> tuple[Drift, Drift]:
+    """Return the drift of the filter, and of a nominal gyro with the bias estimated before."""
     return (
-        gathered(source, run, slam_path(run), moments_s),
-        gathered(source, run, nominal_path(source, run), moments_s),
+        accumulated_drift(source, run, slam_path(run), moments_s),
+        accumulated_drift(source, run, nominal_path(source, run), moments_s),
     )
 
 
 def nominal_path(source: SimSource, run: Run) -> Trajectory2D:
-    """Dead reckoning by the data sheet's scale factor, with the bias known when the camera goes off."""
+    """Return the dead reckoning by the data sheet's scale factor, with the bias at the end of the camera."""
     return dead_reckoning(run, np.zeros(len(run.model.coefficients)), bias_at_off(source, run))
 
 
 def bias_at_off(source: SimSource, run: Run) -> float:
-    """The filter's yaw bias, rad/s, when the camera goes off."""
+    """Return the estimated yaw bias, rad/s, at the time when the camera goes off."""
     off_ns = START_NS + int(source.scenario.camera_until_s * NS_PER_S)
     return float(run.history.mean[np.searchsorted(run.history.t_ns, off_ns) - 1, YAW_BIAS])
 
 
-def gathered(source: SimSource, run: Run, path: Trajectory2D, moments_s: Array) -> Drift:
-    """Heading error gathered in each interval, and position error at its end.
+def accumulated_drift(source: SimSource, run: Run, path: Trajectory2D, moments_s: Array) -> Drift:
+    """Return the heading error of each interval, and the position error at its end.
 
-    Path and truth are laid on each other, in position and heading, at the first moment.
+    Path and truth are aligned, in position and heading, at the first moment.
     """
     true_yaw = source.truth.trajectory.motion(moments_s).euler_rad[:, 2]
-    laid, yaw = laid_on_truth(source, run, path, moments_s)
-    error = np.linalg.norm(laid - source.truth.position(moments_s)[:, :2], axis=1)
+    aligned, yaw = aligned_to_truth(source, run, path, moments_s)
+    error = np.linalg.norm(aligned - source.truth.position(moments_s)[:, :2], axis=1)
     return Drift(np.diff(yaw - true_yaw), error[1:], np.diff(true_yaw))
 
 
-def laid_on_truth(source: SimSource, run: Run, path: Trajectory2D, moments_s: Array) -> tuple[Array, Array]:
-    """A path at moments (n,), moved and turned so that it begins where the robot truly was.
+def aligned_to_truth(
+    source: SimSource, run: Run, path: Trajectory2D, moments_s: Array
+) -> tuple[Array, Array]:
+    """Return a path at moments (n,), moved and turned so that it begins at the true pose.
 
     Returns:
         Positions (n, 2) in the world, and headings (n,).

@@ -1,7 +1,7 @@
-"""The gate: a few quick figures of accuracy and consistency, held against those that are kept.
+"""Regression gate: quick figures of accuracy and consistency are compared with those of a baseline.
 
-The same seeds give the same figures, but for rounding; a change of the code that means no harm moves
-them a little. How far they may go comes from how they scatter from seed to seed. Time is not looked at.
+The same seeds give the same figures, up to rounding; a harmless change of the code moves them a little. The
+tolerances follow from the scatter over the seeds. Time is not compared.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gyrocal_ros.bench.accuracy import OURS
 from gyrocal_ros.bench.bench_run import run_bench
 from gyrocal_ros.bench.camera_off import rotations
 from gyrocal_ros.bench.paper.experiment import Mapper
-from gyrocal_ros.bench.paper.landmark import NOISE_PX, follow
+from gyrocal_ros.bench.paper.landmark import NOISE_PX, landmark_errors_cm
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.ranking import estimate
 from gyrocal_ros.diagnose.search import examine
@@ -34,15 +34,16 @@ from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
-KEPT = Path(__file__).with_name('kept.json')
+BASELINE = Path(__file__).with_name('kept.json')
 SCATTER = 4
-"""The scatter is taken over so many times as many seeds as the gate uses."""
+"""Number of seeds for the scatter, relative to that of the gate."""
 STANDARD_ERRORS = 2.0
-"""A figure may move by so many standard errors of its mean over the seeds of the gate."""
+"""Tolerance of a figure, in standard errors of its mean over the seeds of the gate."""
 HIDDEN_CUBIC = 0.003 / FULL_RATE_RAD_S**2
+"""Hidden cubic coefficient: 0.3 % of the rate at 100 deg/s."""
 
 Measure = Callable[[int], dict[str, float]]
-"""Figures of one seed by name."""
+"""Function that returns the figures of one seed by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,16 +57,16 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure as it is kept."""
+    """A figure of the baseline."""
 
     value: float
     """Mean over the seeds of the gate."""
     tolerance: float
     both_sides: bool
-    """Whether it is wrong for it to become smaller, too."""
+    """True if a smaller value is a regression, too."""
 
     def allows(self, value: float) -> bool:
-        """Whether a new value is as good as the one that is kept."""
+        """Return True if a new value is within the tolerance."""
         if not math.isfinite(value):
             return False
         return value <= self.value + self.tolerance and (
@@ -75,43 +76,43 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A figure measured now beside the kept one."""
+    """A figure of the present code, with that of the baseline."""
 
     name: str
     value: float
-    kept: Figure
+    baseline: Figure
 
     @property
     def passes(self) -> bool:
-        """Whether it stays within its tolerance."""
-        return self.kept.allows(self.value)
+        """True if the value is within the tolerance."""
+        return self.baseline.allows(self.value)
 
 
 def lanes(seed: int) -> dict[str, float]:
-    """Scale factor, consistency and heading after 100 s of lanes."""
-    trial = run_bench(replace(find_scenario('lanes'), duration_s=100.0), seed, OURS)
+    """Measure scale factor, consistency and heading after 100 s of lanes."""
+    found = run_bench(replace(find_scenario('lanes'), duration_s=100.0), seed, OURS)
     return {
-        'scale_error_percent': 100.0 * abs(trial.final_error),
-        'scale_std_percent': 100.0 * trial.final_std,
-        'scale_nees': trial.nees,
-        'nis_per_dof': trial.nis_per_dof,
-        'heading_rms_deg': math.degrees(trial.heading_rms_rad),
-        'settled_error_percent': 100.0 * abs(trial.settled_error),
+        'scale_error_percent': 100.0 * abs(found.final_error),
+        'scale_std_percent': 100.0 * found.final_std,
+        'scale_nees': found.nees,
+        'nis_per_dof': found.nis_per_dof,
+        'heading_rms_deg': math.degrees(found.heading_rms_rad),
+        'settled_error_percent': 100.0 * abs(found.settled_error),
     }
 
 
 def images(seed: int) -> dict[str, float]:
-    """The same from images, up to the first turn."""
+    """Measure scale factor and heading from images, up to the first turn."""
     scenario = replace(find_scenario('filmed'), duration_s=20.0)
-    trial = run_bench(scenario, seed, OURS, images=True)
+    found = run_bench(scenario, seed, OURS, images=True)
     return {
-        'scale_error_percent': 100.0 * abs(trial.final_error),
-        'heading_rms_deg': math.degrees(trial.heading_rms_rad),
+        'scale_error_percent': 100.0 * abs(found.final_error),
+        'heading_rms_deg': math.degrees(found.heading_rms_rad),
     }
 
 
 def spins(seed: int) -> dict[str, float]:
-    """Heading after ten rotations without the camera."""
+    """Measure the heading error after ten rotations without the camera."""
     short = replace(
         find_scenario('blind_spins'),
         stages=(('lanes', 60.0), ('spins', 0.0)),
@@ -123,13 +124,16 @@ def spins(seed: int) -> dict[str, float]:
 
 
 def landmark(seed: int) -> dict[str, float]:
-    """The paper's Fig. 15 after 50 cm, by its own form and by ours."""
+    """Measure the errors of the paper's Fig. 15 after 50 cm, by its parametrisation and by inverse depth."""
     forms = {'proposed_cm': 'camera_frame', 'inverse_depth_cm': 'inverse_depth'}
-    return {name: float(follow(PARAMETRISATIONS[form], NOISE_PX, seed)[-1]) for name, form in forms.items()}
+    return {
+        name: float(landmark_errors_cm(PARAMETRISATIONS[form], NOISE_PX, seed)[-1])
+        for name, form in forms.items()
+    }
 
 
 def bent(seed: int) -> dict[str, float]:
-    """What a robot with a bent gyro is told after two minutes, beside one without fault."""
+    """Measure the estimate of a nonlinear gyro after two minutes, and the significance with a linear one."""
     cubic = HiddenEffect(scale_power(3), (HIDDEN_CUBIC,))
     value, sigma = _cubic(seed, (cubic,))
     _, nothing_sigma = _cubic(seed, ())
@@ -148,20 +152,20 @@ CHECKS = (
     Check('bent', 2, bent),
 )
 BOTH_SIDES = ('scale_std_percent', 'scale_nees', 'nis_per_dof', 'found_percent_of_it', 'sigma')
-"""Figures that tell of consistency rather than of error."""
+"""Figures of consistency, which must not become smaller either."""
 
 
-def gate(each: Mapper, kept: Mapping[str, Figure], checks: Sequence[Check] = CHECKS) -> list[Outcome]:
-    """Measure every figure that is kept."""
+def gate(each: Mapper, baseline: Mapping[str, Figure], checks: Sequence[Check] = CHECKS) -> list[Outcome]:
+    """Measure all figures of the baseline."""
     return [
-        Outcome(name, mean, kept[name])
+        Outcome(name, mean, baseline[name])
         for check in checks
         for name, (mean, _) in _measured(each, check, check.seeds).items()
     ]
 
 
-def measure_to_keep(each: Mapper, checks: Sequence[Check] = CHECKS) -> dict[str, Figure]:
-    """The figures of the present code, with what their scatter over more seeds allows."""
+def measure_baseline(each: Mapper, checks: Sequence[Check] = CHECKS) -> dict[str, Figure]:
+    """Measure the figures of the present code, with tolerances by the scatter over more seeds."""
     found = {}
     for check in checks:
         for name, (mean, sd) in _measured(each, check, SCATTER * check.seeds).items():
@@ -170,14 +174,14 @@ def measure_to_keep(each: Mapper, checks: Sequence[Check] = CHECKS) -> dict[str,
     return found
 
 
-def load_kept(path: Path = KEPT) -> dict[str, Figure]:
-    """Read the kept figures."""
+def load_baseline(path: Path = BASELINE) -> dict[str, Figure]:
+    """Read a baseline."""
     tree = json.loads(path.read_text(encoding='utf-8'))
     return {name: Figure(**figure) for name, figure in tree['figures'].items()}
 
 
-def to_keep(figures: Mapping[str, Figure]) -> dict[str, Any]:
-    """What to write into the file of the kept figures."""
+def baseline_to_dict(figures: Mapping[str, Figure]) -> dict[str, Any]:
+    """Return the content of the file of a baseline."""
     return {
         'version': __version__,
         'seeds': {check.name: check.seeds for check in CHECKS},
@@ -193,7 +197,7 @@ def to_keep(figures: Mapping[str, Figure]) -> dict[str, Any]:
 
 
 def _measured(each: Mapper, check: Check, seeds: int) -> dict[str, tuple[float, float]]:
-    """Mean over the seeds of the gate, and scatter from seed to seed over all that were run."""
+    """Return the mean over the seeds of the gate, and the standard deviation over all seeds."""
     rows = list(each(check.measure, list(range(seeds))))
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return {
@@ -203,7 +207,7 @@ def _measured(each: Mapper, check: Check, seeds: int) -> dict[str, tuple[float, 
 
 
 def _cubic(seed: int, hidden: Iterable[HiddenEffect]) -> tuple[float, float]:
-    """What the evidence says of a cubic part, and its significance."""
+    """Return the estimate of the cubic coefficient by the score statistics, and its significance."""
     scenario = replace(find_scenario('cleaning'), duration_s=120.0, imu_hz=100, camera_hz=10)
     simulated = SimSource(scenario, seed, hidden=tuple(hidden))
     source, config = preload(simulated, Config(), default_model())
@@ -212,5 +216,5 @@ def _cubic(seed: int, hidden: Iterable[HiddenEffect]) -> tuple[float, float]:
         summarise_recording(source),
         lambda model, tried: calibrate(source, config, model, candidates=tried),
     )
-    ranked_effect = next(item for item in stage.ranked if item.effect.name == scale_power(3).name)
-    return float(estimate(ranked_effect)[0]), ranked_effect.fit.sigma
+    cubic = next(item for item in stage.ranked if item.effect.name == scale_power(3).name)
+    return float(estimate(cubic)[0]), cubic.fit.sigma

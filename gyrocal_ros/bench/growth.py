@@ -1,4 +1,4 @@
-"""How time and memory grow with the number of features, the length of the bag and the rate of the IMU."""
+"""Growth of time and memory with the number of features, the length of the bag and the rate of the IMU."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ LENGTHS_S = (60.0, 300.0, 1200.0, 3600.0, 7200.0)
 IMU_HZ = (50, 100, 200, 500, 1000)
 DURATION_S = 60.0
 CORNERS_PER_FEATURE = 8
-"""On the ceiling, so that the camera always sees as many as it is to follow."""
+"""Number of corners on the ceiling per tracked feature, so that the camera always sees enough of them."""
 MAP_PER_FEATURE = 2
-"""As in the default settings: 15 features followed, 30 kept."""
+"""Size of the map per tracked feature, as in the default settings: 15 features tracked, 30 in the map."""
 LONGEST_IN_MEMORY_S = 1200.0
-"""Of a recording that the filter alone is timed on."""
+"""Maximum duration of a recording on which the filter alone is timed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """One recording."""
+    """One recording, with the quantity that is varied and its value."""
 
     against: str
     value: float
@@ -46,7 +46,7 @@ class Size:
 
 
 def sizes() -> list[Size]:
-    """All of them; everything is as in `lanes` but for what is varied."""
+    """Return all sizes; except for the quantity that is varied, the scenario is `lanes`."""
     lanes = replace(find_scenario('lanes'), duration_s=DURATION_S)
     return [
         *(_with_features(lanes, count) for count in FEATURES),
@@ -56,7 +56,7 @@ def sizes() -> list[Size]:
 
 
 def growth(quick: bool = False) -> Iterator[dict[str, Any]]:
-    """Yield a row a size: the filter alone from memory, and a whole `gyrocal replay` of a bag."""
+    """Yield one row per size: the filter alone from memory, and a whole `gyrocal replay` of a bag."""
     before: dict[str, Any] = {}
     for size in sizes()[: 2 if quick else None]:
         found = _measured(size)
@@ -105,7 +105,7 @@ def _measured(size: Size) -> dict[str, Any]:
 
 
 def _filter_alone(source: SimSource, config: Config) -> tuple[float, float]:
-    """Seconds of processor time over measurements in memory, and features used an image."""
+    """Return the processor time, s, over measurements in memory, and the features used per image."""
     measurements = list(source.measurements())
     slam = SlamStream(EkfSlam(default_model(), config, source.rig))
     began = time.process_time()
@@ -117,7 +117,7 @@ def _filter_alone(source: SimSource, config: Config) -> tuple[float, float]:
 
 
 def _exponent(before: dict[str, Any], now: dict[str, Any], what: str) -> float | None:
-    """Local exponent of a power law: 1 is growth in proportion."""
+    """Return the local exponent of a power law: 1 is proportional growth."""
     if not before or before[what] is None or now[what] is None:
         return None
     return math.log(now[what] / before[what]) / math.log(now['size'] / before['size'])

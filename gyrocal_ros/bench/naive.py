@@ -1,4 +1,4 @@
-"""How a gyro is calibrated without a ceiling camera: by hand, by the wheels, against a wall."""
+"""Calibration without a ceiling camera: bias at rest, scale factor by the wheels or by spins at a wall."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from gyrocal_ros.sim.scenarios import Scenario
 from gyrocal_ros.sim.world import START_NS, SimSource
 
 WALL_SPINS = ((0.5, 1), (1.5, 1), (3.0, 2), (-0.5, 1), (-1.5, 1), (-3.0, 2))
-"""Rates (rad/s) and turns, as the base calibration of the package robot_calibration has them."""
+"""Rates (rad/s) and turns, as in the base calibration of the package robot_calibration."""
 PAUSE_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class ByWheels:
-    """Scale factor and bias by least squares over what was recorded until certain times."""
+class WheelFit:
+    """Scale factor and bias by least squares over the recording up to each of several times."""
 
     time_s: Array
-    """(n,) since the start, a second apart."""
+    """(n,) times since the start, at intervals of one second."""
     scale: Array
     bias_rad_s: Array
 
 
-def zero_at_rest(measurements: Sequence[Measurement], standing_s: float) -> float:
-    """The bias, rad/s, that takes the mean reading of the first seconds to zero."""
+def bias_at_rest(measurements: Sequence[Measurement], standing_s: float) -> float:
+    """Return the bias, rad/s, that makes the mean rate of the first seconds zero."""
     end_ns = START_NS + int(standing_s * NS_PER_S)
     read = [item.rate_rad_s[2] for item in measurements if isinstance(item, ImuSample) and item.t_ns < end_ns]
     return -float(np.mean(read))
 
 
-def by_wheels(measurements: Sequence[Measurement]) -> ByWheels:
-    """Least squares of `wheel turn = scale * gyro turn + bias * time`, from encoder to encoder reading."""
+def fit_to_wheels(measurements: Sequence[Measurement]) -> WheelFit:
+    """Fit `wheel turn = scale * gyro turn + bias * time` by least squares over the encoder intervals."""
     imu = [item for item in measurements if isinstance(item, ImuSample)]
     wheels = [item for item in measurements if isinstance(item, WheelSample)]
     imu_s = np.array([item.t_ns - START_NS for item in imu]) / NS_PER_S
@@ -51,17 +51,17 @@ def by_wheels(measurements: Sequence[Measurement]) -> ByWheels:
     gg, gt, tt, gw, tw = sums[:, ends]
     determinant = np.maximum(gg * tt - gt * gt, 1e-300)
     scale, bias = (gw * tt - tw * gt) / determinant, (gg * tw - gt * gw) / determinant
-    return ByWheels(wheel_s[1:][ends], scale, bias)
+    return WheelFit(wheel_s[1:][ends], scale, bias)
 
 
-def against_a_wall(scenario: Scenario, seed: int) -> tuple[float, float]:
-    """The scale factor from spins whose turns are known exactly, and how long they take, s.
+def spins_against_wall(scenario: Scenario, seed: int) -> tuple[float, float]:
+    """Return the scale factor by spins whose turns are known exactly, and their duration, s.
 
-    As many turns are made to the right as to the left, so that a bias falls out.
+    There are as many turns to the right as to the left, so a bias cancels.
 
     Args:
-        scenario: of the robot; its drive is replaced.
-        seed: of the robot, whose gyro is the same as in any recording of that seed.
+        scenario: scenario of the robot; its drive is replaced.
+        seed: seed of the robot; its gyro is the same as in any recording of that seed.
     """
     spins = [turn(math.copysign(2.0 * math.pi * turns, rate), abs(rate)) for rate, turns in WALL_SPINS]
     legs = tuple(leg for spin in spins for leg in (*spin, *rest(PAUSE_S)))

@@ -1,7 +1,7 @@
-"""Significance of each effect in each test drive, and separation of pairs of effects, computed.
+"""Information of each test drive on each effect, and the correlations of effects, by simulation.
 
 One run of the filter over a simulated drive, with every effect as a candidate, gives Lambda, the information
-on all of them at once (`ekf.score_statistics`). All the figures follow from it.
+on all of them at once (`ekf.score_statistics`). All figures follow from it.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from gyrocal_ros.sim.scenarios import Scenario
 from gyrocal_ros.sim.world import SimSource
 
 BARE = SensorModel('bare', BiasModel(), ())
-"""Model without a scale factor, so that the correlation of other effects with it can be computed."""
+"""Sensor model without a scale factor, so that correlations with the scale factor can be computed."""
 DRIVES: dict[str, Scenario] = {EVERYDAY.name: EVERYDAY, **TEST_DRIVES}
 COLUMNS: dict[str, Scenario] = {**DRIVES, **CONTROLS}
-"""Drives of the table, by name."""
+"""Columns of the table."""
 SIGNAL = Signal('fan_speed.data', mean=10000.0, spread=3200.0)
-"""Representative of any recorded signal, with the spread that a cleaning robot has."""
+"""Example of a recorded signal; the spread is that of a cleaning robot."""
 
 
 @dataclass(frozen=True)
 class Lost(LinearGyroEffect):
-    """The rate that is lost beyond a limit of usual size, as a linear effect: 1 for all of it.
+    """Part of the rate that a limit of usual size removes from the readings; the coefficient is 1 for it.
 
-    Nothing depends smoothly on a limit, but the lost rate has a shape that other effects may share.
+    Nothing depends smoothly on a limit, but the removed part has a shape that may be correlated with others.
     """
 
     limit: GyroEffectOnReadings
@@ -56,7 +56,7 @@ class Lost(LinearGyroEffect):
     coefficients: tuple[Coefficient, ...] = (Coefficient('part', '1', prior_std=1.0),)
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 1)"""
+        """Return the column (N, 1)."""
         rate = block.rate_rad_s[:, 2]
         return column(rate - self.limit.readings(rate, block.dt_s, np.array(self.values), 1.0))
 
@@ -66,9 +66,9 @@ class Figures:
     """Figures of one drive."""
 
     shows: dict[str, float]
-    """Significance of each effect of usual size in sigma, with scale factor and bias estimated."""
+    """Sigma of the usual size of each effect, with scale factor and bias estimated."""
     alike: dict[tuple[str, str], float]
-    """Correlation of pairs of effects that both show."""
+    """Correlation of each pair of effects of which both are significant."""
 
 
 Variant = tuple[Effect, IntArray]
@@ -81,8 +81,8 @@ def figures(drive: str) -> Figures:
     variants: dict[str, list[Variant]] = {}
     for effect, columns in zip(scores.candidates, columns_of(scores.candidates), strict=True):
         variants.setdefault(kind_of(effect.name), []).append((effect, columns))
-    usual = {name: min(found, key=_unusual) for name, found in variants.items()}
-    scale_free = _given(scores, usual[SCALE_FACTOR][1])
+    usual = {name: min(found, key=_distance_from_usual) for name, found in variants.items()}
+    scale_free = _marginalised(scores, usual[SCALE_FACTOR][1])
     at_all = {name: _sigma(scores, variant) for name, variant in usual.items()}
     beside_scale = {name: _sigma(scale_free, variant) for name, variant in usual.items()}
     alike = {}
@@ -99,24 +99,24 @@ def figures(drive: str) -> Figures:
 
 
 def motions() -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table, with a column for each drive: sigma of an effect, correlation of two.
+    """Yield the rows of the table, one column per drive: sigma of an effect, correlation of two effects.
 
-    The sigma is that of an effect of usual size after five minutes, with scale factor and bias estimated.
-    Two effects have a row if they are declared to look alike, or do in some drive; it is empty for drives in
-    which one of them does not show.
+    The sigma is that of an effect of usual size after five minutes, with scale factor and bias estimated. Two
+    effects have a row if the library lists them as twins or if they are correlated in some drive; its entry
+    is empty for drives in which one of them is not significant.
     """
     every: dict[str, Figures] = dict(zip(COLUMNS, in_parallel(figures, COLUMNS), strict=True))
     for effect in (*EFFECTS, *COVARIATE_EFFECTS):
         sigmas = {name: float(f'{found.shows.get(effect, 0.0):.4g}') for name, found in every.items()}
         yield sigmas | {'effect': effect}
     for pair in sorted(_declared_twins() | _found_twins(every)):
-        likeness = {name: found.alike.get(pair) for name, found in every.items()}
-        rounded = {name: None if value is None else round(value, 6) for name, value in likeness.items()}
+        correlations = {name: found.alike.get(pair) for name, found in every.items()}
+        rounded = {name: None if value is None else round(value, 6) for name, value in correlations.items()}
         yield rounded | {'effect': '/'.join(pair)}
 
 
 def _scores(drive: str) -> ScoreStatistics:
-    """Return the scores of every effect, for a robot with the right scale factor."""
+    """Return the score statistics of every effect, from a robot whose scale factor is right."""
     scenario = COLUMNS[drive]
     source = SimSource(replace(scenario, errors=replace(scenario.errors, scale_factor=1.0)), seed=0)
     candidates = candidates_for(BARE, replace(summarise_recording(source), signals=(SIGNAL,))).candidates
@@ -128,16 +128,16 @@ def _scores(drive: str) -> ScoreStatistics:
     return every.project(run.scores)
 
 
-def _given(scores: ScoreStatistics, columns: IntArray) -> ScoreStatistics:
-    """Return the scores of all others when some coefficients are estimated beside them."""
+def _marginalised(scores: ScoreStatistics, columns: IntArray) -> ScoreStatistics:
+    """Return the information on all others when some coefficients are estimated (Schur complement)."""
     total = scores.information.sum(axis=0)
     cross = total[:, columns]
-    left = total - cross @ np.linalg.solve(total[np.ix_(columns, columns)], cross.T)
-    return replace(scores, information=left[None])
+    remaining = total - cross @ np.linalg.solve(total[np.ix_(columns, columns)], cross.T)
+    return replace(scores, information=remaining[None])
 
 
 def _sigma(scores: ScoreStatistics, variant: Variant) -> float:
-    """Return the significance, the root mean square over the signs of the coefficients."""
+    """Return the sigma of an effect of usual size, as root mean square over the signs of its coefficients."""
     effect, columns = variant
     information = np.maximum(np.diagonal(scores.information.sum(axis=0))[columns], 0.0)
     return math.sqrt(float(np.square(_usual_values(effect)) @ information))
@@ -149,8 +149,8 @@ def _usual_values(effect: Effect) -> Array:
     return np.array([item.prior_std for item in effect.coefficients])
 
 
-def _unusual(variant: Variant) -> float:
-    """Return the distance of a time constant from its usual value; zero without one."""
+def _distance_from_usual(variant: Variant) -> float:
+    """Return the logarithmic distance of a time constant from its usual value; zero where there is none."""
     effect, _ = variant
     place = None if isinstance(effect, Lost) else scanned_coefficient(effect)
     if place is None:
@@ -159,7 +159,7 @@ def _unusual(variant: Variant) -> float:
 
 
 def _declared_twins() -> set[tuple[str, str]]:
-    """Return the pairs that effects of the library declare."""
+    """Return the pairs that the library lists as twins."""
     known = {*EFFECTS, *COVARIATE_EFFECTS}
     pairs = {(name, twin) for name, effect in EFFECTS.items() for twin in effect.about.twins}
     return {(min(pair), max(pair)) for pair in pairs if known.issuperset(pair)}

@@ -1,4 +1,4 @@
-"""How fast, and in how much memory: the filter alone, and whole `gyrocal replay` processes."""
+"""Time and memory of the filter alone, and of whole `gyrocal replay` processes."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ wall_s = time.perf_counter() - started
 cpu_s = usage.ru_utime + usage.ru_stime
 print(json.dumps([os.waitstatus_to_exitcode(status), wall_s, cpu_s, usage.ru_maxrss]))
 """
-"""A process starts with the peak memory of the one that made it, so a small one has to make it."""
+"""Program that starts the measured process: a process inherits the peak memory of its parent, so the parent
+has to be small."""
 SINGLE_THREAD = {'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1'}
 
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """What a finished child process took."""
+    """Time and memory of a finished child process."""
 
     wall_s: float
     cpu_s: float
@@ -43,7 +44,7 @@ class Process:
 
 
 def filter_alone(scenario: Scenario, repeats: int = 3) -> dict[str, Any]:
-    """Best of several runs of the filter over measurements that lie ready in memory."""
+    """Return the best of several runs of the filter over measurements in memory."""
     source = SimSource(scenario, 0)
     measurements = list(source.measurements())
     walls = []
@@ -82,7 +83,7 @@ def gyrocal_process(*words: str) -> Process:
 
 
 def whole_process(folder: Path, duration_s: float, images: bool) -> dict[str, Any]:
-    """Write a bag and replay it."""
+    """Write a bag, replay it and return the row of the table."""
     kind = 'images' if images else 'features'
     bag = folder / f'{kind}-{duration_s:.0f}'
     scenario = 'filmed' if images else 'cleaning'
@@ -98,7 +99,7 @@ def whole_process(folder: Path, duration_s: float, images: bool) -> dict[str, An
 
 
 def speed(quick: bool = False) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table: filter alone, then whole processes on bags made for it."""
+    """Yield the rows of the table: filter alone, then whole processes on temporary bags."""
     yield filter_alone(find_scenario('lanes'))
     if quick:
         return

@@ -1,7 +1,7 @@
-"""How well the tracker sees a turn, by itself: the turn of its tracks against the true turn.
+"""Accuracy of the tracker alone: the turn of its tracks compared with the true turn.
 
-A tracker that sees turns too short by a fraction makes the gyro's scale factor wrong by the same
-fraction, and no filter can tell. So this is measured apart, at each rate.
+A tracker whose turns are too short by a fraction makes the gyro's scale factor wrong by the same fraction,
+and no filter can detect that. Therefore it is measured separately, at each rate.
 """
 
 from __future__ import annotations
@@ -26,39 +26,39 @@ CAMERA = CameraIntrinsics(640, 480, 250.0, 250.0, 320.0, 240.0, (-0.05, 0.01, 5e
 CEILING_M = 2.5
 CAMERA_M = 0.1
 RATES_DEG_S = (10.0, 20.0, 40.0, 60.0, 80.0, 100.0)
-FAR_PX = 400.0
-"""Distance from the image's centre to its corners."""
-MIN_SIGHTINGS = 6
-"""Tracks shorter than this say little about their noise."""
+CORNER_PX = 400.0
+"""Distance of the corners of the image from its centre."""
+MIN_OBSERVATIONS = 6
+"""Number of observations that a track must exceed for an estimate of its noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What makes tracking hard."""
+    """Conditions that make tracking difficult."""
 
     frames_per_s: float = 10.0
     frames: int = 60
     speed_m_s: float = 0.3
     attitude_error: float = 0.08
-    """The attitudes given to the tracker turn too little by this fraction."""
+    """Fraction by which the turns of the attitudes for the tracker are too small."""
     exposure_s: float = 0.008
-    """The image is blurred by the motion in this time."""
+    """Exposure time, in which the motion blurs the image."""
     exposure_swing: float = 0.2
-    """Brightness rises and falls by this fraction, once in 7 s."""
+    """Amplitude of the variation of brightness, relative; its period is 7 s."""
 
 
 def tracker_accuracy(
     seeds: int, rates_deg_s: Sequence[float] = RATES_DEG_S, conditions: Conditions = Conditions()
 ) -> Iterator[dict[str, Any]]:
-    """Track rendered images of a turning and driving camera; yield one row a rate.
+    """Track rendered images of a turning and driving camera; yield one row per rate.
 
-    turn_error_percent: turn of the tracks against the true turn, mean over the seeds.
-    turn_error_max_percent: of the worst seed.
-    white_px: noise of a track about its own mean, each coordinate.
-    anchor_px: distance of that mean from the first sight, where a filter believes the landmark to be.
-    autocorrelation: of successive errors of a track about its mean, 0 when white.
-    features: seen in a frame.
-    frame_ms: time that the tracker takes for a frame.
+    turn_error_percent: relative error of the turn of the tracks, mean over the seeds.
+    turn_error_max_percent: the same for the worst seed.
+    white_px: noise of a track about its own mean, for each coordinate.
+    anchor_px: distance of that mean from the first observation, at which a filter initialises the landmark.
+    autocorrelation: correlation of successive errors of a track about its mean, 0 for white noise.
+    features: number of observed features per frame.
+    frame_ms: processing time of the tracker per frame.
     """
     renderers = [
         ceiling_renderer(CAMERA, seed, ceiling_height_m=CEILING_M, objects=0) for seed in range(seeds)
@@ -66,7 +66,7 @@ def tracker_accuracy(
     for rate_deg_s in rates_deg_s:
         drives = [_Drive(math.radians(rate_deg_s), conditions) for _ in renderers]
         for seed, (drive, renderer) in enumerate(zip(drives, renderers, strict=True)):
-            _follow(drive, renderer, np.random.default_rng(seed))
+            _track(drive, renderer, np.random.default_rng(seed))
         errors = np.array([_turn(drive) / drive.yaw(drive.end_s) - 1.0 for drive in drives])
         white, anchor, lagged = np.mean([_noise(drive) for drive in drives], axis=0)
         yield {
@@ -89,7 +89,7 @@ class _Drive:
     conditions: Conditions
     seen: list[FeatureObservations] = field(default_factory=list)
     points_w: dict[int, Array] = field(default_factory=dict)
-    """Where on the ceiling each feature was at first sight."""
+    """Point of the ceiling at which each feature was first observed."""
     spent_s: float = 0.0
 
     @property
@@ -98,36 +98,36 @@ class _Drive:
         return (self.conditions.frames - 1) / self.conditions.frames_per_s
 
     def yaw(self, t_s: float) -> float:
-        """True yaw."""
+        """Return the true yaw."""
         return self.rate_rad_s * t_s
 
     def pose(self, t_s: float) -> tuple[Array, Array]:
-        """True attitude (3, 3) and position (3,)."""
+        """Return the true attitude (3, 3) and position (3,)."""
         return _attitude(self.yaw(t_s)), np.array([self.conditions.speed_m_s * t_s, 0.0, CAMERA_M])
 
     def image(self, renderer: CeilingRenderer, t_s: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """What the camera takes at a time."""
+        """Render the image of the camera at a time."""
         exposure_s = self.conditions.exposure_s
-        steps = 1 + math.ceil(FAR_PX * self.rate_rad_s * exposure_s)  # a pixel each
+        steps = 1 + math.ceil(CORNER_PX * self.rate_rad_s * exposure_s)  # a pixel each
         moments = t_s + exposure_s * ((np.arange(steps) + 0.5) / steps - 0.5)
         exposure = 1.0 + self.conditions.exposure_swing * math.sin(0.9 * t_s)
         poses = [self.pose(moment) for moment in moments]
         return renderer.render(*self.pose(t_s), exposure=exposure, blur=poses, rng=rng)
 
     def on_ceiling(self, t_s: float, pixels: Array) -> Array:
-        """True points (n, 3) of the ceiling at pixels."""
+        """Return the true points (n, 3) of the ceiling at pixels."""
         R_wc, p_wc = self.pose(t_s)
         rays_w = np.column_stack([bearing(CAMERA, pixels), np.ones(len(pixels))]) @ R_wc.T
         return p_wc + rays_w * ((CEILING_M - p_wc[2]) / rays_w[:, 2:])
 
     def regions(self, t_s: float) -> SearchRegions:
-        """Where a filter that knows all but the turn since the last frame would look."""
+        """Return the search regions of a filter without errors, except for the turn since the last frame."""
         error_rad = self.conditions.attitude_error * self.rate_rad_s / self.conditions.frames_per_s
         R_wc, p_wc = self.pose(t_s)
         ids = np.array(list(self.points_w), dtype=np.int64)
         points_w = np.array(list(self.points_w.values())).reshape(-1, 3)
         points_c = (points_w - p_wc) @ R_wc @ _attitude(error_rad)
-        std_px = 0.5 + FAR_PX * error_rad
+        std_px = 0.5 + CORNER_PX * error_rad
         covariances = np.tile(std_px**2 * np.eye(2), (len(ids), 1, 1))
         ahead = points_c[:, 2] > 0.0
         return SearchRegions(
@@ -139,8 +139,8 @@ def _attitude(yaw_rad: float) -> Array:
     return rotation_from_euler(np.array([0.0, 0.0, yaw_rad]))
 
 
-def _follow(drive: _Drive, renderer: CeilingRenderer, rng: np.random.Generator) -> None:
-    """Let a tracker see the whole drive."""
+def _track(drive: _Drive, renderer: CeilingRenderer, rng: np.random.Generator) -> None:
+    """Run a tracker over the whole drive."""
     tracker = Tracker(CAMERA, TrackerConfig())
     for t_s in np.arange(drive.conditions.frames) / drive.conditions.frames_per_s:
         frame = Frame(nanoseconds(t_s), drive.image(renderer, t_s, rng))
@@ -155,7 +155,7 @@ def _follow(drive: _Drive, renderer: CeilingRenderer, rng: np.random.Generator) 
 
 
 def _turn(drive: _Drive) -> float:
-    """Turn over the drive, from frame to frame, by the rotation that fits the tracks best."""
+    """Return the turn over the drive, summed over the rotations that fit the tracks from frame to frame."""
     turn = 0.0
     for before, after in zip(drive.seen, drive.seen[1:], strict=False):
         _, first, second = np.intersect1d(before.ids, after.ids, return_indices=True)
@@ -166,7 +166,7 @@ def _turn(drive: _Drive) -> float:
 
 
 def _noise(drive: _Drive) -> tuple[float, float, float]:
-    """Variances of a track in px^2: white, of the anchor, and covariance of successive errors."""
+    """Return variances of a track in px^2: white noise, anchor, and covariance of successive errors."""
     errors: dict[int, list[Array]] = {}
     focal_px = CAMERA.fx_px / (CEILING_M - CAMERA_M)
     for k, seen in enumerate(drive.seen):
@@ -175,7 +175,7 @@ def _noise(drive: _Drive) -> tuple[float, float, float]:
             errors.setdefault(id_, []).append(focal_px * (point_w - drive.points_w[id_])[:2])
     white, anchor, lagged = [], [], []
     for track in errors.values():
-        if len(track) > MIN_SIGHTINGS:
+        if len(track) > MIN_OBSERVATIONS:
             after_first = np.array(track[1:])
             mean = after_first.mean(axis=0)
             own = after_first - mean

@@ -17,7 +17,7 @@ from gyrocal_ros.bench.accuracy import cases as accuracy_cases
 from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
-from gyrocal_ros.bench.gate import KEPT, Outcome, gate, load_kept, measure_to_keep, to_keep
+from gyrocal_ros.bench.gate import BASELINE, Outcome, baseline_to_dict, gate, load_baseline, measure_baseline
 from gyrocal_ros.bench.growth import growth
 from gyrocal_ros.bench.methods import comparison
 from gyrocal_ros.bench.separability import motions
@@ -147,20 +147,20 @@ def _compare_with_kept(args: argparse.Namespace) -> None:
         return progress(function.__name__, in_parallel(function, tasks), total=len(tasks), unit='seed')
 
     if args.keep:
-        write_text_atomic(KEPT, json_text(to_keep(measure_to_keep(each))), overwrite=True)
-        tell(f'kept in {KEPT}')
+        write_text_atomic(BASELINE, json_text(baseline_to_dict(measure_baseline(each))), overwrite=True)
+        tell(f'kept in {BASELINE}')
         return
-    outcomes = gate(each, load_kept())
+    outcomes = gate(each, load_baseline())
     if args.json:
         print_json(provenance() | {'figures': {item.name: _as_row(item) for item in outcomes}})
     for number, item in enumerate(outcomes if not args.json else ()):
         print_row({'figure': item.name} | _as_row(item), header=number == 0)
     left = [item.name for item in outcomes if not item.passes]
     if left:
-        todo = 'fix it, or keep the new figures with `gyrocal bench --quick --keep`'
-        raise GyrocalError('worse than the kept figure by more than chance', where=', '.join(left), todo=todo)
+        todo = 'fix it, or, if the change is intended, `gyrocal bench --quick --keep`'
+        raise GyrocalError('worse than what is kept, beyond chance', where=', '.join(left), todo=todo)
 
 
 def _as_row(item: Outcome) -> dict[str, Any]:
-    kept = item.kept
+    kept = item.baseline
     return {'value': item.value, 'kept': kept.value, 'tolerance': kept.tolerance, 'passes': item.passes}

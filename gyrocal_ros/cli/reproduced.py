@@ -15,7 +15,7 @@ from gyrocal_ros.bench.paper.landmark import LandmarkErrors
 from gyrocal_ros.bench.paper.mapping import FeatureMap
 from gyrocal_ros.bench.paper.rate_table import RateTable
 from gyrocal_ros.bench.paper.tracks import Tracks
-from gyrocal_ros.bench.paper.unseen import (
+from gyrocal_ros.bench.paper.without_camera import (
     PAPER_CALIBRATED_DEG,
     PAPER_NOMINAL_DEG,
     HeadingTable,
@@ -56,17 +56,17 @@ def _rate_table(name: str, result: RateTable) -> list[Section]:
 def _at_rest(name: str, result: AtRest) -> list[Section]:
     figure = figures.at_rest(result.time_s, result.read_deg_s, result.fits[0].at(result.time_s))
     return [
-        Section(name, figure, 'Seed 0, means over 10 s. What the fit leaves over is the wander of the bias.')
+        Section(name, figure, 'Seed 0, means over 10 s. The residual of the fit is the wander of the bias.')
     ]
 
 
 def _convergence(name: str, result: ConvergenceFigure) -> list[Section]:
     courses = {
-        variety.name: (variety.first.time_s, variety.first.volt, variety.first.std_volt)
-        for variety in result.varieties
-        if variety.first is not None
+        variant.name: (variant.first.time_s, variant.first.volt, variant.first.std_volt)
+        for variant in result.varieties
+        if variant.first is not None
     }
-    caption = 'Seed 0 with 5 features. Before the first turn nothing tells the scale factor.'
+    caption = 'Seed 0 with 5 features. The scale factor is not observable before the first turn.'
     return [Section(name, figures.convergence(courses, TRUE_VOLT), caption)]
 
 
@@ -85,7 +85,7 @@ def _histograms(name: str, result: Histograms) -> list[Section]:
 
 
 def _tracks(name: str, result: Tracks) -> list[Section]:
-    caption = 'Seed 0, laid on the ground truth where each path begins. Crosses mark the ends.'
+    caption = 'Seed 0, aligned to the ground truth at the beginning of each path. Crosses mark the ends.'
     ends = figures.end_errors('Where they end', result.end_errors_m)
     return [
         Section(name, figures.tracks('Tracks', result.tracks), caption, half=True),

@@ -10,6 +10,7 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS
+from gyrocal_ros.model.planar import planar_trajectory
 from gyrocal_ros.statistics import chi_square_quantile, trigamma
 
 REFERENCES = {
@@ -158,10 +159,8 @@ def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Trajecto
     """Return the trajectory by gyro and wheels alone, with fixed coefficients and bias."""
     history = run.history
     increments = turns(run, coefficients) + bias_rad_s * history.gyro_valid_s
-    yaw = history.mean[0, YAW] + np.cumsum(increments) - increments[0]
-    heading = yaw - 0.5 * increments
-    steps = np.stack([np.cos(heading), np.sin(heading)], axis=1) * history.distance_m[:, None]
-    return Trajectory2D(history.time_s, np.cumsum(steps, axis=0), yaw)
+    position_m, yaw_rad = planar_trajectory(history.mean[0, YAW], increments, history.distance_m)
+    return Trajectory2D(history.time_s, position_m, yaw_rad)
 
 
 def blind_drift(

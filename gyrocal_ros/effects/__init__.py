@@ -1,10 +1,10 @@
 """The effect library.
 
-base         what an effect explains          library    table of contents
-traits       what other rooms ask of it       registry   effects by name, those of the user included
+base         explanation of an effect         library    table of contents
+traits       properties for other rooms       registry   effects by name, those of the user included
 checks       completeness of user effects     model_file `model.yaml`
 describe     an effect in words               sketch     an effect as a picture
-all others   one physical effect a file
+all others   one physical effect per file
 """
 
 from gyrocal_ros.effects.library import COVARIATE_EFFECTS, PAPER_EFFECTS, SCALE_FACTOR, SHIPPED

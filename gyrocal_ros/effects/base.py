@@ -1,4 +1,4 @@
-"""Explanation of an effect, and the base class of effects that are linear."""
+"""Base of library effects: an explanation for people, and the common form of linear gyro effects."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ Stimulus: TypeAlias = Literal[
     'signal',
     'image',
 ]
-"""Signal that an effect is drawn against: see `sketch`."""
+"""Quantity against which `sketch` shows an effect."""
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Description of an effect for people, and its properties for other rooms."""
+    """Description of an effect for people, with the properties that other rooms use."""
 
     physics: str
     """One paragraph that a technician understands."""
     equation: str
     usual_size: str
     best_motion: str
-    """The motion that shows it best."""
+    """Motion that shows the effect best."""
     twins: tuple[str, ...] = ()
-    """Effects that look like it."""
+    """Effects that are easily confused with this one."""
     needs: tuple[str, ...] = ()
-    """Signals beside IMU, wheels and camera without which the effect cannot be judged: `temperature`, or
-    topic and field as `gyrocal check` lists them. An effect with an attribute `signal` needs that, too."""
+    """Signals, other than IMU, wheels and camera, without which the effect cannot be judged: `temperature`,
+    or topic and field as `gyrocal check` lists them. An effect with an attribute `signal` needs that, too."""
     source: str = ''
     example: tuple[float, ...] = ()
-    """Values of the coefficients, in their units, at which the effect can clearly be seen."""
+    """Values of the coefficients, in their units, at which the effect is clearly visible."""
     shown_against: Stimulus = 'rate'
-    """Signal to vary to show it."""
+    """Quantity to vary in a sketch of the effect."""
     shows_in_any_turns: bool = False
     """True if every recording with turns can judge the effect."""
     may_break_the_filter: bool = False
@@ -56,7 +56,7 @@ class Explanation:
 
 @runtime_checkable
 class LibraryEffect(Effect, Protocol):
-    """An effect that can explain itself."""
+    """An effect with an explanation."""
 
     @property
     def about(self) -> Explanation: ...
@@ -71,26 +71,26 @@ class LinearGyroEffect(ABC):
 
     @abstractmethod
     def columns(self, block: MotionBlock) -> Array:
-        """(N, k) contribution to the yaw rate, rad/s, per unit of each coefficient."""
+        """Return the contribution (N, k) to the yaw rate, rad/s, per unit of each coefficient."""
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Contribution at the coefficient values (k,)."""
+        """Return the contribution at the coefficient values (k,)."""
         columns = self.columns(block)
         return GyroTerm(columns @ values, columns)
 
 
 def column(*signals: Array) -> Array:
-    """Stack signals (N,) as the columns (N, k) of a linear effect."""
+    """Return signals (N,) as the columns (N, k) of a linear effect."""
     return np.array(signals).T
 
 
 def recorded(signal: Array) -> Array:
-    """Replace what was not recorded (NaN) by zero: the effect then contributes nothing."""
+    """Return a signal with zero where it was not recorded (NaN): the effect then contributes nothing."""
     return np.where(np.isnan(signal), 0.0, signal)
 
 
 def with_unit(value: float, unit: str, digits: int = 4) -> str:
-    """Format a number for people: without the unit 1, and angles in degrees, too."""
+    """Format a number for people: without the unit 1, and angles also in degrees."""
     text = f'{value:.{digits}g} {unit}'.removesuffix(' 1')
     if unit.startswith('rad'):
         text += f' ({math.degrees(value):.{digits}g} {unit.replace("rad", "deg", 1)})'

@@ -20,7 +20,7 @@ class BiasTemperature(LinearGyroEffect):
     about: ClassVar[Explanation] = Explanation(
         physics='Warmth changes the stiffness and the tension of the vibrating structure and the '
         'offsets of the amplifiers behind it, so what the sensor reads at rest follows its '
-        'temperature. Motors, charging or a warm room are enough. The bias counts at 25 deg C.',
+        'temperature. Motors, charging or a warm room are enough. The bias refers to 25 deg C.',
         equation='w = w_n + k (T - 25 deg C)',
         usual_size='0.005 to 0.05 deg/s/K',
         best_motion='rests at several temperatures, best while warming up and again while cooling down',
@@ -42,5 +42,5 @@ class BiasTemperature(LinearGyroEffect):
     )
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 1)"""
+        """Return the column (N, 1)."""
         return column(recorded(block.temperature_c - REFERENCE_C))

@@ -19,8 +19,8 @@ MIN_TIME_CONSTANT_S = 1.0
 class BiasWarmup:
     """`-C exp(-t / tau)`: with the bias it makes B + C (1 - exp(-t / tau)) - C.
 
-    The reference is long after power-on, so the term vanishes there and the bias keeps its meaning.
-    Time counts from the first IMU sample.
+    The term vanishes long after power-on, so the bias keeps its meaning.
+    Time starts at the first IMU sample.
     """
 
     about: ClassVar[Explanation] = Explanation(
@@ -58,12 +58,12 @@ class BiasWarmup:
     )
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Contribution and its derivative (N, 2)."""
+        """Return the contribution and its derivative (N, 2)."""
         amplitude, time_constant = values[0], max(values[1], MIN_TIME_CONSTANT_S)
         decay = np.exp(-block.time_s / time_constant)
         by_time_constant = -amplitude * decay * block.time_s / time_constant**2
         return GyroTerm(-amplitude * decay, np.stack([-decay, by_time_constant], axis=1))
 
     def columns_at(self, block: MotionBlock, scan: Array, memory: Memory) -> tuple[Array, Memory]:
-        """Derivative (N, q) with respect to the amplitude at q time constants."""
+        """Return the derivative (N, q) with respect to the amplitude at q time constants."""
         return -np.exp(-block.time_s[:, None] / scan), None

@@ -1,4 +1,4 @@
-"""The camera does not sit where its mounting says."""
+"""The camera is not at the position that its mounting gives."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class CameraPosition:
     """Offset (x, y) of the mounting in body axes."""
 
     about: ClassVar[Explanation] = Explanation(
-        physics='The camera does not sit where its mounting says. When the robot turns on the spot, '
-        'the camera swings round a circle of another size or from another side than expected.',
+        physics='The camera is not where its mounting says. When the robot turns on the spot, the '
+        'camera moves on a circle of another size, or starts from another side, than expected.',
         equation='p_bc = p_bc,given + (x, y, 0)',
         usual_size='5 to 20 mm',
         best_motion='full turns on the spot, at several places',
@@ -38,9 +38,9 @@ class CameraPosition:
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array
     ) -> tuple[CameraIntrinsics, Mount]:
-        """The shifted mounting."""
+        """Return the shifted mounting."""
         return camera, replace(mount, p_bs=mount.p_bs + np.array([values[0], values[1], 0.0]))
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
-        """Points shift against the camera by the offset, in its axes and in the points' scale."""
+        """Return the shift of the points by minus the offset, in the camera's axes and the points' scale."""
         return seen.by_point @ (-seen.scale[:, None, None] * seen.R_bc.T[:, :2])

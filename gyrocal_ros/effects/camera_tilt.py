@@ -1,4 +1,4 @@
-"""The camera does not look where its mounting says."""
+"""The camera does not look in the direction that its mounting gives."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRang
 class CameraTilt:
     """A small rotation about the optical frame's x and y, `R_bc' = R_bc R(tx, ty)`.
 
-    Applied after the transform that is given, it makes the true mounting.
+    Applied after the given transform, it yields the true mounting.
     """
 
     about: ClassVar[Explanation] = Explanation(
         physics='The camera does not look quite where its mounting says: a bent bracket, a screw '
-        'tightened unevenly, a lens askew. When the robot turns on the spot, the ceiling then turns '
+        'tightened unevenly, a tilted lens. When the robot turns on the spot, the ceiling then turns '
         'about another point of the image than expected.',
         equation='R_bc = R_bc,given R(x, y)',
         usual_size='0.5 to 3 deg',
@@ -55,12 +55,12 @@ class CameraTilt:
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array
     ) -> tuple[CameraIntrinsics, Mount]:
-        """The tilted mounting."""
+        """Return the tilted mounting."""
         tilt = rotation_from_euler(np.array([values[0], values[1], 0.0]))
         return camera, replace(mount, R_bs=mount.R_bs @ tilt)
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
-        """Points turn against the camera: `dm_c = -t x m_c`, the y axis being tilted about x itself."""
+        """Return the rotation of the points, `dm_c = -t x m_c`; the y axis is itself tilted about x."""
         c, s = math.cos(values[0]), math.sin(values[0])
         about_x = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
         about_y = np.array([[0.0, s, c], [-s, 0.0, 0.0], [-c, 0.0, 0.0]])

@@ -1,4 +1,4 @@
-"""The images are stamped late or early against the clock of the IMU."""
+"""The images are stamped late or early relative to the clock of the IMU."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from gyrocal_ros.model.sensor import Coefficient, Place, TypicalRange
 class CameraTimeOffset:
     """Stamp minus true time of exposure: an image stamped t was taken at t - offset.
 
-    The filter looks at each image at its true time; the derivative is the motion of the pixels.
+    The filter uses each image at its true time; the derivative is the motion of the pixels.
     """
 
     about: ClassVar[Explanation] = Explanation(
-        physics='The images carry a time that is not that of their exposure: the camera stamps them '
-        'when they have been read out or have arrived, or its clock stands otherwise. While the '
-        'robot turns, the heading seen then is one of a little earlier or later. At rest and between '
-        'turns nothing shows.',
+        physics='The stamps of the images are not the times of their exposure: the camera stamps them '
+        'when they have been read out or have arrived, or its clock has an offset. While the robot '
+        'turns, the heading that an image shows is then that of a little earlier or later. At rest '
+        'and between turns nothing shows.',
         equation='exposure = stamp - offset',
         usual_size='5 to 60 ms',
         best_motion='turns that start and stop abruptly',

@@ -29,7 +29,7 @@ MIN_SCAN = 3
 
 
 def faults(effect: Any) -> Iterator[str]:
-    """Yield what keeps an effect from being used; each check may rely on those before."""
+    """Yield the faults of an effect that prevent its use; each check relies on the ones before."""
     name, place = getattr(effect, 'name', None), getattr(effect, 'acts_on', None)
     if not isinstance(name, str) or not re.fullmatch(r'[a-z][a-z0-9_]*', name):
         yield f'name is {name!r}, not small letters, digits and underscores'
@@ -43,7 +43,7 @@ def faults(effect: Any) -> Iterator[str]:
         yield 'two coefficients have the same name'
     if not is_dataclass(effect) or 'coefficients' not in {item.name for item in fields(effect)}:
         yield 'is no dataclass with a field coefficients, so that priors could be set'
-    yield from _faults_of_words(effect, len(items))
+    yield from _faults_of_explanation(effect, len(items))
     missing = [method for method in METHODS[str(place)] if not callable(getattr(effect, method, None))]
     if missing:
         yield f'lacks {" and ".join(missing)}'
@@ -56,7 +56,7 @@ def faults(effect: Any) -> Iterator[str]:
             yield from _faults_of_columns(form)
 
 
-def _faults_of_words(effect: Any, count: int) -> Iterator[str]:
+def _faults_of_explanation(effect: Any, count: int) -> Iterator[str]:
     about = getattr(effect, 'about', None)
     if not isinstance(about, Explanation):
         yield 'about is no Explanation'
@@ -96,7 +96,7 @@ def _faults_of_contribution(effect: Any) -> Iterator[str]:
     """Check shapes, numbers and derivative on a short motion; signals may be missing in a bag."""
     values = np.array(effect.about.example, float)
     shape = {'gyro': (6,), 'wheels': (6,), 'ground': (3,)}[effect.acts_on]
-    block = _trial_block()
+    block = _test_block()
     try:
         added, by_values = _contribution(effect, block, values)
         bare, _ = _contribution(effect, replace(block, temperature_c=np.full(6, np.nan)), values)
@@ -121,7 +121,7 @@ def _faults_of_contribution(effect: Any) -> Iterator[str]:
 
 def _faults_of_columns(effect: Any) -> Iterator[str]:
     """Check that an effect with a scan is linear in its other coefficients, and its `columns_at`."""
-    block, linear, place = _trial_block(), strengths(effect), scanned_coefficient(effect)
+    block, linear, place = _test_block(), strengths(effect), scanned_coefficient(effect)
     assert place is not None
     scan = np.array(effect.coefficients[place].scan)
     columns = []
@@ -148,8 +148,8 @@ def _contribution(effect: Any, block: MotionBlock, values: Array) -> tuple[Array
     return added, by_values
 
 
-def _trial_block() -> MotionBlock:
-    """Return six intervals in which everything moves."""
+def _test_block() -> MotionBlock:
+    """Return six intervals in which every signal varies."""
     rng = np.random.default_rng(0)
     dt_s = np.full(6, 0.005)
     rates = rng.uniform(-1.0, 1.0, (6, 3))

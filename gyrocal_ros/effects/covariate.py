@@ -1,4 +1,4 @@
-"""Bias or scale factor that follows any other recorded number: motor current, fan, supply voltage."""
+"""Bias or scale factor that follows any other recorded signal: motor current, fan, supply voltage."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class CovariateBias(LinearGyroEffect):
     """`k (c - c0)`; named with its signal, `covariate_bias:battery_state.current`."""
 
     about: ClassVar[Explanation] = Explanation(
-        physics='Something else that is recorded goes together with what the sensor reads at rest: '
-        'the current of a motor nearby, the speed of a fan, the voltage of the battery. Magnetic '
-        'fields, heat, shaking or a supply that gives way may be behind it. Slow signals go together '
-        'with anything slow, so look for a reason before you trust it.',
+        physics='Another recorded signal is correlated with what the sensor reads at rest: the current '
+        'of a motor nearby, the speed of a fan, the voltage of the battery. Magnetic fields, heat, '
+        'shaking or a weak supply may be the cause. Slow signals are correlated with anything slow, so '
+        'look for a reason before you trust it.',
         equation='w = w_n + k (c - mean c)',
         usual_size='0.01 to 0.2 deg/s in all',
         best_motion='what makes the signal change, again and again: motors and fan on and off at rest',
         twins=('bias_temperature', 'bias_warmup', 'vibration_rectification'),
         source='Ljung 1999, System Identification: Theory for the User, chapter 16: residuals against '
-        'what was recorded',
+        'recorded signals',
         example=(math.radians(0.1),),
         shown_against='signal',
     )
@@ -37,14 +37,14 @@ class CovariateBias(LinearGyroEffect):
     name: str
     coefficients: tuple[Coefficient, ...]
     reference: float = 0.0
-    """c0, the mean of the signal over the recording it was found in."""
+    """c0, the mean of the signal over the recording in which the effect was found."""
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 1)"""
+        """Return the column (N, 1)."""
         return column(deviation(block, self.signal, self.reference))
 
     def counted_from(self, reference: float) -> CovariateBias:
-        """The same with another c0."""
+        """Return the same effect with another c0."""
         return replace(self, reference=reference)
 
 
@@ -53,15 +53,15 @@ class CovariateScale(LinearGyroEffect):
     """`k (c - c0) w`."""
 
     about: ClassVar[Explanation] = Explanation(
-        physics='Something else that is recorded goes together with how strongly the sensor answers '
-        'to turns, as the supply voltage does where the output is measured in parts of it. At rest '
-        'nothing shows.',
+        physics='Another recorded signal is correlated with how strongly the sensor responds to turns, '
+        'as the supply voltage is where the output is measured as a fraction of it. At rest nothing '
+        'shows.',
         equation='w = w_n + k (c - mean c) w_n',
         usual_size='0.1 to 1 % in all',
         best_motion='turns with the signal high and low: a full and an empty battery, fan on and off',
         twins=('scale_temperature', 'scale_factor'),
         source='Ljung 1999, System Identification: Theory for the User, chapter 16: residuals against '
-        'what was recorded',
+        'recorded signals',
         example=(0.005,),
         shown_against='signal',
     )
@@ -71,11 +71,11 @@ class CovariateScale(LinearGyroEffect):
     reference: float = 0.0
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 1)"""
+        """Return the column (N, 1)."""
         return column(deviation(block, self.signal, self.reference) * block.rate_rad_s[:, 2])
 
     def counted_from(self, reference: float) -> CovariateScale:
-        """The same with another c0."""
+        """Return the same effect with another c0."""
         return replace(self, reference=reference)
 
 
@@ -103,18 +103,18 @@ def covariate_effects(signals: Sequence[Signal]) -> list[CovariateBias | Covaria
 
 @dataclass(frozen=True)
 class CovariateBank(LinearGyroEffect):
-    """All `covariate_effects` of some signals as one effect, a coefficient each: faster than one by one."""
+    """All `covariate_effects` of some signals as one effect with a coefficient for each, for speed."""
 
     signals: tuple[Signal, ...]
     name: str = 'covariate bank'
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:  # type: ignore[override]
-        """One for each effect, in the order of `covariate_effects`."""
+        """One coefficient for each effect, in the order of `covariate_effects`."""
         return tuple(effect.coefficients[0] for effect in covariate_effects(self.signals))
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 2 q) for q signals."""
+        """Return the columns (N, 2 q) for q signals."""
         deviations = [deviation(block, signal.name, signal.mean) for signal in self.signals]
         stacked = np.stack(deviations, axis=1)
         return np.concatenate([stacked, stacked * block.rate_rad_s[:, 2:]], axis=1)

@@ -15,12 +15,12 @@ class CrossAxis(LinearGyroEffect):
     """`Mx wx + My wy`, the paper's neglected M."""
 
     about: ClassVar[Explanation] = Explanation(
-        physics='The axis that the sensor feels is not quite upright: the chip sits askew in its '
-        'housing, the housing on the board, the board in the robot. Rolling and pitching over '
-        'thresholds and bumps then reads as turning. On a smooth level floor nothing shows.',
+        physics='The sensitive axis is not quite upright: the chip is tilted in its housing, the '
+        'housing on the board, or the board in the robot. Rolling and pitching over thresholds and '
+        'bumps then reads as turning. On a smooth level floor nothing shows.',
         equation='w = w_n + Mx wx + My wy',
         usual_size='0.5 to 3 %',
-        best_motion='thresholds, bumps and ramps, crossed straight and askew',
+        best_motion='thresholds, bumps and ramps, crossed straight and at an angle',
         source='Lee et al. 2012, eq. (5); Titterton and Weston 2004, Strapdown Inertial Navigation '
         'Technology',
         example=(0.02, -0.02),
@@ -33,5 +33,5 @@ class CrossAxis(LinearGyroEffect):
     )
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 2)"""
+        """Return the columns (N, 2)."""
         return column(block.rate_rad_s[:, 0], block.rate_rad_s[:, 1])

@@ -1,4 +1,4 @@
-"""Description of an effect in lines for a person."""
+"""Description of an effect in lines of text."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ PLACES = {
     'camera': 'in the camera',
     'time': 'in the stamps of the images',
 }
-UNTOLD = 'found in the readings, not estimated'
+NOT_ESTIMATED = 'found in the readings, not estimated'
 
 
 def place_of(effect: Effect) -> Place:
-    """Return the place of the physics, which is not always the place where the filter is corrected."""
+    """Return the place of the physical cause; the filter may be corrected at another place."""
     return 'wheels' if isinstance(effect, CameraEffectOnOdometry) else effect.acts_on
 
 
 def effect_rows(effect: LibraryEffect) -> Iterator[tuple[str, str]]:
-    """Yield names and texts of everything but the physics of an effect."""
+    """Yield name and text of each property of an effect, except its physics."""
     about = effect.about
     yield 'equation', about.equation
     yield 'usual size', about.usual_size
@@ -39,5 +39,5 @@ def effect_rows(effect: LibraryEffect) -> Iterator[tuple[str, str]]:
 def prior_in_words(item: Coefficient) -> str:
     """Describe the prior of a coefficient."""
     if item.prior_std == 0.0:
-        return UNTOLD
+        return NOT_ESTIMATED
     return f'{item.prior_mean:g} ± {with_unit(item.prior_std, item.unit)} before any measurement'

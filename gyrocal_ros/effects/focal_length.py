@@ -14,13 +14,13 @@ from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRang
 
 @dataclass(frozen=True)
 class FocalLength:
-    """True focal length = (1 + s) times camera_info's."""
+    """True focal length = (1 + s) times that of camera_info."""
 
     about: ClassVar[Explanation] = Explanation(
         physics='The lens magnifies more or less than its calibration says: refocused, warmed up, or '
         'calibrated at another distance. Everything seems nearer to or farther from the image centre '
-        'by the same part. A ceiling that is a little lower would look almost the same, so little '
-        'contradicts it.',
+        'by the same fraction. A ceiling that is a little lower would look almost the same, so few '
+        'motions show it.',
         equation='f = (1 + s) f_camera_info',
         usual_size='0.5 to 3 %',
         best_motion='full turns on the spot and drives in between; corners at the border of the image',
@@ -40,11 +40,11 @@ class FocalLength:
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array
     ) -> tuple[CameraIntrinsics, Mount]:
-        """The camera with its true focal length."""
+        """Return the camera with its true focal length."""
         s = float(values[0])
         return replace(camera, fx_px=(1.0 + s) * camera.fx_px, fy_px=(1.0 + s) * camera.fy_px), mount
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
-        """Pixels move away from the image centre."""
+        """Return the motion of the pixels away from the image centre."""
         centre = np.array([seen.camera.cx_px, seen.camera.cy_px])
         return ((seen.pixels - centre) / (1.0 + values[0]))[:, :, None]

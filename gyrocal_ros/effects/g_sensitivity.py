@@ -16,12 +16,12 @@ class GSensitivity(LinearGyroEffect):
     """`gx ax + gy ay`, the paper's neglected Bg."""
 
     about: ClassVar[Explanation] = Explanation(
-        physics='Acceleration pulls the vibrating mass to one side, and the sensor takes part of that '
-        'for rotation. Speeding up, braking, driving round a bend and standing on a slope each add a '
-        'little false turning for as long as they last.',
+        physics='Acceleration pulls the vibrating mass to one side, and the sensor reads part of that '
+        'as rotation. Speeding up, braking, driving round a bend and standing on a slope each add a '
+        'small false rate for as long as they last.',
         equation='w = w_n + gx ax + gy ay',
         usual_size='0.005 to 0.1 deg/s/(m/s^2)',
-        best_motion='hard starts and stops, fast bends, a ramp stood on in several directions',
+        best_motion='hard starts and stops, fast bends, rests on a ramp in several directions',
         source='Weinberg 2011, Gyro mechanical performance: the most important parameter, Analog '
         'Devices MS-2158',
         example=(math.radians(0.05), math.radians(-0.05)),
@@ -44,5 +44,5 @@ class GSensitivity(LinearGyroEffect):
     )
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 2)"""
+        """Return the columns (N, 2)."""
         return column(block.specific_force_m_s2[:, 0], block.specific_force_m_s2[:, 1])

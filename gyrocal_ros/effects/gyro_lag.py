@@ -17,10 +17,9 @@ class GyroLag(LinearGyroEffect):
     """`tau dw/dt` undoes a first-order low-pass filter of time constant tau."""
 
     about: ClassVar[Explanation] = Explanation(
-        physics='A low-pass filter in the sensor keeps noise out and lets every change of the rate '
-        'through late. Where a turn begins the sensor reads too little, where it ends it still reads '
-        'some of what is over. Over a whole turn the two cancel; in between the heading hangs behind '
-        'by rate times delay.',
+        physics='A low-pass filter in the sensor suppresses noise and delays every change of the rate. '
+        'Where a turn begins the sensor reads too little, and where it ends it still reads a rate. '
+        'Over a whole turn the two cancel; in between the heading lags by rate times delay.',
         equation='w = w_n + tau dw_n/dt',
         usual_size='5 to 60 ms',
         best_motion='turns that start and stop abruptly',
@@ -38,11 +37,11 @@ class GyroLag(LinearGyroEffect):
     )
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 1)"""
+        """Return the column (N, 1)."""
         return column(block.yaw_acceleration_rad_s2)
 
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
-        """`w_n + tau / scale dw_n/dt` is what goes in: the low-pass filter, by the trapezoidal rule."""
+        """Apply the low-pass filter, whose input is `w_n + tau / scale dw_n/dt`, by the trapezoidal rule."""
         ratio = 2.0 * values[0] / scale_factor / dt_s
         share, kept = 1.0 / (1.0 + ratio), (ratio - 1.0) / (1.0 + ratio)
         pushed = share[1:] * (nominal_rad_s[1:] + nominal_rad_s[:-1])

@@ -18,7 +18,7 @@ class LateralDrift:
 
     about: ClassVar[Explanation] = Explanation(
         physics='The pile of a carpet leans one way and carries the robot along a little with every '
-        'metre it travels, whatever its heading. The wheels do not notice, nor does the gyro.',
+        'metre it travels, whatever its heading. Neither the wheels nor the gyro measure it.',
         equation='p = p_odometry + (lx, ly) |d| in the world',
         usual_size='1 to 3 %',
         best_motion='lanes in at least two directions across the same carpet',
@@ -35,7 +35,7 @@ class LateralDrift:
     )
 
     def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
-        """Displacement (3,) over the block and its derivative (3, 2)."""
+        """Return the displacement (3,) over the block and its derivative (3, 2)."""
         travelled = float(np.abs(block.distance_m).sum())
         by_values = travelled * np.eye(3)[:, :2]
         return by_values @ values, by_values

@@ -1,4 +1,4 @@
-"""The effects that come with the package: one physical effect a file, and this table of contents."""
+"""The effects of the package: one physical effect per file, and this table of contents."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ COVARIATE_EFFECTS: dict[str, Callable[[str], LibraryEffect]] = {
     'covariate_bias': covariate_bias,
     'covariate_scale': covariate_scale,
 }
-"""Effects that are named with their signal, `covariate_bias:battery_state.current`."""
+"""Effects whose names contain their signal, `covariate_bias:battery_state.current`."""
 
 SCALE_FACTOR = 'scale_factor'
 """Name of the first effect of every sensor model."""
 
 PAPER_EFFECTS: dict[int, LibraryEffect] = {8: BiasWarmup()}
-"""Effects that are equations of Lee et al. 2012 of their own, by the number of the equation."""
+"""Effects that have an equation of their own in Lee et al. 2012, by the number of the equation."""

@@ -1,4 +1,4 @@
-"""`model.yaml`: a sensor model as a person edits it.
+"""`model.yaml`: a sensor model that a person can edit.
 
 name: default
 version: 1
@@ -20,7 +20,7 @@ from typing import Any
 import yaml
 
 from gyrocal_ros.config.yaml_file import YamlLoader, read_yaml
-from gyrocal_ros.effects import SCALE_FACTOR, default_model, find_effect
+from gyrocal_ros.effects.registry import default_model, find_effect, load_file, load_installed
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, SensorModel
@@ -32,16 +32,32 @@ def load_model(path: Path | None) -> SensorModel:
     """Read a sensor model; without a path, return the default one.
 
     Raises:
-        ConfigError: the file cannot be read, or names an effect or a coefficient that is not known.
+        ConfigError: the file cannot be read, or contains an unknown effect or coefficient.
     """
     return default_model() if path is None else model_from_dict(read_yaml(path), str(path))
+
+
+def load_model_with_effects(path: str, effects_from: str) -> SensorModel:
+    """Register installed effects and those of a file, then read a sensor model that may use them.
+
+    Args:
+        path: `model.yaml`; empty for the default model.
+        effects_from: Python file with effect classes; empty for none.
+
+    Raises:
+        ConfigError: a file cannot be used.
+    """
+    load_installed()
+    if effects_from:
+        load_file(Path(effects_from).expanduser())
+    return load_model(Path(path).expanduser() if path else None)
 
 
 def model_from_dict(tree: Mapping[str, Any], where: str) -> SensorModel:
     """Make a sensor model from the content of a `model.yaml`.
 
     Raises:
-        ConfigError: something in it is unknown, twice there, or of the wrong kind.
+        ConfigError: an entry is unknown, duplicate or of the wrong type.
     """
     _only(tree, ('name', 'version', 'bias', 'effects'), where)
     entries = tree.get('effects')
@@ -63,7 +79,7 @@ def model_from_dict(tree: Mapping[str, Any], where: str) -> SensorModel:
 
 
 def model_to_dict(model: SensorModel) -> dict[str, Any]:
-    """The content of a `model.yaml` that gives this model again, every prior written out."""
+    """Return the content of a `model.yaml` that reproduces this model, with every prior."""
     bias: dict[str, Any] = {'form': model.bias.form}
     if model.bias.form == 'settling':
         bias |= {
@@ -84,21 +100,20 @@ def model_to_dict(model: SensorModel) -> dict[str, Any]:
 
 
 def model_to_yaml(model: SensorModel) -> str:
-    """A sensor model as YAML text."""
+    """Format a sensor model as YAML text."""
     return yaml.safe_dump(model_to_dict(model), sort_keys=False)
 
 
 def with_entry(text: str, entry: str | Mapping[str, Any], where: str) -> str:
-    """The text of a `model.yaml` with one more effect and its version counted on; all else stays as it is.
+    """Add one effect to the text of a `model.yaml` and increase its version; the rest stays unchanged.
 
     Args:
         text: a valid `model.yaml`.
-        entry: as in its list of effects.
-        where: the file.
+        entry: entry for the list of effects.
+        where: the file, for error messages.
 
     Raises:
-        ConfigError: the model cannot have that effect, or the text is written in a way that cannot be
-            added to.
+        ConfigError: the model cannot have that effect, or the style of the text is not supported.
     """
     tree = yaml.load(text, YamlLoader)
     tree['effects'].append(entry)
@@ -119,13 +134,13 @@ def with_entry(text: str, entry: str | Mapping[str, Any], where: str) -> str:
 
 
 def _nodes(text: str) -> dict[str, Any]:
-    """The values at the top of a YAML text, with their places in it."""
+    """Return the top-level nodes of a YAML text, which hold their positions in it."""
     node: Any = yaml.compose(text, yaml.SafeLoader)
     return {key.value: value for key, value in node.value}
 
 
 def _after_last(text: str, effects: Any, entry: str) -> str:
-    """The text with an entry behind the last one of its list of effects."""
+    """Insert an entry after the last one of the list of effects."""
     last = leaf = effects.value[-1]
     if effects.flow_style:
         place = last.end_mark.index
@@ -133,8 +148,8 @@ def _after_last(text: str, effects: Any, entry: str) -> str:
     while isinstance(leaf, yaml.MappingNode | yaml.SequenceNode) and not leaf.flow_style:
         leaf = leaf.value[-1][1] if isinstance(leaf, yaml.MappingNode) else leaf.value[-1]
     lines = text.splitlines()
-    beside = lines[last.start_mark.line]
-    indent = beside[: len(beside) - len(beside.lstrip())]
+    last_line = lines[last.start_mark.line]
+    indent = last_line[: len(last_line) - len(last_line.lstrip())]
     lines.insert(leaf.end_mark.line + 1, f'{indent}- {entry}')
     return '\n'.join(lines) + '\n'
 
@@ -160,7 +175,7 @@ def _effect(entry: Any, where: str) -> Effect:
 
 
 def options_of(effect: Effect) -> dict[str, Any]:
-    """What else can be said of an effect in `model.yaml`, beside its coefficients, with its value."""
+    """Return the settings of an effect in `model.yaml` other than its coefficients, with their values."""
     fixed = ('name', 'coefficients', 'signal', 'power')
     names = [item.name for item in fields(effect) if item.name not in fixed]  # type: ignore[arg-type]
     return {name: getattr(effect, name) for name in names}
@@ -175,7 +190,7 @@ def _option(name: str, value: Any, default: Any, where: str) -> Any:
 
 
 def _per_coefficient(effect: Effect, given: Any, where: str) -> Mapping[str, Any]:
-    """A value for the only coefficient, or values by the names of the coefficients."""
+    """Return values by the names of the coefficients; a single value is that of the only coefficient."""
     names = [item.name for item in effect.coefficients]
     if not isinstance(given, Mapping):
         if len(names) > 1:

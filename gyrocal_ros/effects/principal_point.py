@@ -1,4 +1,4 @@
-"""The optical axis meets the image elsewhere than the calibration says."""
+"""The optical axis meets the image at another pixel than the calibration says."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRang
 
 @dataclass(frozen=True)
 class PrincipalPoint:
-    """True principal point = camera_info's plus (u0, v0)."""
+    """True principal point = that of camera_info plus (u0, v0)."""
 
     about: ClassVar[Explanation] = Explanation(
         physics='The optical axis meets the image elsewhere than the calibration says, because lens '
@@ -22,7 +22,7 @@ class PrincipalPoint:
         'shifted by the same number of pixels, much as if the camera were tilted.',
         equation='(u, v) = (u, v)_camera_info + (u0, v0)',
         usual_size='1 to 10 px',
-        best_motion='full turns on the spot; corners at the border of the image tell it from a tilt',
+        best_motion='full turns on the spot; corners at the border of the image distinguish it from a tilt',
         twins=('camera_tilt', 'camera_position', 'wheel_scale'),
         source='Zhang 2000, A flexible new technique for camera calibration, IEEE Transactions on '
         'Pattern Analysis and Machine Intelligence 22(11)',
@@ -40,10 +40,10 @@ class PrincipalPoint:
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array
     ) -> tuple[CameraIntrinsics, Mount]:
-        """The camera with its true principal point."""
+        """Return the camera with its true principal point."""
         u0, v0 = map(float, values)
         return replace(camera, cx_px=camera.cx_px + u0, cy_px=camera.cy_px + v0), mount
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
-        """Pixels move with it."""
+        """Return the motion of the pixels with the principal point."""
         return np.broadcast_to(np.eye(2), (len(seen.pixels), 2, 2))

@@ -1,4 +1,4 @@
-"""The lens bends the image otherwise than its calibration says."""
+"""The lens distorts the image differently than its calibration says."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRang
 
 @dataclass(frozen=True)
 class RadialDistortion:
-    """True k1, k2 of the plumb-bob model = camera_info's plus these."""
+    """True k1, k2 of the plumb-bob model = those of camera_info plus these coefficients."""
 
     about: ClassVar[Explanation] = Explanation(
-        physics='The lens bends straight lines outwards or inwards, and otherwise than its '
+        physics='The lens bends straight lines outwards or inwards, more or less than its '
         'calibration says. Corners near the middle of the image are where they should be, those near '
         'the border are not.',
         equation='(x, y) (1 + k1 r^2 + k2 r^4)',
@@ -39,13 +39,13 @@ class RadialDistortion:
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array
     ) -> tuple[CameraIntrinsics, Mount]:
-        """The camera with its true distortion."""
+        """Return the camera with its true distortion."""
         k1, k2, p1, p2, k3 = camera.distortion
         true = (k1 + float(values[0]), k2 + float(values[1]), p1, p2, k3)
         return replace(camera, distortion=true), mount
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
-        """`f (x, y) r^2` and `f (x, y) r^4`."""
+        """Return `f (x, y) r^2` and `f (x, y) r^4`."""
         normalised = seen.points_c[:, :2] / seen.points_c[:, 2:]
         r2 = np.sum(normalised**2, axis=1)
         radial = normalised * [seen.camera.fx_px, seen.camera.fy_px]

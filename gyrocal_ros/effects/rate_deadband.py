@@ -14,11 +14,11 @@ from gyrocal_ros.model.recording import GyroReadings
 from gyrocal_ros.model.sensor import Coefficient, DetectedLimit, GyroTerm, Memory, Place, TypicalRange
 
 SLOW_RAD_S = math.radians(2.0)
-"""Readings below this are searched for a value that is read again and again."""
+"""Upper bound of the readings that are searched for a repeated value."""
 MIN_DISTINCT = 4
 """Minimum number of distinct slow readings."""
 STUCK_PART = 0.05
-"""Part of the slow readings that must be one and the same value."""
+"""Minimum fraction of the slow readings that have the same value."""
 GAP_STEPS = 3.0
 """Minimum distance of the next readings from the stuck value, in usual steps; a coarse converter has
 even steps."""
@@ -35,13 +35,13 @@ _WIDTHS_RAD_S = tuple(math.radians(width) for width in (0.1, 0.2, 0.3, 0.4, 0.5)
 class RateDeadband:
     """Rates below `width` are read as zero: the true rate is anywhere in the band.
 
-    As with saturation the width is found in the readings and not estimated.
+    As with saturation, the width is detected in the readings and not estimated.
     """
 
     about: ClassVar[Explanation] = Explanation(
         physics='Small readings are set to zero, by friction in the sensing element, by coarse steps '
         'of the converter or by firmware that wants a robot at rest to stand still. Slow turning and '
-        'slow drift then go unseen, and so does the bias itself.',
+        'slow drift are then not measured, and neither is the bias itself.',
         equation='w_n = 0 where |w_n| < width',
         usual_size='0.05 to 0.5 deg/s',
         best_motion='very slow turns and long gentle arcs to both sides',
@@ -63,7 +63,7 @@ class RateDeadband:
     )
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Zero within the band, with the doubt of a uniform distribution over it."""
+        """Set the rate to zero within the band, with the standard deviation of a uniform distribution."""
         rate = block.rate_rad_s[:, 2]
         inside = np.abs(rate) < values[0]
         return GyroTerm(
@@ -74,11 +74,11 @@ class RateDeadband:
         )
 
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
-        """Zero within the band."""
+        """Set readings within the band to zero."""
         return np.where(np.abs(nominal_rad_s) < values[0], 0.0, nominal_rad_s)
 
     def detect(self, readings: GyroReadings) -> DetectedLimit | None:
-        """Width of the empty band around one value that is read again and again."""
+        """Find the width of the empty band around one value that is read again and again."""
         slow = readings.rate_rad_s[np.abs(readings.rate_rad_s) < SLOW_RAD_S]
         values, counts = np.unique(slow, return_counts=True)
         if len(values) < MIN_DISTINCT:
@@ -92,12 +92,12 @@ class RateDeadband:
         return DetectedLimit(width, is_certain=True) if width > GAP_STEPS * usual else None
 
     def rate_error(self, rate_rad_s: Array, limit: float) -> tuple[Array, Array]:
-        """Inside the band the filter turns by a reading that means nothing, and by the bias."""
+        """Return the meaningless reading inside the band, and the bias that is added to it, as errors."""
         inside = (np.abs(rate_rad_s) < limit).astype(float)
         return -inside * rate_rad_s, -inside
 
     def is_plausible(self, readings: GyroReadings, limit: float) -> bool:
-        """Dead readings follow nothing: neither a bias that changes nor slow turns."""
+        """Check that the readings inside are constant: they follow neither a changing bias nor slow turns."""
         count = max(round(MEAN_S * NS_PER_S / float(np.median(np.diff(readings.t_ns)))), 1)
         rate = readings.rate_rad_s[: len(readings.rate_rad_s) // (MEANS * count) * MEANS * count]
         by_second = rate.reshape(-1, MEANS, count)

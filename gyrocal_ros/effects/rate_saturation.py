@@ -18,25 +18,24 @@ AT_LIMIT = 0.995
 WHEEL_TURN_ERROR = 0.1
 """Relative standard deviation of the wheels' turn, which replaces the clipped reading."""
 TOP_PART = 0.99
-"""Readings above this part of the largest one count as standing at it."""
+"""Fraction of the largest reading above which readings count as equal to it."""
 MIN_TOP_S = 0.5
-"""Time that readings have to stand at the largest one for a limit to be possible."""
+"""Minimum time with readings at the largest one for a limit to be possible."""
 OUTLIERS = 20
 """Number of largest readings that are ignored: noise on top of a limit."""
 
 
 @dataclass(frozen=True)
 class RateSaturation:
-    """Rates beyond `limit` are read as the limit; what is lost is taken from wheels and camera.
+    """Rates beyond `limit` are read as the limit; the rest is taken from wheels and camera.
 
-    The limit is found in the readings themselves, not estimated: nothing in the model depends on it
-    smoothly.
+    The limit is detected in the readings, not estimated, because nothing in the model depends on it smoothly.
     """
 
     about: ClassVar[Explanation] = Explanation(
-        physics='Beyond its range the sensor puts out its largest value and no more. However fast the '
-        'turn, the reading stands at the limit, and the part beyond is lost for good. For such '
-        'moments the wheels and the camera have to say how far the robot turned.',
+        physics='Beyond its range the sensor outputs its largest value and no more. However fast the '
+        'turn, the reading stays at the limit, and the part beyond is lost. For such moments the '
+        'wheels and the camera have to measure how far the robot turned.',
         equation='|w_n| <= limit; beyond it w by the wheels',
         usual_size='60 to 300 deg/s',
         best_motion='turns faster than the range of the sensor',
@@ -59,7 +58,7 @@ class RateSaturation:
     )
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """The wheels' rate in place of a clipped one, with the doubt that belongs to it."""
+        """Replace a clipped rate by that of the wheels, with its standard deviation."""
         rate = block.rate_rad_s[:, 2]
         clipped = np.abs(rate) >= AT_LIMIT * values[0]
         by_wheels = block.wheel_turn_rad / block.dt_s
@@ -73,11 +72,11 @@ class RateSaturation:
         )
 
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
-        """Clipped at the limit, to both sides."""
+        """Clip the readings at the limit, to both sides."""
         return np.clip(nominal_rad_s, -values[0], values[0])
 
     def detect(self, readings: GyroReadings) -> DetectedLimit | None:
-        """Rate at which the largest readings pile up: a limit, or the robot's usual speed of turning."""
+        """Find the rate at which the largest readings accumulate: a limit, or the usual turning rate."""
         size = np.abs(readings.rate_rad_s)
         if len(size) <= OUTLIERS:
             return None
@@ -89,10 +88,10 @@ class RateSaturation:
         return DetectedLimit(float(np.median(at_top)), is_certain=False)
 
     def rate_error(self, rate_rad_s: Array, limit: float) -> tuple[Array, Array]:
-        """Beyond the limit the turn is underestimated, by an unknown amount."""
+        """Return the sign of readings at the limit: there the turn is underestimated by an unknown amount."""
         side = np.where(np.abs(rate_rad_s) >= TOP_PART * limit, np.sign(rate_rad_s), 0.0)
         return side, np.zeros_like(side)
 
     def is_plausible(self, readings: GyroReadings, limit: float) -> bool:
-        """Readings at the limit contradict nothing."""
+        """Return True: no reading can contradict the limit."""
         return True

@@ -27,16 +27,16 @@ ENTRY_POINTS = 'gyrocal_ros.effects'
 GUIDE = 'docs/your_own_effect.md shows a complete one'
 
 EFFECTS: dict[str, LibraryEffect] = {effect.name: effect for effect in SHIPPED}
-"""Every effect by name; `register` adds to it."""
+"""All effects by name; `register` adds to them."""
 
 
 def find_effect(name: str, where: str = '') -> LibraryEffect:
     """Return the effect of that name with its usual priors.
 
     Args:
-        name: a name of the table, `scale_power_N` for a power above the third, or the name of a
-            covariate effect with its signal behind a colon.
-        where: file that names it, for the error message.
+        name: a key of `EFFECTS`, `scale_power_N` for a power above the third, or the name of a covariate
+            effect followed by a colon and its signal.
+        where: file that contains the name, for the error message.
 
     Raises:
         ConfigError: there is no such effect.
@@ -61,7 +61,7 @@ def default_model() -> SensorModel:
 
 
 def load_file(path: Path) -> tuple[LibraryEffect, ...]:
-    """Register every effect class of a Python file; a file that is loaded already is not read again.
+    """Register every effect class of a Python file; a file that was loaded before is not read again.
 
     Raises:
         ConfigError: the file cannot be read, defines no effect, or one that is not complete.
@@ -96,7 +96,7 @@ def load_installed() -> None:
 
 
 def register(effect: Any, where: str) -> None:
-    """Add an effect to the table, for this process.
+    """Add an effect to `EFFECTS`, for this process.
 
     Raises:
         ConfigError: there is one of that name, or it is not complete.
@@ -114,7 +114,7 @@ def _imported(name: str, path: Path) -> ModuleType:
     if spec is None or spec.loader is None or not path.is_file():
         raise ConfigError('is no Python file', where=str(path), todo=GUIDE)
     module = module_from_spec(spec)
-    sys.modules[name] = module  # where dataclasses look their own module up
+    sys.modules[name] = module  # dataclasses look up their own module there
     try:
         spec.loader.exec_module(module)
     except Exception as error:

@@ -18,9 +18,9 @@ class ScaleAsymmetry(LinearGyroEffect):
 
     about: ClassVar[Explanation] = Explanation(
         physics='The sensor reads turns to the left a little differently from turns to the right. Its '
-        'electronics treat the two halves of the signal unequally, or the sensing element is stiffer '
-        'to one side. A full turn to the left then comes out longer than a full turn to the right, '
-        'and after many turns to one side the heading is off to that side.',
+        'electronics treat the two halves of the signal differently, or the sensing element is stiffer '
+        'to one side. A full turn to the left then reads longer than a full turn to the right, '
+        'and after many turns to one side the heading has an error to that side.',
         equation='w = w_n + c |w_n|',
         usual_size='0.1 to 1 %',
         best_motion='the same turns to both sides, as many to the left as to the right',
@@ -36,5 +36,5 @@ class ScaleAsymmetry(LinearGyroEffect):
     )
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 1)"""
+        """Return the column (N, 1)."""
         return column(np.abs(block.rate_rad_s[:, 2]))

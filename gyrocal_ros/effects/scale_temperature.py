@@ -19,7 +19,7 @@ class ScaleTemperature(LinearGyroEffect):
     about: ClassVar[Explanation] = Explanation(
         physics='Warmth changes how far the structure vibrates and how strongly its motion is '
         'amplified, so the same turn gives another signal when the part is warm. At rest nothing '
-        'shows. The scale factor counts at 25 deg C.',
+        'shows. The scale factor refers to 25 deg C.',
         equation='w = w_n + k (T - 25 deg C) w_n',
         usual_size='0.01 to 0.1 %/K',
         best_motion='turns at several temperatures: some right after switching on, some when warm',
@@ -36,5 +36,5 @@ class ScaleTemperature(LinearGyroEffect):
     )
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 1)"""
+        """Return the column (N, 1)."""
         return column(recorded(block.temperature_c - REFERENCE_C) * block.rate_rad_s[:, 2])

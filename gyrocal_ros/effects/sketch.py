@@ -1,4 +1,4 @@
-"""A small picture of an effect: what it contributes, against what brings it out."""
+"""Sketch of an effect: its contribution against the quantity that it depends on."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CAMERA = CameraIntrinsics(640, 480, 250.0, 250.0, 319.5, 239.5)
 MOUNT = mount_from_yaw(0.09, 0.0, 0.10, -90.0)
 CEILING_M = 2.4
 ROW_PX = 400.0
-"""The row of the image in which pixels are looked at."""
+"""Row of the image whose pixels are shown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,9 +41,8 @@ def sketch(effect: LibraryEffect, shown: Sequence[tuple[float, ...]] | None = No
     """Draw an effect, one curve for each set of values of its coefficients.
 
     Args:
-        effect: of the library, or a user's own.
-        shown: sets of values; where None, each coefficient that is a size has its example value in
-            turn.
+        effect: an effect of the library or of the user.
+        shown: sets of values; with None, each coefficient that is a strength has its example value in turn.
     """
     every = list(_examples(effect)) if shown is None else list(shown)
     if place_of(effect) == 'camera':
@@ -79,11 +78,11 @@ _Y_LABELS = {
 
 
 def _examples(effect: LibraryEffect) -> Iterator[tuple[float, ...]]:
-    """The example values with one size after the other, the other sizes at zero."""
+    """Yield the example values with one strength at a time, the other strengths at zero."""
     example = effect.about.example
-    sizes = [i for i, item in enumerate(effect.coefficients) if item.prior_mean == 0.0]
-    for size in sizes:
-        yield tuple(0.0 if i in sizes and i != size else value for i, value in enumerate(example))
+    strengths = [i for i, item in enumerate(effect.coefficients) if item.prior_mean == 0.0]
+    for strength in strengths:
+        yield tuple(0.0 if i in strengths and i != strength else value for i, value in enumerate(example))
 
 
 def _named(effect: LibraryEffect, values: tuple[float, ...]) -> str:
@@ -103,7 +102,7 @@ def _added(effect: Any, block: MotionBlock, values: Array) -> Array:
 
 
 def _shift_of_pixels(effect: Any, every: Sequence[tuple[float, ...]]) -> Sketch:
-    """How far pixels of one row move when the camera is what it is, not what it is believed to be."""
+    """Return the distance of the pixels of one row between the true camera and the assumed one."""
     u = np.linspace(0.0, CAMERA.width_px - 1.0, COUNT)
     across = np.array(
         [(u - CAMERA.cx_px) / CAMERA.fx_px, np.full(COUNT, (ROW_PX - CAMERA.cy_px) / CAMERA.fy_px)]
@@ -119,7 +118,7 @@ def _shift_of_pixels(effect: Any, every: Sequence[tuple[float, ...]]) -> Sketch:
     return Sketch(f'column of the image, in row {ROW_PX:.0f} (px)', 'shift of the pixel (px)', u, lines)
 
 
-# --- stimuli: label and values of what varies, and the motion in which it does -------------------
+# --- stimuli: label and values of the quantity that varies, and the motion ------------------------
 
 
 def _rate(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
@@ -133,7 +132,7 @@ def _slow_rate(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
 
 
 def _turn(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
-    """A quarter turn to the left, as long as it takes to see what follows."""
+    """Return a quarter turn to the left, with enough time to show what follows."""
     duration_s = 3.0 if isinstance(effect, GyroEffectOnReadings) else 60.0
     x = np.linspace(0.0, duration_s, 10 * COUNT)
     rate = np.interp(x, [0.5, 0.7, 2.0, 2.2], [0.0, TURNING_RAD_S, TURNING_RAD_S, 0.0])
@@ -196,7 +195,7 @@ def _turning(**columns: Any) -> MotionBlock:
 
 
 def _block(*, yaw_rate_rad_s: Array | None = None, **columns: Any) -> MotionBlock:
-    """A block in which nothing happens but what is given; its intervals are one second long."""
+    """Return a block at rest except for the given columns; its intervals are one second long."""
     given = [*(item for item in columns.values() if isinstance(item, np.ndarray)), yaw_rate_rad_s]
     count = len(next(item for item in given if item is not None))
     rest: dict[str, Any] = {

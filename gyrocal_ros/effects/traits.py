@@ -1,4 +1,4 @@
-"""Properties of an effect that other rooms ask for: effects declare them, nobody knows effects by name."""
+"""Properties of an effect for other rooms: effects declare them, so that no room knows effects by name."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from gyrocal_ros.model.sensor import (
 )
 
 NOT_RECORDED = 'not recorded: '
-"""Beginning of the reason why an effect is unobservable that another recording would cure."""
+"""Beginning of a reason why an effect is unobservable, where a recording with more signals would show it."""
 CEILING_IMAGES = 'images of the ceiling'
 
 
 def required_signals(effect: Effect) -> tuple[str, ...]:
-    """Return the signals beside IMU, wheels and camera without which the effect contributes nothing."""
+    """Return the signals, other than IMU, wheels and camera, without which the effect contributes nothing."""
     declared = effect.about.needs if isinstance(effect, LibraryEffect) else ()
     followed = getattr(effect, 'signal', None)
     return tuple(dict.fromkeys((*declared, *((followed,) if followed else ()))))

@@ -1,4 +1,4 @@
-"""After a turn the bias stands off for a while, to the side that was turned to."""
+"""After a turn the bias is offset for a while, to the side of the turn."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ Drive: TypeAlias = Literal['rate', 'side']
 
 MIN_TIME_CONSTANT_S = 0.5
 TURNING_RAD_S = math.radians(5.0)
-"""Slower than this does not count as a turn, where only the side counts."""
+"""Threshold of the rate of a turn, where only the side drives the memory."""
 
 
 @dataclass(frozen=True)
 class TurnHysteresis:
     """`k h` with the fading memory `dh/dt = (u - h) / tau` of the turns.
 
-    The drive u is the nominal rate in rad/s, or only the side turned to.
+    The drive u is the nominal rate in rad/s, or only the sign of the turn.
     """
 
     about: ClassVar[Explanation] = Explanation(
-        physics='After a turn the sensor does not come back to quite the same zero. What it reads at '
-        'rest stands off to one side, depending on where the robot turned to last, and fades away '
-        'over some seconds or minutes. Turns to alternate sides cancel, turns to one side add up.',
+        physics='After a turn the sensor does not return to quite the same zero. What it reads at rest '
+        'is offset to one side, depending on the side of the last turn, and decays over some seconds '
+        'or minutes. Turns to alternate sides cancel, turns to one side add up.',
         equation='w = w_n + k h, dh/dt = (w_n - h) / tau',
         usual_size='0.01 to 0.2 deg/s after a turn',
         best_motion='several turns to one side, then a long rest; the same to the other side',
@@ -59,11 +59,11 @@ class TurnHysteresis:
     )
 
     def forms(self) -> tuple[TurnHysteresis, ...]:
-        """The memory driven by the rate, and by the side alone."""
+        """Return the effect with a memory driven by the rate, and by the side alone."""
         return tuple(replace(self, driven_by=drive) for drive in get_args(Drive))
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Contribution and its derivative (N, 2); remembers h and its derivative with respect to tau."""
+        """Return the contribution and its derivative (N, 2); the memory is h and its derivative by tau."""
         k, tau = values[0], max(values[1], MIN_TIME_CONSTANT_S)
         h_start, slope_start = memory if memory is not None else (np.zeros(1), 0.0)
         drive = self._drive(block.rate_rad_s[:, 2])
@@ -76,7 +76,7 @@ class TurnHysteresis:
         return GyroTerm(k * middle, by_values, memory=(h[-1:], slopes[-1]))
 
     def columns_at(self, block: MotionBlock, scan: Array, memory: Memory) -> tuple[Array, Memory]:
-        """Derivative (N, q) with respect to k at q time constants."""
+        """Return the derivative (N, q) with respect to k at q time constants."""
         h_start = memory if memory is not None else np.zeros(len(scan))
         h, _ = _fading_memory(self._drive(block.rate_rad_s[:, 2]), block.dt_s, scan, h_start)
         return 0.5 * (h[1:] + h[:-1]), h[-1]
@@ -90,7 +90,7 @@ class TurnHysteresis:
 def _fading_memory(drive: Array, dt_s: Array, tau_s: Array, start: Array) -> tuple[Array, Array]:
     """Solve `dh/dt = (u - h) / tau` for a drive that is constant in each interval.
 
-    The product h exp(t / tau) grows by the drive alone, so it is a running sum.
+    The product h exp(t / tau) changes by the drive alone, so it is a cumulative sum.
 
     Args:
         drive: u (N,).

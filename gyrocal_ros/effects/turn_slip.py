@@ -14,7 +14,7 @@ from gyrocal_ros.model.sensor import Coefficient, Place, TypicalRange
 
 @dataclass(frozen=True)
 class TurnSlip:
-    """True distance = odometry less `k |turn|`."""
+    """True distance = odometry minus `k |turn|`."""
 
     about: ClassVar[Explanation] = Explanation(
         physics='While the robot turns its wheels scrub over the floor, and odometry counts distance '
@@ -35,6 +35,6 @@ class TurnSlip:
     )
 
     def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
-        """`-k |w| dt`."""
+        """Return `-k |w| dt` and its derivative."""
         turn = np.abs(block.rate_rad_s[:, 2]) * block.dt_s
         return -values[0] * turn, -turn[:, None]

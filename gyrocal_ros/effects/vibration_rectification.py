@@ -1,4 +1,4 @@
-"""Vibration that is symmetric in force comes out lopsided in rate."""
+"""Vibration that is symmetric in force gives a rate with a nonzero mean."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 @dataclass(frozen=True)
 class VibrationRectification(LinearGyroEffect):
-    """`k var(a)`, with the variance of the specific force of late, all axes together."""
+    """`k var(a)`, with the recent variance of the specific force, all axes together."""
 
     about: ClassVar[Explanation] = Explanation(
-        physics='Shaking to and fro ought to average out. Where the structure answers unequally to '
-        'both directions, a part of it is left over as a steady false rate that grows with the '
+        physics='Shaking back and forth should average out. Where the structure responds differently to '
+        'the two directions, a part of it remains as a steady false rate that grows with the '
         'strength of the shaking. It comes and goes with the fan, the brush and the floor.',
         equation='w = w_n + k var(a)',
         usual_size='0.01 to 0.1 deg/s in all',
@@ -39,5 +39,5 @@ class VibrationRectification(LinearGyroEffect):
     )
 
     def columns(self, block: MotionBlock) -> Array:
-        """(N, 1)"""
+        """Return the column (N, 1)."""
         return column(block.vibration_m2_s4)

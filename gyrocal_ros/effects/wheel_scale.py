@@ -1,4 +1,4 @@
-"""The wheels are larger or smaller than believed."""
+"""The wheels are larger or smaller than assumed."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
 
 MIN_LEVER_M = 0.01
-"""Shortest distance of the camera from the turning centre that is known well enough to measure others by."""
+"""Minimum distance of the camera from the turning centre that is known accurately enough as a reference."""
 
 
 @dataclass(frozen=True)
 class WheelScale:
     """True distance = (1 + s) times odometry.
 
-    No measurement tells the size of the map, so the filter keeps path and map in the odometer's metres;
-    a state that stretched them would grow sure of it by linearisation alone. In these metres the camera,
-    whose place is known in true ones, sits 1 + s times nearer to the turning centre. That is all that s
-    changes, and all that shows it.
+    No measurement determines the size of the map, so the filter keeps path and map in metres of the odometer;
+    the variance of a state that stretched them would decrease by linearisation alone. In these metres the
+    camera, whose position is known in true ones, is 1 + s times nearer to the turning centre. This is the
+    only influence of s, and all that makes it observable.
     """
 
     about: ClassVar[Explanation] = Explanation(
-        physics='The wheels are larger or smaller than believed, by wear, tyre pressure, load or '
-        'carpet that they sink into. Every distance by odometry is off by the same part, and so is '
-        'the size of everything that the camera maps. Nothing in the map contradicts it. Only in turns '
-        'does the camera swing through a circle whose true size is known, and which then looks too '
-        'large or too small beside the rest. Path and map stay in metres of the odometer: multiply '
+        physics='The wheels are larger or smaller than assumed, by wear, tyre pressure, load or '
+        'carpet that they sink into. Every distance by odometry is wrong by the same fraction, and so '
+        'is the size of everything that the camera maps. Nothing in the map contradicts it. Only in '
+        'turns the camera moves on a circle whose true size is known, and which then looks too large '
+        'or too small compared with the rest. Path and map stay in metres of the odometer: multiply '
         'them by 1 + s for true ones.',
         equation='d = (1 + s) d_odometry',
         usual_size='1 to 5 %',
-        best_motion='full turns on the spot, which swing the camera through a circle of known size, '
+        best_motion='full turns on the spot, which move the camera on a circle of known size, '
         'and drives in between',
         twins=('focal_length', 'camera_position', 'principal_point'),
         source='Borenstein and Feng 1996, Measurement and correction of systematic odometry errors in '
@@ -52,21 +52,21 @@ class WheelScale:
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array
     ) -> tuple[CameraIntrinsics, Mount]:
-        """The mounting in the odometer's metres; its height stays, for that of the map is free anyway."""
+        """Return the mounting in metres of the odometer; its height stays, as that of the map is free."""
         x, y, z = mount.p_bs
         return camera, replace(mount, p_bs=np.array([x / (1.0 + values[0]), y / (1.0 + values[0]), z]))
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
-        """Points shift against the camera as it comes nearer, in its axes and in the points' scale."""
+        """Return the shift of the points as the camera moves nearer, in its axes and the points' scale."""
         nearer = seen.R_bc.T[:, :2] @ seen.p_bc[:2] / (1.0 + values[0])
         return seen.by_point @ (seen.scale[:, None] * nearer)[:, :, None]
 
     def odometry(self, distance_m: Array, values: Array) -> Array:
-        """What the wheels count."""
+        """Return the distance that the wheels report."""
         return distance_m / (1.0 + values[0])
 
     def unobservable(self, recording: RecordingSummary) -> str:
-        """Only the circle that the camera swings through has a size known in true metres."""
+        """Refuse a camera near the turning centre: only the circle of the camera has a known true size."""
         if np.hypot(*recording.rig.camera_mount.p_bs[:2]) < MIN_LEVER_M:
             return 'only a camera at a distance from the turning centre shows it'
         return ''

@@ -20,7 +20,7 @@ DENSITY_AT_MEDIAN = 0.35
 class AdaptiveNoise:
     """Estimates the standard deviation of a measurement by the median of its innovations.
 
-    Half of the squared innovations should lie below the median of their distribution; each innovation moves
+    Half of the squared innovations should be below the median of their distribution; each innovation moves
     the logarithm of the variance towards making that true (stochastic approximation of a quantile, Robbins
     and Monro 1951). The median is robust against outliers and against a minority of images in which the
     model fails.

@@ -162,8 +162,8 @@ def measurement_by_values(
 def first_sight_by_values(prediction: Prediction, by_values: Array) -> Array:
     """Return the derivative (m, 3, K) of new features with respect to the coefficients.
 
-    A new feature is initialised where it was seen, whatever the coefficients are: its own change must
-    compensate what they do to its pixel. The depth, which a pixel does not determine, stays.
+    A new feature is initialised at its observed pixel for any values of the coefficients, so its parameters
+    compensate the change of the pixel by the coefficients. The depth, which no pixel determines, stays.
     """
     by_feature: Array = -np.linalg.pinv(prediction.by_feature) @ by_values
     return by_feature

@@ -15,9 +15,10 @@ from gyrocal_ros.ekf.state import YAW, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, heading_update
 
 NOISE_RANGE = 1e3
-"""Factor by which the estimated noise may differ from its setting, to either side."""
+"""Maximum factor between the estimated noise and its setting, to either side."""
 DOMINATED = 2.0
-"""Largest standard deviation of an innovation, in those of the reference, that teaches its noise."""
+"""Upper bound of the standard deviation of an innovation, relative to that of the reference, for estimating
+the noise of the reference from it."""
 
 
 class HeadingReference:
@@ -35,7 +36,7 @@ class HeadingReference:
         return 0.0 if self._offset_rad is None else self._walk
 
     def forget_alignment(self) -> None:
-        """Align anew at the next sample."""
+        """Align again at the next sample."""
         self._offset_rad = None
 
     def update(

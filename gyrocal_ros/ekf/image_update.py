@@ -28,15 +28,15 @@ from gyrocal_ros.model.features.base import Parametrisation, PosedCamera, Predic
 MIN_DEPTH = 1e-3
 """Smallest depth (scaled as the points are) of a feature in front of the camera."""
 DOF_PER_FEATURE = 2
-"""Degrees of freedom of one observation, also where a feature is measured as a point of unknown range."""
+"""Degrees of freedom of one observation, also where the measurement is a point of unknown range."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageModel:
-    """What the measurement of an image needs beside state and image."""
+    """Measurement model of an image: camera, parametrisation, noise and effects."""
 
     view: PosedCamera
-    """The camera at the state, corrected by the model's effects on it."""
+    """Camera at the pose of the state, corrected by the effects of the model."""
     form: Parametrisation
     config: Config
     noise_px: float
@@ -166,8 +166,8 @@ def _noise_dominates(innovation: Innovation) -> np.ndarray:
 def _as_heading(innovation: Innovation, precisions: Array) -> tuple[float, float]:
     """Return the innovation as a heading error, by least squares, and its standard deviation by pixel noise.
 
-    Features are weighted by their own covariance: a new one, of unknown depth, says little about the heading.
-    The standard deviation is NaN where something else than pixels is measured.
+    Features are weighted by their own covariance: a new one, of unknown depth, hardly determines the heading.
+    The standard deviation is NaN where the measurement is not in pixels.
     """
     if len(innovation.rows) == 0 or innovation.noise.shape[1] != 2:
         return 0.0, float('nan')

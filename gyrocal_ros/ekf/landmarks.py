@@ -1,4 +1,4 @@
-"""The map: features are added at first sight and removed when they are no longer of use."""
+"""The map: features are added at the first observation and removed when they are no longer useful."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def augment(
     Args:
         state: the state before.
         ids: (m,)
-        new: the features at first sight.
+        new: the features at their first observation.
         by_values: (m, 3, k) their derivative with respect to the coefficients; None for zero.
         by_candidates: (m, 3, c) the same for effects that the model lacks.
     """

@@ -1,4 +1,4 @@
-"""The map of features in the world, whatever parametrisation the filter keeps it in."""
+"""The map of features as points in the world, for each parametrisation of the filter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples of the IMU and of everything slower, gathered and cut into blocks for the filter."""
+"""Buffer of samples of the IMU and of slower sensors, which are cut into blocks for the filter."""
 
 from __future__ import annotations
 
@@ -20,23 +20,22 @@ from gyrocal_ros.data import (
 )
 
 GAP_NS = 100_000_000
-"""IMU samples further apart than this leave a gap."""
-HOLE_INTERVALS, SHORTEST_HOLE_NS = 4.0, 15_000_000
-"""Samples that so many usual intervals, and so long, lie between leave a hole: some were lost."""
-HOLE_S = 1.0
-"""A hole, the rate at its ends being known, leaves as much doubt as a gap shorter by its length over this."""
+"""Maximum interval between IMU samples; a longer one is a gap."""
+DROPOUT_INTERVALS, MIN_DROPOUT_NS = 4.0, 15_000_000
+"""Minimum length of a dropout (some samples lost), in usual intervals and in ns; both have to be exceeded."""
+DROPOUT_S = 1.0
+"""Scale of the weight of a dropout: one of length t counts as a gap of t * t / DROPOUT_S, since the rates at
+its ends are known."""
 VIBRATION_S = 0.2
-"""Time constant of the memory of how much the IMU shakes."""
-WHEEL_PATIENCE_NS = 300_000_000
-"""How far the encoders may lag behind the IMU before prediction goes on without them."""
-
-
+"""Time constant of the estimate of the vibration."""
+WHEEL_TIMEOUT_NS = 300_000_000
+"""Maximum lag of the encoders behind the IMU; beyond it, prediction continues without them."""
 SPEED_SIGNAL = 'wheel_odometry.twist.twist.linear.x'
-"""The forward speed, as a signal that something may follow."""
+"""Name of the forward speed as a signal that effects may follow."""
 
 
 class _Signal:
-    """A slow signal: the samples that the next block may need."""
+    """A slow signal: the samples that the next block may require."""
 
     def __init__(self) -> None:
         self.t_ns: list[int] = []
@@ -48,7 +47,7 @@ class _Signal:
             self.values.append(value)
 
     def at(self, t_ns: int, offsets_ns: Array) -> Array:
-        """Linear between samples, constant before the first and after the last."""
+        """Interpolate linearly between samples; constant before the first and after the last."""
         if len(self.t_ns) == 1:
             return np.full(len(offsets_ns), self.values[0])
         return np.interp(offsets_ns, np.array([t - t_ns for t in self.t_ns], float), self.values)
@@ -59,17 +58,17 @@ class _Signal:
 
 
 class MotionBuffer:
-    """Holds what has arrived since the last block. Blocks must be taken one after the other.
+    """Buffers the samples since the last block. Blocks must be cut one after the other.
 
     Args:
-        running_s: how long the gyro has been running when the first sample comes.
+        running_s: time for which the gyro has been running at the first sample.
     """
 
     def __init__(self, running_s: float = 0.0) -> None:
         self.start_ns: int | None = None
         self._running_s = running_s
         self._imu_ns: list[int] = []
-        self._usual_ns = float(GAP_NS)
+        self._usual_interval_ns = float(GAP_NS)
         self._imu: list[tuple[float, ...]] = []
         self._vibration_m2_s4: float | None = None
         self._travelled = _Signal()
@@ -79,16 +78,16 @@ class MotionBuffer:
         self._covariates: dict[str, _Signal] = {}
 
     def add(self, sample: ImuSample | WheelSample | TemperatureSample | CovariateSample) -> None:
-        """Take in one sample; a sample that is not newer than the last of its kind is ignored."""
+        """Add one sample; a sample that is not newer than the last of its kind is ignored."""
         if isinstance(sample, ImuSample):
             if self._imu_ns and sample.t_ns <= self._imu_ns[-1]:
                 return
             if self.start_ns is None:
                 self.start_ns = sample.t_ns
             if self._imu_ns:
-                # Quick to fall and slow to rise: while most are lost, the few that are not tell.
-                longer_ns = sample.t_ns - self._imu_ns[-1] - self._usual_ns
-                self._usual_ns += longer_ns * (0.001 if longer_ns > 0.0 else 0.2)
+                # Fast decrease and slow increase: right even while most samples are lost.
+                longer_ns = sample.t_ns - self._imu_ns[-1] - self._usual_interval_ns
+                self._usual_interval_ns += longer_ns * (0.001 if longer_ns > 0.0 else 0.2)
             self._imu_ns.append(sample.t_ns)
             self._imu.append((*sample.rate_rad_s, *sample.specific_force_m_s2))
         elif isinstance(sample, WheelSample):
@@ -112,29 +111,29 @@ class MotionBuffer:
         self._speeds.append((sample.speed_m_s, sample.yaw_rate_rad_s))
 
     def running_s(self, t_ns: int) -> float:
-        """How long the gyro has been running at a time, counted from the very first IMU sample."""
+        """Return the time for which the gyro has been running, from the very first IMU sample on."""
         return self._running_s + (seconds(t_ns - self.start_ns) if self.start_ns is not None else 0.0)
 
     def covered_until_ns(self) -> int | None:
-        """Up to when a block can be cut now, or None before the first IMU sample."""
+        """Return the time up to which a block can be cut now; None before the first IMU sample."""
         if not self._imu_ns:
             return None
         imu_ns = self._imu_ns[-1]
         if not self._travelled.t_ns:
             return imu_ns
         wheels_ns = self._travelled.t_ns[-1]
-        return min(imu_ns, max(wheels_ns, imu_ns - WHEEL_PATIENCE_NS))
+        return min(imu_ns, max(wheels_ns, imu_ns - WHEEL_TIMEOUT_NS))
 
     def cut(self, start_ns: int, end_ns: int) -> MotionBlock:
-        """Cut the block from `start_ns` to `end_ns` and forget what came before its end."""
+        """Cut the block from `start_ns` to `end_ns` and drop the samples before its end."""
         block = self.look(start_ns, end_ns)
-        if len(block.dt_s) > 2:  # fewer samples tell nothing of how the IMU shakes
+        if len(block.dt_s) > 2:  # fewer samples do not determine the vibration
             self._vibration_m2_s4 = float(block.vibration_m2_s4[0])
         self.forget_before(end_ns)
         return block
 
     def look(self, start_ns: int, end_ns: int) -> MotionBlock:
-        """The block from `start_ns` to `end_ns`, of which nothing is forgotten."""
+        """Return the block from `start_ns` to `end_ns` without dropping samples."""
         assert self.start_ns is not None and end_ns > start_ns
         first, last = bisect_right(self._imu_ns, start_ns), bisect_left(self._imu_ns, end_ns)
         inside = self._imu_ns[first:last]
@@ -155,7 +154,7 @@ class MotionBuffer:
             rate_rad_s=values[:, :3],
             yaw_acceleration_rad_s2=(nodes[1:, 2] - nodes[:-1, 2]) / dt_s,
             specific_force_m_s2=values[:, 3:],
-            vibration_m2_s4=np.full(len(dt_s), self._shaken(nodes[1:-1, 3:], seconds(end_ns - start_ns))),
+            vibration_m2_s4=np.full(len(dt_s), self._vibration(nodes[1:-1, 3:], seconds(end_ns - start_ns))),
             distance_m=distance_m,
             wheel_turn_rad=_increments(self._turned, start_ns, offsets_ns),
             temperature_c=(
@@ -170,7 +169,7 @@ class MotionBuffer:
         )
 
     def _imu_at(self, t_ns: int) -> tuple[float, ...]:
-        """Rates and specific force at a moment, linear between the samples around it."""
+        """Return rates and specific force at a time, interpolated linearly."""
         after = bisect_left(self._imu_ns, t_ns)
         if after == len(self._imu_ns):
             return self._imu[-1]
@@ -180,8 +179,8 @@ class MotionBuffer:
         part = (t_ns - earlier_ns) / (later_ns - earlier_ns)
         return tuple(a + part * (b - a) for a, b in zip(self._imu[after - 1], self._imu[after], strict=True))
 
-    def _shaken(self, forces: Array, duration_s: float) -> float:
-        """Half the mean square of the differences from sample to sample (n, 3), with a short memory."""
+    def _vibration(self, forces: Array, duration_s: float) -> float:
+        """Return half the mean square of differences between samples (n, 3), with exponential forgetting."""
         kept = self._vibration_m2_s4
         if len(forces) < 2:
             return kept or 0.0
@@ -190,19 +189,21 @@ class MotionBuffer:
         return fresh if kept is None else fresh + math.exp(-duration_s / VIBRATION_S) * (kept - fresh)
 
     def _gap_s(self, start_ns: int, end_ns: int) -> float:
-        """Time between samples too far apart, and before the first or after the last sample.
+        """Return the time without samples: in gaps, before the first and after the last sample.
 
-        Holes count by the doubt that they leave.
+        Dropouts are weighted by their length, see `DROPOUT_S`.
         """
         first, last = bisect_right(self._imu_ns, start_ns) - 1, bisect_left(self._imu_ns, end_ns)
         around = self._imu_ns[max(first, 0) : last + 1]
         wide = [(a, b) for a, b in pairwise(around) if b - a > GAP_NS]
         unknown = [(start_ns, around[0]), *wide, (around[-1], end_ns)]
         gap_s = seconds(sum(max(min(b, end_ns) - max(a, start_ns), 0) for a, b in unknown))
-        least_ns = max(HOLE_INTERVALS * self._usual_ns, SHORTEST_HOLE_NS)
-        holes = [(a, b) for a, b in pairwise(around) if least_ns < b - a <= GAP_NS]
-        doubts = (seconds(min(b, end_ns) - max(a, start_ns)) * seconds(b - a) / HOLE_S for a, b in holes)
-        return gap_s + sum(max(doubt, 0.0) for doubt in doubts)
+        least_ns = max(DROPOUT_INTERVALS * self._usual_interval_ns, MIN_DROPOUT_NS)
+        dropouts = [(a, b) for a, b in pairwise(around) if least_ns < b - a <= GAP_NS]
+        weighted_s = (
+            seconds(min(b, end_ns) - max(a, start_ns)) * seconds(b - a) / DROPOUT_S for a, b in dropouts
+        )
+        return gap_s + sum(max(part_s, 0.0) for part_s in weighted_s)
 
     def _wheel_gap_s(self, start_ns: int, end_ns: int) -> float:
         track = self._travelled.t_ns
@@ -211,7 +212,7 @@ class MotionBuffer:
         return seconds(max(end_ns - max(start_ns, track[-1]), 0))
 
     def _wheels_at_rest(self, start_ns: int, end_ns: int) -> bool:
-        """Whether every encoder interval that touches the block is without motion."""
+        """Return True if every encoder interval that overlaps the block is without motion."""
         track = self._travelled.t_ns
         if not track or track[-1] < end_ns:
             return False
@@ -219,7 +220,7 @@ class MotionBuffer:
         return not any(speed or yaw_rate for speed, yaw_rate in self._speeds[first : last + 1])
 
     def forget_before(self, t_ns: int) -> None:
-        """Forget what no block from then on needs."""
+        """Drop the samples that no block from a time on requires."""
         first = max(bisect_right(self._imu_ns, t_ns) - 1, 0)
         del self._imu_ns[:first], self._imu[:first]
         kept = len(self._travelled.t_ns)
@@ -232,7 +233,7 @@ class MotionBuffer:
 
 
 def _increments(signal: _Signal, start_ns: int, offsets_ns: Array) -> Array:
-    """What a running total gained between the given moments."""
+    """Return the increments of a cumulative signal between the given times."""
     if len(signal.t_ns) < 2:
         return np.zeros(len(offsets_ns) - 1)
     totals = signal.at(start_ns, offsets_ns)

@@ -23,7 +23,7 @@ UNMEASURED_SPEED_M_S = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterModel:
-    """What the prediction needs beside the state: the sensor model and the noise of gyro and wheels."""
+    """Process model of the filter: the sensor model and the noise of gyro and wheels."""
 
     sensors: SensorModel
     effects: EffectsByPlace

@@ -1,4 +1,4 @@
-"""A finished run: everything that happened, as arrays. All diagnosis and every report reads this."""
+"""A finished run as arrays, the input of all diagnosis and of every report."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class History:
     dof: Array
     """(s,) normalised innovation squared and degrees of freedom; zero where nothing was measured."""
     log_likelihood: Array
-    """(s,) predictive log-likelihood of what was measured, standing still included."""
+    """(s,) predictive log-likelihood of the measurements, zero-rate updates included."""
     used: Array
     rejected: Array
     """(s,) numbers of features used and rejected."""
@@ -102,7 +102,7 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundTruth:
-    """Ground truth, in a frame of its own. It is only compared with."""
+    """Ground truth, in a frame of its own; only for comparison."""
 
     time_s: Array
     """(j,) on the time axis of the history."""
@@ -192,7 +192,7 @@ class Recorder:
             self._truth.append((*sample.position_m, sample.yaw_rad))
 
     def add_clock_step(self, step: ClockStep) -> None:
-        """Add a step of the clock: what follows is on the new time base."""
+        """Add a step of the clock: all later stamps are on the new time base."""
         self._stepped_ns += step.step_ns
         text = f'the clock stepped by {seconds(step.step_ns):+.1f} s; pose and map were restarted'
         self._events.append(RunEvent(step.t_ns, text))
@@ -219,11 +219,11 @@ class Recorder:
         )
 
     def scores(self) -> ScoreStatistics | None:
-        """Score statistics of the candidates so far; None without candidates."""
+        """Return the score statistics of the candidates so far; None without candidates."""
         return self._scores.scores() if self._scores else None
 
     def truth(self) -> GroundTruth | None:
-        """Ground truth so far; None without any."""
+        """Return the ground truth so far; None without any."""
         if len(self._truth_ns) < 2 or not self._times_ns:
             return None
         poses = np.array(self._truth)

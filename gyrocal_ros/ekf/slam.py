@@ -39,7 +39,7 @@ from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.statistics import chi_square_quantile
 
 MIN_PIXEL_NOISE_PX, MAX_PIXEL_NOISE_PX = 0.02, 5.0
-"""Bounds of the estimated pixel noise; beyond the upper one the images fit nothing."""
+"""Bounds of the estimated pixel noise; at the upper one the images do not fit the estimate."""
 MAP_DROPPED = 'the images contradicted the map; a new map was started'
 
 Seen = FeatureObservations | HeadingSample
@@ -53,7 +53,7 @@ class EkfSlam:
         config: settings.
         rig: camera and its mounting, as assumed.
         start: result of an earlier run.
-        candidates: effects that the model lacks; the sensitivity of all innovations to them is carried along,
+        candidates: effects that the model lacks; the sensitivity of all innovations to them is computed, and
             the estimate does not depend on them.
     """
 
@@ -84,7 +84,7 @@ class EkfSlam:
         self.expect_pixel_noise(config.camera.pixel_noise_px)
 
     def step(self, block: MotionBlock, seen: Seen | None = None) -> StepRecord:
-        """Carry the estimate over one block of samples and correct it by what was seen at its end.
+        """Predict over one block of samples and correct the estimate by the measurement at its end.
 
         Raises:
             FilterDivergedError: the measurements contradict the estimate beyond repair.
@@ -143,7 +143,7 @@ class EkfSlam:
             pose_rate=self._pose_rate,
         )
 
-    # --- what others may ask and set --------------------------------------------------------------
+    # --- queries and settings for other rooms -----------------------------------------------------
 
     def view(self) -> PosedCamera:
         """Return the camera at the present estimate, corrected by the effects on it."""
@@ -174,7 +174,7 @@ class EkfSlam:
         self.state = restarted_at(self.state, state)
 
     def start_new_time_base(self, t_ns: int) -> None:
-        """Keep the calibration and drop the map: nothing observed the robot while the clock stepped."""
+        """Keep the calibration and drop the map: the motion during the step of the clock is unknown."""
         self._rest = RestDetector()
         self._heading.forget_alignment()
         self.state = inflate_after_gap(forget_all(self.state), t_ns)

@@ -14,7 +14,7 @@ from gyrocal_ros.model.sensor import SensorModel
 
 GAP_POSITION_STD_M = 0.3
 GAP_YAW_STD_RAD = 0.1
-"""Standard deviations that a time without measurements adds to the pose."""
+"""Standard deviations of the motion during a time without measurements."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""The record of one step of the filter: what was measured, and the estimate after it."""
+"""Record of one step of the filter: its measurements, and the estimate after it."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class StepRecord:
     """Time in this block with a valid gyro reading (not saturated, not in the dead band); only then the bias
     acts."""
     unobserved_turn_std_rad: float
-    """Standard deviation of the turn that the gyro could not read, as beyond its range."""
+    """Standard deviation of the turn that the gyro could not measure, for example beyond its range."""
     pixel_noise_px: float
     """Present estimate of the pixel noise."""
     event: str = ''
-    """Event that a person should know of."""
+    """Event to report to the user."""
 
 
 def step_record(

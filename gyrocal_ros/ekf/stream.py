@@ -1,4 +1,4 @@
-"""From a stream of measurements to the blocks and images that the filter takes.
+"""Converts a stream of measurements to the blocks and images that the filter takes.
 
 IMU and wheel samples are buffered. Whenever the camera (or another heading reference) measures, the block up
 to that moment is cut; without it, a block ends after `MAX_BLOCK_NS`.
@@ -23,11 +23,11 @@ from gyrocal_ros.ekf.slam import EkfSlam, Seen
 from gyrocal_ros.ekf.step_record import StepRecord
 
 MAX_BLOCK_NS = 250_000_000
-"""Longest block that is predicted at once, where the camera is slow or covered."""
+"""Maximum length of a block that is predicted at once, where the camera is slow or covered."""
 
 
 class Synchroniser:
-    """Buffers measurements and cuts them into blocks, each with what was seen at its end.
+    """Buffers measurements and cuts them into blocks, each with the image or heading at its end.
 
     Args:
         running_s: time for which the gyro has been running at the first sample.
@@ -63,7 +63,7 @@ class Synchroniser:
         return self.buffer.covered_until_ns()
 
     def last_seen_ns(self, offset_s: float) -> int | None:
-        """Return the true time of the last image that waits; None without one."""
+        """Return the true time of the last image in the queue; None without one."""
         return _true_time_ns(self._waiting[-1], offset_s) if self._waiting else None
 
     def next_block(
@@ -92,7 +92,7 @@ class Synchroniser:
                 return self.buffer.cut(start_ns, end_ns), seen
 
     def restart(self, running_s: float) -> None:
-        """Drop what waits and buffer samples of a new time base."""
+        """Drop all queued measurements and buffer samples of a new time base."""
         self.buffer = MotionBuffer(running_s)
         self._waiting.clear()
         self._next = None
@@ -113,7 +113,7 @@ class SlamStream:
 
     @property
     def running_s(self) -> float:
-        """Time for which the gyro has been running, as far as known."""
+        """Time for which the gyro has been running, at the state of the filter."""
         return self._sync.buffer.running_s(self.slam.state.t_ns)
 
     def step(self, measurement: Measurement) -> list[StepRecord]:
@@ -129,7 +129,7 @@ class SlamStream:
         return self._run(self._sync.covered_ns())
 
     def finish(self) -> list[StepRecord]:
-        """Use what still waits, at the end of the stream."""
+        """Use the images that are still in the queue, at the end of the stream."""
         return self._run(self._sync.last_seen_ns(self.slam.time_offset_s()))
 
     def _run(self, until_ns: int | None) -> list[StepRecord]:

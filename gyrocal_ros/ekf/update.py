@@ -15,7 +15,7 @@ from gyrocal_ros.model.features.base import Prediction
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
-    """Innovation of the features seen: measured minus expected, with everything the update needs."""
+    """Innovation of the observed features: measured minus expected, with the matrices for the update."""
 
     rows: IntArray
     """(m,) indices of the features in the map."""
@@ -72,7 +72,7 @@ class UpdateStats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasurementUpdate:
-    """Result of one image or heading. Empty where nothing was measured."""
+    """Result of one image or heading; empty without a measurement."""
 
     used: int = 0
     rejected: int = 0
@@ -100,7 +100,7 @@ def innovate(
 
     Args:
         state: predicted to the time of the measurement.
-        rows: (m,) indices of the features that were seen.
+        rows: (m,) indices of the observed features.
         prediction: prediction of them by the map.
         measured: (m, r)
         noise: (m, r, r) R of each.
@@ -153,7 +153,7 @@ def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
     """Update the state with all features of an image at once.
 
     With L L^T = S and W = L^-1 H P, the covariance decreases by W^T W. It stays symmetric by construction
-    and cannot become indefinite by more than rounding, which the Joseph form is otherwise used for.
+    and cannot become indefinite by more than rounding, which is the purpose of the Joseph form.
 
     Raises:
         FilterDivergedError: S is not positive definite, or the estimate is no longer finite.
@@ -171,7 +171,7 @@ def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
 def zero_rate_update(
     before: State, after: State, matrix: Array, rotation_std_rad: float, gate: float
 ) -> tuple[State, UpdateStats]:
-    """Update with the fact that a robot at rest does not turn: its Euler angles do not change.
+    """Update with zero rotation: the Euler angles of a robot at rest do not change.
 
     The measurement `euler(after) - euler(before) = 0` shares the gyro noise with the prediction;
     the covariances with the state before, known from the transition, account for that.

@@ -1,4 +1,4 @@
-"""How the yaw bias moves by itself."""
+"""Process model of the yaw bias."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class BiasModel:
-    """How the yaw bias moves by itself.
+    """Process model of the yaw bias.
 
-    `drift` is a random walk. `settling` is the paper's first-order approach to a final value; it
-    pulls every gyro towards that value, so a turn-on offset that it does not know makes it lag
-    (the departure from the paper that the default takes).
+    `drift` is a random walk. `settling` is the paper's first-order approach to a final value. It pulls every
+    gyro towards that value, so an unknown turn-on offset makes the estimate lag; the default departs from
+    the paper here.
     """
 
     form: str = 'drift'
@@ -20,10 +20,10 @@ class BiasModel:
     settled_rad_s: float = 0.0
 
     def step(self, bias_rad_s: float, dt_s: float) -> tuple[float, float]:
-        """Eq. (8): the bias after `dt_s`, and its derivative with respect to the bias before.
+        """Eq. (8): return the bias after `dt_s`, and its derivative with respect to the bias before.
 
-        For `drift` T is infinite. The paper's quotient T / (T + dt) is the first order of the
-        exponential used here, which does not depend on the length of the step.
+        For `drift` T is infinite. The paper's quotient T / (T + dt) is the first order of the exponential
+        used here, whose result does not depend on the length of the step.
         """
         if self.form == 'drift':
             return bias_rad_s, 1.0

@@ -1,7 +1,7 @@
 """The ceiling camera: pinhole with `plumb_bob` distortion, in the ROS optical frame.
 
-The paper's camera frame has x along the optical axis and (y, z) to the left and up in the image;
-ours is the optical frame (x, y, z) = (-y, -z, x) of the paper's.
+The paper's camera frame has x along the optical axis and (y, z) to the left and up in the image. The optical
+frame used here is (x, y, z) = (-y, -z, x) in the axes of the paper.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ import numpy as np
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 
 MIN_DEPTH = 1e-6
-"""Points closer to the image plane than this (in their own unit) are treated as if there."""
+"""Smallest depth that is divided by, in the unit of the points."""
 MAX_NEWTON_STEPS = 6
 LAST_NEWTON_STEP = 1e-8
-"""After so short a step the next one would be lost in rounding: their lengths go down by squares."""
+"""Length of a Newton step below which the iteration ends: convergence is quadratic, so the next step would be
+below rounding."""
 
 
 def project(camera: CameraIntrinsics, points_c: Array) -> Array:
-    """Eq. (12): raw pixels of points in the optical frame.
+    """Eq. (12): project points of the optical frame to raw pixels.
 
     Args:
-        points_c: (n, 3), any scale: only the direction counts.
+        points_c: (n, 3), of any scale: only the direction matters.
 
     Returns:
         (n, 2) u, v; meaningless for points behind the camera (`points_c[:, 2] <= 0`).
@@ -33,10 +34,10 @@ def project(camera: CameraIntrinsics, points_c: Array) -> Array:
 
 
 def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Array, Array]:
-    """Eq. (14): raw pixels and their derivative with respect to the point.
+    """Eq. (14): project points to raw pixels, and differentiate these with respect to the points.
 
     Args:
-        points_c: (n, 3), any scale.
+        points_c: (n, 3), of any scale.
 
     Returns:
         (n, 2) pixels and (n, 2, 3) derivatives.
@@ -52,7 +53,7 @@ def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Ar
 
 
 def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
-    """Undo the lens: normalised coordinates (x/z, y/z) of raw pixels.
+    """Undo the lens: return the normalised coordinates (x/z, y/z) of raw pixels.
 
     Args:
         pixels: (n, 2) u, v.
@@ -74,20 +75,20 @@ def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
 
 
 def bearing_jacobian(camera: CameraIntrinsics, normalised: Array) -> Array:
-    """Derivative (n, 2, 2) of `bearing` with respect to the pixels, at its result (n, 2)."""
+    """Return the derivative (n, 2, 2) of `bearing` with respect to the pixels, at its result (n, 2)."""
     _, lens = _distort_with_jacobian(camera, normalised)
     return np.linalg.inv(np.array([[camera.fx_px], [camera.fy_px]]) * lens)
 
 
 def in_image(camera: CameraIntrinsics, pixels: Array, border_px: float = 0.0) -> np.ndarray:
-    """Which of the pixels (n, 2) lie inside the image, (n,) bool."""
+    """Return which of the pixels (n, 2) are inside the image, (n,) bool."""
     u, v = pixels[:, 0], pixels[:, 1]
     right, bottom = camera.width_px - 1 - border_px, camera.height_px - 1 - border_px
     return (u >= border_px) & (u <= right) & (v >= border_px) & (v <= bottom)
 
 
 def mount_from_yaw(x_m: float, y_m: float, z_m: float, yaw_deg: float) -> Mount:
-    """Mount of a camera that looks straight up, its image x axis turned by `yaw_deg` in the body."""
+    """Return the mount of a camera that looks straight up, its image x axis at `yaw_deg` in the body."""
     yaw = math.radians(yaw_deg)
     c, s = math.cos(yaw), math.sin(yaw)
     return Mount(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x_m, y_m, z_m]))
@@ -98,7 +99,7 @@ def _pixels(camera: CameraIntrinsics, normalised: Array) -> Array:
 
 
 def _distort_with_jacobian(camera: CameraIntrinsics, normalised: Array) -> tuple[Array, Array]:
-    """Plumb-bob model of sensor_msgs/CameraInfo (Brown 1966): radial and tangential.
+    """Apply the plumb-bob model of sensor_msgs/CameraInfo (Brown 1966): radial and tangential.
 
     Returns:
         (n, 2) distorted normalised coordinates and their derivative (n, 2, 2).

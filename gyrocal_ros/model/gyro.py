@@ -1,16 +1,16 @@
-"""Eqs. (5), (6): what the gyro puts out, and what of it is left to estimate.
+"""Eqs. (5), (6): the output of the gyro, and the corrections that are estimated.
 
 The paper writes the sensor's voltage as
 
     u = S(wz) + Mx wx + My wy + Bg(ax, ay, az) + Bz + nz        (5)
 
-and then neglects M and Bg. Recorded samples already carry the nominal scale factor and bias (6),
-so everything here is a correction, in rad/s, to the nominal rate:
+and then neglects M and Bg. Recorded samples already include the nominal scale factor and bias (6), so
+everything here is a correction, in rad/s, to the nominal rate:
 
     wz = wz_nom + dwz                                           (6)
 
-Each term of dwz, the paper's powers of u as well as the terms that it neglects, is an effect of the
-library; `sensor` says what an effect is.
+Each term of dwz, a power of u in the paper or a term that it neglects, is an effect of the library; `sensor`
+defines effects.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Correction:
     memories: tuple[Memory, ...]
     """Memory of each effect for the next block."""
     valid: Array | float = 1.0
-    """(N,) 0 where the reading says nothing of the rate, else 1; the bias acts only where it is valid."""
+    """(N,) 1 where the reading depends on the rate, else 0; the bias acts only where it is valid."""
 
 
 def correct(
@@ -46,7 +46,7 @@ def correct(
     values: Array,
     memories: Sequence[Memory],
 ) -> Correction:
-    """Eq. (7): the correction dwz, sum of all terms.
+    """Eq. (7): compute the correction dwz, the sum of all terms.
 
     Args:
         effects: gyro effects with the place of their coefficients among all K.
@@ -77,10 +77,10 @@ def correct(
 
 
 def body_rates(block: MotionBlock, correction: Correction, bias_rad_s: Array) -> Array:
-    """Eq. (9): true body rates (N, 3): nominal roll and pitch rates, corrected yaw rate.
+    """Eq. (9): return the true body rates (N, 3): nominal roll and pitch rates, corrected yaw rate.
 
-    The paper leaves roll and pitch rates uncorrected; here their biases (of `bias_rad_s`, (3,)) are
-    corrected, too, since the camera would otherwise have to compensate for them.
+    The paper leaves roll and pitch rates uncorrected. Here their biases (from `bias_rad_s`, (3,)) are
+    corrected, too, because otherwise the camera would have to compensate for them.
     """
     rate = block.rate_rad_s + bias_rad_s
     rate[:, 2] += correction.rate_rad_s + (correction.valid - 1.0) * bias_rad_s[2]

@@ -1,7 +1,7 @@
-"""How the robot moves between two moments, and how that depends on where it was and on its rates.
+"""Motion of the robot over one block of samples, with its derivatives by the pose before and by the rates.
 
-The paper steps from sample to sample; here one block of samples between two camera frames is
-integrated at once, with all derivatives, so that the covariance is touched once a frame.
+The paper steps from sample to sample. Here one block of samples between two camera frames is integrated at
+once, with all derivatives, so that the covariance is updated once per frame.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ class _Trig(NamedTuple):
 def integrate(
     position_m: Array, euler_rad: Array, rate_rad_s: Array, dt_s: Array, distance_m: Array
 ) -> PoseStep:
-    """Eq. (2): carry the pose over a block of N intervals, Eq. (1) being its continuous form.
+    """Eq. (2): carry the pose over a block of N intervals; Eq. (1) is its continuous form.
 
-    The Euler angles follow the midpoint rule, for all intervals at once: a guess that is exact to
-    first order in roll and pitch is put through `E_wb` of eq. (4) once more, which leaves errors of
-    third order in the tilt.
+    The Euler angles follow the midpoint rule, for all intervals at once: `E_wb` of eq. (4) is evaluated at a
+    first guess of the angles, which is exact to first order in roll and pitch. The remaining error is of
+    third order in the tilt. `planar` has faster variants.
 
     Args:
         position_m: (3,) at the start.
@@ -63,7 +63,7 @@ def integrate(
         distance_m: (N,) wheel-odometry step along body x.
 
     Returns:
-        The pose at the end and its derivatives, to first order in what happens inside the block.
+        The pose at the end and its derivatives, to first order in the motion inside the block.
     """
     turns = rate_rad_s.T * dt_s
     guess = _nearly_level(euler_rad, turns)
@@ -102,10 +102,10 @@ def integrate(
 
 
 def _nearly_level(euler_rad: Array, turns: Array) -> Array:
-    """Euler angles (3, N) in the middle of the intervals, to first order in roll and pitch.
+    """Return the Euler angles (3, N) in the middle of the intervals, to first order in roll and pitch.
 
-    With z = roll + i pitch and the heading psi turned since the start, `z exp(i psi)` stands still
-    but for the body rates about x and y.
+    With z = roll + i pitch and psi the change of heading since the start, `z exp(i psi)` changes only by the
+    body rates about x and y.
     """
     heading = np.cumsum(turns[2]) - 0.5 * turns[2]
     spun = np.exp(1j * heading)
@@ -115,14 +115,14 @@ def _nearly_level(euler_rad: Array, turns: Array) -> Array:
 
 
 def _euler_increments(euler: Array, turns: Array) -> Array:
-    """Increments (3, N) of the Euler angles, `E_wb` of eq. (4) times the body's turns."""
+    """Return the increments (3, N) of the Euler angles, `E_wb` of eq. (4) times the turns of the body."""
     sr, cr, tp = np.sin(euler[0]), np.cos(euler[0]), np.tan(euler[1])
     level = sr * turns[1] + cr * turns[2]
     return np.array([turns[0] + tp * level, cr * turns[1] - sr * turns[2], level * np.sqrt(1.0 + tp * tp)])
 
 
 def _increment_derivatives(trig: _Trig, turns: Array) -> Array:
-    """Derivative (3, 3, N) of the Euler increments with respect to the Euler angles."""
+    """Return the derivative (3, 3, N) of the Euler increments with respect to the Euler angles."""
     secant = 1.0 / trig.cp
     tp = trig.sp * secant
     level = trig.sr * turns[1] + trig.cr * turns[2]
@@ -135,12 +135,12 @@ def _increment_derivatives(trig: _Trig, turns: Array) -> Array:
 
 
 def _forward(trig: _Trig) -> Array:
-    """The body x axis in the world, first column of `C_wb` (3), for N attitudes, (3, N)."""
+    """Return the body x axis in the world, first column of `C_wb` (3), for N attitudes, (3, N)."""
     return np.array([trig.cy * trig.cp, trig.sy * trig.cp, -trig.sp])
 
 
 def _forward_derivatives(trig: _Trig) -> Array:
-    """Derivative (3, 3, N) of the body x axis with respect to the Euler angles."""
+    """Return the derivative (3, 3, N) of the body x axis with respect to the Euler angles."""
     derivatives = np.zeros((3, 3, len(trig.sp)))
     derivatives[0, 1], derivatives[0, 2] = -trig.cy * trig.sp, -trig.sy * trig.cp
     derivatives[1, 1], derivatives[1, 2] = -trig.sy * trig.sp, trig.cy * trig.cp

@@ -32,13 +32,13 @@ class GyroReadings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingSummary:
-    """What a recording holds beside IMU, wheels and camera."""
+    """Summary of a recording: its rig, duration, gyro readings and additional signals."""
 
     rig: Rig
     signals: tuple[Signal, ...]
     """Signals that vary, those left out not included."""
     left_out: tuple[str, ...]
-    """Names of signals that vary but are too many to try."""
+    """Names of signals that vary but exceed the number that is tried."""
     recorded: frozenset[str]
     """Names of all recorded signals, constant ones and the temperature included."""
     duration_s: float

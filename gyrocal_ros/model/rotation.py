@@ -10,13 +10,13 @@ from gyrocal_ros.data import Array
 
 
 def rotation_from_euler(euler: Array) -> Array:
-    """Eq. (3): direction cosine matrix `C_wb` of roll, pitch, yaw.
+    """Eq. (3): return the direction cosine matrix `C_wb` of roll, pitch, yaw.
 
     Args:
         euler: (3,) rad.
 
     Returns:
-        (3, 3), turns body coordinates into world coordinates.
+        (3, 3), maps body coordinates to world coordinates.
     """
     cr, sr = math.cos(euler[0]), math.sin(euler[0])
     cp, sp = math.cos(euler[1]), math.sin(euler[1])
@@ -31,10 +31,10 @@ def rotation_from_euler(euler: Array) -> Array:
 
 
 def rotation_derivatives(euler: Array) -> Array:
-    """Derivatives of `rotation_from_euler` with respect to roll, pitch and yaw.
+    """Return the derivatives of `rotation_from_euler` with respect to roll, pitch and yaw.
 
     Returns:
-        (3, 3, 3): the first axis counts the angle.
+        (3, 3, 3): the first axis is that of the angles.
     """
     cr, sr = math.cos(euler[0]), math.sin(euler[0])
     cp, sp = math.cos(euler[1]), math.sin(euler[1])
@@ -61,7 +61,7 @@ def rotation_derivatives(euler: Array) -> Array:
 
 
 def euler_rate_matrices(euler: Array) -> Array:
-    """Eq. (4): `E_wb`, from body rates to the rates of roll, pitch and yaw, for N attitudes.
+    """Eq. (4): return `E_wb`, which maps body rates to the rates of roll, pitch and yaw, for N attitudes.
 
     Args:
         euler: (3, N) rad.

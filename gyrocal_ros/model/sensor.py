@@ -1,7 +1,7 @@
-"""What a sensor model is made of: effects, each acting at one place, with coefficients to estimate.
+"""Parts of a sensor model: effects, each acting at one place, with coefficients to estimate.
 
-An effect knows nothing of the filter. It is handed signals and coefficient values and returns its
-contribution and the derivatives of it; the filter holds the coefficients as states.
+An effect does not depend on the filter. It takes signals and coefficient values and returns its contribution
+and the derivatives of that; the filter holds the coefficients as states.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 
 Place: TypeAlias = Literal['gyro', 'wheels', 'ground', 'camera', 'time']
-"""Where an effect acts: the yaw rate, the distance by the wheels, a motion over the ground that no
-sensor sees, the camera, or the stamps of the images."""
+"""Place where an effect acts: the yaw rate, the distance by the wheels, a motion over the ground that no
+sensor measures, the camera, or the stamps of the images."""
 
 Memory: TypeAlias = Any
-"""What an effect keeps from block to block; None where it needs nothing."""
+"""State of an effect that is passed from block to block; None where it needs none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class Coefficient:
 
 
 class Effect(Protocol):
-    """What every effect has."""
+    """A physical effect."""
 
     @property
     def name(self) -> str:
@@ -81,7 +81,7 @@ E = TypeVar('E', bound=Effect)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroTerm:
-    """What one effect adds to the yaw rate of a block of N intervals."""
+    """Contribution of one effect to the yaw rate of a block of N intervals."""
 
     rate_rad_s: Array
     """(N,)"""
@@ -89,33 +89,33 @@ class GyroTerm:
     """(N, k) derivative with respect to the effect's coefficients."""
     memory: Memory = None
     noise_rad_s: Array | None = None
-    """(N,) standard deviation of what the effect cannot tell."""
+    """(N,) standard deviation of the rate where the effect leaves it unknown."""
     blind: Array | None = None
-    """(N,) bool, where the reading says nothing of the rate: there neither scale factor nor bias nor
-    other effects count, and reading plus `rate_rad_s` is all that is known."""
+    """(N,) bool, True where the reading does not depend on the rate: there neither scale factor nor bias nor
+    other effects act, and the estimate of the rate is the reading plus `rate_rad_s`."""
 
 
 class GyroEffect(Effect, Protocol):
     """Adds to the yaw rate."""
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Contribution at the coefficient values (k,); `memory` is None at the first block."""
+        """Return the contribution at the coefficient values (k,); `memory` is None at the first block."""
 
 
 @runtime_checkable
 class GyroEffectOnReadings(Protocol):
-    """What a gyro effect has besides where its contribution does not tell what the sensor reads.
+    """Optional part of a gyro effect whose contribution does not determine the reading.
 
-    The simulator solves `true rate = scale factor * nominal rate + bias + contributions` for the
-    nominal rate. That fails where an effect loses information, as at a limit, or depends on the
-    derivative of the rate; such an effect gives the readings itself.
+    The simulator solves `true rate = scale factor * nominal rate + bias + contributions` for the nominal
+    rate. That fails where an effect loses information, as at a limit, or depends on the derivative of the
+    rate; such an effect returns the readings itself.
     """
 
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
-        """Nominal yaw rate (n,) that is read where a sensor without the effect reads `nominal_rad_s`.
+        """Return the nominal yaw rate (n,) that a sensor with the effect reads.
 
         Args:
-            nominal_rad_s: (n,) what a sensor without the effect reads.
+            nominal_rad_s: (n,) readings of a sensor without the effect.
             dt_s: (n,) time from one reading to the next.
             values: (k,) coefficients.
             scale_factor: true rate over nominal rate.
@@ -208,19 +208,19 @@ class WheelEffect(Effect, Protocol):
     """Corrects the distance that the wheels report."""
 
     def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
-        """Metres to add to each interval's distance (N,), and the derivative (N, k).
+        """Return the metres to add to the distance of each interval (N,), and the derivative (N, k).
 
-        The block's rates are true ones, as far as known, in place of nominal ones.
+        The rates of the block are estimates of the true ones in place of nominal ones.
         """
 
 
 class GroundEffect(Effect, Protocol):
-    """Moves the robot over the ground as no sensor sees."""
+    """Moves the robot over the ground without any sensor measuring it."""
 
     def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
-        """Displacement in the world over the block (3,), and the derivative (3, k).
+        """Return the displacement in the world over the block (3,), and the derivative (3, k).
 
-        The block's rates are true ones, as far as known, in place of nominal ones.
+        The rates of the block are estimates of the true ones in place of nominal ones.
         """
 
 
@@ -230,32 +230,32 @@ class CameraEffect(Effect, Protocol):
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array
     ) -> tuple[CameraIntrinsics, Mount]:
-        """The true camera, given the one that is believed."""
+        """Return the true camera and mounting, given the assumed ones."""
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
-        """Derivative (m, 2, k) of predicted pixels with respect to the coefficients."""
+        """Return the derivative (m, 2, k) of predicted pixels with respect to the coefficients."""
 
 
 @runtime_checkable
 class CameraEffectOnOdometry(Protocol):
-    """What a camera effect has besides where the camera is right and the odometer's metre is wrong.
+    """Optional part of a camera effect whose physical cause is the length unit of the odometer.
 
-    The filter counts all lengths in the odometer's metres, so to it the camera sits elsewhere. To the
-    simulator it sits where it should, and the wheels report other distances.
+    The filter expresses all lengths in metres of the odometer, so the effect changes the position of the
+    camera there. In the simulator the camera has its nominal position, and the wheels report other distances.
     """
 
     def odometry(self, distance_m: Array, values: Array) -> Array:
-        """Distances (n,) by a right odometer, as they are reported at the coefficient values (k,)."""
+        """Return true distances (n,) as the wheels report them at the coefficient values (k,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenPoints:
-    """What the derivative of a pixel by the camera's own parameters needs."""
+    """Inputs of the derivative of pixels with respect to parameters of the camera."""
 
     camera: CameraIntrinsics
     R_bc: Array
     p_bc: Array
-    """Where the camera sits, corrected by all effects."""
+    """Mounting of the camera, corrected by all effects."""
     points_c: Array
     """(m, 3) in the optical frame, times `scale`."""
     scale: Array
@@ -282,19 +282,19 @@ class SensorModel:
 
     @property
     def coefficient_names(self) -> tuple[str, ...]:
-        """Names as reported: the effect's own, with the coefficient's behind it where it has several."""
+        """Names as reported: that of the effect, followed by that of the coefficient where it has several."""
         return tuple(name for effect in self.effects for name in coefficient_names(effect))
 
 
 def coefficient_names(effect: Effect) -> tuple[str, ...]:
-    """Names of an effect's coefficients as reported."""
+    """Return the names of the coefficients of an effect as reported."""
     if len(effect.coefficients) == 1:
         return (effect.name,)
     return tuple(f'{effect.name}.{item.name}' for item in effect.coefficients)
 
 
 def placed(effects: tuple[Effect, ...], place: Place) -> list[tuple[Any, slice]]:
-    """The effects that act at a place, each with where its coefficients stand among all."""
+    """Return the effects that act at a place, each with the slice of its coefficients among all."""
     found, start = [], 0
     for effect in effects:
         end = start + len(effect.coefficients)

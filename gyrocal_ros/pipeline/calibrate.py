@@ -1,4 +1,4 @@
-"""Calibration: settings, a sensor model and a source go in, a finished run comes out."""
+"""Calibration: one run of the filter over a source, with settings and a sensor model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gyrocal_ros.pipeline.heading_reference import calibrate_by_heading
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
 
 MIN_TURN_RAD = math.radians(45.0)
-"""Smallest total turn from which a scale factor can be estimated."""
+"""Minimum total turn from which a scale factor can be estimated."""
 
 
 def calibrate(
@@ -46,8 +46,8 @@ def calibrate(
 
     Raises:
         FilterDivergedError: the measurements contradict the model beyond repair.
-        NotObservableError: the robot hardly turned, so that no scale factor can be known.
-        RecordingError: the source holds nothing to estimate from.
+        NotObservableError: the robot hardly turned, so the scale factor is not observable.
+        RecordingError: the source has no IMU samples to estimate from.
     """
     if source.rig.camera is None:
         run = calibrate_by_heading(source, config, model, start, report, candidates)
@@ -69,7 +69,7 @@ def _unrecorded_signals(run: Run) -> Iterator[RunEvent]:
 
 
 def _require_observable(run: Run) -> None:
-    """Refuse a run without turns, or without headings of another sensor."""
+    """Raise an error for a run without turns, or without images and headings."""
     history = run.history
     if len(history.t_ns) == 0:
         raise RecordingError(

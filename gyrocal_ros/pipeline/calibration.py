@@ -1,4 +1,4 @@
-"""The result: what is known of the gyro at the end of a run, and `calibration.yaml` that keeps it."""
+"""The result of a run, the calibration of the gyro, and its file `calibration.yaml`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from gyrocal_ros.model.sensor import SensorModel
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Bias and coefficients with their joint covariance, and where they come from."""
+    """Bias and coefficients with their joint covariance and their provenance."""
 
     model: SensorModel
     names: tuple[str, ...]
@@ -41,7 +41,7 @@ class Calibration:
     nominal_scale_factor_volt: float
     converged: bool
     convergence_time_s: float | None
-    """Since the first sample; None where it did not converge."""
+    """Time of convergence since the first sample; None without convergence."""
     duration_s: float
     source: str
     end_ns: int
@@ -63,27 +63,27 @@ class Calibration:
 
     @property
     def scale_factor_volt(self) -> float:
-        """The scale factor as a data sheet gives it, deg/s/V."""
+        """Scale factor in the unit of a data sheet, deg/s/V."""
         return self.scale_factor * self.nominal_scale_factor_volt
 
     def start(self) -> Start:
-        """What a later run may begin with."""
+        """Return the initial values for a later run."""
         return Start(self.names, self.values, self.covariance)
 
 
 def conclude(run: Run) -> Calibration:
-    """What a run has found."""
+    """Return the calibration at the end of a run."""
     history, criteria = run.history, run.config.convergence
-    watch = Convergence()
+    convergence = Convergence()
     columns = (history.time_s, history.std[:, COEFFICIENTS_START], history.nis, history.dof)
     for time_s, scale_std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
-        watch.add(time_s, scale_std, nis, dof, criteria)
+        convergence.add(time_s, scale_std, nis, dof, criteria)
     return calibration_of(
         run.state,
         run.model,
         run.config,
-        converged=watch.since_s is not None and watch.is_consistent(criteria),
-        convergence_time_s=watch.since_s,
+        converged=convergence.since_s is not None and convergence.is_consistent(criteria),
+        convergence_time_s=convergence.since_s,
         duration_s=run.span.duration_s,
         source=run.source,
         end_ns=run.span.end_ns,
@@ -101,7 +101,7 @@ def calibration_of(
     source: str,
     end_ns: int,
 ) -> Calibration:
-    """What a state of the filter knows of the gyro; the rest as in `Calibration`."""
+    """Return the calibration by a state of the filter; the keyword arguments are fields of `Calibration`."""
     places = [YAW_BIAS, *range(COEFFICIENTS_START, state.robot_size)]
     return Calibration(
         model=model,
@@ -121,7 +121,7 @@ def calibration_of(
 def save_calibration(
     calibration: Calibration, config: Config, path: Path, *, overwrite: bool = False
 ) -> None:
-    """Write `calibration.yaml` in one step, with everything needed to understand it later."""
+    """Write `calibration.yaml` atomically, with model, settings and provenance."""
     text = yaml.safe_dump(_to_dict(calibration, config), sort_keys=False, allow_unicode=True, width=110)
     write_text_atomic(path, text, overwrite=overwrite)
 
@@ -130,7 +130,7 @@ def load_calibration(path: Path) -> Calibration:
     """Read a `calibration.yaml`.
 
     Raises:
-        ConfigError: it cannot be read, or is not a calibration.
+        ConfigError: the file cannot be read, or is not a calibration.
     """
     tree = read_yaml(path)
     try:
@@ -141,7 +141,7 @@ def load_calibration(path: Path) -> Calibration:
         if covariance.shape != (len(names),) * 2 or not np.isfinite([*values, *covariance.flat]).all():
             raise ValueError('a value or the covariance is incomplete')
         if not _is_covariance(covariance):
-            raise ValueError('the covariance cannot be one')
+            raise ValueError('the covariance is not positive semidefinite')
         provenance: Mapping[str, Any] = tree['provenance']
         time_s = tree['convergence_time_s']
         return Calibration(
@@ -166,7 +166,7 @@ def load_calibration(path: Path) -> Calibration:
 
 
 def _is_covariance(matrix: Array) -> bool:
-    """Whether a matrix is symmetric and, but for rounding, not negative in any direction."""
+    """Return True if a matrix is symmetric and, up to rounding, positive semidefinite."""
     std = np.sqrt(np.abs(np.diagonal(matrix)))
     scale = np.where(std > 0.0, std, 1.0)
     correlation = matrix / np.outer(scale, scale)
@@ -196,7 +196,7 @@ def _to_dict(calibration: Calibration, config: Config) -> dict[str, Any]:
 
 
 def announcement(calibration: Calibration) -> dict[str, bool | float | str | list[str] | list[float]]:
-    """The parameters of `/gyro_calibration`, by name; added effects are among the coefficients."""
+    """Return the parameters of `/gyro_calibration`, by name; added effects are among the coefficients."""
     model, stds = calibration.model, calibration.stds
     return {
         'gyro.scale_factor': calibration.scale_factor,
@@ -213,7 +213,7 @@ def announcement(calibration: Calibration) -> dict[str, bool | float | str | lis
 
 
 def coefficient_table(calibration: Calibration) -> dict[str, dict[str, Any]]:
-    """Name to value, standard deviation and unit, as files and JSON output give them."""
+    """Return value, standard deviation and unit by name, as in files and in JSON output."""
     columns = (calibration.names, calibration.values, calibration.stds, calibration.units)
     return {
         name: {'value': float(value), 'std': float(std), 'unit': unit}

@@ -57,8 +57,8 @@ class ReferenceFit:
     """Stamp of the reference minus true time, positive when it is stamped late."""
     residual_rms_rad: float
     scale_std: float
-    """Standard deviation of the scale factor by the scatter of the turns in blocks of 5 s. It holds whatever
-    the reference's errors are, if they do not last longer than a block."""
+    """Standard deviation of the scale factor by the scatter of the turns in blocks of 5 s. It is valid if
+    errors of the reference do not last longer than a block."""
 
 
 def calibrate_by_heading(
@@ -190,7 +190,7 @@ def _widened(run: Run, scale_std: float) -> Run:
 
 
 def _reference_events(fitted: ReferenceFit, span: Span) -> Iterator[RunEvent]:
-    """Yield what a person should know of the reference."""
+    """Yield an event for each notable property of the reference."""
     if abs(fitted.time_offset_s) >= REPORTED_OFFSET_S:
         late = 'late' if fitted.time_offset_s > 0.0 else 'early'
         text = (

@@ -1,4 +1,4 @@
-"""A recording held in memory, its images tracked once, however often the filter then runs over it."""
+"""A recording in memory, its images tracked once, for several runs of the filter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gyrocal_ros.pipeline.run_filter import Progress, Report
 from gyrocal_ros.pipeline.visual_slam import VisualSlam
 
 MAX_IN_MEMORY_S = 1800.0
-"""Longest recording that is held in memory."""
+"""Maximum duration of a recording that is loaded into memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,11 +24,11 @@ class InMemorySource:
     name: str
     rig: Rig
     span: Span
-    held: Sequence[Measurement]
+    loaded: Sequence[Measurement]
 
     def measurements(self) -> Iterator[Measurement]:
         """Yield the measurements."""
-        return iter(self.held)
+        return iter(self.loaded)
 
 
 def preload(
@@ -37,9 +37,9 @@ def preload(
     """Read a source into memory and track its images.
 
     Args:
-        source: a recording; a long one is returned as it is.
+        source: a recording; one longer than `MAX_IN_MEMORY_S` is returned unchanged.
         config: settings.
-        model: the sensor model that helps to track the images.
+        model: the sensor model for the filter that guides the tracker.
         report: called with the progress about once a second of recorded time.
 
     Returns:
@@ -50,24 +50,24 @@ def preload(
     """
     if source.span.duration_s > MAX_IN_MEMORY_S:
         return source, config
-    held: list[Measurement] = []
+    loaded: list[Measurement] = []
     tracked: list[Measurement] = []
     visual: VisualSlam | None = None
     for measurement in _with_progress(source, report):
         if isinstance(measurement, Frame) and visual is None:
             visual = VisualSlam(EkfSlam(model, config, source.rig), tracked.append)
-            for earlier in held:
+            for earlier in loaded:
                 visual.step(earlier)
         if visual is not None:
             visual.step(measurement)
         if not isinstance(measurement, Frame):
-            held.append(measurement)
+            loaded.append(measurement)
     if visual is None:
-        return InMemorySource(source.name, source.rig, source.span, held), config
-    if any(isinstance(measurement, ClockStep) for measurement in held):
+        return InMemorySource(source.name, source.rig, source.span, loaded), config
+    if any(isinstance(measurement, ClockStep) for measurement in loaded):
         return source, config
     visual.finish()
-    merged = sorted([*held, *tracked], key=attrgetter('t_ns'))
+    merged = sorted([*loaded, *tracked], key=attrgetter('t_ns'))
     noise = replace(config.camera, pixel_noise_px=config.tracker.noise_px)
     return InMemorySource(source.name, source.rig, source.span, merged), replace(config, camera=noise)
 

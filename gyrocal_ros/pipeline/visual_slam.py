@@ -49,7 +49,7 @@ class VisualSlam:
         return records + self._step(measurement)
 
     def finish(self) -> list[StepRecord]:
-        """Use what still waits, at the end of the stream."""
+        """Use the images that still wait, at the end of the stream."""
         return [*self._track_all(), *self._stream.finish()]
 
     def _first_tracker(self) -> GyroAidedTracker:

@@ -21,7 +21,7 @@ from gyrocal_ros.diagnose.search_series import (
 )
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import with_unit
-from gyrocal_ros.effects.describe import UNTOLD
+from gyrocal_ros.effects.describe import NOT_ESTIMATED
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.report import diagnosis_figures as figures
 from gyrocal_ros.report.comparison_figures import Mark, drift_by_span, drift_section
@@ -142,7 +142,7 @@ def estimate_rows(found: MissingEffect) -> Iterator[tuple[str, str, str, str]]:
     items = zip(found.effect.coefficients, found.names, found.values, found.stds, strict=True)
     for item, name, value, std in items:
         if std == 0.0:
-            yield name, f'{value:.4g}', item.unit, f'{with_unit(float(value), item.unit)}, {UNTOLD}'
+            yield name, f'{value:.4g}', item.unit, f'{with_unit(float(value), item.unit)}, {NOT_ESTIMATED}'
         elif item.unit == '1' and found.effect.acts_on == 'gyro':
             yield name, with_std(value, std), '1', f'{with_std(100.0 * value, 100.0 * std)} % of the rate'
         else:

@@ -1,7 +1,7 @@
-"""Test drives: what a technician can do with a robot in five minutes to bring one effect out.
+"""Test drives: instructions for a technician, five minutes each, that make one effect observable.
 
-Each is a scenario, its `about` the instruction. Steady otherwise: the fan is off unless it is what is
-tested, and the robot warms up as it does after it is switched on.
+Each is a scenario whose `about` is the instruction. Other conditions are steady: the fan is off unless it is
+tested, and the robot warms up as after switching on.
 """
 
 from __future__ import annotations
@@ -19,18 +19,20 @@ from gyrocal_ros.sim.trajectory import Leg
 
 DURATION_S = 300.0
 FULL = 2.0 * math.pi
+"""Full turn, rad."""
 _RATE = math.radians(60.0)
-"""With which robots turn where the rate is not what is tested."""
+"""Rate of turns, rad/s, where the drive does not test the rate."""
 RATES: dict[str, Any] = {'imu_hz': 100, 'camera_hz': 10}
+"""Rates of the sensors in test drives."""
 FAN_OFF = Fan(math.inf, np.empty((0, 2)))
-FAN_IN_SPELLS = Fan(30.0, np.arange(60.0, DURATION_S, 30.0).reshape(-1, 2))
+FAN_ON_AND_OFF = Fan(30.0, np.arange(60.0, DURATION_S, 30.0).reshape(-1, 2))
 WARMING = Climate(room_c=22.0, drift_c=0.5, drift_phase_rad=0.0, rise_c=11.0, rise_time_s=300.0)
 THEN_COOLED = Climate(room_c=10.0, drift_c=15.0, drift_phase_rad=0.9, rise_c=11.0, rise_time_s=300.0)
-"""From 22 deg C up to 28 in the middle of the drive, and down again by a draught."""
+"""Climate from 22 deg C up to 28 in the middle of the drive, and down again by a draught."""
 
 
 def _both_ways(angle_rad: float, rate_deg_s: float, times: int = 1) -> Manoeuvre:
-    """So many turns to the left, then as many to the right."""
+    """Return a number of turns to the left, then as many to the right."""
     rate = math.radians(rate_deg_s)
     sides = [side for side in (1.0, -1.0) for _ in range(times)]
     return tuple(leg for side in sides for leg in (*turn(side * angle_rad, rate), *rest(1.0)))
@@ -41,8 +43,8 @@ def _creeping() -> Manoeuvre:
     return tuple(leg for rate in rates_deg_s for leg in _both_ways(math.radians(6.0 * rate), rate))
 
 
-def _to_and_fro() -> Manoeuvre:
-    """A straight metre, four times forwards and backwards from hard start to hard stop, then turns."""
+def _back_and_forth() -> Manoeuvre:
+    """Return a straight metre, four times forwards and backwards with hard starts and stops, then turns."""
     glide_s, hold_s, speed = 0.25, 2.5, 0.4
     straight = tuple(
         leg
@@ -67,12 +69,12 @@ def _lanes() -> Manoeuvre:
 
 
 def _waiting(pause_s: float) -> Manoeuvre:
-    """A full turn each way, and a long rest."""
+    """Return a full turn each way, and a long rest."""
     return (*_both_ways(FULL, 60.0), *rest(pause_s))
 
 
 def _square() -> Manoeuvre:
-    """Round a square with a full turn at each corner, first left about and then right about."""
+    """Return laps of a square with a full turn at each corner, counter-clockwise, then clockwise."""
     sides = (*4 * (1.0,), *4 * (-1.0,))
     return tuple(
         leg
@@ -103,7 +105,7 @@ _TEST_DRIVES = (
     _test(
         'straight',
         'a straight metre to and fro four times, with hard starts and stops, then a full turn each way',
-        _to_and_fro(),
+        _back_and_forth(),
     ),
     _test(
         'eights',
@@ -130,12 +132,13 @@ _TEST_DRIVES = (
         'fan',
         'rests of 20 s with a full turn each way between; motors and fan off, on and at full power in turn',
         _waiting(20.0),
-        fan=FAN_IN_SPELLS,
+        fan=FAN_ON_AND_OFF,
     ),
 )
 TEST_DRIVES: dict[str, Scenario] = {drive.name: drive for drive in _TEST_DRIVES}
+"""The test drives by name."""
 EVERYDAY: Scenario = replace(find_scenario('cleaning'), **RATES)
-"""What robots do anyway, to compare with."""
+"""Ordinary cleaning, for comparison."""
 
 _SQUARE = TEST_DRIVES['square']
 _LEVEL = replace(_SQUARE, floor_tilt_deg=0.0, bumps=0)
@@ -157,4 +160,4 @@ CONTROLS: dict[str, Scenario] = {
         ),
     )
 }
-"""One drive by robots that lack something, to see what it is that shows an effect."""
+"""One test drive by robots that lack one property, to show on which property an effect depends."""

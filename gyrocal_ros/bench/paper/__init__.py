@@ -1,4 +1,4 @@
-"""The figures and the table of Lee et al. 2012, made anew with this package's simulator and estimator.
+"""Reproduction of the figures and the table of Lee et al. 2012 by simulation.
 
-An experiment is a function of a mapper and a number of seeds; what it returns is numbers alone.
+An experiment is a function of a mapper and a number of seeds; it returns numbers only.
 """

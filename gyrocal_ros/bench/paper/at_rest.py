@@ -1,4 +1,4 @@
-"""Fig. 9: what the gyro reads at rest while it warms up, and the fit of C1, C2 and T of eq. (8)."""
+"""Fig. 9: reading of the gyro at rest while it warms up, and the fit of C1, C2 and T of eq. (8)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
+from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assess
 from gyrocal_ros.data import NS_PER_S, Array, ImuSample
 from gyrocal_ros.effects import PAPER_EFFECTS
 from gyrocal_ros.sim.forward import HiddenEffect
@@ -18,7 +18,7 @@ C1_DEG_S, C2_DEG_S, T_S = 0.6, 6.04, 500.0
 """The paper's fit of an XV-3500."""
 DURATION_S, BIN_S = 2500.0, 10.0
 TIMES_S = np.geomspace(50.0, 5000.0, 400)
-"""Time constants among which the fit looks."""
+"""Time constants that the fit tries."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Warmup:
     t_s: float
 
     def at(self, time_s: Array) -> Array:
-        """Reading (n,) at times (n,)."""
+        """Return the reading (n,) at times (n,)."""
         return self.c2_deg_s - self.c1_deg_s * np.expm1(-time_s / self.t_s)
 
 
@@ -39,16 +39,16 @@ class AtRest:
     """The figure."""
 
     time_s: Array
-    """(n,) middles of stretches of 10 s."""
+    """(n,) middles of bins of 10 s."""
     read_deg_s: Array
     """(n,) mean reading of the first seed."""
     fits: tuple[Warmup, ...]
-    """One a seed."""
+    """One fit per seed."""
     claims: tuple[Claim, ...]
 
 
 def figure_9(each: Mapper, seeds: int) -> AtRest:
-    """The truth is the paper's fit; the question is how well 2500 s at rest tell it."""
+    """Estimate the parameters from 2500 s at rest; their true values are those of the paper's fit."""
     results = list(each(_record, list(range(seeds))))
     fits = tuple(fitted for _, _, fitted in results)
     time_s, read, _ = results[0]
@@ -57,7 +57,7 @@ def figure_9(each: Mapper, seeds: int) -> AtRest:
     truths = (C1_DEG_S, C2_DEG_S, T_S)
     names = ('C1 (deg/s)', 'C2 (deg/s)', 'T (s)')
     claims = tuple(
-        assessed(
+        assess(
             f'{name} by least squares',
             f'{truth:g}',
             f'{mean:.{digits}f}, sd {sd:.{digits}f} over {seeds} seeds',
@@ -69,7 +69,7 @@ def figure_9(each: Mapper, seeds: int) -> AtRest:
 
 
 def fit(time_s: Array, read_deg_s: Array) -> Warmup:
-    """Least squares of readings (n,) at rest: C1 and C2 directly, T by looking through a range."""
+    """Fit readings (n,) at rest by least squares: C1 and C2 directly, T by a scan."""
     best, least = Warmup(0.0, float(read_deg_s.mean()), float(TIMES_S[0])), math.inf
     for t_s in TIMES_S.tolist():
         columns = np.stack([-np.expm1(-time_s / t_s), np.ones(len(time_s))], axis=1)
@@ -94,7 +94,7 @@ def _record(seed: int) -> tuple[Array, Array, Warmup]:
 
 
 def _source(seed: int) -> SimSource:
-    """A gyro that warms up as the paper's; what is in the reading has to be taken off for the rate."""
+    """Return a gyro that warms up as the paper's; the signs are those of a correction of the reading."""
     amplitude, settled = math.radians(-C1_DEG_S), -(C1_DEG_S + C2_DEG_S)
     hidden = (HiddenEffect(PAPER_EFFECTS[8], (amplitude, T_S)),)
     scenario = _scenario(1.0)

@@ -1,4 +1,4 @@
-"""All that is made anew, by name, in the paper's order."""
+"""The experiments of the reproduction by name, in the order of the paper."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from gyrocal_ros.bench.paper.landmark import figure_14, figure_15
 from gyrocal_ros.bench.paper.mapping import figure_7
 from gyrocal_ros.bench.paper.rate_table import figure_8
 from gyrocal_ros.bench.paper.tracks import figure_12, figure_13
-from gyrocal_ros.bench.paper.unseen import figure_11, table_1
+from gyrocal_ros.bench.paper.without_camera import figure_11, table_1
 
 
 class PaperResult(Protocol):
-    """Numbers, and what they say of the paper's claims."""
+    """Result of an experiment: numbers, and the assessment of the paper's claims."""
 
     @property
     def claims(self) -> tuple[Claim, ...]: ...
@@ -30,14 +30,14 @@ class Experiment:
     title: str
     make: Callable[[Mapper, int], PaperResult]
     seeds: int
-    """As many as are used unless another number is asked for."""
+    """Default number of seeds."""
     least: int = 1
     most: int | None = None
-    """Fewer and more make no sense for some."""
+    """Bounds of the number of seeds; None for no upper bound."""
 
-    def count(self, asked: int | None) -> int:
-        """How many seeds are used where so many are asked for."""
-        count = max(asked or self.seeds, self.least)
+    def count(self, requested: int | None) -> int:
+        """Return the number of seeds for a requested number; None requests the default."""
+        count = max(requested or self.seeds, self.least)
         return count if self.most is None else min(count, self.most)
 
 

@@ -1,7 +1,7 @@
-"""Figs. 14 and 15: how fast one landmark is found, by three ways of writing down a feature.
+"""Figs. 14 and 15: convergence of one landmark, by three feature parametrisations.
 
-The paper's set-up: the robot's pose is known, the camera looks up from the robot's origin, the
-landmark is at (50, 100, 250) cm, and the robot moves 50 cm forward in steps of 5 cm.
+Set-up of the paper: the pose of the robot is known, the camera looks up from its origin, the landmark is at
+(50, 100, 250) cm, and the robot moves 50 cm forward in steps of 5 cm.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
+from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assess
 from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.ekf.landmarks import augment
@@ -23,35 +23,35 @@ from gyrocal_ros.model.features.base import Parametrisation, posed_camera
 from gyrocal_ros.sim.sensors import stream
 
 FORMS = {'proposed': 'camera_frame', 'inverse depth': 'inverse_depth', 'conventional': 'pixel'}
-"""The paper's names, and ours."""
+"""Names of the parametrisations in the paper and here."""
 CAMERA = CameraIntrinsics(640, 480, 200.0, 200.0, 319.5, 239.5)
 AT_THE_ORIGIN = Mount(np.eye(3), np.zeros(3))
 LANDMARK_M = np.array([[0.5, 1.0, 2.5]])
 STEP_M, STEPS = 0.05, 10
 NOISE_PX = 0.5
-"""With it eq. (21) gives the paper's e_cn of 1.25 cm; the filter counts on it in Fig. 14 too."""
+"""Pixel noise for which eq. (21) gives the paper's e_cn of 1.25 cm; the filter assumes it in Fig. 14, too."""
 FEATURES = replace(FeatureConfig(), prior_depth_m=5.0, ray_std_m=100.0)
-"""The paper's assumed depth and e_ct; the doubt of the inverse depth, which it does not give, is ours."""
+"""Settings with the assumed depth and e_ct of the paper, which does not give a prior of inverse depth."""
 SHOWN = (1, 2, 5, 10)
-"""Steps whose errors are told: after 5, 10, 25 and 50 cm."""
+"""Steps whose errors are reported: after 5, 10, 25 and 50 cm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Method:
-    """The errors by one way of writing down a feature."""
+    """Errors of one feature parametrisation."""
 
     name: str
     errors_cm: Array
-    """(seeds, 11) distance from the true place; NaN from where the filter failed."""
+    """(seeds, 11) distances from the true position; NaN from the step at which the filter failed."""
 
     @property
     def mean_cm(self) -> Array:
-        """(11,) over the seeds that the filter got through."""
+        """(11,) mean error over the seeds in which the filter has not failed."""
         return np.asarray(np.nanmean(self.errors_cm, axis=0))
 
     @property
     def rms_cm(self) -> Array:
-        """(11,)"""
+        """(11,) root mean square error."""
         return np.asarray(np.sqrt(np.nanmean(self.errors_cm**2, axis=0)))
 
     @property
@@ -61,7 +61,7 @@ class Method:
 
     @property
     def failed(self) -> int:
-        """Seeds with which the filter did not get to the end."""
+        """Number of seeds with which the filter failed before the end."""
         return int(np.isnan(self.errors_cm[:, -1]).sum())
 
 
@@ -79,11 +79,11 @@ class LandmarkErrors:
 
 
 def figure_14(each: Mapper, seeds: int) -> LandmarkErrors:
-    """Without noise one seed is as good as many."""
+    """Compare the parametrisations without noise, where all seeds are equal."""
     methods = _methods(each, 1, 0.0)
     proposed, inverse, conventional = (method.errors_cm[0] for method in methods)
     claims = (
-        assessed(
+        assess(
             'proposed method, after one step of 5 cm',
             'almost no error',
             f'{proposed[1]:.2f} cm',
@@ -95,7 +95,7 @@ def figure_14(each: Mapper, seeds: int) -> LandmarkErrors:
             f'{inverse[1]:.1f} cm, {inverse[2]:.1f} cm after 10 cm',
             'in part',
         ),
-        assessed(
+        assess(
             'conventional method, after 5 and 50 cm',
             'large',
             f'{conventional[1]:.0f} cm, {conventional[-1]:.0f} cm',
@@ -106,26 +106,26 @@ def figure_14(each: Mapper, seeds: int) -> LandmarkErrors:
 
 
 def figure_15(each: Mapper, seeds: int) -> LandmarkErrors:
-    """With noise of half a pixel."""
+    """Compare the parametrisations with noise of half a pixel."""
     methods = _methods(each, seeds, NOISE_PX)
     proposed, inverse, conventional = methods
     bound = bound_cm()
     ratios = inverse.mean_cm[list(SHOWN)] / proposed.mean_cm[list(SHOWN)]
     claims = (
-        assessed(
+        assess(
             'proposed method, mean error after 5, 10, 25, 50 cm',
             'no number; falls at once',
             f'{_at(proposed.mean_cm)} cm (rms {_at(proposed.rms_cm)} cm, its Cramer-Rao bound '
             f'{_at(bound)} cm)',
             bool(proposed.mean_cm[2] < 30.0 and proposed.mean_cm[-1] < 5.0),
         ),
-        assessed(
-            'inverse depth beside it',
+        assess(
+            'inverse depth compared with it',
             'the same',
             f'{_at(inverse.mean_cm)} cm, {ratios.min():.2f} to {ratios.max():.2f} times it',
             bool(ratios.max() < 1.15 and ratios.min() > 0.85),
         ),
-        assessed(
+        assess(
             'conventional method',
             'large',
             f'{conventional.failed} of {seeds} runs fail outright; median of the others '
@@ -137,13 +137,13 @@ def figure_15(each: Mapper, seeds: int) -> LandmarkErrors:
     return LandmarkErrors(NOISE_PX, _moved_cm(), methods, bound, claims)
 
 
-def follow(form: Parametrisation, noise_px: float, seed: int) -> Array:
-    """Errors (11,) in cm of the landmark's place, at first sight and after each step.
+def landmark_errors_cm(form: Parametrisation, noise_px: float, seed: int) -> Array:
+    """Return the position errors (11,) of the landmark in cm, at the first observation and after each step.
 
     Args:
-        form: how the feature is written down.
-        noise_px: of the pixels.
-        seed: of that noise; all forms see the same.
+        form: the feature parametrisation.
+        noise_px: noise of the pixels.
+        seed: seed of that noise, which is the same for all parametrisations.
     """
     rng = stream(seed, 'landmark')
     nothing = np.zeros((COEFFICIENTS_START, 0))
@@ -166,13 +166,13 @@ def follow(form: Parametrisation, noise_px: float, seed: int) -> Array:
                 state, _ = update(state, innovate(state, np.array([0]), prediction, measured, noise))
             except FilterDivergedError:
                 return errors
-        place, _ = form.world(state.features, state.landmarks.anchors)
-        errors[step] = 100.0 * float(np.linalg.norm(place - LANDMARK_M))
+        found, _ = form.world(state.features, state.landmarks.anchors)
+        errors[step] = 100.0 * float(np.linalg.norm(found - LANDMARK_M))
     return errors
 
 
 def bound_cm() -> Array:
-    """Cramer-Rao bound (11,) of the rms error, from the pixels of all steps so far and nothing else."""
+    """Return the Cramer-Rao bound (11,) of the rms error by the pixels of all steps so far."""
     bounds, information = [], np.zeros((3, 3))
     for step in range(STEPS + 1):
         x, y, z = (LANDMARK_M[0] - [step * STEP_M, 0.0, 0.0]).tolist()
@@ -184,13 +184,13 @@ def bound_cm() -> Array:
 
 def _methods(each: Mapper, seeds: int, noise_px: float) -> tuple[Method, ...]:
     tasks = [(name, noise_px, seed) for name in FORMS.values() for seed in range(seeds)]
-    errors = np.array(list(each(_follow, tasks))).reshape(len(FORMS), seeds, STEPS + 1)
+    errors = np.array(list(each(_errors_of, tasks))).reshape(len(FORMS), seeds, STEPS + 1)
     return tuple(Method(name, part) for name, part in zip(FORMS, errors, strict=True))
 
 
-def _follow(task: tuple[str, float, int]) -> Array:
+def _errors_of(task: tuple[str, float, int]) -> Array:
     name, noise_px, seed = task
-    return follow(PARAMETRISATIONS[name], noise_px, seed)
+    return landmark_errors_cm(PARAMETRISATIONS[name], noise_px, seed)
 
 
 def _moved_cm() -> Array:

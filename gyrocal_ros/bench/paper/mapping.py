@@ -1,4 +1,4 @@
-"""Fig. 7: the feature map, and that a rotation alone does not tell how far the features are."""
+"""Fig. 7: the feature map; a rotation alone does not determine the depth of the features."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
+from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assess
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import Trajectory2D, slam_path
@@ -19,7 +19,7 @@ from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import SimSource
 
 FEATURES = 5
-"""As many as the paper follows at a time."""
+"""Number of features that are tracked at a time, as in the paper."""
 DRIVEN_M, STANDING_S, RATE_RAD_S = 1.5, 3.0, math.radians(60.0)
 
 
@@ -28,46 +28,46 @@ class FeatureMap:
     """The figure."""
 
     ceiling: CeilingMap
-    """Of the first seed, in the frame of its start."""
+    """Map of the first seed, in the frame of its start."""
     path: Trajectory2D
     corners_m: Array
-    """(c, 2) where the corners of the simulated ceiling truly are, in the same frame."""
+    """(c, 2) true positions of the corners of the simulated ceiling, in the same frame."""
     turned_std_m: Array
-    """(seeds,) median doubt of the features' heights after a full turn on the spot."""
+    """(seeds,) median standard deviation of the heights of features after a full turn on the spot."""
     driven_std_m: Array
-    """(seeds,) after a straight way of 1.5 m more."""
+    """(seeds,) the same after a further 1.5 m straight on."""
     errors_m: Array
-    """(m,) distance of each mapped feature of all seeds from the nearest corner on the floor plan."""
+    """(m,) horizontal distance of each mapped feature of all seeds from the nearest corner."""
     errors_sigma: Array
-    """(m,) the same by its covariance."""
+    """(m,) the same in standard deviations by the covariance."""
     claims: tuple[Claim, ...]
 
 
 def figure_7(each: Mapper, seeds: int) -> FeatureMap:
-    """A map of the ceiling after two minutes of lanes; and a turn on the spot before a straight way."""
+    """Map the ceiling in two minutes of lanes; measure the depths after a turn and after a straight drive."""
     maps = list(each(_lanes, list(range(seeds))))
-    doubts = np.array(list(each(_turn_then_drive, list(range(seeds)))))
+    stds = np.array(list(each(_turn_then_drive, list(range(seeds)))))
     ceiling, path, corners, _ = maps[0]
     errors_m, errors_sigma = np.concatenate([errors for _, _, _, errors in maps]).T
-    turned, driven = doubts.T
+    turned, driven = stds.T
     inside = [100.0 * float(np.mean(errors_sigma < sigmas)) for sigmas in (1.0, 3.0)]
     claims = (
-        assessed(
-            'the depth cannot be told by a rotation alone',
-            'said, not measured',
-            f'after a full turn each height is known to {_metres(turned)}, hardly better than was assumed',
+        assess(
+            'a rotation alone does not determine the depth',
+            'stated, not measured',
+            f'after a full turn each height is known to {_metres(turned)}, hardly better than the prior',
             bool(np.median(turned) > 0.5),
         ),
-        assessed(
-            'it is told when the robot moves forward',
-            'said, not measured',
+        assess(
+            'forward motion determines it',
+            'stated, not measured',
             f'after {DRIVEN_M:g} m more to {_metres(driven)}',
             bool(np.median(driven) < 0.1 * np.median(turned)),
         ),
-        assessed(
+        assess(
             'the ellipses are bounds of 1 sigma',
             'drawn as such',
-            f'{inside[0]:.0f} % of {len(errors_sigma)} features lie inside theirs (39 % would be right), '
+            f'{inside[0]:.0f} % of {len(errors_sigma)} features are inside theirs (39 % would be right), '
             f'{inside[1]:.0f} % within 3 sigma (99 %); median error {1e3 * np.median(errors_m):.1f} mm',
             inside[1] > 95.0,
         ),
@@ -76,7 +76,7 @@ def figure_7(each: Mapper, seeds: int) -> FeatureMap:
 
 
 def _lanes(seed: int) -> tuple[CeilingMap, Trajectory2D, Array, Array]:
-    """Map, path, true corners, errors in m and in sigma; in the body's frame at the start, the map's own."""
+    """Return map, path, true corners, and errors in m and in sigma, in the frame of the map."""
     scenario = replace(find_scenario('lanes'), duration_s=120.0, features=FEATURES)
     source = SimSource(scenario, seed)
     run = calibrate(source, Config(), default_model())
@@ -91,10 +91,9 @@ def _lanes(seed: int) -> tuple[CeilingMap, Trajectory2D, Array, Array]:
 
 
 def _turn_then_drive(seed: int) -> tuple[float, float]:
-    """Doubt of the heights after a turn on the spot, and after a straight way that follows.
+    """Return the standard deviation of the heights after a turn on the spot, and after a straight drive.
 
-    The camera sits over the turning centre on a level floor: else a turn moves it, and that tells
-    something.
+    The camera is over the turning centre on a level floor: otherwise a turn moves it and gives parallax.
     """
     turning, driving = turn(2.0 * math.pi, RATE_RAD_S), drive(DRIVEN_M, 0.3)
     scenario = replace(
@@ -108,10 +107,10 @@ def _turn_then_drive(seed: int) -> tuple[float, float]:
     )
     turned_s = STANDING_S + 0.4 + sum(leg.duration_s for leg in turning)
     driven_s = turned_s + 0.2 + sum(leg.duration_s for leg in driving)
-    return _doubt_m(scenario, seed, turned_s), _doubt_m(scenario, seed, driven_s)
+    return _height_std_m(scenario, seed, turned_s), _height_std_m(scenario, seed, driven_s)
 
 
-def _doubt_m(scenario: Scenario, seed: int, until_s: float) -> float:
+def _height_std_m(scenario: Scenario, seed: int, until_s: float) -> float:
     run = calibrate(SimSource(replace(scenario, duration_s=until_s), seed), Config(), default_model())
     ceiling = ceiling_map(run.state, run.config.features.parametrisation)
     return float(np.sqrt(np.median(ceiling.covariances_m2[ceiling.in_view, 2, 2])))

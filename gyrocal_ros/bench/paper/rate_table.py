@@ -1,6 +1,6 @@
-"""Fig. 8: the scale factor on a rate table, and what the diagnosis says of its linearity.
+"""Fig. 8: the scale factor on a rate table, and the diagnosis of its linearity.
 
-Three parts as the paper's, and one that bends: the paper never shows that its method would notice.
+There are three parts as in the paper, and one with a nonlinearity, for which the paper has no test.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, Claim, Mapper, assessed
+from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, Claim, Mapper, assess
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ImuSample
 from gyrocal_ros.diagnose.diagnosis import diagnose
@@ -29,7 +29,7 @@ from gyrocal_ros.sim.world import START_NS, SimSource
 RATES_DEG_S = np.arange(20.0, 91.0, 10.0)
 REST_S, GLIDE_S, HOLD_S = 10.0, 1.0, 30.0
 BEND = 0.003
-"""Of the part that is bent: 0.3 % of the rate at 100 deg/s."""
+"""Nonlinearity of the last part: 0.3 % of the rate at 100 deg/s."""
 
 CUBIC = scale_power(3).name
 
@@ -42,15 +42,15 @@ class Sample:
     volt: float
     """True scale factor at small rates, deg/s/V."""
     bend: float = 0.0
-    """Cubic part at 100 deg/s, as a part of the rate."""
+    """Cubic term at 100 deg/s, relative to the rate."""
 
     @property
     def hidden(self) -> tuple[HiddenEffect, ...]:
-        """The bend, as an effect of the simulator."""
+        """The nonlinearity as an effect of the simulator."""
         return (HiddenEffect(scale_power(3), (self.bend / FULL_RATE_RAD_S**2,)),) if self.bend else ()
 
-    def put_in(self, scenario: Scenario) -> Scenario:
-        """The scenario with this gyro in the robot."""
+    def in_robot(self, scenario: Scenario) -> Scenario:
+        """Return the scenario with this gyro in the robot."""
         errors = replace(scenario.errors, scale_factor=self.volt / NOMINAL_VOLT)
         return replace(scenario, errors=errors)
 
@@ -61,23 +61,23 @@ SAMPLES = (
     Sample('sample 3', 135.56),
     Sample('bent', 135.48, BEND),
 )
-"""Scale factors in the range of the paper's figure."""
+"""Gyros with scale factors in the range of the paper's figure."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleResult:
-    """What table and robot say of one gyro."""
+    """Results of one gyro on the table and in the robot."""
 
     sample: Sample
     volt: Array
     """(r,) scale factor at each rate of the table, deg/s/V."""
     volt_std: Array
     bend_percent: float
-    """Cubic part at 100 deg/s by a robot that cleaned for five minutes, in per cent of the rate."""
+    """Cubic term at 100 deg/s, in per cent of the rate, estimated in five minutes of cleaning."""
     bend_std_percent: float
     verdict: str
     named: tuple[str, ...]
-    """What the diagnosis says is missing."""
+    """Effects that the diagnosis reports as missing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,39 +90,39 @@ class RateTable:
 
 
 def figure_8(each: Mapper, seeds: int) -> RateTable:
-    """Every sample on the table and in a robot; the seed of each is its place in the list."""
+    """Examine every sample on the table and in a robot; the seed of each is its index."""
     results = tuple(each(_examine, list(enumerate(SAMPLES))))
     straight, bent = results[:-1], results[-1]
     spread = max(float(np.ptp(result.volt)) for result in straight)
     claims = (
-        assessed(
+        assess(
             'the scale factor is the same at all rates, 20 to 90 deg/s',
             'almost; drawn between 135.3 and 135.7',
             f'within {spread:.3f} deg/s/V at worst',
             spread < 0.1,
         ),
-        assessed(
+        assess(
             'so a function of first order is enough, for the diagnosis too',
-            'by looking at the figure',
-            '; '.join(_words(result) for result in straight),
+            'by the figure',
+            '; '.join(_describe(result) for result in straight),
             all(result.verdict == 'nothing_missing' for result in straight),
         ),
-        assessed(
-            f'a part bent by {100.0 * BEND:.1f} % at 100 deg/s is found out without a rate table',
+        assess(
+            f'a part bent by {100.0 * BEND:.1f} % at 100 deg/s is found without a rate table',
             'not tried',
-            _words(bent),
+            _describe(bent),
             bent.named[:1] == (CUBIC,),
         ),
     )
     return RateTable(RATES_DEG_S, results, claims)
 
 
-def on_the_table(sample: Sample, seed: int) -> tuple[Array, Array]:
-    """Scale factors (r,) in deg/s/V at the rates of the table, with their standard deviations.
+def measure_on_table(sample: Sample, seed: int) -> tuple[Array, Array]:
+    """Return the scale factors (r,) in deg/s/V at the rates of the table, with their standard deviations.
 
-    The zero is taken at rest before and after each rate.
+    The bias is that of the rests before and after each rate.
     """
-    source = SimSource(sample.put_in(_table_scenario()), seed, hidden=sample.hidden)
+    source = SimSource(sample.in_robot(_table_scenario()), seed, hidden=sample.hidden)
     samples = [item for item in source.measurements() if isinstance(item, ImuSample)]
     time_s = np.array([item.t_ns - START_NS for item in samples]) / NS_PER_S
     rate = np.degrees([item.rate_rad_s[2] for item in samples])
@@ -158,15 +158,15 @@ def _table_scenario() -> Scenario:
 
 
 def _mean(time_s: Array, values: Array, from_s: float, to_s: float) -> tuple[float, float]:
-    """Mean over a stretch, half a second left out at both ends, and its standard deviation."""
+    """Return the mean over an interval without half a second at both ends, and its standard deviation."""
     inside = values[(time_s > from_s + 0.5) & (time_s < to_s - 0.5)]
     return float(inside.mean()), float(inside.std(ddof=1) / math.sqrt(len(inside)))
 
 
 def _examine(task: tuple[int, Sample]) -> SampleResult:
     seed, sample = task
-    volt, volt_std = on_the_table(sample, seed)
-    scenario = sample.put_in(find_scenario('cleaning'))
+    volt, volt_std = measure_on_table(sample, seed)
+    scenario = sample.in_robot(find_scenario('cleaning'))
     simulated = SimSource(scenario, seed, hidden=sample.hidden)
     source, config = preload(simulated, Config(), default_model())
     recorded = summarise_recording(source)
@@ -183,10 +183,10 @@ def _examine(task: tuple[int, Sample]) -> SampleResult:
         bend_percent=to_percent * float(estimate(cubic)[0]),
         bend_std_percent=to_percent * float(estimate_stds(cubic)[0]),
         verdict=found.verdict,
-        named=tuple(finding.effect.name for finding in found.missing),
+        named=tuple(missing.effect.name for missing in found.missing),
     )
 
 
-def _words(result: SampleResult) -> str:
-    said = ', '.join(result.named) or result.verdict.replace('_', ' ')
-    return f'{result.sample.name}: {result.bend_percent:+.3f} ± {result.bend_std_percent:.3f} % ({said})'
+def _describe(result: SampleResult) -> str:
+    answer = ', '.join(result.named) or result.verdict.replace('_', ' ')
+    return f'{result.sample.name}: {result.bend_percent:+.3f} ± {result.bend_std_percent:.3f} % ({answer})'

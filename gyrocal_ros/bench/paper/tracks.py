@@ -1,7 +1,7 @@
-"""Figs. 12 and 13: where the robot believes to be, by dead reckoning and by SLAM.
+"""Figs. 12 and 13: estimated trajectories by dead reckoning and by SLAM.
 
-One robot drives lanes over a room. In Fig. 12 the camera is covered after two minutes; in Fig. 13 it is
-not, and the same dead reckoning is laid beside the SLAM.
+One robot drives lanes over a room. In Fig. 12 the camera is covered after two minutes; in Fig. 13 it is not,
+and SLAM is compared with the same dead reckoning.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.bench.camera_off import laid_on_truth, nominal_path
-from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assessed
-from gyrocal_ros.bench.paper.unseen import NOMINAL_ERROR
+from gyrocal_ros.bench.camera_off import aligned_to_truth, nominal_path
+from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assess
+from gyrocal_ros.bench.paper.without_camera import NOMINAL_ERROR
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import Trajectory2D, slam_path
@@ -24,7 +24,7 @@ from gyrocal_ros.sim.world import SimSource
 
 OFF_S, END_S, STEP_S = 120.0, 300.0, 0.2
 SETTLED_S = 1.0
-"""The SLAM path is laid on the truth so long after the start."""
+"""Time after the start at which the SLAM path is aligned to the truth."""
 
 
 GYRO, NOMINAL, SLAM, TRUTH = 'calibrated gyro', 'nominal gyro', 'SLAM', 'ground truth'
@@ -35,28 +35,28 @@ class Tracks:
     """One of the two figures."""
 
     tracks: dict[str, Trajectory2D]
-    """Of the first seed by name, laid on the truth where they begin."""
+    """Trajectories of the first seed by name, aligned to the truth at their beginnings."""
     end_errors_m: dict[str, Array]
-    """(seeds,) by name, distance from the truth at the end."""
+    """(seeds,) distances from the truth at the end, by name."""
     claims: tuple[Claim, ...]
 
 
 def figure_12(each: Mapper, seeds: int) -> Tracks:
-    """Three minutes of lanes with the camera covered."""
-    results = list(each(_covered, list(range(seeds))))
+    """Compare three minutes of lanes with the camera covered, calibrated and nominal."""
+    results = list(each(_camera_covered, list(range(seeds))))
     ends = _end_errors(results)
     calibrated, nominal = ends[GYRO], ends[NOMINAL]
     claims = (
-        assessed(
+        assess(
             'end position by dead reckoning, calibrated',
             '13.8 cm',
             _centimetres(calibrated),
             float(calibrated.mean()) < 0.138,
         ),
-        assessed(
+        assess(
             'not calibrated',
             '66.0 cm',
-            f'{_centimetres(nominal)}; scale factor off by {100.0 * NOMINAL_ERROR:.2f} % as in Table 1',
+            f'{_centimetres(nominal)}; scale factor wrong by {100.0 * NOMINAL_ERROR:.2f} % as in Table 1',
             float(nominal.mean()) > 3.0 * float(calibrated.mean()),
         ),
     )
@@ -64,24 +64,24 @@ def figure_12(each: Mapper, seeds: int) -> Tracks:
 
 
 def figure_13(each: Mapper, seeds: int) -> Tracks:
-    """The same with the camera on, and the dead reckoning of Fig. 12."""
-    seen = list(each(_seen, list(range(seeds))))
-    ends = _end_errors(seen)
+    """Compare SLAM with the camera on and the dead reckoning of Fig. 12."""
+    results = list(each(_camera_on, list(range(seeds))))
+    ends = _end_errors(results)
     claims = (
-        assessed(
+        assess(
             'SLAM stays on the ground truth',
-            'to the eye',
-            f'{_centimetres(ends[SLAM])} off at the end of 5 minutes',
+            'by eye',
+            f'error at the end of 5 minutes: {_centimetres(ends[SLAM])}',
             float(ends[SLAM].max()) < 0.10,
         ),
-        assessed(
+        assess(
             'dead reckoning with the calibrated gyro does not',
-            'to the eye',
-            f'{_centimetres(ends[GYRO])} off after {END_S - OFF_S:.0f} s without the camera',
+            'by eye',
+            f'error after {END_S - OFF_S:.0f} s without the camera: {_centimetres(ends[GYRO])}',
             float(ends[GYRO].mean()) > float(ends[SLAM].mean()),
         ),
     )
-    return Tracks(seen[0], ends, claims)
+    return Tracks(results[0], ends, claims)
 
 
 def _scenario(camera_until_s: float) -> Scenario:
@@ -97,25 +97,26 @@ def _scenario(camera_until_s: float) -> Scenario:
     )
 
 
-def _covered(seed: int) -> dict[str, Trajectory2D]:
-    """From when the camera is covered."""
+def _camera_covered(seed: int) -> dict[str, Trajectory2D]:
+    """Return the trajectories from the time on at which the camera is covered."""
     source = SimSource(_scenario(OFF_S), seed)
     run = calibrate(source, Config(), default_model())
     time_s = np.arange(OFF_S, END_S, STEP_S)
     paths = {GYRO: slam_path(run), NOMINAL: nominal_path(source, run)}
-    laid = {
-        name: Trajectory2D(time_s, *laid_on_truth(source, run, path, time_s)) for name, path in paths.items()
+    aligned = {
+        name: Trajectory2D(time_s, *aligned_to_truth(source, run, path, time_s))
+        for name, path in paths.items()
     }
-    return {TRUTH: _truth(source, time_s)} | laid
+    return {TRUTH: _truth(source, time_s)} | aligned
 
 
-def _seen(seed: int) -> dict[str, Trajectory2D]:
-    """From the start, the camera on; the dead reckoning from when it is covered in the other recording."""
+def _camera_on(seed: int) -> dict[str, Trajectory2D]:
+    """Return SLAM from the start with the camera on, and the dead reckoning of the other recording."""
     source = SimSource(_scenario(math.inf), seed)
     run = calibrate(source, Config(), default_model())
     time_s = np.arange(SETTLED_S, END_S, STEP_S)
-    slam = Trajectory2D(time_s, *laid_on_truth(source, run, slam_path(run), time_s))
-    return {TRUTH: _truth(source, time_s), SLAM: slam, GYRO: _covered(seed)[GYRO]}
+    slam = Trajectory2D(time_s, *aligned_to_truth(source, run, slam_path(run), time_s))
+    return {TRUTH: _truth(source, time_s), SLAM: slam, GYRO: _camera_covered(seed)[GYRO]}
 
 
 def _truth(source: SimSource, time_s: Array) -> Trajectory2D:
@@ -124,7 +125,7 @@ def _truth(source: SimSource, time_s: Array) -> Trajectory2D:
 
 
 def _end_errors(results: list[dict[str, Trajectory2D]]) -> dict[str, Array]:
-    """Distance from the truth at the end, by name."""
+    """Return the distances (seeds,) from the truth at the end, by name."""
     return {
         name: np.array(
             [np.linalg.norm(paths[name].position_m[-1] - paths[TRUTH].position_m[-1]) for paths in results]

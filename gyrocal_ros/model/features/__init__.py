@@ -1,4 +1,4 @@
-"""Feature parametrisations behind one contract; chosen by `features.parametrisation`."""
+"""Feature parametrisations of one contract; `features.parametrisation` chooses among them."""
 
 from gyrocal_ros.model.features.base import Parametrisation
 from gyrocal_ros.model.features.camera_frame import CameraFramePoint

@@ -1,4 +1,4 @@
-"""The contract of a feature parametrisation: the numbers that stand for a point, and what is measured."""
+"""Contract of a feature parametrisation: the parameters of a point, and the quantities that are measured."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedCamera:
-    """A camera at a robot pose, with what the derivatives by that pose need."""
+    """A camera at a robot pose, with the matrices for derivatives by that pose."""
 
     camera: CameraIntrinsics
     p_wb: Array
@@ -45,7 +45,7 @@ def posed_camera(camera: CameraIntrinsics, mount: Mount, position_m: Array, eule
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchors:
-    """Camera poses of first sight: constants of the map, not part of the state."""
+    """Camera poses at the first observation of each feature: constants of the map, not part of the state."""
 
     R_wc: Array
     """(m, 3, 3)"""
@@ -56,18 +56,18 @@ class Anchors:
         return Anchors(self.R_wc[rows], self.p_wc[rows])
 
     def joined(self, other: Anchors) -> Anchors:
-        """These anchors followed by the other ones."""
+        """Return these anchors followed by the other ones."""
         return Anchors(np.concatenate([self.R_wc, other.R_wc]), np.concatenate([self.p_wc, other.p_wc]))
 
 
 def no_anchors(count: int) -> Anchors:
-    """Anchors that hold no information: of an empty map, or of features that are world points."""
+    """Return anchors without information: for an empty map, or for features that are world points."""
     return Anchors(np.zeros((count, 3, 3)), np.zeros((count, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NewFeatures:
-    """Features at their first sight, and how their doubt arises: eq. (18) needs no more."""
+    """Features at their first observation, with the derivative and the noise that eq. (18) takes."""
 
     parameters: Array
     """(m, 3)"""
@@ -80,7 +80,7 @@ class NewFeatures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """What the map says of a view: measurements to expect, with their derivatives."""
+    """Predicted measurements of mapped features in a view, with their derivatives."""
 
     expected: Array
     """(m, r)"""
@@ -89,9 +89,9 @@ class Prediction:
     by_feature: Array
     """(m, r, 3)"""
     points_c: Array
-    """(m, 3) the features in the optical frame, times `scale`; a third value <= 0 is behind it."""
+    """(m, 3) features in the optical frame, times `scale`; a third value <= 0 is behind the camera."""
     by_point: Array
-    """(m, r, 3) derivative of what is measured by `points_c`."""
+    """(m, r, 3) derivative of the predicted measurement with respect to `points_c`."""
     scale: Array
     """(m,) inverse depth where the parametrisation carries it, else 1."""
 
@@ -107,38 +107,38 @@ class Prediction:
 
 
 class Parametrisation(Protocol):
-    """Three numbers a feature, `rows` measured numbers a sighting. All arrays are over m features."""
+    """Three parameters per feature, `rows` measured numbers per observation. Arrays are over m features."""
 
     @property
     def name(self) -> str: ...
 
     @property
     def rows(self) -> int:
-        """r, measured numbers a sighting."""
+        """r, measured numbers per observation."""
 
     @property
     def needs_motion_gate(self) -> bool:
-        """Whether camera updates must wait until the robot has moved."""
+        """True if camera updates must wait until the robot has moved."""
 
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> NewFeatures:
-        """Undelayed initialisation from one sighting (m, 2)."""
+        """Initialise features from one observation (m, 2), without delay."""
 
     def measure(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> tuple[Array, Array]:
-        """What is measured (m, r), and its noise covariance (m, r, r)."""
+        """Return the measurement (m, r) and its noise covariance (m, r, r)."""
 
     def predict(self, view: PosedCamera, parameters: Array, anchors: Anchors) -> Prediction:
-        """What should be measured."""
+        """Predict the measurement."""
 
     def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
-        """Points in the world (m, 3) and their derivatives by the parameters (m, 3, 3)."""
+        """Return points in the world (m, 3) and their derivatives by the parameters (m, 3, 3)."""
 
 
 def points_in_camera(view: PosedCamera, points_w: Array) -> tuple[Array, Array, Array]:
-    """Eq. (13): world points in the optical frame, `m_c = C_cw (m_w - p) - C_cb p_offset`.
+    """Eq. (13): transform world points to the optical frame, `m_c = C_cw (m_w - p) - C_cb p_offset`.
 
     Returns:
         (m, 3) points, (m, 3, 6) derivative by the pose, (3, 3) derivative by the points.
@@ -153,7 +153,7 @@ def points_in_camera(view: PosedCamera, points_w: Array) -> tuple[Array, Array, 
 
 
 def points_in_world(view: PosedCamera, points_c: Array) -> tuple[Array, Array]:
-    """Eq. (15): points of the optical frame in the world, `m_w = p + C_wb (p_offset + C_bc m_c)`.
+    """Eq. (15): transform points of the optical frame to the world, `m_w = p + C_wb (p_offset + C_bc m_c)`.
 
     Returns:
         (m, 3) points and their derivative by the pose (m, 3, 6).

@@ -1,7 +1,7 @@
-"""Anchored inverse depth: bearing and inverse depth in the camera frame of first sight.
+"""Anchored inverse depth: bearing and inverse depth in the camera frame of the first observation.
 
-After Montiel, Civera, Davison 2006, with the anchor pose as a constant: three states instead of
-six. The doubt of the pose at first sight goes into the three numbers, correlated with the robot.
+After Montiel, Civera, Davison 2006, with the anchor pose as a constant: three states instead of six. The
+uncertainty of the pose at the first observation enters these three states, correlated with the robot.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gyrocal_ros.model.features.base import Anchors, NewFeatures, PosedCamera, P
 class AnchoredInverseDepth:
     """(a, b, r): the point is `p_a + R_a (a, b, 1) / r` with the anchor camera at `p_a`, `R_a`.
 
-    Without parallax the pixel hardly depends on r, so standing still teaches nothing false.
+    Without parallax the pixel hardly depends on r, so images at rest do not bias the depth.
     """
 
     name: str = 'inverse_depth'
@@ -30,7 +30,7 @@ class AnchoredInverseDepth:
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> NewFeatures:
-        """Bearing from the pixel, inverse depth from the prior."""
+        """Take the bearing from the pixel, the inverse depth from the prior."""
         normalised = bearing(view.camera, pixels)
         inverse_depth = 1.0 / config.prior_depth_m
         count = len(pixels)
@@ -56,11 +56,11 @@ class AnchoredInverseDepth:
     def measure(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> tuple[Array, Array]:
-        """The pixels themselves."""
+        """Return the pixels."""
         return pixels, np.broadcast_to(noise_px**2 * np.eye(2), (len(pixels), 2, 2))
 
     def predict(self, view: PosedCamera, parameters: Array, anchors: Anchors) -> Prediction:
-        """Pixels of `R_cw (R_a (a, b, 1) + r (p_a - p_c))`, the point scaled by r."""
+        """Predict the pixels of `R_cw (R_a (a, b, 1) + r (p_a - p_c))`, the point scaled by r."""
         R_wc = view.R_wc
         inverse_depth = parameters[:, 2:]
         to_anchor = anchors.p_wc - view.p_wb
@@ -82,7 +82,7 @@ class AnchoredInverseDepth:
         )
 
     def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
-        """The point, for maps and plots; far away when the inverse depth is not known to be positive."""
+        """Return the point, for maps and plots; it is far away where the inverse depth is not positive."""
         inverse_depth = np.maximum(parameters[:, 2:], 1e-3)
         rays_c = np.concatenate([parameters[:, :2], np.ones((len(parameters), 1))], axis=1)
         rays_w = (anchors.R_wc @ rays_c[:, :, None])[:, :, 0]

@@ -15,9 +15,9 @@ from gyrocal_ros.model.features.camera_frame import CameraFramePoint
 
 @dataclass(frozen=True, slots=True)
 class PixelPoint:
-    """World point (x, y, z), started as in the paper and measured by eq. (12).
+    """World point (x, y, z), initialised as in the paper and measured by eq. (12).
 
-    Kept for comparison: badly linear while the depth is unknown, so it fails as the paper says.
+    For comparison: strongly nonlinear while the depth is unknown, so it fails as the paper says.
     """
 
     name: str = 'pixel'
@@ -27,17 +27,17 @@ class PixelPoint:
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> NewFeatures:
-        """The paper's start, eq. (18)."""
+        """Initialise as the paper does, eq. (18)."""
         return CameraFramePoint().initialise(view, pixels, noise_px, config)
 
     def measure(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> tuple[Array, Array]:
-        """The pixels themselves."""
+        """Return the pixels."""
         return pixels, np.broadcast_to(noise_px**2 * np.eye(2), (len(pixels), 2, 2))
 
     def predict(self, view: PosedCamera, parameters: Array, anchors: Anchors) -> Prediction:
-        """Pixels of the mapped points."""
+        """Predict the pixels of the mapped points."""
         points_c, by_pose, R_cw = points_in_camera(view, parameters)
         pixels, by_point = project_with_jacobian(view.camera, points_c)
         return Prediction(
@@ -45,5 +45,5 @@ class PixelPoint:
         )
 
     def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
-        """The parameters are the point."""
+        """Return the parameters, which are the point."""
         return parameters, np.broadcast_to(np.eye(3), (len(parameters), 3, 3))

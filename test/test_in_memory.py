@@ -1,4 +1,4 @@
-"""A recording held in memory: read once, its images followed once, and the same to the filter."""
+"""A recording in memory: read once, its images tracked once, with the same results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FILMED_S, IMAGES_HZ = 14.0, 5
 
 @dataclass
 class Counted:
-    """A source that counts how often it is read, and how many images."""
+    """A source that counts its passes and images."""
 
     source: Source
     passes: int = 0
@@ -51,31 +51,31 @@ class Counted:
 
 
 def assert_same(one: Run, other: Run) -> None:
-    """Every bit of two runs."""
+    """Check that two runs are bit-identical."""
     for name in ('t_ns', 'mean', 'std', 'log_likelihood', 'heading_innovation_rad', 'signals'):
         np.testing.assert_array_equal(getattr(one.history, name), getattr(other.history, name), err_msg=name)
     np.testing.assert_array_equal(one.state.covariance, other.state.covariance)
 
 
 class TestFeatures:
-    def test_the_filter_does_not_notice(self) -> None:
+    def test_the_filter_gives_the_same_result(self) -> None:
         source = Counted(recording('cleaning', 1, 30.0))
-        held, config = preload(source, Config(), default_model())
-        assert config == Config() and (held.name, held.span) == (source.name, source.span)
-        runs = [calibrate(held, config, default_model()) for _ in range(2)]
-        assert source.passes == 1, 'however often the filter runs'
+        loaded, config = preload(source, Config(), default_model())
+        assert config == Config() and (loaded.name, loaded.span) == (source.name, source.span)
+        runs = [calibrate(loaded, config, default_model()) for _ in range(2)]
+        assert source.passes == 1, 'two runs of the filter, one pass over the source'
         assert_same(runs[0], calibrate(source, Config(), default_model()))
         assert_same(*runs)
-        assert runs[0].truth is not None, 'ground truth comes along'
+        assert runs[0].truth is not None, 'ground truth is in memory, too'
 
-    def test_the_progress_is_told(self) -> None:
-        told: list[Progress] = []
-        preload(recording('cleaning', 1, 30.0), Config(), default_model(), told.append)
-        done_s = [progress.done_s for progress in told]
+    def test_the_progress_is_reported(self) -> None:
+        reported: list[Progress] = []
+        preload(recording('cleaning', 1, 30.0), Config(), default_model(), reported.append)
+        done_s = [progress.done_s for progress in reported]
         assert len(done_s) == pytest.approx(30, abs=2) and done_s == sorted(done_s)
-        assert all(progress.total_s == told[0].total_s for progress in told)
+        assert all(progress.total_s == reported[0].total_s for progress in reported)
 
-    def test_one_of_great_length_stays_where_it_is(self) -> None:
+    def test_a_long_recording_is_not_loaded(self) -> None:
         short = recording('cleaning', 1, 30.0)
         long = Counted(InMemorySource('long', short.rig, Span(0, nanoseconds(MAX_IN_MEMORY_S + 1.0)), []))
         assert preload(long, Config(), default_model()) == (long, Config())
@@ -84,7 +84,7 @@ class TestFeatures:
 
 @pytest.fixture(scope='module')
 def filmed() -> Source:
-    """A short drive with images, made once."""
+    """Return a short drive with images, rendered once."""
     scenario = replace(
         find_scenario('spins'), duration_s=FILMED_S, imu_hz=100, camera_hz=IMAGES_HZ, standing_s=1.0
     )
@@ -93,10 +93,10 @@ def filmed() -> Source:
 
 
 class TestImages:
-    def test_they_are_followed_once_and_calibrate_as_well(self, filmed: Source) -> None:
+    def test_they_are_tracked_once_and_calibrate_as_well(self, filmed: Source) -> None:
         source = Counted(filmed)
-        held, config = preload(source, Config(), default_model())
-        measurements = list(held.measurements())
+        loaded, config = preload(source, Config(), default_model())
+        measurements = list(loaded.measurements())
         assert source.passes == 1
         assert not any(isinstance(item, Frame) for item in measurements)
         seen = [item for item in measurements if isinstance(item, FeatureObservations)]
@@ -106,14 +106,14 @@ class TestImages:
         assert stamps == sorted(stamps)
         assert config == replace(
             Config(), camera=replace(Config().camera, pixel_noise_px=Config().tracker.noise_px)
-        ), 'features of our own tracker have its noise'
+        ), 'the noise is that of the tracker'
 
         direct = calibrate(filmed, Config(), default_model())
-        again = calibrate(held, config, default_model())
+        again = calibrate(loaded, config, default_model())
         np.testing.assert_array_equal(again.history.t_ns, direct.history.t_ns)
         off = abs(float(again.state.coefficients[0] - direct.state.coefficients[0]))
         assert off < 0.1 * direct.history.std[-1, 9]
 
-    def test_where_the_clock_steps_they_stay_images(self, filmed: Source) -> None:
+    def test_a_recording_with_a_clock_step_keeps_its_images(self, filmed: Source) -> None:
         stepped = ModifiedSource(filmed, with_clock_step(30.0, 0.5 * FILMED_S))
         assert preload(stepped, Config(), default_model()) == (stepped, Config())

@@ -1,0 +1,91 @@
+"""The map of features: augmentation with all correlations, and removal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from contracts import FEATURES, NOISE_PX, PIXELS, assert_positive_definite, view_at
+from filter_states import INVERSE_DEPTH, C, K, block_diagonal, derivatives, some_state
+
+from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, forget_all, keep
+from gyrocal_ros.ekf.state import POSE, State
+from gyrocal_ros.model.features import PARAMETRISATIONS
+from gyrocal_ros.model.features.base import Parametrisation
+
+
+@pytest.mark.parametrize('form', PARAMETRISATIONS.values(), ids=PARAMETRISATIONS)
+def test_new_features_join_with_all_correlations(form: Parametrisation) -> None:
+    state = some_state(form)
+    new = form.initialise(view_at(state.mean[POSE]), PIXELS[:2] + 5.0, NOISE_PX, FEATURES)
+    by_values, by_candidates = derivatives(np.arange(2), 3)
+    after = augment(state, np.array([20, 21]), new, by_values, by_candidates)
+    n = len(state.mean)
+    jacobian = np.zeros((n + 6, n))
+    jacobian[:n] = np.eye(n)
+    jacobian[n:, POSE] = new.by_pose.reshape(6, 6)
+    jacobian[n:, state.coefficient_columns] = by_values.reshape(6, K)
+    sensitivity = jacobian @ state.sensitivity
+    sensitivity[n:] += by_candidates.reshape(6, C)
+    np.testing.assert_allclose(after.sensitivity, sensitivity, rtol=1e-9, atol=1e-9)
+    expected = jacobian @ state.covariance @ jacobian.T
+    expected[n:, n:] += block_diagonal(new.noise)
+    np.testing.assert_allclose(after.covariance, expected, rtol=1e-12, atol=1e-18)
+    np.testing.assert_array_equal(after.mean[:n], state.mean)
+    np.testing.assert_array_equal(after.features[5:], new.parameters)
+    assert after.landmarks.ids.tolist() == [3, 1, 4, 15, 9, 20, 21]
+    assert after.landmarks.last_seen_ns.tolist()[5:] == [state.t_ns] * 2
+    assert_positive_definite(after.covariance)
+
+
+def test_removal_leaves_the_rest_unchanged() -> None:
+    state = some_state()
+    after = keep(state, np.array([True, False, True, True, False]))
+    kept = [*range(state.robot_size), *state.feature_columns(np.array([0, 2, 3])).ravel()]
+    np.testing.assert_array_equal(after.mean, state.mean[kept])
+    np.testing.assert_array_equal(after.covariance, state.covariance[np.ix_(kept, kept)])
+    np.testing.assert_array_equal(after.sensitivity, state.sensitivity[kept])
+    assert after.landmarks.ids.tolist() == [3, 4, 15]
+    np.testing.assert_array_equal(after.landmarks.anchors.p_wc, state.landmarks.anchors.p_wc[[0, 2, 3]])
+    assert keep(state, np.ones(5, bool)) is state
+
+    bare = forget_all(state)
+    np.testing.assert_array_equal(bare.covariance, state.covariance[: state.robot_size, : state.robot_size])
+    assert bare.features.shape == (0, 3) and len(bare.landmarks.ids) == 0
+
+
+def test_a_feature_that_joins_and_leaves_changes_nothing() -> None:
+    state = some_state()
+    new = INVERSE_DEPTH.initialise(view_at(state.mean[POSE]), PIXELS[:1], NOISE_PX, FEATURES)
+    after = keep(augment(state, np.array([30]), new, None, None), np.array([True] * 5 + [False]))
+    np.testing.assert_array_equal(after.mean, state.mean)
+    np.testing.assert_array_equal(after.covariance, state.covariance)
+
+
+def last_seen_at(last_seen_ns: list[int], t_ns: int) -> State:
+    state = some_state(t_ns=t_ns)
+    return replace(state, landmarks=replace(state.landmarks, last_seen_ns=np.array(last_seen_ns)))
+
+
+def test_features_unseen_for_longest_are_evicted() -> None:
+    state = last_seen_at([50, 20, 40, 10, 30], t_ns=60)
+    assert evict_oldest(state, wanted=3, map_size=8) is state
+    assert evict_oldest(state, wanted=3, map_size=6).landmarks.ids.tolist() == [3, 4, 9]
+    assert evict_oldest(state, wanted=9, map_size=6).landmarks.ids.tolist() == []
+
+
+def test_features_with_consecutive_outliers_are_removed() -> None:
+    state = some_state()
+    for _ in range(2):
+        state = count_matches(state, np.array([0, 2]), np.array([1, 4]), drop_after=3)
+    assert state.landmarks.rejections.tolist() == [0, 2, 0, 0, 2]
+    state = count_matches(state, np.array([4]), np.array([1]), drop_after=3)
+    assert state.landmarks.ids.tolist() == [3, 4, 15, 9]
+    assert state.landmarks.rejections.tolist() == [0, 0, 0, 0]
+
+
+def test_matches_set_the_time_last_seen() -> None:
+    state = last_seen_at([0, 0, 0, 0, 0], t_ns=60)
+    state = count_matches(state, np.array([0, 2]), np.array([1]), drop_after=3)
+    assert state.landmarks.last_seen_ns.tolist() == [60, 0, 60, 0, 0]

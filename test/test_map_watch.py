@@ -1,0 +1,68 @@
+"""Detection of a lost map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
+from gyrocal_ros.ekf.map_watch import LOST_IMAGES, MAX_RESTARTS, MapWatch
+from gyrocal_ros.ekf.update import MeasurementUpdate
+from gyrocal_ros.errors import FilterDivergedError
+
+GOOD = MeasurementUpdate(used=15)
+BAD = MeasurementUpdate(used=1, rejected=14)
+
+
+def noise() -> AdaptiveNoise:
+    return AdaptiveNoise(0.4, 0.02, 5.0)
+
+
+def losses(updates: list[MeasurementUpdate]) -> list[bool]:
+    watch = MapWatch()
+    return [watch.is_lost(update, noise()) for update in updates]
+
+
+def test_the_map_is_lost_after_consecutive_contradictions() -> None:
+    assert losses([BAD] * (LOST_IMAGES + 1)) == [False] * (LOST_IMAGES - 1) + [True, False]
+
+
+def test_a_good_image_restarts_the_count() -> None:
+    assert not any(losses([BAD] * (LOST_IMAGES - 1) + [GOOD] + [BAD] * (LOST_IMAGES - 1)))
+
+
+@pytest.mark.parametrize(
+    ('update', 'contradicts'),
+    [
+        (MeasurementUpdate(used=0, rejected=2), False),
+        (MeasurementUpdate(used=0, rejected=3), True),
+        (MeasurementUpdate(used=5, rejected=10), False),
+        (MeasurementUpdate(used=5, rejected=11), True),
+        (MeasurementUpdate(), False),
+    ],
+    ids=['few', 'three', 'two thirds', 'most', 'empty'],
+)
+def test_an_image_contradicts_if_most_features_are_rejected(
+    update: MeasurementUpdate, contradicts: bool
+) -> None:
+    assert any(losses([update] * LOST_IMAGES)) is contradicts
+
+
+def test_too_many_lost_maps_are_a_divergence() -> None:
+    watch = MapWatch()
+    for _ in range(MAX_RESTARTS):
+        assert [watch.is_lost(BAD, noise()) for _ in range(LOST_IMAGES)][-1]
+    for _ in range(LOST_IMAGES - 1):
+        assert not watch.is_lost(BAD, noise())
+    with pytest.raises(FilterDivergedError, match=f'again and again.*{MAX_RESTARTS + 1} new maps') as caught:
+        watch.is_lost(BAD, noise())
+    assert 'gyrocal check' in caught.value.todo
+
+
+def test_noise_at_its_limit_is_a_divergence() -> None:
+    pixel_noise = noise()
+    for _ in range(3000):
+        pixel_noise.update(np.full(15, 1e6), 2)
+    with pytest.raises(FilterDivergedError, match='exceed 5 px') as caught:
+        MapWatch().is_lost(GOOD, pixel_noise)
+    assert 'gyrocal check' in caught.value.todo

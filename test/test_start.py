@@ -1,0 +1,59 @@
+"""The initial state of the filter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from filter_states import MODEL, some_state
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.ekf.landmarks import forget_all
+from gyrocal_ros.ekf.start import Start, inflate_after_gap, initial_state, restarted_at
+from gyrocal_ros.ekf.state import BIAS, POSE, YAW, YAW_BIAS
+
+
+def test_a_run_starts_from_its_priors() -> None:
+    state = initial_state(MODEL, Config(), None)
+    std = np.sqrt(np.diagonal(state.covariance))
+    np.testing.assert_array_equal(std[POSE], 0.0)
+    np.testing.assert_allclose(std[BIAS], math.radians(1.0))
+    np.testing.assert_allclose(std[9:], [item.prior_std for item in MODEL.coefficients])
+    np.testing.assert_array_equal(state.mean[9:], [item.prior_mean for item in MODEL.coefficients])
+
+
+def test_a_run_starts_from_the_result_of_an_earlier_one() -> None:
+    """Values go by name, unknown ones are left out, and the bias adds the variance of its prior."""
+    names = ('bias', 'scale_temperature', 'scale_cubic', 'scale_factor')
+    rng = np.random.default_rng(0)
+    mixing = rng.normal(size=(4, 4)) * [[1e-3], [1.0], [1e-4], [1e-3]]
+    known = mixing @ mixing.T
+    state = initial_state(MODEL, Config(), Start(names, np.array([0.01, 9.0, 0.002, -0.07]), known))
+    places, taken = [YAW_BIAS, 10, 9], [0, 2, 3]
+    np.testing.assert_array_equal(state.mean[places], [0.01, 0.002, -0.07])
+    expected = known[np.ix_(taken, taken)]
+    expected[0, 0] += math.radians(1.0) ** 2
+    np.testing.assert_allclose(state.covariance[np.ix_(places, places)], expected)
+    fresh = initial_state(MODEL, Config(), None)
+    np.testing.assert_array_equal(state.mean[11:], fresh.mean[11:])
+    np.testing.assert_array_equal(state.covariance[11:], fresh.covariance[11:])
+
+
+def test_a_gap_adds_covariance_to_the_pose() -> None:
+    state = forget_all(some_state())
+    after = inflate_after_gap(state, 99)
+    grown = after.covariance - state.covariance
+    assert after.t_ns == 99
+    np.testing.assert_array_equal(after.mean, state.mean)
+    np.testing.assert_array_equal(np.flatnonzero(np.diagonal(grown)), [0, 1, 2, YAW])
+    assert np.count_nonzero(grown) == 4
+
+
+def test_a_restart_begins_near_the_pose_of_the_state() -> None:
+    start, state = initial_state(MODEL, Config(), None), forget_all(some_state())
+    after = restarted_at(start, state)
+    assert after.t_ns == state.t_ns
+    np.testing.assert_array_equal(after.mean[[0, 1, YAW]], state.mean[[0, 1, YAW]])
+    np.testing.assert_array_equal(after.mean[2:YAW], 0.0)
+    np.testing.assert_array_equal(after.mean[6:], start.mean[6:])
+    np.testing.assert_array_equal(after.covariance, inflate_after_gap(start, 0).covariance)

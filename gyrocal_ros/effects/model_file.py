@@ -20,6 +20,7 @@ from typing import Any
 import yaml
 
 from gyrocal_ros.config.yaml_file import YamlLoader, read_yaml
+from gyrocal_ros.effects.library import SCALE_FACTOR
 from gyrocal_ros.effects.registry import default_model, find_effect, load_file, load_installed
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.bias import BiasModel

@@ -66,9 +66,8 @@ class CalibratorNode:
         sensors.subscribe(Temperature, Role.TEMPERATURE, self._on_temperature)
         subscribe(node, CameraInfo, Role.CAMERA_INFO, self._on_camera, SENSOR_IN)
         node.create_subscription(TFMessage, '/tf_static', self._on_transforms, STATIC)
-        self._signals = Signals(
-            node, followers_by_signal(model), lambda: self._live.newest_ns, self._on_signal
-        )
+        followers = followers_by_signal(model)
+        self._signals = Signals(node, followers, lambda: self._live.newest_ns, self._on_signal)
         CalibratorServices(node, self._live)
         # By the steady clock: the calibration is also published and saved while simulated time is paused.
         node.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -77,8 +76,6 @@ class CalibratorNode:
     def close(self) -> None:
         """Process what still waits, and save the calibration."""
         self._live.close()
-
-    # --- input ------------------------------------------------------------------------------------
 
     def _on_imu(self, message: Imu) -> None:
         frame = message.header.frame_id.lstrip('/')
@@ -126,12 +123,9 @@ class CalibratorNode:
         if self._map_frame is not None:
             self._map_frame.add_received(message, is_static=True)
 
-    # --- output -----------------------------------------------------------------------------------
-
     def _work(self) -> None:
         """Let the filter take at most one step, so that the next IMU sample need not wait for long."""
-        regions = self._live.work()
-        if regions is not None:
+        if (regions := self._live.work()) is not None:
             self._regions.publish(to_ros.search_regions(self._make, regions))
 
     def _every_second(self) -> None:
@@ -144,8 +138,7 @@ class CalibratorNode:
             self._map_publisher.publish(points, self._map)
 
     def _status(self) -> Status:
-        problem = '' if self._map_frame is None else self._map_frame.problem
-        return self._live.status(time.monotonic(), problem)
+        return self._live.status(time.monotonic(), self._map_frame.problem if self._map_frame else '')
 
     def _configure(self, _: Config | RobotConfig) -> None:
         self._live.configure(self._config.config, self._robot.config.live)

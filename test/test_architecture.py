@@ -76,7 +76,7 @@ EFFECT_MAKERS = {
 }
 """Functions, and the constant of one, by which rooms without effects make those that have a parameter."""
 
-MAX_LINES, NODE_LINES = 400, 200
+MAX_LINES, NODE_LINES = 400, 150
 EQUATIONS_OF_THE_PAPER = range(1, 23)
 
 

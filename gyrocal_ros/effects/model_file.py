@@ -20,7 +20,8 @@ from typing import Any
 import yaml
 
 from gyrocal_ros.config.yaml_file import YamlLoader, read_yaml
-from gyrocal_ros.effects import SCALE_FACTOR, default_model, find_effect
+from gyrocal_ros.effects.library import SCALE_FACTOR
+from gyrocal_ros.effects.registry import default_model, find_effect, load_file, load_installed
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, SensorModel
@@ -35,6 +36,22 @@ def load_model(path: Path | None) -> SensorModel:
         ConfigError: the file cannot be read, or contains an unknown effect or coefficient.
     """
     return default_model() if path is None else model_from_dict(read_yaml(path), str(path))
+
+
+def load_model_with_effects(path: str, effects_from: str) -> SensorModel:
+    """Register installed effects and those of a file, then read a sensor model that may use them.
+
+    Args:
+        path: `model.yaml`; empty for the default model.
+        effects_from: Python file with effect classes; empty for none.
+
+    Raises:
+        ConfigError: a file cannot be used.
+    """
+    load_installed()
+    if effects_from:
+        load_file(Path(effects_from).expanduser())
+    return load_model(Path(path).expanduser() if path else None)
 
 
 def model_from_dict(tree: Mapping[str, Any], where: str) -> SensorModel:

@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import CameraInfo, Imu, PointCloud2, Temperature
-from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
-from visualization_msgs.msg import MarkerArray
 
 from gyrocal_ros.config.sections import Config, RobotConfig
 from gyrocal_ros.data import CovariateSample
-from gyrocal_ros.effects.model_file import load_model
-from gyrocal_ros.effects.registry import load_file, load_installed
+from gyrocal_ros.effects.model_file import load_model_with_effects
 from gyrocal_ros.effects.traits import followers_by_signal
-from gyrocal_ros.ekf.map import CeilingMap
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs import outputs, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.calibration_publisher import CalibrationPublisher
+from gyrocal_ros.nodes.calibrator_services import CalibratorServices
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import SortedSubscriptions, publish, subscribe
 from gyrocal_ros.nodes.map_frame import MapFrame
+from gyrocal_ros.nodes.map_publisher import MapPublisher
 from gyrocal_ros.nodes.params import Settings
-from gyrocal_ros.nodes.qos import LATCHED, SENSOR_IN, SENSOR_OUT, STATIC
+from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.nodes.signals import Signals
 from gyrocal_ros.robot.calibrator import LiveCalibrator
 from gyrocal_ros.robot.health import Status
@@ -46,7 +42,7 @@ class CalibratorNode:
         self._config = Settings(node, Config(), SECTIONS, self._configure)
         self._robot = Settings(node, RobotConfig(), ('live',), self._configure)
         live = self._robot.config.live
-        model = _model(live.model, live.effects_from)
+        model = load_model_with_effects(live.model, live.effects_from)
         self._live = LiveCalibrator(
             model,
             self._config.config,
@@ -59,11 +55,10 @@ class CalibratorNode:
         self._publisher = CalibrationPublisher(node, self._make, self._live.calibration)
         self._map_frame = MapFrame(node, self._make) if live.publish_map_transform else None
         self._odom, self._body, self._map = topics.ODOM_FRAME, topics.BODY_FRAME, topics.MAP_FRAME
-        self._published_ids: set[int] = set()
         self._imu = publish(node, Imu, 'imu/data', SENSOR_OUT)
         self._odometry = publish(node, Odometry, 'odometry/slam', SENSOR_OUT)
         self._regions = publish(node, PointCloud2, 'ceiling_camera/search_regions', SENSOR_OUT)
-        self._ceiling = node.create_publisher(MarkerArray, 'ceiling_map', LATCHED)
+        self._map_publisher = MapPublisher(node, self._make)
         sensors = SortedSubscriptions(node, SENSOR_IN)
         sensors.subscribe(Imu, Role.IMU, self._on_imu)
         sensors.subscribe(Odometry, Role.WHEELS, self._on_wheels)
@@ -71,12 +66,9 @@ class CalibratorNode:
         sensors.subscribe(Temperature, Role.TEMPERATURE, self._on_temperature)
         subscribe(node, CameraInfo, Role.CAMERA_INFO, self._on_camera, SENSOR_IN)
         node.create_subscription(TFMessage, '/tf_static', self._on_transforms, STATIC)
-        self._signals = Signals(
-            node, followers_by_signal(model), lambda: self._live.newest_ns, self._on_signal
-        )
-        node.create_service(Trigger, '~/save', self._save)
-        node.create_service(Trigger, '~/reset', self._reset)
-        node.create_service(SetBool, '~/estimate', self._switch)
+        followers = followers_by_signal(model)
+        self._signals = Signals(node, followers, lambda: self._live.newest_ns, self._on_signal)
+        CalibratorServices(node, self._live)
         # By the steady clock: the calibration is also published and saved while simulated time is paused.
         node.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
         Diagnostics(node, self._status)
@@ -84,8 +76,6 @@ class CalibratorNode:
     def close(self) -> None:
         """Process what still waits, and save the calibration."""
         self._live.close()
-
-    # --- input ------------------------------------------------------------------------------------
 
     def _on_imu(self, message: Imu) -> None:
         frame = message.header.frame_id.lstrip('/')
@@ -133,12 +123,9 @@ class CalibratorNode:
         if self._map_frame is not None:
             self._map_frame.add_received(message, is_static=True)
 
-    # --- output -----------------------------------------------------------------------------------
-
     def _work(self) -> None:
         """Let the filter take at most one step, so that the next IMU sample need not wait for long."""
-        regions = self._live.work()
-        if regions is not None:
+        if (regions := self._live.work()) is not None:
             self._regions.publish(to_ros.search_regions(self._make, regions))
 
     def _every_second(self) -> None:
@@ -147,56 +134,14 @@ class CalibratorNode:
         self._signals.poll()
         if self._map_frame is not None:
             self._map_frame.poll()
-        if self._ceiling.get_subscription_count() and (points := self._live.ceiling_map()):
-            self._publish_map(points)
-
-    def _publish_map(self, points: CeilingMap) -> None:
-        ids = set(points.ids.tolist())
-        features = (points.ids, points.points_m, points.covariances_m2)
-        removed = sorted(self._published_ids - ids)
-        self._ceiling.publish(outputs.ceiling_map(self._make, points.t_ns, self._map, *features, removed))
-        self._published_ids = ids
+        if self._map_publisher.is_wanted and (points := self._live.ceiling_map()):
+            self._map_publisher.publish(points, self._map)
 
     def _status(self) -> Status:
-        problem = '' if self._map_frame is None else self._map_frame.problem
-        return self._live.status(time.monotonic(), problem)
-
-    # --- commands ---------------------------------------------------------------------------------
+        return self._live.status(time.monotonic(), self._map_frame.problem if self._map_frame else '')
 
     def _configure(self, _: Config | RobotConfig) -> None:
         self._live.configure(self._config.config, self._robot.config.live)
 
-    def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        problem = self._live.save()
-        response.success, response.message = not problem, problem or 'saved'
-        return response
 
-    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = True, self._live.reset() or 'restarted with the priors'
-        return response
-
-    def _switch(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._live.switch(request.data)
-        response.success, response.message = True, 'estimating' if request.data else 'stopped'
-        return response
-
-
-def _model(path: str, effects_from: str) -> SensorModel:
-    """Load the model with the effects to estimate, effects of the user included.
-
-    Raises:
-        ConfigError: a file cannot be used.
-    """
-    load_installed()
-    if effects_from:
-        load_file(Path(effects_from).expanduser())
-    return load_model(Path(path).expanduser() if path else None)
-
-
-def make() -> CalibratorNode:
-    """Make the node.
-
-    Raises:
-        ConfigError: a parameter, the model or the file of the calibration cannot be used.
-    """
-    return CalibratorNode()
+make = CalibratorNode

@@ -128,6 +128,4 @@ class CeilingEmulatorNode:
         )
 
 
-def make() -> CeilingEmulatorNode:
-    """Make the node."""
-    return CeilingEmulatorNode()
+make = CeilingEmulatorNode

@@ -94,6 +94,4 @@ class DriverNode:
         return response
 
 
-def make() -> DriverNode:
-    """Make the node."""
-    return DriverNode()
+make = DriverNode

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 NODES = ('driver', 'tracker', 'calibrator', 'player', 'ceiling_emulator')
-"""Names of the nodes; each is a module of this package with a function `make`."""
+"""Names of the nodes; each is a module of this package whose `make` makes the node."""
 
 
 def run(name: str, argv: Sequence[str]) -> int:

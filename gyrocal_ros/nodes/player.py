@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 import rclpy
@@ -19,13 +18,13 @@ from gyrocal_ros.bag.playback import Playback, PlayedTopic, PublishMode
 from gyrocal_ros.bag.selection import select_topics
 from gyrocal_ros.bag.source import topic_options
 from gyrocal_ros.bag.storage import open_storage
-from gyrocal_ros.config.declare import setting
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, nanoseconds, seconds
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.msgs import to_ros
 from gyrocal_ros.msgs.issues import raise_first_error
 from gyrocal_ros.nodes.params import Settings
+from gyrocal_ros.nodes.player_settings import PlayerSections
 from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
 
 CLOCK_NS = NS_PER_S // 50
@@ -37,23 +36,6 @@ POLL_S, LOG_S = 0.1, 5.0
 SETTLE_S = 1.0
 """Pause before the first message, for discovery, and after the last, so that it is processed."""
 QOS = {PublishMode.STREAM: SENSOR_OUT, PublishMode.IMAGE: QoSProfile(depth=10), PublishMode.LATCHED: STATIC}
-
-
-@dataclass(frozen=True, slots=True)
-class PlayerConfig:
-    """Settings of the player."""
-
-    bag: str = setting('', '', 'recording to play: a rosbag2 folder, one of its files, or a ROS 1 .bag')
-    rate: float = setting(1.0, '', 'speed relative to the recording', low=0.01, high=1000.0)
-    robot: str = setting('', '', 'namespace of the robot in the recording, if there are several')
-    wait_for: str = setting('', '', 'nodes that have to subscribe before the start, separated by blanks')
-
-
-@dataclass(frozen=True, slots=True)
-class PlayerSections:
-    """Settings that only the player has."""
-
-    player: PlayerConfig = PlayerConfig()
 
 
 class PlayerNode:
@@ -156,6 +138,4 @@ class PlayerNode:
         self._timer.reset()
 
 
-def make() -> PlayerNode:
-    """Make the node."""
-    return PlayerNode()
+make = PlayerNode

@@ -140,6 +140,4 @@ class TrackerNode:
             )
 
 
-def make() -> TrackerNode:
-    """Make the node."""
-    return TrackerNode()
+make = TrackerNode

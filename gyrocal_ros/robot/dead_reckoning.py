@@ -10,7 +10,6 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -35,11 +34,8 @@ from gyrocal_ros.ekf.start import inflate_after_gap
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, YAW_BIAS, State
 from gyrocal_ros.ekf.stream import MAX_BLOCK_NS
 from gyrocal_ros.model.gyro import correct
+from gyrocal_ros.model.planar import Pose, Three, step_pose
 from gyrocal_ros.model.sensor import Memory, SensorModel
-
-Three: TypeAlias = tuple[float, float, float]
-Pose: TypeAlias = tuple[float, float, float, float, float, float]
-"""Position (m) and Euler angles (rad)."""
 
 MAX_JUMP_NS = NS_PER_S // 2
 """Largest jump of the stamps, to either side, that is integrated; a larger one is a gap or a clock step."""
@@ -223,7 +219,7 @@ class DeadReckoning:
 
     def _integrate(self, step: _Step) -> None:
         self._steps.append(step)
-        pose = _integrated(self._track[-1][1], step.rate_rad_s, step.dt_s, self._speed_m_s)
+        pose = step_pose(self._track[-1][1], step.rate_rad_s, step.dt_s, self._speed_m_s)
         self._track.append((step.t_ns, pose))
 
     def _pose_at(self, t_ns: int) -> Pose:
@@ -271,7 +267,7 @@ class DeadReckoning:
         self._track = deque([(state.t_ns, pose)])
         for step in self._steps:
             rest_s = min(step.dt_s, seconds(step.t_ns - self._track[-1][0]))
-            pose = _integrated(pose, step.rate_rad_s, rest_s, self._speed_m_s)
+            pose = step_pose(pose, step.rate_rad_s, rest_s, self._speed_m_s)
             self._track.append((step.t_ns, pose))
 
     def _restart_at(self, t_ns: int) -> None:
@@ -286,21 +282,3 @@ class DeadReckoning:
         self._last = None
         self._steps.clear()
         self._set_prediction(self._base)
-
-
-def _integrated(pose: Pose, rate_rad_s: Three, dt_s: float, speed_m_s: float) -> Pose:
-    """Integrate eq. (2) over one short step, in plain floats for speed; see `model.kinematics`."""
-    x, y, z, roll, pitch, yaw = pose
-    wx, wy, wz = rate_rad_s
-    sr, cr, tp = math.sin(roll), math.cos(roll), math.tan(pitch)
-    level = sr * wy + cr * wz
-    turn = level * math.sqrt(1.0 + tp * tp) * dt_s
-    middle, distance = yaw + 0.5 * turn, speed_m_s * math.cos(pitch) * dt_s
-    return (
-        x + distance * math.cos(middle),
-        y + distance * math.sin(middle),
-        z - speed_m_s * math.sin(pitch) * dt_s,
-        roll + (wx + tp * level) * dt_s,
-        pitch + (cr * wy - sr * wz) * dt_s,
-        yaw + turn,
-    )

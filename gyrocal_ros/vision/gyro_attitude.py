@@ -8,6 +8,7 @@ from bisect import bisect_left
 import numpy as np
 
 from gyrocal_ros.data import Array, ImuSample, nanoseconds, seconds
+from gyrocal_ros.model.planar import step_nearly_level
 
 HISTORY_S = 2.0
 """Length of the buffer; older search regions are not usable."""
@@ -46,7 +47,11 @@ class GyroAttitude:
         turned = 0.5 * dt_s if dt_s < MAX_GAP_S else 0.0
         self._t_ns.append(sample.t_ns)
         self._euler.append(
-            _rotated(self._euler[-1], turned * (ax + bx), turned * (ay + by), turned * (az + bz), dt_s)
+            step_nearly_level(
+                self._euler[-1],
+                (turned * (ax + bx), turned * (ay + by), turned * (az + bz)),
+                kept=math.exp(-dt_s / LEVELLING_TIME_S),
+            )
         )
         self._rate = sample.rate_rad_s
         if self._t_ns[0] < sample.t_ns - nanoseconds(2.0 * HISTORY_S):
@@ -68,12 +73,3 @@ class GyroAttitude:
             return later
         part = (self._t_ns[after] - t_ns) / (self._t_ns[after] - self._t_ns[after - 1])
         return later + part * (np.array(self._euler[after - 1]) - later)
-
-
-def _rotated(
-    euler: tuple[float, float, float], x: float, y: float, z: float, dt_s: float
-) -> tuple[float, float, float]:
-    """Return the Euler angles after a small rotation (rad) of a body that is nearly level."""
-    roll, pitch, yaw = euler
-    kept = math.exp(-dt_s / LEVELLING_TIME_S)
-    return kept * (roll + x + pitch * z), kept * (pitch + y - roll * z), yaw + z

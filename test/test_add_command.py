@@ -1,4 +1,4 @@
-"""`gyrocal add`: the effect goes in, and nothing that a person wrote is lost."""
+"""`gyrocal add`: the effect is added, and everything else in the file is kept."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def names_of(path: Path) -> list[str]:
     return [effect.name for effect in load_model(path).effects]
 
 
-def test_a_new_model_begins_as_the_default_one(tmp_path: Path, capsys: Output) -> None:
+def test_a_new_model_starts_as_the_default_one(tmp_path: Path, capsys: Output) -> None:
     path = tmp_path / 'model.yaml'
     assert main(['add', 'gyro_lag', '--model', str(path)]) == 0
     assert capsys.readouterr().out == f'{path}: scale_factor, gyro_lag\n'
@@ -60,7 +60,7 @@ def test_a_new_model_begins_as_the_default_one(tmp_path: Path, capsys: Output) -
 
 @pytest.mark.parametrize('effect', ['gyro_lag', 'covariate_bias:battery_state.current'])
 @pytest.mark.parametrize('case', TEXTS)
-def test_all_that_stood_there_stays(tmp_path: Path, case: str, effect: str) -> None:
+def test_the_rest_of_the_file_is_kept(tmp_path: Path, case: str, effect: str) -> None:
     path, text = tmp_path / 'model.yaml', TEXTS[case]
     path.write_text(text, encoding='utf-8')
     before = load_model(path)
@@ -74,7 +74,7 @@ def test_all_that_stood_there_stays(tmp_path: Path, case: str, effect: str) -> N
     assert left[:start] + left[end:] == text.rstrip()
 
 
-def test_an_effect_that_is_there_is_said_to_be_there(tmp_path: Path, capsys: Output) -> None:
+def test_an_effect_of_the_model_is_reported_and_not_changed(tmp_path: Path, capsys: Output) -> None:
     path = tmp_path / 'model.yaml'
     path.write_text(TEXTS['nested'], encoding='utf-8')
     assert main(['add', 'scale_cubic', '--model', str(path)]) == 0
@@ -82,7 +82,7 @@ def test_an_effect_that_is_there_is_said_to_be_there(tmp_path: Path, capsys: Out
     assert path.read_text(encoding='utf-8') == TEXTS['nested']
 
 
-def test_what_is_expected_may_be_set(tmp_path: Path) -> None:
+def test_prior_means_and_options_can_be_set(tmp_path: Path) -> None:
     path = tmp_path / 'model.yaml'
     assert main(['add', 'rate_saturation', '--set', 'limit=1.05', '--model', str(path)]) == 0
     hysteresis = ['turn_hysteresis', '--set', 'driven_by=side', '--set', 'time_constant=8']
@@ -94,7 +94,7 @@ def test_what_is_expected_may_be_set(tmp_path: Path) -> None:
     assert hysteresis_effect.coefficients[0].prior_std == math.radians(1.0)
 
 
-def test_another_file_may_be_written_and_none_is_written_over(tmp_path: Path, capsys: Output) -> None:
+def test_another_file_is_written_and_none_is_overwritten(tmp_path: Path, capsys: Output) -> None:
     first, second = tmp_path / 'model.yaml', tmp_path / 'new.yaml'
     first.write_text(TEXTS['block'], encoding='utf-8')
     arguments = ['add', 'gyro_lag', '--model', str(first), '-o', str(second)]
@@ -125,7 +125,7 @@ def test_another_file_may_be_written_and_none_is_written_over(tmp_path: Path, ca
         ),
     ],
 )
-def test_what_cannot_be_done_is_said_and_nothing_is_written(
+def test_errors_are_reported_and_nothing_is_written(
     tmp_path: Path, capsys: Output, text: str, arguments: list[str], message: str
 ) -> None:
     path = tmp_path / 'model.yaml'

@@ -1,4 +1,4 @@
-"""The command line: every command explains itself, and what goes wrong is one clear line."""
+"""The command line: help of each command, and errors in one line."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ Probe = Callable[[Callable[[], None]], None]
 
 @pytest.fixture
 def probe(monkeypatch: pytest.MonkeyPatch) -> Probe:
-    """Register a command `probe` that does what it is given."""
+    """Register a command `probe` that calls a function of the test."""
 
     def register(work: Callable[[], None]) -> None:
-        module = ModuleType('gyrocal_ros.cli.probe', 'Does what the test says.')
+        module = ModuleType('gyrocal_ros.cli.probe', 'Calls a function of the test.')
         vars(module).update(
             EXAMPLE='gyrocal probe --size 3',
             add_arguments=lambda parser: parser.add_argument('--size', type=int, help='how large'),
             run=lambda args: work(),
         )
-        monkeypatch.setitem(COMMANDS, 'probe', 'tries something')
+        monkeypatch.setitem(COMMANDS, 'probe', 'calls a function')
         monkeypatch.setitem(sys.modules, module.__name__, module)
 
     return register
@@ -60,7 +60,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize('name', COMMANDS)
-def test_each_command_explains_itself_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_help_of_each_command_has_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match='0'):
         main([name, '--help'])
     description, _, example = capsys.readouterr().out.partition('example:')
@@ -85,7 +85,7 @@ def test_unknown_command_is_refused_in_one_line(
 
 
 def one_error_line(capsys: pytest.CaptureFixture[str]) -> str:
-    """Return the one line on standard error, after checking that it is all there is."""
+    """Return the line on standard error, and check that nothing else was printed."""
     captured = capsys.readouterr()
     assert captured.out == ''
     (line,) = captured.err.splitlines()
@@ -93,7 +93,9 @@ def one_error_line(capsys: pytest.CaptureFixture[str]) -> str:
     return line
 
 
-def test_an_error_becomes_one_line_and_status_2(probe: Probe, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_is_printed_in_one_line_with_status_2(
+    probe: Probe, capsys: pytest.CaptureFixture[str]
+) -> None:
     def fail() -> None:
         raise GyrocalError('holds no images', where='kitchen.bag', todo='record ceiling_camera/image_raw')
 
@@ -104,13 +106,13 @@ def test_an_error_becomes_one_line_and_status_2(probe: Probe, capsys: pytest.Cap
     )
 
 
-def test_an_argument_of_the_wrong_kind_is_refused(probe: Probe, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_argument_of_the_wrong_type_is_refused(probe: Probe, capsys: pytest.CaptureFixture[str]) -> None:
     probe(lambda: pytest.fail('must not run'))
     assert main(['probe', '--size', 'large']) == 2
     assert "invalid int value: 'large'" in one_error_line(capsys)
 
 
-def test_interruption_is_not_a_traceback(probe: Probe, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_interruption_prints_no_traceback(probe: Probe, capsys: pytest.CaptureFixture[str]) -> None:
     def interrupt() -> None:
         raise KeyboardInterrupt
 
@@ -119,7 +121,7 @@ def test_interruption_is_not_a_traceback(probe: Probe, capsys: pytest.CaptureFix
     assert capsys.readouterr().err == 'gyrocal: interrupted\n'
 
 
-def test_a_fault_of_the_program_is_not_hidden(probe: Probe) -> None:
+def test_an_error_of_the_program_is_not_caught(probe: Probe) -> None:
     def fail() -> None:
         raise ZeroDivisionError
 
@@ -165,15 +167,17 @@ def test_demo_finds_the_true_scale_factor(
 
 
 @pytest.mark.parametrize(
-    ('worst', 'said'), [(0.2, '0.20 deg in one span'), (0.3, '0.20 deg rms, 0.30 at worst')]
+    ('worst', 'text'), [(0.2, '0.20 deg in one span'), (0.3, '0.20 deg rms, 0.30 at worst')]
 )
-def test_the_drift_of_one_span_is_not_given_out_for_many(worst: float, said: str) -> None:
+def test_the_drift_of_a_single_span_is_reported_as_such(worst: float, text: str) -> None:
     names = ('scale_factor', 'scale_factor_std', 'scale_factor_volt', 'bias', 'bias_std', 'heading_rms_deg')
     summary = dict.fromkeys(names, 0.1) | {'coefficients': {}, 'converged': False}
-    assert said in as_text(summary | {'blind_drift_deg': {'rms': 0.2, 'max': worst}}, Config())
+    assert text in as_text(summary | {'blind_drift_deg': {'rms': 0.2, 'max': worst}}, Config())
 
 
-def test_a_calibration_brings_its_model_along(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_replay_from_a_calibration_uses_its_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bag, model, out = (str(tmp_path / name) for name in ('bag', 'model.yaml', 'out'))
     assert main(['simulate', bag, '--scenario', 'demo', '--duration', '20']) == 0
     assert main(['add', 'gyro_lag', '--model', model]) == 0
@@ -183,7 +187,7 @@ def test_a_calibration_brings_its_model_along(tmp_path: Path, capsys: pytest.Cap
     assert 'gyro_lag' in json.loads(capsys.readouterr().out)['coefficients']
 
 
-def test_a_result_folder_in_use_is_refused_before_the_work(
+def test_a_result_folder_that_is_not_empty_is_refused_before_the_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / 'mine.txt').write_text('mine')
@@ -193,7 +197,7 @@ def test_a_result_folder_in_use_is_refused_before_the_work(
 
 @pytest.mark.parametrize('command', ['check', 'replay'])
 @pytest.mark.parametrize('case', ['missing', 'empty', 'truncated'])
-def test_a_bag_that_cannot_be_read_is_one_line(
+def test_a_bag_that_cannot_be_read_is_reported_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, case: str
 ) -> None:
     bag = tmp_path / 'bag'
@@ -208,7 +212,7 @@ def test_a_bag_that_cannot_be_read_is_one_line(
     assert sorted(tmp_path.rglob('*')) == before
 
 
-def test_help_does_not_import_what_it_does_not_need() -> None:
+def test_help_imports_no_heavy_libraries() -> None:
     heavy = {'numpy', 'cv2', 'rosbags', 'plotly', 'scipy', 'yaml', 'tqdm'}
     code = f"""
 import sys
@@ -222,27 +226,27 @@ finally:
     assert (done.returncode, done.stderr) == (0, '[]\n')
 
 
-def test_a_reader_that_goes_away_is_no_error() -> None:
+def test_the_end_of_the_reader_is_not_an_error() -> None:
     code = """
 import sys
 from types import ModuleType
 from gyrocal_ros.cli import main
-talker = ModuleType('gyrocal_ros.cli.talker')
-talker.EXAMPLE, talker.add_arguments = '', lambda parser: None
-talker.run = lambda args: [print('word ' * 1000) for _ in range(1000)]
-sys.modules[talker.__name__] = talker
-main.COMMANDS['talker'] = 'talks'
-sys.exit(main.main(['talker']))
+printer = ModuleType('gyrocal_ros.cli.printer')
+printer.EXAMPLE, printer.add_arguments = '', lambda parser: None
+printer.run = lambda args: [print('word ' * 1000) for _ in range(1000)]
+sys.modules[printer.__name__] = printer
+main.COMMANDS['printer'] = 'prints'
+sys.exit(main.main(['printer']))
 """
-    talker = subprocess.Popen(
+    printer = subprocess.Popen(
         [sys.executable, '-c', code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert talker.stdout is not None and talker.stderr is not None
-    talker.stdout.readline()
-    talker.stdout.close()
-    assert talker.stderr.read() == ''
-    assert talker.wait(timeout=60) == 141
-    talker.stderr.close()
+    assert printer.stdout is not None and printer.stderr is not None
+    printer.stdout.readline()
+    printer.stdout.close()
+    assert printer.stderr.read() == ''
+    assert printer.wait(timeout=60) == 141
+    printer.stderr.close()
 
 
 def test_arguments_reach_the_command(probe: Probe) -> None:

@@ -1,4 +1,4 @@
-"""The pages say what is true: their commands can be given, their links and pictures are there."""
+"""The documentation: its commands are valid, its links and pictures exist."""
 
 from __future__ import annotations
 
@@ -15,27 +15,28 @@ from gyrocal_ros.cli.main import COMMANDS, command_parser
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob('*.md'), *ROOT.glob('docs/*.md'), *ROOT.glob('bags/*.md')])
 CODE = re.compile(r'^```\w*\n(.*?)^```|^ {4}(\S.*)$|`([^`\n]+)`', re.DOTALL | re.MULTILINE)
-"""A fenced block, an indented line, words between backticks."""
+"""Code in Markdown: a fenced block, an indented line, or text between backticks."""
 COMMAND = re.compile(r'\bgyrocal ([a-z][^`\n]*)')
 LINK = re.compile(r'\]\(([^)\s]+)\)')
-MOST_BYTES = 150_000
+MAX_BYTES = 150_000
+"""Maximum size of a picture."""
 
 
 def commands(text: str) -> Iterator[str]:
-    """Every command line of a page, without the word `gyrocal`."""
+    """Yield every command line of a page, without the word `gyrocal`."""
     for match in CODE.finditer(text):
         code = next(part for part in match.groups() if part is not None)
         yield from COMMAND.findall(code.replace('\\\n', ' '))
 
 
 def links(page: Path) -> list[str]:
-    """What a page links to in this repository."""
+    """Return the links of a page into this repository."""
     targets = [target.partition('#')[0] for target in LINK.findall(page.read_text(encoding='utf-8'))]
     return [target for target in targets if target and '://' not in target]
 
 
 def check(command: str) -> None:
-    """Parse a command line; its name alone may stand for it."""
+    """Parse a command line; the name of a command alone is valid."""
     name, *arguments = shlex.split(command, comments=True)
     assert name in COMMANDS, command
     if arguments and '--help' not in arguments:
@@ -43,20 +44,20 @@ def check(command: str) -> None:
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
-def test_every_command_can_be_given(page: Path) -> None:
+def test_every_command_of_a_page_is_valid(page: Path) -> None:
     for command in commands(page.read_text(encoding='utf-8')):
         check(command)
 
 
 @pytest.mark.parametrize('name', COMMANDS)
-def test_every_example_can_be_given(name: str) -> None:
+def test_every_example_is_valid(name: str) -> None:
     example: str = importlib.import_module(f'gyrocal_ros.cli.{name}').EXAMPLE
     for line in example.splitlines():
         assert line.startswith('gyrocal ')
         check(line.removeprefix('gyrocal '))
 
 
-def test_commands_are_found_wherever_they_stand() -> None:
+def test_commands_are_found_in_every_kind_of_code() -> None:
     page = 'Say `gyrocal demo`.\n\n    gyrocal check bag  # why\n\n```\nDo: gyrocal add \\\n  gyro_lag\n```\n'
     assert [shlex.split(found, comments=True) for found in commands(page)] == [
         ['demo'],
@@ -66,13 +67,13 @@ def test_commands_are_found_wherever_they_stand() -> None:
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
-def test_every_link_leads_somewhere(page: Path) -> None:
+def test_every_link_has_a_target(page: Path) -> None:
     missing = [target for target in links(page) if not (page.parent / target).exists()]
     assert not missing
 
 
-def test_pictures_are_small_and_shown() -> None:
+def test_every_picture_is_small_and_used() -> None:
     shown = {(page.parent / target).resolve() for page in PAGES for target in links(page)}
     for picture in (ROOT / 'docs/images').iterdir():
         assert picture in shown, f'no page shows {picture.name}'
-        assert picture.stat().st_size < MOST_BYTES, picture.name
+        assert picture.stat().st_size < MAX_BYTES, picture.name

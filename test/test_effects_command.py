@@ -1,4 +1,4 @@
-"""`gyrocal effects`: the list, the lesson, the page."""
+"""`gyrocal effects`: the list, the description of an effect, and its page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_the_list_has_a_line_for_every_effect(capsys: Output) -> None:
     assert max(map(len, lines)) <= 110
 
 
-def test_the_list_for_other_programs(capsys: Output) -> None:
+def test_the_list_as_json(capsys: Output) -> None:
     assert main(['effects', '--json']) == 0
     listed = json.loads(capsys.readouterr().out)['effects']
     lag = next(item for item in listed if item['name'] == 'gyro_lag')
@@ -34,16 +34,16 @@ def test_the_list_for_other_programs(capsys: Output) -> None:
 @pytest.mark.parametrize(
     'name', [*EFFECTS, *COVARIATE_EFFECTS, 'covariate_bias:fan_speed.data', 'scale_power_4']
 )
-def test_every_effect_is_explained(name: str, capsys: Output) -> None:
+def test_every_effect_has_a_description(name: str, capsys: Output) -> None:
     assert main(['effects', name]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith(name)
-    for word in ('equation', 'usual size', 'best motion', 'easily taken for', 'needs', 'source'):
-        assert f'\n{word} ' in told
-    assert max(map(len, told.splitlines())) <= 100
+    printed = capsys.readouterr().out
+    assert printed.startswith(name)
+    for row in ('equation', 'usual size', 'best motion', 'easily taken for', 'needs', 'source'):
+        assert f'\n{row} ' in printed
+    assert max(map(len, printed.splitlines())) <= 100
 
 
-def test_a_page_shows_the_effect(tmp_path: Path, capsys: Output) -> None:
+def test_the_page_of_an_effect(tmp_path: Path, capsys: Output) -> None:
     page = tmp_path / 'lag.html'
     assert main(['effects', 'gyro_lag', '-o', str(page)]) == 0
     assert str(page) in capsys.readouterr().out

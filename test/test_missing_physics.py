@@ -123,7 +123,7 @@ class TestDiagnose:
         assert printed.startswith('Nothing is missing')
         assert 'The most significant effect was' in printed and 'gyrocal add' not in printed
 
-    def test_in_words(self, searched: tuple[Search, Diagnosis]) -> None:
+    def test_as_text(self, searched: tuple[Search, Diagnosis]) -> None:
         lines = list(as_text(searched[1]))
         assert lines[0] == 'Missing: scale_asymmetry.'
         assert any('c = 0.01' in line and '->' in line for line in lines)

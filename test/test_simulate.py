@@ -35,7 +35,7 @@ def digest(bag: Path) -> str:
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_the_bag_holds_the_measurements_of_the_simulator(tmp_path: Path, storage: str) -> None:
+def test_the_bag_contains_the_measurements_of_the_simulator(tmp_path: Path, storage: str) -> None:
     assert simulate(tmp_path / 'bag', '--storage', storage) == 0
     bag, source = open_bag(tmp_path / 'bag', Config(), with_covariates=True), SimSource(CLEANING, 3)
     assert bag.rig.camera == source.rig.camera
@@ -66,7 +66,7 @@ def test_images_are_recorded_in_place_of_features(tmp_path: Path) -> None:
     assert not any(isinstance(item, FeatureObservations) for item in recorded)
 
 
-def test_same_seed_same_bytes(tmp_path: Path) -> None:
+def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
     for folder in ('one', 'two'):
         assert simulate(tmp_path / folder / 'bag') == 0
     assert digest(tmp_path / 'one' / 'bag') == digest(tmp_path / 'two' / 'bag')

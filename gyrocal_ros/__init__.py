@@ -1,25 +1,29 @@
-"""Calibrates the gyro of an indoor robot from its ceiling camera and finds what its model lacks.
+"""Calibrates the gyro of an indoor robot from its ceiling camera, and finds effects that its model lacks.
 
-The rooms, in the order in which the data flow:
+The rooms, in six bands. A room imports from its own band and from the bands below.
 
-    errors, data, files           what everybody uses: errors, the values that travel, writing
-    settings, config, config_file all settings, declared once, and the files that hold them
-    recording                     bags and their check: messages become measurements
-    board                         the IMU and encoder board: its bytes become measurements
-    sim                           the simulator: the same measurements, with the truth beside them
-    vision                        the tracker: images become feature observations
-    model                         the paper: rotations, kinematics, gyro, camera, feature parametrisations
-    effects                       physical effects that a sensor model can be made of, one a file
-    ekf                           the filter: one measurement at a time, the algorithm on one page in slam
-    seeing                        the filter with the tracker before it
-    calibrate, calibration        settings and a source become a finished run, and a run a calibration
-    diagnose                      reads a finished run: what the calibration is worth
-    report                        figures and tables of a finished run; computes nothing
-    bench                         accuracy and speed over many simulated runs
-    live                          what runs on the robot, without ROS: measurements as they arrive
-    studio                        the web page on which a person finds what the model lacks
-    cli                           the command `gyrocal`, one file a command
-    nodes                         the ROS nodes: driver, tracker, calibrator
+    edge   cli         the command `gyrocal`
+           nodes       the ROS nodes: driver, tracker, calibrator
+           studio      the web page for the diagnosis of a recording
+    robot  robot       what runs on the robot, without ROS: live calibrator, dead reckoning, health
+    lab    pipeline    settings, model and source become a run, and a run becomes a calibration
+           diagnose    accuracy of a finished run, where it fails, which effect its model lacks
+           report      pages and figures; computes nothing
+           sim         simulated robots: measurements with ground truth
+           emulator    an emulated board and ceiling camera
+           bench       accuracy, speed and diagnosis on simulated robots; the figures of the paper
+    io     bag         recorded bags: check, read, play, write
+           msgs        ROS messages to values and back
+           board       bytes of the IMU and encoder board to measurements
+           vision      images to features
+    core   ekf         the filter; `ekf.slam` is the algorithm on one page
+           effects     physical effects that a sensor model can contain, one file each
+           model       equations of the paper: kinematics, gyro, camera, features
+           statistics  tests and distributions
+    base   config      all settings, declared once
+           data        the values that the rooms exchange, with units and shapes
+           errors      errors with place and remedy
+           files       files that appear complete or not at all
 """
 
 __version__ = '0.1.0'

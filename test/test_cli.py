@@ -149,6 +149,7 @@ def test_json_is_one_valid_object(probe: Probe, capsys: pytest.CaptureFixture[st
     }
 
 
+@pytest.mark.slow
 def test_demo_finds_the_true_scale_factor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -173,6 +174,7 @@ def test_the_drift_of_one_span_is_not_given_out_for_many(worst: float, said: str
     assert said in verdict(summary | {'blind_drift_deg': {'rms': 0.2, 'max': worst}}, Config())
 
 
+@pytest.mark.slow
 def test_a_calibration_brings_its_model_along(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag, model, out = (str(tmp_path / name) for name in ('bag', 'model.yaml', 'out'))
     assert main(['simulate', bag, '--scenario', 'demo', '--duration', '20']) == 0

@@ -62,6 +62,7 @@ def size_bytes(figure: Any) -> int:
     return len(figure.to_json())
 
 
+@pytest.mark.slow
 def test_figures_of_an_hour_are_small(view: StudioState) -> None:
     long = an_hour(view)
     first = replace(long, trials=replace(long.trials, present=long.trials.every[0].label))
@@ -72,6 +73,7 @@ def test_figures_of_an_hour_are_small(view: StudioState) -> None:
             assert size_bytes(pictures.against_measurement(state, kind)) < MAX_BYTES, kind
 
 
+@pytest.mark.slow
 def test_a_spike_in_an_hour_is_drawn(view: StudioState) -> None:
     long = an_hour(view)
     first = replace(long, trials=replace(long.trials, present=long.trials.every[0].label))
@@ -109,6 +111,7 @@ def test_spans_with_the_camera_off_are_shaded(view: StudioState) -> None:
     assert [note.text for note in figure.layout.annotations].count('camera off') == 1
 
 
+@pytest.mark.slow
 def test_every_panel_names_its_unit(view: StudioState) -> None:
     for name, figure in pictures.all_of(view).items():
         axes = [axis.title.text or '' for axis in figure.select_yaxes()]

@@ -49,10 +49,12 @@ def visitor(desk: Any) -> Any:
 
 
 class TestTheDoor:
+    @pytest.mark.slow
     @pytest.mark.parametrize('host', ['127.0.0.1:8350', 'localhost', '[::1]:8350'])
     def test_this_machine_gets_in(self, visitor: Any, host: str) -> None:
         assert visitor.get('/', headers={'Host': host}).status_code == 200
 
+    @pytest.mark.slow
     @pytest.mark.parametrize('host', ['evil.example', 'evil.example:8350', '127.0.0.1.evil.example', ''])
     def test_a_name_that_was_made_to_point_here_does_not(self, visitor: Any, host: str) -> None:
         for path in ('/', '/_dash-layout', '/assets/studio.css'):

@@ -35,6 +35,7 @@ def session(opened: tuple[Session, Desk]) -> Session:
 
 
 class TestOpening:
+    @pytest.mark.slow
     def test_the_recording_is_looked_into_and_the_first_model_runs(self, session: Session) -> None:
         view = session.view
         assert view.contents is not None and view.contents.check is not None
@@ -42,12 +43,14 @@ class TestOpening:
         assert view.trials.present == FIRST and view.doing is None
         assert view.improvement is not None and len(view.improvement.revisions) == 1
 
+    @pytest.mark.slow
     def test_the_heading_shows_itself_while_the_filter_runs(self, opened: tuple[Session, Desk]) -> None:
         kinds = [type(news) for news in opened[1].told]
         assert kinds.index(Contents) < kinds.index(RunPreview)
         parts = [news.part for news in opened[1].told if isinstance(news, Advance)]
         assert max(parts) > 0.9
 
+    @pytest.mark.slow
     def test_what_explains_most_is_known(self, session: Session) -> None:
         now = session.view.trials.now
         assert now is not None and now.examined is not None and now.examined.best is not None
@@ -60,6 +63,7 @@ class TestOpening:
 
 
 class TestTheLoop:
+    @pytest.mark.slow
     def test_the_error_falls_by_what_the_command_line_gives(
         self,
         session: Session,
@@ -78,6 +82,7 @@ class TestTheLoop:
             assert ours.fitted.rms_deg == pytest.approx(theirs['fitted_drift_deg']['rms'], rel=1e-9)
         assert revisions[1].held_out.rms_deg < 0.1 * revisions[0].held_out.rms_deg
 
+    @pytest.mark.slow
     def test_undo_and_adding_again_take_no_run(self, session: Session, opened: tuple[Session, Desk]) -> None:
         desk = opened[1]
         session.add(HIDDEN)
@@ -90,6 +95,7 @@ class TestTheLoop:
         assert session.view.trials.present == SECOND and len(desk.ran) == count
         assert [one.label for one in session.improvement().kept] == [FIRST, SECOND]
 
+    @pytest.mark.slow
     def test_what_was_tried_in_advance_is_added_at_once(
         self, session: Session, opened: tuple[Session, Desk]
     ) -> None:
@@ -287,6 +293,7 @@ class TestTheLesson:
 
 
 class TestTheReport:
+    @pytest.mark.slow
     def test_it_holds_pages_models_and_history(
         self, session: Session, opened: tuple[Session, Desk], monkeypatch: pytest.MonkeyPatch
     ) -> None:

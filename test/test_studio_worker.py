@@ -61,6 +61,7 @@ def test_a_recording_is_read_while_the_studio_goes_on(worker: Worker, ear: Ear) 
     assert kinds.index(Contents) < kinds.index(Ready) and kinds.count(Advance) > 10
 
 
+@pytest.mark.slow
 def test_a_cancelled_task_stops_and_the_next_one_runs(worker: Worker, ear: Ear) -> None:
     long = worker.submit(OpenRecording(HiddenEffectTask(1, Config(), duration_s=600.0), default_model()))
     ear.wait(lambda told, news: told == long and isinstance(news, Advance))

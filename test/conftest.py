@@ -39,6 +39,12 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.write_line(text, yellow=True)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.parent in (ROS_TESTS, BROWSER_TESTS):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope='session')
 def uneven_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag with a hidden effect, see `studio_parts`."""

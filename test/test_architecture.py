@@ -131,6 +131,7 @@ def rooms_imported(module: Path) -> set[str]:
     return {name.split('.')[1] for name in names} - {'__version__', room(module)}
 
 
+@pytest.mark.slow
 def test_each_room_imports_from_its_band_and_below() -> None:
     assert not imported_modules(PACKAGE / '__init__.py'), 'the package itself imports nothing'
     modules = [module for module in MODULES if module.parent != PACKAGE or module.stem != '__init__']
@@ -144,6 +145,7 @@ def test_each_room_imports_from_its_band_and_below() -> None:
     assert wrong == []
 
 
+@pytest.mark.slow
 def test_no_rooms_import_each_other_in_a_circle() -> None:
     graph: dict[str, set[str]] = {}
     for module in MODULES:
@@ -151,6 +153,7 @@ def test_no_rooms_import_each_other_in_a_circle() -> None:
     assert list(TopologicalSorter(graph).static_order()), 'raises CycleError where there is a circle'
 
 
+@pytest.mark.slow
 def test_outside_libraries_stay_in_their_room() -> None:
     wrong = []
     for module in MODULES:
@@ -175,6 +178,7 @@ def test_the_report_computes_nothing() -> None:
     assert 'report' not in rooms_imported(PACKAGE / 'studio' / 'worker.py')
 
 
+@pytest.mark.slow
 def test_modules_are_short_and_only_the_edge_prints() -> None:
     wrong = []
     for module in MODULES:
@@ -194,6 +198,7 @@ def test_modules_are_short_and_only_the_edge_prints() -> None:
     assert wrong == []
 
 
+@pytest.mark.slow
 def test_each_equation_of_the_paper_has_one_home() -> None:
     homes: dict[int, set[str]] = {number: set() for number in EQUATIONS_OF_THE_PAPER}
     for module in MODULES:
@@ -264,6 +269,7 @@ def test_names_and_imports_of_effects_are_found(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_no_text_knows_the_machine_it_was_written_on() -> None:
     folders = '|'.join(['work', 'root', 'home', 'Users'])
     machine_path = re.compile(rf'(?<![\w.~}}])/(?:{folders})/\w')

@@ -95,6 +95,7 @@ def assert_same(read_back: list[Measurement], written: list[Measurement]) -> Non
 # --- every kind of bag ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_measurements_survive_writing_and_reading(tmp_path: Path, storage: Storage) -> None:
     source = open_bag(write(tmp_path / 'bag', storage=storage), CONFIG, with_covariates=True)
@@ -121,6 +122,7 @@ def copy_bag(path: Path, out: Path, plugin: StoragePlugin, compression: Compress
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('plugin', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 @pytest.mark.parametrize('compression', [CompressionMode.FILE, CompressionMode.MESSAGE])
 def test_compressed_bags(tmp_path: Path, plugin: StoragePlugin, compression: CompressionMode) -> None:
@@ -239,6 +241,7 @@ def merge(path: Path, *parts: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_robot_is_selected_by_its_namespace(tmp_path: Path) -> None:
     path = two_robots(tmp_path / 'bag')
     with pytest.raises(RecordingError, match='/r1, /r2; choose with --namespace'):
@@ -271,6 +274,7 @@ def renamed(tmp_path: Path, names: dict[str, str]) -> Path:
     return tmp_path / 'bag'
 
 
+@pytest.mark.slow
 def test_topics_under_other_names(tmp_path: Path) -> None:
     path = renamed(tmp_path, {'/imu/data_raw': '/sensors/imu', '/wheel/odometry': '/odom'})
     with pytest.raises(RecordingError, match='there is no IMU; give -r imu/data_raw:=/sensors/imu'):
@@ -634,6 +638,7 @@ def test_a_truncated_file(tmp_path: Path, storage: Storage, kept: float) -> None
     assert 'damaged or cut short' in refused(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_damage_in_the_middle_causes_no_crash(tmp_path: Path, storage: Storage) -> None:
     """Messages in the damaged part may be lost silently by the format, but never cause a crash."""
@@ -654,6 +659,7 @@ def test_damage_in_the_middle_causes_no_crash(tmp_path: Path, storage: Storage) 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason='the third-party recordings are missing')
 class TestThirdPartyRecordings:
+    @pytest.mark.slow
     def test_an_upside_down_imu_whose_accelerometer_contradicts_it(self) -> None:
         source = open_bag(
             SHARED / 'test1_2014_xsens_wheel_stereo.bag',
@@ -668,6 +674,7 @@ class TestThirdPartyRecordings:
         turn = sum(sample.rate_rad_s[2] for sample in of(samples, ImuSample)) / 100.0
         assert turn == pytest.approx(yaws[-1] - yaws[0], rel=0.1)
 
+    @pytest.mark.slow
     def test_an_imu_whose_vertical_axis_is_y(self) -> None:
         source = open_bag(
             SHARED / 'test1_husky.bag',

@@ -26,6 +26,7 @@ def test_every_recorded_file_has_a_checksum() -> None:
     assert recorded == {file for _, file in CHECKSUMS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('bag', 'camera', 'images', 'duration_s', 'limit_mb'),
     [('demo', 'Frame', 750, 75.0, 20), ('cleaning', 'FeatureObservations', 4500, 300.0, 6)],

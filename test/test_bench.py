@@ -25,6 +25,7 @@ def run() -> BenchRun:
     return run_bench(SHORT, 0, OURS, with_bound=True)
 
 
+@pytest.mark.slow
 def test_a_run_has_errors_of_the_right_size(run: BenchRun) -> None:
     assert not run.diverged
     assert abs(run.early_error) < 1e-3 and abs(run.settled_error) < 5e-4
@@ -33,6 +34,7 @@ def test_a_run_has_errors_of_the_right_size(run: BenchRun) -> None:
     assert 0.0 < run.heading_rms_rad < math.radians(0.2)
 
 
+@pytest.mark.slow
 def test_the_standard_deviation_is_close_to_the_bound(run: BenchRun) -> None:
     assert 0.9 < run.final_std / run.bound_std < 1.1
     assert bound_std(replace(SHORT, duration_s=20.0), 0) > run.bound_std, 'a shorter run has less information'
@@ -98,6 +100,7 @@ def negative(value: int) -> int:
     return -value
 
 
+@pytest.mark.slow
 def test_parallel_results_keep_the_order_of_the_tasks() -> None:
     assert list(in_parallel(negative, range(5))) == [0, -1, -2, -3, -4]
 
@@ -108,6 +111,7 @@ def test_the_filter_is_timed_on_measurements_in_memory() -> None:
     assert '100 Hz' in row['case']
 
 
+@pytest.mark.slow
 def test_the_memory_of_a_process_excludes_that_of_its_parent() -> None:
     ours = np.ones(30_000_000)
     process = gyrocal_process('effects')
@@ -116,6 +120,7 @@ def test_the_memory_of_a_process_excludes_that_of_its_parent() -> None:
         gyrocal_process('replay', 'no-such-bag')
 
 
+@pytest.mark.slow
 def test_dead_reckoning_with_the_camera_off(monkeypatch: pytest.MonkeyPatch) -> None:
     """The scenario is short: 40 s with the camera, then spins."""
     short = replace(
@@ -131,6 +136,7 @@ def test_dead_reckoning_with_the_camera_off(monkeypatch: pytest.MonkeyPatch) -> 
     assert np.degrees(np.abs(nominal.heading_rad)).min() > 100.0, 'the nominal scale factor is 8 % too large'
 
 
+@pytest.mark.slow
 def test_the_table_has_a_row_for_each_case(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(accuracy, 'in_parallel', map)
     monkeypatch.setattr(accuracy, 'cases', lambda quick: [('short', SHORT, OURS, False, False)])

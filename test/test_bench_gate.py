@@ -49,6 +49,7 @@ def test_smaller_errors_pass_and_smaller_nis_does_not() -> None:
     assert not Figure(1.0, 0.1, both_sides=False).allows(math.nan)
 
 
+@pytest.mark.slow
 def test_every_figure_of_the_gate_has_a_baseline() -> None:
     baseline = load_baseline()
     landmarks = next(check for check in CHECKS if check.name == 'landmark')
@@ -83,6 +84,7 @@ def test_an_unknown_bench_is_refused(capsys: pytest.CaptureFixture[str]) -> None
     assert 'accuracy' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_lanes_and_spins_give_figures_of_the_right_size(monkeypatch: pytest.MonkeyPatch) -> None:
     found = gate.spins(0) | gate.landmark(0)
     assert 0.0 < found['heading_error_deg'] < 2.0

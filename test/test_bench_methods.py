@@ -42,6 +42,7 @@ def test_rest_determines_the_bias() -> None:
     assert bias_at_rest(list(source.measurements()), 3.0) == pytest.approx(expected, abs=3e-4)
 
 
+@pytest.mark.slow
 def test_the_batch_estimate_reaches_the_bound() -> None:
     source = SimSource(LANES, 0)
     found = solve(source.measurements(), source.rig, Config())
@@ -51,12 +52,14 @@ def test_the_batch_estimate_reaches_the_bound() -> None:
     assert found.rounds < 6, 'it converges'
 
 
+@pytest.mark.slow
 def test_without_noise_the_batch_estimate_is_exact() -> None:
     source = SimSource(replace(LANES, errors=without_noise(LANES.errors)), 0)
     found = solve(source.measurements(), source.rig, Config())
     assert found.scale_factor == pytest.approx(source.truth.scale_factor, rel=2e-5)
 
 
+@pytest.mark.slow
 def test_every_method_is_compared_on_one_recording(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(methods, 'OFF_S', 25.0)
     monkeypatch.setattr(methods, 'SPINS_UNTIL_S', 130.0)

@@ -228,6 +228,7 @@ def short() -> BlindResult:
         return run_blind(LAG, 2)
 
 
+@pytest.mark.slow
 def test_a_trial_holds_what_was_hidden_and_what_was_found(short: BlindResult) -> None:
     ((name, (lag_s,)),) = short.hidden
     assert name == 'gyro_lag' and LIBRARY_RANGES[name][0].low <= lag_s <= LIBRARY_RANGES[name][0].high

@@ -61,6 +61,7 @@ def host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Host]:
     made.driver.close()
 
 
+@pytest.mark.slow
 def test_a_lost_port_is_opened_again_and_stamps_increase(host: Host) -> None:
     host.wait_for_health(f'{host.port}: is not there; plug the board in', Level.ERROR)
     with BoardProgram(host.port, '--scenario', 'standing') as board:
@@ -80,6 +81,7 @@ def test_a_lost_port_is_opened_again_and_stamps_increase(host: Host) -> None:
     assert host.driver.status().numbers['connections'] == 3
 
 
+@pytest.mark.slow
 def test_rates_are_requested_again_after_a_restart_of_the_board(host: Host) -> None:
     with BoardProgram(host.port, '--scenario', 'standing') as board:
         host.wait_for_health('IMU 200 Hz, wheels 50 Hz, supply 10 Hz', Level.OK)
@@ -92,6 +94,7 @@ def test_rates_are_requested_again_after_a_restart_of_the_board(host: Host) -> N
         host.wait_for_health('the board cannot send 150 IMU', Level.WARN)
 
 
+@pytest.mark.slow
 def test_the_zero_is_measured_only_at_rest(host: Host) -> None:
     with pytest.raises(BoardError, match='not connected'):
         host.driver.zero()
@@ -104,6 +107,7 @@ def test_the_zero_is_measured_only_at_rest(host: Host) -> None:
             host.driver.zero()
 
 
+@pytest.mark.slow
 def test_the_driver_locks_its_port_until_it_is_closed(host: Host) -> None:
     with BoardProgram(host.port, '--scenario', 'standing'):
         host.wait_for_imu()
@@ -114,6 +118,7 @@ def test_the_driver_locks_its_port_until_it_is_closed(host: Host) -> None:
         other.driver.close()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
 def test_an_error_in_the_callback_is_reported(tmp_path: Path) -> None:
     def fail(reading: object) -> None:

@@ -234,6 +234,7 @@ def test_a_zero_command_is_repeated_only_after_its_averaging_time() -> None:
     assert all(packet.message == RATES for packet in packets(commands.due_frames(1e6)))
 
 
+@pytest.mark.slow
 def test_the_sequence_numbers_of_commands_wrap() -> None:
     commands = CommandQueue(RATES)
     numbers = [packets(commands.due_frames(float(at_s)))[0].sequence for at_s in range(65_540)]

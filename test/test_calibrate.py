@@ -90,6 +90,7 @@ def same_estimates(run: Run, other: Run) -> bool:
 # --- good recordings ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [1, 2])
 @pytest.mark.parametrize('scenario', ['cleaning', 'lanes'])
 def test_scale_and_bias_are_found(scenario: str, seed: int) -> None:
@@ -107,6 +108,7 @@ def test_scale_and_bias_are_found(scenario: str, seed: int) -> None:
     assert calibration.convergence_time_s is not None and calibration.convergence_time_s < 25.0
 
 
+@pytest.mark.slow
 def test_errors_agree_with_the_standard_deviation_over_many_seeds() -> None:
     errors = []
     for seed in range(12):
@@ -116,11 +118,13 @@ def test_errors_agree_with_the_standard_deviation_over_many_seeds() -> None:
     assert 0.4 < np.mean(np.square(errors)) < 2.2  # chi-square of 12: 99.5 % between 0.26 and 2.36
 
 
+@pytest.mark.slow
 def test_the_same_recording_gives_the_same_bits() -> None:
     again = calibrate(recording(), Config(), default_model())
     assert same_estimates(again, plain_run())
 
 
+@pytest.mark.slow
 def test_ground_truth_does_not_enter_the_estimate() -> None:
     def scrambled(sample: TruthSample) -> TruthSample:
         return replace(sample, position_m=(7.0, -3.0, 99.0), yaw_rad=math.sin(1e3 * sample.yaw_rad))
@@ -139,11 +143,13 @@ def test_progress_is_reported() -> None:
     assert all(progress.total_s == 20.0 for progress in reported)
 
 
+@pytest.mark.slow
 def test_the_parametrisation_of_the_paper_calibrates() -> None:
     config = with_features(parametrisation='camera_frame')
     assert_calibrated(calibrate(recording(), config, default_model()), percent=0.05)
 
 
+@pytest.mark.slow
 def test_conventional_points_calibrate_with_better_known_depths() -> None:
     config = with_features(parametrisation='pixel', ray_std_m=0.3)
     assert_calibrated(calibrate(recording(), config, default_model()), percent=0.05)
@@ -154,6 +160,7 @@ def test_conventional_points_diverge_as_in_the_paper() -> None:
         calibrate(recording(), with_features(parametrisation='pixel'), default_model())
 
 
+@pytest.mark.slow
 def test_a_full_map_keeps_the_features_in_view() -> None:
     """More features than the size of the map give results as good as exactly that many."""
     few, many = (
@@ -166,6 +173,7 @@ def test_a_full_map_keeps_the_features_in_view() -> None:
     assert heading_rms_deg(many) == pytest.approx(heading_rms_deg(few), abs=0.03)
 
 
+@pytest.mark.slow
 def test_pixel_noise_is_estimated() -> None:
     for noise_px in (0.15, 1.2):
         errors = replace(SensorErrors(), pixel_noise_px=noise_px)
@@ -177,6 +185,7 @@ def test_pixel_noise_is_estimated() -> None:
 # --- recordings with missing measurements -------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('step_s', [100.0, -100.0, 1.7e9, -1.6e9])
 def test_a_step_of_the_clock_keeps_the_calibration(step_s: float) -> None:
     candidates = (find_effect('scale_cubic'),)
@@ -200,6 +209,7 @@ def test_a_step_of_the_clock_keeps_the_calibration(step_s: float) -> None:
     assert run.scores is not None and len(run.scores.start_s) == 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('from_s', 'to_s'), [(20.0, 21.0), (10.0, 30.0), (40.0, 1e6)])
 def test_calibration_continues_after_a_gap_in_the_imu(from_s: float, to_s: float) -> None:
     run = calibrate(ModifiedSource(recording(), without(ImuSample, from_s, to_s)), Config(), default_model())
@@ -210,6 +220,7 @@ def test_calibration_continues_after_a_gap_in_the_imu(from_s: float, to_s: float
     assert len(touched) > 4 and not touched.any(), 'spans with a gap do not count as drift'
 
 
+@pytest.mark.slow
 def test_a_gap_in_the_imu_is_not_rest() -> None:
     """The heading is unknown while camera and IMU are missing, even though the wheels are at rest."""
     hidden = (without(ImuSample, 1.0, 2.5), without(FeatureObservations, 1.0, 2.6))
@@ -222,6 +233,7 @@ def test_a_gap_in_the_imu_is_not_rest() -> None:
     assert stds[0] > math.radians(20.0) and stds[1] < math.radians(0.1)
 
 
+@pytest.mark.slow
 def test_calibration_continues_after_the_camera_was_covered() -> None:
     source = ModifiedSource(recording(), without(FeatureObservations, 20.0, 35.0))
     run = calibrate(source, Config(), default_model())
@@ -230,6 +242,7 @@ def test_calibration_continues_after_the_camera_was_covered() -> None:
     assert covered.sum() > 50 and not np.any(run.history.dof[covered])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('from_s', 'to_s'), [(20.0, 25.0), (-1.0, 1e6)])
 def test_missing_wheels_do_no_harm(from_s: float, to_s: float) -> None:
     run = calibrate(
@@ -238,6 +251,7 @@ def test_missing_wheels_do_no_harm(from_s: float, to_s: float) -> None:
     assert_calibrated(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('share', [0.02, 0.1])
 def test_outliers_are_rejected(share: float) -> None:
     errors = replace(SensorErrors(), outliers=share)
@@ -250,6 +264,7 @@ def test_outliers_are_rejected(share: float) -> None:
 # --- recordings that cannot be calibrated -------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     'change',
     [
@@ -273,6 +288,7 @@ def straight_on() -> SimSource:
     return recording('lanes', 2, room_m=(30.0, 5.0), driving_style=driving_style, errors=errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('source', 'message'),
     [
@@ -318,6 +334,7 @@ HIDDEN: dict[str, tuple[float, ...]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', HIDDEN)
 def test_a_model_with_the_hidden_effect_estimates_it(name: str) -> None:
     effect, values = find_effect(name), HIDDEN[name]
@@ -332,6 +349,7 @@ def test_a_model_with_the_hidden_effect_estimates_it(name: str) -> None:
     assert run.history.nis.sum() / run.history.dof.sum() == pytest.approx(1.0, abs=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('name', 'limit'), [('rate_saturation', 60.0), ('rate_deadband', 0.3)])
 def test_a_known_limit_does_no_harm(name: str, limit: float) -> None:
     effect: Any = find_effect(name)
@@ -345,6 +363,7 @@ def test_a_known_limit_does_no_harm(name: str, limit: float) -> None:
         assert abs(float(unaware.state.coefficients[0]) + 1.0 - TRUE_SCALE) > 0.01
 
 
+@pytest.mark.slow
 def test_score_statistics_estimate_a_candidate() -> None:
     """One pass without the effect estimates its size, and candidates do not change the estimate."""
     cubic = find_effect('scale_cubic')
@@ -392,6 +411,7 @@ def by_heading(
     return ModifiedSource(source, each(ImuSample, turned))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('offset_s', [0.0, 0.1])
 def test_a_heading_reference_calibrates(offset_s: float) -> None:
     run = calibrate(by_heading(offset_s=offset_s), Config(), default_model())
@@ -461,6 +481,7 @@ INVALID: dict[str, Callable[[dict[str, Any]], Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('fault', INVALID)
 def test_an_invalid_calibration_file_is_refused(fault: str, tmp_path: Path) -> None:
     file = tmp_path / 'calibration.yaml'
@@ -472,6 +493,7 @@ def test_an_invalid_calibration_file_is_refused(fault: str, tmp_path: Path) -> N
         load_calibration(file)
 
 
+@pytest.mark.slow
 def test_an_earlier_calibration_shortens_the_next_one(tmp_path: Path) -> None:
     file = tmp_path / 'calibration.yaml'
     save_calibration(conclude(plain_run()), Config(), file)
@@ -490,6 +512,7 @@ def test_an_earlier_calibration_shortens_the_next_one(tmp_path: Path) -> None:
 # --- the filter, measurement by measurement -----------------------------------------------------
 
 
+@pytest.mark.slow
 def test_measurements_before_the_imu_and_duplicates_do_no_harm() -> None:
     def doubled(measurements: Any) -> Any:
         for item in measurements:
@@ -501,6 +524,7 @@ def test_measurements_before_the_imu_and_duplicates_do_no_harm() -> None:
     assert_calibrated(calibrate(ModifiedSource(late_imu, doubled), Config(), default_model()))
 
 
+@pytest.mark.slow
 def test_an_image_without_features_does_no_harm() -> None:
     def nothing(sample: FeatureObservations) -> FeatureObservations:
         if sample.t_ns % 7 < 3:

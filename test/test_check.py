@@ -337,6 +337,7 @@ def test_topics_of_a_foreign_bag_are_suggested() -> None:
     assert '--heading-reference /jackal_velocity_controller/odom' in text
 
 
+@pytest.mark.slow
 @needs_recordings
 def test_an_imu_on_its_side_and_one_that_reads_zero() -> None:
     kinds = {issue.kind for issue in check_bag(SHARED / 'test1_husky.bag', Config()).issues}

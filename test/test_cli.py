@@ -151,6 +151,7 @@ def test_json_is_one_valid_object(probe: Probe, capsys: pytest.CaptureFixture[st
     }
 
 
+@pytest.mark.slow
 def test_demo_finds_the_true_scale_factor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -175,6 +176,7 @@ def test_the_drift_of_a_single_span_is_reported_as_such(worst: float, text: str)
     assert text in as_text(summary | {'blind_drift_deg': {'rms': 0.2, 'max': worst}}, Config())
 
 
+@pytest.mark.slow
 def test_a_replay_from_a_calibration_uses_its_model(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

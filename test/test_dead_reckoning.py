@@ -77,6 +77,7 @@ def errors(estimates: list[OdometryEstimate], from_s: float) -> Array:
 # --- on a drive -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_rate_errors_agree_with_their_variances() -> None:
     late = [sample for sample in driven().calibrated if sample.t_ns > at(25.0)]
     motion = source().truth.trajectory.motion(np.array([seconds(item.t_ns - START_NS) for item in late]))
@@ -86,12 +87,14 @@ def test_rate_errors_agree_with_their_variances() -> None:
     assert np.all(sigma.std(axis=0) < 1.5)
 
 
+@pytest.mark.slow
 def test_the_pose_is_accurate_at_its_stamp() -> None:
     error = errors(driven().odometry, 20.0)
     assert np.degrees(np.abs(error[:, 2])).max() < 0.3
     assert np.linalg.norm(error[:, :2], axis=1).max() < 0.1
 
 
+@pytest.mark.slow
 def test_with_the_camera_covered_the_pose_drifts_slowly() -> None:
     robot = driven(25.0)
     error_deg = np.degrees(errors(robot.odometry, 25.0)[:, 2])
@@ -100,6 +103,7 @@ def test_with_the_camera_covered_the_pose_drifts_slowly() -> None:
     assert variances[-1] > 2.0 * variances[0], 'the variance of the unobserved heading grows'
 
 
+@pytest.mark.slow
 def test_every_output_has_the_stamp_of_its_input() -> None:
     robot = driven()
     stamps = [item.t_ns for item in measured() if isinstance(item, ImuSample)]

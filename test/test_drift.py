@@ -34,6 +34,7 @@ def run() -> Run:
     return calibrate(recording('rest_and_go'), Config(), default_model())
 
 
+@pytest.mark.slow
 def test_turns_follow_the_coefficients(run: Run) -> None:
     nominal = turns(run, np.zeros(1))
     np.testing.assert_allclose(nominal, run.history.turn_rad + run.history.tilt_rad, atol=1e-12)
@@ -41,6 +42,7 @@ def test_turns_follow_the_coefficients(run: Run) -> None:
     np.testing.assert_allclose(more, 0.1 * run.history.turn_rad, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_dead_reckoning_is_accurate_with_the_calibrated_gyro_only(run: Run) -> None:
     truth, bias = truth_path(run), float(run.history.mean[-1, YAW_BIAS])
     assert truth is not None
@@ -58,6 +60,7 @@ def test_dead_reckoning_is_accurate_with_the_calibrated_gyro_only(run: Run) -> N
     assert heading_deg > 5.0
 
 
+@pytest.mark.slow
 def test_blind_drift_agrees_with_direct_sums(run: Run) -> None:
     history, drift = run.history, blind_drift(run, span_s=20.0)
     assert drift.reference == 'ground truth' and len(drift.start_s) >= 4

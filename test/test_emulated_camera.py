@@ -38,6 +38,7 @@ def recorded() -> list[Frame]:
     return [item for item in SOURCE.measurements() if isinstance(item, Frame)]
 
 
+@pytest.mark.slow
 def test_it_takes_the_images_of_the_recording_in_real_time() -> None:
     taken = [camera().take(number) for number in range(3)]
     for frame, old in zip(taken, recorded(), strict=False):
@@ -47,10 +48,12 @@ def test_it_takes_the_images_of_the_recording_in_real_time() -> None:
     assert len(camera()) == len(recorded())
 
 
+@pytest.mark.slow
 def test_an_image_is_due_at_the_end_of_its_exposure() -> None:
     assert camera().due_ns(3) == camera().stamp_ns(3) + nanoseconds(EXPOSURE_S / 2.0)
 
 
+@pytest.mark.slow
 def test_missed_images_are_skipped() -> None:
     due_ns = camera().due_ns(4)
     assert camera().next_after(0, NOW_NS) == 1
@@ -59,6 +62,7 @@ def test_missed_images_are_skipped() -> None:
     assert camera().next_after(0, NOW_NS + nanoseconds(5.0)) == len(camera())
 
 
+@pytest.mark.slow
 def test_it_is_covered_and_switched_off_for_an_interval() -> None:
     faulty = camera('cover@0.15+0.2 off@0.4+0.2')
     frames = [faulty.take(number) for number in range(8)]
@@ -67,6 +71,7 @@ def test_it_is_covered_and_switched_off_for_an_interval() -> None:
     assert [frame is None for frame in frames] == [False] * 4 + [True] * 2 + [False] * 2
 
 
+@pytest.mark.slow
 def test_it_returns_the_true_pose() -> None:
     truths = {item.t_ns - START_NS: item for item in SOURCE.measurements() if isinstance(item, TruthSample)}
     now = camera().truth(5)
@@ -75,6 +80,7 @@ def test_it_returns_the_true_pose() -> None:
     assert now.yaw_rad == pytest.approx(before.yaw_rad, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_clock_fault_shifts_the_stamps() -> None:
     early, late = camera(), camera('clock@0+1000')
     assert late.stamp_ns(3) - early.stamp_ns(3) == CLOCK_AHEAD_NS

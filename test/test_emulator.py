@@ -121,6 +121,7 @@ class Host:
 # --- recovered measurements -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_all_samples_are_recovered() -> None:
     host, config = Host(emulator(LONG)).read(), BoardConfig()
     sent = [item for item in LONG if isinstance(item, ImuSample)]
@@ -136,6 +137,7 @@ def test_all_samples_are_recovered() -> None:
     assert (counts.lost, counts.malformed, counts.bad_checksums, counts.repeated) == (0, 0, 0, 0)
 
 
+@pytest.mark.slow
 def test_the_distance_of_the_wheels_is_preserved() -> None:
     host, config = Host(emulator(LONG)).read(), BoardConfig()
     sent = [item for item in LONG if isinstance(item, WheelSample)][1:]  # a sample needs two readings
@@ -151,6 +153,7 @@ def test_the_distance_of_the_wheels_is_preserved() -> None:
         assert np.abs(distances[0] - distances[1]).max() < 1.5 * error
 
 
+@pytest.mark.slow
 def test_slow_signals_are_recovered() -> None:
     host = Host(emulator(LONG)).read()
     warm = [reading for reading in host.readings if isinstance(reading, TemperatureSample)]
@@ -163,6 +166,7 @@ def test_slow_signals_are_recovered() -> None:
     assert {round(item.voltage_v, 3) for item in supply} <= {round(value, 3) for value in volts}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('drift_ppm', [-100.0, 30.0])
 @pytest.mark.parametrize('start_us', [0, 4_294_967_295 - 20_000_000])
 def test_stamps_are_within_a_millisecond_with_jitter(drift_ppm: float, start_us: int) -> None:
@@ -173,6 +177,7 @@ def test_stamps_are_within_a_millisecond_with_jitter(drift_ppm: float, start_us:
     assert not host.reader.clock.restarts and not host.reader.clock.outliers
 
 
+@pytest.mark.slow
 def test_jitter_has_the_requested_range() -> None:
     board, late_ms = emulator(LONG, jitter_s=0.02), []
     true_ms = iter((item.t_ns - START_NS) / MS for item in LONG if isinstance(item, ImuSample))
@@ -188,6 +193,7 @@ def test_jitter_has_the_requested_range() -> None:
     assert 20.0 < max(late_ms) < 20.0 + 2.0 * on_the_wire_ms
 
 
+@pytest.mark.slow
 def test_the_same_seed_yields_the_same_events() -> None:
     def sent(seed: int) -> list[DataEvent | PortEvent]:
         board = emulator(SHORT, 'noise@1+3=0.02', 'cut@2+3=0.1', 'unplug@5+1', jitter_s=0.02, seed=seed)
@@ -215,6 +221,7 @@ def test_a_step_of_the_recorded_clock_is_not_played() -> None:
 # --- commands ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_supported_rates_are_sent() -> None:
     host = Host(emulator(LONG)).read(10.0)
     host.send(SetRates(100, 25, 2), 10.0, sequence=7)
@@ -283,6 +290,7 @@ def test_a_recording_without_a_battery_sends_no_supply() -> None:
 # --- faults -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_noise_corrupts_frames_during_its_interval_only() -> None:
     host = Host(emulator(LONG, 'noise@10+10=0.05')).read(10.0)
     assert host.reader.decoder.counts.lost == 0
@@ -302,12 +310,14 @@ def test_frames_are_truncated_and_dropped(fault: str, bad: bool) -> None:
     assert (counts.malformed + counts.bad_checksums > 0) == bad
 
 
+@pytest.mark.slow
 def test_a_pause_delays_frames_and_loses_none() -> None:
     host = Host(emulator(LONG, 'pause@15+3', jitter_s=0.02)).read()
     assert host.reader.decoder.counts.lost == 0
     assert np.abs(host.errors_ms(LONG)[2000:]).max() < 1.0
 
 
+@pytest.mark.slow
 def test_frames_to_an_unplugged_port_are_lost() -> None:
     host = Host(emulator(LONG, 'unplug@15+5', jitter_s=0.02)).read()
     assert host.port_events == [
@@ -378,6 +388,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=60)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
@@ -395,6 +406,7 @@ def test_invalid_arguments_are_refused_in_one_line(arguments: list[str], words: 
     assert words in result.stderr
 
 
+@pytest.mark.slow
 def test_the_program_ends_and_removes_its_port(tmp_path: Path) -> None:
     link = tmp_path / 'board'
     result = run(
@@ -405,6 +417,7 @@ def test_the_program_ends_and_removes_its_port(tmp_path: Path) -> None:
     assert not link.is_symlink()
 
 
+@pytest.mark.slow
 def test_the_interrupted_program_removes_its_port(tmp_path: Path) -> None:
     link = tmp_path / 'board'
     board = BoardProgram(link)
@@ -413,6 +426,7 @@ def test_the_interrupted_program_removes_its_port(tmp_path: Path) -> None:
     assert not link.is_symlink()
 
 
+@pytest.mark.slow
 def test_a_recorded_bag_is_played(tmp_path: Path) -> None:
     with BoardProgram(tmp_path / 'board', '--bag', str(BAG)), Link(str(tmp_path / 'board'), BAUD) as link:
         reader, found = BoardReader(BoardConfig(), BAUD), list[Reading]()
@@ -422,12 +436,14 @@ def test_a_recorded_bag_is_played(tmp_path: Path) -> None:
     assert {ImuSample, WheelMotion, TemperatureSample, SupplySample} <= kinds
 
 
+@pytest.mark.slow
 def test_the_program_does_not_import_ros() -> None:
     code = 'import gyrocal_ros.cli.board_emulator, sys; print([m for m in sys.modules if "rclpy" in m])'
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
     assert result.stdout == '[]\n'
 
 
+@pytest.mark.slow
 def test_a_late_start_skips_missed_events(tmp_path: Path) -> None:
     """A play that started in the past continues at the present time."""
     start_s = time.time() - 10.0
@@ -462,6 +478,7 @@ def test_the_commands_of_the_page_can_be_parsed() -> None:
     assert board_emulator.PROGRAM in {line[0] for line in lines}
 
 
+@pytest.mark.slow
 def test_the_reader_of_the_page_reads_the_emulator(tmp_path: Path) -> None:
     [code] = re.findall(r'^```python\n(.*?)^```', PAGE, flags=re.MULTILINE | re.DOTALL)
     port = tmp_path / 'board'

@@ -106,6 +106,7 @@ def test_every_effect_is_among_the_hidden_ones() -> None:
     assert set(HIDDEN) >= set(OUT_OF_LIBRARY)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', HIDDEN)
 def test_with_the_effect_in_the_model_the_innovations_vanish(name: str) -> None:
     effect, values = HIDDEN[name]
@@ -120,6 +121,7 @@ def test_with_the_effect_in_the_model_the_innovations_vanish(name: str) -> None:
     assert max(left_over(without) / LEFT_OVER, abs(scale_error_sigma(without, true_scale))) > 1.0
 
 
+@pytest.mark.slow
 def test_effects_hidden_together_add_up() -> None:
     names = (
         'gyro_lag',
@@ -137,6 +139,7 @@ def test_effects_hidden_together_add_up() -> None:
     assert abs(scale_error_sigma(run, source.truth.scale_factor)) < 0.3
 
 
+@pytest.mark.slow
 def test_the_robot_moves_as_it_does_without_hidden_effects() -> None:
     """Effects change the readings; only the ground changes the motion."""
     plain = [item for item in SimSource(SHORT, 3).measurements() if isinstance(item, TruthSample)]

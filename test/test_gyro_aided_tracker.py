@@ -172,6 +172,7 @@ def test_a_gap_and_an_old_sample_do_not_change_the_yaw() -> None:
 # --- tracker ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_features_are_tracked_through_a_fast_turn_with_a_gyro_gain_error(
     renderer: CeilingRenderer,
 ) -> None:
@@ -183,6 +184,7 @@ def test_features_are_tracked_through_a_fast_turn_with_a_gyro_gain_error(
     )
 
 
+@pytest.mark.slow
 def test_regions_are_large_until_the_gyro_gain_is_estimated(renderer: CeilingRenderer) -> None:
     drive = TrackedDrive(renderer, math.radians(80.0), gain=1.08)
     largest_px2 = []
@@ -195,6 +197,7 @@ def test_regions_are_large_until_the_gyro_gain_is_estimated(renderer: CeilingRen
     assert largest_px2[2] < 0.3 * largest_px2[0]
 
 
+@pytest.mark.slow
 def test_a_long_rest_with_a_biased_gyro_does_not_disturb_the_gain(renderer: CeilingRenderer) -> None:
     drive = TrackedDrive(renderer, 0.0, gain=1.08, bias_rad_s=math.radians(1.0))
     drive.speed_m_s = 0.0
@@ -207,6 +210,7 @@ def test_a_long_rest_with_a_biased_gyro_does_not_disturb_the_gain(renderer: Ceil
     assert retained(drive.run(101, 112)) > 0.9
 
 
+@pytest.mark.slow
 def test_lost_features_are_reacquired_where_the_filter_predicts_them(renderer: CeilingRenderer) -> None:
     drive = TrackedDrive(renderer, math.radians(10.0))
     before = drive.run(0, 5)[-1]
@@ -260,6 +264,7 @@ def visual_slam(source: SimSource, tracked: list[FeatureObservations]) -> Visual
     return VisualSlam(EkfSlam(default_model(), Config(), source.rig), tracked.append)
 
 
+@pytest.mark.slow
 def test_an_image_waits_for_the_imu_and_is_tracked_in_order() -> None:
     source, tracked = image_source(), list[FeatureObservations]()
     stream = visual_slam(source, tracked)
@@ -277,6 +282,7 @@ def test_an_image_waits_for_the_imu_and_is_tracked_in_order() -> None:
     assert all(len(seen.ids) > 10 for seen in tracked)
 
 
+@pytest.mark.slow
 def test_the_filter_uses_images_and_their_own_noise() -> None:
     source = image_source()
     slam = EkfSlam(default_model(), Config(), source.rig)
@@ -288,6 +294,7 @@ def test_the_filter_uses_images_and_their_own_noise() -> None:
     assert slam.pixel_noise.std < 0.2, 'the noise of recorded features is not used'
 
 
+@pytest.mark.slow
 def test_images_before_a_clock_step_are_not_lost() -> None:
     source, tracked = image_source(0.5), list[FeatureObservations]()
     stream = visual_slam(source, tracked)

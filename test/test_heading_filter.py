@@ -85,6 +85,7 @@ class TestHeadingScores:
         np.testing.assert_array_less(np.abs(found.values - errors), 4.0 * std)
         assert np.all(std < 5e-4)
 
+    @pytest.mark.slow
     def test_the_standard_deviation_is_right(self) -> None:
         rate, size = self.columns()
         off = []
@@ -162,6 +163,7 @@ def run() -> Run:
 
 
 class TestOfARun:
+    @pytest.mark.slow
     def test_the_camera_sees_the_true_heading(self, run: Run) -> None:
         seen, truth = headings(run), truth_path(run)
         assert truth is not None
@@ -171,12 +173,14 @@ class TestOfARun:
         assert 0.5 < known.mean() < 1.0
         assert np.degrees(np.std(off[known])) < 0.3
 
+    @pytest.mark.slow
     def test_turns_by_the_gyro_use_the_final_coefficients(self, run: Run) -> None:
         seen, history = headings(run), run.history
         expected = (1.0 + run.state.coefficients[0]) * history.turn_rad + history.tilt_rad
         np.testing.assert_allclose(seen.turn_rad, expected, atol=1e-12)
         np.testing.assert_array_equal(seen.time_s, history.time_s)
 
+    @pytest.mark.slow
     def test_a_rough_floor_is_no_error_of_the_gyro(self) -> None:
         rough = calibrate(recording(bumps=40, floor_tilt_deg=1.5), Config(), default_model())
         seen, truth = headings(rough), truth_path(rough)
@@ -186,6 +190,7 @@ class TestOfARun:
         tilted = np.cumsum(rough.history.tilt_rad)
         assert np.std(off) < 0.5 * np.std(off - tilted)
 
+    @pytest.mark.slow
     def test_a_clean_run_has_no_structure_and_no_failure(self, run: Run) -> None:
         seen = headings(run)
         assert unexplained_structure(run, seen, DEFAULT_SETTINGS) is None and failures(run, seen) == []
@@ -196,6 +201,7 @@ def structure_of(made: Drive) -> UnexplainedStructure | None:
 
 
 class TestStructure:
+    @pytest.mark.slow
     def test_a_clean_drive_has_none(self) -> None:
         for seed in range(4):
             assert structure_of(clean(seed)) is None
@@ -266,6 +272,7 @@ class TestStructure:
         *others, fastest = np.degrees(structure.shape.values).tolist()
         assert fastest == pytest.approx(0.45, rel=0.2) and np.ptp(others) < 0.1
 
+    @pytest.mark.slow
     def test_a_gyro_too_noisy_has_none(self) -> None:
         for seed in range(3):
             made = drive(gyro_noise=4.0, seed=seed, signals={SIGNAL: switched()})

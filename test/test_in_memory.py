@@ -58,6 +58,7 @@ def assert_same(one: Run, other: Run) -> None:
 
 
 class TestFeatures:
+    @pytest.mark.slow
     def test_the_filter_gives_the_same_result(self) -> None:
         source = Counted(recording('cleaning', 1, 30.0))
         loaded, config = preload(source, Config(), default_model())
@@ -93,6 +94,7 @@ def filmed() -> Source:
 
 
 class TestImages:
+    @pytest.mark.slow
     def test_they_are_tracked_once_and_calibrate_as_well(self, filmed: Source) -> None:
         source = Counted(filmed)
         loaded, config = preload(source, Config(), default_model())
@@ -114,6 +116,7 @@ class TestImages:
         off = abs(float(again.state.coefficients[0] - direct.state.coefficients[0]))
         assert off < 0.1 * direct.history.std[-1, 9]
 
+    @pytest.mark.slow
     def test_a_recording_with_a_clock_step_keeps_its_images(self, filmed: Source) -> None:
         stepped = ModifiedSource(filmed, with_clock_step(30.0, 0.5 * FILMED_S))
         assert preload(stepped, Config(), default_model()) == (stepped, Config())

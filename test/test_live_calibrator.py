@@ -40,6 +40,7 @@ def replayed() -> Calibration:
 # --- the same as a replay -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_ordered_arrival_gives_the_result_of_a_replay() -> None:
     new = switched_on()
     new.run(measured())
@@ -51,6 +52,7 @@ def test_ordered_arrival_gives_the_result_of_a_replay() -> None:
     assert live.convergence_time_s == pytest.approx(wanted.convergence_time_s, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_sample_bag_in_recording_order_gives_the_result_of_its_replay() -> None:
     bag, config = open_bag(shipped('bags/cleaning'), Config()), Config()
     end_ns, last_ns = bag.span.start_ns + 20 * 10**9, 0
@@ -78,6 +80,7 @@ def test_the_sample_bag_in_recording_order_gives_the_result_of_its_replay() -> N
     np.testing.assert_allclose(live.stds, wanted.stds, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_delays_that_keep_the_order_of_each_stream_change_nothing() -> None:
     rng = random.Random(1)
     delay_s = {ImuSample: 0.002, WheelSample: 0.03, FeatureObservations: 0.08}
@@ -93,6 +96,7 @@ def test_delays_that_keep_the_order_of_each_stream_change_nothing() -> None:
     assert not any('left_out' in name for name in new.live.status(new.now_s).numbers)
 
 
+@pytest.mark.slow
 def test_an_effect_depends_on_its_signal() -> None:
     model = model_from_dict(
         {'name': 'fan', 'effects': ['scale_factor', 'covariate_bias:fan_speed.data']}, 'test'
@@ -115,6 +119,7 @@ def test_an_effect_depends_on_its_signal() -> None:
 # --- mounting -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_camera_that_becomes_known_late_costs_no_accuracy() -> None:
     new = robot()
     new.live.transforms([Transform(BODY_FRAME, IMU_FRAME, IDENTITY)])
@@ -127,6 +132,7 @@ def test_a_camera_that_becomes_known_late_costs_no_accuracy() -> None:
     assert abs(new.live.calibration.scale_factor - replayed().scale_factor) < replayed().scale_factor_std
 
 
+@pytest.mark.slow
 def test_without_transforms_the_mounting_comes_from_the_settings() -> None:
     mount, camera = source().rig.camera_mount, source().rig.camera
     assert camera is not None
@@ -143,6 +149,7 @@ def test_without_transforms_the_mounting_comes_from_the_settings() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('by_transform', [True, False])
 def test_an_imu_mounted_upside_down(by_transform: bool) -> None:
     def turned(item: Measurement) -> Measurement:
@@ -161,6 +168,7 @@ def test_an_imu_mounted_upside_down(by_transform: bool) -> None:
     assert bool(new.reported('is upside down')) is not by_transform
 
 
+@pytest.mark.slow
 def test_another_camera_mounting_restarts_the_estimate() -> None:
     new = switched_on()
     new.run(measured(0.0, 25.0))
@@ -175,6 +183,7 @@ def test_another_camera_mounting_restarts_the_estimate() -> None:
 # --- commands -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_stopped_estimate_is_kept_and_continued() -> None:
     new = switched_on(estimate=False)
     new.run(measured(0.0, 10.0))
@@ -190,6 +199,7 @@ def test_a_stopped_estimate_is_kept_and_continued() -> None:
     assert 'not estimating' in new.live.status(new.now_s).message
 
 
+@pytest.mark.slow
 def test_reset_discards_the_estimate() -> None:
     new = switched_on()
     new.run(measured(0.0, 25.0))
@@ -199,6 +209,7 @@ def test_reset_discards_the_estimate() -> None:
     assert new.live.calibration.scale_factor_std > 1e-3
 
 
+@pytest.mark.slow
 def test_a_new_threshold_takes_effect_at_once() -> None:
     new = switched_on()
     new.run(measured(0.0, 25.0))
@@ -212,6 +223,7 @@ def test_a_new_threshold_takes_effect_at_once() -> None:
 # --- the file -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_restarted_node_continues_from_the_saved_calibration(tmp_path: Path) -> None:
     path = tmp_path / 'robot' / 'calibration.yaml'
     first = switched_on(path, save_interval_s=10.0)
@@ -227,6 +239,7 @@ def test_a_restarted_node_continues_from_the_saved_calibration(tmp_path: Path) -
     assert abs(final.scale_factor - source().truth.scale_factor) < 3.0 * final.scale_factor_std
 
 
+@pytest.mark.slow
 def test_a_run_without_features_does_not_touch_the_file(tmp_path: Path) -> None:
     path = tmp_path / 'calibration.yaml'
     first = switched_on(path)

@@ -27,6 +27,7 @@ from gyrocal_ros.robot.health import Level
 from gyrocal_ros.sim.world import START_NS
 
 
+@pytest.mark.slow
 def test_a_covered_camera_is_reported_and_the_last_calibration_is_kept() -> None:
     def covered(item: Measurement) -> Measurement:
         if isinstance(item, FeatureObservations) and item.t_ns > at(25.0):
@@ -63,6 +64,7 @@ def test_missing_sensors_are_named() -> None:
         assert f'{topic}: no message yet' in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('step_s', [2.0, -2.0])
 def test_a_clock_step_is_reported_and_the_calibration_is_kept(step_s: float) -> None:
     new = switched_on()
@@ -82,6 +84,7 @@ def test_a_clock_step_is_reported_and_the_calibration_is_kept(step_s: float) -> 
     assert sum(gap_s > 0.1 for gap_s in gaps_s) == 1, 'all samples were calibrated at once'
 
 
+@pytest.mark.slow
 def test_simulated_time_may_run_at_any_speed() -> None:
     new = switched_on(steady=False)
     new.run(measured(0.0, 15.0), delay_s=lambda item: -0.9 * seconds(item.t_ns - START_NS))
@@ -103,6 +106,7 @@ def test_readings_without_finite_values_are_dropped_and_reported() -> None:
     assert all(math.isfinite(value) for sample in new.calibrated for value in sample.rate_rad_s)
 
 
+@pytest.mark.slow
 def test_contradicting_images_do_not_change_the_calibration() -> None:
     new = switched_on()
     new.run(measured(0.0, 30.0))
@@ -123,6 +127,7 @@ def test_messages_that_arrive_too_late_are_reported_by_topic() -> None:
     assert not new.reported('imu/data_raw: gap')
 
 
+@pytest.mark.slow
 def test_a_diverged_filter_is_restarted_with_the_last_good_calibration(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -149,6 +154,7 @@ def test_a_diverged_filter_is_restarted_with_the_last_good_calibration(
 # --- memory ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('silent', [ImuSample, WheelSample, FeatureObservations])
 def test_memory_is_bounded_whichever_sensor_is_silent(silent: type[Any]) -> None:
     new = switched_on()

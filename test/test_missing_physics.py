@@ -95,6 +95,7 @@ def searched() -> tuple[Search, Diagnosis]:
 
 
 class TestDiagnose:
+    @pytest.mark.slow
     def test_the_json_that_scripts_rely_on(self, skewed: Path, tmp_path: Path, capsys: Output) -> None:
         out = tmp_path / 'out'
         assert main(['diagnose', str(skewed), '--json', '-o', str(out)]) == 0
@@ -117,18 +118,21 @@ class TestDiagnose:
         assert isinstance(found['advice'], list) and isinstance(found['not_judged'], dict)
         assert {item.name for item in out.iterdir()} >= {'diagnosis.json', 'report.html'}
 
+    @pytest.mark.slow
     def test_a_bag_without_hidden_effects(self, plain: Path, capsys: Output) -> None:
         assert main(['diagnose', str(plain)]) == 0
         printed = capsys.readouterr().out
         assert printed.startswith('Nothing is missing')
         assert 'The most significant effect was' in printed and 'gyrocal add' not in printed
 
+    @pytest.mark.slow
     def test_as_text(self, searched: tuple[Search, Diagnosis]) -> None:
         lines = list(as_text(searched[1]))
         assert lines[0] == 'Missing: scale_asymmetry.'
         assert any('c = 0.01' in line and '->' in line for line in lines)
         assert 'Where the model fails, worst first:' in lines
 
+    @pytest.mark.slow
     def test_camera_effects_cannot_be_judged_without_a_camera(
         self, searched: tuple[Search, Diagnosis]
     ) -> None:
@@ -140,6 +144,7 @@ class TestDiagnose:
         assert not_judged['camera_tilt'] == 'not recorded: images of the ceiling'
         assert 'gyro_lag' not in not_judged
 
+    @pytest.mark.slow
     def test_the_next_command_can_be_copied(self, searched: tuple[Search, Diagnosis], tmp_path: Path) -> None:
         model = tmp_path / 'my model.yaml'
         parser = argparse.ArgumentParser()
@@ -167,6 +172,7 @@ class TestDiagnose:
         assert 'Missing: scale_asymmetry (not distinguishable here from scale_quadratic).' in printed
         assert any('scale_asymmetry' in text and 'scale_quadratic' in text for text in advice(unsure))
 
+    @pytest.mark.slow
     def test_a_coarse_converter_makes_the_verdict_uncertain(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched
         source = recording('cleaning', 3, DURATION_S)
@@ -212,6 +218,7 @@ class TestDiagnose:
 
 
 class TestCompare:
+    @pytest.mark.slow
     def test_the_json_that_scripts_rely_on(self, skewed: Path, tmp_path: Path, capsys: Output) -> None:
         models = [tmp_path / 'default.yaml', tmp_path / 'better.yaml']
         assert main(['add', 'scale_factor', '--model', str(models[0])]) == 0
@@ -235,6 +242,7 @@ class TestCompare:
         assert first['fails_by_truth'] and not second['fails_by_truth']
         assert found['drift_reference'] == 'ground truth' and found['wall_s'] > 0.0
 
+    @pytest.mark.slow
     def test_without_a_model_and_without_truth(self, plain: Path, tmp_path: Path, capsys: Output) -> None:
         out = tmp_path / 'out'
         assert main(['compare', str(plain), '-o', str(out)]) == 0
@@ -244,6 +252,7 @@ class TestCompare:
         (model,) = json.loads((out / 'comparison.json').read_text(encoding='utf-8'))['models']
         assert model['heading_rms_deg'] is None and model['fails_by_truth'] is None
 
+    @pytest.mark.slow
     def test_a_model_that_the_filter_cannot_run_with_is_reported(
         self, plain: Path, tmp_path: Path, capsys: Output, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -267,6 +276,7 @@ class TestCompare:
 
 
 class TestImprove:
+    @pytest.mark.slow
     def test_the_history_shows_the_error_falling(self, skewed: Path, tmp_path: Path, capsys: Output) -> None:
         out = tmp_path / 'improved'
         assert main(['improve', str(skewed), '-o', str(out)]) == 0
@@ -296,6 +306,7 @@ class TestImprove:
         assert main(['improve', str(skewed), '-o', str(out)]) == 2
         assert 'is not empty' in capsys.readouterr().err
 
+    @pytest.mark.slow
     def test_an_effect_that_is_not_there_is_left_out_and_reported(self, plain: Path, capsys: Output) -> None:
         assert main(['improve', str(plain), '--effect', 'scale_cubic', '--json']) == 0
         found = read_json(capsys)
@@ -305,6 +316,7 @@ class TestImprove:
         assert 'the held-out drift' in after['why'] and after['why'].endswith('sigma)')
         assert abs(after['held_out_drift_fell_sigma']) < 2.0 and before['kept']
 
+    @pytest.mark.slow
     def test_an_interruption_leaves_nothing(
         self, plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -323,6 +335,7 @@ class TestBadInput:
         (line,) = capsys.readouterr().err.splitlines()
         assert 'no_bag' in line and list(tmp_path.iterdir()) == []
 
+    @pytest.mark.slow
     def test_a_model_that_cannot_be_used(
         self, plain: Path, tmp_path: Path, capsys: Output, command: str
     ) -> None:

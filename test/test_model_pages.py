@@ -178,15 +178,18 @@ class TestWander:
 
 
 class TestSeries:
+    @pytest.mark.slow
     def test_a_shape_is_shown_less_its_mean(self, some_shape: Shape) -> None:
         curve = centred(shape(some_shape, TIME, [0.0, 1.0, 2.0], [0.0, 0.1, 0.2]))
         np.testing.assert_allclose(curve.values, [-1.0, 0.0, 1.0], atol=1e-12)
         np.testing.assert_allclose(curve.stds[0], math.hypot(0.1, 0.2) / 3.0)
 
+    @pytest.mark.slow
     def test_a_shape_over_the_rate_is_shown_less_a_straight_line(self, some_shape: Shape) -> None:
         curve = centred(shape(some_shape, RATE, [0.0, 2.0, 2.0], [0.0, 0.1, 0.1]))
         np.testing.assert_allclose(curve.values, [-1.0 / 3.0, 2.0 / 3.0, -1.0 / 3.0], atol=1e-12)
 
+    @pytest.mark.slow
     def test_knots_without_data_are_left_out(self, some_shape: Shape) -> None:
         part = shape(some_shape, TIME, [0.0, 1.0, math.nan], [0.0, 0.1, math.nan])
         fitted = replace(part.fit, values=part.fit.values[:1], covariance=part.fit.covariance[:1, :1])
@@ -269,6 +272,7 @@ class TestSeries:
 
 
 class TestFigures:
+    @pytest.mark.slow
     def test_axes_have_titles_and_traces_names(
         self, searched: Search, diagnosis: Diagnosis, improved: Improvement, comparison: Comparison
     ) -> None:
@@ -335,6 +339,7 @@ class TestFigures:
 
 
 class TestPages:
+    @pytest.mark.slow
     def test_diagnosis(self, searched: Search, diagnosis: Diagnosis) -> None:
         page = diagnosis_page(searched, diagnosis, [('warning', 'gaps in the <imu>')])
         names = ['heading', 'evidence', 'contribution_1', 'drift', 'drift_by_span']
@@ -345,6 +350,7 @@ class TestPages:
         assert diagnosis.fails_where[0].what in page
         assert page == diagnosis_page(searched, diagnosis, [('warning', 'gaps in the <imu>')])
 
+    @pytest.mark.slow
     def test_diagnosis_that_found_nothing(self, searched: Search, diagnosis: Diagnosis) -> None:
         nothing = replace(diagnosis, verdict='nothing_missing', missing=(), fails_where=())
         blind = replace(nothing, not_judged={'scale_temperature': 'not recorded: temperature'})
@@ -354,6 +360,7 @@ class TestPages:
         assert f'<p>{NO_FAILURE}</p>' in page
         assert 'not recorded: temperature' in page
 
+    @pytest.mark.slow
     def test_improvement(self, improved: Improvement) -> None:
         rejected = replace(improved.final, label='2_gyro_lag', is_kept=False, effect=find_effect('gyro_lag'))
         tried = replace(improved, revisions=(*improved.revisions, rejected))
@@ -362,6 +369,7 @@ class TestPages:
         assert '2_gyro_lag' in page
         assert 'gyro_lag was tried and' in page
 
+    @pytest.mark.slow
     def test_comparison(self, comparison: Comparison) -> None:
         page = comparison_page(comparison)
         names = ['drift', 'drift_by_span', 'heading', 'failures', 'truth', 'coefficients', 'innovations']
@@ -370,6 +378,7 @@ class TestPages:
         assert '&lt;old&gt;.yaml' in page
         assert '<old>' not in page.replace(plot.plotly_js(), '')
 
+    @pytest.mark.slow
     def test_pages_of_short_recordings_show_no_drift(
         self, comparison: Comparison, improved: Improvement
     ) -> None:
@@ -467,6 +476,7 @@ class TestConclusions:
 
 
 class TestFolders:
+    @pytest.mark.slow
     def test_hold_the_page_and_the_same_for_programs(
         self,
         searched: Search,

@@ -146,6 +146,7 @@ def test_first_yaw_is_that_after_the_first_step() -> None:
     np.testing.assert_allclose(position_m, plain_m @ R.T, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_error_of_a_planar_trajectory_is_of_second_order() -> None:
     exact = planar_by_integrate(*driven(1000))[-1]
     errors = []

@@ -78,6 +78,7 @@ def test_process_noise_acts_on_the_robot_alone() -> None:
     assert np.linalg.eigvalsh(noise[:9, :9]).min() > 0.0
 
 
+@pytest.mark.slow
 def test_gyro_noise_agrees_with_monte_carlo() -> None:
     """A density d makes the mean over an interval dt scatter by d / sqrt(dt)."""
     block, gyro = eventful_block(), replace(QUIET_GYRO, rate_noise_deg_s=0.5)

@@ -50,6 +50,7 @@ def spread_dots(rng: np.random.Generator, extent_m: float) -> Array:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('camera', 'max_px'), [(PINHOLE, 0.012), (CAMERA, 0.02)])
 def test_a_point_of_the_ceiling_is_imaged_where_geometry_projects_it(
     camera: CameraIntrinsics, max_px: float
@@ -86,6 +87,7 @@ def test_a_lower_layer_has_parallax_and_occludes_the_ceiling() -> None:
     assert (renderer.render(np.eye(3), np.array([9.0, 9.0, 0.1])) == 200).all()
 
 
+@pytest.mark.slow
 def test_the_same_seed_yields_the_same_bytes() -> None:
     R_wc, p_wc = np.eye(3), np.array([0.3, 0.2, 0.1])
     one, again, other = (

@@ -132,10 +132,12 @@ def figure_names(run: Run) -> list[str]:
 
 
 class TestFolder:
+    @pytest.mark.slow
     def test_it_contains_all_files(self, folder: Path) -> None:
         assert {file.name for file in folder.iterdir()} == FILES
         assert [item.name for item in folder.parent.iterdir()] == ['out']
 
+    @pytest.mark.slow
     def test_calibration_model_and_settings_load_again(
         self, folder: Path, run: Run, calibration: Calibration
     ) -> None:
@@ -145,6 +147,7 @@ class TestFolder:
         assert load_model(folder / 'model.yaml') == run.model
         assert load_config(folder / 'settings.yaml') == run.config != Config()
 
+    @pytest.mark.slow
     def test_the_summary_is_that_of_the_run(self, folder: Path, run: Run, calibration: Calibration) -> None:
         assert json.loads((folder / 'summary.json').read_text()) == summarise(run, calibration)
 
@@ -165,6 +168,7 @@ class TestFolder:
                 atol=1e-7,
             )
 
+    @pytest.mark.slow
     def test_files_of_the_user_are_kept(self, run: Run, calibration: Calibration, tmp_path: Path) -> None:
         (tmp_path / 'mine.txt').write_text('mine')
         with pytest.raises(GyrocalError, match='not empty'):
@@ -211,11 +215,13 @@ class TestPage:
         text = calibration_page(replace(run, events=(event,)), calibration)
         assert '12.3 s after the start: a new map was begun' in text
 
+    @pytest.mark.slow
     def test_the_same_run_gives_the_same_page(self, run: Run, calibration: Calibration) -> None:
         assert calibration_page(run, calibration) == calibration_page(run, calibration)
 
 
 class TestSections:
+    @pytest.mark.slow
     def test_figures_without_data_are_omitted(self, run: Run) -> None:
         assert figure_names(run) == [
             'scale_factor', 'path', 'map', 'distance', 'blind_drift', 'heading', 'bias', 'innovations',
@@ -228,6 +234,7 @@ class TestSections:
             'one span, no figure'
         )
 
+    @pytest.mark.slow
     def test_other_coefficients_of_a_larger_model_are_shown(self) -> None:
         model = model_from_dict({'effects': ['scale_factor', 'scale_cubic', 'bias_warmup']}, 'test')
         run = calibrate(SimSource(replace(SCENARIO, duration_s=25.0), 0), Config(), model)
@@ -374,6 +381,7 @@ def test_large_sigmas_have_no_exact_number(sigma: float, text: str) -> None:
     assert sigma_in_words(sigma) == text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('module', ['diagnose.json_summary', 'report.describe', 'studio.worker'])
 def test_numbers_and_sentences_need_no_plotly(module: str) -> None:
     code = f'import sys, gyrocal_ros.{module}; print("plotly" in sys.modules)'

@@ -91,6 +91,7 @@ def test_a_data_sheet_is_converted_to_a_wandering_bias() -> None:
     assert usual.bias_wander_deg_h == pytest.approx(SensorErrors().bias_wander_deg_h, rel=0.01)
 
 
+@pytest.mark.slow
 def test_ten_rotations_show_the_error_of_the_nominal_scale_factor(monkeypatch: pytest.MonkeyPatch) -> None:
     short = replace(
         find_scenario('blind_spins'),
@@ -115,6 +116,7 @@ def test_each_part_has_its_own_scale_factor_in_all_its_runs() -> None:
     assert parts[0] == parts[without_camera.REPEATS - 1] != parts[without_camera.REPEATS]
 
 
+@pytest.mark.slow
 def test_tracks_start_at_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracks, 'OFF_S', 30.0)
     monkeypatch.setattr(tracks, 'END_S', 50.0)
@@ -125,6 +127,7 @@ def test_tracks_start_at_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0.0 < float(result.end_errors_m[tracks.SLAM][0]) < 0.05
 
 
+@pytest.mark.slow
 def test_mapped_features_are_near_the_corners(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mapping, 'find_scenario', lambda name: SHORT_LANES)
     ceiling, path, corners, errors = mapping._lanes(0)
@@ -133,6 +136,7 @@ def test_mapped_features_are_near_the_corners(monkeypatch: pytest.MonkeyPatch) -
     assert path.position_m[0] == pytest.approx([0.0, 0.0], abs=0.01)
 
 
+@pytest.mark.slow
 def test_convergence_is_reported_for_every_variant(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(convergence, 'DURATION_S', 25.0)
     result = convergence.figure_10(map, 1)

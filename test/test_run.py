@@ -100,6 +100,7 @@ def test_a_step_without_a_measurement_has_no_heading_innovation() -> None:
     assert found.dof[0] == 0.0 and found.log_likelihood[0] == 0.0
 
 
+@pytest.mark.slow
 def test_memory_grows_with_the_steps() -> None:
     count = 2500
     found = history(*(replace(record(0.1 * i), pixel_noise_px=float(i)) for i in range(count)))

@@ -143,6 +143,7 @@ class TestSearch:
         assert added.predictive_gain == pytest.approx(400.0)
         assert added.is_kept == added.stands_out == is_kept
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(('part', 'is_tried'), [(0.5, False), (2.0, True)])
     def test_an_effect_that_hardly_adds_to_what_was_found_is_not_tried(
         self, part: float, is_tried: bool
@@ -167,6 +168,7 @@ class TestSearch:
         assert [effect.name for effect in found.last.model.effects] == ['scale_factor', 'scale_cubic']
         assert fake.models.count(('scale_factor', 'gyro_lag')) == 1
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(('more', 'first'), [(50.0, 'turn_slip'), (0.5 * MIN_GAIN, 'scale_cubic')])
     def test_of_two_that_look_alike_a_run_decides(self, more: float, first: str) -> None:
         sizes = {'turn_slip': 2.0, 'scale_cubic': 2.0}
@@ -177,6 +179,7 @@ class TestSearch:
         found = search(default_model(), AT_REST, fake)
         assert {item.effect.name for item in found.kept} == set(sizes), 'both are there in the end'
 
+    @pytest.mark.slow
     def test_the_number_of_runs_is_limited(self) -> None:
         sizes = dict.fromkeys(('gyro_lag', 'scale_cubic', 'turn_slip', 'focal_length'), 2.0)
         fake = FakeFilter(sizes, dict.fromkeys(sizes, 100.0))

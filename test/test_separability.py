@@ -40,6 +40,7 @@ def speeds() -> Figures:
     return figures('speeds')
 
 
+@pytest.mark.slow
 def test_the_figures_are_those_of_this_code(speeds: Figures) -> None:
     for name, sigma in speeds.shows.items():
         assert table().significance[name]['speeds'] == pytest.approx(sigma, rel=0.05, abs=0.5), name
@@ -59,6 +60,7 @@ def test_the_figures_cover_the_library_and_every_drive() -> None:
     assert table().everyday == EVERYDAY.name
 
 
+@pytest.mark.slow
 def test_the_separation_of_two_effects_is_what_the_other_cannot_explain(speeds: Figures) -> None:
     pair = ('scale_asymmetry', 'scale_quadratic')
     weaker = min(speeds.shows[name] for name in pair)
@@ -137,6 +139,7 @@ def test_advice_on_effects_without_figures_is_their_best_motion() -> None:
         best_drive('scale_power_4', 'scale_cubic')
 
 
+@pytest.mark.slow
 def test_a_diagnosis_on_the_advised_drive_finds_the_effect() -> None:
     effect, other = find_effect('bias_temperature'), 'bias_warmup'
     drive = TEST_DRIVES[best_drive(effect.name, other).drive]

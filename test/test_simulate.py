@@ -34,6 +34,7 @@ def digest(bag: Path) -> str:
     return hashlib.sha256(b''.join(file.read_bytes() for file in sorted(bag.iterdir()))).hexdigest()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_the_bag_contains_the_measurements_of_the_simulator(tmp_path: Path, storage: str) -> None:
     assert simulate(tmp_path / 'bag', '--storage', storage) == 0
@@ -57,6 +58,7 @@ def test_the_bag_contains_the_measurements_of_the_simulator(tmp_path: Path, stor
     assert sum(isinstance(item, TruthSample) for item in recorded) == 251
 
 
+@pytest.mark.slow
 def test_images_are_recorded_in_place_of_features(tmp_path: Path) -> None:
     assert simulate(tmp_path / 'bag', '--scenario', 'demo', '--images', '--duration', '2') == 0
     recorded = list(open_bag(tmp_path / 'bag', Config()).measurements())

@@ -58,6 +58,7 @@ def rates(source: SimSource) -> np.ndarray:
 # --- repeatability ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_same_seed_yields_the_same_bits_in_any_call_order() -> None:
     source = SimSource(SHORT, seed=5)
     first = as_bytes(list(source.measurements()))
@@ -131,6 +132,7 @@ def test_gyro_reads_the_true_rate_through_scale_factor_and_bias() -> None:
     np.testing.assert_allclose(scale * rates(source) + truth.bias_rad_s, true_rate, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_integrated_gyro_noise_grows_with_the_root_of_time() -> None:
     only_white = replace(SHORT, errors=replace(QUIET.errors, rate_noise_deg_s=0.0075), duration_s=120.0)
     none = replace(only_white, errors=QUIET.errors)
@@ -189,6 +191,7 @@ def test_wheels_read_the_mean_over_the_interval_that_ends_at_the_stamp() -> None
     np.testing.assert_allclose(turned, (after.euler_rad - before.euler_rad)[:, 2], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_distance_error_is_five_millimetres_per_root_metre() -> None:
     errors = []
     for seed in range(30):
@@ -216,6 +219,7 @@ def corner_of_each_id(source: SimSource) -> dict[int, int]:
     return corners
 
 
+@pytest.mark.slow
 def test_an_id_belongs_to_one_corner() -> None:
     corners = corner_of_each_id(
         SimSource(replace(SCENARIOS['furniture'], duration_s=120.0, errors=QUIET.errors))
@@ -223,6 +227,7 @@ def test_an_id_belongs_to_one_corner() -> None:
     assert len(corners) > len(set(corners.values())) > 20
 
 
+@pytest.mark.slow
 def test_ids_survive_short_absences_and_are_never_reused() -> None:
     seen_s: dict[int, list[float]] = {}
     for item in of_type(SimSource(replace(SCENARIOS['furniture'], duration_s=200.0)), FeatureObservations):
@@ -279,6 +284,7 @@ def test_camera_can_be_switched_off() -> None:
     assert times_s(images)[-1] == pytest.approx(12.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_images_show_furniture_and_ceiling() -> None:
     start = np.array([-2.0, -1.8])
     board = Furniture((start[0] - 1.0, start[0] + 1.0), (start[1] - 1.0, start[1] + 1.0), 0.25)
@@ -308,6 +314,7 @@ def test_ground_truth_is_the_pose_of_the_body() -> None:
     np.testing.assert_array_equal([item.yaw_rad for item in samples], yaw)
 
 
+@pytest.mark.slow
 def test_temperature_rises_and_current_follows_the_motion() -> None:
     source = SimSource(SCENARIOS['cleaning'], 3)
     temperature_c = [item.temperature_c for item in of_type(source, TemperatureSample)]

@@ -257,6 +257,7 @@ def test_a_clock_step_keeps_the_calibration_and_drops_the_map(step_s: float) -> 
     assert len(consumer.slam.state.landmarks.ids) > 10, 'a new map'
 
 
+@pytest.mark.slow
 def test_a_clock_step_aligns_a_heading_reference_again() -> None:
     consumer = stream()
 

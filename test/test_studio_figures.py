@@ -65,6 +65,7 @@ def size_bytes(figure: Any) -> int:
     return len(figure.to_json())
 
 
+@pytest.mark.slow
 def test_figures_of_an_hour_are_small(state: StudioState) -> None:
     long = an_hour(state)
     first = replace(long, tree=replace(long.tree, present_label=long.tree.models[0].label))
@@ -75,6 +76,7 @@ def test_figures_of_an_hour_are_small(state: StudioState) -> None:
             assert size_bytes(pictures.against_measurement(one, kind)) < MAX_BYTES, kind
 
 
+@pytest.mark.slow
 def test_a_spike_in_an_hour_is_drawn(state: StudioState) -> None:
     long = an_hour(state)
     first = replace(long, tree=replace(long.tree, present_label=long.tree.models[0].label))
@@ -112,6 +114,7 @@ def test_spans_with_the_camera_off_are_shaded(state: StudioState) -> None:
     assert [note.text for note in figure.layout.annotations].count('camera off') == 1
 
 
+@pytest.mark.slow
 def test_every_panel_names_its_unit(state: StudioState) -> None:
     for name, figure in pictures.all_figures(state).items():
         axes = [axis.title.text or '' for axis in figure.select_yaxes()]

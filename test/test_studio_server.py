@@ -49,10 +49,12 @@ def client(workspace: Any) -> Any:
 
 
 class TestAccess:
+    @pytest.mark.slow
     @pytest.mark.parametrize('host', ['127.0.0.1:8350', 'localhost', '[::1]:8350'])
     def test_requests_from_this_machine_are_accepted(self, client: Any, host: str) -> None:
         assert client.get('/', headers={'Host': host}).status_code == 200
 
+    @pytest.mark.slow
     @pytest.mark.parametrize('host', ['evil.example', 'evil.example:8350', '127.0.0.1.evil.example', ''])
     def test_other_host_names_that_resolve_to_this_machine_are_refused(self, client: Any, host: str) -> None:
         for path in ('/', '/_dash-layout', '/assets/studio.css'):

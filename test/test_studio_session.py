@@ -35,6 +35,7 @@ def session(opened: tuple[Session, InProcessWorker]) -> Session:
 
 
 class TestOpening:
+    @pytest.mark.slow
     def test_the_recording_is_checked_and_the_first_model_runs(self, session: Session) -> None:
         state = session.state
         assert state.contents is not None and state.contents.check is not None
@@ -42,6 +43,7 @@ class TestOpening:
         assert state.tree.present_label == FIRST and state.running is None
         assert state.improvement is not None and len(state.improvement.revisions) == 1
 
+    @pytest.mark.slow
     def test_a_preview_of_the_heading_is_sent_while_the_filter_runs(
         self, opened: tuple[Session, InProcessWorker]
     ) -> None:
@@ -50,6 +52,7 @@ class TestOpening:
         assert kinds.index(RecordingContents) < kinds.index(RunPreview)
         assert max(message.fraction for message in sent if isinstance(message, TaskProgress)) > 0.9
 
+    @pytest.mark.slow
     def test_the_best_explanation_is_found(self, session: Session) -> None:
         examination = session.state.examination
         assert examination is not None and examination.best is not None
@@ -62,6 +65,7 @@ class TestOpening:
 
 
 class TestModels:
+    @pytest.mark.slow
     def test_the_figures_of_merit_are_those_of_the_command(
         self,
         session: Session,
@@ -80,6 +84,7 @@ class TestModels:
             assert ours.fitted.rms_deg == pytest.approx(theirs['fitted_drift_deg']['rms'], rel=1e-9)
         assert revisions[1].held_out.rms_deg < 0.1 * revisions[0].held_out.rms_deg
 
+    @pytest.mark.slow
     def test_undo_and_adding_again_need_no_run(
         self, session: Session, opened: tuple[Session, InProcessWorker]
     ) -> None:
@@ -94,6 +99,7 @@ class TestModels:
         assert session.state.tree.present_label == SECOND and len(worker.executed) == count
         assert [one.label for one in session.improvement().kept] == [FIRST, SECOND]
 
+    @pytest.mark.slow
     def test_an_effect_with_a_forecast_is_added_without_a_run(
         self, session: Session, opened: tuple[Session, InProcessWorker]
     ) -> None:
@@ -296,6 +302,7 @@ class TestLesson:
 
 
 class TestReport:
+    @pytest.mark.slow
     def test_it_contains_pages_models_and_history(
         self, session: Session, opened: tuple[Session, InProcessWorker], monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -69,6 +69,7 @@ def test_a_recording_is_read_in_the_background(worker: Worker, recorder: Recorde
     assert kinds.index(RecordingContents) < kinds.index(Ready) and kinds.count(TaskProgress) > 10
 
 
+@pytest.mark.slow
 def test_a_cancelled_task_stops_and_the_next_one_runs(worker: Worker, recorder: Recorder) -> None:
     long = worker.submit(OpenRecording(HiddenEffectTask(1, Config(), duration_s=600.0), default_model()))
     recorder.wait(lambda task, message: task == long and isinstance(message, TaskProgress))

@@ -121,6 +121,7 @@ def test_ceiling_coordinates_and_pixels_are_inverse() -> None:
 # --- accuracy -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_turn_of_the_tracks_is_true_despite_a_prediction_error() -> None:
     rows = list(tracker_accuracy(1, (20.0, 100.0), Conditions(frames=25, attitude_error=0.08)))
     for row in rows:
@@ -130,6 +131,7 @@ def test_the_turn_of_the_tracks_is_true_despite_a_prediction_error() -> None:
         assert row['features'] > 10
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_track_is_white(renderer: CeilingRenderer) -> None:
     drive = RenderedDrive(renderer)
     tracked = [drive.step(0.1 * k, 0.02 * k, exposure=1.0 + 0.01 * k) for k in range(25)]
@@ -148,6 +150,7 @@ def test_the_noise_of_a_track_is_white(renderer: CeilingRenderer) -> None:
 # --- losing and reacquiring features --------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_occluded_feature_is_reacquired_with_its_id_and_ids_are_unique(renderer: CeilingRenderer) -> None:
     drive = RenderedDrive(renderer)
     before = [drive.step(0.1 * k, 0.01 * k, x_m=0.01 * k) for k in range(4)][-1]
@@ -163,6 +166,7 @@ def test_an_occluded_feature_is_reacquired_with_its_id_and_ids_are_unique(render
     assert len(common) >= 8
 
 
+@pytest.mark.slow
 def test_a_feature_lost_for_long_is_dropped(renderer: CeilingRenderer) -> None:
     drive = RenderedDrive(renderer, replace(CONFIG, reacquire_s=1.0))
     before = drive.step(0.0, 0.0)
@@ -362,6 +366,7 @@ def turn_between(before: Array, after: Array) -> float:
     return angle
 
 
+@pytest.mark.slow
 def test_the_heading_of_a_real_drive_agrees_with_another_tracker() -> None:
     """Track black and white images of lamps without a motion prediction, the hardest case of the tracker."""
     folder = DATA / 'cycloid-ceiling'

@@ -131,6 +131,7 @@ def run_live(delay_s: Callable[[Measurement], float]) -> tuple[list[FeatureObser
     return seen, slam
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_result_of_a_recording() -> None:
     source, measurements = film()
     expected: list[FeatureObservations] = []
@@ -153,6 +154,7 @@ def test_two_processes_give_the_result_of_a_recording() -> None:
 # --- timeouts -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_image_waits_for_the_imu_until_its_timeout() -> None:
     live = tracker()
     assert show(live, 0.0)
@@ -166,6 +168,7 @@ def test_an_image_waits_for_the_imu_until_its_timeout() -> None:
     assert live.work(0.2 + 1.1 * PATIENCE_S) is not None
 
 
+@pytest.mark.slow
 def test_an_image_waits_for_the_search_regions_of_the_one_before() -> None:
     live = tracker()
     for t_s in (0.0, 0.1):

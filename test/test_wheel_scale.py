@@ -86,12 +86,14 @@ def test_the_simulated_camera_has_its_nominal_mounting() -> None:
     np.testing.assert_array_equal(source.truth.camera_mount.p_bs, source.rig.camera_mount.p_bs)
 
 
+@pytest.mark.slow
 def test_the_estimate_agrees_with_its_standard_deviation() -> None:
     value, std = estimate(refit('wheel_scale'), 'wheel_scale')
     assert abs(value - SCALE) < 3.0 * std
     assert 0.002 < std < 0.01, 'half a millimetre of the lever arm of 9 cm'
 
 
+@pytest.mark.slow
 def test_the_path_stays_in_metres_of_the_odometer() -> None:
     source, run = larger_wheels(), refit('wheel_scale')
     true = source.truth.position(run.history.time_s)
@@ -101,6 +103,7 @@ def test_the_path_stays_in_metres_of_the_odometer() -> None:
     assert found_m * (1.0 + SCALE) == pytest.approx(reach_m, rel=0.015)
 
 
+@pytest.mark.slow
 def test_beside_the_camera_position_it_is_not_observable() -> None:
     run = refit('wheel_scale', 'camera_position')
     value, std = estimate(run, 'wheel_scale')
@@ -108,6 +111,7 @@ def test_beside_the_camera_position_it_is_not_observable() -> None:
     assert abs(value - SCALE) < 3.0 * std
 
 
+@pytest.mark.slow
 def test_its_score_statistics_are_those_of_the_camera_along_its_lever_arm() -> None:
     stage, not_judged = examined(larger_wheels())
     found = {ranked.effect.name: ranked for ranked in stage.ranked}
@@ -117,6 +121,7 @@ def test_its_score_statistics_are_those_of_the_camera_along_its_lever_arm() -> N
     assert 'wheel_scale' not in not_judged
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('at_m', [0.0, 0.005])
 def test_without_a_lever_arm_it_is_not_judged(at_m: float) -> None:
     centred = recording('cleaning', 2, 20.0, (WHEELS,), mount_xyz_m=(0.0, at_m, 0.1))

@@ -226,7 +226,7 @@ def addition(before: ExaminedModel, after: ExaminedModel) -> Addition:
     )
 
 
-def suspected_limits(
+def limits_to_check(
     present: ExaminedModel, recording: RecordingSummary, best: RankedEffect | None
 ) -> list[LimitProposal]:
     """Return limits that the readings suggest, beside the best explanation of another kind."""
@@ -301,7 +301,7 @@ def _next_addition(
     rival_gain = best.fit.gain if best is not None else 0.0
     structure = present.unexplained_structure
     structure_gain = structure.gain if structure is not None else 0.0
-    limits = [item for item in suspected_limits(present, recording, best) if item.effect.name not in tried]
+    limits = [item for item in limits_to_check(present, recording, best) if item.effect.name not in tried]
     for limit in (item for item in limits if item.is_certain):
         limited = _limited(present, limit.effect, recording, calibrate, settings.min_predictive_gain)
         if limited is not None:

@@ -25,7 +25,7 @@ from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.ranking import RankedEffect, best_explanation, indistinguishable
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.run_series import rows_to_draw
-from gyrocal_ros.diagnose.search import NONE, ExaminedModel, examine, recover, suspected_limits
+from gyrocal_ros.diagnose.search import NONE, ExaminedModel, examine, limits_to_check, recover
 from gyrocal_ros.diagnose.shapes import shapes
 from gyrocal_ros.diagnose.wander import Wander, wander
 from gyrocal_ros.ekf.run import Run
@@ -284,7 +284,7 @@ def _examination(examined: ExaminedModel, recorded: RecordingSummary) -> Examina
     return Examination(
         examined=examined,
         best=best,
-        limits=tuple(limit.effect for limit in suspected_limits(examined, recorded, best)),
+        limits=tuple(limit.effect for limit in limits_to_check(examined, recorded, best)),
         indistinguishable=()
         if best is None
         else tuple(indistinguishable(best, others, examined.scores, NONE, examined.settings)),

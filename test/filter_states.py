@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from contracts import FEATURES, LATER_POSE, NOISE_PX, PIXELS, view_at
+from contracts import CAMERA, FEATURES, LATER_POSE, NOISE_PX, PIXELS, view_at
 
 from gyrocal_ros.config.sections import Config, GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, IntArray, MotionBlock
@@ -17,6 +17,7 @@ from gyrocal_ros.ekf.predict import FilterModel, Transition, predict
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import State
 from gyrocal_ros.model.bias import BiasModel
+from gyrocal_ros.model.camera import bearing
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import Parametrisation
 from gyrocal_ros.model.sensor import SensorModel
@@ -36,6 +37,7 @@ SCALES = np.array([0.01, 0.001, 0.003, 40.0, 0.01, 0.005, 0.005, 0.003])
 """Standard deviations of the coefficients."""
 K, C = len(VALUES), 6
 INVERSE_DEPTH = PARAMETRISATIONS['inverse_depth']
+DIRECTIONS = bearing(CAMERA, PIXELS)
 QUIET_GYRO = replace(GyroConfig(), rate_noise_deg_s=0.0, bias_walk_deg_s=0.0)
 QUIET_WHEELS = WheelConfig(0.0, 0.0, 0.0, 0.0)
 
@@ -47,7 +49,7 @@ def some_state(form: Parametrisation = INVERSE_DEPTH, seed: int = 0, t_ns: int =
     mean = np.concatenate([LATER_POSE, [0.001, -0.002, 0.003], VALUES])
     state = replace(state, t_ns=t_ns, mean=mean)
     new = form.initialise(view_at(LATER_POSE), PIXELS, NOISE_PX, FEATURES)
-    state = augment(state, np.array([3, 1, 4, 15, 9]), new, None, None)
+    state = augment(state, np.array([3, 1, 4, 15, 9]), PIXELS, DIRECTIONS, new, None, None)
     scale = np.concatenate([[0.02] * 3, [0.003] * 3, [1e-4] * 3, SCALES, [0.02] * 15])
     mixing = scale[:, None] * rng.normal(size=(len(scale), len(scale))) / math.sqrt(len(scale))
     covariance = mixing @ mixing.T + np.diag((0.1 * scale) ** 2)

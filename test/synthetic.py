@@ -96,6 +96,7 @@ def drive(
         log_likelihood=zeros,
         used=np.ones(count),
         rejected=zeros,
+        in_view=np.ones(count),
         heading_innovation_rad=seen_rad - expected,
         heading_innovation_std_rad=np.full(count, HEADING_STD_RAD),
         pixel_noise_px=np.ones(count),

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts import FEATURES, NOISE_PX, PIXELS, assert_positive_definite, view_at
-from filter_states import INVERSE_DEPTH, C, K, block_diagonal, derivatives, some_state
+from filter_states import DIRECTIONS, INVERSE_DEPTH, C, K, block_diagonal, derivatives, some_state
 
-from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, forget_all, keep
+from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, forget_all, keep, mark_seen
 from gyrocal_ros.ekf.state import POSE, State
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import Parametrisation
@@ -20,7 +20,7 @@ def test_new_features_join_with_all_correlations(form: Parametrisation) -> None:
     state = some_state(form)
     new = form.initialise(view_at(state.mean[POSE]), PIXELS[:2] + 5.0, NOISE_PX, FEATURES)
     by_values, by_candidates = derivatives(np.arange(2), 3)
-    after = augment(state, np.array([20, 21]), new, by_values, by_candidates)
+    after = augment(state, np.array([20, 21]), PIXELS[:2], DIRECTIONS[:2], new, by_values, by_candidates)
     n = len(state.mean)
     jacobian = np.zeros((n + 6, n))
     jacobian[:n] = np.eye(n)
@@ -58,7 +58,10 @@ def test_removal_leaves_the_rest_unchanged() -> None:
 def test_a_feature_that_joins_and_leaves_changes_nothing() -> None:
     state = some_state()
     new = INVERSE_DEPTH.initialise(view_at(state.mean[POSE]), PIXELS[:1], NOISE_PX, FEATURES)
-    after = keep(augment(state, np.array([30]), new, None, None), np.array([True] * 5 + [False]))
+    after = keep(
+        augment(state, np.array([30]), PIXELS[:1], DIRECTIONS[:1], new, None, None),
+        np.array([True] * 5 + [False]),
+    )
     np.testing.assert_array_equal(after.mean, state.mean)
     np.testing.assert_array_equal(after.covariance, state.covariance)
 
@@ -75,17 +78,34 @@ def test_features_unseen_for_longest_are_evicted() -> None:
     assert evict_oldest(state, wanted=9, map_size=6).landmarks.ids.tolist() == []
 
 
+BEFORE = np.zeros((5, 2))
+
+
+def matched(state: State, rows: list[int], accepted: list[bool]) -> State:
+    before = BEFORE[: len(rows)]
+    return count_matches(state, np.array(rows), np.array(accepted), before - 3.0, before + 7.0, drop_after=3)
+
+
 def test_features_with_consecutive_outliers_are_removed() -> None:
     state = some_state()
     for _ in range(2):
-        state = count_matches(state, np.array([0, 2]), np.array([1, 4]), drop_after=3)
+        state = matched(state, [0, 1, 2, 4], [True, False, True, False])
     assert state.landmarks.rejections.tolist() == [0, 2, 0, 0, 2]
-    state = count_matches(state, np.array([4]), np.array([1]), drop_after=3)
+    state = matched(state, [4, 1], [True, False])
     assert state.landmarks.ids.tolist() == [3, 4, 15, 9]
     assert state.landmarks.rejections.tolist() == [0, 0, 0, 0]
 
 
 def test_matches_set_the_time_last_seen() -> None:
-    state = last_seen_at([0, 0, 0, 0, 0], t_ns=60)
-    state = count_matches(state, np.array([0, 2]), np.array([1]), drop_after=3)
+    state = matched(last_seen_at([0, 0, 0, 0, 0], t_ns=60), [0, 1, 2], [True, False, True])
     assert state.landmarks.last_seen_ns.tolist() == [60, 0, 60, 0, 0]
+    assert mark_seen(state, np.array([4])).landmarks.last_seen_ns.tolist() == [60, 0, 60, 0, 60]
+
+
+def test_features_that_are_judged_store_where_they_were_seen_and_expected() -> None:
+    after = matched(some_state(), [3, 1], [True, False])
+    kept, judged = [0, 2, 4], [1, 3]
+    np.testing.assert_array_equal(after.landmarks.last_pixels[judged], BEFORE[:2] - 3.0)
+    np.testing.assert_array_equal(after.landmarks.last_directions[judged], BEFORE[:2] + 7.0)
+    np.testing.assert_array_equal(after.landmarks.last_pixels[kept], PIXELS[kept])
+    np.testing.assert_array_equal(after.landmarks.last_directions[kept], DIRECTIONS[kept])

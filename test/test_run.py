@@ -17,7 +17,9 @@ from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
 K = 2
 STATS = UpdateStats(nis=3.0, dof=2, log_determinant=1.5)
 REST = UpdateStats(nis=1.0, dof=3, log_determinant=0.5)
-UPDATE = MeasurementUpdate(used=7, rejected=2, added=1, stats=STATS, heading_rad=0.01, heading_std_rad=0.002)
+UPDATE = MeasurementUpdate(
+    used=7, rejected=2, unmoved=1, added=1, stats=STATS, heading_rad=0.01, heading_std_rad=0.002
+)
 
 
 def record(time_s: float = 0.0, event: str = '', **covariates: float) -> StepRecord:
@@ -67,6 +69,7 @@ def test_each_field_of_the_history_is_that_of_the_step() -> None:
         'log_likelihood': STATS.log_likelihood + REST.log_likelihood,
         'used': 7.0,
         'rejected': 2.0,
+        'in_view': 10.0,
         'heading_innovation_rad': 0.01,
         'heading_innovation_std_rad': 0.002,
         'pixel_noise_px': 0.3,

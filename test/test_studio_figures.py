@@ -104,7 +104,8 @@ def test_spans_with_the_camera_off_are_shaded(state: StudioState) -> None:
     run = examined.run
     blind = (run.history.time_s > 30.0) & (run.history.time_s < 45.0)
     seen = np.where(blind, np.nan, run.history.heading_innovation_rad)
-    run = replace(run, history=replace(run.history, heading_innovation_rad=seen))
+    in_view = np.where(blind, 0.0, run.history.in_view)
+    run = replace(run, history=replace(run.history, heading_innovation_rad=seen, in_view=in_view))
     examination = replace(present.examination, examined=replace(examined, run=run))
     tree = state.tree.with_examination(present.label, examination)
     figure = pictures.against_measurement(replace(state, tree=tree), 'heading')

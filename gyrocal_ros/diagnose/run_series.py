@@ -82,7 +82,7 @@ def uncorrected(run: Run) -> Run:
 
 def camera_off(history: History) -> list[tuple[float, float]]:
     """Return beginning and end (s) of spans without an observed heading, `MIN_CAMERA_OFF_S` or longer."""
-    seen_s = history.time_s[np.isfinite(history.heading_innovation_rad)]
+    seen_s = history.time_s[np.isfinite(history.heading_innovation_rad) | (history.in_view > 0)]
     times = np.concatenate([history.time_s[:1], seen_s, history.time_s[-1:]])
     return [(low, high) for low, high in pairwise(times.tolist()) if high - low >= MIN_CAMERA_OFF_S]
 

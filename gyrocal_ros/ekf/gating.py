@@ -1,4 +1,4 @@
-"""Gates: which innovations to use, and which images."""
+"""Gates: which features to use, and which images."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gyrocal_ros.ekf.state import POSE, YAW, State
 from gyrocal_ros.statistics import chi_square_quantile
 
 MIN_FEATURES_FOR_MEDIAN = 4
-"""Fewest features whose median innovation widens the gate."""
+"""Fewest features whose median distance widens the gate."""
 
 
 def inliers(distances: Array, dof: int, outlier_probability: float) -> np.ndarray:
-    """Return which innovations to use, (m,) bool, by their squared Mahalanobis distances (m,).
+    """Return which features to use, (m,) bool, by their squared Mahalanobis distances (m,).
 
     The gate widens with the median of the image. A fixed gate would reject exactly the images in which an
     effect shows that the model lacks, and leave the filter certain of a wrong estimate.
@@ -27,6 +27,15 @@ def inliers(distances: Array, dof: int, outlier_probability: float) -> np.ndarra
         median = float(np.partition(distances, middle)[middle])
         bound *= max(1.0, median / chi_square_quantile(0.5, dof))
     return distances <= bound
+
+
+def agreeing(distances: Array, dof: int, outlier_probability: float) -> np.ndarray:
+    """Return which features to use, (m,) bool, by their distances (m,) from what the others predict.
+
+    Most features of an image agree, whatever the gyro does; the gate widens only where they do not.
+    """
+    close = distances <= chi_square_quantile(1.0 - outlier_probability, dof)
+    return close if 2 * close.sum() >= len(close) else inliers(distances, dof, outlier_probability)
 
 
 class MotionGate:

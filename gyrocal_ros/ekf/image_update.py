@@ -8,21 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array, FeatureObservations, SearchRegions
+from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, first_sight_by_values, measurement_by_values
-from gyrocal_ros.ekf.gating import inliers
-from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest
+from gyrocal_ros.ekf.gating import agreeing, inliers
+from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
+from gyrocal_ros.ekf.repeated_errors import motion
+from gyrocal_ros.ekf.robust import Judged, each_alone, robust
 from gyrocal_ros.ekf.state import YAW, State
 from gyrocal_ros.ekf.update import (
     Innovation,
     MeasurementUpdate,
     UpdateStats,
     innovate,
-    mahalanobis,
     own_precisions,
     update,
 )
-from gyrocal_ros.model.camera import project_with_jacobian
+from gyrocal_ros.model.camera import bearing, project_with_jacobian
 from gyrocal_ros.model.features.base import Parametrisation, PosedCamera, Prediction
 
 MIN_DEPTH = 1e-3
@@ -47,6 +48,8 @@ class ImageModel:
     """Effects that the model lacks."""
     pose_rate: Array
     """(6,) rate of the robot's pose."""
+    errors_repeat: bool
+    """True if a feature counts only after motion in the image."""
 
     def by_values(self, prediction: Prediction, values: Array) -> Array | None:
         """Return the derivative (m, r, k) of a prediction by the coefficients (k,)."""
@@ -67,37 +70,68 @@ def update_from_image(
         model: measurement model of the image.
         observations: features by the tracker.
     """
-    form, features = model.form, model.config.features
-    row_of = {feature: row for row, feature in enumerate(state.landmarks.ids.tolist())}
-    known = [i for i, feature in enumerate(observations.ids.tolist()) if feature in row_of]
-    if not known:
-        return state, MeasurementUpdate()
-    rows = np.array([row_of[int(observations.ids[i])] for i in known])
-    prediction = form.predict(model.view, state.features[rows], state.landmarks.anchors[rows])
-    measured, noise = form.measure(model.view, observations.pixels[known], model.noise_px, features)
-    by_values = model.by_values(prediction, state.coefficients)
-    by_candidates = model.by_candidates(prediction)
-    innovation = innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
-
-    precisions = own_precisions(innovation)
-    distances = mahalanobis(innovation.residual, precisions)
-    good = inliers(distances, DOF_PER_FEATURE, features.outlier_probability)
+    known, rows = _known(state, observations)
+    prediction = model.form.predict(model.view, state.features[rows], state.landmarks.anchors[rows])
+    directions, pixels, last = _directions(prediction), observations.pixels[known], state.landmarks[rows]
+    moved = motion(directions, pixels, last, model.view.camera.fx_px)
+    new = ~moved.unmoved if model.errors_repeat else np.ones(len(rows), bool)
+    state = mark_seen(state, rows[~new])
+    seen = MeasurementUpdate(unmoved=int((~new).sum()), changes_px2=moved.changes_px2[moved.unmoved])
+    if not new.any():
+        return state, seen
+    each = np.flatnonzero(new)
+    rows, prediction, directions, pixels = rows[each], prediction[each], directions[each], pixels[each]
+    innovation, judged, good = _judge(_innovation(state, model, rows, prediction, pixels), model)
     good &= prediction.points_c[:, 2] > MIN_DEPTH
+
     used = innovation if good.all() else innovation[np.flatnonzero(good)]
-    heading_rad, heading_std_rad = _as_heading(used, precisions[good])
+    heading_rad, heading_std_rad = _as_heading(used)
     stats = UpdateStats()
     if good.any():
         state, stats = update(state, used)
         stats = replace(stats, dof=DOF_PER_FEATURE * len(used.rows))
-    state = count_matches(state, rows[good], rows[~good], features.drop_after_rejections)
-    return state, MeasurementUpdate(
+    drop_after, is_in_pixels = model.config.features.drop_after_rejections, model.form.rows == 2
+    return count_matches(state, rows, good, pixels, directions, drop_after), replace(
+        seen,
         used=int(good.sum()),
         rejected=int((~good).sum()),
         stats=stats,
         heading_rad=heading_rad,
         heading_std_rad=heading_std_rad,
-        noise_distances=distances[_noise_dominates(innovation)] if form.rows == 2 else np.empty(0),
+        noise_distances=_noise_dominated(judged, moved.unmoved[each]) if is_in_pixels else np.empty(0),
     )
+
+
+def _known(state: State, observations: FeatureObservations) -> tuple[IntArray, IntArray]:
+    """Return which observations are of features in the map, and the indices of these features."""
+    row_of = {feature: row for row, feature in enumerate(state.landmarks.ids.tolist())}
+    found = [(i, row_of[feature]) for i, feature in enumerate(observations.ids.tolist()) if feature in row_of]
+    known, rows = np.array(found, np.int64).reshape(-1, 2).T
+    return known, rows
+
+
+def _innovation(
+    state: State, model: ImageModel, rows: IntArray, prediction: Prediction, pixels: Array
+) -> Innovation:
+    measured, noise = model.form.measure(model.view, pixels, model.noise_px, model.config.features)
+    by_values = model.by_values(prediction, state.coefficients)
+    by_candidates = model.by_candidates(prediction)
+    return innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
+
+
+def _judge(innovation: Innovation, model: ImageModel) -> tuple[Innovation, Judged, np.ndarray]:
+    """Return the innovation with robust weights, the comparison of its features, and which of them to use."""
+    outlier_probability = model.config.features.outlier_probability
+    if model.form.is_robust:
+        innovation, judged = robust(innovation)
+        return innovation, judged, agreeing(judged.distances, DOF_PER_FEATURE, outlier_probability)
+    judged = each_alone(innovation)
+    return innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability)
+
+
+def _directions(prediction: Prediction) -> Array:
+    """Return the expected directions (m, 2) x/z, y/z in the optical frame."""
+    return prediction.points_c[:, :2] / np.maximum(prediction.points_c[:, 2:], MIN_DEPTH)
 
 
 def unmapped(state: State, observations: FeatureObservations, map_size: int) -> list[int]:
@@ -123,7 +157,8 @@ def add_landmarks(
         prediction = model.form.predict(model.view, first.parameters, first.anchors)
         by_values = _at_first_sight(prediction, model.by_values(prediction, state.coefficients))
         by_candidates = _at_first_sight(prediction, model.by_candidates(prediction))
-    return augment(state, observations.ids[new], first, by_values, by_candidates)
+    ids, pixels = observations.ids[new], observations.pixels[new]
+    return augment(state, ids, pixels, bearing(model.view.camera, pixels), first, by_values, by_candidates)
 
 
 def search_regions(state: State, view: PosedCamera, form: Parametrisation, noise_px: float) -> SearchRegions:
@@ -157,13 +192,12 @@ def _at_first_sight(prediction: Prediction, by_values: Array | None) -> Array | 
     return None if by_values is None else first_sight_by_values(prediction, by_values)
 
 
-def _noise_dominates(innovation: Innovation) -> np.ndarray:
-    """Return which innovations have at least two thirds of their variance from the pixel noise, (m,) bool."""
-    total = np.einsum('mii->m', innovation.own_covariances())
-    return np.einsum('mii->m', innovation.noise) > total * 2.0 / 3.0
+def _noise_dominated(judged: Judged, unmoved: np.ndarray) -> Array:
+    """Return the distances of moved features whose variance is pixel noise by two thirds or more."""
+    return judged.distances[(judged.noise_share > 2.0 / 3.0) & ~unmoved]
 
 
-def _as_heading(innovation: Innovation, precisions: Array) -> tuple[float, float]:
+def _as_heading(innovation: Innovation) -> tuple[float, float]:
     """Return the innovation as a heading error, by least squares, and its standard deviation by pixel noise.
 
     Features are weighted by their own covariance: a new one, of unknown depth, hardly determines the heading.
@@ -171,6 +205,7 @@ def _as_heading(innovation: Innovation, precisions: Array) -> tuple[float, float
     """
     if len(innovation.rows) == 0 or innovation.noise.shape[1] != 2:
         return 0.0, float('nan')
+    precisions = own_precisions(innovation)
     by_yaw = innovation.prediction.by_pose[:, :, YAW]
     weighted = (precisions @ by_yaw[:, :, None])[:, :, 0]
     information = float(np.vdot(weighted, by_yaw))

@@ -12,13 +12,21 @@ from gyrocal_ros.model.features.base import NewFeatures
 
 
 def augment(
-    state: State, ids: IntArray, new: NewFeatures, by_values: Array | None, by_candidates: Array | None
+    state: State,
+    ids: IntArray,
+    pixels: Array,
+    directions: Array,
+    new: NewFeatures,
+    by_values: Array | None,
+    by_candidates: Array | None,
 ) -> State:
     """Eq. (18): add m features; the new block of P is `Jx P Jx^T + Jz R Jz^T`, with cross terms.
 
     Args:
         state: the state before.
         ids: (m,)
+        pixels: (m, 2) their observations.
+        directions: (m, 2) the same as x/z, y/z in the optical frame.
         new: the features at their first observation.
         by_values: (m, 3, k) their derivative with respect to the coefficients; None for zero.
         by_candidates: (m, 3, c) the same for effects that the model lacks.
@@ -44,6 +52,8 @@ def augment(
         anchors=old.anchors.joined(new.anchors),
         last_seen_ns=np.concatenate([old.last_seen_ns, np.full(count, state.t_ns)]),
         rejections=np.concatenate([old.rejections, np.zeros(count, np.int64)]),
+        last_pixels=np.concatenate([old.last_pixels, pixels]),
+        last_directions=np.concatenate([old.last_directions, directions]),
     )
     mean = np.concatenate([state.mean, new.parameters.ravel()])
     sensitivity = by_robot @ state.sensitivity[:r]
@@ -72,15 +82,34 @@ def forget_all(state: State) -> State:
     return keep(state, np.zeros(len(state.landmarks.ids), bool))
 
 
-def count_matches(state: State, accepted: IntArray, rejected: IntArray, drop_after: int) -> State:
-    """Count matches and consecutive outliers of each feature; remove those with too many outliers."""
-    landmarks = state.landmarks
-    last_seen_ns, rejections = landmarks.last_seen_ns.copy(), landmarks.rejections.copy()
-    last_seen_ns[accepted] = state.t_ns
-    rejections[accepted] = 0
-    rejections[rejected] += 1
-    state = replace(state, landmarks=replace(landmarks, last_seen_ns=last_seen_ns, rejections=rejections))
-    return keep(state, rejections < drop_after)
+def count_matches(
+    state: State, rows: IntArray, accepted: np.ndarray, pixels: Array, directions: Array, drop_after: int
+) -> State:
+    """Count matches and consecutive outliers of the features used; remove those with too many outliers.
+
+    Args:
+        state: after the update.
+        rows: (m,) indices of the features.
+        accepted: (m,) bool, False for an outlier.
+        pixels: (m, 2) their observations.
+        directions: (m, 2) their expected x/z, y/z in the optical frame.
+        drop_after: number of consecutive outliers at which a feature is removed.
+    """
+    old = state.landmarks
+    last_seen_ns, rejections = old.last_seen_ns.copy(), old.rejections.copy()
+    last_pixels, last_directions = old.last_pixels.copy(), old.last_directions.copy()
+    last_seen_ns[rows[accepted]] = state.t_ns
+    rejections[rows] = np.where(accepted, 0, rejections[rows] + 1)
+    last_pixels[rows], last_directions[rows] = pixels, directions
+    landmarks = Landmarks(old.ids, old.anchors, last_seen_ns, rejections, last_pixels, last_directions)
+    return keep(replace(state, landmarks=landmarks), rejections < drop_after)
+
+
+def mark_seen(state: State, rows: IntArray) -> State:
+    """Note that features of the given indices are in view."""
+    last_seen_ns = state.landmarks.last_seen_ns.copy()
+    last_seen_ns[rows] = state.t_ns
+    return replace(state, landmarks=replace(state.landmarks, last_seen_ns=last_seen_ns))
 
 
 def evict_oldest(state: State, wanted: int, map_size: int) -> State:

@@ -27,6 +27,7 @@ from gyrocal_ros.ekf.image_update import (
 from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.map_watch import MapWatch
 from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity
+from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector
 from gyrocal_ros.ekf.start import Start, inflate_after_gap, initial_state, restarted_at
 from gyrocal_ros.ekf.state import State
@@ -130,6 +131,7 @@ class EkfSlam:
             self.state = add_landmarks(self.state, self._image_model(), observations, new)
         if self.config.camera.estimate_pixel_noise:
             self.pixel_noise.update(update.noise_distances, 2)
+            self._repeated.update(update.changes_px2)
         return replace(update, added=len(new))
 
     def _image_model(self) -> ImageModel:
@@ -141,7 +143,12 @@ class EkfSlam:
             effects=self._effects,
             candidates=self._candidates,
             pose_rate=self._pose_rate,
+            errors_repeat=self._errors_repeat(),
         )
+
+    def _errors_repeat(self) -> bool:
+        is_learned = self.parametrisation.is_robust and self.config.camera.estimate_pixel_noise
+        return is_learned and self._repeated.are_expected(self.pixel_noise.std)
 
     # --- queries and settings for other rooms -----------------------------------------------------
 
@@ -164,6 +171,7 @@ class EkfSlam:
         """Restart the estimation of the pixel noise at this standard deviation."""
         max_px = max(MAX_PIXEL_NOISE_PX, 5.0 * std_px)
         self.pixel_noise = AdaptiveNoise(std_px, MIN_PIXEL_NOISE_PX, max_px)
+        self._repeated = RepeatedErrors(std_px)
 
     def start_at(self, t_ns: int) -> None:
         """Set the time of the first sample."""

@@ -5,7 +5,7 @@ position (3)  Euler angles (3)  gyro biases (3)  coefficients (k)  features (3 e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -30,9 +30,13 @@ class Landmarks:
     last_seen_ns: IntArray
     rejections: IntArray
     """Number of consecutive outliers."""
+    last_pixels: Array
+    """(m, 2) observation that was used last."""
+    last_directions: Array
+    """(m, 2) expected direction x/z, y/z in the optical frame at that time."""
 
     def __getitem__(self, rows: np.ndarray) -> Landmarks:
-        return Landmarks(self.ids[rows], self.anchors[rows], self.last_seen_ns[rows], self.rejections[rows])
+        return Landmarks(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,4 +98,4 @@ class State:
 def no_landmarks() -> Landmarks:
     """Return an empty map."""
     empty = np.empty(0, np.int64)
-    return Landmarks(empty, no_anchors(0), empty, empty)
+    return Landmarks(empty, no_anchors(0), empty, empty, np.empty((0, 2)), np.empty((0, 2)))

@@ -76,15 +76,18 @@ class MeasurementUpdate:
 
     used: int = 0
     rejected: int = 0
+    unmoved: int = 0
     added: int = 0
-    """Numbers of features used, rejected as outliers, and added to the map."""
+    """Numbers of features used, rejected as outliers, not used because unmoved, and added to the map."""
     stats: UpdateStats = UpdateStats()
     heading_rad: float = 0.0
     """The innovation as a heading: the rotation about the vertical that fits it best."""
     heading_std_rad: float = float('nan')
     """Its standard deviation by the measurement noise."""
     noise_distances: Array = field(default_factory=lambda: np.empty(0))
-    """Squared Mahalanobis distances of the innovations that the pixel noise dominates."""
+    """Squared distances of the features that the pixel noise dominates, see `robust.Judged`."""
+    changes_px2: Array = field(default_factory=lambda: np.empty(0))
+    """Changes of unmoved features, see `repeated_errors.Motion`."""
 
 
 def innovate(
@@ -140,7 +143,7 @@ def own_precisions(innovation: Innovation) -> Array:
     try:
         return np.linalg.inv(innovation.own_covariances())
     except np.linalg.LinAlgError as error:
-        raise _not_a_covariance() from error
+        raise not_a_covariance() from error
 
 
 def mahalanobis(residual: Array, precisions: Array) -> Array:
@@ -238,7 +241,7 @@ def _correct(
     try:
         factor = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError as error:
-        raise _not_a_covariance() from error
+        raise not_a_covariance() from error
     n = len(state.mean)
     whitened = np.linalg.solve(factor, np.concatenate([numerator, residual[:, None], sensitivity], axis=1))
     gain, score, sensitivities = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
@@ -254,7 +257,8 @@ def _correct(
     return after, replace(stats, information=sensitivities.T @ sensitivities, score=sensitivities.T @ score)
 
 
-def _not_a_covariance() -> FilterDivergedError:
+def not_a_covariance() -> FilterDivergedError:
+    """Return the error of a singular or indefinite covariance of an innovation."""
     return FilterDivergedError(
         'the covariance of the innovation is not positive definite', todo='check the noise settings'
     )

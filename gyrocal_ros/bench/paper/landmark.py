@@ -17,7 +17,7 @@ from gyrocal_ros.ekf.landmarks import augment
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION, State, no_landmarks
 from gyrocal_ros.ekf.update import innovate, update
 from gyrocal_ros.errors import FilterDivergedError
-from gyrocal_ros.model.camera import project
+from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import Parametrisation, posed_camera
 from gyrocal_ros.sim.sensors import stream
@@ -158,7 +158,7 @@ def landmark_errors_cm(form: Parametrisation, noise_px: float, seed: int) -> Arr
         pixels = project(CAMERA, LANDMARK_M - state.position_m) + noise_px * rng.standard_normal((1, 2))
         if step == 0:
             new = form.initialise(view, pixels, NOISE_PX, FEATURES)
-            state = augment(state, np.array([1]), new, None, None)
+            state = augment(state, np.array([1]), pixels, bearing(CAMERA, pixels), new, None, None)
         else:
             prediction = form.predict(view, state.features, state.landmarks.anchors)
             measured, noise = form.measure(view, pixels, NOISE_PX, FEATURES)

@@ -120,6 +120,10 @@ class Parametrisation(Protocol):
     def needs_motion_gate(self) -> bool:
         """True if camera updates must wait until the robot has moved."""
 
+    @property
+    def is_robust(self) -> bool:
+        """True if features are judged by each other; the forms for comparison are updated as in the paper."""
+
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> NewFeatures:

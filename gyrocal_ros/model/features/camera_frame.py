@@ -31,6 +31,7 @@ class CameraFramePoint:
     name: str = 'camera_frame'
     rows: int = 3
     needs_motion_gate: bool = True
+    is_robust: bool = False
 
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig

@@ -26,6 +26,7 @@ class AnchoredInverseDepth:
     name: str = 'inverse_depth'
     rows: int = 2
     needs_motion_gate: bool = False
+    is_robust: bool = True
 
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig

@@ -23,6 +23,7 @@ class PixelPoint:
     name: str = 'pixel'
     rows: int = 2
     needs_motion_gate: bool = False
+    is_robust: bool = False
 
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig

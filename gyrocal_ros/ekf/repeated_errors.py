@@ -1,0 +1,68 @@
+"""Errors that repeat: the matching error of a patch stays the same while the picture does.
+
+A hundred images of a robot at rest then hold one error a hundred times, and count as one. The autocorrelation
+of the errors on images is 0.97 below 0.05 px of motion and 0.4 at 0.4 px.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
+from gyrocal_ros.ekf.state import Landmarks
+
+MIN_MOTION_PX = 0.5
+"""Motion in the image from which errors do not repeat."""
+REPEATING = 0.5
+"""Errors repeat where unmoved features scatter less than this, relative to the pixel noise."""
+AT_FIRST = 0.2
+"""Assumed scatter at the start: errors repeat until unmoved features show otherwise, within few images."""
+MIN_SCATTER_PX = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Motion in the image of m features since they were used last."""
+
+    unmoved: np.ndarray
+    """(m,) bool, True for features that are expected where they were."""
+    changes_px2: Array
+    """(m,) squared change of the observation beyond the expected motion, halved: the difference of two
+    errors has twice the variance of one."""
+
+
+def motion(directions: Array, pixels: Array, last: Landmarks, focal_px: float) -> Motion:
+    """Return the motion of features since their last use.
+
+    Args:
+        directions: (m, 2) expected x/z, y/z in the optical frame.
+        pixels: (m, 2) their observations.
+        last: the features.
+        focal_px: focal length of the camera.
+    """
+    expected_px = focal_px * (directions - last.last_directions)
+    changes_px = pixels - last.last_pixels - expected_px
+    unmoved = np.linalg.norm(expected_px, axis=1) < MIN_MOTION_PX
+    return Motion(unmoved, 0.5 * np.sum(changes_px**2, axis=1))
+
+
+class RepeatedErrors:
+    """Learns whether the errors of unmoved features repeat.
+
+    Args:
+        noise_px: standard deviation of independent errors.
+    """
+
+    def __init__(self, noise_px: float) -> None:
+        self._scatter = AdaptiveNoise(AT_FIRST * noise_px, MIN_SCATTER_PX, 10.0 * noise_px)
+
+    def update(self, changes_px2: Array) -> None:
+        """Learn from the changes (m,) of unmoved features."""
+        self._scatter.update(changes_px2 / self._scatter.std**2, 2)
+
+    def are_expected(self, noise_px: float) -> bool:
+        """Return True if unmoved features scatter much less than the pixel noise (standard deviation)."""
+        return self._scatter.std < REPEATING * noise_px

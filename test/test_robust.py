@@ -1,0 +1,99 @@
+"""Features judged by each other: leave-one-out distances and Huber's weights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from contracts import NOISE_PX, PIXELS, view_at
+from filter_states import INVERSE_DEPTH, some_state
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.gating import agreeing
+from gyrocal_ros.ekf.robust import HUBER_BOUND, each_alone, leave_one_out, robust
+from gyrocal_ros.ekf.state import POSE, State
+from gyrocal_ros.ekf.update import Innovation, innovate
+
+ONES = np.ones(5)
+
+
+def known_map() -> State:
+    """Return a state with an uncertain pose and landmarks known to about the pixel noise."""
+    state = some_state()
+    std = np.full(len(state.mean), 1e-4)
+    std[POSE] = [0.02, 0.02, 0.001, 0.002, 0.002, 0.02]
+    return replace(state, covariance=0.01 * np.outer(std, std) + 0.99 * np.diag(std**2))
+
+
+def innovation_of(residual: Array) -> Innovation:
+    """Return the innovation of the five features of that state."""
+    state, rows = known_map(), np.arange(5)
+    prediction = INVERSE_DEPTH.predict(view_at(state.mean[POSE]), state.features, state.landmarks.anchors)
+    noise = np.broadcast_to(NOISE_PX**2 * np.eye(2), (5, 2, 2))
+    return innovate(state, rows, prediction, prediction.expected + residual, noise)
+
+
+def drawn(seed: int) -> Innovation:
+    """Return an innovation drawn from its own covariance."""
+    expected = innovation_of(np.zeros_like(PIXELS))
+    factor = np.linalg.cholesky(expected.covariance.reshape(10, 10))
+    residual = (factor @ np.random.default_rng(seed).normal(size=10)).reshape(5, 2)
+    return replace(expected, residual=residual)
+
+
+@pytest.mark.parametrize('feature', range(5))
+def test_the_difference_is_from_the_conditional_mean(feature: int) -> None:
+    innovation = drawn(3)
+    covariance, residual = innovation.covariance.reshape(10, 10), innovation.residual.ravel()
+    own = np.array([2 * feature, 2 * feature + 1])
+    others = np.setdiff1d(np.arange(10), own)
+    gain = np.linalg.solve(covariance[np.ix_(others, others)], covariance[np.ix_(others, own)]).T
+    difference = residual[own] - gain @ residual[others]
+    variance = covariance[np.ix_(own, own)] - gain @ covariance[np.ix_(others, own)]
+    expected = difference @ np.linalg.solve(variance, difference)
+    judged = leave_one_out(innovation, ONES)
+    assert judged.distances[feature] == pytest.approx(expected)
+    assert judged.noise_share[feature] == pytest.approx(2 * NOISE_PX**2 / np.trace(variance))
+
+
+def test_the_distances_are_chi_square_distributed() -> None:
+    distances = np.concatenate([leave_one_out(drawn(seed), ONES).distances for seed in range(400)])
+    assert np.mean(distances) == pytest.approx(2.0, rel=0.08)
+    assert np.mean(distances > 5.991) == pytest.approx(0.05, abs=0.015)
+
+
+def test_a_wrong_match_shows_more_clearly_than_by_the_map_alone() -> None:
+    residual = np.zeros((5, 2))
+    residual[2] = [8.0 * NOISE_PX, 0.0]
+    innovation = innovation_of(residual)
+    alone, judged = each_alone(innovation), leave_one_out(innovation, ONES)
+    assert judged.distances[2] > 3.0 * alone.distances[2]
+    assert np.argmax(robust(innovation)[1].distances) == 2
+
+
+def test_the_noise_of_a_contradicted_feature_grows() -> None:
+    residual = np.zeros((5, 2))
+    residual[2] = [10.0 * NOISE_PX, -10.0 * NOISE_PX]
+    innovation = innovation_of(residual)
+    result, judged = robust(innovation)
+    change = (result.covariance - innovation.covariance) / NOISE_PX**2
+    each = np.arange(5)
+    inflation = change[each, :, each, :]
+    expected = np.maximum(0.0, np.sqrt(judged.distances) / HUBER_BOUND - 1.0)
+    np.testing.assert_allclose(inflation, expected[:, None, None] * np.eye(2), rtol=0.1, atol=1e-9)
+    assert np.argmax(expected) == 2 and not expected[[0, 3, 4]].any()
+    change[each, :, each, :] = 0.0
+    assert not change.any()
+
+
+def test_an_image_without_outliers_is_left_alone() -> None:
+    innovation = innovation_of(np.zeros((5, 2)))
+    np.testing.assert_array_equal(robust(innovation)[0].covariance, innovation.covariance)
+
+
+def test_the_gate_is_fixed_where_most_features_agree() -> None:
+    bad = np.array([30.0, 40.0])
+    assert agreeing(np.append(np.full(6, 9.0), bad), 2, 1e-4).tolist() == [True] * 6 + [False] * 2
+    shifted = np.full(8, 200.0)
+    assert agreeing(shifted, 2, 1e-4).all(), 'an effect that the model lacks moves all of them'

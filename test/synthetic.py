@@ -91,6 +91,8 @@ def drive(
         time_s=time_s - DT_S,
         mean=mean,
         std=np.zeros_like(mean),
+        change=np.zeros((count, 2)),
+        change_variance=np.zeros((count, 2)),
         nis=zeros,
         dof=np.ones(count),
         log_likelihood=zeros,

@@ -25,6 +25,7 @@ from gyrocal_ros.bench.blind import (
     run_blind,
 )
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
+from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.effects import EFFECTS, find_effect
@@ -69,7 +70,7 @@ def diagnosed(
     *names: str, verdict: str = 'effect_found', left: UnexplainedStructure | None = None
 ) -> Diagnosis:
     missing = tuple(finding(find_effect(name)) for name in names)
-    return Diagnosis(verdict, missing, (), {}, left, (), 'ground truth')
+    return Diagnosis(verdict, missing, (), {}, left, (), ModelFit((), True), 'ground truth')
 
 
 def hidden(*names: str) -> tuple[Case, list[HiddenEffect]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gyrocal_ros.config.sections import Config
@@ -26,6 +27,7 @@ def calibration(converged: bool = True) -> Calibration:
         duration_s=1.0,
         source='test',
         end_ns=0,
+        inflation=np.ones(2),
     )
 
 

@@ -22,6 +22,7 @@ from gyrocal_ros.data import seconds
 from gyrocal_ros.diagnose.comparison import compare
 from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning, heading_error
 from gyrocal_ros.diagnose.json_summary import summarise
+from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.run_series import (
     CONFIDENCE,
     MAX_WINDOWS,
@@ -49,7 +50,7 @@ from gyrocal_ros.report.calibration import (
     coefficient_rows,
     conclusion,
 )
-from gyrocal_ros.report.describe import calibration_headline, sigma_in_words, with_std
+from gyrocal_ros.report.describe import DOES_NOT_FIT, calibration_headline, sigma_in_words, with_std
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -63,6 +64,8 @@ FILES = {
     'report.html',
 }
 SCENARIO = replace(find_scenario('cleaning'), duration_s=90.0, camera_until_s=80.0)
+
+FITS = ModelFit((), True)
 
 
 @pytest.fixture(scope='module')
@@ -336,7 +339,7 @@ class TestSentences:
         assert with_std(value, std) == text
 
     def test_a_good_calibration(self, run: Run, calibration: Calibration) -> None:
-        verdict = conclusion(calibration, run.config, blind_drift(uncorrected(run)), blind_drift(run))
+        verdict = conclusion(calibration, run.config, FITS, blind_drift(uncorrected(run)), blind_drift(run))
         assert verdict.good
         assert verdict.headline.startswith('Calibrated: the scale factor was known to 0.05 % after')
         assert '135.' in verdict.sentences[0]
@@ -346,25 +349,32 @@ class TestSentences:
 
     def test_a_calibration_that_needs_more_turns(self, run: Run, calibration: Calibration) -> None:
         early = replace(calibration, converged=False, convergence_time_s=None)
-        verdict = conclusion(early, run.config, blind_drift(run), blind_drift(run))
+        verdict = conclusion(early, run.config, FITS, blind_drift(run), blind_drift(run))
         assert not verdict.good
         assert 'Record more turns' in verdict.headline
 
+    def test_a_model_that_does_not_fit(self, run: Run, calibration: Calibration) -> None:
+        misfit = ModelFit(('the heading drifts by 3 deg',), True)
+        verdict = conclusion(calibration, run.config, misfit, blind_drift(run), blind_drift(run))
+        assert not verdict.good
+        assert verdict.headline.startswith('Not to be trusted: the heading drifts by 3 deg')
+        assert verdict.headline.endswith(DOES_NOT_FIT)
+
     def test_an_inconsistent_calibration(self, run: Run, calibration: Calibration) -> None:
         inconsistent = replace(calibration, converged=False)
-        verdict = conclusion(inconsistent, run.config, blind_drift(run), blind_drift(run))
+        verdict = conclusion(inconsistent, run.config, FITS, blind_drift(run), blind_drift(run))
         assert not verdict.good
         assert 'Not to be trusted' in verdict.headline
 
     def test_a_gyro_mounted_upside_down(self, run: Run, calibration: Calibration) -> None:
         turned = replace(calibration, values=np.array([0.0, -1.99]))
-        verdict = conclusion(turned, run.config, blind_drift(run), blind_drift(run))
+        verdict = conclusion(turned, run.config, FITS, blind_drift(run), blind_drift(run))
         assert 'reports 1.01 % too much, and turns the wrong way round' in verdict.sentences[0]
 
     def test_page_and_command_state_the_same_reason(self, run: Run, calibration: Calibration) -> None:
         for converged_s in (None, calibration.convergence_time_s):
             failed = replace(calibration, converged=False, convergence_time_s=converged_s)
-            headline = conclusion(failed, run.config, blind_drift(run), blind_drift(run)).headline
+            headline = conclusion(failed, run.config, FITS, blind_drift(run), blind_drift(run)).headline
             assert headline in as_text(summarise(run, failed), run.config)
             assert headline == calibration_headline(
                 False, converged_s, calibration.scale_factor_std, run.config

@@ -34,6 +34,8 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     sentences += _what_to_record(diagnosis.not_judged)
     if diagnosis.unexplained is None:  # structure hides what else could have been seen
         sentences += _what_to_drive(diagnosis.not_judged)
+    if diagnosis.fit.misfits:
+        sentences.append(f'The model does not fit: {join(list(diagnosis.fit.misfits))}.')
     if diagnosis.verdict == 'cannot_tell' and not diagnosis.missing:
         sentences.append(
             'Record at least two minutes with turns to both sides at several speeds, straight lanes '

@@ -9,6 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
+from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.ranking import RankedEffect, indistinguishable
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.search import ExaminedModel, Search
@@ -63,6 +64,8 @@ class Diagnosis:
     """Structure that no effect explains; None without."""
     fails_where: tuple[Failure, ...]
     """Places where the first model is off by more than chance, worst first."""
+    fit: ModelFit
+    """Whether the model with the effects found fits."""
     drift_reference: str
     """The reference of the drift."""
     coarse_step_rad_s: float | None = None
@@ -75,14 +78,15 @@ def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:
     missing = sorted(_missing(searched), key=lambda item: item.gain, reverse=True)
     not_judged = dict(_not_judged(last, recording))
     coarse_step_rad_s = coarse_step(recording.readings)
-    structure = last.unexplained_structure
+    structure, fit = last.unexplained_structure, model_fit(last.run)
     return Diagnosis(
-        verdict=_verdict(missing, structure, not_judged, coarse_step_rad_s is not None, last.settings),
+        verdict=_verdict(missing, structure, not_judged, coarse_step_rad_s is not None, fit, last.settings),
         missing=tuple(missing),
         ranked=first.ranked,
         not_judged=not_judged,
         unexplained=structure,
         fails_where=tuple(failures(first.run, first.seen, first.settings)),
+        fit=fit,
         drift_reference=reference_path(last.run)[1],
         coarse_step_rad_s=coarse_step_rad_s,
     )
@@ -140,6 +144,7 @@ def _verdict(
     left: UnexplainedStructure | None,
     not_judged: dict[str, str],
     is_coarse: bool,
+    fit: ModelFit,
     settings: DiagnosisSettings,
 ) -> str:
     if left is not None and left.gain > settings.leftover_part * sum(item.gain for item in missing):
@@ -147,6 +152,8 @@ def _verdict(
     if missing:
         is_ambiguous = is_coarse or any(item.confused_with for item in missing)
         return 'cannot_tell' if is_ambiguous else 'effect_found'
+    if fit.fits is False:
+        return 'cannot_tell'
     basic = [name for name, effect in EFFECTS.items() if shows_in_any_turns(effect)]
     judged = [name for name in basic if name not in not_judged]
     return 'nothing_missing' if len(judged) >= settings.min_judgeable_part * len(basic) else 'cannot_tell'

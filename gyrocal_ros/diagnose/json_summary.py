@@ -12,6 +12,7 @@ from gyrocal_ros.diagnose.comparison import Comparison, ModelResult
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, heading_rms_deg, held_out_from_s
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
+from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search
@@ -24,6 +25,7 @@ from gyrocal_ros.pipeline.calibration import Calibration, coefficient_table, con
 
 def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
     """Return what `replay --json` prints, except the wall time."""
+    fit = model_fit(run)
     summary: dict[str, Any] = {
         'source': run.source,
         SCALE_FACTOR: calibration.scale_factor,
@@ -31,11 +33,13 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
         'scale_factor_volt': calibration.scale_factor_volt,
         'bias': float(calibration.values[0]),
         'bias_std': float(calibration.stds[0]),
-        'converged': calibration.converged,
+        'converged': calibration.converged and not fit.misfits,
         'convergence_time_s': calibration.convergence_time_s,
         'coefficients': coefficient_table(calibration),
         'duration_s': calibration.duration_s,
         'nis_per_dof': nis_per_dof(run),
+        'model_fits': fit.fits,
+        'misfits': list(fit.misfits),
         'events': [event.text for event in run.events],
     }
     heading_rms = heading_rms_deg(run)
@@ -55,6 +59,8 @@ def summarise_diagnosis(searched: Search, diagnosis: Diagnosis) -> dict[str, Any
         'missing': [_missing(item) for item in diagnosis.missing],
         'fails_where': [_failure(failure) for failure in diagnosis.fails_where],
         'unexplained': _structure(diagnosis.unexplained),
+        'model_fits': diagnosis.fit.fits,
+        'misfits': list(diagnosis.fit.misfits),
         'advice': advice(diagnosis),
         'not_judged': diagnosis.not_judged,
         'ranked': [_ranked(ranked) for ranked in diagnosis.ranked],

@@ -30,6 +30,10 @@ class History:
     """(s, 9 + k) robot part of the state, as laid out in `ekf.state`."""
     std: Array
     """(s, 9 + k) its standard deviations."""
+    change: Array
+    """(s, 1 + k) change of yaw bias and coefficients by the measurements of the step."""
+    change_variance: Array
+    """(s, 1 + k) decrease of their variances by them."""
     columns: Array
     """(s, k) derivative of the correction with respect to the coefficients."""
     signals: Array
@@ -147,7 +151,7 @@ class Run:
 
 
 class Recorder:
-    """Collects the steps of a run in memory that grows by some 300 bytes a step."""
+    """Collects the steps of a run in memory that grows by some 350 bytes a step."""
 
     def __init__(self, coefficient_count: int, candidates: tuple[Effect, ...] = ()) -> None:
         self._scores = ScoreRecorder(candidates) if candidates else None
@@ -156,7 +160,13 @@ class Recorder:
         size = COEFFICIENTS_START + coefficient_count
         self._rows = np.empty(
             1024,
-            [('mean', float, (size,)), ('std', float, (size,)), ('columns', float, (coefficient_count,))]
+            [
+                ('mean', float, (size,)),
+                ('std', float, (size,)),
+                ('change', float, (1 + coefficient_count,)),
+                ('change_variance', float, (1 + coefficient_count,)),
+                ('columns', float, (coefficient_count,)),
+            ]
             + [(name, float) for name in SCALARS],
         )
         self._signals: dict[str, list[float]] = {}
@@ -174,7 +184,14 @@ class Recorder:
         if len(self._times_ns) == len(self._rows):
             self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
         scalars = (read(record) for read in SCALARS.values())
-        self._rows[len(self._times_ns)] = (record.mean, record.std, record.columns, *scalars)
+        self._rows[len(self._times_ns)] = (
+            record.mean,
+            record.std,
+            record.change,
+            record.change_variance,
+            record.columns,
+            *scalars,
+        )
         for name, values in record.block.covariates.items():
             column = self._signals.setdefault(name, [])
             column.extend([np.nan] * (len(self._t_ns) - len(column)))

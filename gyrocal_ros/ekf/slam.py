@@ -102,6 +102,8 @@ class EkfSlam:
                 self.state, transition, block, self._candidates, self._candidate_memories
             )
 
+        predicted = self.state
+
         # Zero-rate update: a robot that stands still does not turn.
         resting = UpdateStats()
         if self._rest.is_at_rest(block, self.config.rest.settle_s):
@@ -119,7 +121,7 @@ class EkfSlam:
             if self._map_watch.is_lost(update, self.pixel_noise):
                 self.state, event = forget_all(self.state), MAP_DROPPED
         noise_px = self.pixel_noise.std
-        return step_record(before, self.state, block, transition, update, resting, noise_px, event)
+        return step_record(before, predicted, self.state, block, transition, update, resting, noise_px, event)
 
     def _update_from_image(self, observations: FeatureObservations) -> MeasurementUpdate:
         features = self.config.features

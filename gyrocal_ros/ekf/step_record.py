@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.ekf.predict import Transition
-from gyrocal_ros.ekf.state import YAW, State
+from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
 
 
@@ -21,6 +21,10 @@ class StepRecord:
     """(9 + k,) robot part of the state after the step."""
     std: Array
     """(9 + k,) its standard deviations."""
+    change: Array
+    """(1 + k,) change of yaw bias and coefficients by the measurements of the step."""
+    change_variance: Array
+    """(1 + k,) decrease of their variances by them."""
     update: MeasurementUpdate
     """Update by an image or a heading."""
     resting: UpdateStats
@@ -46,6 +50,7 @@ class StepRecord:
 
 def step_record(
     before: State,
+    predicted: State,
     after: State,
     block: MotionBlock,
     transition: Transition,
@@ -54,16 +59,19 @@ def step_record(
     pixel_noise_px: float,
     event: str,
 ) -> StepRecord:
-    """Describe a step from the state before to the state after."""
+    """Describe a step from the state before over the predicted one to the state after."""
     correction = transition.contribution.correction
     columns = block.dt_s @ correction.by_values
     change = after.coefficients - before.coefficients
     r = after.robot_size
+    learned = slice(YAW_BIAS, r)
     turned_rad = transition.motion.euler_rad[2] - before.mean[YAW]
     return StepRecord(
         t_ns=block.end_ns,
         mean=after.mean[:r],
         std=np.sqrt(np.diagonal(after.covariance)[:r]),
+        change=after.mean[learned] - predicted.mean[learned],
+        change_variance=np.diagonal(predicted.covariance)[learned] - np.diagonal(after.covariance)[learned],
         update=update,
         resting=resting,
         block=block,

@@ -19,11 +19,15 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.ekf.convergence import Convergence
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.scatter import Scatter
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import write_text_atomic
 from gyrocal_ros.model.sensor import SensorModel
+
+SCALE = 1
+"""Place of the scale factor among bias and coefficients."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,21 +76,29 @@ class Calibration:
 
 
 def conclude(run: Run) -> Calibration:
-    """Return the calibration at the end of a run."""
+    """Return the calibration at the end of a run.
+
+    It has converged if the scale factor is known well enough, and neither the innovations nor the scatter of
+    the estimates contradict the filter.
+    """
     history, criteria = run.history, run.config.convergence
-    convergence = Convergence()
-    columns = (history.time_s, history.std[:, COEFFICIENTS_START], history.nis, history.dof)
-    for time_s, scale_std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
-        convergence.add(time_s, scale_std, nis, dof, criteria)
+    convergence, scatter = Convergence(), Scatter(1 + len(run.model.coefficients))
+    stds = history.std[:, YAW_BIAS:]
+    for i, time_s in enumerate(history.time_s.tolist()):
+        scatter.add(time_s, history.change[i], history.change_variance[i], stds[i] ** 2)
+        std = float(stds[i, SCALE] * scatter.inflation[SCALE])
+        convergence.add(time_s, std, float(history.nis[i]), int(history.dof[i]), criteria)
+    is_known = convergence.since_s is not None
     return calibration_of(
         run.state,
         run.model,
         run.config,
-        converged=convergence.since_s is not None and convergence.is_consistent(criteria),
+        converged=is_known and convergence.is_consistent(criteria) and not scatter.contradicts,
         convergence_time_s=convergence.since_s,
         duration_s=run.span.duration_s,
         source=run.source,
         end_ns=run.span.end_ns,
+        inflation=scatter.inflation,
     )
 
 
@@ -100,15 +112,22 @@ def calibration_of(
     duration_s: float,
     source: str,
     end_ns: int,
+    inflation: Array,
 ) -> Calibration:
-    """Return the calibration by a state of the filter; the keyword arguments are fields of `Calibration`."""
+    """Return the calibration by a state of the filter.
+
+    Args:
+        inflation: (1 + k,) factors on the standard deviations of bias and coefficients, see `ekf.scatter`.
+
+    The other keyword arguments are fields of `Calibration`.
+    """
     places = [YAW_BIAS, *range(COEFFICIENTS_START, state.robot_size)]
     return Calibration(
         model=model,
         names=('bias', *model.coefficient_names),
         units=('rad/s', *(item.unit for item in model.coefficients)),
         values=state.mean[places],
-        covariance=state.covariance[np.ix_(places, places)],
+        covariance=state.covariance[np.ix_(places, places)] * np.outer(inflation, inflation),
         nominal_scale_factor_volt=config.gyro.nominal_scale_factor_volt,
         converged=converged,
         convergence_time_s=convergence_time_s,

@@ -20,6 +20,7 @@ from gyrocal_ros.diagnose.drift import (
     slam_path,
     truth_path,
 )
+from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.run_series import CONFIDENCE, distances_m, uncorrected, windows
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.map import ceiling_map
@@ -85,7 +86,7 @@ def calibration_page(run: Run, calibration: Calibration, findings: Sequence[tupl
         f'Gyro calibration of {run.source}',
         f'{calibration.duration_s:.0f} s recorded, model {run.model.name}, gyrocal {__version__}',
         [
-            verdict_box(conclusion(calibration, run.config, *_drifts(run))),
+            verdict_box(conclusion(calibration, run.config, model_fit(run), *_drifts(run))),
             warnings([*findings, *events_in_words(run)]),
             table(
                 'Coefficients',
@@ -100,17 +101,24 @@ def calibration_page(run: Run, calibration: Calibration, findings: Sequence[tupl
     )
 
 
-def conclusion(calibration: Calibration, config: Config, before: BlindDrift, after: BlindDrift) -> Verdict:
+def conclusion(
+    calibration: Calibration, config: Config, fit: ModelFit, before: BlindDrift, after: BlindDrift
+) -> Verdict:
     """State the result of a calibration.
 
     Args:
         calibration: the result.
         config: settings of the run.
+        fit: whether the model fits the run.
         before: blind drift of the nominal gyro.
         after: blind drift of the calibrated gyro.
     """
     headline = calibration_headline(
-        calibration.converged, calibration.convergence_time_s, calibration.scale_factor_std, config
+        calibration.converged,
+        calibration.convergence_time_s,
+        calibration.scale_factor_std,
+        config,
+        fit.misfits,
     )
     sentences = [_scale_sentence(calibration), _bias_sentence(calibration)]
     if len(after.error_rad):
@@ -120,7 +128,7 @@ def conclusion(calibration: Calibration, config: Config, before: BlindDrift, aft
             f'({spread} against {REFERENCES[after.reference]}; worst {after.max_deg:.3g} deg). '
             f'With the nominal scale factor it was {before.rms_deg:.3g} deg.'
         )
-    return Verdict('good' if calibration.converged else 'bad', headline, tuple(sentences))
+    return Verdict('good' if calibration.converged and not fit.misfits else 'bad', headline, tuple(sentences))
 
 
 def coefficient_rows(calibration: Calibration, history: History) -> list[CoefficientRow]:

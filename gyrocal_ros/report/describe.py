@@ -47,8 +47,15 @@ class Verdict:
         return self.kind == 'good'
 
 
+DOES_NOT_FIT = 'The model does not fit this recording: run gyrocal diagnose.'
+
+
 def calibration_headline(
-    is_converged: bool, convergence_time_s: float | None, scale_std: float, config: Config
+    is_converged: bool,
+    convergence_time_s: float | None,
+    scale_std: float,
+    config: Config,
+    misfits: Sequence[str] = (),
 ) -> str:
     """State whether a calibration can be used, in one or two sentences.
 
@@ -57,8 +64,11 @@ def calibration_headline(
         convergence_time_s: time at which the scale factor reached its accuracy; None if it never did.
         scale_std: standard deviation of the scale factor at the end.
         config: settings of the run.
+        misfits: what contradicts the model, as clauses.
     """
     threshold = f'{100.0 * config.convergence.scale_std:g} %'
+    if misfits:
+        return f'Not to be trusted: {"; ".join(misfits)}. {DOES_NOT_FIT}'
     if convergence_time_s is None:
         return (
             f'Not calibrated yet: the scale factor is known to {100.0 * scale_std:.2g} % only, not to '

@@ -12,6 +12,7 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, Rig, seconds
 from gyrocal_ros.ekf.convergence import Convergence
+from gyrocal_ros.ekf.scatter import Scatter
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start, initial_state
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
@@ -19,7 +20,7 @@ from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.pipeline.calibration import Calibration, calibration_of
+from gyrocal_ros.pipeline.calibration import SCALE, Calibration, calibration_of
 
 CHECKPOINT_S = 5.0
 """Time for which the filter has to stay consistent after a state before that becomes the checkpoint."""
@@ -46,7 +47,6 @@ class Estimator:
 
     def __init__(self, model: SensorModel, config: Config, prior: Calibration | None, name: str) -> None:
         self.model, self.name = model, name
-        self.watch = Convergence()
         self._stream: SlamStream | None = None
         self.restarts = 0
         """Number of restarts because the filter had diverged."""
@@ -96,7 +96,9 @@ class Estimator:
     def calibration(self) -> Calibration:
         """The calibration of the last state that was trusted."""
         watch, prior = self.watch, self._prior
+        inflation = self._scatter.inflation
         std = float(np.sqrt(self._trusted.covariance[COEFFICIENTS_START, COEFFICIENTS_START]))
+        std *= float(inflation[SCALE])
         was_converged = prior is not None and prior.converged and not watch.is_settled
         is_consistent = was_converged or watch.is_consistent(self._config.convergence)
         is_narrow = std <= self._config.convergence.scale_std
@@ -104,11 +106,12 @@ class Estimator:
             self._trusted,
             self.model,
             self._config,
-            converged=is_narrow and is_consistent and not self.on_probation,
+            converged=is_narrow and is_consistent and not self._scatter.contradicts and not self.on_probation,
             convergence_time_s=watch.since_s,
             duration_s=self._time_s,
             source=self.name,
             end_ns=self._trusted.t_ns,
+            inflation=inflation,
         )
 
     def set_rig(self, rig: Rig, at: State) -> None:
@@ -194,6 +197,11 @@ class Estimator:
                 f'the images are less noisy than the filter assumes (NIS {nis:.1f}, from {limits.nis_low:g} '
                 'on is consistent): it adapts to that, or lower camera.pixel_noise_px'
             )
+        if self._scatter.contradicts:
+            yield (
+                'the model does not fit: the estimates change by far more than the filter expects; record a '
+                'bag and run `gyrocal diagnose` on it'
+            )
         if scale_std > limits.scale_std:
             yield (
                 'not converged yet: the standard deviation of the scale factor is '
@@ -217,6 +225,7 @@ class Estimator:
             'estimating': self.is_on,
             'recent_nis': round(self.watch.recent_nis, 3),
             'overall_nis': round(self.watch.overall_nis, 3),
+            'model_fits': not self._scatter.contradicts if self._scatter.is_judged else None,
             'pixel_noise_px': round(math.nan if slam is None else slam.pixel_noise.std, 3),
             'map_size': 0 if slam is None else len(slam.state.landmarks.ids),
             'filter_lag_s': round(self._lag_s(newest_ns), 3),
@@ -251,7 +260,7 @@ class Estimator:
         return seconds(newest_ns - self._stream.slam.state.t_ns)
 
     def _reset_watch(self) -> None:
-        self.watch = Convergence()
+        self.watch, self._scatter = Convergence(), Scatter(1 + len(self.model.coefficients))
         self._time_s = self._checkpoint_s = self._trusted_s = 0.0
         self._has_stepped = False
         self._checkpoint = self._candidate = self._trusted
@@ -287,7 +296,8 @@ class Estimator:
         if self._has_stepped:  # time counts from the first step, as in a replay
             self._time_s += record.block.duration_s
         self._has_stepped = True
-        scale_std = float(record.std[COEFFICIENTS_START])
+        self._scatter.add(self._time_s, record.change, record.change_variance, record.std[YAW_BIAS:] ** 2)
+        scale_std = float(record.std[COEFFICIENTS_START] * self._scatter.inflation[SCALE])
         self.watch.add(self._time_s, scale_std, stats.nis, stats.dof, self._config.convergence)
         if stats.dof > 0:
             self.has_learned = True

@@ -1,0 +1,90 @@
+"""Whether the model fits a recording, whatever it may lack."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.scatter import Scatter
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
+from gyrocal_ros.statistics import nis_per_dof
+
+MAX_DRIFT_RATIO = 4.0
+"""Largest blind drift, relative to what noise explains, of a model that fits."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFit:
+    """What contradicts the model."""
+
+    misfits: tuple[str, ...]
+    """Contradictions, as clauses; empty without."""
+    is_judged: bool
+    """True if the recording is long enough to tell."""
+
+    @property
+    def fits(self) -> bool | None:
+        """True or False; None if the recording cannot tell."""
+        return False if self.misfits else (True if self.is_judged else None)
+
+
+def model_fit(run: Run) -> ModelFit:
+    """Compare innovations, scatter of the estimates and held-out blind drift with what noise explains."""
+    scatter = scatter_of(run)
+    drift = blind_drift(run, from_s=held_out_from_s(run))
+    is_judged = scatter.is_judged and len(drift.error_rad) > 0
+    return ModelFit(tuple(_misfits(run, scatter, drift)), is_judged)
+
+
+def scatter_of(run: Run) -> Scatter:
+    """Return the scatter of yaw bias and coefficients over the run."""
+    history, scatter = run.history, Scatter(1 + len(run.model.coefficients))
+    variances = history.std[:, YAW_BIAS:] ** 2
+    columns = (history.time_s.tolist(), history.change, history.change_variance, variances)
+    for step in zip(*columns, strict=True):
+        scatter.add(*step)
+    return scatter
+
+
+def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
+    """Return the rms blind drift that noise explains; NaN where there is no span.
+
+    It adds the headings at both ends, the white noise and the bias walk of the gyro, and the uncertainty of
+    bias and coefficients at the beginning of each span.
+    """
+    history, gyro = run.history, run.config.gyro
+    moving = history.resting == 0
+    first = np.searchsorted(history.time_s, drift.start_s)
+    last = np.searchsorted(history.time_s, drift.start_s + drift.span_s)
+    valid_s = np.cumsum(np.where(moving, history.gyro_valid_s, 0.0))
+    columns = np.cumsum(np.where(moving[:, None], history.columns, 0.0), axis=0)
+    span_s = valid_s[last] - valid_s[first]
+    variance = history.std[first, YAW] ** 2 + history.std[last, YAW] ** 2
+    variance += math.radians(gyro.rate_noise_deg_s) ** 2 * span_s
+    variance += math.radians(gyro.bias_walk_deg_s) ** 2 * span_s**3 / 3.0
+    variance += (history.std[first, YAW_BIAS] * span_s) ** 2
+    by_coefficients = (columns[last] - columns[first]) * history.std[first, COEFFICIENTS_START:]
+    variance += np.sum(by_coefficients**2, axis=1)
+    return float(np.degrees(np.sqrt(np.mean(variance)))) if len(variance) else math.nan
+
+
+def _misfits(run: Run, scatter: Scatter, drift: BlindDrift) -> Iterator[str]:
+    nis, limit = nis_per_dof(run.history.nis, run.history.dof), run.config.convergence.nis_high
+    if nis is not None and nis > limit:
+        yield f'the innovations are larger than expected (NIS {nis:.1f} per degree of freedom)'
+    if scatter.contradicts:
+        yield (
+            'from stretch to stretch the estimates change by '
+            f'{scatter.inflation.max():.0f} times what the filter expects'
+        )
+    by_noise_deg = drift_by_noise_deg(run, drift)
+    if drift.rms_deg > MAX_DRIFT_RATIO * by_noise_deg:
+        yield (
+            f'the heading drifts by {drift.rms_deg:.2f} deg in {SPAN_S:.0f} s without the camera, of which '
+            f'noise explains {by_noise_deg:.2f} deg'
+        )

@@ -1,0 +1,84 @@
+"""Scatter of the estimates over stretches of a run, for standard deviations that survive model errors.
+
+Where the model is right, the changes of an estimate by the measurements are independent, and their variance
+is the decrease of the filter's own variance. Where the model lacks an effect, or successive errors are not
+independent, the changes over stretches of some seconds are larger. Their ratio is the factor by which the
+filter's variance is too small.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.statistics import chi_square_tail
+
+STRETCH_S = 10.0
+ROUNDING_S = 1e-6
+FORMING = 0.75
+"""Part of its variance by which a stretch, such as the first turn, forms the estimate. The filter is not
+linear there, so the stretch does not count; nor does the first one."""
+
+MIN_STRETCHES = 3
+"""Fewest stretches by which the model is judged."""
+MAX_INFLATION = 2.0
+CHANCE = 1e-6
+"""Inflation, and its probability by chance, from which the model does not fit. Errors of the map that last
+longer than a stretch inflate by up to 1.7."""
+
+
+class Scatter:
+    """Compares the changes of estimates with their predicted variance, in constant memory.
+
+    Args:
+        count: number of estimates.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._stretch = 0
+        self._change, self._decrease = np.zeros(count), np.zeros(count)
+        self._variance: Array = np.zeros(count)
+        self._ratios, self._stretches = np.zeros(count), np.zeros(count)
+
+    def add(self, time_s: float, change: Array, decrease: Array, variance: Array) -> None:
+        """Add one step of the filter.
+
+        Args:
+            time_s: time of the step.
+            change: (count,) changes of the estimates by its measurements.
+            decrease: (count,) decrease of their variances by them.
+            variance: (count,) their variances after the step.
+        """
+        stretch = int((time_s + ROUNDING_S) / STRETCH_S)
+        if stretch != self._stretch:
+            self._end_stretch()
+            self._stretch = stretch
+        self._change += change
+        self._decrease += decrease
+        self._variance = variance
+
+    @property
+    def inflation(self) -> Array:
+        """(count,) factors, 1 or more, on the standard deviations of the filter."""
+        return np.sqrt(np.maximum(1.0, self._ratios / np.maximum(self._stretches, 1.0)))
+
+    @property
+    def is_judged(self) -> bool:
+        """True if there are enough stretches to tell whether the model fits."""
+        return bool(self._stretches.max() >= MIN_STRETCHES)
+
+    @property
+    def contradicts(self) -> bool:
+        """True if some estimate scatters far more than the filter expects: the model lacks something."""
+        large = (self.inflation > MAX_INFLATION) & (self._stretches >= MIN_STRETCHES)
+        tails = (
+            chi_square_tail(float(self._ratios[i]), float(self._stretches[i])) for i in np.flatnonzero(large)
+        )
+        return any(tail < CHANCE for tail in tails)
+
+    def _end_stretch(self) -> None:
+        before = self._variance + self._decrease
+        counts = (self._decrease > 0.0) & (self._decrease < FORMING * before) & (self._stretch > 0)
+        self._ratios[counts] += self._change[counts] ** 2 / self._decrease[counts]
+        self._stretches[counts] += 1.0
+        self._change, self._decrease = np.zeros_like(self._change), np.zeros_like(self._decrease)

@@ -1,0 +1,66 @@
+"""Whether a model fits a recording."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import drive
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift
+from gyrocal_ros.diagnose.model_fit import ModelFit, drift_by_noise_deg, model_fit
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import conclude
+from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+
+def simulated(hidden: tuple[HiddenEffect, ...]) -> Run:
+    scenario = replace(find_scenario('cleaning'), duration_s=100.0)
+    return calibrate(SimSource(scenario, 3, hidden=hidden), Config(), default_model())
+
+
+@pytest.mark.slow
+def test_a_clean_recording_fits() -> None:
+    run = simulated(())
+    assert model_fit(run).fits is True
+    assert conclude(run).converged
+
+
+@pytest.mark.slow
+def test_a_missing_effect_contradicts_the_model_and_widens_the_result() -> None:
+    run = simulated((HiddenEffect(find_effect('scale_asymmetry'), (0.02,)),))
+    fit, calibration = model_fit(run), conclude(run)
+    assert fit.fits is False and not calibration.converged
+    assert any('the estimates change' in text for text in fit.misfits)
+    assert any('noise explains' in text for text in fit.misfits)
+    assert calibration.scale_factor_std > 10.0 * run.history.std[-1, 9]
+
+
+def test_a_short_recording_cannot_tell() -> None:
+    assert ModelFit((), False).fits is None
+    assert ModelFit((), True).fits is True
+    assert ModelFit(('too large',), False).fits is False
+
+
+def test_the_drift_by_noise_adds_all_its_sources() -> None:
+    run = drive(duration_s=100.0).run
+    history = run.history
+    steps = len(history.time_s)
+    std = np.zeros_like(history.std)
+    std[:, 5], std[:, 8] = 0.001, 1e-4
+    history = replace(history, std=std, gyro_valid_s=history.dt_s, resting=np.zeros(steps))
+    run = replace(run, history=history)
+    drift = blind_drift(run)
+    gyro, span_s = run.config.gyro, drift.span_s
+    rate, walk = math.radians(gyro.rate_noise_deg_s), math.radians(gyro.bias_walk_deg_s)
+    expected = 2.0 * 0.001**2 + rate**2 * span_s + walk**2 * span_s**3 / 3.0 + (1e-4 * span_s) ** 2
+    assert drift_by_noise_deg(run, drift) == pytest.approx(math.degrees(math.sqrt(expected)), rel=0.01)
+    none = BlindDrift(span_s, np.empty(0), np.empty(0), 'slam')
+    assert math.isnan(drift_by_noise_deg(run, none))

@@ -1,0 +1,64 @@
+"""Scatter of the estimates: standard deviations that survive errors of the model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.scatter import FORMING, MAX_INFLATION, STRETCH_S, Scatter
+
+STEPS = 100
+
+
+def scatter_of(factors: Array, seed: int = 0, first_decrease: float = 0.2) -> Scatter:
+    """Return the scatter of an estimate whose changes are larger than expected by factors (stretches,)."""
+    rng, variance, scatter = np.random.default_rng(seed), 1.0, Scatter(1)
+    dt_s = STRETCH_S / STEPS
+    for stretch, factor in enumerate([1.0, *factors, 1.0]):
+        part = first_decrease if stretch == 1 else 0.2
+        decrease = variance * part / STEPS
+        for step in range(STEPS):
+            variance -= decrease
+            change = factor * np.sqrt(decrease) * rng.normal(size=1)
+            scatter.add(stretch * STRETCH_S + step * dt_s, change, np.array([decrease]), np.array([variance]))
+    return scatter
+
+
+def test_changes_as_expected_are_not_inflated_on_average() -> None:
+    inflation = [scatter_of(np.ones(30), seed).inflation[0] for seed in range(30)]
+    assert np.mean(inflation) < 1.1
+    assert not any(scatter_of(np.ones(30), seed).contradicts for seed in range(30))
+
+
+@pytest.mark.parametrize('factor', [3.0, 10.0])
+def test_larger_changes_inflate_by_their_factor(factor: float) -> None:
+    scatter = scatter_of(np.full(60, factor))
+    assert scatter.inflation[0] == pytest.approx(factor, rel=0.2)
+    assert scatter.contradicts
+
+
+def test_an_inflation_that_may_be_chance_does_not_contradict() -> None:
+    scatter = scatter_of(np.full(60, 0.9 * MAX_INFLATION), seed=2)
+    assert scatter.inflation[0] > 1.3
+    assert not scatter.contradicts
+
+
+def test_a_stretch_that_forms_the_estimate_does_not_count() -> None:
+    factors = np.ones(20)
+    factors[0] = 50.0
+    assert scatter_of(factors, first_decrease=FORMING + 0.1).inflation[0] < 1.6
+    assert scatter_of(factors, first_decrease=FORMING - 0.1).inflation[0] > 5.0
+
+
+def test_few_stretches_do_not_judge() -> None:
+    assert not scatter_of(np.full(2, 20.0)).contradicts
+    assert not scatter_of(np.full(2, 20.0)).is_judged
+    assert scatter_of(np.full(3, 20.0)).contradicts
+
+
+def test_an_estimate_that_nothing_measures_is_left_alone() -> None:
+    scatter = Scatter(2)
+    for step in range(100):
+        scatter.add(float(step), np.array([0.0, 5.0]), np.array([0.0, 0.01]), np.array([1.0, 1.0]))
+    assert scatter.inflation[0] == 1.0 and scatter.inflation[1] > 10.0

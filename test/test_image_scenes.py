@@ -16,7 +16,7 @@ from gyrocal_ros.model.camera import in_image, project
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.msgs.images import after_jpeg
 from gyrocal_ros.sim.canvas import LEVELS_PER_GREY, OPAQUE, Grid, Layer
-from gyrocal_ros.sim.ceilings import CEILINGS, PHOTOGRAPH_M, draw_ceiling
+from gyrocal_ros.sim.ceilings import CEILINGS, PHOTOGRAPH_M, find_ceiling
 from gyrocal_ros.sim.image_conditions import (
     MAX_GAIN,
     TARGET_GREY,
@@ -63,7 +63,7 @@ class TestCeilings:
     @pytest.mark.parametrize('name', [name for name in CEILINGS if name != 'default'])
     def test_is_the_same_for_a_seed_and_sorted_from_high_to_low(self, name: str) -> None:
         first, again, other = (
-            draw_ceiling(name, np.random.default_rng(seed), HEIGHT_M, COARSE) for seed in (1, 1, 2)
+            find_ceiling(name).draw(np.random.default_rng(seed), HEIGHT_M, COARSE) for seed in (1, 1, 2)
         )
         assert all(np.array_equal(a.brightness, b.brightness) for a, b in zip(first, again, strict=True))
         assert not np.array_equal(first[0].brightness, other[0].brightness)
@@ -74,7 +74,7 @@ class TestCeilings:
     def test_differ_in_what_makes_them_difficult(self) -> None:
         grid = Grid(0.0067)
         drawn = {
-            name: draw_ceiling(name, np.random.default_rng(0), HEIGHT_M, grid)
+            name: find_ceiling(name).draw(np.random.default_rng(0), HEIGHT_M, grid)
             for name in ('tiles', 'plaster', 'lamps', 'beams', 'pipes')
         }
         grey = {name: layers[0].brightness / LEVELS_PER_GREY for name, layers in drawn.items()}
@@ -90,7 +90,9 @@ class TestCeilings:
     def test_a_photograph_is_a_ceiling_without_seams(self, tmp_path: Path) -> None:
         ramp = np.tile(np.linspace(0, 250, 100).astype(np.uint8), (50, 1))
         cv2.imwrite(str(tmp_path / 'ceiling.png'), ramp)
-        (layer,) = draw_ceiling(str(tmp_path / 'ceiling.png'), np.random.default_rng(0), HEIGHT_M, COARSE)
+        (layer,) = find_ceiling(str(tmp_path / 'ceiling.png')).draw(
+            np.random.default_rng(0), HEIGHT_M, COARSE
+        )
         assert layer.texel_m == PHOTOGRAPH_M / 100
         grey = layer.brightness / LEVELS_PER_GREY
         np.testing.assert_array_equal(grey[:50, :100], ramp)
@@ -98,10 +100,10 @@ class TestCeilings:
 
     def test_unknown_names_and_files_that_are_no_images_are_refused(self, tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match='tyles'):
-            draw_ceiling('tyles', np.random.default_rng(0), HEIGHT_M, COARSE)
+            find_ceiling('tyles').draw(np.random.default_rng(0), HEIGHT_M, COARSE)
         (tmp_path / 'text.jpg').write_text('no image')
         with pytest.raises(ConfigError, match='not an image'):
-            draw_ceiling(str(tmp_path / 'text.jpg'), np.random.default_rng(0), HEIGHT_M, COARSE)
+            find_ceiling(str(tmp_path / 'text.jpg')).draw(np.random.default_rng(0), HEIGHT_M, COARSE)
 
 
 @pytest.mark.slow
@@ -218,7 +220,7 @@ class TestConditions:
 
     def test_without_antialiasing_detail_below_a_pixel_remains(self) -> None:
         sharp, smooth = (
-            draw_ceiling('tiles', np.random.default_rng(0), HEIGHT_M, Grid(0.0067, blur))[0].brightness
+            find_ceiling('tiles').draw(np.random.default_rng(0), HEIGHT_M, Grid(0.0067, blur))[0].brightness
             for blur in (0.0, 2.4)
         )
         assert (

@@ -22,7 +22,7 @@ from gyrocal_ros.msgs.images import after_jpeg
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.pipeline.in_memory import preload
-from gyrocal_ros.sim.image_scenes import SCENES, find_scene
+from gyrocal_ros.sim.image_scenes import find_scene
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 from gyrocal_ros.statistics import nis_per_dof
@@ -91,15 +91,15 @@ class EyesRun:
     """Processor time per image."""
 
 
-def eyes(seeds: int, scenes: Sequence[str] = (), seconds: float = 120.0) -> Iterator[dict[str, Any]]:
+def eyes(seeds: int, scenes: Sequence[str], seconds: float) -> Iterator[dict[str, Any]]:
     """Yield one row per scene as they become ready, and one for all scenes together.
 
     Args:
         seeds: number of recordings of each scene.
-        scenes: names of scenes; empty for all.
+        scenes: names of scenes.
         seconds: length of a recording.
     """
-    tasks = [(scene, seed, seconds) for scene in scenes or SCENES for seed in range(seeds)]
+    tasks = [(scene, seed, seconds) for scene in scenes for seed in range(seeds)]
     every = []
     for scene, group in groupby(in_parallel(_run_task, tasks), key=lambda run: run.scene):
         runs = list(group)
@@ -135,7 +135,7 @@ def eyes_row(label: str, runs: Sequence[EyesRun]) -> dict[str, Any]:
 
     scale_rms_percent, scale_max_percent: relative error of the scale factor.
     scale_z_rms, bias_z_rms: errors over their standard deviations, 1 for a consistent filter.
-    scale_in_95, bias_in_95: share of the errors within 1.96 standard deviations, 0.95 for a consistent filter.
+    scale_in_95, bias_in_95: share of errors within 1.96 standard deviations, 0.95 for a consistent filter.
     render_ms, tracker_ms: processor time per image; the tracker's is that of tracker and filter together less
     that of the filter alone.
     """

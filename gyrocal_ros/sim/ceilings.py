@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal_ros.errors import ConfigError, RecordingError, did_you_mean
-from gyrocal_ros.msgs.images import read_grey_file
 from gyrocal_ros.sim.canvas import LEVELS_PER_GREY, Canvas, Grid, Layer, cut_out
 from gyrocal_ros.sim.moving import sun_patch
 from gyrocal_ros.sim.texture import ceiling_layers
@@ -33,24 +32,21 @@ class Ceiling:
     """Function of a generator, the height (m) and the resolution to layers from high to low."""
 
 
-def draw_ceiling(name: str, rng: np.random.Generator, height_m: float, grid: Grid) -> tuple[Layer, ...]:
-    """Draw a ceiling and what hangs below it, from high to low.
+def find_ceiling(name: str) -> Ceiling:
+    """Return the ceiling of that name, or that of a photograph.
 
     Args:
         name: one of `CEILINGS`, or the file of a photograph.
-        rng: generator of the whole texture.
-        height_m: height of the ceiling above the floor.
-        grid: resolution.
 
     Raises:
         ConfigError: there is no such ceiling or file.
     """
     if name in CEILINGS:
-        return CEILINGS[name].draw(rng, height_m, grid)
+        return CEILINGS[name]
     if not Path(name).is_file():
         todo = f'{did_you_mean(name, list(CEILINGS))}, or give the file of a photograph'
         raise ConfigError(f'{name!r} is not a ceiling', where='ceiling', todo=todo)
-    return (photograph(Path(name), height_m),)
+    return Ceiling('a photograph', lambda rng, height_m, grid: (photograph(Path(name), height_m),))
 
 
 def photograph(file: Path, height_m: float) -> Layer:
@@ -59,6 +55,8 @@ def photograph(file: Path, height_m: float) -> Layer:
     Raises:
         ConfigError: the file is not an image.
     """
+    from gyrocal_ros.msgs.images import read_grey_file  # OpenCV is loaded only for photographs
+
     try:
         grey = read_grey_file(file)
     except RecordingError as error:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gyrocal_ros.data import Array, CameraIntrinsics
 from gyrocal_ros.sim.canvas import LEVELS_PER_GREY, OPAQUE, Layer
-from gyrocal_ros.sim.ceilings import draw_ceiling
+from gyrocal_ros.sim.ceilings import find_ceiling
 from gyrocal_ros.sim.image_conditions import ExposureControl, ImageConditions, flicker
 from gyrocal_ros.sim.image_sensor import ImageSensor
 from gyrocal_ros.sim.moving import moving_layers
@@ -51,7 +51,7 @@ class ImageSequence:
         grid = texture_grid(camera, CEILING_HEIGHT_M)
         if not conditions.antialiased:
             grid = replace(grid, blur_texels=0.0)
-        fixed = draw_ceiling(ceiling, stream(seed, 'ceiling'), CEILING_HEIGHT_M, grid)
+        fixed = find_ceiling(ceiling).draw(stream(seed, 'ceiling'), CEILING_HEIGHT_M, grid)
         moving = moving_layers(conditions, stream(seed, 'moving'), CEILING_HEIGHT_M, grid)
         undersides = [_underside(item) for item in furniture]
         layers = sorted([*fixed, *moving, *undersides], key=lambda layer: -layer.height_m)

@@ -90,13 +90,17 @@ class TestCeilings:
     def test_a_photograph_is_a_ceiling_without_seams(self, tmp_path: Path) -> None:
         ramp = np.tile(np.linspace(0, 250, 100).astype(np.uint8), (50, 1))
         cv2.imwrite(str(tmp_path / 'ceiling.png'), ramp)
-        (layer,) = find_ceiling(str(tmp_path / 'ceiling.png')).draw(
-            np.random.default_rng(0), HEIGHT_M, COARSE
-        )
+        ceiling = find_ceiling(str(tmp_path / 'ceiling.png'))
+        (layer,) = ceiling.draw(np.random.default_rng(0), HEIGHT_M, COARSE)
         assert layer.texel_m == PHOTOGRAPH_M / 100
         grey = layer.brightness / LEVELS_PER_GREY
         np.testing.assert_array_equal(grey[:50, :100], ramp)
         assert np.abs(np.diff(grey, axis=1)).max() < 4.0 and grey[0, 0] == grey[0, -1]
+        (reduced,) = ceiling.draw(np.random.default_rng(0), HEIGHT_M, Grid(0.2))
+        assert reduced.texel_m == 4 * layer.texel_m
+        np.testing.assert_allclose(
+            reduced.brightness[0, :25] / LEVELS_PER_GREY, ramp[0].reshape(25, 4).mean(axis=1), atol=0.5
+        )
 
     def test_unknown_names_and_files_that_are_no_images_are_refused(self, tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match='tyles'):

@@ -46,11 +46,16 @@ def find_ceiling(name: str) -> Ceiling:
     if not Path(name).is_file():
         todo = f'{did_you_mean(name, list(CEILINGS))}, or give the file of a photograph'
         raise ConfigError(f'{name!r} is not a ceiling', where='ceiling', todo=todo)
-    return Ceiling('a photograph', lambda rng, height_m, grid: (photograph(Path(name), height_m),))
+    return Ceiling('a photograph', lambda rng, height_m, grid: (photograph(Path(name), height_m, grid),))
 
 
-def photograph(file: Path, height_m: float) -> Layer:
+def photograph(file: Path, height_m: float, grid: Grid) -> Layer:
     """Return a photograph as a ceiling; it is mirrored where it repeats, so that there are no seams.
+
+    Args:
+        file: a jpeg or png file.
+        height_m: height of the ceiling above the floor.
+        grid: resolution; a finer photograph is reduced to it, unless there is aliasing.
 
     Raises:
         ConfigError: the file is not an image.
@@ -61,14 +66,19 @@ def photograph(file: Path, height_m: float) -> Layer:
         grey = read_grey_file(file)
     except RecordingError as error:
         raise ConfigError('is not an image', where=str(file), todo='give a jpeg or png file') from error
+    if grid.blur_texels > 0.0:
+        grey = _reduced(grey, max(int(grid.texel_m * grey.shape[1] / PHOTOGRAPH_M), 1))
     mirrored = np.block([[grey, grey[:, ::-1]], [grey[::-1], grey[::-1, ::-1]]])
     origin_m = -0.5 * PHOTOGRAPH_M
     texel_m = PHOTOGRAPH_M / grey.shape[1]
     return Layer(height_m, (origin_m, origin_m), texel_m, mirrored.astype(np.uint16) * LEVELS_PER_GREY)
 
 
-def _default(rng: np.random.Generator, height_m: float, grid: Grid) -> tuple[Layer, ...]:
-    return ceiling_layers(rng, height_m, grid)
+def _reduced(grey: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    """Return the means of squares of `factor` times `factor` pixels."""
+    rows, columns = (size // factor for size in grey.shape)
+    squares = grey[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    return np.rint(squares.mean(axis=(1, 3))).astype(np.uint8)
 
 
 def _tiles(rng: np.random.Generator, height_m: float, grid: Grid) -> tuple[Layer, ...]:
@@ -208,7 +218,7 @@ def _repeating(canvas: Canvas, height_m: float) -> Layer:
 
 
 CEILINGS = {
-    'default': Ceiling('panels with lamps, vents and stains, and objects that hang below', _default),
+    'default': Ceiling('panels with lamps, vents and stains, and objects that hang below', ceiling_layers),
     'tiles': Ceiling('tiles of one pattern', _tiles),
     'plaster': Ceiling('plaster almost without texture', _plaster),
     'beams': Ceiling('beams in both directions at two depths', _beams),

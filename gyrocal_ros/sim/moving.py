@@ -41,7 +41,7 @@ def sun_patch(rng: np.random.Generator, ceiling_m: float, grid: Grid) -> Layer:
 
     def motion(time_s: float) -> tuple[float, float, float]:
         sway = 0.02 * math.sin(1.9 * time_s) + 0.015 * math.sin(3.1 * time_s + 1.0)
-        return 0.008 * (time_s % 300.0) + sway, 0.5 * sway, angle
+        return 1.2 * math.sin(0.007 * time_s) + sway, 0.5 * sway, angle
 
     return Layer(ceiling_m, (float(x), float(y)), grid.texel_m, light, np.zeros_like(light), motion=motion)
 
@@ -108,11 +108,9 @@ MOVING: dict[str, Callable[[np.random.Generator, float, Grid], Layer]] = {
 
 def _pair(width_m: float, height_m: float, grid: Grid, *, brightness: float) -> tuple[Canvas, Canvas]:
     """Return the canvases of marks and outline."""
-    return Canvas(width_m, height_m, grid, brightness=brightness), Canvas(
-        width_m, height_m, grid, brightness=0.0
-    )
+    marks, outline = (Canvas(width_m, height_m, grid, brightness=grey) for grey in (brightness, 0.0))
+    return marks, outline
 
 
 def _moving(height_m: float, centre_m: Array, marks: Canvas, outline: Canvas, motion: Motion) -> Layer:
-    layer = cut_out(height_m, centre_m, marks, outline)
-    return replace(layer, motion=motion)
+    return replace(cut_out(height_m, centre_m, marks, outline), motion=motion)

@@ -85,9 +85,9 @@ class CeilingRenderer:
         self._shape = (camera.height_px, camera.width_px)
         self._blocks = _blocks(camera)
         self._coarse = np.stack([_coarse(block.rays) for block in self._blocks])
-        levels = 1 + max(level for block in self._blocks for level, _ in block.levels)
-        self._reach = 2.0 * _COARSE * TEXELS_PER_PIXEL * 2.0 ** (levels - 1)
-        self._planes = [_plane(layer, levels) for layer in layers]
+        top_levels = np.array([max(level for level, _ in block.levels) for block in self._blocks])
+        self._reach = 2.0 * _COARSE * TEXELS_PER_PIXEL * 2.0 ** top_levels[:, None, None]
+        self._planes = [_plane(layer, 1 + int(top_levels.max())) for layer in layers]
 
     def render(
         self,

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,9 +188,13 @@ class OdometryEstimate:
 # --- geometry of the robot ----------------------------------------------------------------------
 
 
+Lens: TypeAlias = Literal['plumb_bob', 'rational_polynomial', 'equidistant']
+"""Name of a lens model in CameraInfo."""
+
+
 @dataclass(frozen=True, slots=True)
 class CameraIntrinsics:
-    """Pinhole camera with `plumb_bob` distortion, as in sensor_msgs/CameraInfo."""
+    """Pinhole camera with a lens, as in sensor_msgs/CameraInfo."""
 
     width_px: int
     height_px: int
@@ -198,8 +202,9 @@ class CameraIntrinsics:
     fy_px: float
     cx_px: float
     cy_px: float
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1, k2, p1, p2, k3."""
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """`plumb_bob`: k1, k2, p1, p2, k3; `rational_polynomial`: these, k4, k5, k6; `equidistant`: k1 to k4."""
+    lens: Lens = 'plumb_bob'
 
 
 @dataclass(frozen=True, slots=True, eq=False)

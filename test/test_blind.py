@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -208,16 +209,26 @@ class TestRow:
     def test_one_row_a_case_and_one_of_all(self, monkeypatch: pytest.MonkeyPatch) -> None:
         trials = {'none': replace(MISSED, case=Case('none'), is_right=True), 'gyro_lag': RIGHT}
 
-        def in_order(function: object, tasks: list[tuple[Case, int, DiagnosisSettings]]) -> Any:
-            return (replace(trials[case.label], case=case, seed=seed) for case, seed, _ in tasks)
+        scenes = []
+
+        def in_order(
+            function: object, tasks: list[tuple[Case, int, DiagnosisSettings, str | None]]
+        ) -> Iterator[BlindResult]:
+            for case, seed, _, scene in tasks:
+                scenes.append(scene)
+                yield replace(trials[case.label], case=case, seed=seed)
 
         monkeypatch.setattr(bench, 'in_parallel', in_order)
         rows = list(blind(2, ['none', 'gyro_lag']))
+        assert scenes == [None] * 4
         assert [(found['hidden'], found['bags']) for found in rows] == [
             ('none', 2),
             ('gyro_lag', 2),
             ('all', 4),
         ]
+        scenes.clear()
+        list(blind(3, ['none'], scenes=['tiles', 'fisheye']))
+        assert scenes == ['tiles', 'fisheye', 'tiles'], 'one scene for each seed'
 
 
 @pytest.fixture(scope='module')
@@ -238,3 +249,12 @@ def test_a_trial_holds_what_was_hidden_and_what_was_found(short: BlindResult) ->
     drifts = [short.drift_known_deg, short.drift_before_deg, short.drift_after_deg]
     assert all(math.isfinite(drift) for drift in drifts) and short.is_costly
     assert short.drift_after_deg < short.drift_before_deg
+
+
+@pytest.mark.slow
+def test_a_trial_with_images_finds_the_effect_from_tracked_features() -> None:
+    scenario = replace(find_scenario('cleaning'), duration_s=124.0, imu_hz=100)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, 'find_scenario', lambda name: scenario)
+        found = run_blind(LAG, 2, scene='slow')
+    assert found.hidden[0][0] == 'gyro_lag' and found.named[0] == 'gyro_lag'

@@ -18,7 +18,7 @@ from gyrocal_ros.emulator.camera import (
     parse_camera_faults,
 )
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.sim.image_sequence import EXPOSURE_S
+from gyrocal_ros.sim.image_conditions import ImageConditions
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.world import START_NS, SimSource
 
@@ -50,7 +50,7 @@ def test_it_takes_the_images_of_the_recording_in_real_time() -> None:
 
 @pytest.mark.slow
 def test_an_image_is_due_at_the_end_of_its_exposure() -> None:
-    assert camera().due_ns(3) == camera().stamp_ns(3) + nanoseconds(EXPOSURE_S / 2.0)
+    assert camera().due_ns(3) == camera().stamp_ns(3) + nanoseconds(ImageConditions().exposure_s / 2.0)
 
 
 @pytest.mark.slow

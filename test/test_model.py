@@ -23,6 +23,7 @@ from gyrocal_ros.model.camera import (
 )
 from gyrocal_ros.model.gyro import Correction, body_rates, correct
 from gyrocal_ros.model.kinematics import PoseStep, integrate
+from gyrocal_ros.model.lens import MAX_ANGLE_RAD, by_radial_coefficients, distort, undistort
 from gyrocal_ros.model.rotation import euler_rate_matrices, rotation_derivatives, rotation_from_euler
 from gyrocal_ros.model.sensor import SensorModel, placed
 
@@ -144,17 +145,35 @@ class TestDerivativesOfMotion:
 
 PINHOLE = replace(CAMERA, distortion=(0.0,) * 5)
 STRONG = replace(CAMERA, distortion=(-0.28, 0.07, 1e-3, -1e-3, 0.0))
+RATIONAL = replace(
+    CAMERA,
+    lens='rational_polynomial',
+    distortion=(0.45, 0.02, 5e-4, -3e-4, 1e-4, 0.78, 0.10, 1e-3),
+)
+FISHEYE = replace(CAMERA, lens='equidistant', distortion=(-0.02, 0.006, -0.004, 5e-4))
 POINTS = np.array([[0.0, 0.0, 2.0], [1.5, -1.0, 2.5], [-2.0, 1.2, 2.2], [0.4, 1.8, 2.6]])
 
 
-@pytest.mark.parametrize('camera', [PINHOLE, CAMERA, STRONG], ids=['pinhole', 'mild', 'strong'])
+@pytest.mark.parametrize(
+    'camera',
+    [PINHOLE, CAMERA, STRONG, RATIONAL, FISHEYE],
+    ids=['pinhole', 'mild', 'strong', 'rational', 'fisheye'],
+)
 class TestCamera:
     def test_projects_as_opencv_does(self, camera: CameraIntrinsics) -> None:
         cv2 = pytest.importorskip('cv2')
         matrix = np.array(
             [[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]]
         )
-        expected, _ = cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion))
+        if camera.lens == 'equidistant':
+            expected, _ = cv2.fisheye.projectPoints(
+                POINTS[:, None], np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion)
+            )
+            expected = expected.transpose(1, 0, 2) if len(expected) == 1 else expected
+        else:
+            expected, _ = cv2.projectPoints(
+                POINTS, np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion)
+            )
         np.testing.assert_allclose(project(camera, POINTS), expected[:, 0], atol=1e-9)
 
     def test_only_the_direction_matters(self, camera: CameraIntrinsics) -> None:
@@ -174,6 +193,27 @@ class TestCamera:
         pixels = project(camera, POINTS)
         expected = differences(lambda nudge: bearing(camera, pixels + nudge), np.zeros(2), 1e-3)
         np.testing.assert_allclose(bearing_jacobian(camera, bearing(camera, pixels)), expected, atol=1e-9)
+
+    def test_derivative_by_radial_coefficients(self, camera: CameraIntrinsics) -> None:
+        normalised = POINTS[:, :2] / POINTS[:, 2:]
+
+        def distorted(nudge: Array) -> Array:
+            first, second, *others = camera.distortion
+            bent = (first + float(nudge[0]), second + float(nudge[1]), *others)
+            return distort(replace(camera, distortion=bent), normalised)[0]
+
+        expected = differences(distorted, np.zeros(2), 1e-5)
+        np.testing.assert_allclose(by_radial_coefficients(camera, normalised), expected, atol=1e-9)
+
+
+def test_a_fisheye_sees_wide_angles_and_returns_rays_beyond_them_at_the_limit() -> None:
+    angles = np.radians([0.0, 1e-5, 30.0, 60.0, 80.0, 88.0])
+    normalised = np.column_stack([np.tan(angles), np.zeros(6)])
+    distorted, slope = distort(FISHEYE, normalised)
+    np.testing.assert_allclose(undistort(FISHEYE, distorted), normalised, rtol=1e-9)
+    assert np.isfinite(slope).all() and (np.linalg.det(slope) > 0.0).all()
+    beyond = undistort(FISHEYE, np.array([[0.0, 3.0]]))
+    np.testing.assert_allclose(beyond, [[0.0, np.tan(MAX_ANGLE_RAD)]])
 
 
 def test_points_at_or_behind_the_camera_give_finite_pixels() -> None:

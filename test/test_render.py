@@ -8,13 +8,27 @@ import pytest
 from gyrocal_ros.data import Array, CameraIntrinsics
 from gyrocal_ros.model.camera import project
 from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.sim.canvas import LEVELS_PER_GREY, OPAQUE, Grid, Layer
+from gyrocal_ros.sim.image_conditions import ImageConditions
+from gyrocal_ros.sim.image_sensor import ImageSensor
 from gyrocal_ros.sim.render import TEXELS_PER_PIXEL, CeilingRenderer, ceiling_renderer
-from gyrocal_ros.sim.texture import LEVELS_PER_GREY, OPAQUE, Layer, ceiling_layers
+from gyrocal_ros.sim.texture import ceiling_layers
 
 CAMERA = CameraIntrinsics(320, 240, 140.0, 138.0, 161.3, 118.2, (-0.06, 0.01, 8e-4, -5e-4, 0.0))
 PINHOLE = CameraIntrinsics(320, 240, 140.0, 138.0, 161.3, 118.2)
 HEIGHT_M = 2.4
 TEXEL_M = HEIGHT_M / (TEXELS_PER_PIXEL * 140.0)
+
+
+def even(camera: CameraIntrinsics) -> ImageSensor:
+    """Return a sensor without vignetting."""
+    return ImageSensor(camera, ImageConditions(vignetting=0.0))
+
+
+def even_layer(grey: int) -> Layer:
+    """Return a ceiling without any texture."""
+    brightness = np.full((64, 64), grey * LEVELS_PER_GREY, dtype=np.uint16)
+    return Layer(HEIGHT_M, (0.0, 0.0), TEXEL_M, brightness)
 
 
 def dotted(
@@ -58,7 +72,7 @@ def test_a_point_of_the_ceiling_is_imaged_where_geometry_projects_it(
     """Compare centroids; a distorted dot of finite size has its centroid slightly further inside."""
     rng = np.random.default_rng(0)
     dots_m = spread_dots(rng, 2.2)
-    renderer = CeilingRenderer(camera, [dotted(dots_m, 900, HEIGHT_M)], vignetting=0.0)
+    renderer = CeilingRenderer(camera, [dotted(dots_m, 900, HEIGHT_M)], even(camera))
     errors = np.zeros((0, 2))
     for _ in range(5):
         R_wc = rotation_from_euler(np.array([*rng.uniform(-0.02, 0.02, 2), rng.uniform(-3.0, 3.0)]))
@@ -76,8 +90,8 @@ def test_a_lower_layer_has_parallax_and_occludes_the_ceiling() -> None:
     low_m = 1.8
     dot = np.array([[0.1, -0.05]])
     piece = dotted(dot, 150, low_m, 20.0, np.full((150, 150), OPAQUE, dtype=np.uint16))
-    ceiling = Layer(HEIGHT_M, (0.0, 0.0), TEXEL_M, np.full((64, 64), 200 * LEVELS_PER_GREY, dtype=np.uint16))
-    renderer = CeilingRenderer(PINHOLE, [ceiling, piece], vignetting=0.0)
+    ceiling = even_layer(200)
+    renderer = CeilingRenderer(PINHOLE, [ceiling, piece], even(PINHOLE))
     for x in (-0.3, 0.0, 0.4):
         p_wc = np.array([x, 0.1, 0.1])
         image = renderer.render(np.eye(3), p_wc)
@@ -101,8 +115,9 @@ def test_the_same_seed_yields_the_same_bytes() -> None:
 
 @pytest.fixture(scope='module')
 def plain() -> CeilingRenderer:
-    grey = Layer(HEIGHT_M, (0.0, 0.0), TEXEL_M, np.full((64, 64), 100 * LEVELS_PER_GREY, dtype=np.uint16))
-    return CeilingRenderer(CAMERA, [grey], read_noise=2.0, vignetting=0.25)
+    return CeilingRenderer(
+        CAMERA, [even_layer(100)], ImageSensor(CAMERA, ImageConditions(read_noise_grey=2.0))
+    )
 
 
 def test_exposure_scales_and_clips(plain: CeilingRenderer) -> None:
@@ -138,7 +153,7 @@ def test_motion_blur_is_the_mean_of_the_exposure() -> None:
 
 
 def test_layers_are_sorted_from_high_to_low_and_are_smooth() -> None:
-    layers = ceiling_layers(np.random.default_rng(2), HEIGHT_M, TEXEL_M, size_m=5.0, objects=4)
+    layers = ceiling_layers(np.random.default_rng(2), HEIGHT_M, Grid(TEXEL_M), size_m=5.0, objects=4)
     heights = [layer.height_m for layer in layers]
     assert heights == sorted(heights, reverse=True)
     spectrum = np.abs(np.fft.rfft2(layers[0].brightness.astype(float)))

@@ -20,6 +20,7 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
+from gyrocal_ros.sim.image_scenes import SCENES
 from gyrocal_ros.sim.scenarios import SCENARIOS
 from gyrocal_ros.sim.world import SimSource
 
@@ -68,6 +69,18 @@ def test_images_are_recorded_in_place_of_features(tmp_path: Path) -> None:
     assert not any(isinstance(item, FeatureObservations) for item in recorded)
 
 
+@pytest.mark.slow
+def test_a_scene_has_its_lens_rate_and_ceiling(tmp_path: Path) -> None:
+    options = ('--images', '--duration', '2', '--scene', 'fisheye', '--condition', 'jpeg_quality=95')
+    assert simulate(tmp_path / 'one', *options) == 0
+    assert simulate(tmp_path / 'other', *options, '--ceiling', 'lamps', '--condition', 'fan=true') == 0
+    one, other = (open_bag(tmp_path / name, Config()) for name in ('one', 'other'))
+    assert one.rig.camera == other.rig.camera == SCENES['fisheye'].camera
+    images = [[item.image for item in bag.measurements() if isinstance(item, Frame)] for bag in (one, other)]
+    assert len(images[0]) == len(images[1]) == 2 * SCENES['fisheye'].camera_hz
+    assert np.abs(images[0][0].astype(int) - images[1][0]).mean() > 5.0
+
+
 def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
     for folder in ('one', 'two'):
         assert simulate(tmp_path / folder / 'bag') == 0
@@ -81,7 +94,10 @@ def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
         (['--seed', '-1'], '--seed'),
         (['--duration', 'nan'], '--duration'),
         (['--duration', '0'], '--duration'),
-        (['--jpeg-quality', '101'], '--jpeg-quality'),
+        (['--images', '--condition', 'jpeg_quality=101'], 'jpeg_quality'),
+        (['--images', '--ceiling', 'beems'], "did you mean 'beams'?"),
+        (['--images', '--scene', 'fishey'], "did you mean 'fisheye'?"),
+        (['--ceiling', 'beams'], '--images'),
     ],
 )
 def test_bad_arguments_are_refused_in_one_line(

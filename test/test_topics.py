@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import fields
+from dataclasses import fields, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,6 +16,7 @@ from small_bags import CAMERA
 
 from gyrocal_ros.bag.fields import field_reader
 from gyrocal_ros.data import (
+    CameraIntrinsics,
     FeatureObservations,
     Frame,
     HeadingSample,
@@ -147,18 +148,39 @@ def test_point_clouds_with_another_layout(order: str) -> None:
         topics.search_regions(cloud)
 
 
-def test_camera_info(make: MessageMaker) -> None:
-    assert topics.camera_intrinsics(to_ros.camera_info(make, CAMERA, T_NS)) == CAMERA
+LENSES = {
+    'plumb_bob': CAMERA,
+    'rational_polynomial': replace(
+        CAMERA, lens='rational_polynomial', distortion=(0.4, 0.1, 1e-3, 2e-3, 0.01, 0.7, 0.2, 0.02)
+    ),
+    'equidistant': replace(CAMERA, lens='equidistant', distortion=(-0.02, 0.006, -0.004, 5e-4)),
+}
+
+
+@pytest.mark.parametrize('camera', LENSES.values(), ids=list(LENSES))
+def test_camera_info(make: MessageMaker, camera: CameraIntrinsics) -> None:
+    assert topics.camera_intrinsics(to_ros.camera_info(make, camera, T_NS)) == camera
 
 
 def test_camera_info_without_a_usable_calibration() -> None:
     message = to_ros.camera_info(MAKERS['live'], CAMERA, T_NS)
-    message.distortion_model = 'equidistant'
-    with pytest.raises(RecordingError, match='equidistant'):
+    message.distortion_model = 'omnidirectional'
+    with pytest.raises(RecordingError, match='omnidirectional'):
+        topics.camera_intrinsics(message)
+    message.distortion_model, message.d = 'plumb_bob', np.full(6, 0.01)
+    with pytest.raises(RecordingError, match='6 coefficients'):
         topics.camera_intrinsics(message)
     message.k = np.zeros(9)
     with pytest.raises(RecordingError, match='not calibrated'):
         topics.camera_intrinsics(message)
+
+
+def test_camera_info_with_missing_or_zero_coefficients() -> None:
+    message = to_ros.camera_info(MAKERS['live'], CAMERA, T_NS)
+    message.distortion_model, message.d = 'equidistant', np.array([0.1])
+    assert topics.camera_intrinsics(message).distortion == (0.1, 0.0, 0.0, 0.0)
+    message.distortion_model, message.d = 'none', np.zeros(14)
+    assert topics.camera_intrinsics(message).lens == 'plumb_bob'
 
 
 def test_static_transforms(make: MessageMaker) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.bench.accuracy import in_parallel
+from gyrocal_ros.bench.eyes import StoredImages
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
@@ -28,6 +29,7 @@ from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import LIBRARY_RANGES, OUT_OF_LIBRARY_RANGES, draw_hidden, draw_scale_factor, hide
+from gyrocal_ros.sim.image_scenes import find_scene
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sensors import stream
@@ -100,7 +102,10 @@ def cases(only: Sequence[str] = ()) -> list[Case]:
 
 
 def blind(
-    seeds: int, only: Sequence[str] = (), settings: DiagnosisSettings = DEFAULT_SETTINGS
+    seeds: int,
+    only: Sequence[str] = (),
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
+    scenes: Sequence[str] = (),
 ) -> Iterator[dict[str, Any]]:
     """Yield one row per case as they become ready, and one for all cases together.
 
@@ -108,8 +113,10 @@ def blind(
         seeds: number of recordings of each case.
         only: labels of cases; empty for all.
         settings: thresholds of the diagnosis.
+        scenes: scenes of images, of which each seed has one; empty for tracked features.
     """
-    tasks = [(case, seed, settings) for case in cases(only) for seed in range(seeds)]
+    scene_of = [scenes[seed % len(scenes)] if scenes else None for seed in range(seeds)]
+    tasks = [(case, seed, settings, scene_of[seed]) for case in cases(only) for seed in range(seeds)]
     every = []
     for _, group in groupby(in_parallel(_run_task, tasks), key=lambda result: result.case):
         results = list(group)
@@ -139,14 +146,25 @@ def row(label: str, results: Sequence[BlindResult]) -> dict[str, Any]:
     }
 
 
-def run_blind(case: Case, seed: int, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> BlindResult:
-    """Hide effects in a simulated recording, diagnose it and compare with the truth."""
+def run_blind(
+    case: Case, seed: int, settings: DiagnosisSettings = DEFAULT_SETTINGS, scene: str | None = None
+) -> BlindResult:
+    """Hide effects in a simulated recording, diagnose it and compare with the truth.
+
+    Args:
+        case: the hidden effects.
+        seed: seed of the recording.
+        settings: thresholds of the diagnosis.
+        scene: scene of the images; None for tracked features.
+    """
     scenario, config = find_scenario('cleaning'), _with_noise(Config(), case.noise)
+    if scene is not None:
+        scenario = find_scene(scene).applied_to(scenario)
     drawn = draw_hidden(seed, scenario.duration_s, case.names)
     scale_factor = draw_scale_factor(seed)
     scenario = replace(scenario, errors=replace(scenario.errors, scale_factor=scale_factor))
-    simulated = SimSource(scenario, seed, hidden=hide(drawn, find_effect))
-    source, config = preload(simulated, config, default_model())
+    simulated = SimSource(scenario, seed, images=scene is not None, hidden=hide(drawn, find_effect))
+    source, config = preload(StoredImages(simulated), config, default_model())
     run, hidden = partial(calibrate, source, config), simulated.hidden
     recorded = summarise_recording(source)
     try:
@@ -269,6 +287,7 @@ def _with_noise(config: Config, factor: float) -> Config:
             turn_noise_m=factor * wheels.turn_noise_m,
         ),
         camera=replace(camera, pixel_noise_px=factor * camera.pixel_noise_px),
+        tracker=replace(config.tracker, noise_px=factor * config.tracker.noise_px),
     )
 
 
@@ -297,5 +316,5 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(known.mean()) if len(known) else None
 
 
-def _run_task(task: tuple[Case, int, DiagnosisSettings]) -> BlindResult:
+def _run_task(task: tuple[Case, int, DiagnosisSettings, str | None]) -> BlindResult:
     return run_blind(*task)

@@ -17,6 +17,7 @@ from gyrocal_ros.bench.accuracy import cases as accuracy_cases
 from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
+from gyrocal_ros.bench.eyes import eyes
 from gyrocal_ros.bench.gate import BASELINE, Outcome, baseline_to_dict, gate, load_baseline, measure_baseline
 from gyrocal_ros.bench.growth import growth
 from gyrocal_ros.bench.methods import comparison
@@ -25,14 +26,18 @@ from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.tracker import tracker_accuracy
 from gyrocal_ros.cli.output import print_json, print_message, print_row, progress
 from gyrocal_ros.cli.provenance import provenance
+from gyrocal_ros.cli.scenario_options import MAX_DURATION_S, check_bounds
 from gyrocal_ros.diagnose.settings import DiagnosisSettings, differing, with_thresholds
 from gyrocal_ros.errors import GyrocalError, did_you_mean
 from gyrocal_ros.files import json_text, write_text_atomic
+from gyrocal_ros.sim.image_scenes import SCENES, find_scene
 
 EXAMPLE = """gyrocal bench
 gyrocal bench accuracy comparison --seeds 20
 gyrocal bench blind --seeds 10 --only none scale_cubic
 gyrocal bench blind --only none --set significant_sigma=3.5 --set min_predictive_gain=2
+gyrocal bench blind --images --seeds 2 --only none gyro_lag
+gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
 gyrocal bench --quick"""
 
@@ -40,7 +45,8 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'accuracy': lambda args: accuracy(args.seeds, args.quick, args.only),
     'comparison': lambda args: comparison(args.seeds),
     'camera_off': lambda args: camera_off(args.seeds),
-    'blind': lambda args: blind(args.seeds, args.only, _settings(args)),
+    'blind': lambda args: blind(args.seeds, args.only, _settings(args), _scenes(args)),
+    'eyes': lambda args: eyes(args.seeds, args.scenes or tuple(SCENES), args.seconds),
     'tracker': lambda args: tracker_accuracy(args.seeds),
     'motions': lambda args: motions(),
     'speed': lambda args: speed(args.quick),
@@ -78,6 +84,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='for blind: a threshold of the diagnosis (docs/diagnosis_settings.md); may be repeated',
     )
     parser.add_argument(
+        '--images', action='store_true', help='for blind: recordings with images, of a scene by the seed'
+    )
+    parser.add_argument(
+        '--scenes',
+        nargs='+',
+        default=[],
+        metavar='NAME',
+        help=f'for eyes and blind --images: these scenes only, of {", ".join(SCENES)}',
+    )
+    parser.add_argument(
+        '--seconds',
+        type=float,
+        default=120.0,
+        metavar='S',
+        help='for eyes: length of a recording (120)',
+    )
+    parser.add_argument(
         '-o', '--out', type=Path, metavar='FILE', help='for growth: write a page with the plots'
     )
     parser.add_argument('--overwrite', action='store_true', help='overwrite the page')
@@ -98,6 +121,7 @@ def run(args: argparse.Namespace) -> None:
     settings = _settings(args)
     if args.set and (not args.what or set(args.what) != {'blind'}):
         raise GyrocalError('is only for the bench blind', where='--set', todo='name blind')
+    _refuse_wrong_scenes(args)
     if args.seeds < 1:
         raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
     if args.keep and (args.what or not args.quick):
@@ -125,6 +149,21 @@ def _refuse_unknown_cases(args: argparse.Namespace) -> None:
     for label in args.only:
         if label not in known:
             raise GyrocalError('is not a case', where=repr(label), todo=did_you_mean(label, known))
+
+
+def _refuse_wrong_scenes(args: argparse.Namespace) -> None:
+    if args.images and set(args.what) != {'blind'}:
+        raise GyrocalError('is only for the bench blind', where='--images', todo='name blind')
+    if args.scenes and not args.images and set(args.what) != {'eyes'}:
+        raise GyrocalError('needs images', where='--scenes', todo='name eyes, or blind with --images')
+    for name in args.scenes:
+        find_scene(name)
+    check_bounds('--seconds', args.seconds, 20.0, MAX_DURATION_S, 's')
+
+
+def _scenes(args: argparse.Namespace) -> tuple[str, ...]:
+    """Return the scenes of the blind trials; none for trials without images."""
+    return tuple(args.scenes or SCENES) if args.images else ()
 
 
 def _settings(args: argparse.Namespace) -> DiagnosisSettings:

@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
 
 from gyrocal_ros.bag.source import open_bag
@@ -30,6 +31,7 @@ from gyrocal_ros.emulator.line import FAULT_DESCRIPTIONS, EmulatedLine, parse_fa
 from gyrocal_ros.emulator.schedule import Emulator
 from gyrocal_ros.emulator.terminal import PseudoTerminal, RealTimePlayer
 from gyrocal_ros.errors import ConfigError, GyrocalError
+from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sensors import stream
 
 PROGRAM = 'board_emulator'
@@ -131,7 +133,7 @@ def _measurements(args: argparse.Namespace, config: Config) -> tuple[Span, Itera
     if args.bag is not None:
         recording = open_bag(args.bag, config, with_covariates=True)
         return recording.span, recording.measurements()
-    robot = scenario_source(args, imu_hz=DriverConfig().imu_hz)
+    robot = scenario_source(args, replace(find_scenario(args.scenario), imu_hz=DriverConfig().imu_hz))
     return robot.span, robot.board_measurements()
 
 

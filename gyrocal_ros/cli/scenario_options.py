@@ -13,7 +13,7 @@ from gyrocal_ros.errors import ConfigError, GyrocalError, did_you_mean
 from gyrocal_ros.model.sensor import RelativeEffect
 from gyrocal_ros.sim.hidden import DrawnEffect, draw_hidden, draw_scale_factor, hide
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
-from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
+from gyrocal_ros.sim.scenarios import SCENARIOS, Scenario
 from gyrocal_ros.sim.world import SimSource
 
 MAX_DURATION_S = 2 * 3600.0
@@ -48,21 +48,20 @@ def add_scenario_options(parser: argparse.ArgumentParser) -> argparse._MutuallyE
 
 
 def scenario_source(
-    args: argparse.Namespace, *, images: bool = False, hidden: bool = False, imu_hz: int | None = None
+    args: argparse.Namespace, scenario: Scenario, *, images: bool = False, hidden: bool = False
 ) -> SimSource:
     """Return the simulated robot that the options describe.
 
     Args:
         args: with the options of `add_scenario_options`.
+        scenario: the scenario that the length and the effects are applied to.
         images: render images of the ceiling in place of tracked features.
         hidden: draw the effects of the robot by the seed.
-        imu_hz: rate of the IMU; None for that of the scenario.
 
     Raises:
         GyrocalError: an option is unknown or out of bounds.
     """
     load_own_effects(args)
-    scenario = find_scenario(args.scenario)
     duration_s = scenario.duration_s if args.duration is None else args.duration
     check_bounds('--duration', duration_s, 1.0, MAX_DURATION_S, 's')
     check_bounds('--seed', args.seed, 0, math.inf)
@@ -74,7 +73,7 @@ def scenario_source(
         scale_factor = 1.0 + item.values[0]
     effects = hide([item for item in drawn if item.name != 'scale_factor'], find_effect)
     errors = replace(scenario.errors, scale_factor=scale_factor)
-    scenario = replace(scenario, duration_s=duration_s, errors=errors, imu_hz=imu_hz or scenario.imu_hz)
+    scenario = replace(scenario, duration_s=duration_s, errors=errors)
     return SimSource(scenario, args.seed, images=images, hidden=effects)
 
 

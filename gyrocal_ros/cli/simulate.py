@@ -16,15 +16,19 @@ from pathlib import Path
 import numpy as np
 
 from gyrocal_ros.bag.write import new_bag
+from gyrocal_ros.cli.image_options import add_image_options, with_image_options
 from gyrocal_ros.cli.output import progress
-from gyrocal_ros.cli.scenario_options import add_scenario_options, check_bounds, scenario_source
+from gyrocal_ros.cli.scenario_options import add_scenario_options, scenario_source
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.effects.base import with_unit
 from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sealed import answer_of, seal, sealed_path
 
 EXAMPLE = """gyrocal simulate my_bag --scenario furniture --seed 7 --duration 120
 gyrocal simulate my_images --duration 60 --images
+gyrocal simulate my_beams --duration 60 --images --ceiling beams --condition readout_s=0.02
+gyrocal simulate my_fisheye --duration 60 --images --scene fisheye
 gyrocal simulate slow_gyro --effect gyro_lag=0.02 --effect bias_warmup=amplitude:0.01,time_constant:200
 gyrocal simulate exercise --hidden --seed 7"""
 
@@ -37,16 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='hide effects drawn by the seed; `gyrocal reveal OUT` shows them',
     )
-    parser.add_argument(
-        '--images', action='store_true', help='write images of the ceiling in place of tracked features'
-    )
-    parser.add_argument(
-        '--jpeg-quality',
-        type=int,
-        default=80,
-        metavar='Q',
-        help='quality of the images, 1 to 100 (%(default)s)',
-    )
+    add_image_options(parser)
     parser.add_argument(
         '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='storage format (%(default)s)'
     )
@@ -59,13 +54,14 @@ def run(args: argparse.Namespace) -> None:
     Raises:
         GyrocalError: an argument is out of bounds, or the bag cannot be written.
     """
-    check_bounds('--jpeg-quality', args.jpeg_quality, 1, 100)
-    source = scenario_source(args, images=args.images, hidden=args.hidden)
+    scenario = with_image_options(args, find_scenario(args.scenario))
+    source = scenario_source(args, scenario, images=args.images, hidden=args.hidden)
     sealed = sealed_path(args.out)
     if args.hidden and sealed.exists() and not args.overwrite:
         raise GyrocalError('exists already', where=str(sealed), todo='choose another name or --overwrite')
+    quality = scenario.image_conditions.jpeg_quality
     span, counts = source.span, Counter[str]()
-    with new_bag(args.out, args.storage, overwrite=args.overwrite, jpeg_quality=args.jpeg_quality) as bag:
+    with new_bag(args.out, args.storage, overwrite=args.overwrite, jpeg_quality=quality) as bag:
         bag.write_rig(source.rig, span.start_ns, R_bi=np.eye(3))
         by_second = groupby(source.measurements(), key=lambda item: item.t_ns // NS_PER_S)
         for _, measured in progress('simulating', by_second, total=math.ceil(span.duration_s), unit='s'):

@@ -9,12 +9,13 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
+from gyrocal_ros.model.lens import by_radial_coefficients
 from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
 
 
 @dataclass(frozen=True)
 class RadialDistortion:
-    """True k1, k2 of the plumb-bob model = those of camera_info plus these coefficients."""
+    """True k1, k2 of the lens model = those of camera_info plus these coefficients."""
 
     about: ClassVar[Explanation] = Explanation(
         physics='The lens bends straight lines outwards or inwards, more or less than its '
@@ -40,13 +41,11 @@ class RadialDistortion:
         self, camera: CameraIntrinsics, mount: Mount, values: Array
     ) -> tuple[CameraIntrinsics, Mount]:
         """Return the camera with its true distortion."""
-        k1, k2, p1, p2, k3 = camera.distortion
-        true = (k1 + float(values[0]), k2 + float(values[1]), p1, p2, k3)
+        k1, k2, *others = camera.distortion
+        true = (k1 + float(values[0]), k2 + float(values[1]), *others)
         return replace(camera, distortion=true), mount
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
-        """Return `f (x, y) r^2` and `f (x, y) r^4`."""
-        normalised = seen.points_c[:, :2] / seen.points_c[:, 2:]
-        r2 = np.sum(normalised**2, axis=1)
-        radial = normalised * [seen.camera.fx_px, seen.camera.fy_px]
-        return np.stack([radial * r2[:, None], radial * (r2**2)[:, None]], axis=2)
+        """Return the derivative of the lens with respect to k1 and k2, times the focal length."""
+        by_values = by_radial_coefficients(seen.camera, seen.points_c[:, :2] / seen.points_c[:, 2:])
+        return by_values * np.array([[seen.camera.fx_px], [seen.camera.fy_px]])

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from gyrocal_ros.data import NS_PER_S, CameraIntrinsics, Frame, Mount, TruthSample, nanoseconds
 from gyrocal_ros.errors import ConfigError, did_you_mean
-from gyrocal_ros.sim.image_sequence import EXPOSURE_S
 from gyrocal_ros.sim.world import START_NS, SimSource
 
 COVERED_GREY = 8
@@ -97,7 +96,8 @@ class EmulatedCamera:
 
     def due_ns(self, number: int) -> int:
         """Return the time at which an image is available: the end of its exposure."""
-        return self._middle_ns(number) + nanoseconds(0.5 * EXPOSURE_S)
+        exposure_s = self._source.scenario.image_conditions.exposure_s
+        return self._middle_ns(number) + nanoseconds(0.5 * exposure_s)
 
     def next_after(self, number: int, now_ns: int) -> int:
         """Return the number of the next image that is not yet due; images in between are skipped."""

@@ -1,4 +1,4 @@
-"""The ceiling camera: pinhole with `plumb_bob` distortion, in the ROS optical frame.
+"""The ceiling camera: a pinhole behind a lens of `lens.py`, in the ROS optical frame.
 
 The paper's camera frame has x along the optical axis and (y, z) to the left and up in the image. The optical
 frame used here is (x, y, z) = (-y, -z, x) in the axes of the paper.
@@ -11,13 +11,10 @@ import math
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.model.lens import distort, undistort
 
 MIN_DEPTH = 1e-6
 """Smallest depth that is divided by, in the unit of the points."""
-MAX_NEWTON_STEPS = 6
-LAST_NEWTON_STEP = 1e-8
-"""Length of a Newton step below which the iteration ends: convergence is quadratic, so the next step would be
-below rounding."""
 
 
 def project(camera: CameraIntrinsics, points_c: Array) -> Array:
@@ -30,7 +27,7 @@ def project(camera: CameraIntrinsics, points_c: Array) -> Array:
         (n, 2) u, v; meaningless for points behind the camera (`points_c[:, 2] <= 0`).
     """
     normalised = points_c[:, :2] / np.maximum(points_c[:, 2:], MIN_DEPTH)
-    return _pixels(camera, _distort_with_jacobian(camera, normalised)[0])
+    return _pixels(camera, distort(camera, normalised)[0])
 
 
 def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Array, Array]:
@@ -44,7 +41,7 @@ def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Ar
     """
     inverse_z = 1.0 / np.maximum(points_c[:, 2], MIN_DEPTH)
     normalised = points_c[:, :2] * inverse_z[:, None]
-    distorted, lens = _distort_with_jacobian(camera, normalised)
+    distorted, lens = distort(camera, normalised)
     jacobian = np.empty((len(points_c), 2, 3))
     jacobian[:, :, :2] = lens
     jacobian[:, :, 2] = -(lens @ normalised[:, :, None])[:, :, 0]
@@ -59,24 +56,14 @@ def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
         pixels: (n, 2) u, v.
 
     Returns:
-        (n, 2); Newton's method, exact to rounding where the distortion can be inverted.
+        (n, 2); exact to rounding where the distortion can be inverted.
     """
-    distorted = (pixels - [camera.cx_px, camera.cy_px]) / [camera.fx_px, camera.fy_px]
-    if not any(camera.distortion):
-        return distorted
-    normalised = distorted
-    for _ in range(MAX_NEWTON_STEPS):
-        reached, lens = _distort_with_jacobian(camera, normalised)
-        step = np.linalg.solve(lens, (reached - distorted)[:, :, None])[:, :, 0]
-        normalised = normalised - step
-        if np.abs(step).max(initial=0.0) < LAST_NEWTON_STEP:
-            break
-    return normalised
+    return undistort(camera, (pixels - [camera.cx_px, camera.cy_px]) / [camera.fx_px, camera.fy_px])
 
 
 def bearing_jacobian(camera: CameraIntrinsics, normalised: Array) -> Array:
     """Return the derivative (n, 2, 2) of `bearing` with respect to the pixels, at its result (n, 2)."""
-    _, lens = _distort_with_jacobian(camera, normalised)
+    _, lens = distort(camera, normalised)
     return np.linalg.inv(np.array([[camera.fx_px], [camera.fy_px]]) * lens)
 
 
@@ -96,28 +83,3 @@ def mount_from_yaw(x_m: float, y_m: float, z_m: float, yaw_deg: float) -> Mount:
 
 def _pixels(camera: CameraIntrinsics, normalised: Array) -> Array:
     return normalised * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
-
-
-def _distort_with_jacobian(camera: CameraIntrinsics, normalised: Array) -> tuple[Array, Array]:
-    """Apply the plumb-bob model of sensor_msgs/CameraInfo (Brown 1966): radial and tangential.
-
-    Returns:
-        (n, 2) distorted normalised coordinates and their derivative (n, 2, 2).
-    """
-    jacobian = np.empty((len(normalised), 2, 2))
-    if not any(camera.distortion):
-        jacobian[:] = np.eye(2)
-        return normalised, jacobian
-    k1, k2, p1, p2, k3 = camera.distortion
-    x, y = normalised[:, 0], normalised[:, 1]
-    xx, yy, xy = x * x, y * y, x * y
-    r2 = xx + yy
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3)))
-    distorted = normalised * radial[:, None]
-    distorted[:, 0] += 2.0 * p1 * xy + p2 * (r2 + 2.0 * xx)
-    distorted[:, 1] += p1 * (r2 + 2.0 * yy) + 2.0 * p2 * xy
-    jacobian[:, 0, 0] = radial + slope * xx + 2.0 * p1 * y + 6.0 * p2 * x
-    jacobian[:, 0, 1] = jacobian[:, 1, 0] = slope * xy + 2.0 * (p1 * x + p2 * y)
-    jacobian[:, 1, 1] = radial + slope * yy + 6.0 * p1 * y + 2.0 * p2 * x
-    return distorted, jacobian

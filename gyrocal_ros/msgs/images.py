@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -73,7 +74,7 @@ def jpeg(message: Any, quality: int = 75) -> bytes:
     """
     is_colour = message.encoding == 'bgr8'
     pixels = _pixels(message) if is_colour else frame(message).image
-    return bytes(cv2.imencode('.jpg', pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
+    return _encoded(pixels, quality).tobytes()
 
 
 def require_camera_size(frame: Frame, camera: CameraIntrinsics, where: str) -> None:
@@ -126,11 +127,39 @@ def _pixels(message: Any) -> NDArray[np.uint8]:
 
 
 def _compressed_image(message: Any) -> NDArray[np.uint8]:
-    data = np.frombuffer(message.data, np.uint8)
+    return _decoded(np.frombuffer(message.data, np.uint8))
+
+
+def _decoded(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     pixels = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
     if pixels is None:
         raise RecordingError('a compressed image cannot be decoded', todo='record jpeg or png images')
     return np.asarray(pixels, np.uint8)
+
+
+def read_grey_file(file: Path) -> NDArray[np.uint8]:
+    """Read an image file as grey values (height, width).
+
+    Raises:
+        RecordingError: the file is not an image.
+    """
+    return _decoded(np.frombuffer(file.read_bytes(), np.uint8))
+
+
+def after_jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    """Return a grey image (height, width) as it is after storage as JPEG.
+
+    Args:
+        image: the image.
+        quality: JPEG quality, 1 to 100.
+    """
+    return _decoded(_encoded(image, quality))
+
+
+def _encoded(image: NDArray[np.uint8], quality: int | None) -> NDArray[np.uint8]:
+    """Encode an image as JPEG, or, without a quality, as PNG."""
+    suffix, settings = ('png', []) if quality is None else ('jpg', [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.imencode(f'.{suffix}', image, settings)[1], np.uint8).ravel()
 
 
 def grey_image(make: MessageMaker, frame: Frame) -> Any:
@@ -165,11 +194,9 @@ def compressed_image(make: MessageMaker, frame: Frame, quality: int | None = 90)
         frame: the image.
         quality: JPEG quality, 1 to 100; None for PNG, which is lossless.
     """
-    suffix, settings = ('png', []) if quality is None else ('jpg', [cv2.IMWRITE_JPEG_QUALITY, quality])
-    _, encoded = cv2.imencode(f'.{suffix}', frame.image, settings)
     return make(
         topics.COMPRESSED_IMAGE,
         header=make.header(frame.t_ns, topics.CAMERA_FRAME),
         format='png' if quality is None else 'jpeg',
-        data=make.sequence(np.asarray(encoded, np.uint8).ravel()),
+        data=make.sequence(_encoded(frame.image, quality)),
     )

@@ -250,7 +250,7 @@ def camera_info(make: MessageMaker, camera: CameraIntrinsics, t_ns: int) -> Any:
         header=make.header(t_ns, topics.CAMERA_FRAME),
         height=camera.height_px,
         width=camera.width_px,
-        distortion_model='plumb_bob',
+        distortion_model=camera.lens,
         d=make.sequence(np.array(camera.distortion)),
         k=np.array([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),
         r=np.eye(3).ravel(),

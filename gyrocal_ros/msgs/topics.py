@@ -31,6 +31,7 @@ from gyrocal_ros.data import (
     WheelSample,
 )
 from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.model.lens import COEFFICIENT_COUNTS
 from gyrocal_ros.msgs.transforms import (
     Transform,
     rotation_from_quaternion,
@@ -244,20 +245,23 @@ def camera_intrinsics(message: Any) -> CameraIntrinsics:
     """Convert a CameraInfo.
 
     Raises:
-        RecordingError: the message holds no calibration, or a lens model other than plumb_bob.
+        RecordingError: the message holds no calibration, or a lens model other than those of `model.lens`.
     """
     k = [float(value) for value in (message.k if hasattr(message, 'k') else message.K)]
     d = [float(value) for value in (message.d if hasattr(message, 'd') else message.D)]
     if k[0] <= 0.0 or k[4] <= 0.0:
         raise RecordingError('the camera is not calibrated (focal length 0)', todo='calibrate the camera')
-    if any(d) and (len(d) > 5 or message.distortion_model not in ('plumb_bob', '')):
+    lens = message.distortion_model
+    if not lens or (lens not in COEFFICIENT_COUNTS and not any(d)):
+        lens = 'plumb_bob'
+    if lens not in COEFFICIENT_COUNTS or any(d[COEFFICIENT_COUNTS[lens] :]):
         raise RecordingError(
-            f'the lens model is {message.distortion_model!r}', todo='calibrate the camera with plumb_bob'
+            f'the lens model is {lens!r} with {len(d)} coefficients',
+            todo=f'calibrate the camera with {", ".join(COEFFICIENT_COUNTS)}',
         )
-    k1, k2, p1, p2, k3 = [*d, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
-    return CameraIntrinsics(
-        message.width, message.height, k[0], k[4], k[2], k[5], distortion=(k1, k2, p1, p2, k3)
-    )
+    count = COEFFICIENT_COUNTS[lens]
+    distortion = (*d, *[0.0] * count)[:count]
+    return CameraIntrinsics(message.width, message.height, k[0], k[4], k[2], k[5], distortion, lens)
 
 
 def transforms(message: Any) -> list[Transform]:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal_ros.data import Array, CameraIntrinsics
-from gyrocal_ros.sim.render import TEXELS_PER_PIXEL, CeilingRenderer
+from gyrocal_ros.sim.canvas import LEVELS_PER_GREY, OPAQUE, Layer
+from gyrocal_ros.sim.ceilings import find_ceiling
+from gyrocal_ros.sim.image_conditions import ExposureControl, ImageConditions, flicker
+from gyrocal_ros.sim.image_sensor import ImageSensor
+from gyrocal_ros.sim.moving import moving_layers
+from gyrocal_ros.sim.render import CameraPose, CeilingRenderer, Sweep, block_edges, texture_grid
 from gyrocal_ros.sim.scene import Furniture
 from gyrocal_ros.sim.sensors import stream
-from gyrocal_ros.sim.texture import LEVELS_PER_GREY, OPAQUE, Layer, ceiling_layers
 
 CEILING_HEIGHT_M = 2.5
-EXPOSURE_S = 0.008
-BLUR_POSES = 5
 _UNDERSIDE_TEXEL_M = 0.01
 
 CameraPoses = Callable[[Array], tuple[Array, Array]]
@@ -27,6 +30,8 @@ class ImageSequence:
 
     Args:
         camera: true intrinsics.
+        ceiling: name of the ceiling, or file of a photograph of one.
+        conditions: conditions of the images.
         furniture: furniture that occludes the ceiling.
         seed: seed of the ceiling, the brightness and the noise.
         time_s: (n,) middles of the exposures.
@@ -36,17 +41,27 @@ class ImageSequence:
     def __init__(
         self,
         camera: CameraIntrinsics,
+        ceiling: str,
+        conditions: ImageConditions,
         furniture: tuple[Furniture, ...],
         seed: int,
         time_s: Array,
         camera_poses: CameraPoses,
     ) -> None:
-        texel_m = CEILING_HEIGHT_M / (TEXELS_PER_PIXEL * np.sqrt(camera.fx_px * camera.fy_px))
-        ceiling = ceiling_layers(stream(seed, 'ceiling'), CEILING_HEIGHT_M, texel_m)
-        undersides = sorted((_underside(item) for item in furniture), key=lambda layer: -layer.height_m)
-        self._renderer = CeilingRenderer(camera, (*ceiling, *undersides))
+        grid = texture_grid(camera, CEILING_HEIGHT_M)
+        if not conditions.antialiased:
+            grid = replace(grid, blur_texels=0.0)
+        fixed = find_ceiling(ceiling).draw(stream(seed, 'ceiling'), CEILING_HEIGHT_M, grid)
+        moving = moving_layers(conditions, stream(seed, 'moving'), CEILING_HEIGHT_M, grid)
+        undersides = [_underside(item) for item in furniture]
+        layers = sorted([*fixed, *moving, *undersides], key=lambda layer: -layer.height_m)
+        sensor = ImageSensor(camera, conditions, seed)
+        self._renderer = CeilingRenderer(camera, layers, sensor, optical_blur_px=conditions.optical_blur_px)
+        self._conditions, self._control = conditions, ExposureControl(conditions)
+        self._is_moving = any(layer.motion is not None for layer in layers)
+        self._height_px = camera.height_px
         self._noise = stream(seed, 'image noise')
-        self._exposures = brightness(time_s, stream(seed, 'light'))
+        self._brightness = conditions.light * brightness(time_s, stream(seed, 'light'))
         self._time_s, self._camera_poses = time_s, camera_poses
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
@@ -54,16 +69,32 @@ class ImageSequence:
         return map(self.render, range(len(self._time_s)))
 
     def render(self, number: int) -> NDArray[np.uint8]:
-        """Render one of the images; the noise differs at each call."""
-        shutter_s = EXPOSURE_S * ((np.arange(BLUR_POSES) + 0.5) / BLUR_POSES - 0.5)
-        R_wc, p_wc = self._camera_poses(self._time_s[number] + shutter_s)
-        middle = BLUR_POSES // 2
-        moving = bool(np.any(R_wc != R_wc[0]) or np.any(p_wc != p_wc[0]))
-        blur = list(zip(R_wc, p_wc, strict=True)) if moving else []
-        exposure = float(self._exposures[number])
-        return self._renderer.render(
-            R_wc[middle], p_wc[middle], exposure=exposure, blur=blur, rng=self._noise
-        )
+        """Render one of the images; the noise differs at each call, and automatic exposure follows them."""
+        exposure_s, gain = self._control.exposure_s, self._control.gain
+        lit = self._brightness[number] * self._flicker(number, exposure_s)
+        exposure = lit * (exposure_s / self._conditions.exposure_s) * gain
+        sweeps = self._sweeps(float(self._time_s[number]), exposure_s)
+        image = self._renderer.expose(sweeps, exposure, gain=gain, rng=self._noise)
+        self._control.follow(float(image.mean()))
+        return image
+
+    def _sweeps(self, time_s: float, exposure_s: float) -> list[Sweep]:
+        """Return the poses over the exposure; a single one where nothing moves."""
+        count, readout_s = self._conditions.blur_poses, self._conditions.readout_s
+        shutter_s = exposure_s * ((np.arange(count) + 0.5) / count - 0.5)
+        edges = block_edges(self._height_px) / self._height_px - 0.5 if readout_s > 0.0 else np.zeros(1)
+        moments_s = time_s + shutter_s[:, None] + readout_s * edges
+        R_wc, p_wc = self._camera_poses(moments_s.ravel())
+        poses = list(map(CameraPose, R_wc, p_wc, moments_s.ravel().tolist()))
+        if not self._is_moving and not np.any(R_wc != R_wc[0]) and not np.any(p_wc != p_wc[0]):
+            return [poses[:1]]
+        return [poses[start : start + len(edges)] for start in range(0, len(poses), len(edges))]
+
+    def _flicker(self, number: int, exposure_s: float) -> Array:
+        """Return the brightness of the lamps for each row (height, 1), or for all rows (1, 1)."""
+        rows = (np.arange(self._height_px) + 0.5) / self._height_px - 0.5
+        delay_s = self._conditions.readout_s * rows if self._conditions.readout_s > 0.0 else np.zeros(1)
+        return flicker(self._conditions, self._time_s[number] + delay_s[:, None], exposure_s)
 
 
 def brightness(time_s: Array, rng: np.random.Generator) -> Array:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from gyrocal_ros.data import CameraIntrinsics
 from gyrocal_ros.errors import ConfigError, did_you_mean
+from gyrocal_ros.sim.image_conditions import ImageConditions
 from gyrocal_ros.sim.manoeuvres import DrivingStyle
 from gyrocal_ros.sim.scene import Furniture
 from gyrocal_ros.sim.sensors import Climate, Fan, SensorErrors
@@ -64,6 +65,9 @@ class Scenario:
     bumps: int = 3
     """Number of thresholds crossed."""
     camera: CameraIntrinsics = field(default=CAMERA)
+    ceiling: str = 'default'
+    """Name of the ceiling in the images, or file of a photograph of one."""
+    image_conditions: ImageConditions = ImageConditions()
     mount_xyz_m: tuple[float, float, float] = (0.09, 0.0, 0.10)
     mount_yaw_deg: float = -90.0
 

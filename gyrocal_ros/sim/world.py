@@ -213,8 +213,16 @@ class SimSource:
         """Return the images that the camera takes at `image_times`."""
         from gyrocal_ros.sim.image_sequence import ImageSequence  # OpenCV is loaded only for images
 
-        furniture, time_s = self.scenario.furniture, self.image_times()
-        return ImageSequence(self.truth.camera, furniture, self.seed, time_s, self.camera_poses)
+        scenario = self.scenario
+        return ImageSequence(
+            self.truth.camera,
+            scenario.ceiling,
+            scenario.image_conditions,
+            scenario.furniture,
+            self.seed,
+            self.image_times(),
+            self.camera_poses,
+        )
 
     def camera_poses(self, time_s: Array) -> tuple[Array, Array]:
         """Return the true R_wc (n, 3, 3) and p_wc (n, 3) of the camera at times (n,)."""

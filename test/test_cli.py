@@ -172,7 +172,7 @@ def test_demo_finds_the_true_scale_factor(
 )
 def test_the_drift_of_a_single_span_is_reported_as_such(worst: float, text: str) -> None:
     names = ('scale_factor', 'scale_factor_std', 'scale_factor_volt', 'bias', 'bias_std', 'heading_rms_deg')
-    summary = dict.fromkeys(names, 0.1) | {'coefficients': {}, 'converged': False}
+    summary = dict.fromkeys(names, 0.1) | {'coefficients': {}, 'converged': False, 'misfits': []}
     assert text in as_text(summary | {'blind_drift_deg': {'rms': 0.2, 'max': worst}}, Config())
 
 

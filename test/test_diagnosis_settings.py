@@ -121,7 +121,7 @@ class TestSweep:
 
         def in_order(function: object, given: list[tuple[Case, int, DiagnosisSettings]]) -> Iterator[Any]:
             tasks.extend(given)
-            for case, seed, _ in given:
+            for case, seed, *_ in given:
                 yield BlindResult(case, seed, (), is_costly=False, drift_known_deg=0.1)
 
         monkeypatch.setattr(bench, 'in_parallel', in_order)

@@ -81,6 +81,16 @@ def test_a_scene_has_its_lens_rate_and_ceiling(tmp_path: Path) -> None:
     assert np.abs(images[0][0].astype(int) - images[1][0]).mean() > 5.0
 
 
+def test_the_old_name_of_the_jpeg_quality_still_works(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ('--images', '--duration', '0.2')
+    assert simulate(tmp_path / 'old', *options, '--jpeg-quality', '40') == 0
+    assert 'deprecated' in capsys.readouterr().err
+    assert simulate(tmp_path / 'new', *options, '--condition', 'jpeg_quality=40') == 0
+    assert digest(tmp_path / 'old') == digest(tmp_path / 'new')
+
+
 def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
     for folder in ('one', 'two'):
         assert simulate(tmp_path / folder / 'bag') == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import fields, replace
 
+from gyrocal_ros.cli.output import warn
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.sim.ceilings import CEILINGS, find_ceiling
 from gyrocal_ros.sim.image_conditions import ImageConditions, with_conditions
@@ -33,6 +34,7 @@ def add_image_options(parser: argparse.ArgumentParser) -> None:
         metavar='NAME=VALUE',
         help=f'a condition of the images: {conditions}; may be repeated',
     )
+    parser.add_argument('--jpeg-quality', metavar='Q', help='deprecated: use --condition jpeg_quality=Q')
 
 
 def with_image_options(args: argparse.Namespace, scenario: Scenario) -> Scenario:
@@ -50,5 +52,9 @@ def with_image_options(args: argparse.Namespace, scenario: Scenario) -> Scenario
     if args.ceiling:
         find_ceiling(args.ceiling)
         scenario = replace(scenario, ceiling=args.ceiling)
-    conditions = with_conditions(scenario.image_conditions, args.condition, '--condition')
+    chosen = list(args.condition)
+    if args.jpeg_quality is not None:
+        warn('--jpeg-quality is deprecated: use --condition jpeg_quality=Q')
+        chosen.insert(0, f'jpeg_quality={args.jpeg_quality}')
+    conditions = with_conditions(scenario.image_conditions, chosen, '--condition')
     return replace(scenario, image_conditions=conditions)

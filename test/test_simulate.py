@@ -85,10 +85,10 @@ def test_the_old_name_of_the_jpeg_quality_still_works(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ('--images', '--duration', '0.2')
-    assert simulate(tmp_path / 'old', *options, '--jpeg-quality', '40') == 0
+    assert simulate(tmp_path / 'old' / 'bag', *options, '--jpeg-quality', '40') == 0
     assert 'deprecated' in capsys.readouterr().err
-    assert simulate(tmp_path / 'new', *options, '--condition', 'jpeg_quality=40') == 0
-    assert digest(tmp_path / 'old') == digest(tmp_path / 'new')
+    assert simulate(tmp_path / 'new' / 'bag', *options, '--condition', 'jpeg_quality=40') == 0
+    assert digest(tmp_path / 'old' / 'bag') == digest(tmp_path / 'new' / 'bag')
 
 
 def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_a_scene_has_its_lens_rate_and_ceiling(tmp_path: Path) -> None:
 def test_the_old_name_of_the_jpeg_quality_still_works(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ('--images', '--duration', '0.2')
+    options = ('--images', '--duration', '1')
     assert simulate(tmp_path / 'old' / 'bag', *options, '--jpeg-quality', '40') == 0
     assert 'deprecated' in capsys.readouterr().err
     assert simulate(tmp_path / 'new' / 'bag', *options, '--condition', 'jpeg_quality=40') == 0

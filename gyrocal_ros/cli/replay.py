@@ -35,7 +35,7 @@ from gyrocal_ros.msgs.issues import BagIssue, raise_first_error, worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.pipeline.run_filter import Progress
-from gyrocal_ros.report.describe import DOES_NOT_FIT, calibration_headline, quantity, with_std
+from gyrocal_ros.report.describe import calibration_headline, quantity, with_std
 
 EXAMPLE = """gyrocal replay my_bag -o result
 gyrocal replay my_bag --json
@@ -142,15 +142,19 @@ def as_text(summary: dict[str, Any], config: Config) -> str:
     width = max(len(label) for label, _ in rows)
     lines = [f'{label:{width}}  {text}' for label, text in rows]
     if summary['misfits']:
-        lines += ['', DOES_NOT_FIT]
+        lines += ['', _headline(summary, config)]
     return '\n'.join(lines)
 
 
 def _convergence(summary: dict[str, Any], config: Config) -> str:
-    converged_s, std = summary.get('convergence_time_s'), summary['scale_factor_std']
     if summary['converged']:
-        return f'after {converged_s:.1f} s of {summary["duration_s"]:.0f} s'
-    return f'no. {calibration_headline(False, converged_s, std, config, summary["misfits"])}'
+        return f'after {summary["convergence_time_s"]:.1f} s of {summary["duration_s"]:.0f} s'
+    return 'no' if summary['misfits'] else f'no. {_headline(summary, config)}'
+
+
+def _headline(summary: dict[str, Any], config: Config) -> str:
+    converged_s, std = summary.get('convergence_time_s'), summary['scale_factor_std']
+    return calibration_headline(summary['converged'], converged_s, std, config, summary['misfits'])
 
 
 def _calibrate(

@@ -9,15 +9,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 
 MIN_DEPTH = 1e-6
 """Smallest depth that is divided by, in the unit of the points."""
 MAX_NEWTON_STEPS = 6
-LAST_NEWTON_STEP = 1e-8
+LAST_NEWTON_STEP = 1e-7
 """Length of a Newton step below which the iteration ends: convergence is quadratic, so the next step would be
-below rounding."""
+below 1e-12."""
 
 
 def project(camera: CameraIntrinsics, points_c: Array) -> Array:
@@ -30,7 +31,7 @@ def project(camera: CameraIntrinsics, points_c: Array) -> Array:
         (n, 2) u, v; meaningless for points behind the camera (`points_c[:, 2] <= 0`).
     """
     normalised = points_c[:, :2] / np.maximum(points_c[:, 2:], MIN_DEPTH)
-    return _pixels(camera, _distort_with_jacobian(camera, normalised)[0])
+    return _pixels(camera, _as_points(_distort(camera, _as_complex(normalised))[0]))
 
 
 def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Array, Array]:
@@ -44,12 +45,13 @@ def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Ar
     """
     inverse_z = 1.0 / np.maximum(points_c[:, 2], MIN_DEPTH)
     normalised = points_c[:, :2] * inverse_z[:, None]
-    distorted, lens = _distort_with_jacobian(camera, normalised)
+    distorted, by_z, by_conjugate = _distort(camera, _as_complex(normalised))
+    lens = _jacobian(by_z, by_conjugate)
     jacobian = np.empty((len(points_c), 2, 3))
     jacobian[:, :, :2] = lens
     jacobian[:, :, 2] = -(lens @ normalised[:, :, None])[:, :, 0]
     jacobian *= np.array([[camera.fx_px], [camera.fy_px]]) * inverse_z[:, None, None]
-    return _pixels(camera, distorted), jacobian
+    return _pixels(camera, _as_points(distorted)), jacobian
 
 
 def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
@@ -64,20 +66,23 @@ def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
     distorted = (pixels - [camera.cx_px, camera.cy_px]) / [camera.fx_px, camera.fy_px]
     if not any(camera.distortion):
         return distorted
-    normalised = distorted
+    wanted = _as_complex(distorted)
+    z = wanted
     for _ in range(MAX_NEWTON_STEPS):
-        reached, lens = _distort_with_jacobian(camera, normalised)
-        step = np.linalg.solve(lens, (reached - distorted)[:, :, None])[:, :, 0]
-        normalised = normalised - step
+        reached, by_z, by_conjugate = _distort(camera, z)
+        miss = reached - wanted
+        step = by_z * miss - by_conjugate * miss.conj()
+        step /= by_z**2 - by_conjugate.real**2 - by_conjugate.imag**2
+        z = z - step
         if np.abs(step).max(initial=0.0) < LAST_NEWTON_STEP:
             break
-    return normalised
+    return _as_points(z)
 
 
 def bearing_jacobian(camera: CameraIntrinsics, normalised: Array) -> Array:
     """Return the derivative (n, 2, 2) of `bearing` with respect to the pixels, at its result (n, 2)."""
-    _, lens = _distort_with_jacobian(camera, normalised)
-    return np.linalg.inv(np.array([[camera.fx_px], [camera.fy_px]]) * lens)
+    _, by_z, by_conjugate = _distort(camera, _as_complex(normalised))
+    return np.linalg.inv(np.array([[camera.fx_px], [camera.fy_px]]) * _jacobian(by_z, by_conjugate))
 
 
 def in_image(camera: CameraIntrinsics, pixels: Array, border_px: float = 0.0) -> np.ndarray:
@@ -98,26 +103,42 @@ def _pixels(camera: CameraIntrinsics, normalised: Array) -> Array:
     return normalised * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
 
 
-def _distort_with_jacobian(camera: CameraIntrinsics, normalised: Array) -> tuple[Array, Array]:
-    """Apply the plumb-bob model of sensor_msgs/CameraInfo (Brown 1966): radial and tangential.
+def _as_complex(points: Array) -> NDArray[np.complex128]:
+    """Return points (n, 2) as complex numbers x + iy (n,)."""
+    return np.ascontiguousarray(points, dtype=np.float64).view(np.complex128)[:, 0]
+
+
+def _as_points(z: NDArray[np.complex128]) -> Array:
+    """Return complex numbers (n,) as points (n, 2)."""
+    return z[:, None].view(np.float64)
+
+
+def _distort(
+    camera: CameraIntrinsics, z: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], Array, NDArray[np.complex128]]:
+    """Apply the plumb-bob model of sensor_msgs/CameraInfo (Brown 1966), in complex numbers z = x + iy.
+
+    With p = p2 + i p1 and r = |z|:
+
+        distorted = z (1 + k1 r^2 + k2 r^4 + k3 r^6 + 2 Re(conj(p) z)) + p r^2
 
     Returns:
-        (n, 2) distorted normalised coordinates and their derivative (n, 2, 2).
+        (n,) distorted normalised coordinates, and their derivatives by z (real) and by conj(z) (Wirtinger).
     """
-    jacobian = np.empty((len(normalised), 2, 2))
-    if not any(camera.distortion):
-        jacobian[:] = np.eye(2)
-        return normalised, jacobian
     k1, k2, p1, p2, k3 = camera.distortion
-    x, y = normalised[:, 0], normalised[:, 1]
-    xx, yy, xy = x * x, y * y, x * y
-    r2 = xx + yy
+    p = complex(p2, p1)
+    r2 = (z * z.conj()).real
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3)))
-    distorted = normalised * radial[:, None]
-    distorted[:, 0] += 2.0 * p1 * xy + p2 * (r2 + 2.0 * xx)
-    distorted[:, 1] += p1 * (r2 + 2.0 * yy) + 2.0 * p2 * xy
-    jacobian[:, 0, 0] = radial + slope * xx + 2.0 * p1 * y + 6.0 * p2 * x
-    jacobian[:, 0, 1] = jacobian[:, 1, 0] = slope * xy + 2.0 * (p1 * x + p2 * y)
-    jacobian[:, 1, 1] = radial + slope * yy + 6.0 * p1 * y + 2.0 * p2 * x
-    return distorted, jacobian
+    slope = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3))
+    tangential = 2.0 * (p.conjugate() * z).real
+    distorted = z * (radial + tangential) + p * r2
+    return distorted, radial + slope * r2 + 2.0 * tangential, z * (slope * z + 2.0 * p)
+
+
+def _jacobian(by_z: Array, by_conjugate: NDArray[np.complex128]) -> Array:
+    """Return the derivative (n, 2, 2) by x and y from those by z (n,) and conj(z) (n,)."""
+    jacobian = np.empty((len(by_z), 2, 2))
+    jacobian[:, 0, 0] = by_z + by_conjugate.real
+    jacobian[:, 0, 1] = jacobian[:, 1, 0] = by_conjugate.imag
+    jacobian[:, 1, 1] = by_z - by_conjugate.real
+    return jacobian

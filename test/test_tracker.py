@@ -138,8 +138,8 @@ def test_the_turn_of_the_tracks_is_true_despite_a_prediction_error() -> None:
     rows = list(tracker_accuracy(1, (20.0, 100.0), Conditions(frames=25, attitude_error=0.08)))
     for row in rows:
         assert abs(row['turn_error_percent']) < 0.03
-        assert row['white_px'] < 0.05
-        assert row['anchor_px'] < 0.08
+        assert row['rms_px'] < 0.05
+        assert row['slow_95_px'] < 0.08
         assert row['features'] > 10
 
 

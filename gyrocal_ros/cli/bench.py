@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from gyrocal_ros.bench.accuracy import accuracy, in_parallel
 from gyrocal_ros.bench.accuracy import cases as accuracy_cases
+from gyrocal_ros.bench.bag_tracks import bag_rows
 from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
@@ -34,6 +35,7 @@ gyrocal bench accuracy comparison --seeds 20
 gyrocal bench blind --seeds 10 --only none scale_cubic
 gyrocal bench blind --only none --set significant_sigma=3.5 --set min_predictive_gain=2
 gyrocal bench growth -o growth.html
+gyrocal bench tracker --bag drive_with_images
 gyrocal bench --quick"""
 
 BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
@@ -41,7 +43,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'comparison': lambda args: comparison(args.seeds),
     'camera_off': lambda args: camera_off(args.seeds),
     'blind': lambda args: blind(args.seeds, args.only, _settings(args)),
-    'tracker': lambda args: tracker_accuracy(args.seeds),
+    'tracker': lambda args: bag_rows(args.bag) if args.bag else tracker_accuracy(args.seeds),
     'motions': lambda args: motions(),
     'speed': lambda args: speed(args.quick),
     'growth': lambda args: growth(args.quick),
@@ -71,6 +73,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--only', nargs='+', default=[], metavar='CASE', help='for accuracy and blind: run these cases only'
     )
     parser.add_argument(
+        '--bag',
+        nargs='+',
+        default=[],
+        type=Path,
+        help='for tracker: recordings with images and true poses, in place of rendered images',
+    )
+    parser.add_argument(
         '--set',
         action='append',
         default=[],
@@ -98,6 +107,8 @@ def run(args: argparse.Namespace) -> None:
     settings = _settings(args)
     if args.set and (not args.what or set(args.what) != {'blind'}):
         raise GyrocalError('is only for the bench blind', where='--set', todo='name blind')
+    if args.bag and args.what != ['tracker']:
+        raise GyrocalError('is only for the bench tracker', where='--bag', todo='name tracker')
     if args.seeds < 1:
         raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
     if args.keep and (args.what or not args.quick):

@@ -15,8 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal_ros.bench.track_errors import TrackErrors, track_errors, track_row
 from gyrocal_ros.config.sections import TrackerConfig
-from gyrocal_ros.data import Array, CameraIntrinsics, FeatureObservations, Frame, SearchRegions, nanoseconds
+from gyrocal_ros.data import (
+    Array,
+    CameraIntrinsics,
+    FeatureObservations,
+    Frame,
+    SearchRegions,
+    nanoseconds,
+    seconds,
+)
 from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
@@ -28,8 +37,6 @@ CAMERA_M = 0.1
 RATES_DEG_S = (10.0, 20.0, 40.0, 60.0, 80.0, 100.0)
 CORNER_PX = 400.0
 """Distance of the corners of the image from its centre."""
-MIN_OBSERVATIONS = 6
-"""Number of observations that a track must exceed for an estimate of its noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +61,7 @@ def tracker_accuracy(
 
     turn_error_percent: relative error of the turn of the tracks, mean over the seeds.
     turn_error_max_percent: the same for the worst seed.
-    white_px: noise of a track about its own mean, for each coordinate.
-    anchor_px: distance of that mean from the first observation, at which a filter initialises the landmark.
-    autocorrelation: correlation of successive errors of a track about its mean, 0 for white noise.
+    rms_px, white_px, slow_px, slow_5_px, slow_95_px: errors of whole tracks, see `track_errors`.
     features: number of observed features per frame.
     frame_ms: processing time of the tracker per frame.
     """
@@ -68,17 +73,14 @@ def tracker_accuracy(
         for seed, (drive, renderer) in enumerate(zip(drives, renderers, strict=True)):
             _track(drive, renderer, np.random.default_rng(seed))
         errors = np.array([_turn(drive) / drive.yaw(drive.end_s) - 1.0 for drive in drives])
-        white, anchor, lagged = np.mean([_noise(drive) for drive in drives], axis=0)
+        errors_px = track_row([_track_errors(drive) for drive in drives])
         yield {
             'rate_deg_s': rate_deg_s,
             'turn_error_percent': 100.0 * float(errors.mean()),
             'turn_error_max_percent': 100.0 * float(np.abs(errors).max()),
-            'white_px': math.sqrt(white),
-            'anchor_px': math.sqrt(anchor),
-            'autocorrelation': float(lagged / white),
             'features': float(np.mean([len(seen.ids) for drive in drives for seen in drive.seen])),
             'frame_ms': 1e3 * float(np.mean([drive.spent_s for drive in drives])) / conditions.frames,
-        }
+        } | errors_px
 
 
 @dataclass(slots=True)
@@ -165,21 +167,7 @@ def _turn(drive: _Drive) -> float:
     return turn
 
 
-def _noise(drive: _Drive) -> tuple[float, float, float]:
-    """Return variances of a track in px^2: white noise, anchor, and covariance of successive errors."""
-    errors: dict[int, list[Array]] = {}
-    focal_px = CAMERA.fx_px / (CEILING_M - CAMERA_M)
-    for k, seen in enumerate(drive.seen):
-        points_w = drive.on_ceiling(k / drive.conditions.frames_per_s, seen.pixels)
-        for id_, point_w in zip(seen.ids.tolist(), points_w, strict=True):
-            errors.setdefault(id_, []).append(focal_px * (point_w - drive.points_w[id_])[:2])
-    white, anchor, lagged = [], [], []
-    for track in errors.values():
-        if len(track) > MIN_OBSERVATIONS:
-            after_first = np.array(track[1:])
-            mean = after_first.mean(axis=0)
-            own = after_first - mean
-            white.append((own**2).mean())
-            anchor.append((mean**2).mean())
-            lagged.append((own[1:] * own[:-1]).mean())
-    return float(np.mean(white)), float(np.mean(anchor)), float(np.mean(lagged))
+def _track_errors(drive: _Drive) -> TrackErrors:
+    """Return the errors of the tracks with the true poses."""
+    R_wc, p_wc = zip(*(drive.pose(seconds(seen.t_ns)) for seen in drive.seen), strict=True)
+    return track_errors(CAMERA, drive.seen, np.array(R_wc), np.array(p_wc))

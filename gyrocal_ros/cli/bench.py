@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from gyrocal_ros.bench.accuracy import accuracy, in_parallel
 from gyrocal_ros.bench.accuracy import cases as accuracy_cases
+from gyrocal_ros.bench.bag_tracks import bag_rows
 from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
@@ -39,6 +40,7 @@ gyrocal bench blind --only none --set significant_sigma=3.5 --set min_predictive
 gyrocal bench blind --images --seeds 2 --only none gyro_lag
 gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
+gyrocal bench tracker --bag drive_with_images
 gyrocal bench --quick"""
 
 BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
@@ -47,7 +49,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'camera_off': lambda args: camera_off(args.seeds),
     'blind': lambda args: blind(args.seeds, args.only, _settings(args), _scenes(args)),
     'eyes': lambda args: eyes(args.seeds, args.scenes or tuple(SCENES), args.seconds),
-    'tracker': lambda args: tracker_accuracy(args.seeds),
+    'tracker': lambda args: bag_rows(args.bag) if args.bag else tracker_accuracy(args.seeds),
     'motions': lambda args: motions(),
     'speed': lambda args: speed(args.quick),
     'growth': lambda args: growth(args.quick),
@@ -75,6 +77,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--keep', action='store_true', help='with --quick: keep the figures of this code')
     parser.add_argument(
         '--only', nargs='+', default=[], metavar='CASE', help='for accuracy and blind: run these cases only'
+    )
+    parser.add_argument(
+        '--bag',
+        nargs='+',
+        default=[],
+        type=Path,
+        help='for tracker: recordings with images and true poses, in place of rendered images',
     )
     parser.add_argument(
         '--set',

@@ -55,7 +55,7 @@ def undistort(camera: CameraIntrinsics, distorted: Array) -> Array:
     normalised = distorted
     for _ in range(MAX_NEWTON_STEPS):
         reached, slope = distort(camera, normalised)
-        step = np.linalg.solve(slope, (reached - distorted)[:, :, None])[:, :, 0]
+        step = _solve_symmetric(slope, reached - distorted)
         normalised = normalised - step
         if np.abs(step).max(initial=0.0) < LAST_NEWTON_STEP:
             break
@@ -73,6 +73,13 @@ def by_radial_coefficients(camera: CameraIntrinsics, normalised: Array) -> Array
         denominator = _rational_denominator(camera.distortion, r2)[0]
         first, second = r2 / denominator, r2**2 / denominator
     return normalised[:, :, None] * np.stack([first, second], axis=1)[:, None]
+
+
+def _solve_symmetric(matrices: Array, right: Array) -> Array:
+    """Solve n symmetric systems (n, 2, 2) for right sides (n, 2), by Cramer's rule."""
+    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    x, y = right[:, 0], right[:, 1]
+    return np.stack([c * x - b * y, a * y - b * x], axis=1) / (a * c - b * b)[:, None]
 
 
 def _distort_brown(coefficients: tuple[float, ...], normalised: Array) -> tuple[Array, Array]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,8 @@ from gyrocal_ros.data import Array
 MAX_ITERATIONS = 10
 MAX_STEP_PX = 2.0
 CONVERGED_PX = 0.01
+NODE_CENTRE = 4
+"""Index of the node at the centre of a patch."""
 _TINY = 1e-9
 
 
@@ -120,7 +121,7 @@ def _band(size: int, before: float, here: float, after: float) -> Array:
     )
 
 
-def align(image: NDArray[np.uint8], patches: Patches, points: Array, min_correlation: float) -> Alignment:
+def align(image: NDArray[np.uint8], patches: Patches, nodes: Array, min_correlation: float) -> Alignment:
     """Align all patches by Lucas-Kanade from predicted points, independent of the brightness.
 
     The patches may be rotated beyond the predicted rotation by one common angle: the error of the
@@ -129,21 +130,20 @@ def align(image: NDArray[np.uint8], patches: Patches, points: Array, min_correla
     Args:
         image: (height, width).
         patches: n patches.
-        points: (n, m, 2) pixels of the predicted points of the patches.
+        nodes: (n, 9, 2) pixels of the predicted `node_offsets` of the patches.
         min_correlation: patches with a smaller correlation do not contribute to the rotation.
     """
-    size = round(points.shape[1] ** 0.5)
-    centre = points.shape[1] // 2
-    by_pixel = 0.5 * np.stack(
-        [points[:, centre + 1] - points[:, centre - 1], points[:, centre + size] - points[:, centre - size]],
-        axis=1,
-    )
-    shift, twist = np.zeros((len(points), 2)), 0.0
+    size = round(patches.template.shape[1] ** 0.5)
+    points = patch_points(nodes, size).transpose(1, 0, 2)
+    by_pixel = node_basis(nodes, size)
+    to_pixels = by_pixel.transpose(0, 2, 1)
+    shift, twist = np.zeros((len(nodes), 2)), 0.0
     for _ in range(MAX_ITERATIONS):
         c, s = np.cos(twist), np.sin(twist)
         turn = np.array([[c, s], [-s, c]])
-        moved = shift[:, None, :] + grid(size) @ (turn - np.eye(2))
-        current, correlation = _brightness_normalised(patches, sample_image(image, points + moved @ by_pixel))
+        moved = shift[:, :, None] + (turn - np.eye(2)).T @ grid(size).T
+        at = points + to_pixels @ moved
+        current, correlation = _brightness_normalised(patches, sample_image(image, at[:, 0], at[:, 1]))
         good = correlation > min_correlation
         weight = good * patches.twist_weight
         excess = (current * patches.to_twist).sum(axis=1)
@@ -153,41 +153,74 @@ def align(image: NDArray[np.uint8], patches: Patches, points: Array, min_correla
         twist -= twist_step
         if not good.any() or np.abs(step[good]).max() < CONVERGED_PX:
             break
-    pixels = points[:, centre] + (shift[:, None, :] @ by_pixel)[:, 0]
+    pixels = nodes[:, NODE_CENTRE] + (shift[:, None, :] @ by_pixel)[:, 0]
     return Alignment(pixels, twist, correlation, _backward_shift(current, patches.template))
 
 
-def sample_image(image: NDArray[np.uint8], points: Array) -> Array:
-    """Return smoothed grey values (...) of an image (height, width) at points (..., 2) u, v.
+def node_offsets(size: int) -> Array:
+    """Return the offsets (9, 2) of the nodes of a patch: its corners, the middles of its edges, its centre.
+
+    A predicted patch is given by the pixels of these nodes and is biquadratic between them.
+    """
+    return (size // 2) * grid(3)
+
+
+def node_basis(nodes: Array, size: int) -> Array:
+    """Return the derivative (n, 2, 2) of the pixels u, v (last axis) by u, v of the patch, at its centre.
+
+    Args:
+        nodes: (n, 9, 2) pixels of the nodes.
+        size: side of the patch.
+    """
+    return (nodes[:, [5, 7]] - nodes[:, [3, 1]]) / (2 * (size // 2))
+
+
+def patch_points(nodes: Array, size: int) -> Array:
+    """Return the pixels (2, n, size * size) of all points of patches from those of the nodes (n, 9, 2)."""
+    return nodes.transpose(2, 0, 1) @ _between_nodes(size)
+
+
+@cache
+def _between_nodes(size: int) -> Array:
+    """Return the weights (9, size * size) of the nodes at each point: products of Lagrange polynomials."""
+    t = grid(size)[:size, 0] / (size // 2)
+    weights = np.array([0.5 * t * (t - 1.0), 1.0 - t * t, 0.5 * t * (t + 1.0)])
+    return np.einsum('iv,ju->ijvu', weights, weights).reshape(9, -1)
+
+
+def sample_image(image: NDArray[np.uint8], u: Array, v: Array) -> Array:
+    """Return smoothed grey values (...) of an image (height, width) at pixels u (...), v (...).
 
     The points are clipped to the image.
     """
     height, width = image.shape
-    points = np.clip(points, 1.0, [width - 3, height - 3])
-    whole = points.astype(np.int64)
-    fraction = (points - whole).astype(np.float32)
-    across, down = _spline(fraction[..., 0]), _spline(fraction[..., 1])
-    corner = (whole[..., 1] - 1) * width + (whole[..., 0] - 1)
-    flat = image.ravel()
-    values = np.zeros(points.shape[:-1], dtype=np.float32)
-    for row, down_weight in enumerate(down):
-        line = across[0] * flat.take(corner + row * width)
-        for column in (1, 2, 3):
-            line += across[column] * flat.take(corner + (row * width + column))
-        values += down_weight * line
-    return values.astype(float)
+    u, v = np.clip(u, 1.0, width - 3), np.clip(v, 1.0, height - 3)
+    left, top = u.astype(np.intp), v.astype(np.intp)
+    coefficients = image.ravel().take(_neighbours(width, u.ndim) + (top * width + left))
+    return np.einsum('ij...,i...,j...->...', coefficients, _spline(v - top), _spline(u - left)).astype(float)
 
 
-def _spline(f: NDArray[np.float32]) -> tuple[NDArray[Any], ...]:
-    """Return the weights of the four nearest coefficients of a cubic B-spline.
+@cache
+def _neighbours(width: int, dimensions: int) -> NDArray[np.intp]:
+    """Return the index offsets (4, 4, 1, ...) of the coefficients that a point depends on."""
+    reach = np.arange(-1, 3)
+    return (reach[:, None] * width + reach).reshape(4, 4, *(1,) * dimensions)
+
+
+def _spline(fraction: Array) -> NDArray[np.float32]:
+    """Return the weights (4, ...) of the four nearest coefficients of a cubic B-spline.
 
     Args:
-        f: fraction after the second of the four.
+        fraction: distance after the second of the four.
     """
+    f = fraction.astype(np.float32)
     g = 1.0 - f
-    first, last = g * g * g / 6.0, f * f * f / 6.0
-    second = 2.0 / 3.0 - f * f * (1.0 - 0.5 * f)
-    return first, second, 1.0 - first - second - last, last
+    weights = np.empty((4, *f.shape), np.float32)
+    weights[0] = g * g * g / 6.0
+    weights[1] = 2.0 / 3.0 - f * f * (1.0 - 0.5 * f)
+    weights[3] = f * f * f / 6.0
+    weights[2] = 1.0 - weights[0] - weights[1] - weights[3]
+    return weights
 
 
 def _detrended(values: Array) -> Array:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from gyrocal_ros.data import Array, CameraIntrinsics
 from gyrocal_ros.model.camera import bearing, project
-from gyrocal_ros.vision.patches import grid
+from gyrocal_ros.vision.patches import NODE_CENTRE, grid, node_basis
 
 SIGMAS = 3.5
 """Half-axes of a search region in standard deviations."""
@@ -51,7 +51,7 @@ def region_radius(covariances: Array) -> NDArray[np.intp]:
     return np.ceil(SIGMAS * np.sqrt(largest)).astype(np.intp)
 
 
-def best_match(image: NDArray[np.uint8], template: Array, points: Array, covariance: Array) -> Array:
+def best_match(image: NDArray[np.uint8], template: Array, nodes: Array, covariance: Array) -> Array:
     """Find the position of best correlation of a patch in its region, to the pixel.
 
     The region is resampled along the axes of the patch, so that the patch itself is not resampled.
@@ -59,19 +59,16 @@ def best_match(image: NDArray[np.uint8], template: Array, points: Array, covaria
     Args:
         image: (height, width).
         template: (m,) grey values of the patch.
-        points: (m, 2) pixels of its predicted points.
+        nodes: (9, 2) pixels of the predicted `node_offsets` of the patch.
         covariance: (2, 2) of the prediction.
 
     Returns:
-        (2,) offset in pixels, to be added to `points`.
+        (2,) offset in pixels, to be added to `nodes`.
     """
     size = round(len(template) ** 0.5)
-    middle = len(template) // 2
-    basis = 0.5 * np.stack(
-        [points[middle + 1] - points[middle - 1], points[middle + size] - points[middle - size]]
-    )
+    basis = node_basis(nodes[None], size)[0]
     radius = int(region_radius(covariance[None])[0])
-    region = np.clip(points[middle] + grid(size + 2 * radius) @ basis, -1e4, 1e4).astype(np.float32)
+    region = np.clip(nodes[NODE_CENTRE] + grid(size + 2 * radius) @ basis, -1e4, 1e4).astype(np.float32)
     resampled = cv2.remap(image, region[:, None], None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
     scores = cv2.matchTemplate(
         resampled.reshape(size + 2 * radius, -1).astype(np.float32),

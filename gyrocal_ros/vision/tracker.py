@@ -29,7 +29,7 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
-from gyrocal_ros.vision.patches import Patches, align, extract_patches, grid
+from gyrocal_ros.vision.patches import Patches, align, extract_patches, node_offsets
 from gyrocal_ros.vision.search_region import (
     best_match,
     ceiling_coordinates,
@@ -55,7 +55,7 @@ ID_COUNT = 2**32
 
 @dataclass(slots=True, eq=False)
 class _Features:
-    """n features with patches of m points, oldest first."""
+    """n features, oldest first."""
 
     ids: IntArray
     seen_ns: IntArray
@@ -63,7 +63,7 @@ class _Features:
     ceiling: Array
     """(n, 2) ceiling coordinates at that time."""
     outline: Array
-    """(n, m, 2) ceiling coordinates of the points of the patch, relative to its centre."""
+    """(n, 9, 2) ceiling coordinates of the nodes of the patch, relative to its centre."""
     patches: Patches
 
     def __len__(self) -> int:
@@ -222,8 +222,8 @@ class Tracker:
     def _best_matches(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet) -> Array:
         """Return the positions (k, 2) of best correlation in the regions, to the pixel."""
         features = self._features[search.index]
-        points = self._points(features, search.pixels, R_wc)
-        arguments = zip(features.patches.template, points, search.covariances_px2, strict=True)
+        nodes = self._nodes(features, search.pixels, R_wc)
+        arguments = zip(features.patches.template, nodes, search.covariances_px2, strict=True)
         return search.pixels + np.array([best_match(image, *each) for each in arguments])
 
     def _align(
@@ -232,8 +232,8 @@ class Tracker:
         """Return pixels (k, 2) by Lucas-Kanade, and their correlation (k,), -1 if the match is rejected."""
         features = self._features[search.index]
         for _ in range(2):
-            points = self._points(features, starts, R_wc)
-            result = align(image, features.patches, points, self.config.min_correlation)
+            nodes = self._nodes(features, starts, R_wc)
+            result = align(image, features.patches, nodes, self.config.min_correlation)
             good = (
                 (result.correlation > max(0.0, self.config.min_correlation))
                 & (result.backward_px <= self.config.max_reprojection_px)
@@ -248,8 +248,8 @@ class Tracker:
             starts = np.where(good[:, None], result.pixels, starts)
         return result.pixels, np.where(good, result.correlation, -1.0)
 
-    def _points(self, features: _Features, centres: Array, R_wc: Array) -> Array:
-        """Return pixels (n, m, 2) of the points of patches whose centres are at pixels (n, 2)."""
+    def _nodes(self, features: _Features, centres: Array, R_wc: Array) -> Array:
+        """Return pixels (n, 9, 2) of the nodes of patches whose centres are at pixels (n, 2)."""
         return self._to_pixels(self._to_ceiling(centres, R_wc)[:, None] + features.outline, R_wc)
 
     def _detect(self, frame: Frame, R_wc: Array, taken: Array, tracked: int) -> Array:
@@ -273,7 +273,7 @@ class Tracker:
 
     def _new_features(self, frame: Frame, R_wc: Array, corners: NDArray[np.intp]) -> _Features:
         ceiling = self._to_ceiling(corners.astype(float), R_wc)
-        outline = self._to_ceiling(corners[:, None] + grid(self._size_px), R_wc) - ceiling[:, None]
+        outline = self._to_ceiling(corners[:, None] + node_offsets(self._size_px), R_wc) - ceiling[:, None]
         ids = (self._next_id + np.arange(len(corners))) % ID_COUNT
         patches = extract_patches(frame.image, corners, self._size_px)
         return _Features(ids, np.full(len(ids), frame.t_ns), ceiling, outline, patches)

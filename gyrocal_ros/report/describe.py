@@ -47,7 +47,7 @@ class Verdict:
         return self.kind == 'good'
 
 
-DOES_NOT_FIT = 'The model does not fit this recording: run gyrocal diagnose.'
+DOES_NOT_FIT = 'the model does not fit this recording: run gyrocal diagnose'
 
 
 def calibration_headline(
@@ -68,7 +68,7 @@ def calibration_headline(
     """
     threshold = f'{100.0 * config.convergence.scale_std:g} %'
     if misfits:
-        return f'Not to be trusted: {"; ".join(misfits)}. {DOES_NOT_FIT}'
+        return f'Not to be trusted: {"; ".join(misfits)}; {DOES_NOT_FIT}'
     if convergence_time_s is None:
         return (
             f'Not calibrated yet: the scale factor is known to {100.0 * scale_std:.2g} % only, not to '

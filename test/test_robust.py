@@ -18,17 +18,17 @@ from gyrocal_ros.ekf.update import Innovation, innovate
 ONES = np.ones(5)
 
 
-def known_map() -> State:
-    """Return a state with an uncertain pose and landmarks known to about the pixel noise."""
+def known_map(pose_part: float = 1.0) -> State:
+    """Return a state with an uncertain pose, by a factor, and landmarks known to about the pixel noise."""
     state = some_state()
     std = np.full(len(state.mean), 1e-4)
-    std[POSE] = [0.02, 0.02, 0.001, 0.002, 0.002, 0.02]
+    std[POSE] = pose_part * np.array([0.02, 0.02, 0.001, 0.002, 0.002, 0.02])
     return replace(state, covariance=0.01 * np.outer(std, std) + 0.99 * np.diag(std**2))
 
 
-def innovation_of(residual: Array) -> Innovation:
+def innovation_of(residual: Array, pose_part: float = 1.0) -> Innovation:
     """Return the innovation of the five features of that state."""
-    state, rows = known_map(), np.arange(5)
+    state, rows = known_map(pose_part), np.arange(5)
     prediction = INVERSE_DEPTH.predict(view_at(state.mean[POSE]), state.features, state.landmarks.anchors)
     noise = np.broadcast_to(NOISE_PX**2 * np.eye(2), (5, 2, 2))
     return innovate(state, rows, prediction, prediction.expected + residual, noise)
@@ -69,14 +69,14 @@ def test_a_wrong_match_shows_more_clearly_than_by_the_map_alone() -> None:
     innovation = innovation_of(residual)
     alone, judged = each_alone(innovation), leave_one_out(innovation, ONES)
     assert judged.distances[2] > 3.0 * alone.distances[2]
-    assert np.argmax(robust(innovation)[1].distances) == 2
+    assert np.argmax(robust(innovation, 1e-4)[1].distances) == 2
 
 
 def test_the_noise_of_a_contradicted_feature_grows() -> None:
     residual = np.zeros((5, 2))
     residual[2] = [10.0 * NOISE_PX, -10.0 * NOISE_PX]
     innovation = innovation_of(residual)
-    result, judged = robust(innovation)
+    result, judged = robust(innovation, 1e-4)
     change = (result.covariance - innovation.covariance) / NOISE_PX**2
     each = np.arange(5)
     inflation = change[each, :, each, :]
@@ -87,9 +87,19 @@ def test_the_noise_of_a_contradicted_feature_grows() -> None:
     assert not change.any()
 
 
+def test_a_pose_that_all_features_contradict_rejects_none_of_them() -> None:
+    expected = innovation_of(np.zeros((5, 2)), 0.01)
+    turned = expected.prediction.by_pose[:, :, 5] * 0.02  # a hundred standard deviations of the heading
+    innovation = innovation_of(turned, 0.01)
+    assert leave_one_out(innovation, ONES).distances.max() > 20.0
+    assert robust(innovation, 1e-4)[1].distances.max() < 5.0
+    turned[1] += [0.0, 30.0 * NOISE_PX]
+    assert np.argmax(robust(innovation_of(turned, 0.01), 1e-4)[1].distances) == 1
+
+
 def test_an_image_without_outliers_is_left_alone() -> None:
     innovation = innovation_of(np.zeros((5, 2)))
-    np.testing.assert_array_equal(robust(innovation)[0].covariance, innovation.covariance)
+    np.testing.assert_array_equal(robust(innovation, 1e-4)[0].covariance, innovation.covariance)
 
 
 def test_the_gate_is_fixed_where_most_features_agree() -> None:

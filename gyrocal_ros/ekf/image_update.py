@@ -123,7 +123,7 @@ def _judge(innovation: Innovation, model: ImageModel) -> tuple[Innovation, Judge
     """Return the innovation with robust weights, the comparison of its features, and which of them to use."""
     outlier_probability = model.config.features.outlier_probability
     if model.form.is_robust:
-        innovation, judged = robust(innovation)
+        innovation, judged = robust(innovation, outlier_probability)
         return innovation, judged, agreeing(judged.distances, DOF_PER_FEATURE, outlier_probability)
     judged = each_alone(innovation)
     return innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability)

@@ -13,6 +13,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.update import Innovation, mahalanobis, not_a_covariance, own_precisions
+from gyrocal_ros.statistics import chi_square_quantile
 
 HUBER_BOUND = 2.5
 """Mahalanobis distance above which a feature counts less (Huber 1964). Of normally distributed features,
@@ -20,6 +21,11 @@ HUBER_BOUND = 2.5
 MAX_ITERATIONS = 3
 CONVERGED = 0.05
 """Relative change of the weights at which the iteration ends."""
+FREE_POSE_STD = np.array([0.3, 0.3, 0.3, 0.1, 0.1, 0.1])
+"""Standard deviations (m, rad) of a pose of which nothing is known."""
+POSE_DOF = 6
+MIN_FEATURES = 4
+"""Fewest features that determine a pose, with one to spare."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,10 +65,8 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
     m, r = innovation.residual.shape
     each = np.arange(m)
     extra = (inflation - 1.0)[:, None, None] * innovation.noise
-    covariance = innovation.covariance.copy()
-    covariance[each, :, each, :] += extra
     try:
-        precision = np.linalg.inv(covariance.reshape(m * r, m * r))
+        precision = np.linalg.inv(_inflated(innovation, inflation).reshape(m * r, m * r))
         own = np.linalg.inv(precision.reshape(m, r, m, r)[each, :, each, :])
         weighted = (precision @ innovation.residual.ravel()).reshape(m, r)
         difference = (own @ weighted[:, :, None])[:, :, 0]
@@ -74,8 +78,12 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
     return Judged(distances, noise_share)
 
 
-def robust(innovation: Innovation) -> tuple[Innovation, Judged]:
+def robust(innovation: Innovation, outlier_probability: float) -> tuple[Innovation, Judged]:
     """Inflate the noise of the features that the others contradict, by Huber's weights.
+
+    The predicted pose helps to judge the features, as long as it agrees with most of them. Where an effect
+    that the model lacks has turned it too far, they are judged by each other alone: otherwise those that show
+    the effect best would be rejected first.
 
     Returns:
         The innovation with inflated noise in its covariance, and the final comparison of the features.
@@ -83,13 +91,46 @@ def robust(innovation: Innovation) -> tuple[Innovation, Judged]:
     Raises:
         FilterDivergedError: the covariance of the innovation is singular.
     """
+    inflation, judged = _weights(innovation)
+    if len(inflation) >= MIN_FEATURES:
+        free = _with_free_pose(innovation)
+        free_inflation, by_each_other = _weights(free)
+        close = by_each_other.distances <= np.median(by_each_other.distances)
+        by_pose = _nis(innovation, free_inflation, close) - _nis(free, free_inflation, close)
+        if by_pose > chi_square_quantile(1.0 - outlier_probability, POSE_DOF):
+            inflation, judged = free_inflation, by_each_other
+    return replace(innovation, covariance=_inflated(innovation, inflation)), judged
+
+
+def _weights(innovation: Innovation) -> tuple[Array, Judged]:
+    """Return the factors (m,) on the noise of the features, and their final comparison."""
     inflation = np.ones(len(innovation.rows))
     for _ in range(MAX_ITERATIONS):
         judged = leave_one_out(innovation, inflation)
         before, inflation = inflation, np.maximum(1.0, np.sqrt(judged.distances) / HUBER_BOUND)
         if np.allclose(inflation, before, rtol=CONVERGED):
             break
+    return inflation, judged
+
+
+def _with_free_pose(innovation: Innovation) -> Innovation:
+    """Return the innovation as if nothing were known of the pose of the robot."""
+    m, r = innovation.residual.shape
+    by_pose = (innovation.prediction.by_pose * FREE_POSE_STD).reshape(m * r, POSE_DOF)
+    free = innovation.covariance.reshape(m * r, m * r) + by_pose @ by_pose.T
+    return replace(innovation, covariance=free.reshape(m, r, m, r))
+
+
+def _inflated(innovation: Innovation, inflation: Array) -> Array:
+    """Return the covariance (m, r, m, r) with inflated noise."""
     each = np.arange(len(inflation))
     covariance = innovation.covariance.copy()
     covariance[each, :, each, :] += (inflation - 1.0)[:, None, None] * innovation.noise
-    return replace(innovation, covariance=covariance), judged
+    return covariance
+
+
+def _nis(innovation: Innovation, inflation: Array, chosen: np.ndarray) -> float:
+    """Return the normalised innovation squared of the chosen features, (m,) bool."""
+    residual = innovation.residual[chosen].ravel()
+    covariance = _inflated(innovation, inflation)[chosen][:, :, chosen].reshape(len(residual), -1)
+    return float(residual @ np.linalg.solve(covariance, residual))

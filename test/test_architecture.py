@@ -55,7 +55,7 @@ LIBRARY_HOMES = {
     ),
     **dict.fromkeys(ROS, ('nodes',)),
     'rosbags': ('bag', 'msgs'),
-    'scipy': ('statistics.py', 'bench/batch.py'),
+    'scipy': ('statistics.py', 'bench/batch.py', 'bench/bag_tracks.py'),
     'serial': ('board/link.py',),
     'tqdm': ('cli/output.py',),
 }

@@ -122,8 +122,9 @@ def _innovation(
 def _judge(innovation: Innovation, model: ImageModel) -> tuple[Innovation, Judged, np.ndarray]:
     """Return the innovation with robust weights, the comparison of its features, and which of them to use."""
     outlier_probability = model.config.features.outlier_probability
-    if model.form.is_robust:
-        innovation, judged = robust(innovation, outlier_probability)
+    weighted = robust(innovation, outlier_probability) if model.form.is_robust else None
+    if weighted is not None:
+        innovation, judged = weighted
         return innovation, judged, agreeing(judged.distances, DOF_PER_FEATURE, outlier_probability)
     judged = each_alone(innovation)
     return innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.update import Innovation, mahalanobis, not_a_covariance, own_precisions
 from gyrocal_ros.statistics import chi_square_quantile
 
@@ -78,28 +78,30 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
     return Judged(distances, noise_share)
 
 
-def robust(innovation: Innovation, outlier_probability: float) -> tuple[Innovation, Judged]:
+def robust(innovation: Innovation, outlier_probability: float) -> tuple[Innovation, Judged] | None:
     """Inflate the noise of the features that the others contradict, by Huber's weights.
 
-    The predicted pose helps to judge the features, as long as it agrees with most of them. Where an effect
-    that the model lacks has turned it too far, they are judged by each other alone: otherwise those that show
-    the effect best would be rejected first.
-
     Returns:
-        The innovation with inflated noise in its covariance, and the final comparison of the features.
+        The innovation with inflated noise in its covariance, and the final comparison of the features. None
+        where the features agree with each other and not with the predicted pose: an effect that the model
+        lacks has turned it, and those that show the effect best would be rejected first.
 
     Raises:
         FilterDivergedError: the covariance of the innovation is singular.
     """
+    if len(innovation.rows) >= MIN_FEATURES and _contradicts_pose(innovation, outlier_probability):
+        return None
     inflation, judged = _weights(innovation)
-    if len(inflation) >= MIN_FEATURES:
-        free = _with_free_pose(innovation)
-        free_inflation, by_each_other = _weights(free)
-        close = by_each_other.distances <= np.median(by_each_other.distances)
-        by_pose = _nis(innovation, free_inflation, close) - _nis(free, free_inflation, close)
-        if by_pose > chi_square_quantile(1.0 - outlier_probability, POSE_DOF):
-            inflation, judged = free_inflation, by_each_other
     return replace(innovation, covariance=_inflated(innovation, inflation)), judged
+
+
+def _contradicts_pose(innovation: Innovation, outlier_probability: float) -> bool:
+    """Return True if the half of the features that agree best contradicts the predicted pose."""
+    free = _with_free_pose(innovation)
+    inflation, judged = _weights(free)
+    close = np.argsort(judged.distances)[: (len(inflation) + 1) // 2]
+    by_pose = _nis(innovation, inflation, close) - _nis(free, inflation, close)
+    return by_pose > chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
 
 
 def _weights(innovation: Innovation) -> tuple[Array, Judged]:
@@ -129,8 +131,8 @@ def _inflated(innovation: Innovation, inflation: Array) -> Array:
     return covariance
 
 
-def _nis(innovation: Innovation, inflation: Array, chosen: np.ndarray) -> float:
-    """Return the normalised innovation squared of the chosen features, (m,) bool."""
+def _nis(innovation: Innovation, inflation: Array, chosen: IntArray) -> float:
+    """Return the normalised innovation squared of the features of the given indices."""
     residual = innovation.residual[chosen].ravel()
-    covariance = _inflated(innovation, inflation)[chosen][:, :, chosen].reshape(len(residual), -1)
+    covariance = _inflated(innovation, inflation)[chosen][:, :, chosen].reshape((len(residual),) * 2)
     return float(residual @ np.linalg.solve(covariance, residual))

@@ -200,7 +200,7 @@ class Estimator:
         if self._scatter.contradicts:
             yield (
                 'the model does not fit: the estimates change by far more than the filter expects; record a '
-                'bag and run gyrocal diagnose on it'
+                'bag and diagnose it'
             )
         if scale_std > limits.scale_std:
             yield (

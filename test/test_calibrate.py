@@ -90,8 +90,8 @@ def same_estimates(run: Run, other: Run) -> bool:
 # --- good recordings ----------------------------------------------------------------------------
 
 HUBER_NIS = 0.96
-"""NIS per degree of freedom of a consistent filter with two normally distributed numbers per feature, of which
-Huber's weights inflate the noise beyond 2.5 standard deviations."""
+"""NIS per degree of freedom of a consistent filter whose features are normally distributed: Huber's weights
+inflate the noise of those beyond 2.5 standard deviations."""
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.gating import agreeing
-from gyrocal_ros.ekf.robust import HUBER_BOUND, Judged, each_alone, leave_one_out, robust
+from gyrocal_ros.ekf.robust import HUBER_BOUND, MIN_FEATURES, Judged, each_alone, leave_one_out, robust
 from gyrocal_ros.ekf.state import POSE, State
 from gyrocal_ros.ekf.update import Innovation, innovate
 
@@ -27,10 +27,11 @@ def known_map(pose_part: float = 1.0) -> State:
 
 
 def innovation_of(residual: Array, pose_part: float = 1.0) -> Innovation:
-    """Return the innovation of the five features of that state."""
-    state, rows = known_map(pose_part), np.arange(5)
-    prediction = INVERSE_DEPTH.predict(view_at(state.mean[POSE]), state.features, state.landmarks.anchors)
-    noise = np.broadcast_to(NOISE_PX**2 * np.eye(2), (5, 2, 2))
+    """Return the innovation of the five features of that state, or of more observations of them."""
+    state, rows = known_map(pose_part), np.arange(len(residual)) % 5
+    features, anchors = state.features[rows], state.landmarks.anchors[rows]
+    prediction = INVERSE_DEPTH.predict(view_at(state.mean[POSE]), features, anchors)
+    noise = np.broadcast_to(NOISE_PX**2 * np.eye(2), (len(rows), 2, 2))
     return innovate(state, rows, prediction, prediction.expected + residual, noise)
 
 
@@ -88,13 +89,14 @@ def test_the_noise_of_a_contradicted_feature_grows() -> None:
 
 
 def test_a_pose_that_the_features_contradict_does_not_judge_them() -> None:
-    expected = innovation_of(np.zeros((5, 2)), 0.01)
-    turned = expected.prediction.by_pose[:, :, 5] * 0.02  # a hundred standard deviations of the heading
-    innovation = innovation_of(turned, 0.01)
-    assert leave_one_out(innovation, ONES).distances.max() > 20.0
-    assert robust(innovation, 1e-4) is None
+    still = np.zeros((2 * MIN_FEATURES, 2))
+    turned = innovation_of(still, 0.01).prediction.by_pose[:, :, 5] * 0.02  # a hundred standard deviations
+    assert leave_one_out(innovation_of(turned, 0.01), np.ones(len(turned))).distances.max() > 20.0
     turned[1] += [0.0, 30.0 * NOISE_PX]
     assert robust(innovation_of(turned, 0.01), 1e-4) is None
+    still[1:4] += 30.0 * NOISE_PX
+    assert robust(innovation_of(still, 0.01), 1e-4) is not None, 'some wrong matches do not contradict it'
+    assert robust(innovation_of(turned[: MIN_FEATURES - 1], 0.01), 1e-4) is not None, 'few features do not'
 
 
 def weighted(innovation: Innovation) -> tuple[Innovation, Judged]:

@@ -24,8 +24,8 @@ CONVERGED = 0.05
 FREE_POSE_STD = np.array([0.3, 0.3, 0.3, 0.1, 0.1, 0.1])
 """Standard deviations (m, rad) of a pose of which nothing is known."""
 POSE_DOF = 6
-MIN_FEATURES = 4
-"""Fewest features that determine a pose, with one to spare."""
+MIN_FEATURES = 8
+"""Fewest features of which half determine a pose, with one to spare."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

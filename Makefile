@@ -12,11 +12,12 @@ PYTHON ?= $(firstword $(shell for python in python3.12 python3.11 python3 python
 unexport PYTHONPATH
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help venv demo test gate lint types format clean
+.PHONY: help venv demo test quick gate lint types format clean
 
 help:
 	@echo 'make demo    calibrate on the bag that comes with the package'
 	@echo 'make test    run the tests'
+	@echo 'make quick   run the tests that are not marked slow'
 	@echo 'make gate    hold accuracy and consistency against the figures that are kept'
 	@echo 'make lint    ruff: rules and formatting'
 	@echo 'make types   mypy'
@@ -37,6 +38,9 @@ demo: $(READY)
 
 test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist loadfile
+
+quick: $(READY)
+	$(BIN)/python -m pytest -n auto --dist loadfile -m 'not slow'
 
 gate: $(READY)
 	$(BIN)/gyrocal bench --quick

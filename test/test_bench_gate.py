@@ -94,8 +94,8 @@ def test_lanes_and_spins_give_figures_of_the_right_size(monkeypatch: pytest.Monk
 def test_sizes_observe_enough_features() -> None:
     most = next(size for size in growth.sizes() if size.value == 60)
     assert most.scenario.features == 60 and most.config.features.map_size == 120
-    used = growth._filter_alone(SimSource(replace(most.scenario, duration_s=8.0), 0), most.config)[1]
-    assert used > 50.0
+    used = growth._filter_alone(SimSource(replace(most.scenario, duration_s=3.0), 0), most.config)[1]
+    assert used > 55.0
 
 
 def test_growth_has_an_exponent_and_a_plot(monkeypatch: pytest.MonkeyPatch) -> None:

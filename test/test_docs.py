@@ -17,16 +17,24 @@ PAGES = sorted([*ROOT.glob('*.md'), *ROOT.glob('docs/*.md'), *ROOT.glob('bags/*.
 CODE = re.compile(r'^```\w*\n(.*?)^```|^ {4}(\S.*)$|`([^`\n]+)`', re.DOTALL | re.MULTILINE)
 """Code in Markdown: a fenced block, an indented line, or text between backticks."""
 COMMAND = re.compile(r'\bgyrocal ([a-z][^`\n]*)')
+TARGET = re.compile(r'^make ([a-z]+)', re.MULTILINE)
 LINK = re.compile(r'\]\(([^)\s]+)\)')
+MAKEFILE = (ROOT / 'Makefile').read_text(encoding='utf-8')
+TARGETS = re.findall(r'^([a-z]+):', MAKEFILE, re.MULTILINE)
 MAX_BYTES = 150_000
 """Maximum size of a picture."""
 
 
 def commands(text: str) -> Iterator[str]:
     """Yield every command line of a page, without the word `gyrocal`."""
-    for match in CODE.finditer(text):
-        code = next(part for part in match.groups() if part is not None)
+    for code in code_of(text):
         yield from COMMAND.findall(code.replace('\\\n', ' '))
+
+
+def code_of(text: str) -> Iterator[str]:
+    """Yield the code of a page."""
+    for match in CODE.finditer(text):
+        yield next(part for part in match.groups() if part is not None)
 
 
 def links(page: Path) -> list[str]:
@@ -47,6 +55,17 @@ def check(command: str) -> None:
 def test_every_command_of_a_page_is_valid(page: Path) -> None:
     for command in commands(page.read_text(encoding='utf-8')):
         check(command)
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_every_make_target_of_a_page_exists(page: Path) -> None:
+    named = {target for code in code_of(page.read_text(encoding='utf-8')) for target in TARGET.findall(code)}
+    assert named <= set(TARGETS)
+
+
+def test_make_help_lists_every_target() -> None:
+    listed = re.findall(r"@echo 'make ([a-z]+) ", MAKEFILE)
+    assert sorted([*listed, 'help']) == sorted(TARGETS)
 
 
 @pytest.mark.parametrize('name', COMMANDS)

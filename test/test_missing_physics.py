@@ -198,8 +198,7 @@ class TestDiagnose:
         assert 'No effect of the library explains this: the bias jumped' in diagnosis_headline(strange)
         assert any('at 40 s' in text for text in advice(strange))
         both = replace(strange, missing=diagnosis.missing)
-        headline = diagnosis_headline(both)
-        assert headline.startswith('Missing: scale_asymmetry') and 'No effect of the library' in headline
+        assert diagnosis_headline(both).startswith('Missing: scale_asymmetry. No effect of the library')
         shown = json.loads(json_text(summarise_diagnosis(search_, strange)))['unexplained']
         assert shown['at_s'] == 40.0 and shown['significance_sigma'] == 9.0 and shown['caution']
         assert len(shown['knots']) == len(shown['values']) == len(shown['stds'])

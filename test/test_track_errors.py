@@ -69,11 +69,11 @@ def test_without_parallax_there_is_no_track() -> None:
 
 @pytest.mark.slow
 def test_the_tracks_of_another_simulator_are_accurate() -> None:
-    path = BAGS / 'soft'
-    if not path.exists():
+    bags = [BAGS / name for name in ('clean', 'soft', 'uneven')]
+    if not BAGS.exists():
         pytest.skip('no foreign-images beside the project')
-    row = track_row([bag_track_errors(path, Config())])
-    assert row['tracks'] > 50
+    row = track_row([bag_track_errors(bag, Config()) for bag in bags])
+    assert row['tracks'] > 150
     assert row['rms_px'] < 0.16
     assert row['slow_px'] < 0.07
 

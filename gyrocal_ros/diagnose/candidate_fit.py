@@ -141,14 +141,21 @@ def _covariance(information: Array, score: Array, values: Array, inverse: Array)
         cross = corrected[lag:].T @ corrected[:-lag]
         neighbours += (1.0 - lag / (LAGS + 1.0)) * (cross + cross.T)
     estimates = [inverse, inverse @ alone @ inverse, inverse @ neighbours @ inverse]
-    sound = [estimate for estimate in estimates if _is_sound(estimate)]
+    largest = float(np.linalg.eigvalsh(inverse)[-1])
+    sound = [estimate for estimate in estimates if _is_sound(estimate, largest)]
     return min(sound, key=lambda estimate: float(values @ np.linalg.solve(estimate, values)))
 
 
-def _is_sound(covariance: Array) -> bool:
-    """Return True if a covariance is positive definite by more than rounding."""
+def _is_sound(covariance: Array, largest: float) -> bool:
+    """Return True if a covariance is positive definite by more than rounding.
+
+    Args:
+        covariance: of the estimate.
+        largest: largest eigenvalue of the covariance by the filter. As many blocks as coefficients leave no
+            scatter but rounding.
+    """
     spread = np.linalg.eigvalsh(covariance)
-    return bool(spread[0] > SINGULAR * spread[-1])
+    return bool(spread[0] > SINGULAR * max(spread[-1], largest))
 
 
 def correlation(scores: ScoreStatistics, first: IntArray, second: IntArray) -> float:

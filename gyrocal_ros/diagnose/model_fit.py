@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.scatter import Scatter
+from gyrocal_ros.ekf.scatter import Scatter, scatter_of
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.statistics import nis_per_dof
 
@@ -35,20 +35,10 @@ class ModelFit:
 
 def model_fit(run: Run) -> ModelFit:
     """Compare innovations, scatter of the estimates and held-out blind drift with what noise explains."""
-    scatter = scatter_of(run)
+    scatter, _ = scatter_of(run.history)
     drift = blind_drift(run, from_s=held_out_from_s(run))
     is_judged = scatter.is_judged and len(drift.error_rad) > 0
     return ModelFit(tuple(_misfits(run, scatter, drift)), is_judged)
-
-
-def scatter_of(run: Run) -> Scatter:
-    """Return the scatter of yaw bias and coefficients over the run."""
-    history, scatter = run.history, Scatter(1 + len(run.model.coefficients))
-    variances = history.std[:, YAW_BIAS:] ** 2
-    columns = (history.time_s.tolist(), history.change, history.change_variance, variances)
-    for step in zip(*columns, strict=True):
-        scatter.add(*step)
-    return scatter
 
 
 def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:

@@ -29,15 +29,6 @@ def inliers(distances: Array, dof: int, outlier_probability: float) -> np.ndarra
     return distances <= bound
 
 
-def agreeing(distances: Array, dof: int, outlier_probability: float) -> np.ndarray:
-    """Return which features to use, (m,) bool, by their distances (m,) from what the others predict.
-
-    Most features of an image agree, whatever the gyro does; the gate widens only where they do not.
-    """
-    close = distances <= chi_square_quantile(1.0 - outlier_probability, dof)
-    return close if 2 * close.sum() >= len(close) else inliers(distances, dof, outlier_probability)
-
-
 class MotionGate:
     """The motion gate of the paper's parametrisation: an image counts after some motion only."""
 

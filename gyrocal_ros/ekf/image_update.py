@@ -10,7 +10,7 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, first_sight_by_values, measurement_by_values
-from gyrocal_ros.ekf.gating import agreeing, inliers
+from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
 from gyrocal_ros.ekf.repeated_errors import motion
 from gyrocal_ros.ekf.robust import Judged, each_alone, robust
@@ -120,12 +120,11 @@ def _innovation(
 
 
 def _judge(innovation: Innovation, model: ImageModel) -> tuple[Innovation, Judged, np.ndarray]:
-    """Return the innovation with robust weights, the comparison of its features, and which of them to use."""
+    """Return the innovation with its weights, the comparison of its features, and which of them to use."""
     outlier_probability = model.config.features.outlier_probability
-    weighted = robust(innovation, outlier_probability) if model.form.is_robust else None
-    if weighted is not None:
-        innovation, judged = weighted
-        return innovation, judged, agreeing(judged.distances, DOF_PER_FEATURE, outlier_probability)
+    by_each_other = robust(innovation, outlier_probability) if model.form.is_robust else None
+    if by_each_other is not None:
+        return by_each_other
     judged = each_alone(innovation)
     return innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability)
 

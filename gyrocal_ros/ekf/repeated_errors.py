@@ -18,8 +18,6 @@ MIN_MOTION_PX = 0.5
 """Motion in the image from which errors do not repeat."""
 REPEATING = 0.5
 """Errors repeat where unmoved features scatter less than this, relative to the pixel noise."""
-AT_FIRST = 0.2
-"""Assumed scatter at the start: errors repeat until unmoved features show otherwise, within few images."""
 MIN_SCATTER_PX = 1e-3
 
 
@@ -50,14 +48,14 @@ def motion(directions: Array, pixels: Array, last: Landmarks, focal_px: float) -
 
 
 class RepeatedErrors:
-    """Learns whether the errors of unmoved features repeat.
+    """Learns whether the errors of unmoved features repeat; the first images are taken as independent.
 
     Args:
         noise_px: standard deviation of independent errors.
     """
 
     def __init__(self, noise_px: float) -> None:
-        self._scatter = AdaptiveNoise(AT_FIRST * noise_px, MIN_SCATTER_PX, 10.0 * noise_px)
+        self._scatter = AdaptiveNoise(noise_px, MIN_SCATTER_PX, 10.0 * noise_px)
 
     def update(self, changes_px2: Array) -> None:
         """Learn from the changes (m,) of unmoved features."""

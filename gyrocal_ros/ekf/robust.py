@@ -15,9 +15,11 @@ from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.update import Innovation, mahalanobis, not_a_covariance, own_precisions
 from gyrocal_ros.statistics import chi_square_quantile
 
-HUBER_BOUND = 2.5
+HUBER_BOUND = 3.0
 """Mahalanobis distance above which a feature counts less (Huber 1964). Of normally distributed features,
-4 % are farther."""
+1 % are farther."""
+MAX_INFLATION = 1e6
+"""Largest inflation, so that rounding remains small; beyond it a feature has no weight anyway."""
 MAX_ITERATIONS = 3
 CONVERGED = 0.05
 """Relative change of the weights at which the iteration ends."""
@@ -60,7 +62,7 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
         inflation: (m,) factors on the noise of the features, where they are the others.
 
     Raises:
-        FilterDivergedError: S is singular.
+        FilterDivergedError: S is not positive definite.
     """
     m, r = innovation.residual.shape
     each = np.arange(m)
@@ -74,25 +76,33 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
         distances = mahalanobis(difference, np.linalg.inv(variance))
     except np.linalg.LinAlgError as error:
         raise not_a_covariance() from error
+    if not (distances >= 0.0).all():
+        raise not_a_covariance()
     noise_share = np.einsum('mii->m', innovation.noise) / np.einsum('mii->m', variance)
     return Judged(distances, noise_share)
 
 
-def robust(innovation: Innovation, outlier_probability: float) -> tuple[Innovation, Judged] | None:
-    """Inflate the noise of the features that the others contradict, by Huber's weights.
+def robust(
+    innovation: Innovation, outlier_probability: float
+) -> tuple[Innovation, Judged, np.ndarray] | None:
+    """Judge the features of an image by each other: Huber's weights, and a gate.
 
     Returns:
-        The innovation with inflated noise in its covariance, and the final comparison of the features. None
-        where the features agree with each other and not with the predicted pose: an effect that the model
-        lacks has turned it, and those that show the effect best would be rejected first.
+        The innovation with inflated noise in its covariance, the final comparison of the features, and which
+        of them to use, (m,) bool. None where the predicted pose cannot judge them, because most features
+        contradict it: an effect that the model lacks has turned it, and those that show the effect best would
+        be rejected first.
 
     Raises:
-        FilterDivergedError: the covariance of the innovation is singular.
+        FilterDivergedError: the covariance of the innovation is not positive definite.
     """
     if len(innovation.rows) >= MIN_FEATURES and _contradicts_pose(innovation, outlier_probability):
         return None
     inflation, judged = _weights(innovation)
-    return replace(innovation, covariance=_inflated(innovation, inflation)), judged
+    good = judged.distances <= chi_square_quantile(1.0 - outlier_probability, innovation.residual.shape[1])
+    if 2 * good.sum() < len(good):
+        return None
+    return replace(innovation, covariance=_inflated(innovation, inflation)), judged, good
 
 
 def _contradicts_pose(innovation: Innovation, outlier_probability: float) -> bool:
@@ -109,7 +119,7 @@ def _weights(innovation: Innovation) -> tuple[Array, Judged]:
     inflation = np.ones(len(innovation.rows))
     for _ in range(MAX_ITERATIONS):
         judged = leave_one_out(innovation, inflation)
-        before, inflation = inflation, np.maximum(1.0, np.sqrt(judged.distances) / HUBER_BOUND)
+        before, inflation = inflation, np.clip(np.sqrt(judged.distances) / HUBER_BOUND, 1.0, MAX_INFLATION)
         if np.allclose(inflation, before, rtol=CONVERGED):
             break
     return inflation, judged

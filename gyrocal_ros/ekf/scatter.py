@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.state import YAW_BIAS
 from gyrocal_ros.statistics import chi_square_tail
 
 STRETCH_S = 10.0
@@ -19,6 +21,8 @@ FORMING = 0.75
 """Part of its variance by which a stretch, such as the first turn, forms the estimate. The filter is not
 linear there, so the stretch does not count; nor does the first one."""
 
+PRIOR_STRETCHES = 3
+"""Stretches for which the filter's own variance counts: few stretches are larger by chance."""
 MIN_STRETCHES = 3
 """Fewest stretches by which the model is judged."""
 MAX_INFLATION = 4.0
@@ -60,7 +64,8 @@ class Scatter:
     @property
     def inflation(self) -> Array:
         """(count,) factors, 1 or more, on the standard deviations of the filter."""
-        return np.sqrt(np.maximum(1.0, self._ratios / np.maximum(self._stretches, 1.0)))
+        ratios, stretches = PRIOR_STRETCHES + self._ratios, PRIOR_STRETCHES + self._stretches
+        return np.sqrt(np.maximum(1.0, ratios / stretches))
 
     @property
     def is_judged(self) -> bool:
@@ -82,3 +87,14 @@ class Scatter:
         self._ratios[counts] += self._change[counts] ** 2 / self._decrease[counts]
         self._stretches[counts] += 1.0
         self._change, self._decrease = np.zeros_like(self._change), np.zeros_like(self._decrease)
+
+
+def scatter_of(history: History) -> tuple[Scatter, Array]:
+    """Return the scatter of yaw bias and coefficients over a run, and its inflation (s, 1 + k)."""
+    variances = history.std[:, YAW_BIAS:] ** 2
+    scatter, inflations = Scatter(variances.shape[1]), np.ones_like(variances)
+    columns = (history.time_s.tolist(), history.change, history.change_variance, variances)
+    for i, step in enumerate(zip(*columns, strict=True)):
+        scatter.add(*step)
+        inflations[i] = scatter.inflation
+    return scatter, inflations

@@ -101,7 +101,6 @@ class EkfSlam:
             self.state, self._candidate_memories = predict_sensitivity(
                 self.state, transition, block, self._candidates, self._candidate_memories
             )
-
         predicted = self.state
 
         # Zero-rate update: a robot that stands still does not turn.

@@ -19,7 +19,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.ekf.convergence import Convergence
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.scatter import Scatter
+from gyrocal_ros.ekf.scatter import scatter_of
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.errors import ConfigError
@@ -82,12 +82,11 @@ def conclude(run: Run) -> Calibration:
     the estimates contradict the filter.
     """
     history, criteria = run.history, run.config.convergence
-    convergence, scatter = Convergence(), Scatter(1 + len(run.model.coefficients))
-    stds = history.std[:, YAW_BIAS:]
-    for i, time_s in enumerate(history.time_s.tolist()):
-        scatter.add(time_s, history.change[i], history.change_variance[i], stds[i] ** 2)
-        std = float(stds[i, SCALE] * scatter.inflation[SCALE])
-        convergence.add(time_s, std, float(history.nis[i]), int(history.dof[i]), criteria)
+    convergence, (scatter, inflations) = Convergence(), scatter_of(history)
+    scale_stds = history.std[:, COEFFICIENTS_START] * inflations[:, SCALE]
+    columns = (history.time_s, scale_stds, history.nis, history.dof)
+    for time_s, std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
+        convergence.add(time_s, std, nis, dof, criteria)
     is_known = convergence.since_s is not None
     return calibration_of(
         run.state,

@@ -28,6 +28,8 @@ CANNOT_TELL = (
 )
 NO_FAILURE = 'Nowhere: chance and a slowly wandering bias explain all differences.'
 FAILURE_HEADS = ('place, and the correction needed there', 'sigma')
+DOES_NOT_FIT = 'the model does not fit this recording: run gyrocal diagnose'
+"""The last words on a calibration that its own recording contradicts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +47,6 @@ class Verdict:
     def good(self) -> bool:
         """True if no action is needed."""
         return self.kind == 'good'
-
-
-DOES_NOT_FIT = 'the model does not fit this recording: run gyrocal diagnose'
 
 
 def calibration_headline(

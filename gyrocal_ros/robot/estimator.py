@@ -225,7 +225,7 @@ class Estimator:
             'estimating': self.is_on,
             'recent_nis': round(self.watch.recent_nis, 3),
             'overall_nis': round(self.watch.overall_nis, 3),
-            'model_fits': not self._scatter.contradicts if self._scatter.is_judged else None,
+            'model_fits': not self._scatter.contradicts if self._scatter.is_judged else 'unknown',
             'pixel_noise_px': round(math.nan if slam is None else slam.pixel_noise.std, 3),
             'map_size': 0 if slam is None else len(slam.state.landmarks.ids),
             'filter_lag_s': round(self._lag_s(newest_ns), 3),

@@ -45,10 +45,10 @@ def in_region(offsets: Array, covariances: Array) -> NDArray[np.bool_]:
     return ((offsets[:, None, :] @ inverse)[:, 0] * offsets).sum(axis=1) <= SIGMAS**2
 
 
-def region_radius(covariances: Array) -> NDArray[np.intp]:
+def region_radius(covariances: Array) -> Array:
     """Return the radius (n,) of each region, the longer half-axis, in whole pixels."""
     largest = np.linalg.eigvalsh(covariances)[:, 1] + EXTRA_STD_PX**2
-    return np.ceil(SIGMAS * np.sqrt(largest)).astype(np.intp)
+    return np.ceil(SIGMAS * np.sqrt(largest))
 
 
 def best_match(image: NDArray[np.uint8], template: Array, nodes: Array, covariance: Array) -> Array:

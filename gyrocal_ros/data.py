@@ -103,6 +103,12 @@ class FeatureObservations:
     """(n,) identities; an id is not reused after its feature is dropped."""
     pixels: Array
     """(n, 2) raw, distorted pixels (u, v); the centre of the top-left pixel is (0, 0)."""
+    covariances_px2: Array | None = None
+    """(n, 2, 2) covariances of their errors by the tracker; None if it does not tell."""
+
+    def __getitem__(self, chosen: IntArray) -> FeatureObservations:
+        covariances = None if self.covariances_px2 is None else self.covariances_px2[chosen]
+        return FeatureObservations(self.t_ns, self.ids[chosen], self.pixels[chosen], covariances)
 
 
 @dataclass(frozen=True, slots=True)

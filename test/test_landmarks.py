@@ -10,7 +10,7 @@ from contracts import FEATURES, NOISE_PX, PIXELS, assert_positive_definite, view
 from filter_states import DIRECTIONS, INVERSE_DEPTH, C, K, block_diagonal, derivatives, some_state
 
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, forget_all, keep, mark_seen
-from gyrocal_ros.ekf.state import POSE, State
+from gyrocal_ros.ekf.state import POSE, FeatureNoise, State
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import Parametrisation
 
@@ -76,6 +76,15 @@ def test_features_unseen_for_longest_are_evicted() -> None:
     assert evict_oldest(state, wanted=3, map_size=8) is state
     assert evict_oldest(state, wanted=3, map_size=6).landmarks.ids.tolist() == [3, 4, 9]
     assert evict_oldest(state, wanted=9, map_size=6).landmarks.ids.tolist() == []
+
+
+def test_features_never_found_again_are_evicted_first() -> None:
+    state = last_seen_at([50, 20, 60, 10, 30], t_ns=60)
+    ids, found_again = state.landmarks.ids, np.array([0.0, 5.0, 0.0, 2.0, 0.0])
+    noise = FeatureNoise(found_again, found_again)
+    state = replace(state, landmarks=replace(state.landmarks, noise=noise))
+    kept = evict_oldest(state, wanted=2, map_size=5).landmarks.ids
+    assert kept.tolist() == ids[[1, 2, 3]].tolist(), 'the one just seen stays, too'
 
 
 BEFORE = np.zeros((5, 2))

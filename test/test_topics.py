@@ -100,6 +100,22 @@ def test_features(make: MessageMaker) -> None:
     np.testing.assert_array_equal(back.pixels, seen.pixels)
 
 
+def test_features_with_covariances(make: MessageMaker) -> None:
+    covariances = np.array([[[0.25, 0.125], [0.125, 0.5]], [[1.0, 0.0], [0.0, 1.0]]])
+    seen = FeatureObservations(T_NS, np.array([3, 4]), np.array([[1.5, 2.5], [639.0, 0.25]]), covariances)
+    back = topics.features(to_ros.features(make, seen))
+    np.testing.assert_array_equal(back.covariances_px2, covariances)
+    assert topics.features(to_ros.features(make, replace(seen, covariances_px2=None))).covariances_px2 is None
+
+
+@pytest.mark.parametrize('bad', [np.nan, 0.0, -1.0], ids=['not a number', 'zero', 'negative'])
+def test_covariances_that_are_none_are_ignored(make: MessageMaker, bad: float) -> None:
+    covariances = np.array([[[bad, 0.0], [0.0, 0.5]], [[1.0, 0.0], [0.0, 1.0]]])
+    seen = FeatureObservations(T_NS, np.array([3, 4]), np.ones((2, 2)), covariances)
+    back = topics.features(to_ros.features(make, seen))
+    assert len(back.ids) == 2 and back.covariances_px2 is None
+
+
 def test_an_image_without_features(make: MessageMaker) -> None:
     nothing = FeatureObservations(T_NS, np.zeros(0, np.int64), np.zeros((0, 2)))
     back = topics.features(to_ros.features(make, nothing))

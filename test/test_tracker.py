@@ -21,7 +21,16 @@ from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
 from gyrocal_ros.vision.corners import find_corners
 from gyrocal_ros.vision.draw import draw_tracks
-from gyrocal_ros.vision.patches import align, extract_patches, grid, node_offsets, patch_points, sample_image
+from gyrocal_ros.vision.patches import (
+    MATCHING_PX,
+    Alignment,
+    align,
+    extract_patches,
+    grid,
+    node_offsets,
+    patch_points,
+    sample_image,
+)
 from gyrocal_ros.vision.search_region import ceiling_coordinates, ceiling_pixels
 from gyrocal_ros.vision.tracker import Tracker
 
@@ -94,6 +103,21 @@ def test_lucas_kanade_finds_shift_and_twist_to_a_hundredth_of_a_pixel(
     assert math.degrees(found.twist_rad) == pytest.approx(turn_deg, abs=0.2)
     assert found.correlation[0] > 0.995
     assert found.backward_px[0] < 0.02
+
+
+def test_the_covariance_of_a_match_is_that_of_its_errors() -> None:
+    rng, first = np.random.default_rng(0), smooth_image()
+    patches = extract_patches(first, np.array([[60, 60]]), 15)
+
+    def noisy(std: float) -> Alignment:
+        image = np.clip(first + rng.normal(0.0, std, first.shape), 0, 255).round().astype(np.uint8)
+        return align(image, patches, 60.0 + node_offsets(15)[None], 0.75)
+
+    matches = [noisy(8.0) for _ in range(200)]
+    errors = np.array([match.pixels[0] - 60.0 for match in matches])
+    told = np.mean([match.covariances_px2[0] for match in matches], axis=0) - MATCHING_PX**2 * np.eye(2)
+    assert np.sqrt(np.diagonal(told)) == pytest.approx(errors.std(axis=0), rel=0.35)
+    assert np.sqrt(np.diagonal(noisy(0.5).covariances_px2[0])) == pytest.approx(MATCHING_PX, rel=0.1)
 
 
 def test_gain_offset_and_gradient_of_the_brightness_do_not_shift_a_patch() -> None:

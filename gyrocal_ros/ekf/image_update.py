@@ -10,11 +10,12 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, first_sight_by_values, measurement_by_values
+from gyrocal_ros.ekf.feature_noise import learn_noise, variance_factors
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
 from gyrocal_ros.ekf.repeated_errors import motion
 from gyrocal_ros.ekf.robust import Judged, each_alone, robust
-from gyrocal_ros.ekf.state import YAW, State
+from gyrocal_ros.ekf.state import YAW, Landmarks, State
 from gyrocal_ros.ekf.update import (
     Innovation,
     MeasurementUpdate,
@@ -41,13 +42,17 @@ class ImageModel:
     form: Parametrisation
     config: Config
     noise_px: float
-    """Standard deviation of the pixels."""
+    """Standard deviation of the pixels of a typical feature."""
+    match_px: float
+    """Standard deviation that the tracker tells of a typical match."""
     effects: EffectsByPlace
     """Effects of the model."""
     candidates: EffectsByPlace
     """Effects that the model lacks."""
     pose_rate: Array
     """(6,) rate of the robot's pose."""
+    interval_s: float
+    """Time since a feature of the map was seen last."""
     errors_repeat: bool
     """True if a feature counts only after motion in the image."""
 
@@ -72,17 +77,20 @@ def update_from_image(
     """
     known, rows = _known(state, observations)
     prediction = model.form.predict(model.view, state.features[rows], state.landmarks.anchors[rows])
-    directions, pixels, last = _directions(prediction), observations.pixels[known], state.landmarks[rows]
-    moved = motion(directions, pixels, last, model.view.camera.fx_px)
+    directions, last = _directions(prediction), state.landmarks[rows]
+    moved = motion(directions, observations.pixels[known], last, model.view.camera.fx_px)
     new = ~moved.unmoved if model.errors_repeat else np.ones(len(rows), bool)
     state = mark_seen(state, rows[~new])
     seen = MeasurementUpdate(unmoved=int((~new).sum()), changes_px2=moved.changes_px2[moved.unmoved])
     if not new.any():
         return state, seen
     each = np.flatnonzero(new)
-    rows, prediction, directions, pixels = rows[each], prediction[each], directions[each], pixels[each]
-    innovation, judged, good = _judge(_innovation(state, model, rows, prediction, pixels), model)
+    rows, prediction, directions, observed = rows[each], prediction[each], directions[each], known[each]
+    innovation = _innovation(state, model, rows, prediction, observations[observed])
+    innovation, judged, good = _judge(innovation, model)
     good &= prediction.points_c[:, 2] > MIN_DEPTH
+    if model.form.is_robust:
+        state = learn_noise(state, rows, judged, DOF_PER_FEATURE)
 
     used = innovation if good.all() else innovation[np.flatnonzero(good)]
     heading_rad, heading_std_rad = _as_heading(used)
@@ -91,6 +99,7 @@ def update_from_image(
         state, stats = update(state, used)
         stats = replace(stats, dof=DOF_PER_FEATURE * len(used.rows))
     drop_after, is_in_pixels = model.config.features.drop_after_rejections, model.form.rows == 2
+    pixels = observations.pixels[observed]
     return count_matches(state, rows, good, pixels, directions, drop_after), replace(
         seen,
         used=int(good.sum()),
@@ -111,20 +120,30 @@ def _known(state: State, observations: FeatureObservations) -> tuple[IntArray, I
 
 
 def _innovation(
-    state: State, model: ImageModel, rows: IntArray, prediction: Prediction, pixels: Array
+    state: State, model: ImageModel, rows: IntArray, prediction: Prediction, observed: FeatureObservations
 ) -> Innovation:
-    measured, noise = model.form.measure(model.view, pixels, model.noise_px, model.config.features)
+    measured, noise = model.form.measure(model.view, observed.pixels, model.noise_px, model.config.features)
+    if model.form.is_robust:
+        noise = _own_noise(noise, model, state.landmarks[rows], observed)
     by_values = model.by_values(prediction, state.coefficients)
     by_candidates = model.by_candidates(prediction)
     return innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
 
 
+def _own_noise(
+    typical: Array, model: ImageModel, landmarks: Landmarks, observed: FeatureObservations
+) -> Array:
+    """Return the noise (m, 2, 2) of each feature; see `ekf.feature_noise`."""
+    if observed.covariances_px2 is not None:
+        typical = (model.noise_px / model.match_px) ** 2 * observed.covariances_px2
+    return typical * variance_factors(landmarks.noise)[:, None, None]
+
+
 def _judge(innovation: Innovation, model: ImageModel) -> tuple[Innovation, Judged, np.ndarray]:
     """Return the innovation with its weights, the comparison of its features, and which of them to use."""
     outlier_probability = model.config.features.outlier_probability
-    by_each_other = robust(innovation, outlier_probability) if model.form.is_robust else None
-    if by_each_other is not None:
-        return by_each_other
+    if model.form.is_robust:
+        return robust(innovation, outlier_probability, model.interval_s)
     judged = each_alone(innovation)
     return innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability)
 

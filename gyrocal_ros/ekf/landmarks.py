@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.ekf.state import POSE, Landmarks, State
+from gyrocal_ros.ekf.state import POSE, Landmarks, State, unknown_noise
 from gyrocal_ros.model.features.base import NewFeatures
 
 
@@ -54,6 +54,7 @@ def augment(
         rejections=np.concatenate([old.rejections, np.zeros(count, np.int64)]),
         last_pixels=np.concatenate([old.last_pixels, pixels]),
         last_directions=np.concatenate([old.last_directions, directions]),
+        noise=old.noise.joined(unknown_noise(count)),
     )
     mean = np.concatenate([state.mean, new.parameters.ravel()])
     sensitivity = by_robot @ state.sensitivity[:r]
@@ -101,7 +102,13 @@ def count_matches(
     last_seen_ns[rows[accepted]] = state.t_ns
     rejections[rows] = np.where(accepted, 0, rejections[rows] + 1)
     last_pixels[rows], last_directions[rows] = pixels, directions
-    landmarks = Landmarks(old.ids, old.anchors, last_seen_ns, rejections, last_pixels, last_directions)
+    landmarks = replace(
+        old,
+        last_seen_ns=last_seen_ns,
+        rejections=rejections,
+        last_pixels=last_pixels,
+        last_directions=last_directions,
+    )
     return keep(replace(state, landmarks=landmarks), rejections < drop_after)
 
 
@@ -113,11 +120,16 @@ def mark_seen(state: State, rows: IntArray) -> State:
 
 
 def evict_oldest(state: State, wanted: int, map_size: int) -> State:
-    """Remove the features unseen for longest until `wanted` new ones fit into the map."""
+    """Remove features until `wanted` new ones fit into the map.
+
+    Those never found again go first, so that the corners of images in the dark do not drive out the map, then
+    those unseen for longest.
+    """
     surplus = len(state.landmarks.ids) + wanted - map_size
     if surplus <= 0:
         return state
-    oldest = np.argsort(state.landmarks.last_seen_ns, kind='stable')[:surplus]
+    last_seen_ns, is_found_again = state.landmarks.last_seen_ns, state.landmarks.noise.weights > 0.0
+    oldest = np.lexsort((last_seen_ns, is_found_again | (last_seen_ns == state.t_ns)))[:surplus]
     kept = np.ones(len(state.landmarks.ids), bool)
     kept[oldest] = False
     return keep(state, kept)

@@ -23,11 +23,11 @@ MAX_INFLATION = 1e6
 MAX_ITERATIONS = 3
 CONVERGED = 0.05
 """Relative change of the weights at which the iteration ends."""
-FREE_POSE_STD = np.array([0.3, 0.3, 0.3, 0.1, 0.1, 0.1])
-"""Standard deviations (m, rad) of a pose of which nothing is known."""
+LOOSE_POSE_RATE = np.array([0.1, 0.1, 0.1, 0.25, 0.25, 0.25])
+"""Standard deviations of the errors of the motion (m/s, rad/s) of a model that lacks an effect."""
 POSE_DOF = 6
-MIN_FEATURES = 8
-"""Fewest features of which half determine a pose, with one to spare."""
+MIN_FEATURES = 5
+"""Fewest features that may contradict the pose: the better half of them determines one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,35 +83,58 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
 
 
 def robust(
-    innovation: Innovation, outlier_probability: float
-) -> tuple[Innovation, Judged, np.ndarray] | None:
-    """Judge the features of an image by each other: Huber's weights, and a gate.
+    innovation: Innovation, outlier_probability: float, interval_s: float
+) -> tuple[Innovation, Judged, np.ndarray]:
+    """Judge the features of an image by each other and by the pose: Huber's weights, and a gate.
+
+    Where most features contradict the predicted pose, an effect that the model lacks may have turned it, and
+    those that show the effect best would be rejected first. They are then judged with a looser pose. If they
+    contradict that as well, or each other, none is used: the images of a camera in the dark or behind a hand
+    still have corners. Few features do not contradict the pose, for they do not determine one.
+
+    Args:
+        innovation: of the m features.
+        outlier_probability: probability of the rejection of a good feature.
+        interval_s: time since the last image.
 
     Returns:
         The innovation with inflated noise in its covariance, the final comparison of the features, and which
-        of them to use, (m,) bool. None where the predicted pose cannot judge them, because most features
-        contradict it: an effect that the model lacks has turned it, and those that show the effect best would
-        be rejected first.
+        of them to use, (m,) bool.
 
     Raises:
         FilterDivergedError: the covariance of the innovation is not positive definite.
     """
-    if len(innovation.rows) >= MIN_FEATURES and _contradicts_pose(innovation, outlier_probability):
-        return None
+    m, r = innovation.residual.shape
+    gate = chi_square_quantile(1.0 - outlier_probability, r)
     inflation, judged = _weights(innovation)
-    good = judged.distances <= chi_square_quantile(1.0 - outlier_probability, innovation.residual.shape[1])
-    if 2 * good.sum() < len(good):
-        return None
+    good = judged.distances <= gate
+    if m >= MIN_FEATURES:
+        loose = _with_looser_pose(innovation, interval_s)
+        if 2 * good.sum() < m or _contradict_pose(innovation, loose, outlier_probability):
+            inflation, judged = _weights(loose)
+            good = judged.distances <= gate
+            if not _agree(loose, inflation, np.flatnonzero(good), outlier_probability):
+                good = np.zeros(m, bool)
     return replace(innovation, covariance=_inflated(innovation, inflation)), judged, good
 
 
-def _contradicts_pose(innovation: Innovation, outlier_probability: float) -> bool:
+def _contradict_pose(innovation: Innovation, loose: Innovation, outlier_probability: float) -> bool:
     """Return True if the half of the features that agree best contradicts the predicted pose."""
-    free = _with_free_pose(innovation)
-    inflation, judged = _weights(free)
-    close = np.argsort(judged.distances)[: (len(inflation) + 1) // 2]
-    by_pose = _nis(innovation, inflation, close) - _nis(free, inflation, close)
-    return by_pose > chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
+    m = len(innovation.rows)
+    limit = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
+    if _nis(innovation, np.ones(m), np.arange(m)) <= limit:  # that of a part is never larger
+        return False
+    inflation, judged = _weights(loose)
+    close = np.argsort(judged.distances)[: (m + 1) // 2]
+    return _nis(innovation, inflation, close) - _nis(loose, inflation, close) > limit
+
+
+def _agree(loose: Innovation, inflation: Array, chosen: IntArray, outlier_probability: float) -> bool:
+    """Return True if most features agree with each other and with the looser pose."""
+    m, r = loose.residual.shape
+    if 2 * len(chosen) < m:
+        return False
+    return _nis(loose, inflation, chosen) <= chi_square_quantile(1.0 - outlier_probability, r * len(chosen))
 
 
 def _weights(innovation: Innovation) -> tuple[Array, Judged]:
@@ -125,10 +148,10 @@ def _weights(innovation: Innovation) -> tuple[Array, Judged]:
     return inflation, judged
 
 
-def _with_free_pose(innovation: Innovation) -> Innovation:
-    """Return the innovation as if nothing were known of the pose of the robot."""
+def _with_looser_pose(innovation: Innovation, interval_s: float) -> Innovation:
+    """Return the innovation as if the model lacked an effect."""
     m, r = innovation.residual.shape
-    by_pose = (innovation.prediction.by_pose * FREE_POSE_STD).reshape(m * r, POSE_DOF)
+    by_pose = (innovation.prediction.by_pose * (LOOSE_POSE_RATE * interval_s)).reshape(m * r, POSE_DOF)
     free = innovation.covariance.reshape(m * r, m * r) + by_pose @ by_pose.T
     return replace(innovation, covariance=free.reshape(m, r, m, r))
 

@@ -12,9 +12,18 @@ from dataclasses import replace
 import numpy as np
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array, FeatureObservations, HeadingSample, MotionBlock, Rig, SearchRegions
+from gyrocal_ros.data import (
+    Array,
+    FeatureObservations,
+    HeadingSample,
+    MotionBlock,
+    Rig,
+    SearchRegions,
+    seconds,
+)
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.effects_by_place import sort_effects, true_camera
+from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.gating import MotionGate
 from gyrocal_ros.ekf.heading import HeadingReference
 from gyrocal_ros.ekf.image_update import (
@@ -126,6 +135,8 @@ class EkfSlam:
         features = self.config.features
         if self.parametrisation.needs_motion_gate and not self._motion_gate.passes(self.state, features):
             return MeasurementUpdate()
+        if observations.covariances_px2 is not None:
+            self._typical_match.update(observations.covariances_px2)
         self.state, update = update_from_image(self.state, self._image_model(), observations)
         new = unmapped(self.state, observations, features.map_size)
         if new:
@@ -141,9 +152,11 @@ class EkfSlam:
             form=self.parametrisation,
             config=self.config,
             noise_px=self.pixel_noise.std,
+            match_px=self._typical_match.std_px,
             effects=self._effects,
             candidates=self._candidates,
             pose_rate=self._pose_rate,
+            interval_s=seconds(self.state.t_ns - int(self.state.landmarks.last_seen_ns.max(initial=0))),
             errors_repeat=self._errors_repeat(),
         )
 
@@ -173,6 +186,7 @@ class EkfSlam:
         max_px = max(MAX_PIXEL_NOISE_PX, 5.0 * std_px)
         self.pixel_noise = AdaptiveNoise(std_px, MIN_PIXEL_NOISE_PX, max_px)
         self._repeated = RepeatedErrors(std_px)
+        self._typical_match = TypicalMatch()
 
     def start_at(self, t_ns: int) -> None:
         """Set the time of the first sample."""

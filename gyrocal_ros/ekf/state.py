@@ -22,6 +22,29 @@ COEFFICIENTS_START = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FeatureNoise:
+    """Noise of m features, learned from their innovations; see `ekf.feature_noise`."""
+
+    weights: Array
+    """(m,) number of observations that it was learned from; older ones count less."""
+    sums: Array
+    """(m,) sum over them of the squared error relative to the pixel noise, 1 on average."""
+
+    def __getitem__(self, rows: np.ndarray) -> FeatureNoise:
+        return FeatureNoise(self.weights[rows], self.sums[rows])
+
+    def joined(self, more: FeatureNoise) -> FeatureNoise:
+        """Return the noise of these features and more."""
+        weights = np.concatenate([self.weights, more.weights])
+        return FeatureNoise(weights, np.concatenate([self.sums, more.sums]))
+
+
+def unknown_noise(count: int) -> FeatureNoise:
+    """Return the noise of features of which nothing is known."""
+    return FeatureNoise(np.zeros(count), np.zeros(count))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
     """Properties of the m mapped features that are not in the state."""
 
@@ -34,6 +57,8 @@ class Landmarks:
     """(m, 2) observation that was used last."""
     last_directions: Array
     """(m, 2) expected direction x/z, y/z in the optical frame at that time."""
+    noise: FeatureNoise
+    """What was learned of their noise."""
 
     def __getitem__(self, rows: np.ndarray) -> Landmarks:
         return Landmarks(*(getattr(self, item.name)[rows] for item in fields(self)))
@@ -98,4 +123,5 @@ class State:
 def no_landmarks() -> Landmarks:
     """Return an empty map."""
     empty = np.empty(0, np.int64)
-    return Landmarks(empty, no_anchors(0), empty, empty, np.empty((0, 2)), np.empty((0, 2)))
+    nowhere = np.empty((0, 2))
+    return Landmarks(empty, no_anchors(0), empty, empty, nowhere, nowhere, unknown_noise(0))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gyrocal_ros.data import (
     NS_PER_S,
+    Array,
     CameraIntrinsics,
     FeatureObservations,
     HeadingSample,
@@ -189,23 +190,26 @@ def number(make: MessageMaker, value: float) -> Any:
 
 
 def features(make: MessageMaker, observations: FeatureObservations, frame: str = topics.CAMERA_FRAME) -> Any:
-    """Convert feature observations to a PointCloud2 with the fields u, v, id in the camera frame."""
+    """Convert feature observations to a PointCloud2 in the camera frame.
+
+    Its fields are u, v, id, and with covariances also cov_uu, cov_uv, cov_vv.
+    """
     columns = {'u': observations.pixels[:, 0], 'v': observations.pixels[:, 1], 'id': observations.ids}
+    if observations.covariances_px2 is not None:
+        columns |= _covariance_columns(observations.covariances_px2)
     return _point_cloud(make, observations.t_ns, columns, frame)
 
 
 def search_regions(make: MessageMaker, regions: SearchRegions) -> Any:
     """Convert search regions to a PointCloud2 with the fields u, v, id, cov_uu, cov_uv, cov_vv."""
-    covariances = regions.covariances_px2
-    columns = {
-        'u': regions.pixels[:, 0],
-        'v': regions.pixels[:, 1],
-        'id': regions.ids,
-        'cov_uu': covariances[:, 0, 0],
-        'cov_uv': covariances[:, 0, 1],
-        'cov_vv': covariances[:, 1, 1],
-    }
-    return _point_cloud(make, regions.t_ns, columns)
+    columns = {'u': regions.pixels[:, 0], 'v': regions.pixels[:, 1], 'id': regions.ids}
+    return _point_cloud(make, regions.t_ns, columns | _covariance_columns(regions.covariances_px2))
+
+
+def _covariance_columns(covariances: Array) -> dict[str, Array]:
+    """Return the columns of covariances (n, 2, 2)."""
+    upper = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
+    return dict(zip(topics.COVARIANCES, upper, strict=True))
 
 
 def _point_cloud(

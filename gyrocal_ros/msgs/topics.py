@@ -53,6 +53,8 @@ BATTERY = 'sensor_msgs/msg/BatteryState'
 NUMBER = 'std_msgs/msg/Float64'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
+COVARIANCES = ('cov_uu', 'cov_uv', 'cov_vv')
+"""Fields of a point cloud with the covariance of each pixel."""
 POSES = {
     ODOMETRY: 'pose.pose',
     POSE_STAMPED: 'pose',
@@ -189,11 +191,13 @@ def features(message: Any) -> FeatureObservations:
         RecordingError: the message lacks one of the fields u, v, id.
     """
     points = _points(message, ('u', 'v', 'id'))
-    ids, pixels = points['id'].astype(np.int64), _pairs(points, 'u', 'v')
-    finite = np.isfinite(pixels).all(axis=1)
+    finite = np.isfinite(_pairs(points, 'u', 'v')).all(axis=1)
     if not finite.all():
-        ids, pixels = ids[finite], pixels[finite]
-    return FeatureObservations(stamp_ns(message), ids, pixels)
+        points = points[finite]
+    pixels = _pairs(points, 'u', 'v')
+    return FeatureObservations(
+        stamp_ns(message), points['id'].astype(np.int64), pixels, _valid_covariances(points)
+    )
 
 
 def search_regions(message: Any) -> SearchRegions:
@@ -202,11 +206,24 @@ def search_regions(message: Any) -> SearchRegions:
     Raises:
         RecordingError: the message lacks one of the fields u, v, id, cov_uu, cov_uv, cov_vv.
     """
-    points = _points(message, ('u', 'v', 'id', 'cov_uu', 'cov_uv', 'cov_vv'))
+    points = _points(message, ('u', 'v', 'id', *COVARIANCES))
+    pixels = _pairs(points, 'u', 'v')
+    return SearchRegions(stamp_ns(message), points['id'].astype(np.int64), pixels, _covariances(points))
+
+
+def _covariances(points: NDArray[Any]) -> Array:
     rows = _pairs(points, 'cov_uu', 'cov_uv'), _pairs(points, 'cov_uv', 'cov_vv')
-    return SearchRegions(
-        stamp_ns(message), points['id'].astype(np.int64), _pairs(points, 'u', 'v'), np.stack(rows, axis=1)
-    )
+    return np.stack(rows, axis=1)
+
+
+def _valid_covariances(points: NDArray[Any]) -> Array | None:
+    """Return the covariances of a cloud; None if it has none, or one that is not positive definite."""
+    if not set(COVARIANCES) <= set(points.dtype.names or ()):
+        return None
+    covariances = _covariances(points)
+    diagonal, determinant = np.diagonal(covariances, axis1=1, axis2=2), np.linalg.det(covariances)
+    is_valid = np.isfinite(covariances).all() and (diagonal > 0.0).all() and (determinant > 0.0).all()
+    return covariances if is_valid else None
 
 
 def _pairs(points: NDArray[Any], first: str, second: str) -> Array:

@@ -19,6 +19,14 @@ from gyrocal_ros.data import Array
 MAX_ITERATIONS = 10
 MAX_STEP_PX = 2.0
 CONVERGED_PX = 0.01
+MATCHING_PX = 0.06
+"""Standard deviation of the errors of a match that its residual does not show."""
+SMOOTHING = 4.0
+"""Variance of white noise over that of its residual, which the spline smooths (`sample_image`)."""
+MIN_CORRELATION = 0.05
+"""Correlation below which the residual says no more."""
+FITTED = 6
+"""Numbers fitted to a patch: gain, offset, gradient, shift."""
 NODE_CENTRE = 4
 """Index of the node at the centre of a patch."""
 _TINY = 1e-9
@@ -72,6 +80,8 @@ class Alignment:
     """(n,) correlation of patch and image, -1 to 1."""
     backward_px: Array
     """(n,) distance by which the backward alignment of the first patch with the current one misses."""
+    covariances_px2: Array
+    """(n, 2, 2) covariances of the positions, by structure and residual of each patch."""
 
 
 @cache
@@ -154,7 +164,27 @@ def align(image: NDArray[np.uint8], patches: Patches, nodes: Array, min_correlat
         if not good.any() or np.abs(step[good]).max() < CONVERGED_PX:
             break
     pixels = nodes[:, NODE_CENTRE] + (shift[:, None, :] @ by_pixel)[:, 0]
-    return Alignment(pixels, twist, correlation, _backward_shift(current, patches.template))
+    backward_px = _backward_shift(current, patches.template)
+    return Alignment(pixels, twist, correlation, backward_px, _covariances(patches, correlation, by_pixel))
+
+
+def _covariances(patches: Patches, correlation: Array, by_pixel: Array) -> Array:
+    """Return the covariances (n, 2, 2) of the positions of aligned patches.
+
+    White noise of the image gives the covariance of a least-squares shift. Errors of the warp, of the lens and
+    of the interpolation are not white; `MATCHING_PX` stands for them.
+
+    Args:
+        patches: n patches.
+        correlation: (n,) their correlations.
+        by_pixel: (n, 2, 2) derivative of the pixels by u, v of the patch.
+    """
+    dof = patches.template.shape[1] - FITTED
+    residual = patches.contrast * (1.0 / np.maximum(correlation, MIN_CORRELATION) ** 2 - 1.0) / dof
+    in_patch = patches.to_shift @ patches.to_shift.transpose(0, 2, 1)
+    own = by_pixel.transpose(0, 2, 1) @ (SMOOTHING * residual[:, None, None] * in_patch) @ by_pixel
+    covariances: Array = own + MATCHING_PX**2 * np.eye(2)
+    return covariances
 
 
 def node_offsets(size: int) -> Array:

@@ -29,7 +29,7 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
-from gyrocal_ros.vision.patches import Patches, align, extract_patches, node_offsets
+from gyrocal_ros.vision.patches import MATCHING_PX, Patches, align, extract_patches, node_offsets
 from gyrocal_ros.vision.search_region import (
     best_match,
     ceiling_coordinates,
@@ -99,6 +99,22 @@ class _SearchSet:
         return _SearchSet(*(getattr(self, item.name)[chosen] for item in fields(self)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Match:
+    """Result of the search for k features."""
+
+    pixels: Array
+    """(k, 2)"""
+    covariances_px2: Array
+    """(k, 2, 2)"""
+    score: Array
+    """(k,) correlation, -1 if the match is rejected."""
+
+    def __setitem__(self, chosen: NDArray[np.bool_], better: _Match) -> None:
+        for item in fields(self):
+            getattr(self, item.name)[chosen] = getattr(better, item.name)
+
+
 class Tracker:
     """Tracks features from image to image.
 
@@ -141,14 +157,17 @@ class Tracker:
         self._check(frame)
         self._drop_old(frame.t_ns)
         search = self._select(R_wc, regions)
-        pixels, found = self._match(frame.image, R_wc, search)
+        match = self._match(frame.image, R_wc, search)
+        pixels, found = match.pixels, match.score > 0.0
         seen = search.index[found]
         self._features.seen_ns[seen] = frame.t_ns
         self._features.ceiling[seen] = self._to_ceiling(pixels[found], R_wc)
         new = self._detect(frame, R_wc, pixels, len(seen))
         self._last_ns = frame.t_ns
         ids = np.concatenate([self._features.ids[seen], self._features.ids[len(self._features) - len(new) :]])
-        return FeatureObservations(frame.t_ns, ids, np.concatenate([pixels[found], new]))
+        first = np.broadcast_to(MATCHING_PX**2 * np.eye(2), (len(new), 2, 2))
+        covariances = np.concatenate([match.covariances_px2[found], first])
+        return FeatureObservations(frame.t_ns, ids, np.concatenate([pixels[found], new]), covariances)
 
     def _check(self, frame: Frame) -> None:
         expected = (self._camera.height_px, self._camera.width_px)
@@ -197,27 +216,25 @@ class Tracker:
         index = np.flatnonzero((tracked | reacquired) & in_image(self._camera, pixels, self._margin_px))
         return _SearchSet(index, pixels[index], covariances[index], tracked[index])
 
-    def _match(
-        self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Search for features; return pixels (k, 2), as predicted where not found, and whether found (k,)."""
+    def _match(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet) -> _Match:
+        """Search for features; the pixels are as predicted where one is not found."""
         if not len(search.index):
-            return search.pixels, search.tracked
-        pixels, score = self._align(image, R_wc, search, search.pixels)
+            return _Match(search.pixels, search.covariances_px2, np.empty(0))
+        match = self._align(image, R_wc, search, search.pixels)
+        score = match.score
         searched = search.tracked if search.tracked.any() else np.ones(len(score), dtype=bool)
         missed = searched & (score < 0.0)
         if missed.any():  # search again by correlation, in larger regions if most predictions failed
             again = search[missed]
             if 2 * len(again.index) > search.tracked.sum():
                 again.covariances_px2[:] += UNPREDICTED_STD_PX**2 * np.eye(2)
-            pixels[missed], score[missed] = self._align(
-                image, R_wc, again, self._best_matches(image, R_wc, again)
-            )
-        _reject_duplicates(pixels, score, 0.5 * self.config.patch_px)
+            match[missed] = self._align(image, R_wc, again, self._best_matches(image, R_wc, again))
+        _reject_duplicates(match.pixels, score, 0.5 * self.config.patch_px)
         vacant = max(0, self.config.features - int((score[search.tracked] > 0.0).sum()))
         reacquired = np.flatnonzero(~search.tracked & (score > 0.0))
         score[reacquired[np.argsort(-score[reacquired], kind='stable')][vacant:]] = -1.0
-        return np.where(score[:, None] > 0.0, pixels, search.pixels), score > 0.0
+        match.pixels[score < 0.0] = search.pixels[score < 0.0]
+        return match
 
     def _best_matches(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet) -> Array:
         """Return the positions (k, 2) of best correlation in the regions, to the pixel."""
@@ -226,10 +243,8 @@ class Tracker:
         arguments = zip(features.patches.template, nodes, search.covariances_px2, strict=True)
         return search.pixels + np.array([best_match(image, *each) for each in arguments])
 
-    def _align(
-        self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet, starts: Array
-    ) -> tuple[Array, Array]:
-        """Return pixels (k, 2) by Lucas-Kanade, and their correlation (k,), -1 if the match is rejected."""
+    def _align(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet, starts: Array) -> _Match:
+        """Align the patches by Lucas-Kanade."""
         features = self._features[search.index]
         for _ in range(2):
             nodes = self._nodes(features, starts, R_wc)
@@ -246,7 +261,7 @@ class Tracker:
             if not (moved_px[good] > MAX_WARP_SHIFT_PX).any():
                 break
             starts = np.where(good[:, None], result.pixels, starts)
-        return result.pixels, np.where(good, result.correlation, -1.0)
+        return _Match(result.pixels, result.covariances_px2, np.where(good, result.correlation, -1.0))
 
     def _nodes(self, features: _Features, centres: Array, R_wc: Array) -> Array:
         """Return pixels (n, 9, 2) of the nodes of patches whose centres are at pixels (n, 2)."""

@@ -1,0 +1,83 @@
+"""Noise of each feature: how exactly a patch is matched differs from corner to corner.
+
+Two sources tell the noise of a feature. The tracker knows which patches are matched better than others, image
+by image; how large the errors are, it does not know, because most of them do not show in the patch. The
+innovations of a feature tell whether it is worse than its patch looks, as a crossing of edges at different
+depths, which slides.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.ekf.robust import Judged
+from gyrocal_ros.ekf.state import FeatureNoise, State
+
+PRIOR_OBSERVATIONS = 20.0
+"""Observations that the prior, the noise of a typical feature, counts for."""
+REMEMBERED_OBSERVATIONS = 100.0
+"""Observations after which older ones are forgotten: a patch is seen from elsewhere then."""
+MIN_FACTOR = 0.3
+"""Smallest variance relative to a typical feature: errors that repeat make a patch look too good."""
+MAX_ERROR = 10.0
+"""Largest squared error, relative to its variance, that is learned from; beyond it a match is wrong."""
+MIN_GAIN = 0.005
+"""Gain by which the typical match of the tracker follows changes of light and speed."""
+
+
+def variance_factors(noise: FeatureNoise) -> Array:
+    """Return the variances (m,) of features relative to a typical one.
+
+    The mean of an inverse gamma distribution with the prior 1 (Gelman et al. 2013, sec. 2.6).
+    """
+    factors = (PRIOR_OBSERVATIONS + noise.sums) / (PRIOR_OBSERVATIONS + noise.weights)
+    return np.maximum(factors, MIN_FACTOR)
+
+
+def learn_noise(state: State, rows: IntArray, judged: Judged, dof: int) -> State:
+    """Learn from the features of an image.
+
+    The difference from the prediction by the other features has the noise as a share s of its variance. Given
+    the squared Mahalanobis distance d of r degrees of freedom, the noise is expected to be `s d / r + 1 - s`
+    times its variance (step E of the EM algorithm, Dempster et al. 1977).
+
+    Args:
+        state: with the features in the map.
+        rows: (m,) their indices.
+        judged: comparison of them with each other.
+        dof: r.
+    """
+    old = state.landmarks.noise
+    share, errors = judged.noise_share, np.minimum(judged.distances / dof, MAX_ERROR)
+    errors = share * errors + 1.0 - share
+    expected = variance_factors(old[rows]) * errors / errors.mean()
+    kept = 1.0 - 1.0 / REMEMBERED_OBSERVATIONS
+    weights, sums = old.weights.copy(), old.sums.copy()
+    weights[rows] = kept * weights[rows] + 1.0
+    sums[rows] = kept * sums[rows] + expected
+    return replace(state, landmarks=replace(state.landmarks, noise=FeatureNoise(weights, sums)))
+
+
+class TypicalMatch:
+    """Learns the standard deviation that the tracker tells of a typical match, by its geometric mean."""
+
+    def __init__(self) -> None:
+        self._log_std, self._count = 0.0, 0
+
+    @property
+    def std_px(self) -> float:
+        """Standard deviation of a typical match."""
+        return math.exp(self._log_std)
+
+    def update(self, covariances_px2: Array) -> None:
+        """Learn from the covariances (m, 2, 2) of the features of an image."""
+        count = len(covariances_px2)
+        if count == 0:
+            return
+        self._count += count
+        log_std = 0.25 * float(np.log(np.linalg.det(covariances_px2)).mean())
+        self._log_std += max(count / self._count, MIN_GAIN) * (log_std - self._log_std)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gyrocal_ros.data import nanoseconds
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.map_watch import LOST_IMAGES, MAX_RESTARTS, MapWatch
 from gyrocal_ros.ekf.update import MeasurementUpdate
@@ -18,9 +19,9 @@ def noise() -> AdaptiveNoise:
     return AdaptiveNoise(0.4, 0.02, 5.0)
 
 
-def losses(updates: list[MeasurementUpdate]) -> list[bool]:
+def losses(updates: list[MeasurementUpdate], interval_s: float = 0.1) -> list[bool]:
     watch = MapWatch()
-    return [watch.is_lost(update, noise()) for update in updates]
+    return [watch.is_lost(update, noise(), nanoseconds(interval_s * k)) for k, update in enumerate(updates)]
 
 
 def test_the_map_is_lost_after_consecutive_contradictions() -> None:
@@ -49,14 +50,15 @@ def test_an_image_contradicts_if_most_features_are_rejected(
 
 
 def test_too_many_lost_maps_are_a_divergence() -> None:
-    watch = MapWatch()
-    for _ in range(MAX_RESTARTS):
-        assert [watch.is_lost(BAD, noise()) for _ in range(LOST_IMAGES)][-1]
-    for _ in range(LOST_IMAGES - 1):
-        assert not watch.is_lost(BAD, noise())
+    enough = LOST_IMAGES * (MAX_RESTARTS + 1)
+    assert sum(losses([BAD] * (enough - 1))) == MAX_RESTARTS
     with pytest.raises(FilterDivergedError, match=f'again and again.*{MAX_RESTARTS + 1} new maps') as caught:
-        watch.is_lost(BAD, noise())
+        losses([BAD] * enough)
     assert 'gyrocal check' in caught.value.todo
+
+
+def test_maps_lost_now_and_then_are_no_divergence() -> None:
+    assert sum(losses([BAD] * LOST_IMAGES * 10, interval_s=1.0)) == 10
 
 
 def test_noise_at_its_limit_is_a_divergence() -> None:
@@ -64,5 +66,5 @@ def test_noise_at_its_limit_is_a_divergence() -> None:
     for _ in range(3000):
         pixel_noise.update(np.full(15, 1e6), 2)
     with pytest.raises(FilterDivergedError, match='exceed 5 px') as caught:
-        MapWatch().is_lost(GOOD, pixel_noise)
+        MapWatch().is_lost(GOOD, pixel_noise, 0)
     assert 'gyrocal check' in caught.value.todo

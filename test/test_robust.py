@@ -99,10 +99,10 @@ def test_a_pose_that_the_features_contradict_does_not_judge_them() -> None:
 
 @pytest.mark.parametrize('interval_s', [INTERVAL_S, 1.0])
 def test_a_pose_contradicted_beyond_a_missing_effect_is_kept(interval_s: float) -> None:
-    turned = innovation_of(np.zeros((10, 2)), 0.01).prediction.by_pose[:, :, 5] * 0.2
+    turned = innovation_of(np.zeros((10, 2)), 0.01).prediction.by_pose[:, :, 5] * 0.9
     good = judged_by(innovation_of(turned, 0.01), interval_s)[2]
     assert good.all() if interval_s == 1.0 else not good.any(), (
-        '11 deg in a tenth of a second, or in a second'
+        '0.9 rad in a tenth of a second, or in a second'
     )
 
 

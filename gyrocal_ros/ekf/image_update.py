@@ -14,7 +14,7 @@ from gyrocal_ros.ekf.feature_noise import learn_noise, variance_factors
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
 from gyrocal_ros.ekf.repeated_errors import motion
-from gyrocal_ros.ekf.robust import Judged, each_alone, robust
+from gyrocal_ros.ekf.robust import MIN_FEATURES, Judged, each_alone, robust
 from gyrocal_ros.ekf.state import YAW, Landmarks, State
 from gyrocal_ros.ekf.update import (
     Innovation,
@@ -89,7 +89,7 @@ def update_from_image(
     innovation = _innovation(state, model, rows, prediction, observations[observed])
     innovation, judged, good = _judge(innovation, model)
     good &= prediction.points_c[:, 2] > MIN_DEPTH
-    if model.form.is_robust:
+    if model.form.is_robust and model.config.camera.estimate_pixel_noise:
         state = learn_noise(state, rows, judged, DOF_PER_FEATURE)
 
     used = innovation if good.all() else innovation[np.flatnonzero(good)]
@@ -98,16 +98,21 @@ def update_from_image(
     if good.any():
         state, stats = update(state, used)
         stats = replace(stats, dof=DOF_PER_FEATURE * len(used.rows))
-    drop_after, is_in_pixels = model.config.features.drop_after_rejections, model.form.rows == 2
-    pixels = observations.pixels[observed]
-    return count_matches(state, rows, good, pixels, directions, drop_after), replace(
+    if (
+        good.any() or len(rows) < MIN_FEATURES
+    ):  # an image that is rejected as a whole is no fault of a feature
+        pixels, drop_after = observations.pixels[observed], model.config.features.drop_after_rejections
+        state = count_matches(state, rows, good, pixels, directions, drop_after)
+    return state, replace(
         seen,
         used=int(good.sum()),
         rejected=int((~good).sum()),
         stats=stats,
         heading_rad=heading_rad,
         heading_std_rad=heading_std_rad,
-        noise_distances=_noise_dominated(judged, moved.unmoved[each]) if is_in_pixels else np.empty(0),
+        noise_distances=_noise_dominated(judged, moved.unmoved[each])
+        if model.form.rows == 2
+        else np.empty(0),
     )
 
 

@@ -23,8 +23,10 @@ MAX_INFLATION = 1e6
 MAX_ITERATIONS = 3
 CONVERGED = 0.05
 """Relative change of the weights at which the iteration ends."""
-LOOSE_POSE_RATE = np.array([0.1, 0.1, 0.1, 0.25, 0.25, 0.25])
+LOOSE_POSE_RATE = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
 """Standard deviations of the errors of the motion (m/s, rad/s) of a model that lacks an effect."""
+FREE_POSE_STD = np.array([3.0, 3.0, 3.0, 1.0, 1.0, 1.0])
+"""Standard deviations (m, rad) of a pose of which nothing is known."""
 POSE_DOF = 6
 MIN_FEATURES = 5
 """Fewest features that may contradict the pose: the better half of them determines one."""
@@ -89,8 +91,8 @@ def robust(
 
     Where most features contradict the predicted pose, an effect that the model lacks may have turned it, and
     those that show the effect best would be rejected first. They are then judged with a looser pose. If they
-    contradict that as well, or each other, none is used: the images of a camera in the dark or behind a hand
-    still have corners. Few features do not contradict the pose, for they do not determine one.
+    contradict that as well, or most of them each other, none is used: an image in the dark or of a hand still
+    has corners. Few features do not contradict the pose, for they do not determine one.
 
     Args:
         innovation: of the m features.
@@ -106,35 +108,34 @@ def robust(
     """
     m, r = innovation.residual.shape
     gate = chi_square_quantile(1.0 - outlier_probability, r)
+    pose_gate = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
     inflation, judged = _weights(innovation)
     good = judged.distances <= gate
-    if m >= MIN_FEATURES:
-        loose = _with_looser_pose(innovation, interval_s)
-        if 2 * good.sum() < m or _contradict_pose(innovation, loose, outlier_probability):
-            inflation, judged = _weights(loose)
+    if m >= MIN_FEATURES and not _is_close(innovation, pose_gate):
+        loose = _with_looser_pose(innovation, LOOSE_POSE_RATE * interval_s)
+        loosely, by_each_other = _weights(loose)
+        closest = np.argsort(by_each_other.distances)[: (m + 1) // 2]
+        if 2 * good.sum() < m or _pose_distance(innovation, loose, loosely, closest) > pose_gate:
+            inflation, judged = loosely, by_each_other
             good = judged.distances <= gate
-            if not _agree(loose, inflation, np.flatnonzero(good), outlier_probability):
-                good = np.zeros(m, bool)
+            free = _with_looser_pose(loose, FREE_POSE_STD)
+            is_possible = _pose_distance(loose, free, inflation, np.flatnonzero(good)) <= pose_gate
+            good &= is_possible and 2 * good.sum() >= m
     return replace(innovation, covariance=_inflated(innovation, inflation)), judged, good
 
 
-def _contradict_pose(innovation: Innovation, loose: Innovation, outlier_probability: float) -> bool:
-    """Return True if the half of the features that agree best contradicts the predicted pose."""
+def _is_close(innovation: Innovation, gate: float) -> bool:
+    """Return True if even all features together are closer to the prediction than a contradicted pose."""
     m = len(innovation.rows)
-    limit = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
-    if _nis(innovation, np.ones(m), np.arange(m)) <= limit:  # that of a part is never larger
-        return False
-    inflation, judged = _weights(loose)
-    close = np.argsort(judged.distances)[: (m + 1) // 2]
-    return _nis(innovation, inflation, close) - _nis(loose, inflation, close) > limit
+    return _nis(innovation, np.ones(m), np.arange(m)) <= gate
 
 
-def _agree(loose: Innovation, inflation: Array, chosen: IntArray, outlier_probability: float) -> bool:
-    """Return True if most features agree with each other and with the looser pose."""
-    m, r = loose.residual.shape
-    if 2 * len(chosen) < m:
-        return False
-    return _nis(loose, inflation, chosen) <= chi_square_quantile(1.0 - outlier_probability, r * len(chosen))
+def _pose_distance(innovation: Innovation, loose: Innovation, inflation: Array, chosen: IntArray) -> float:
+    """Return the squared Mahalanobis distance of the predicted pose from the one that chosen features tell.
+
+    It is the part of their NIS that a looser pose removes.
+    """
+    return _nis(innovation, inflation, chosen) - _nis(loose, inflation, chosen)
 
 
 def _weights(innovation: Innovation) -> tuple[Array, Judged]:
@@ -148,12 +149,12 @@ def _weights(innovation: Innovation) -> tuple[Array, Judged]:
     return inflation, judged
 
 
-def _with_looser_pose(innovation: Innovation, interval_s: float) -> Innovation:
-    """Return the innovation as if the model lacked an effect."""
+def _with_looser_pose(innovation: Innovation, std: Array) -> Innovation:
+    """Return the innovation as if the pose of the robot had further errors of standard deviations (6,)."""
     m, r = innovation.residual.shape
-    by_pose = (innovation.prediction.by_pose * (LOOSE_POSE_RATE * interval_s)).reshape(m * r, POSE_DOF)
-    free = innovation.covariance.reshape(m * r, m * r) + by_pose @ by_pose.T
-    return replace(innovation, covariance=free.reshape(m, r, m, r))
+    by_pose = (innovation.prediction.by_pose * std).reshape(m * r, POSE_DOF)
+    loose = innovation.covariance.reshape(m * r, m * r) + by_pose @ by_pose.T
+    return replace(innovation, covariance=loose.reshape(m, r, m, r))
 
 
 def _inflated(innovation: Innovation, inflation: Array) -> Array:

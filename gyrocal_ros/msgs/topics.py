@@ -221,9 +221,10 @@ def _valid_covariances(points: NDArray[Any]) -> Array | None:
     if not set(COVARIANCES) <= set(points.dtype.names or ()):
         return None
     covariances = _covariances(points)
-    diagonal, determinant = np.diagonal(covariances, axis1=1, axis2=2), np.linalg.det(covariances)
-    is_valid = np.isfinite(covariances).all() and (diagonal > 0.0).all() and (determinant > 0.0).all()
-    return covariances if is_valid else None
+    if not np.isfinite(covariances).all():
+        return None
+    is_valid = (covariances[:, 0, 0] > 0.0) & (np.linalg.det(covariances) > 0.0)
+    return covariances if is_valid.all() else None
 
 
 def _pairs(points: NDArray[Any], first: str, second: str) -> Array:

@@ -171,8 +171,8 @@ def align(image: NDArray[np.uint8], patches: Patches, nodes: Array, min_correlat
 def _covariances(patches: Patches, correlation: Array, by_pixel: Array) -> Array:
     """Return the covariances (n, 2, 2) of the positions of aligned patches.
 
-    White noise of the image gives the covariance of a least-squares shift. Errors of the warp, of the lens and
-    of the interpolation are not white; `MATCHING_PX` stands for them.
+    White noise of the image gives the covariance of a least-squares shift. Errors of the warp, of the lens
+    and of the interpolation are not white; `MATCHING_PX` stands for them.
 
     Args:
         patches: n patches.

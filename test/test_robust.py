@@ -10,7 +10,7 @@ from contracts import NOISE_PX, PIXELS, view_at
 from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.robust import HUBER_BOUND, MIN_FEATURES, Judged, each_alone, leave_one_out, robust
+from gyrocal_ros.ekf.robust import HUBER_BOUND, MIN_FEATURES, Consensus, consensus, each_alone, leave_one_out
 from gyrocal_ros.ekf.state import POSE, State
 from gyrocal_ros.ekf.update import Innovation, innovate
 
@@ -70,18 +70,18 @@ def test_a_wrong_match_shows_more_clearly_than_by_the_map_alone() -> None:
     innovation = innovation_of(residual)
     alone, judged = each_alone(innovation), leave_one_out(innovation, ONES)
     assert judged.distances[2] > 3.0 * alone.distances[2]
-    assert np.argmax(judged_by(innovation)[1].distances) == 2
+    assert np.argmax(judged_by(innovation).judged.distances) == 2
 
 
 def test_the_noise_of_a_contradicted_feature_grows() -> None:
     residual = np.zeros((5, 2))
     residual[2] = [10.0 * NOISE_PX, -10.0 * NOISE_PX]
     innovation = innovation_of(residual)
-    result, judged, _ = judged_by(innovation)
-    change = (result.covariance - innovation.covariance) / NOISE_PX**2
+    result = judged_by(innovation)
+    change = (result.innovation.covariance - innovation.covariance) / NOISE_PX**2
     each = np.arange(5)
     inflation = change[each, :, each, :]
-    expected = np.maximum(0.0, np.sqrt(judged.distances) / HUBER_BOUND - 1.0)
+    expected = np.maximum(0.0, np.sqrt(result.judged.distances) / HUBER_BOUND - 1.0)
     np.testing.assert_allclose(inflation, expected[:, None, None] * np.eye(2), rtol=0.1, atol=1e-9)
     assert np.argmax(expected) == 2 and not expected[[0, 3, 4]].any()
     change[each, :, each, :] = 0.0
@@ -93,14 +93,14 @@ def test_a_pose_that_the_features_contradict_does_not_judge_them() -> None:
     turned = innovation_of(still, 0.01).prediction.by_pose[:, :, 5] * 0.02  # a hundred standard deviations
     assert leave_one_out(innovation_of(turned, 0.01), np.ones(len(turned))).distances.max() > 20.0
     turned[1] += [0.0, 30.0 * NOISE_PX]
-    good = judged_by(innovation_of(turned, 0.01))[2]
+    good = judged_by(innovation_of(turned, 0.01)).good
     assert not good[1] and np.delete(good, [1, 6]).all(), '6 is of the same landmark'
 
 
 @pytest.mark.parametrize('interval_s', [INTERVAL_S, 1.0])
 def test_a_pose_contradicted_beyond_a_missing_effect_is_kept(interval_s: float) -> None:
     turned = innovation_of(np.zeros((10, 2)), 0.01).prediction.by_pose[:, :, 5] * 0.9
-    good = judged_by(innovation_of(turned, 0.01), interval_s)[2]
+    good = judged_by(innovation_of(turned, 0.01), interval_s).good
     assert good.all() if interval_s == 1.0 else not good.any(), (
         '0.9 rad in a tenth of a second, or in a second'
     )
@@ -109,31 +109,29 @@ def test_a_pose_contradicted_beyond_a_missing_effect_is_kept(interval_s: float) 
 def test_few_features_do_not_contradict_the_pose() -> None:
     few = MIN_FEATURES - 1
     turned = innovation_of(np.zeros((few, 2)), 0.01).prediction.by_pose[:, :, 5] * 0.02
-    assert not judged_by(innovation_of(turned, 0.01))[2].all()
+    assert not judged_by(innovation_of(turned, 0.01)).good.all()
     still = np.zeros((few, 2))
     still[1] += 30.0 * NOISE_PX
-    assert judged_by(innovation_of(still, 0.01))[2].tolist() == [True, False, True, True]
+    assert judged_by(innovation_of(still, 0.01)).good.tolist() == [True, False, True, True]
 
 
-def judged_by(
-    innovation: Innovation, interval_s: float = INTERVAL_S
-) -> tuple[Innovation, Judged, np.ndarray]:
+def judged_by(innovation: Innovation, interval_s: float = INTERVAL_S) -> Consensus:
     """Return the result at the usual rejection probability."""
-    return robust(innovation, 1e-4, interval_s)
+    return consensus(innovation, 1e-4, interval_s)
 
 
 def test_an_image_without_outliers_is_left_alone() -> None:
     innovation = innovation_of(np.zeros((5, 2)))
-    np.testing.assert_array_equal(judged_by(innovation)[0].covariance, innovation.covariance)
+    np.testing.assert_array_equal(judged_by(innovation).innovation.covariance, innovation.covariance)
 
 
 def test_the_gate_rejects_what_the_others_contradict() -> None:
     residual = np.zeros((5, 2))
     residual[2] = [10.0 * NOISE_PX, -10.0 * NOISE_PX]
-    assert judged_by(innovation_of(residual))[2].tolist() == [True, False, False, True, True]
-    assert judged_by(innovation_of(np.zeros((5, 2))))[2].all()
+    assert judged_by(innovation_of(residual)).good.tolist() == [True, False, False, True, True]
+    assert judged_by(innovation_of(np.zeros((5, 2)))).good.all()
 
 
 def test_features_that_contradict_each_other_are_not_used() -> None:
     scattered = 300.0 * NOISE_PX * np.random.default_rng(0).normal(size=(10, 2))
-    assert not judged_by(innovation_of(scattered))[2].any()
+    assert not judged_by(innovation_of(scattered)).good.any()

@@ -14,7 +14,7 @@ from gyrocal_ros.ekf.feature_noise import learn_noise, variance_factors
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
 from gyrocal_ros.ekf.repeated_errors import motion
-from gyrocal_ros.ekf.robust import MIN_FEATURES, Judged, each_alone, robust
+from gyrocal_ros.ekf.robust import MIN_FEATURES, Consensus, Judged, consensus, each_alone
 from gyrocal_ros.ekf.state import YAW, Landmarks, State
 from gyrocal_ros.ekf.update import (
     Innovation,
@@ -86,13 +86,12 @@ def update_from_image(
         return state, seen
     each = np.flatnonzero(new)
     rows, prediction, directions, observed = rows[each], prediction[each], directions[each], known[each]
-    innovation = _innovation(state, model, rows, prediction, observations[observed])
-    innovation, judged, good = _judge(innovation, model)
-    good &= prediction.points_c[:, 2] > MIN_DEPTH
+    found = _consensus(_innovation(state, model, rows, prediction, observations[observed]), model)
+    judged, good = found.judged, found.good & (prediction.points_c[:, 2] > MIN_DEPTH)
     if model.form.is_robust and model.config.camera.estimate_pixel_noise:
         state = learn_noise(state, rows, judged, DOF_PER_FEATURE)
 
-    used = innovation if good.all() else innovation[np.flatnonzero(good)]
+    used = found.innovation if good.all() else found.innovation[np.flatnonzero(good)]
     heading_rad, heading_std_rad = _as_heading(used)
     stats = UpdateStats()
     if good.any():
@@ -144,13 +143,12 @@ def _own_noise(
     return typical * variance_factors(landmarks.noise)[:, None, None]
 
 
-def _judge(innovation: Innovation, model: ImageModel) -> tuple[Innovation, Judged, np.ndarray]:
-    """Return the innovation with its weights, the comparison of its features, and which of them to use."""
+def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
     outlier_probability = model.config.features.outlier_probability
     if model.form.is_robust:
-        return robust(innovation, outlier_probability, model.interval_s)
+        return consensus(innovation, outlier_probability, model.interval_s)
     judged = each_alone(innovation)
-    return innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability)
+    return Consensus(innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability))
 
 
 def _directions(prediction: Prediction) -> Array:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.update import MeasurementUpdate
 from gyrocal_ros.errors import FilterDivergedError
 
 LOST_IMAGES = 15
 """Number of consecutive images that contradict the map before it is dropped."""
-MAX_RESTARTS = 5
-"""Number of maps that may be dropped within `WINDOW_NS` before the filter has diverged."""
-WINDOW_NS = 60 * NS_PER_S
+REMEMBERED_IMAGES = 300
+"""Images over which the share of those that contradict the map is averaged."""
+MAX_SHARE = 0.25
+"""Share of contradicting images from which the filter has diverged: below crossing beams or moving patches of
+sun it is 0.2 at most."""
 CHECK_THE_CAMERA = 'check the camera calibration, its mounting and the time stamps with `gyrocal check`'
 
 
@@ -20,10 +21,10 @@ class MapWatch:
 
     def __init__(self) -> None:
         self._contradicted = 0
-        self._losses_ns: list[int] = []
+        self._share = 0.0
 
-    def is_lost(self, update: MeasurementUpdate, pixel_noise: AdaptiveNoise, t_ns: int) -> bool:
-        """Return True if the map has to be dropped after an image at that time.
+    def is_lost(self, update: MeasurementUpdate, pixel_noise: AdaptiveNoise) -> bool:
+        """Return True if the map has to be dropped after an image.
 
         Raises:
             FilterDivergedError: the images contradict the estimate beyond repair.
@@ -32,13 +33,14 @@ class MapWatch:
             what = f'the innovations of the images exceed {pixel_noise.std:.0f} px'
             raise FilterDivergedError(what, todo=CHECK_THE_CAMERA)
         contradicts = update.rejected > 2 * update.used and update.rejected >= 3
+        self._share += (contradicts - self._share) / REMEMBERED_IMAGES
+        if self._share > MAX_SHARE:
+            what = (
+                f'the images contradict the estimate again and again (every {1.0 / MAX_SHARE:.0f}th of them)'
+            )
+            raise FilterDivergedError(what, todo=CHECK_THE_CAMERA)
         self._contradicted = self._contradicted + 1 if contradicts else 0
         if self._contradicted < LOST_IMAGES:
             return False
         self._contradicted = 0
-        self._losses_ns = [lost_ns for lost_ns in self._losses_ns if t_ns - lost_ns < WINDOW_NS] + [t_ns]
-        if len(self._losses_ns) > MAX_RESTARTS:
-            count = len(self._losses_ns)
-            what = f'the images contradict the estimate again and again ({count} new maps within a minute)'
-            raise FilterDivergedError(what, todo=CHECK_THE_CAMERA)
         return True

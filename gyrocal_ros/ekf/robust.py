@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.update import Innovation, mahalanobis, not_a_covariance, own_precisions
 from gyrocal_ros.statistics import chi_square_quantile
 
@@ -27,6 +28,8 @@ LOOSE_POSE_RATE = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
 """Standard deviations of the errors of the motion (m/s, rad/s) of a model that lacks an effect."""
 FREE_POSE_STD = np.array([3.0, 3.0, 3.0, 1.0, 1.0, 1.0])
 """Standard deviations (m, rad) of a pose of which nothing is known."""
+BENT = 0.1
+"""Share of a contradiction below which the pose explains it; the rest is the map, bent by earlier images."""
 POSE_DOF = 6
 MIN_FEATURES = 5
 """Fewest features that may contradict the pose: the better half of them determines one."""
@@ -84,24 +87,30 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
     return Judged(distances, noise_share)
 
 
-def robust(
-    innovation: Innovation, outlier_probability: float, interval_s: float
-) -> tuple[Innovation, Judged, np.ndarray]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Consensus:
+    """What the features of an image say of each other and of the predicted pose."""
+
+    innovation: Innovation
+    """With inflated noise in its covariance."""
+    judged: Judged
+    good: np.ndarray
+    """(m,) bool, features to use."""
+
+
+def consensus(innovation: Innovation, outlier_probability: float, interval_s: float) -> Consensus:
     """Judge the features of an image by each other and by the pose: Huber's weights, and a gate.
 
     Where most features contradict the predicted pose, an effect that the model lacks may have turned it, and
-    those that show the effect best would be rejected first. They are then judged with a looser pose. If they
-    contradict that as well, or most of them each other, none is used: an image in the dark or of a hand still
-    has corners. Few features do not contradict the pose, for they do not determine one.
+    those that show the effect best would be rejected first. They are then judged with a looser pose: by a
+    wider gate if that explains what they show. If not, and most of them contradict each other, none is used:
+    an image in the dark or of a hand still has corners. Few features do not contradict the pose, for they do
+    not determine one.
 
     Args:
         innovation: of the m features.
         outlier_probability: probability of the rejection of a good feature.
         interval_s: time since the last image.
-
-    Returns:
-        The innovation with inflated noise in its covariance, the final comparison of the features, and which
-        of them to use, (m,) bool.
 
     Raises:
         FilterDivergedError: the covariance of the innovation is not positive definite.
@@ -111,31 +120,30 @@ def robust(
     pose_gate = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
     inflation, judged = _weights(innovation)
     good = judged.distances <= gate
-    if m >= MIN_FEATURES and not _is_close(innovation, pose_gate):
-        loose = _with_looser_pose(innovation, LOOSE_POSE_RATE * interval_s)
-        loosely, by_each_other = _weights(loose)
-        closest = np.argsort(by_each_other.distances)[: (m + 1) // 2]
-        if 2 * good.sum() < m or _pose_distance(innovation, loose, loosely, closest) > pose_gate:
-            inflation, judged = loosely, by_each_other
-            good = judged.distances <= gate
-            free = _with_looser_pose(loose, FREE_POSE_STD)
-            is_possible = _pose_distance(loose, free, inflation, np.flatnonzero(good)) <= pose_gate
-            good &= is_possible and 2 * good.sum() >= m
-    return replace(innovation, covariance=_inflated(innovation, inflation)), judged, good
+    by_pose = Consensus(_with_noise(innovation, inflation), judged, good)
+    if m < MIN_FEATURES or _is_close(innovation, pose_gate):
+        return by_pose
+    loose = _with_looser_pose(innovation, LOOSE_POSE_RATE * interval_s)
+    inflation, judged = _weights(loose)
+    closest = np.argsort(judged.distances)[: (m + 1) // 2]
+    free = _with_looser_pose(innovation, FREE_POSE_STD)
+    tight_nis, loose_nis, free_nis = (_nis(each, inflation, closest) for each in (innovation, loose, free))
+    if 2 * good.sum() >= m and tight_nis - loose_nis <= pose_gate:
+        return by_pose
+    if loose_nis < BENT * tight_nis:
+        good = inliers(judged.distances, r, outlier_probability)
+        judged = each_alone(innovation)  # the pixel noise grows where this goes on
+    else:
+        good = judged.distances <= gate
+        good &= 2 * good.sum() >= m
+    good &= loose_nis - free_nis <= pose_gate
+    return Consensus(_with_noise(innovation, inflation), judged, good)
 
 
 def _is_close(innovation: Innovation, gate: float) -> bool:
     """Return True if even all features together are closer to the prediction than a contradicted pose."""
     m = len(innovation.rows)
     return _nis(innovation, np.ones(m), np.arange(m)) <= gate
-
-
-def _pose_distance(innovation: Innovation, loose: Innovation, inflation: Array, chosen: IntArray) -> float:
-    """Return the squared Mahalanobis distance of the predicted pose from the one that chosen features tell.
-
-    It is the part of their NIS that a looser pose removes.
-    """
-    return _nis(innovation, inflation, chosen) - _nis(loose, inflation, chosen)
 
 
 def _weights(innovation: Innovation) -> tuple[Array, Judged]:
@@ -149,12 +157,17 @@ def _weights(innovation: Innovation) -> tuple[Array, Judged]:
     return inflation, judged
 
 
+def _with_noise(innovation: Innovation, inflation: Array) -> Innovation:
+    """Return the innovation with inflated noise in its covariance."""
+    return replace(innovation, covariance=_inflated(innovation, inflation))
+
+
 def _with_looser_pose(innovation: Innovation, std: Array) -> Innovation:
-    """Return the innovation as if the pose of the robot had further errors of standard deviations (6,)."""
+    """Return the innovation as if the predicted pose had further errors of standard deviations (6,)."""
     m, r = innovation.residual.shape
     by_pose = (innovation.prediction.by_pose * std).reshape(m * r, POSE_DOF)
-    loose = innovation.covariance.reshape(m * r, m * r) + by_pose @ by_pose.T
-    return replace(innovation, covariance=loose.reshape(m, r, m, r))
+    covariance = innovation.covariance + (by_pose @ by_pose.T).reshape(m, r, m, r)
+    return replace(innovation, covariance=covariance)
 
 
 def _inflated(innovation: Innovation, inflation: Array) -> Array:

@@ -126,7 +126,7 @@ class EkfSlam:
             )
         elif seen is not None:
             update = self._update_from_image(seen)
-            if self._map_watch.is_lost(update, self.pixel_noise, self.state.t_ns):
+            if self._map_watch.is_lost(update, self.pixel_noise):
                 self.state, event = forget_all(self.state), MAP_DROPPED
         noise_px = self.pixel_noise.std
         return step_record(before, predicted, self.state, block, transition, update, resting, noise_px, event)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
-from gyrocal_ros.ekf.map_watch import LOST_IMAGES, REMEMBERED_IMAGES, MapWatch
+from gyrocal_ros.ekf.map_watch import LOST_IMAGES, REMEMBERED_IMAGES, MapWatch, is_doubtful
 from gyrocal_ros.ekf.update import MeasurementUpdate
 from gyrocal_ros.errors import FilterDivergedError
 
@@ -66,3 +66,11 @@ def test_noise_at_its_limit_is_a_divergence() -> None:
     with pytest.raises(FilterDivergedError, match='exceed 5 px') as caught:
         MapWatch().is_lost(GOOD, pixel_noise)
     assert 'gyrocal check' in caught.value.todo
+
+
+def test_a_recording_is_doubtful_where_many_images_contradict_its_map() -> None:
+    used, rejected = np.full(100, 14.0), np.ones(100)
+    assert not is_doubtful(used, rejected)
+    used[:12], rejected[:12] = 1.0, 14.0
+    assert is_doubtful(used, rejected)
+    assert not is_doubtful(np.zeros(100), np.zeros(100)), 'nothing was seen'

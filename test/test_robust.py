@@ -97,13 +97,11 @@ def test_a_pose_that_the_features_contradict_does_not_judge_them() -> None:
     assert not good[1] and np.delete(good, [1, 6]).all(), '6 is of the same landmark'
 
 
-@pytest.mark.parametrize('interval_s', [INTERVAL_S, 1.0])
-def test_a_pose_contradicted_beyond_a_missing_effect_is_kept(interval_s: float) -> None:
-    turned = innovation_of(np.zeros((10, 2)), 0.01).prediction.by_pose[:, :, 5] * 0.9
-    good = judged_by(innovation_of(turned, 0.01), interval_s).good
-    assert good.all() if interval_s == 1.0 else not good.any(), (
-        '0.9 rad in a tenth of a second, or in a second'
-    )
+def test_a_bent_map_widens_the_gate_where_the_pose_explains_the_rest() -> None:
+    bent = 6.0 * NOISE_PX * np.random.default_rng(1).normal(size=(10, 2))
+    turned = innovation_of(np.zeros((10, 2)), 0.01).prediction.by_pose[:, :, 5] * 0.3
+    assert judged_by(innovation_of(turned + bent, 0.01)).good.sum() >= 8
+    assert judged_by(innovation_of(bent, 0.01)).good.sum() == 0, 'no pose explains it'
 
 
 def test_few_features_do_not_contradict_the_pose() -> None:

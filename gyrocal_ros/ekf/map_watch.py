@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.update import MeasurementUpdate
 from gyrocal_ros.errors import FilterDivergedError
@@ -10,10 +13,30 @@ LOST_IMAGES = 15
 """Number of consecutive images that contradict the map before it is dropped."""
 REMEMBERED_IMAGES = 300
 """Images over which the share of those that contradict the map is averaged."""
+DOUBTFUL_SHARE = 0.08
+"""Share in a whole recording from which the model does not fit: moving patches of sun reach 0.07, a rolling
+shutter that the model lacks 0.10."""
+MIN_REJECTED = 3
 MAX_SHARE = 0.25
 """Share of contradicting images from which the filter has diverged: below crossing beams or moving patches of
 sun it is 0.2 at most."""
 CHECK_THE_CAMERA = 'check the camera calibration, its mounting and the time stamps with `gyrocal check`'
+
+
+def contradict(used: Array, rejected: Array) -> np.ndarray:
+    """Return which images contradict the map, (n,) bool, by their numbers of features used and rejected."""
+    return (rejected > 2 * used) & (rejected >= MIN_REJECTED)
+
+
+def is_doubtful(used: Array, rejected: Array) -> bool:
+    """Return True if more images of a recording contradict the map than moving things explain.
+
+    Args:
+        used: (n,) numbers of features used.
+        rejected: (n,) numbers of features rejected.
+    """
+    seen = used + rejected > 0
+    return bool(seen.any()) and float(contradict(used, rejected)[seen].mean()) > DOUBTFUL_SHARE
 
 
 class MapWatch:
@@ -32,7 +55,7 @@ class MapWatch:
         if pixel_noise.is_at_limit:
             what = f'the innovations of the images exceed {pixel_noise.std:.0f} px'
             raise FilterDivergedError(what, todo=CHECK_THE_CAMERA)
-        contradicts = update.rejected > 2 * update.used and update.rejected >= 3
+        contradicts = bool(contradict(np.array(update.used), np.array(update.rejected)))
         self._share += (contradicts - self._share) / REMEMBERED_IMAGES
         if self._share > MAX_SHARE:
             what = (

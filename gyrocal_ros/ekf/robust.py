@@ -26,8 +26,6 @@ CONVERGED = 0.05
 """Relative change of the weights at which the iteration ends."""
 LOOSE_POSE_RATE = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
 """Standard deviations of the errors of the motion (m/s, rad/s) of a model that lacks an effect."""
-FREE_POSE_STD = np.array([3.0, 3.0, 3.0, 1.0, 1.0, 1.0])
-"""Standard deviations (m, rad) of a pose of which nothing is known."""
 BENT = 0.1
 """Share of a contradiction below which the pose explains it; the rest is the map, bent by earlier images."""
 POSE_DOF = 6
@@ -126,8 +124,7 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     loose = _with_looser_pose(innovation, LOOSE_POSE_RATE * interval_s)
     inflation, judged = _weights(loose)
     closest = np.argsort(judged.distances)[: (m + 1) // 2]
-    free = _with_looser_pose(innovation, FREE_POSE_STD)
-    tight_nis, loose_nis, free_nis = (_nis(each, inflation, closest) for each in (innovation, loose, free))
+    tight_nis, loose_nis = (_nis(each, inflation, closest) for each in (innovation, loose))
     if 2 * good.sum() >= m and tight_nis - loose_nis <= pose_gate:
         return by_pose
     if loose_nis < BENT * tight_nis:
@@ -136,7 +133,6 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     else:
         good = judged.distances <= gate
         good &= 2 * good.sum() >= m
-    good &= loose_nis - free_nis <= pose_gate
     return Consensus(_with_noise(innovation, inflation), judged, good)
 
 

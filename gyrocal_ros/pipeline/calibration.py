@@ -18,6 +18,7 @@ from gyrocal_ros.config.yaml_file import read_yaml
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.ekf.convergence import Convergence
+from gyrocal_ros.ekf.map_watch import is_doubtful
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.scatter import scatter_of
 from gyrocal_ros.ekf.start import Start
@@ -79,7 +80,7 @@ def conclude(run: Run) -> Calibration:
     """Return the calibration at the end of a run.
 
     It has converged if the scale factor is known well enough, and neither the innovations nor the scatter of
-    the estimates contradict the filter.
+    the estimates nor whole images contradict the filter.
     """
     history, criteria = run.history, run.config.convergence
     convergence, (scatter, inflations) = Convergence(), scatter_of(history)
@@ -88,11 +89,12 @@ def conclude(run: Run) -> Calibration:
     for time_s, std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
         convergence.add(time_s, std, nis, dof, criteria)
     is_known = convergence.since_s is not None
+    is_contradicted = scatter.contradicts or is_doubtful(history.used, history.rejected)
     return calibration_of(
         run.state,
         run.model,
         run.config,
-        converged=is_known and convergence.is_consistent(criteria) and not scatter.contradicts,
+        converged=is_known and convergence.is_consistent(criteria) and not is_contradicted,
         convergence_time_s=convergence.since_s,
         duration_s=run.span.duration_s,
         source=run.source,

@@ -98,6 +98,7 @@ def drive(
         log_likelihood=zeros,
         used=np.ones(count),
         rejected=zeros,
+        dropped=zeros,
         in_view=np.ones(count),
         heading_innovation_rad=seen_rad - expected,
         heading_innovation_std_rad=np.full(count, HEADING_STD_RAD),

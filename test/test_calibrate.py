@@ -36,6 +36,7 @@ from gyrocal_ros.data import (
     WheelSample,
 )
 from gyrocal_ros.diagnose.drift import blind_drift, heading_rms_deg
+from gyrocal_ros.diagnose.json_summary import summarise
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.slam import EkfSlam
@@ -259,6 +260,23 @@ def test_outliers_are_rejected(share: float) -> None:
     assert_calibrated(run)
     rejected = run.history.rejected.sum() / (run.history.rejected.sum() + run.history.used.sum())
     assert rejected == pytest.approx(0.95 * share, rel=0.15)  # one in twenty outliers is small
+
+
+def sliding(sample: FeatureObservations) -> FeatureObservations:
+    """Let every tenth feature move through the image by itself, 6 px to and fro."""
+    slides = (sample.ids % 10 == 3)[:, None]
+    shift_px = 6.0 * np.sin(2.0 * np.pi * sample.t_ns / 3e9)
+    return replace(sample, pixels=sample.pixels + np.where(slides, shift_px, 0.0))
+
+
+@pytest.mark.slow
+def test_features_that_are_not_fixed_in_space_are_dropped_and_counted() -> None:
+    change = each(FeatureObservations, sliding)
+    run = calibrate(ModifiedSource(recording(), change), Config(), default_model())
+    assert_calibrated(run)
+    assert run.history.dropped.sum() > 5
+    assert summarise(run, conclude(run))['features']['dropped'] == run.history.dropped.sum()
+    assert plain_run().history.dropped.sum() == 0
 
 
 # --- recordings that cannot be calibrated -------------------------------------------------------

@@ -38,6 +38,7 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
         'coefficients': coefficient_table(calibration),
         'duration_s': calibration.duration_s,
         'nis_per_dof': nis_per_dof(run),
+        'features': {name: int(getattr(run.history, name).sum()) for name in ('used', 'rejected', 'dropped')},
         'model_fits': fit.fits,
         'misfits': list(fit.misfits),
         'events': [event.text for event in run.events],

@@ -97,21 +97,20 @@ def update_from_image(
     if good.any():
         state, stats = update(state, used)
         stats = replace(stats, dof=DOF_PER_FEATURE * len(used.rows))
-    if (
-        good.any() or len(rows) < MIN_FEATURES
-    ):  # an image that is rejected as a whole is no fault of a feature
+    kept = state
+    if good.any() or len(rows) < MIN_FEATURES:  # no feature is at fault where an image is rejected as a whole
         pixels, drop_after = observations.pixels[observed], model.config.features.drop_after_rejections
-        state = count_matches(state, rows, good, pixels, directions, drop_after)
-    return state, replace(
+        kept = count_matches(state, rows, good, pixels, directions, drop_after)
+    is_in_pixels = model.form.rows == 2
+    return kept, replace(
         seen,
         used=int(good.sum()),
         rejected=int((~good).sum()),
+        dropped=len(state.landmarks.ids) - len(kept.landmarks.ids),
         stats=stats,
         heading_rad=heading_rad,
         heading_std_rad=heading_std_rad,
-        noise_distances=_noise_dominated(judged, moved.unmoved[each])
-        if model.form.rows == 2
-        else np.empty(0),
+        noise_distances=_noise_dominated(judged, moved.unmoved[each]) if is_in_pixels else np.empty(0),
     )
 
 

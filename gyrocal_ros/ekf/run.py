@@ -45,8 +45,10 @@ class History:
     """(s,) predictive log-likelihood of the measurements, zero-rate updates included."""
     used: Array
     rejected: Array
+    dropped: Array
     in_view: Array
-    """(s,) numbers of features used, rejected, and in view; some have not moved since their last use."""
+    """(s,) numbers of features used, rejected, removed as not fixed in space, and in view; some of these have
+    not moved since their last use."""
     heading_innovation_rad: Array
     """(s,) NaN where nothing was measured."""
     heading_innovation_std_rad: Array
@@ -83,6 +85,7 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     'log_likelihood': lambda step: step.update.stats.log_likelihood + step.resting.log_likelihood,
     'used': lambda step: step.update.used,
     'rejected': lambda step: step.update.rejected,
+    'dropped': lambda step: step.update.dropped,
     'in_view': lambda step: step.update.used + step.update.rejected + step.update.unmoved,
     'heading_innovation_rad': lambda step: step.update.heading_rad if step.update.stats.dof else np.nan,
     'heading_innovation_std_rad': lambda step: (

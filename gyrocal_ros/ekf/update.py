@@ -76,9 +76,11 @@ class MeasurementUpdate:
 
     used: int = 0
     rejected: int = 0
+    dropped: int = 0
     unmoved: int = 0
     added: int = 0
-    """Numbers of features used, rejected as outliers, not used because unmoved, and added to the map."""
+    """Numbers of features used, rejected as outliers, removed because they were outliers in several images
+    (points that are not fixed in space), not used because unmoved, and added to the map."""
     stats: UpdateStats = UpdateStats()
     heading_rad: float = 0.0
     """The innovation as a heading: the rotation about the vertical that fits it best."""

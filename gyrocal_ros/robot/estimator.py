@@ -50,6 +50,8 @@ class Estimator:
         self._stream: SlamStream | None = None
         self.restarts = 0
         """Number of restarts because the filter had diverged."""
+        self.dropped = 0
+        """Number of features removed from the map because they are not fixed in space."""
         self.events: list[str] = []
         """Events for the user; the reader clears the list."""
         self._config, self._prior = config, prior
@@ -228,6 +230,7 @@ class Estimator:
             'model_fits': not self._scatter.contradicts if self._scatter.is_judged else 'unknown',
             'pixel_noise_px': round(math.nan if slam is None else slam.pixel_noise.std, 3),
             'map_size': 0 if slam is None else len(slam.state.landmarks.ids),
+            'features_dropped': self.dropped,
             'filter_lag_s': round(self._lag_s(newest_ns), 3),
             'filter_restarts': self.restarts,
         }
@@ -293,6 +296,7 @@ class Estimator:
         if not (np.isfinite(record.mean).all() and (record.std[YAW_BIAS:] > 0.0).all()):
             raise FilterDivergedError('the estimate is no longer finite')
         stats = record.update.stats
+        self.dropped += record.update.dropped
         if self._has_stepped:  # time counts from the first step, as in a replay
             self._time_s += record.block.duration_s
         self._has_stepped = True

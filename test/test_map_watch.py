@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from synthetic import drive
 
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
-from gyrocal_ros.ekf.map_watch import LOST_IMAGES, REMEMBERED_IMAGES, MapWatch, is_doubtful
+from gyrocal_ros.ekf.map_watch import LOST_IMAGES, MAP_DROPPED, REMEMBERED_IMAGES, MapWatch, loses_its_map
+from gyrocal_ros.ekf.run import RunEvent
 from gyrocal_ros.ekf.update import MeasurementUpdate
 from gyrocal_ros.errors import FilterDivergedError
 
@@ -68,9 +72,7 @@ def test_noise_at_its_limit_is_a_divergence() -> None:
     assert 'gyrocal check' in caught.value.todo
 
 
-def test_a_recording_is_doubtful_where_many_images_contradict_its_map() -> None:
-    used, rejected = np.full(100, 14.0), np.ones(100)
-    assert not is_doubtful(used, rejected)
-    used[:12], rejected[:12] = 1.0, 14.0
-    assert is_doubtful(used, rejected)
-    assert not is_doubtful(np.zeros(100), np.zeros(100)), 'nothing was seen'
+@pytest.mark.parametrize(('losses', 'contradicts'), [(0, False), (2, False), (8, False), (9, True)])
+def test_a_map_that_is_lost_often_contradicts_the_model(losses: int, contradicts: bool) -> None:
+    run = drive(duration_s=120.0).run
+    assert loses_its_map(replace(run, events=(RunEvent(0, MAP_DROPPED),) * losses)) is contradicts

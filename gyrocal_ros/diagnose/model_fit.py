@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s
-from gyrocal_ros.ekf.map_watch import is_doubtful
+from gyrocal_ros.ekf.map_watch import loses_its_map
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.scatter import Scatter, scatter_of
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
@@ -68,8 +68,8 @@ def _misfits(run: Run, scatter: Scatter, drift: BlindDrift) -> Iterator[str]:
     nis, limit = nis_per_dof(run.history.nis, run.history.dof), run.config.convergence.nis_high
     if nis is not None and nis > limit:
         yield f'the innovations are larger than expected (NIS {nis:.1f} per degree of freedom)'
-    if is_doubtful(run.history.used, run.history.rejected):
-        yield 'many images contradict the map as a whole'
+    if loses_its_map(run):
+        yield 'the images contradict the map again and again'
     if scatter.contradicts:
         yield (
             'from stretch to stretch the estimates change by '

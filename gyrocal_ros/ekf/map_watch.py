@@ -2,41 +2,30 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
+from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.update import MeasurementUpdate
 from gyrocal_ros.errors import FilterDivergedError
 
+MAP_DROPPED = 'the images contradicted the map; a new map was started'
+"""Event of a run."""
 LOST_IMAGES = 15
 """Number of consecutive images that contradict the map before it is dropped."""
 REMEMBERED_IMAGES = 300
 """Images over which the share of those that contradict the map is averaged."""
-DOUBTFUL_SHARE = 0.08
-"""Share in a whole recording from which the model does not fit: moving patches of sun reach 0.07, a rolling
-shutter that the model lacks 0.10."""
-MIN_REJECTED = 3
+MIN_LOSSES, MAX_LOSSES_MIN = 3, 4.0
+"""Lost maps, and lost maps per minute, from which the model does not fit: beams lose 2 in a minute, a rolling
+shutter that the model lacks 10."""
 MAX_SHARE = 0.25
 """Share of contradicting images from which the filter has diverged: below crossing beams or moving patches of
 sun it is 0.2 at most."""
 CHECK_THE_CAMERA = 'check the camera calibration, its mounting and the time stamps with `gyrocal check`'
 
 
-def contradict(used: Array, rejected: Array) -> np.ndarray:
-    """Return which images contradict the map, (n,) bool, by their numbers of features used and rejected."""
-    return (rejected > 2 * used) & (rejected >= MIN_REJECTED)
-
-
-def is_doubtful(used: Array, rejected: Array) -> bool:
-    """Return True if more images of a recording contradict the map than moving things explain.
-
-    Args:
-        used: (n,) numbers of features used.
-        rejected: (n,) numbers of features rejected.
-    """
-    seen = used + rejected > 0
-    return bool(seen.any()) and float(contradict(used, rejected)[seen].mean()) > DOUBTFUL_SHARE
+def loses_its_map(run: Run) -> bool:
+    """Return True if the map of a run was dropped more often than things that move explain."""
+    lost = sum(event.text == MAP_DROPPED for event in run.events)
+    return lost >= MIN_LOSSES and lost > MAX_LOSSES_MIN * run.span.duration_s / 60.0
 
 
 class MapWatch:
@@ -55,7 +44,7 @@ class MapWatch:
         if pixel_noise.is_at_limit:
             what = f'the innovations of the images exceed {pixel_noise.std:.0f} px'
             raise FilterDivergedError(what, todo=CHECK_THE_CAMERA)
-        contradicts = bool(contradict(np.array(update.used), np.array(update.rejected)))
+        contradicts = update.rejected > 2 * update.used and update.rejected >= 3
         self._share += (contradicts - self._share) / REMEMBERED_IMAGES
         if self._share > MAX_SHARE:
             what = (

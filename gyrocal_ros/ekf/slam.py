@@ -34,7 +34,7 @@ from gyrocal_ros.ekf.image_update import (
     update_from_image,
 )
 from gyrocal_ros.ekf.landmarks import forget_all
-from gyrocal_ros.ekf.map_watch import MapWatch
+from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch
 from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector
@@ -50,7 +50,6 @@ from gyrocal_ros.statistics import chi_square_quantile
 
 MIN_PIXEL_NOISE_PX, MAX_PIXEL_NOISE_PX = 0.02, 5.0
 """Bounds of the estimated pixel noise; at the upper one the images do not fit the estimate."""
-MAP_DROPPED = 'the images contradicted the map; a new map was started'
 
 Seen = FeatureObservations | HeadingSample
 

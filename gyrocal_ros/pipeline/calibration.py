@@ -18,7 +18,7 @@ from gyrocal_ros.config.yaml_file import read_yaml
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.ekf.convergence import Convergence
-from gyrocal_ros.ekf.map_watch import is_doubtful
+from gyrocal_ros.ekf.map_watch import loses_its_map
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.scatter import scatter_of
 from gyrocal_ros.ekf.start import Start
@@ -89,7 +89,7 @@ def conclude(run: Run) -> Calibration:
     for time_s, std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
         convergence.add(time_s, std, nis, dof, criteria)
     is_known = convergence.since_s is not None
-    is_contradicted = scatter.contradicts or is_doubtful(history.used, history.rejected)
+    is_contradicted = scatter.contradicts or loses_its_map(run)
     return calibration_of(
         run.state,
         run.model,

@@ -58,6 +58,12 @@ def test_many_contradicting_images_are_a_divergence() -> None:
     assert 'gyrocal check' in caught.value.todo
 
 
+def test_images_that_all_contradict_start_new_maps_before_they_are_a_divergence() -> None:
+    assert sum(losses([BAD] * 5 * LOST_IMAGES)) == 5
+    with pytest.raises(FilterDivergedError, match='again and again'):
+        losses([BAD] * 6 * LOST_IMAGES)
+
+
 def test_some_contradicting_images_are_none() -> None:
     lost = losses(([BAD] * LOST_IMAGES + [GOOD] * 5 * LOST_IMAGES) * 30)
     assert sum(lost) == 30

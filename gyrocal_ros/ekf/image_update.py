@@ -14,7 +14,7 @@ from gyrocal_ros.ekf.feature_noise import learn_noise, variance_factors
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
 from gyrocal_ros.ekf.repeated_errors import motion
-from gyrocal_ros.ekf.robust import MIN_FEATURES, Consensus, Judged, consensus, each_alone
+from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
 from gyrocal_ros.ekf.state import YAW, Landmarks, State
 from gyrocal_ros.ekf.update import (
     Innovation,
@@ -98,7 +98,7 @@ def update_from_image(
         state, stats = update(state, used)
         stats = replace(stats, dof=DOF_PER_FEATURE * len(used.rows))
     kept = state
-    if good.any() or len(rows) < MIN_FEATURES:  # no feature is at fault where an image is rejected as a whole
+    if not found.rejects_image:
         pixels, drop_after = observations.pixels[observed], model.config.features.drop_after_rejections
         kept = count_matches(state, rows, good, pixels, directions, drop_after)
     is_in_pixels = model.form.rows == 2

@@ -95,6 +95,11 @@ class Consensus:
     good: np.ndarray
     """(m,) bool, features to use."""
 
+    @property
+    def rejects_image(self) -> bool:
+        """True if the image is rejected as a whole, so that no feature is at fault."""
+        return len(self.good) >= MIN_FEATURES and not self.good.any()
+
 
 def consensus(innovation: Innovation, outlier_probability: float, interval_s: float) -> Consensus:
     """Judge the features of an image by each other and by the pose: Huber's weights, and a gate.

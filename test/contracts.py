@@ -24,6 +24,7 @@ from gyrocal_ros.effects.checks import faults
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.effects.sketch import sketch
 from gyrocal_ros.ekf.effects_by_place import (
+    as_exposed,
     first_sight_by_values,
     measurement_by_values,
     sort_effects,
@@ -432,7 +433,9 @@ class ImageEffectContract(EffectContract):
         camera, mount = true_camera(effects, CAMERA, MOUNT, values)
         pose = LATER_POSE - POSE_RATE * late_s
         view = posed_camera(camera, mount, pose[:3], pose[3:])
-        return view, form.predict(view, first.parameters, first.anchors)
+        return view, as_exposed(
+            effects, view, form.predict(view, first.parameters, first.anchors), POSE_RATE, values
+        )
 
     def by_values(self, effect: Effect, form: Parametrisation, values: Array) -> Array:
         view, prediction = self.observe(effect, form, values)

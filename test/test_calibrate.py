@@ -342,6 +342,7 @@ HIDDEN: dict[str, tuple[float, ...]] = {
     'gyro_lag': (0.02,),
     'vibration_rectification': (math.radians(0.5),),
     'camera_time_offset': (0.03,),
+    'rolling_shutter': (0.02,),
     'turn_slip': (0.02,),
     'camera_tilt': (math.radians(1.5), math.radians(-1.0)),
     'camera_position': (0.015, -0.01),

@@ -79,7 +79,7 @@ class TestCandidatesFor:
         assert with_temperature - without == expected != set()
 
     def test_camera_effects_are_no_candidates_without_a_camera(self) -> None:
-        camera = {name for name, effect in EFFECTS.items() if effect.acts_on == 'camera'}
+        camera = {name for name, effect in EFFECTS.items() if effect.acts_on in ('camera', 'shutter')}
         blind = replace(summary(), rig=RIG)
         with_camera, without = (names(candidates_for(default_model(), item)) for item in (summary(), blind))
         assert with_camera - without == camera != set()

@@ -73,7 +73,7 @@ class TestEachGroundEffect(GroundEffectContract):
     pass
 
 
-@acting_on('camera', 'time')
+@acting_on('camera', 'time', 'shutter')
 class TestEachEffectOnImages(ImageEffectContract):
     pass
 

@@ -51,6 +51,7 @@ HIDDEN: dict[str, tuple[Effect, tuple[float, ...]]] = {
         'covariate_bias:fan_speed.data': (0.3e-4 * DEG,),
         'covariate_scale:fan_speed.data': (1e-6,),
         'camera_time_offset': (-0.03,),
+        'rolling_shutter': (0.008,),
         'wheel_scale': (0.1,),
         'turn_slip': (0.02,),
         'lateral_drift': (0.02, -0.01),

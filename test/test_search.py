@@ -277,6 +277,7 @@ class TestLimits:
         assert {
             'camera_tilt',
             'camera_time_offset',
+            'rolling_shutter',
             'principal_point',
             'focal_length',
             'radial_distortion',

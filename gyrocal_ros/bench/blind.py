@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.bench.accuracy import in_parallel
-from gyrocal_ros.bench.eyes import StoredImages
+from gyrocal_ros.bench.eyes import StoredImages, model_of
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
@@ -21,7 +21,7 @@ from gyrocal_ros.diagnose.drift import blind_drift
 from gyrocal_ros.diagnose.search import Search, search, with_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import summarise_recording
-from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel, with_means
@@ -164,12 +164,13 @@ def run_blind(
     scale_factor = draw_scale_factor(seed)
     scenario = replace(scenario, errors=replace(scenario.errors, scale_factor=scale_factor))
     simulated = SimSource(scenario, seed, images=scene is not None, hidden=hide(drawn, find_effect))
-    source, config = preload(StoredImages(simulated), config, default_model())
+    present = model_of(scenario)
+    source, config = preload(StoredImages(simulated), config, present)
     run, hidden = partial(calibrate, source, config), simulated.hidden
     recorded = summarise_recording(source)
     try:
         searched = search(
-            default_model(), recorded, lambda model, tried: run(model, candidates=tried), settings=settings
+            present, recorded, lambda model, tried: run(model, candidates=tried), settings=settings
         )
     except FilterDivergedError:
         searched = None
@@ -178,13 +179,15 @@ def run_blind(
         has_run = searched is not None and searched.first.model == model
         return searched.first.run if has_run else run(model)  # type: ignore[union-attr]
 
-    known = _model_error(finished, hidden, scale_factor)
+    known = _model_error(finished, present, hidden, scale_factor)
     result = BlindResult(
         case=case,
         seed=seed,
         hidden=tuple((item.effect.name, item.values) for item in hidden),
         is_costly=all(
-            _model_error(finished, hidden[:i] + hidden[i + 1 :], scale_factor).is_much_worse_than(known)
+            _model_error(finished, present, hidden[:i] + hidden[i + 1 :], scale_factor).is_much_worse_than(
+                known
+            )
             for i in range(len(hidden))
         ),
         drift_known_deg=known.drift_deg,
@@ -208,10 +211,12 @@ class _ModelError:
 
 
 def _model_error(
-    run: Callable[[SensorModel], Run], hidden: Sequence[HiddenEffect], scale_factor: float
+    run: Callable[[SensorModel], Run],
+    model: SensorModel,
+    hidden: Sequence[HiddenEffect],
+    scale_factor: float,
 ) -> _ModelError:
     """Return the errors of the model with these effects, its prior means at their true values."""
-    model = default_model()
     for item in hidden:
         model = with_effect(model, with_means(item.effect, item.values))
     try:

@@ -15,15 +15,17 @@ from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, Frame, Measurement, Rig, Source, Span
 from gyrocal_ros.diagnose.drift import heading_rms_deg
-from gyrocal_ros.effects import default_model
+from gyrocal_ros.diagnose.search import with_effect
+from gyrocal_ros.effects import EFFECTS, default_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.images import after_jpeg
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.image_scenes import find_scene
-from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import SimSource
 from gyrocal_ros.statistics import nis_per_dof
 
@@ -108,11 +110,20 @@ def eyes(seeds: int, scenes: Sequence[str], seconds: float) -> Iterator[dict[str
     yield eyes_row('all', every)
 
 
+def model_of(scenario: Scenario) -> SensorModel:
+    """Return the default model, and with it the rolling shutter of a camera that has one."""
+    model = default_model()
+    if scenario.image_conditions.readout_s != 0.0:
+        for effect in EFFECTS.values():
+            model = with_effect(model, effect) if effect.acts_on == 'shutter' else model
+    return model
+
+
 def run_eyes(scene: str, seed: int, seconds: float) -> EyesRun:
     """Simulate cleaning below a ceiling without hidden effects, and calibrate from the images."""
     scenario = replace(find_scene(scene).applied_to(find_scenario('cleaning')), duration_s=seconds)
     simulated = SimSource(scenario, seed, images=True)
-    stored, model = StoredImages(simulated), default_model()
+    stored, model = StoredImages(simulated), model_of(scenario)
     try:
         start_s = time.process_time()
         tracked, config = preload(stored, Config(), model)

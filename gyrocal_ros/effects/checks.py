@@ -20,6 +20,7 @@ METHODS = {
     'ground': ('contribute',),
     'camera': ('corrected', 'pixels_by_values'),
     'time': (),
+    'shutter': ('readout_s',),
 }
 """Methods that an effect needs, by the place where it acts."""
 REQUIRED_WORDS = ('physics', 'equation', 'usual_size', 'best_motion')

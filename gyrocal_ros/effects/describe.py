@@ -14,6 +14,7 @@ PLACES = {
     'ground': 'in the floor',
     'camera': 'in the camera',
     'time': 'in the stamps of the images',
+    'shutter': 'in the shutter of the camera',
 }
 NOT_ESTIMATED = 'found in the readings, not estimated'
 

@@ -20,6 +20,7 @@ from gyrocal_ros.effects.principal_point import PrincipalPoint
 from gyrocal_ros.effects.radial_distortion import RadialDistortion
 from gyrocal_ros.effects.rate_deadband import RateDeadband
 from gyrocal_ros.effects.rate_saturation import RateSaturation
+from gyrocal_ros.effects.rolling_shutter import RollingShutter
 from gyrocal_ros.effects.scale import scale_power
 from gyrocal_ros.effects.scale_asymmetry import ScaleAsymmetry
 from gyrocal_ros.effects.scale_temperature import ScaleTemperature
@@ -44,6 +45,7 @@ SHIPPED: tuple[LibraryEffect, ...] = (
     VibrationRectification(),
     TurnHysteresis(),
     CameraTimeOffset(),
+    RollingShutter(),
     WheelScale(),
     TurnSlip(),
     LateralDrift(),

@@ -47,6 +47,8 @@ def sketch(effect: LibraryEffect, shown: Sequence[tuple[float, ...]] | None = No
     every = list(_examples(effect)) if shown is None else list(shown)
     if place_of(effect) == 'camera':
         return _shift_of_pixels(effect, every)
+    if effect.acts_on == 'shutter':
+        return _shear(effect, every)
     if effect.acts_on == 'time':
         rate_deg_s = np.linspace(-100.0, 100.0, COUNT)
         label = 'shift of a pixel 200 px from the centre (px)'
@@ -75,6 +77,21 @@ _Y_LABELS = {
     'wheels': 'added to the distance (mm)',
     'ground': 'carried along (mm)',
 }
+
+
+def _shear(effect: Any, every: Sequence[tuple[float, ...]]) -> Sketch:
+    """Return the shift of a pixel half-way to the last row, in the middle of the row."""
+    rate_deg_s = np.linspace(-100.0, 100.0, COUNT)
+    distance_px = 0.25 * CAMERA.height_px
+    lines = {
+        _named(effect, values): distance_px
+        * np.radians(rate_deg_s)
+        * 0.25
+        * effect.readout_s(np.array(values))[0]
+        for values in every
+    }
+    label = f'shift of a pixel {distance_px:.0f} px below the centre (px)'
+    return Sketch('yaw rate (deg/s)', label, rate_deg_s, lines)
 
 
 def _examples(effect: LibraryEffect) -> Iterator[tuple[float, ...]]:

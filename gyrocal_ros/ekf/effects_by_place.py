@@ -18,6 +18,7 @@ from gyrocal_ros.model.sensor import (
     GyroEffect,
     Memory,
     SeenPoints,
+    ShutterEffect,
     WheelEffect,
     placed,
 )
@@ -36,11 +37,12 @@ class EffectsByPlace:
     ground: Sequence[tuple[GroundEffect, slice]]
     camera: Sequence[tuple[CameraEffect, slice]]
     time: Sequence[tuple[Effect, slice]]
+    shutter: Sequence[tuple[ShutterEffect, slice]]
 
     @property
     def act_on_images(self) -> bool:
         """True if any effect changes images."""
-        return bool(self.camera or self.time)
+        return bool(self.camera or self.time or self.shutter)
 
     def no_memories(self) -> tuple[Memory, ...]:
         """Return the memories of the gyro effects before the first block."""
@@ -58,6 +60,7 @@ def sort_effects(effects: tuple[Effect, ...]) -> EffectsByPlace:
         ground=placed(effects, 'ground'),
         camera=placed(effects, 'camera'),
         time=placed(effects, 'time'),
+        shutter=placed(effects, 'shutter'),
     )
 
 
@@ -130,6 +133,26 @@ def true_camera(
     return camera, mount
 
 
+def as_exposed(
+    effects: EffectsByPlace, view: PosedCamera, prediction: Prediction, pose_rate: Array, values: Array
+) -> Prediction:
+    """Move predicted pixels to where they are when their rows are exposed: by velocity times delay.
+
+    Args:
+        effects: effects; those on the shutter act here.
+        view: the camera at the stamp of the image.
+        prediction: m features as seen by it at one moment.
+        pose_rate: (6,) rate of the robot's pose.
+        values: (K,)
+    """
+    if not effects.shutter:
+        return prediction
+    velocity = prediction.by_pose @ pose_rate
+    readout_s, pace = _readout(effects, view, velocity, values)
+    delay_s = readout_s * _rows(view, prediction.expected) / pace
+    return replace(prediction, expected=prediction.expected + velocity * delay_s[:, None])
+
+
 def measurement_by_values(
     effects: EffectsByPlace, view: PosedCamera, prediction: Prediction, pose_rate: Array, values: Array
 ) -> Array:
@@ -138,7 +161,7 @@ def measurement_by_values(
     Args:
         effects: effects; those on gyro, wheels and ground do not act here.
         view: the camera.
-        prediction: m features as seen by it.
+        prediction: m features as seen by it, as exposed.
         pose_rate: (6,) rate of the robot's pose at that moment.
         values: (K,)
     """
@@ -154,9 +177,32 @@ def measurement_by_values(
     )
     for effect, place in effects.camera:
         by_values[:, :, place] = effect.pixels_by_values(seen, values[place])
+    velocity = prediction.by_pose @ pose_rate
     for _, place in effects.time:
-        by_values[:, :, place] = -(prediction.by_pose @ pose_rate)[:, :, None]
+        by_values[:, :, place] = -velocity[:, :, None]
+    if effects.shutter:
+        _, pace = _readout(effects, view, velocity, values)
+        by_readout = velocity * (_rows(view, prediction.expected) / pace)[:, None]
+        for shutter_effect, place in effects.shutter:
+            by_values[:, :, place] = by_readout[:, :, None] * shutter_effect.readout_s(values[place])[1]
     return by_values
+
+
+def _readout(
+    effects: EffectsByPlace, view: PosedCamera, velocity: Array, values: Array
+) -> tuple[float, Array]:
+    """Return the time from the first row to the last, and the pace (m,) at which it overtakes each feature.
+
+    The pace is 1 for a feature that stays in its row, and less for one that moves along with the shutter.
+    """
+    readout_s = sum(effect.readout_s(values[place])[0] for effect, place in effects.shutter)
+    return readout_s, 1.0 - velocity[:, 1] * readout_s / view.camera.height_px
+
+
+def _rows(view: PosedCamera, pixels: Array) -> Array:
+    """Return the rows (m,) of pixels (m, 2), from -1/2 at the upper edge of the image to 1/2 at the lower."""
+    rows: Array = (pixels[:, 1] + 0.5) / view.camera.height_px - 0.5
+    return rows
 
 
 def first_sight_by_values(prediction: Prediction, by_values: Array) -> Array:

@@ -9,7 +9,12 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions
-from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, first_sight_by_values, measurement_by_values
+from gyrocal_ros.ekf.effects_by_place import (
+    EffectsByPlace,
+    as_exposed,
+    first_sight_by_values,
+    measurement_by_values,
+)
 from gyrocal_ros.ekf.feature_noise import learn_noise, variance_factors
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
@@ -25,10 +30,12 @@ from gyrocal_ros.ekf.update import (
     update,
 )
 from gyrocal_ros.model.camera import bearing, project_with_jacobian
-from gyrocal_ros.model.features.base import Parametrisation, PosedCamera, Prediction
+from gyrocal_ros.model.features.base import Anchors, NewFeatures, Parametrisation, PosedCamera, Prediction
 
 MIN_DEPTH = 1e-3
 """Smallest depth (scaled as the points are) of a feature in front of the camera."""
+SHUTTER_ITERATIONS = 2
+"""Iterations for where a new feature was at the stamp of an image with a rolling shutter."""
 DOF_PER_FEATURE = 2
 """Degrees of freedom of one observation, also where the measurement is a point of unknown range."""
 
@@ -56,6 +63,11 @@ class ImageModel:
     errors_repeat: bool
     """True if a feature counts only after motion in the image."""
 
+    def predict(self, state: State, parameters: Array, anchors: Anchors) -> Prediction:
+        """Predict the measurements of features (m, 3)."""
+        prediction = self.form.predict(self.view, parameters, anchors)
+        return as_exposed(self.effects, self.view, prediction, self.pose_rate, state.coefficients)
+
     def by_values(self, prediction: Prediction, values: Array) -> Array | None:
         """Return the derivative (m, r, k) of a prediction by the coefficients (k,)."""
         return _image_derivative(self.effects, self, prediction, values)
@@ -76,7 +88,7 @@ def update_from_image(
         observations: features by the tracker.
     """
     known, rows = _known(state, observations)
-    prediction = model.form.predict(model.view, state.features[rows], state.landmarks.anchors[rows])
+    prediction = model.predict(state, state.features[rows], state.landmarks.anchors[rows])
     directions, last = _directions(prediction), state.landmarks[rows]
     moved = motion(directions, observations.pixels[known], last, model.view.camera.fx_px)
     new = ~moved.unmoved if model.errors_repeat else np.ones(len(rows), bool)
@@ -170,23 +182,32 @@ def add_landmarks(
     state: State, model: ImageModel, observations: FeatureObservations, new: list[int]
 ) -> State:
     """Add the observed features of the given indices to the map."""
-    features = model.config.features
-    state = evict_oldest(state, len(new), features.map_size)
-    first = model.form.initialise(model.view, observations.pixels[new], model.noise_px, features)
+    state = evict_oldest(state, len(new), model.config.features.map_size)
+    ids, pixels = observations.ids[new], observations.pixels[new]
+    at_stamp, first = _first_sight(state, model, pixels)
     by_values = by_candidates = None
     if model.effects.act_on_images or model.candidates.act_on_images:
-        prediction = model.form.predict(model.view, first.parameters, first.anchors)
+        prediction = model.predict(state, first.parameters, first.anchors)
         by_values = _at_first_sight(prediction, model.by_values(prediction, state.coefficients))
         by_candidates = _at_first_sight(prediction, model.by_candidates(prediction))
-    ids, pixels = observations.ids[new], observations.pixels[new]
-    return augment(state, ids, pixels, bearing(model.view.camera, pixels), first, by_values, by_candidates)
+    return augment(state, ids, pixels, bearing(model.view.camera, at_stamp), first, by_values, by_candidates)
 
 
-def search_regions(state: State, view: PosedCamera, form: Parametrisation, noise_px: float) -> SearchRegions:
+def _first_sight(state: State, model: ImageModel, pixels: Array) -> tuple[Array, NewFeatures]:
+    """Return where new features (m, 2) were at the stamp of the image, and what they are in the map."""
+    features, at_stamp = model.config.features, pixels
+    first = model.form.initialise(model.view, pixels, model.noise_px, features)
+    for _ in range(SHUTTER_ITERATIONS if model.effects.shutter else 0):
+        at_stamp = at_stamp + pixels - model.predict(state, first.parameters, first.anchors).expected
+        first = model.form.initialise(model.view, at_stamp, model.noise_px, features)
+    return at_stamp, first
+
+
+def search_regions(state: State, model: ImageModel) -> SearchRegions:
     """Predict where the mapped features appear, with the covariance of the innovation."""
-    prediction = form.predict(view, state.features, state.landmarks.anchors)
-    pixels, by_point = project_with_jacobian(view.camera, prediction.points_c)
-    if form.rows == 3:
+    prediction = model.predict(state, state.features, state.landmarks.anchors)
+    if model.form.rows == 3:
+        pixels, by_point = project_with_jacobian(model.view.camera, prediction.points_c)
         by_pose, by_feature = by_point @ prediction.by_pose, by_point @ prediction.by_feature
         prediction = replace(
             prediction, expected=pixels, by_pose=by_pose, by_feature=by_feature, by_point=by_point
@@ -194,11 +215,10 @@ def search_regions(state: State, view: PosedCamera, form: Parametrisation, noise
     visible = np.flatnonzero(prediction.points_c[:, 2] > MIN_DEPTH)
     count = len(visible)
     seen = prediction[visible]
-    noise = np.broadcast_to(noise_px**2 * np.eye(2), (count, 2, 2))
+    noise = np.broadcast_to(model.noise_px**2 * np.eye(2), (count, 2, 2))
     innovation = innovate(state, visible, seen, seen.expected, noise)
-    return SearchRegions(
-        state.t_ns, state.landmarks.ids[visible], pixels[visible], innovation.own_covariances()
-    )
+    ids, covariances = state.landmarks.ids[visible], innovation.own_covariances()
+    return SearchRegions(state.t_ns, ids, seen.expected, covariances)
 
 
 def _image_derivative(

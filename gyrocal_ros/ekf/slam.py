@@ -174,7 +174,7 @@ class EkfSlam:
 
     def regions(self) -> SearchRegions:
         """Return where the mapped features are expected in an image taken now."""
-        return search_regions(self.state, self.view(), self.parametrisation, self.pixel_noise.std)
+        return search_regions(self.state, self._image_model())
 
     def time_offset_s(self) -> float:
         """Return the estimated stamp error of the images: stamp minus true time."""

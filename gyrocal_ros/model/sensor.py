@@ -14,9 +14,9 @@ from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 
-Place: TypeAlias = Literal['gyro', 'wheels', 'ground', 'camera', 'time']
+Place: TypeAlias = Literal['gyro', 'wheels', 'ground', 'camera', 'time', 'shutter']
 """Place where an effect acts: the yaw rate, the distance by the wheels, a motion over the ground that no
-sensor measures, the camera, or the stamps of the images."""
+sensor measures, the camera, the stamps of the images, or the times of exposure of their rows."""
 
 Memory: TypeAlias = Any
 """State of an effect that is passed from block to block; None where it needs none."""
@@ -234,6 +234,13 @@ class CameraEffect(Effect, Protocol):
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the derivative (m, 2, k) of predicted pixels with respect to the coefficients."""
+
+
+class ShutterEffect(Effect, Protocol):
+    """Lets the rows of an image be exposed one after the other, at a constant pace about the stamp."""
+
+    def readout_s(self, values: Array) -> tuple[float, Array]:
+        """Return the time from the upper edge of the image to the lower one, and the derivative (k,)."""
 
 
 @runtime_checkable

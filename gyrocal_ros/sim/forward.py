@@ -155,6 +155,11 @@ def stamp_error_s(hidden: Hidden) -> float:
     return sum(float(values[0]) for _, values in _acting_on(hidden, 'time'))
 
 
+def readout_s(hidden: Hidden) -> float:
+    """Return the time from the exposure of the first row of an image to that of the last one."""
+    return sum(effect.readout_s(values)[0] for effect, values in _acting_on(hidden, 'shutter'))
+
+
 def at_readings(motion: TrueMotion) -> MotionBlock:
     """Return the true motion at n times as a block with one interval around each of them."""
     dt_s = np.gradient(motion.time_s)

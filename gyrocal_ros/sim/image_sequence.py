@@ -82,7 +82,7 @@ class ImageSequence:
         """Return the poses over the exposure; a single one where nothing moves."""
         count, readout_s = self._conditions.blur_poses, self._conditions.readout_s
         shutter_s = exposure_s * ((np.arange(count) + 0.5) / count - 0.5)
-        edges = block_edges(self._height_px) / self._height_px - 0.5 if readout_s > 0.0 else np.zeros(1)
+        edges = block_edges(self._height_px) / self._height_px - 0.5 if readout_s != 0.0 else np.zeros(1)
         moments_s = time_s + shutter_s[:, None] + readout_s * edges
         R_wc, p_wc = self._camera_poses(moments_s.ravel())
         poses = list(map(CameraPose, R_wc, p_wc, moments_s.ravel().tolist()))
@@ -93,7 +93,7 @@ class ImageSequence:
     def _flicker(self, number: int, exposure_s: float) -> Array:
         """Return the brightness of the lamps for each row (height, 1), or for all rows (1, 1)."""
         rows = (np.arange(self._height_px) + 0.5) / self._height_px - 0.5
-        delay_s = self._conditions.readout_s * rows if self._conditions.readout_s > 0.0 else np.zeros(1)
+        delay_s = self._conditions.readout_s * rows if self._conditions.readout_s != 0.0 else np.zeros(1)
         return flicker(self._conditions, self._time_s[number] + delay_s[:, None], exposure_s)
 
 

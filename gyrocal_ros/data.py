@@ -302,6 +302,10 @@ class MotionBlock:
     """Time in this block not covered by encoder readings."""
     wheels_at_rest: bool = False
     """True if every encoder reading that overlaps the block is zero."""
+    heading_rad: Array | None = None
+    """(N,) heading in the map by the filter; None where there is no filter."""
+    position_m: Array | None = None
+    """(N, 2) position in the map by the filter; None where there is no filter."""
 
     @property
     def duration_s(self) -> float:

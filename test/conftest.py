@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import shutil
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -51,3 +52,14 @@ def uneven_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from studio_parts import write_bag
 
     return write_bag(tmp_path_factory.mktemp('bags'))
+
+
+@pytest.fixture
+def library() -> Iterator[None]:
+    """Restore the table of effects afterwards."""
+    from gyrocal_ros.effects import EFFECTS
+
+    before = dict(EFFECTS)
+    yield
+    EFFECTS.clear()
+    EFFECTS.update(before)

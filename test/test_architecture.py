@@ -62,7 +62,18 @@ LIBRARY_HOMES = {
 """The one room of each outside library, so that it can be exchanged or go missing without harm elsewhere."""
 
 EFFECTS_APART = {
-    *('__init__', 'base', 'checks', 'describe', 'library', 'model_file', 'registry', 'sketch', 'traits')
+    *(
+        '__init__',
+        'base',
+        'checks',
+        'describe',
+        'fading',
+        'library',
+        'model_file',
+        'registry',
+        'sketch',
+        'traits',
+    )
 }
 """Modules of the room of effects that hold no effect."""
 ROOMS_WITHOUT_EFFECTS = ('bench', 'diagnose', 'sim')

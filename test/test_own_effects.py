@@ -6,7 +6,7 @@ import json
 import re
 import shlex
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -38,14 +38,7 @@ class Mine(LinearGyroEffect):
 
 Write = Callable[[str], Path]
 
-
-@pytest.fixture(autouse=True)
-def library() -> Iterator[None]:
-    """Restore the table of effects afterwards."""
-    before = dict(EFFECTS)
-    yield
-    EFFECTS.clear()
-    EFFECTS.update(before)
+pytestmark = pytest.mark.usefixtures('library')
 
 
 @pytest.fixture

@@ -18,8 +18,10 @@ from gyrocal_ros.cli.figures import draw_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, print_message, table
 from gyrocal_ros.diagnose.drift import REFERENCES
+from gyrocal_ros.diagnose.hypotheses import signal_ranges
 from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
+from gyrocal_ros.diagnose.learning import learn
 from gyrocal_ros.diagnose.search import Calibrate, search, try_effect
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
@@ -32,6 +34,7 @@ from gyrocal_ros.report.describe import drift_in_words, improvement_headline, mi
 EXAMPLE = """gyrocal improve my_bag -o improved
 gyrocal improve my_bag --model model.yaml -o improved
 gyrocal improve my_bag --effect gyro_lag
+gyrocal improve my_bag --learn -o improved
 gyrocal replay another_bag --model improved/model.yaml"""
 
 MAX_EFFECTS = 6
@@ -42,8 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_run_options(parser)
     add_model_options(parser)
-    parser.add_argument(
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument(
         '--effect', metavar='NAME', help='try this effect only, even if the diagnosis does not find it'
+    )
+    which.add_argument(
+        '--learn', action='store_true', help='then learn what no effect of the library explains'
     )
 
 
@@ -58,9 +65,11 @@ def run(args: argparse.Namespace) -> None:
     effect = _requested_effect(args.effect, model)
     with result_folder(args) as folder:
         runs = open_bag_runs(args, model)
-        recorded, calibrate = summarise_recording(runs.source), _announced(runs)
+        recorded, calibrate = summarise_recording(runs.source), announced(runs)
         if effect is None:
             searched = search(model, recorded, calibrate, MAX_EFFECTS)
+            if args.learn:
+                searched = learn(searched, recorded, signal_ranges(runs.source), calibrate).searched
         else:
             searched = try_effect(model, recorded, calibrate, effect)
         improved = improvement(searched)
@@ -85,7 +94,7 @@ def _requested_effect(name: str | None, model: SensorModel) -> Effect | None:
     return None if name is None else find_effect(name, '--effect')
 
 
-def _announced(runs: BagRuns) -> Calibrate:
+def announced(runs: BagRuns) -> Calibrate:
     """Return a function that runs the filter and prints a message before each run."""
     numbers = count(1)
 

@@ -35,6 +35,7 @@ COMMANDS = {
     'effects': 'list the physical effects of the library, or explain one',
     'add': 'add an effect to a sensor model',
     'improve': 'add missing effects while the held-out error falls',
+    'learn': 'learn a law that no effect of the library has',
     'studio': 'do all this on a web page',
     'reveal': 'open the sealed answer of a simulated bag',
     'reproduce': 'reproduce the figures of the paper',

@@ -10,9 +10,14 @@ from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effec
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.errors import ConfigError, GyrocalError, did_you_mean
-from gyrocal_ros.model.sensor import RelativeEffect
-from gyrocal_ros.sim.hidden import DrawnEffect, draw_hidden, draw_scale_factor, hide
-from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
+from gyrocal_ros.model.sensor import Effect, RelativeEffect
+from gyrocal_ros.sim.hidden import (
+    UNKNOWN_TO_THE_LIBRARY,
+    DrawnEffect,
+    draw_hidden,
+    draw_scale_factor,
+    hide,
+)
 from gyrocal_ros.sim.scenarios import SCENARIOS, Scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -84,7 +89,7 @@ def parse_effect(text: str) -> DrawnEffect:
         ConfigError: the effect or a coefficient is not known, or a value is not a number.
     """
     name, has_values, given = text.partition('=')
-    effect = OUT_OF_LIBRARY.get(name) or find_effect(name, '--effect')
+    effect: Effect = UNKNOWN_TO_THE_LIBRARY.get(name) or find_effect(name, '--effect')
     if not has_values:
         if isinstance(effect, LibraryEffect) and not isinstance(effect, RelativeEffect):
             return DrawnEffect(name, effect.about.example)

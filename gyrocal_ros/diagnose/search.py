@@ -78,6 +78,8 @@ class Addition:
     """(q,) indices of the coefficients that say how strong it is; not a limit or a time constant."""
     outperformed: tuple[str, ...] = ()
     """Effects that looked like it, until a run with each predicted the recording clearly worse."""
+    is_rejected: bool = False
+    """True for a learned effect with which the recording is not predicted better, or drifts more."""
 
     @property
     def predictive_gain(self) -> float:
@@ -99,7 +101,8 @@ class Addition:
     @property
     def is_kept(self) -> bool:
         """True if the recording is predicted better with the effect, and the effect is not zero."""
-        return self.predictive_gain > self.after.settings.min_predictive_gain and self.stands_out
+        predicts = self.predictive_gain > self.after.settings.min_predictive_gain
+        return predicts and self.stands_out and not self.is_rejected
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,6 +16,7 @@ from typing import Any
 
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.checks import faults
+from gyrocal_ros.effects.learned import LEARNED_EFFECTS
 from gyrocal_ros.effects.library import COVARIATE_EFFECTS, SCALE_FACTOR, SHIPPED
 from gyrocal_ros.effects.scale import scale_power
 from gyrocal_ros.errors import ConfigError, did_you_mean
@@ -35,7 +36,7 @@ def find_effect(name: str, where: str = '') -> LibraryEffect:
 
     Args:
         name: a key of `EFFECTS`, `scale_power_N` for a power above the third, or the name of a covariate
-            effect followed by a colon and its signal.
+            or learned effect followed by a colon and its signal.
         where: file that contains the name, for the error message.
 
     Raises:
@@ -49,9 +50,10 @@ def find_effect(name: str, where: str = '') -> LibraryEffect:
     if power:
         return scale_power(int(power.group(1)))
     kind, _, signal = name.partition(':')
-    if kind in COVARIATE_EFFECTS and signal:
-        return COVARIATE_EFFECTS[kind](signal)
-    known = [*EFFECTS, 'scale_power_4', *(f'{kind}:SIGNAL' for kind in COVARIATE_EFFECTS)]
+    following = COVARIATE_EFFECTS | LEARNED_EFFECTS
+    if kind in following and signal:
+        return following[kind](signal)
+    known = [*EFFECTS, 'scale_power_4', *(f'{kind}:SIGNAL' for kind in following)]
     raise ConfigError(f'there is no effect {name!r}', where=where, todo=did_you_mean(name, known))
 
 

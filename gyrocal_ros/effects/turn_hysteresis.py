@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation
+from gyrocal_ros.effects.fading import fading_memory
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place, TypicalRange
 
 Drive: TypeAlias = Literal['rate', 'side']
@@ -67,7 +68,7 @@ class TurnHysteresis:
         k, tau = values[0], max(values[1], MIN_TIME_CONSTANT_S)
         h_start, slope_start = memory if memory is not None else (np.zeros(1), 0.0)
         drive = self._drive(block.rate_rad_s[:, 2])
-        h, growth = _fading_memory(drive, block.dt_s, np.array([tau]), h_start)
+        h, growth = fading_memory(drive, block.dt_s, np.array([tau]), h_start)
         h, growth = h[:, 0], growth[:, 0]
         pushes = (h[:-1] - drive) * growth[:-1] * block.dt_s / tau**2
         slopes = np.concatenate([[slope_start], (slope_start + np.cumsum(pushes)) / growth[1:]])
@@ -78,30 +79,10 @@ class TurnHysteresis:
     def columns_at(self, block: MotionBlock, scan: Array, memory: Memory) -> tuple[Array, Memory]:
         """Return the derivative (N, q) with respect to k at q time constants."""
         h_start = memory if memory is not None else np.zeros(len(scan))
-        h, _ = _fading_memory(self._drive(block.rate_rad_s[:, 2]), block.dt_s, scan, h_start)
+        h, _ = fading_memory(self._drive(block.rate_rad_s[:, 2]), block.dt_s, scan, h_start)
         return 0.5 * (h[1:] + h[:-1]), h[-1]
 
     def _drive(self, rate_rad_s: Array) -> Array:
         if self.driven_by == 'rate':
             return rate_rad_s
         return np.sign(rate_rad_s) * (np.abs(rate_rad_s) > TURNING_RAD_S)
-
-
-def _fading_memory(drive: Array, dt_s: Array, tau_s: Array, start: Array) -> tuple[Array, Array]:
-    """Solve `dh/dt = (u - h) / tau` for a drive that is constant in each interval.
-
-    The product h exp(t / tau) changes by the drive alone, so it is a cumulative sum.
-
-    Args:
-        drive: u (N,).
-        dt_s: (N,) lengths of the intervals.
-        tau_s: (q,) time constants.
-        start: (q,) h at the beginning.
-
-    Returns:
-        h (N + 1, q) at the ends of the intervals and at the beginning, and exp(t / tau) there.
-    """
-    ends_s = np.cumsum(dt_s)[:, None]
-    growth = np.concatenate([np.ones((1, len(tau_s))), np.exp(ends_s / tau_s)])
-    added = np.cumsum(drive[:, None] * (growth[1:] - growth[:-1]), axis=0)
-    return np.concatenate([start[None], (start + added) / growth[1:]]), growth

@@ -47,6 +47,18 @@ class Transition:
     """(6, N) d pose / d correction of the yaw rate of each interval; zero without a valid reading."""
 
 
+def with_pose(block: MotionBlock, state: State) -> MotionBlock:
+    """Return the block with heading and position in the middle of each interval, for effects on them.
+
+    They are those of the state, continued by the nominal rate and the wheels.
+    """
+    turn_rad = block.rate_rad_s[:, 2] * block.dt_s
+    heading_rad = state.mean[YAW] + np.cumsum(turn_rad) - 0.5 * turn_rad
+    ahead = np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=1) * block.distance_m[:, None]
+    position_m = state.mean[POSITION][:2] + np.cumsum(ahead, axis=0) - 0.5 * ahead
+    return replace(block, heading_rad=heading_rad, position_m=position_m)
+
+
 def predict(
     state: State,
     block: MotionBlock,

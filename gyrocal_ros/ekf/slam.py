@@ -35,7 +35,7 @@ from gyrocal_ros.ekf.image_update import (
 )
 from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch
-from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity
+from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector
 from gyrocal_ros.ekf.start import Start, inflate_after_gap, initial_state, restarted_at
@@ -101,6 +101,7 @@ class EkfSlam:
         before, update, event = self.state, MeasurementUpdate(), ''
 
         # Prediction: eq. (10) for the robot, eq. (11) for the features; sensitivities of the candidates.
+        block = with_pose(block, before)
         model = FilterModel(self.model, self._effects, self.config.gyro, self.config.wheels)
         self.state, transition = predict(before, block, model, self.memories, self._heading.walk_rad)
         self.memories = transition.contribution.correction.memories

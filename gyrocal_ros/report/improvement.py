@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from gyrocal_ros import __version__
 from gyrocal_ros.diagnose.drift import REFERENCES, SPAN_S
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
+from gyrocal_ros.diagnose.learned_laws import LearnedLaw
 from gyrocal_ros.diagnose.model_series import coefficients
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.report.comparison_figures import (
@@ -24,6 +25,7 @@ from gyrocal_ros.report.describe import (
 )
 from gyrocal_ros.report.diagnosis_figures import heading_section
 from gyrocal_ros.report.html import Section, details, document, gallery, table, verdict_box, warnings
+from gyrocal_ros.report.laws_figures import law_sections
 
 FITTED = """Fitted: the same spans with the final coefficients; where that is much smaller, the model fits the
     noise of this recording. Hollow marks are revisions that were left out."""
@@ -38,12 +40,17 @@ NOTE = (
 )
 
 
-def improvement_page(improved: Improvement, findings: Sequence[tuple[str, str]] = ()) -> str:
+def improvement_page(
+    improved: Improvement,
+    findings: Sequence[tuple[str, str]] = (),
+    laws: Sequence[LearnedLaw] = (),
+) -> str:
     """Return the page as HTML text.
 
     Args:
         improved: all revisions.
         findings: severity and text of the issues of the recording.
+        laws: learned effects of the final model.
     """
     run = improved.final.examined.run
     return document(
@@ -53,7 +60,7 @@ def improvement_page(improved: Improvement, findings: Sequence[tuple[str, str]] 
             verdict_box(conclusion(improved)),
             warnings([*findings, *events_in_words(run)]),
             table('Revisions', HEADS, [_row(revision) for revision in improved.revisions], NOTE),
-            gallery(improvement_sections(improved)),
+            gallery(improvement_sections(improved, laws)),
             details('Final sensor model (model.yaml)', model_to_yaml(run.model)),
         ],
     )
@@ -89,8 +96,9 @@ def _row(revision: Revision) -> tuple[str, ...]:
     )
 
 
-def improvement_sections(improved: Improvement) -> Iterator[Section]:
-    """Yield the figures of the page."""
+def improvement_sections(improved: Improvement, laws: Sequence[LearnedLaw] = ()) -> Iterator[Section]:
+    """Yield the figures of the page, those of learned laws first."""
+    yield from law_sections(laws)
     revisions, final = improved.revisions, improved.final
     if all(len(revision.held_out.error_rad) for revision in revisions):
         marks = drift_marks(improved)

@@ -18,6 +18,7 @@ from gyrocal_ros.diagnose.json_summary import (
     summarise_diagnosis,
     summarise_improvement,
 )
+from gyrocal_ros.diagnose.learned_laws import LearnedLaw
 from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.run import Run
@@ -64,12 +65,14 @@ def fill_comparison(folder: Path, comparison: Comparison, findings: Findings = (
     _write(folder, {'comparison.json': json_text(summary), 'report.html': page})
 
 
-def fill_improvement(folder: Path, improved: Improvement, findings: Findings = ()) -> None:
+def fill_improvement(
+    folder: Path, improved: Improvement, findings: Findings = (), laws: Sequence[LearnedLaw] = ()
+) -> None:
     """Write the page, every revision, kept or left out, and the final model into an empty folder."""
     for revision in improved.revisions:
         fill_revision(folder / revision.label, revision)
     fill_result(folder, improved)
-    _write(folder, {'report.html': improvement_page(improved, findings)})
+    _write(folder, {'report.html': improvement_page(improved, findings, laws)})
 
 
 def fill_revision(folder: Path, revision: Revision) -> None:

@@ -29,7 +29,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.ekf.effects_by_place import sort_effects
 from gyrocal_ros.ekf.motion import GAP_NS, SPEED_SIGNAL, MotionBuffer
-from gyrocal_ros.ekf.predict import FilterModel, predict
+from gyrocal_ros.ekf.predict import FilterModel, predict, with_pose
 from gyrocal_ros.ekf.start import inflate_after_gap
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, YAW_BIAS, State
 from gyrocal_ros.ekf.stream import MAX_BLOCK_NS
@@ -215,6 +215,8 @@ class DeadReckoning:
             wheel_turn_rad=self._wheel_rate_rad_s * dt,
             temperature_c=self._temperature_c,
             covariates=self._signals,
+            heading_rad=np.array([self._track[-1][1][5]]),
+            position_m=np.array([self._track[-1][1][:2]]),
         )
 
     def _integrate(self, step: _Step) -> None:
@@ -251,7 +253,7 @@ class DeadReckoning:
 
     def _predicted(self, block: MotionBlock) -> tuple[State, tuple[Memory, ...]]:
         model = FilterModel(self._model, self._effects, self.config.gyro, self.config.wheels)
-        state, transition = predict(self._base, block, model, self._base_memories)
+        state, transition = predict(self._base, with_pose(block, self._base), model, self._base_memories)
         return state, transition.contribution.correction.memories
 
     def _set_prediction(self, state: State) -> None:

@@ -18,6 +18,7 @@ from gyrocal_ros.model.sensor import Effect, TypicalRange
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY, VOLTAGE
 from gyrocal_ros.sim.sensors import stream
+from gyrocal_ros.sim.strangers import STRANGERS
 
 P_NONE, P_ONE, P_TWO = 0.2, 0.45, 0.15
 """Probabilities of hiding nothing, one and two effects of the library; otherwise one out of the library."""
@@ -41,6 +42,10 @@ LIBRARY_RANGES: dict[str, tuple[TypicalRange, ...]] = _ranges(SHIPPED) | _ranges
 
 OUT_OF_LIBRARY_RANGES: dict[str, tuple[TypicalRange, ...]] = _ranges(list(OUT_OF_LIBRARY.values()))
 """The same of effects that the library lacks."""
+UNKNOWN_TO_THE_LIBRARY: dict[str, Effect] = {**OUT_OF_LIBRARY, **STRANGERS}
+"""Effects that only the simulator knows."""
+STRANGER_RANGES: dict[str, tuple[TypicalRange, ...]] = _ranges(list(STRANGERS.values()))
+"""The same of laws to be learned; they are hidden only where they are named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +83,7 @@ def draw_values(
     Raises:
         ConfigError: the effect has no typical ranges.
     """
-    known = LIBRARY_RANGES | OUT_OF_LIBRARY_RANGES
+    known = LIBRARY_RANGES | OUT_OF_LIBRARY_RANGES | STRANGER_RANGES
     if name not in known:
         raise ConfigError('has no sizes to draw from', where=name, todo=did_you_mean(name, known))
     drawn = rng.uniform(size=2)
@@ -104,7 +109,7 @@ def hide(drawn: Sequence[DrawnEffect], find: Callable[[str], Effect]) -> tuple[H
         ConfigError: an effect is not known, or has another number of coefficients.
     """
     return tuple(
-        HiddenEffect(OUT_OF_LIBRARY.get(item.name) or find(item.name), item.values) for item in drawn
+        HiddenEffect(UNKNOWN_TO_THE_LIBRARY.get(item.name) or find(item.name), item.values) for item in drawn
     )
 
 

@@ -246,6 +246,8 @@ class SimSource:
             vibration_m2_s4=3.0 * vibration_m_s2**2,
             temperature_c=truth.climate.temperature_c(time_s),
             covariates=covariates(motion, fan_speed),
+            heading_rad=motion.euler_rad[:, 2],
+            position_m=truth.position(time_s)[:, :2],
         )
         rate[:, 2] = nominal_yaw_rate(rate[:, 2], truth.scale_factor, block, self.hidden)
         rates = read_gyro(rate, hz, errors, stream(self.seed, 'gyro'))

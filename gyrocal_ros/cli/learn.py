@@ -1,0 +1,137 @@
+"""Learn a law that no effect of the library has: what the gyro's bias or scale follows, and how.
+
+First the library is searched, as by `gyrocal improve`. If the recording still contradicts the model, the
+filter runs once with many general functions beside it: curves of every recorded signal, of acceleration and
+heading, memories of turns, a map of the room, jumps. The likeliest ones get a run of their own. A law is kept
+if it raises the predictive log-likelihood, which scores each measurement before it is used, and if the
+held-out drift does not rise. A learned curve is compared with closed forms.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from gyrocal_ros.cli.bag_runs import add_run_options, open_bag_runs, result_folder
+from gyrocal_ros.cli.figures import draw_if_requested
+from gyrocal_ros.cli.improve import MAX_EFFECTS, announced, as_text
+from gyrocal_ros.cli.model_options import add_model_options, read_model
+from gyrocal_ros.cli.output import print_json
+from gyrocal_ros.diagnose.hypotheses import signal_ranges
+from gyrocal_ros.diagnose.improvement import improvement
+from gyrocal_ros.diagnose.json_summary import summarise_improvement
+from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws, summarise_laws
+from gyrocal_ros.diagnose.learning import Learned, is_missing_something, learn
+from gyrocal_ros.diagnose.search import Search, examine, search
+from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.effects.learned.as_effect import effect_source
+from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.files import write_text_atomic
+from gyrocal_ros.report.laws import law_in_words
+
+EXAMPLE = """gyrocal learn my_bag -o learned
+gyrocal learn my_bag --follows heading
+gyrocal learn my_bag --kind memory --follows turn_side
+gyrocal learn my_bag --follows battery_state.current --as-effect my_effects.py
+gyrocal replay another_bag --model learned/model.yaml"""
+
+KINDS = ('curve', 'memory', 'map', 'step')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_run_options(parser)
+    add_model_options(parser)
+    parser.add_argument(
+        '--follows', metavar='SIGNAL', help='learn this only: rate, heading, force_y, temperature, a signal'
+    )
+    parser.add_argument('--acts-on', choices=('bias', 'scale'), default='bias', help='with --follows: bias')
+    parser.add_argument('--kind', choices=KINDS, help='with or without --follows: learn this kind only')
+    parser.add_argument(
+        '--as-effect', type=Path, metavar='FILE', help='write the best closed form as an effect of your own'
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    """Search the library, learn, and write the history.
+
+    Raises:
+        GyrocalError: the bag or the model cannot be used, or OUT or FILE cannot be written.
+    """
+    began_s = time.perf_counter()
+    model, only = read_model(args), requested(args)
+    if args.as_effect and args.as_effect.exists() and not args.overwrite:
+        raise ConfigError(
+            'exists already', where=str(args.as_effect), todo='name another file or --overwrite'
+        )
+    with result_folder(args) as folder:
+        runs = open_bag_runs(args, model)
+        recorded, calibrate = summarise_recording(runs.source), announced(runs)
+        if only:
+            searched = Search(examine(model, recorded, calibrate), ())
+        else:
+            searched = search(model, recorded, calibrate, MAX_EFFECTS)
+        learned = learn(searched, recorded, signal_ranges(runs.source), calibrate, only)
+        improved, laws = improvement(learned.searched), list(learned_laws(learned.searched.last))
+        if folder is not None:
+            # Only a page needs the plotting library.
+            from gyrocal_ros.report.improvement import improvement_sections
+            from gyrocal_ros.report.write import fill_improvement
+
+            fill_improvement(folder, improved, runs.issues, laws)
+            draw_if_requested(args.png, folder, improvement_sections(improved, laws))
+        written = _written(args, laws)
+    if args.json:
+        summary = summarise_improvement(improved) | {'learned': summarise_laws(laws)}
+        print_json(summary | {'wall_s': time.perf_counter() - began_s})
+    else:
+        print('\n'.join([*as_text(improved), *_laws_as_text(learned, laws), *written]))
+        if args.out:
+            print(f'\nModel: {args.out / "model.yaml"}\nReport: {args.out / "report.html"}')
+
+
+def requested(args: argparse.Namespace) -> tuple[str, ...]:
+    """Return the kinds or names of laws that are requested; empty for all.
+
+    Raises:
+        ConfigError: there is no such law.
+    """
+    if args.kind == 'map':
+        return ('bias_map',)
+    if args.kind == 'step':
+        return ('bias_step', 'scale_step') if args.follows is None else (f'{args.acts_on}_step',)
+    if args.follows is None:
+        return () if args.kind is None else (f'bias_{args.kind}', f'scale_{args.kind}')
+    return (f'{args.acts_on}_{args.kind or "curve"}:{args.follows}',)
+
+
+def _laws_as_text(learned: Learned, laws: list[LearnedLaw]) -> Iterator[str]:
+    yield ''
+    if not laws:
+        contradicts = is_missing_something(learned.searched.last)
+        yield (
+            'Nothing was learned: no law predicts the recording better without more drift.'
+            if contradicts
+            else 'Nothing was learned: the recording does not contradict the model.'
+        )
+    for law in laws:
+        yield from law_in_words(law)
+
+
+def _written(args: argparse.Namespace, laws: list[LearnedLaw]) -> list[str]:
+    """Write the best closed form as an effect, if requested."""
+    if not args.as_effect:
+        return []
+    found = next(((law, law.forms[0]) for law in laws if law.curve is not None and law.forms), None)
+    if found is None:
+        return ['', f'{args.as_effect} was not written: no curve was learned.']
+    law, form = found
+    assert law.curve is not None
+    values = form.values.tolist()
+    text = effect_source(
+        law.curve.effect.of, law.follows, form.form, form.parameter, values, args.bag.name or str(args.bag)
+    )
+    write_text_atomic(args.as_effect, text, overwrite=args.overwrite)
+    return ['', f'Effect: {args.as_effect}; try `gyrocal improve BAG --effects-from {args.as_effect}`.']

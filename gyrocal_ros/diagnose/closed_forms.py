@@ -1,0 +1,175 @@
+"""From a learned curve to its law: the closed forms that fit within its uncertainty, the shortest first."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.heading_filter import misfits
+from gyrocal_ros.diagnose.search import ExaminedModel
+from gyrocal_ros.effects.learned.curve import Curve
+from gyrocal_ros.effects.learned.forms import FORMS, Form, library_effect, meaning
+from gyrocal_ros.effects.learned.signals import HEADING
+from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.statistics import chi_square_quantile, robust_std
+
+GRID = 401
+"""Points over the range at which forms and curve are compared."""
+FITS = 0.999
+"""Probability of a smaller distance for a form that fits."""
+NEGLIGIBLE = 0.003
+"""Part of the log-likelihood that a form may miss and still fit: no form is exact to more than that."""
+SINGULAR = 1e-9
+REFINED, REFINEMENTS = 11, 3
+"""Number of values between two neighbours of a scanned parameter, and how often."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnedCurve:
+    """A curve with its uncertainty, over its range."""
+
+    effect: Curve
+    x: Array
+    """(n,) values of the signal."""
+    y: Array
+    std: Array
+    """(n,) curve and its standard deviation, rad/s of bias or 1 of scale."""
+    values: Array
+    covariance: Array
+    """(k,), (k, k) estimates of its coefficients, by the filter."""
+    scatter: float
+    """Factor by which the rate errors that the model leaves exceed what the filter expects; `std` has it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosedForm:
+    """One form, fitted to a curve."""
+
+    form: Form
+    parameter: float
+    """Value of the scanned parameter; 0 without."""
+    values: Array
+    stds: Array
+    """(q,) linear parameters and their standard deviations."""
+    explained: float
+    """Part of the log-likelihood of the curve that the form gains."""
+    description_length: float
+    """Log-likelihood that it misses, and half the logarithm of the number of data for each parameter."""
+    fits: bool
+    """True if what it misses may be chance."""
+    library: str
+    """Effect of the library with this form; empty without one."""
+    means: str
+
+
+def learned_curve(examined: ExaminedModel, effect: Curve) -> LearnedCurve:
+    """Return a curve of the model with its uncertainty, widened by the scatter that the model leaves."""
+    names = [item.name for item in examined.model.effects]
+    start = COEFFICIENTS_START + sum(
+        len(item.coefficients) for item in examined.model.effects[: names.index(effect.name)]
+    )
+    places = slice(start, start + len(effect.coefficients))
+    state = examined.run.state
+    low, high = (-np.pi, np.pi) if effect.follows == HEADING else (effect.low, effect.high)
+    x = np.linspace(low, high, GRID)
+    basis, values = effect.basis(x), state.mean[places]
+    scatter = max(1.0, robust_std(misfits(examined.seen, np.empty((len(examined.seen.time_s), 0)))))
+    covariance = state.covariance[places, places]
+    std = scatter * np.sqrt(np.einsum('nk,kl,nl->n', basis, covariance, basis))
+    return LearnedCurve(effect, x, basis @ values, std, values, covariance, scatter)
+
+
+def without_present(curve: LearnedCurve, functions: Array) -> Array:
+    """Return functions over the range (n, q) without what constant bias and scale factor explain of them."""
+    present = curve.effect.present(curve.x)
+    left: Array = functions - present @ np.linalg.lstsq(present, functions, rcond=None)[0]
+    return left
+
+
+def closed_forms(curve: LearnedCurve, count: int) -> list[ClosedForm]:
+    """Fit every form to a curve; the shortest description comes first.
+
+    Only the data count, not the prior: with the information Lambda = Sigma^-1 - P^-1 and b = Sigma^-1 c of
+    the coefficients c, a form A p gains `b^T A p - 1/2 p^T A^T Lambda A p`.
+
+    Args:
+        curve: the curve.
+        count: number of data, for the cost of a parameter.
+    """
+    prior = np.array([item.prior_std for item in curve.effect.coefficients])
+    inverse, variance = np.linalg.inv(curve.covariance), curve.scatter**2
+    score = inverse @ curve.values / variance
+    spread, axes = np.linalg.eigh((inverse - np.diag(prior**-2.0)) / variance)
+    seen = spread > SINGULAR * spread[-1]
+    information = (axes[:, seen] * spread[seen]) @ axes[:, seen].T
+    most = 0.5 * float(np.sum(np.square(axes.T @ score)[seen] / spread[seen]))
+    basis = curve.effect.basis(curve.x)
+    found = []
+    for form in FORMS:
+        if not form.suits(curve.effect.follows, float(curve.x[0]), float(curve.x[-1])):
+            continue
+        best = _best_parameter(curve, form, basis, score, information)
+        if best is None:
+            continue
+        gain, parameter, values, stds = best
+        missed = max(most - gain, 0.0)
+        dof = max(int(seen.sum()) - form.size, 1)
+        of, follows = curve.effect.of, curve.effect.follows
+        found.append(
+            ClosedForm(
+                form=form,
+                parameter=parameter,
+                values=values,
+                stds=stds,
+                explained=gain / most,
+                description_length=missed + 0.5 * form.size * math.log(count),
+                fits=missed < max(0.5 * chi_square_quantile(FITS, dof), NEGLIGIBLE * most),
+                library=library_effect(of, follows, form.name),
+                means=meaning(follows),
+            )
+        )
+    return sorted(found, key=lambda item: (not item.fits, _length(item)))
+
+
+def _length(found: ClosedForm) -> float:
+    """Return the order within those that fit: by parameters, then by what is missed; else by description."""
+    return found.form.size - 0.5 * found.explained if found.fits else found.description_length
+
+
+def _best_parameter(
+    curve: LearnedCurve, form: Form, basis: Array, score: Array, information: Array
+) -> tuple[float, float, Array, Array] | None:
+    """Return the fit with the best scanned parameter: of its values, then between the neighbours of that."""
+    tried, best = form.values(float(curve.x[0]), float(curve.x[-1])), None
+    for _ in range(REFINEMENTS + 1):
+        fits = [_fitted(curve, form, float(p), basis, score, information) for p in tried]
+        best = max((item for item in fits if item is not None), key=lambda item: item[0], default=None)
+        if best is None or len(tried) == 1:
+            break
+        place = int(np.argmin(np.abs(tried - best[1])))
+        around = tried[[max(place - 1, 0), min(place + 1, len(tried) - 1)]]
+        tried = np.linspace(around[0], around[1], REFINED)
+    return best
+
+
+def _fitted(
+    curve: LearnedCurve, form: Form, p: float, basis: Array, score: Array, information: Array
+) -> tuple[float, float, Array, Array] | None:
+    """Return gain, parameter, values and deviations; None where bias and scale factor explain the form."""
+    columns = form.columns(curve.x, p)
+    new = without_present(curve, columns)
+    sizes = np.sqrt(np.mean(columns**2, axis=0))
+    if np.any(np.sqrt(np.mean(new**2, axis=0)) < 1e-6 * sizes):
+        return None
+    mixing = np.linalg.lstsq(basis, new, rcond=None)[0]
+    normal = mixing.T @ information @ mixing
+    scale = np.sqrt(np.diagonal(normal))
+    if not np.all(scale > 0.0) or np.linalg.cond(normal / np.outer(scale, scale)) > 1.0 / SINGULAR:
+        return None
+    inverse = np.linalg.inv(normal)
+    values = inverse @ (mixing.T @ score)
+    gain = 0.5 * float(values @ mixing.T @ score)
+    return gain, p, values, np.sqrt(np.maximum(np.diagonal(inverse), 0.0))

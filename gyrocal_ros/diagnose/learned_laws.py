@@ -1,0 +1,94 @@
+"""The laws that a model has learned, for people: their curves, their closed forms, their sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, closed_forms, learned_curve
+from gyrocal_ros.diagnose.search import ExaminedModel
+from gyrocal_ros.effects import LEARNED_EFFECTS
+from gyrocal_ros.effects.learned.curve import Curve
+from gyrocal_ros.effects.learned.signals import UNITS
+from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.model.sensor import Effect
+
+SHOWN, MIN_EXPLAINED = 4, 0.9
+"""Number of closed forms that are listed, and the part of a curve that all but the best explain at least."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnedLaw:
+    """One learned effect of a model."""
+
+    effect: Effect
+    curve: LearnedCurve | None
+    """Its curve; None for a memory, a map and a step."""
+    forms: tuple[ClosedForm, ...]
+    """Closed forms, the best first."""
+    rms: float
+    """Root mean square of its contribution to the yaw rate over the recording, rad/s."""
+
+    @property
+    def kind(self) -> str:
+        """What is learned: `bias_curve`, `bias_memory`, ..."""
+        return self.effect.name.partition(':')[0]
+
+    @property
+    def follows(self) -> str:
+        """What it follows."""
+        return self.effect.name.partition(':')[2]
+
+
+def learned_laws(examined: ExaminedModel) -> Iterator[LearnedLaw]:
+    """Yield the learned effects of a model."""
+    history, start = examined.run.history, 0
+    for effect in examined.model.effects:
+        places = slice(start, start + len(effect.coefficients))
+        start = places.stop
+        if effect.name.partition(':')[0] not in LEARNED_EFFECTS:
+            continue
+        values = history.mean[-1, COEFFICIENTS_START:][places]
+        rate = (history.columns[:, places] @ values) / history.dt_s
+        curve = learned_curve(examined, effect) if isinstance(effect, Curve) else None
+        forms = closed_forms(curve, len(history.dt_s)) if curve is not None else []
+        forms = [*forms[:1], *(item for item in forms[1:SHOWN] if item.explained > MIN_EXPLAINED)]
+        yield LearnedLaw(effect, curve, tuple(forms), float(np.sqrt(np.mean(rate**2))))
+
+
+def unit_of(signal: str) -> str:
+    """Return the unit of a signal; `as recorded` where it is not known."""
+    return UNITS.get(signal, 'as recorded')
+
+
+def summarise_laws(laws: list[LearnedLaw]) -> list[dict[str, Any]]:
+    """Return the laws for JSON."""
+    return [
+        {
+            'effect': law.effect.name,
+            'kind': law.kind,
+            'follows': law.follows,
+            'rms_rad_s': law.rms,
+            'curve': None
+            if law.curve is None
+            else {'x': law.curve.x[::10], 'y': law.curve.y[::10], 'std': law.curve.std[::10]},
+            'closed_forms': [
+                {
+                    'form': found.form.name,
+                    'equation': found.form.equation,
+                    'p': found.parameter,
+                    'values': found.values,
+                    'stds': found.stds,
+                    'explained': found.explained,
+                    'fits': found.fits,
+                    'library_effect': found.library or None,
+                    'meaning': found.means,
+                }
+                for found in law.forms
+            ],
+        }
+        for law in laws
+    ]

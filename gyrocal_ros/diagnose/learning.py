@@ -1,0 +1,175 @@
+"""Learning of unknown laws: rank them, run the filter with the likeliest, keep what predicts better."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
+from gyrocal_ros.diagnose.hypotheses import (
+    Law,
+    RankedLaw,
+    carried_by,
+    fine_steps,
+    laws,
+    rank_laws,
+)
+from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.search import (
+    Addition,
+    Calibrate,
+    ExaminedModel,
+    Search,
+    addition,
+    examine,
+    with_effect,
+)
+from gyrocal_ros.effects.learned.step import Step
+from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
+
+MAX_LEARNED = 2
+"""Number of laws that are learned at most."""
+MIN_GAIN = 25.0
+"""Marginal and predictive log-likelihood that a law has to gain: of a hundred laws with a dozen priors each,
+the best gains half of that by chance."""
+MIN_SIGMA = 2.0
+"""Significance of the predictive gain over the blocks of the recording."""
+MAX_DRIFT = 1.02
+"""Largest held-out drift with the law, relative to that without."""
+RIVAL_PART, MAX_RIVALS = 0.85, 3
+"""Part of the best marginal gain above which a law gets a run of its own, and the number of such runs."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Learned:
+    """What was learned beside a search in the library."""
+
+    searched: Search
+    """The search, with the learned effects as its last additions."""
+    ranked: tuple[RankedLaw, ...]
+    """Laws that were considered first, the likeliest first, each with its best prior."""
+
+
+def learn(
+    searched: Search,
+    recording: RecordingSummary,
+    ranges: Mapping[str, tuple[float, float]],
+    calibrate: Calibrate,
+    only: Sequence[str] = (),
+) -> Learned:
+    """Learn what the library leaves unexplained.
+
+    What the library has added is given up where laws alone predict clearly better, or as well with fewer of
+    them: several wrong effects may together imitate one law.
+
+    Args:
+        searched: a finished search in the library.
+        recording: summary of the recording.
+        ranges: range of each signal, see `signal_ranges`.
+        calibrate: runs the filter.
+        only: kinds or names of laws; with any, they are tried even where nothing is missing.
+    """
+    last, ranked = _learned_beside(searched.last, recording, ranges, calibrate, only)
+    found = Learned(Search(searched.first, (*searched.additions, *last)), tuple(ranked))
+    if not searched.kept or searched.kept[0].before is None or only:
+        return found
+    first, ranked = _learned_beside(searched.first, recording, ranges, calibrate, only)
+    alone = Learned(Search(searched.first, tuple(first)), tuple(ranked))
+    return alone if _is_better(alone.searched, found.searched) else found
+
+
+def is_missing_something(present: ExaminedModel) -> bool:
+    """Return True if the recording contradicts a model, whatever it lacks."""
+    return present.unexplained_structure is not None or model_fit(present.run).fits is False
+
+
+def held_out_drift_deg(before: ExaminedModel, after: ExaminedModel) -> tuple[float, float]:
+    """Return the held-out blind drift of two models against one reference, that of the second."""
+    reference = reference_path(after.run)
+    start_s = held_out_from_s(after.run)
+    earlier, later = (blind_drift(item.run, reference, start_s).rms_deg for item in (before, after))
+    return earlier, later
+
+
+def _is_better(alone: Search, found: Search) -> bool:
+    if not alone.kept:
+        return False
+    gain = predictive_gain(found.last.run, alone.last.run)
+    if len(alone.kept) < len(found.kept):
+        return float(gain.sum()) > -MIN_GAIN
+    return float(gain.sum()) > MIN_GAIN and vuong_sigma(gain) > MIN_SIGMA
+
+
+def _learned_beside(
+    present: ExaminedModel,
+    recording: RecordingSummary,
+    ranges: Mapping[str, tuple[float, float]],
+    calibrate: Calibrate,
+    only: Sequence[str],
+) -> tuple[list[Addition], list[RankedLaw]]:
+    """Learn one law after the other; return them with the ranking that the first was taken from."""
+    found: list[Addition] = []
+    first: list[RankedLaw] = []
+    while len(found) < MAX_LEARNED and (only or is_missing_something(present)):
+        tried = laws(present.run, ranges, only)
+        if not tried:
+            break
+        ranked = _rank(present, tried, calibrate)
+        first = first or ranked
+        following = _best(present, ranked, recording, calibrate)
+        if following is None:
+            break
+        found.append(following)
+        if not following.is_kept:
+            break
+        present = following.after
+    return found, first
+
+
+def _rank(present: ExaminedModel, tried: Sequence[Law], calibrate: Calibrate) -> list[RankedLaw]:
+    """Rank laws by one run that carries all of them; of the moments of a step only the best remains."""
+    run = calibrate(present.model, carried_by(tried))
+    assert run.scores is not None
+    ranked = rank_laws(tried, run.scores)
+    names = [item.effect.name for item in ranked]
+    return [item for place, item in enumerate(ranked) if item.effect.name not in names[:place]]
+
+
+def _best(
+    present: ExaminedModel, ranked: Sequence[RankedLaw], recording: RecordingSummary, calibrate: Calibrate
+) -> Addition | None:
+    """Run the filter with the likeliest laws and return the one that predicts best; None without any."""
+    if not ranked or ranked[0].gain < MIN_GAIN:
+        return None
+    close = [item for item in ranked if item.gain > RIVAL_PART * ranked[0].gain][:MAX_RIVALS]
+    additions = []
+    for law in close:
+        with suppress(FilterDivergedError):
+            finest = _at_the_moment(present, law, calibrate)
+            after = examine(with_effect(present.model, finest.effect), recording, calibrate, present.settings)
+            additions.append(_judged(replace(addition(present, after), gain=finest.gain)))
+    return max(additions, key=lambda item: (item.is_kept, item.predictive_gain), default=None)
+
+
+def _at_the_moment(present: ExaminedModel, law: RankedLaw, calibrate: Calibrate) -> RankedLaw:
+    """Return a step at its best moment; any other law unchanged."""
+    if not isinstance(law.effect, Step):
+        return law
+    duration_s = float(present.run.history.time_s[-1])
+    half_s = max(10.0, duration_s / 20.0)
+    return _rank(present, fine_steps(law.effect.of, law.effect.at_s, half_s), calibrate)[0]
+
+
+def _judged(added: Addition) -> Addition:
+    """Return the addition with its significance, rejected unless it predicts better and drifts no more."""
+    assert added.before is not None
+    gain = predictive_gain(added.before.run, added.after.run)
+    before_deg, after_deg = held_out_drift_deg(added.before, added.after)
+    p_value = chi_square_tail(2.0 * max(added.gain, 0.0), len(added.effect.coefficients))
+    helps = float(gain.sum()) > MIN_GAIN and vuong_sigma(gain) > MIN_SIGMA
+    is_rejected = not helps or after_deg > MAX_DRIFT * before_deg
+    return replace(added, sigma=sigma_of(p_value), p_value=p_value, is_rejected=is_rejected)

@@ -1,0 +1,28 @@
+"""Effects whose law is learned from a recording: curves, maps, memories and steps, stored as data.
+
+Each is a sum of fixed functions; their coefficients are estimated by the filter like those of any effect. The
+prior standard deviations of the coefficients make the sum smooth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from gyrocal_ros.effects.base import LibraryEffect
+from gyrocal_ros.effects.learned.curve import curve
+from gyrocal_ros.effects.learned.memory import memory
+from gyrocal_ros.effects.learned.place_map import place_map
+from gyrocal_ros.effects.learned.step import step
+
+LEARNED_EFFECTS: dict[str, Callable[[str], LibraryEffect]] = {
+    'bias_curve': lambda signal: curve('bias', signal),
+    'scale_curve': lambda signal: curve('scale', signal),
+    'bias_memory': lambda drive: memory('bias', drive),
+    'scale_memory': lambda drive: memory('scale', drive),
+    'bias_map': lambda signal: place_map(signal),
+    'bias_step': lambda signal: step('bias', signal),
+    'scale_step': lambda signal: step('scale', signal),
+}
+"""Effects whose names contain what they follow, `bias_curve:rate`."""
+
+__all__ = ['LEARNED_EFFECTS', 'curve', 'memory', 'place_map', 'step']

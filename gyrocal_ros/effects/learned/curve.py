@@ -1,0 +1,152 @@
+"""Bias or scale as a smooth function of one signal."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal, TypeAlias
+
+import numpy as np
+
+from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.effects.base import Explanation, LinearGyroEffect
+from gyrocal_ros.effects.learned.signals import HEADING, RATE, to_record, values_of
+from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory
+
+Of: TypeAlias = Literal['bias', 'scale']
+UNIT: dict[Of, str] = {'bias': 'rad/s', 'scale': '1'}
+TYPICAL: dict[Of, float] = {'bias': math.radians(0.1), 'scale': 0.01}
+"""Standard deviation of a learned function before anything is known of it."""
+COUNT, COUNTS = 8, {RATE: 12, HEADING: 12}
+"""Number of functions of a curve: a sine takes at least two for each of its periods over the range."""
+LENGTHS = (0.08, 0.15, 0.3, 0.6)
+"""Lengths over which a curve may change, as parts of its range."""
+GRID = 401
+"""Points over the range at which the functions are made orthogonal to what the model has already."""
+
+
+@dataclass(frozen=True)
+class Curve(LinearGyroEffect):
+    """`sum_j c_j cos(pi j x)` over the part x of the range, without what bias and scale factor explain.
+
+    A reduced-rank Gaussian process (Solin and Sarkka 2020). Outside of the range the curve keeps its last
+    value, with a noise as large as the curve.
+    """
+
+    about: ClassVar[Explanation] = Explanation(
+        physics='A smooth function of a signal, learned from a recording. It names no cause: look for the '
+        'physics that has this shape.',
+        equation='w = w_n + f(signal), or w = w_n + f(signal) w_n',
+        usual_size='as found',
+        best_motion='what changes the signal over all of its range, again and again',
+        source='Solin and Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process regression, '
+        'Statistics and Computing 30',
+        example=(0.0,) * COUNT,
+        shown_against='signal',
+    )
+    name: str
+    coefficients: tuple[Coefficient, ...]
+    low: float = 0.0
+    high: float = 1.0
+    """Range of the signal in which the curve was learned."""
+
+    @property
+    def follows(self) -> str:
+        """Name of the signal."""
+        return self.name.partition(':')[2]
+
+    @property
+    def signal(self) -> str:
+        """Name of the signal where a recording may lack it, else empty."""
+        return to_record(self.follows)
+
+    @property
+    def of(self) -> Of:
+        """What is a function of the signal."""
+        return 'scale' if self.name.startswith('scale') else 'bias'
+
+    def basis(self, values: Array) -> Array:
+        """Return the functions (n, k) at values (n,) of the signal; zero where the signal is not known."""
+        known = np.where(np.isnan(values), self.low, values)
+        functions = self._functions(known) - self._offset(known)
+        return np.where(np.isnan(values)[:, None], 0.0, functions)
+
+    def columns(self, block: MotionBlock) -> Array:
+        """Return the functions (N, k), times the rate for a scale."""
+        functions = self.basis(values_of(self.follows, block))
+        return functions * block.rate_rad_s[:, 2:] if self.of == 'scale' else functions
+
+    def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
+        """Return the contribution, with noise outside of the range."""
+        columns = self.columns(block)
+        return GyroTerm(columns @ values, columns, noise_rad_s=self._noise(block))
+
+    def _functions(self, values: Array) -> Array:
+        order = _orders(self.follows)
+        if self.follows == HEADING:
+            half = order[: len(order) // 2] * values[:, None]
+            return np.concatenate([np.cos(half), np.sin(half)], axis=1)
+        part = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
+        cosines: Array = np.cos(np.pi * order * part[:, None])
+        return cosines
+
+    def _offset(self, values: Array) -> Array:
+        """Return the part (n, k) of the functions that is in the model already."""
+        if self.follows == HEADING:
+            return np.zeros(1)
+        grid = np.linspace(self.low, self.high, GRID)
+        weights = np.linalg.lstsq(self.present(grid), self._functions(grid), rcond=None)[0]
+        offset: Array = self.present(np.clip(values, self.low, self.high)) @ weights
+        return offset
+
+    def present(self, values: Array) -> Array:
+        """Return what the model has already (n, 1 or 2): a constant, and a scale factor of the rate."""
+        constant = np.ones_like(values)
+        return np.stack([constant, values] if self.follows == RATE else [constant], axis=1)
+
+    def _noise(self, block: MotionBlock) -> Array | None:
+        if self.follows == HEADING:
+            return None
+        values = values_of(self.follows, block)
+        beyond = np.maximum(np.maximum(self.low - values, values - self.high), 0.0) / (self.high - self.low)
+        if not np.any(beyond > 0.0):
+            return None
+        std = math.sqrt(0.5 * sum(item.prior_std**2 for item in self.coefficients))
+        noise: Array = std * np.sqrt(-np.expm1(-np.square(np.nan_to_num(beyond) / LENGTHS[0])))
+        return noise * np.abs(block.rate_rad_s[:, 2]) if self.of == 'scale' else noise
+
+
+def curve(of: Of, signal: str, low: float = 0.0, high: float = 1.0) -> Curve:
+    """Make a curve over a range, with a prior of usual size.
+
+    Args:
+        of: what follows the signal.
+        signal: one of `learned.signals.UNITS`, or topic and field of a recorded one.
+        low: lower end of the range.
+        high: upper end, above the lower one.
+    """
+    stds = prior_stds(signal, TYPICAL[of], LENGTHS[1]).tolist()
+    items = tuple(Coefficient(f'c{number}', UNIT[of], std) for number, std in enumerate(stds, start=1))
+    return Curve(f'{of}_curve:{signal}', items, low, high)
+
+
+def prior_stds(signal: str, amplitude: float, length: float) -> Array:
+    """Return the prior standard deviations (k,) of a curve by a squared-exponential kernel.
+
+    Args:
+        signal: name of the signal.
+        amplitude: standard deviation of the curve.
+        length: length over which it changes, as a part of the range.
+    """
+    order = _orders(signal)
+    if signal == HEADING:
+        half = order[: len(order) // 2]
+        order = 2.0 * np.concatenate([half, half])
+    density = np.exp(-0.5 * np.square(np.pi * order * length))
+    stds: Array = amplitude * np.sqrt(2.0 * density / density.sum())
+    return stds
+
+
+def _orders(signal: str) -> Array:
+    """Return the numbers (k,) of the functions."""
+    return np.arange(1.0, COUNTS.get(signal, COUNT) + 1.0)

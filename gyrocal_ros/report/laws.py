@@ -1,0 +1,54 @@
+"""Learned laws in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from gyrocal_ros.diagnose.closed_forms import ClosedForm
+from gyrocal_ros.diagnose.learned_laws import LearnedLaw, unit_of
+from gyrocal_ros.report.describe import with_std
+
+KINDS = {
+    'bias_curve': 'the bias is a smooth function of {follows}',
+    'scale_curve': 'the scale factor is a smooth function of {follows}',
+    'bias_memory': 'the bias remembers {follows}',
+    'scale_memory': 'the scale factor remembers {follows}',
+    'bias_map': 'the bias depends on the place in the room; valid in the map of this recording only',
+    'bias_step': 'the bias jumps at {at_s:.1f} s; valid for this recording only',
+    'scale_step': 'the scale factor jumps at {at_s:.1f} s; valid for this recording only',
+}
+DRIVES = {
+    'dynamics': 'fast changes of the rate (a lag or a resonance)',
+    'rate': 'the rate',
+    'abs_rate': 'the magnitude of the rate',
+    'turn_side': 'the side of the turns',
+    'last_turn': 'the side of the last turn, and fades after it',
+    'start': 'the start',
+}
+
+
+def law_in_words(law: LearnedLaw) -> Iterator[str]:
+    """Yield a learned law in lines of text, with the closed forms of a curve."""
+    remembers = law.kind.endswith('memory')
+    follows = DRIVES.get(law.follows, law.follows) if remembers else law.follows
+    what = KINDS[law.kind].format(follows=follows, at_s=getattr(law.effect, 'at_s', 0.0))
+    yield f'Learned {law.effect.name}: {what} ({math.degrees(law.rms):.3g} deg/s rms).'
+    if law.forms:
+        yield f'  closed forms (x is {law.follows}, {unit_of(law.follows)}):'
+    for found in law.forms:
+        yield f'    {form_in_words(found)}'
+    if law.forms:
+        yield f'  what usually causes that: {law.forms[0].means}'
+
+
+def form_in_words(found: ClosedForm) -> str:
+    """Return a closed form with its parameters in one line."""
+    values = ', '.join(
+        with_std(value, std) for value, std in zip(found.values.tolist(), found.stds.tolist(), strict=True)
+    )
+    scanned = f', p = {found.parameter:.3g}' if found.parameter else ''
+    verdict = 'fits' if found.fits else 'does not fit'
+    library = f'; the library has it as {found.library}' if found.library else ''
+    share = f'{100.0 * found.explained:.1f} %'
+    return f'{found.form.name}: {values} times ({found.form.equation}){scanned}; {verdict}, {share}{library}'

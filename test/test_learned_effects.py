@@ -1,0 +1,256 @@
+"""Learned effects: the functions that they are made of, and their files."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from contracts import assert_derivative, eventful_block, eventful_blocks
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
+from gyrocal_ros.effects.learned import curve, memory, place_map, step
+from gyrocal_ros.effects.learned.as_effect import effect_source
+from gyrocal_ros.effects.learned.curve import GRID, LENGTHS, prior_stds
+from gyrocal_ros.effects.learned.forms import FORMS, library_effect
+from gyrocal_ros.effects.learned.memory import DYNAMICS, LAST_TURN, START, TAUS_S
+from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
+from gyrocal_ros.effects.learned.signals import UNITS, values_of
+from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
+from gyrocal_ros.effects.registry import load_file
+from gyrocal_ros.ekf.predict import with_pose
+from gyrocal_ros.ekf.start import initial_state
+from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.model.bias import BiasModel
+from gyrocal_ros.model.sensor import Effect, GyroEffect, Memory, SensorModel
+
+VOLTAGE = 'battery_state.voltage'
+EFFECTS: tuple[GyroEffect, ...] = (
+    curve('bias', 'rate', -1.5, 1.5),
+    curve('bias', 'heading'),
+    curve('scale', VOLTAGE, 14.0, 16.0),
+    curve('bias', 'force_y', -1.0, 1.0),
+    *(memory('bias', drive) for drive in TAUS_S),
+    memory('bias', VOLTAGE),
+    memory('scale', START),
+    step('bias', at_s=30.05),
+    step('scale', at_s=30.05),
+    place_map(low_m=(-1.0, -1.0), high_m=(1.0, 1.0)),
+)
+each_effect = pytest.mark.parametrize('effect', EFFECTS, ids=lambda effect: effect.name)
+
+
+def posed_block(count: int = 12, seed: int = 0, start_s: float = 30.0) -> MotionBlock:
+    block = eventful_block(count, seed, start_s)
+    rng = np.random.default_rng(seed)
+    return replace(
+        block, heading_rad=rng.uniform(-8.0, 8.0, count), position_m=rng.uniform(-1.0, 1.0, (count, 2))
+    )
+
+
+def contribution(effect: GyroEffect, blocks: list[MotionBlock], values: Array) -> tuple[Array, Array]:
+    """Return the contribution (N,) over consecutive blocks, and its derivative (N, k)."""
+    kept: Memory = None
+    rates, columns = [], []
+    for block in blocks:
+        term = effect.contribute(block, values, kept)
+        kept = term.memory
+        rates.append(term.rate_rad_s)
+        columns.append(term.by_values)
+    return np.concatenate(rates), np.concatenate(columns)
+
+
+class TestEachLearnedEffect:
+    @each_effect
+    def test_its_name_finds_an_effect_of_its_kind(self, effect: GyroEffect) -> None:
+        found = find_effect(effect.name)
+        assert isinstance(found, type(effect)) and found.name == effect.name
+        assert effect.name.partition(':')[0] in LEARNED_EFFECTS
+
+    @each_effect
+    def test_a_model_file_reproduces_it(self, effect: Effect) -> None:
+        items = tuple(replace(item, prior_std=0.5 * item.prior_std) for item in effect.coefficients)
+        changed = replace(effect, coefficients=items)  # type: ignore[type-var]
+        model = SensorModel('learned', BiasModel(), (find_effect('scale_factor'), changed))
+        assert model_from_dict(model_to_dict(model), 'model.yaml') == model
+
+    @each_effect
+    def test_derivative(self, effect: GyroEffect) -> None:
+        blocks = [posed_block(), posed_block(12, 1, 30.06)]
+        assert_derivative(
+            effect,
+            lambda values: contribution(effect, blocks, values)[0],
+            lambda values: contribution(effect, blocks, values)[1],
+        )
+
+    @each_effect
+    def test_it_moves_something(self, effect: GyroEffect) -> None:
+        _, columns = contribution(effect, [posed_block()], np.zeros(len(effect.coefficients)))
+        assert np.all(np.abs(columns).max(axis=0) > 0.0) and np.all(np.isfinite(columns))
+
+    @each_effect
+    def test_the_cut_into_blocks_does_not_matter(self, effect: GyroEffect) -> None:
+        """Signals that are averaged over a block are the exception, by their definition."""
+        if effect.name.endswith(('force_y',)):
+            return
+        whole, values = posed_block(20), np.zeros(len(effect.coefficients))
+        parts = [whole.part(slice(0, 7)), whole.part(slice(7, 20))]
+        np.testing.assert_allclose(
+            contribution(effect, parts, values)[1],
+            contribution(effect, [whole], values)[1],
+            rtol=1e-9,
+            atol=1e-12,
+        )
+
+    @each_effect
+    def test_without_the_signal_it_does_nothing(self, effect: GyroEffect) -> None:
+        bare = replace(posed_block(), covariates={}, heading_rad=None, position_m=None)
+        _, columns = contribution(effect, [bare], np.zeros(len(effect.coefficients)))
+        assert np.all(np.isfinite(columns))
+        if effect.name.endswith((VOLTAGE, 'heading', 'place')):
+            assert not columns.any()
+
+
+class TestCurve:
+    def test_it_leaves_constant_and_slope_to_bias_and_scale_factor(self) -> None:
+        x = np.linspace(-1.5, 1.5, GRID)
+        over_rate = curve('bias', 'rate', -1.5, 1.5).basis(x)
+        over_force = curve('bias', 'force_y', -1.5, 1.5).basis(x)
+        np.testing.assert_allclose(over_rate.mean(axis=0), 0.0, atol=1e-12)
+        np.testing.assert_allclose(over_rate.T @ x / len(x), 0.0, atol=1e-12)
+        np.testing.assert_allclose(over_force.mean(axis=0), 0.0, atol=1e-12)
+        assert np.abs(over_force.T @ x / len(x)).max() > 0.1, 'a slope over the acceleration is an effect'
+
+    def test_a_heading_is_periodic(self) -> None:
+        x = np.linspace(-3.0, 3.0, 50)
+        block = posed_block(50)
+        around = curve('bias', 'heading')
+        first, second = (
+            around.columns(replace(block, heading_rad=x + turns * 2.0 * math.pi)) for turns in (0, 3)
+        )
+        np.testing.assert_allclose(first, second, atol=1e-9)
+
+    def test_outside_of_its_range_it_keeps_its_value_with_noise(self) -> None:
+        over = curve('bias', VOLTAGE, 15.0, 15.5)
+        block = replace(posed_block(4), covariates={VOLTAGE: np.array([15.2, 15.5, 15.6, 18.0])})
+        term = over.contribute(block, np.ones(len(over.coefficients)), None)
+        assert term.rate_rad_s[1] == term.rate_rad_s[2] == term.rate_rad_s[3]
+        assert term.noise_rad_s is not None
+        assert term.noise_rad_s[0] == term.noise_rad_s[1] == 0.0 < term.noise_rad_s[2] < term.noise_rad_s[3]
+        spread = math.sqrt(0.5 * sum(item.prior_std**2 for item in over.coefficients))
+        assert term.noise_rad_s[3] == pytest.approx(spread, rel=1e-3)
+
+    @pytest.mark.parametrize('length', LENGTHS)
+    @pytest.mark.parametrize('signal', ['rate', 'heading', 'force_y'])
+    def test_the_prior_has_the_requested_spread(self, signal: str, length: float) -> None:
+        stds = prior_stds(signal, 0.3, length)
+        assert math.sqrt(0.5 * np.sum(stds**2)) == pytest.approx(0.3)
+        assert np.all(stds > 0.0) and np.all(np.diff(stds[: len(stds) // 2]) < 0.0)
+
+    def test_a_shorter_length_allows_faster_changes(self) -> None:
+        short, long = (prior_stds('rate', 1.0, length) for length in (0.1, 0.4))
+        assert short[-1] > 1e3 * long[-1]
+
+
+def test_a_map_has_the_requested_spread() -> None:
+    over = place_map(low_m=(0.0, 0.0), high_m=(4.0, 3.0))
+    rng = np.random.default_rng(0)
+    waves = over.basis(rng.uniform([0.0, 0.0], [4.0, 3.0], (20_000, 2)))
+    spread = np.sqrt((np.square(waves) @ np.square(map_stds(0.3, 0.2))).mean())
+    assert spread == pytest.approx(0.3, rel=0.02)
+    np.testing.assert_allclose(waves.mean(axis=0), 0.0, atol=0.03)
+
+
+class TestMemory:
+    def test_it_fades_with_its_time_constants(self) -> None:
+        """After a turn of one second, the side of the turn decays exponentially."""
+        bank = memory('bias', LAST_TURN)
+        dt_s = np.full(400, 0.01)
+        rate = np.where(np.arange(400) < 100, -1.0, 0.0)
+        block = replace(posed_block(400), dt_s=dt_s, rate_rad_s=np.stack([0 * rate, 0 * rate, rate], axis=1))
+        columns = bank.contribute(block, np.zeros(len(bank.tau_s)), None).by_values
+        assert np.all(columns[:100] == -1.0)
+        np.testing.assert_allclose(columns[-1], -np.exp(-3.0 / bank.tau_s), rtol=1e-9)
+
+    def test_fast_changes_vanish_in_a_steady_turn(self) -> None:
+        bank = memory('bias', DYNAMICS)
+        count = 400
+        rate = np.ones(count)
+        block = replace(
+            posed_block(count),
+            dt_s=np.full(count, 0.01),
+            rate_rad_s=np.stack([0 * rate, 0 * rate, rate], axis=1),
+        )
+        columns = bank.contribute(block, np.zeros(6), None).by_values
+        assert np.abs(columns[0]).max() > 0.4 and np.abs(columns[-1]).max() < 1e-10
+
+    def test_a_scale_cannot_remember_the_rate(self) -> None:
+        with pytest.raises(ConfigError, match='cannot follow'):
+            memory('scale', 'rate')
+
+
+def test_a_step_begins_at_its_moment() -> None:
+    block = posed_block()
+    after = step('bias', at_s=float(block.time_s[5])).columns(block)[:, 0]
+    assert after.tolist() == [0.0] * 5 + [1.0] * 7
+    assert find_effect('scale_step:time').coefficients[0].unit == '1'
+
+
+def test_every_signal_of_a_block_has_a_unit() -> None:
+    block = posed_block()
+    for name in UNITS:
+        assert values_of(name, block).shape == (12,), name
+    assert np.isnan(values_of('not.recorded', block)).all()
+
+
+def test_a_block_takes_the_pose_of_the_filter() -> None:
+    state = initial_state(default_model(), Config(), None, 0)
+    mean = state.mean.copy()
+    mean[:2], mean[5] = (1.0, 2.0), 0.5 * math.pi
+    block = replace(
+        eventful_block(10), rate_rad_s=np.zeros((10, 3)), distance_m=np.full(10, 0.1), dt_s=np.full(10, 0.1)
+    )
+    posed = with_pose(block, replace(state, mean=mean))
+    assert posed.heading_rad is not None and posed.position_m is not None
+    np.testing.assert_allclose(posed.heading_rad, 0.5 * math.pi)
+    np.testing.assert_allclose(posed.position_m[[0, -1]], [[1.0, 2.05], [1.0, 2.95]], atol=1e-12)
+
+
+@pytest.mark.usefixtures('library')
+@pytest.mark.parametrize('form', FORMS, ids=lambda form: form.name)
+def test_a_closed_form_becomes_an_effect(form: object, tmp_path: Path) -> None:
+    """The written file passes every check of a user's effect, and computes the form."""
+    assert isinstance(form, type(FORMS[0]))
+    follows = 'heading' if form.of_heading else 'force_x'
+    path = tmp_path / f'{form.name.replace(" ", "_")}_effect.py'
+    values = [0.01 * number for number in range(1, len(form.terms) + 1)]
+    path.write_text(effect_source('scale', follows, form, 0.7, values, 'a bag'), encoding='utf-8')
+    (made,) = load_file(path)
+    block = posed_block()
+    x = values_of(follows, block)
+    if form.of_heading:
+        assert block.heading_rad is not None
+        x = block.heading_rad
+    expected = form.columns(x, 0.7) * block.rate_rad_s[:, 2:]
+    term = made.contribute(block, np.array(values), None)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(term.by_values, expected, rtol=1e-9, atol=1e-12)
+    assert len(path.read_text(encoding='utf-8').splitlines()[0]) < 110
+
+
+def test_forms_of_the_library_are_named() -> None:
+    assert library_effect('bias', 'rate', 'cube') == 'scale_cubic'
+    assert library_effect('scale', VOLTAGE, 'line') == f'covariate_scale:{VOLTAGE}'
+    assert library_effect('bias', 'heading', 'sine of the heading') == ''
+    for of in ('bias', 'scale'):
+        for signal in UNITS:
+            for form in FORMS:
+                name = library_effect(of, signal, form.name)
+                assert not name or find_effect(name).acts_on == 'gyro'
+
+
+def test_consecutive_blocks_are_as_the_contracts_have_them() -> None:
+    assert [block.heading_rad for block in eventful_blocks()] == [None] * 3

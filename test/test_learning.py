@@ -1,0 +1,272 @@
+"""Learning of unknown laws: their ranking, the filter with them, and their closed forms."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from gyrocal_ros.cli.learn import requested
+from gyrocal_ros.cli.main import main
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.closed_forms import LearnedCurve, closed_forms
+from gyrocal_ros.diagnose.hypotheses import AMPLITUDES, Law, carried_by, laws, rank_laws, signal_ranges
+from gyrocal_ros.diagnose.learning import is_missing_something, learn
+from gyrocal_ros.diagnose.search import Search, examine
+from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
+from gyrocal_ros.effects.learned import curve, memory
+from gyrocal_ros.effects.learned.curve import prior_stds
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
+from gyrocal_ros.sim.hidden import DrawnEffect, hide
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+DEG = math.radians(1.0)
+Output = pytest.CaptureFixture[str]
+
+
+def recording(*drawn: DrawnEffect, seconds: float = 150.0, seed: int = 1) -> InMemorySource:
+    scenario = replace(find_scenario('cleaning'), duration_s=seconds)
+    source, _ = preload(SimSource(scenario, seed, hidden=hide(drawn, find_effect)), Config(), default_model())
+    assert isinstance(source, InMemorySource)
+    return source
+
+
+def runner(source: InMemorySource) -> Callable[[SensorModel, tuple[Effect, ...]], Run]:
+    return lambda model, candidates: calibrate(source, Config(), model, candidates=candidates)
+
+
+class TestRanking:
+    def scores(self, columns: Array, measured: Array, effects: tuple[Effect, ...]) -> ScoreStatistics:
+        """Score statistics of measurements with unit noise, in one block."""
+        information, score = columns.T @ columns, columns.T @ measured
+        return ScoreStatistics(effects, np.zeros(1), information[None], score[None])
+
+    def test_the_gain_is_the_marginal_likelihood(self) -> None:
+        rng = np.random.default_rng(0)
+        effect = memory('bias', 'start')
+        columns = rng.normal(size=(30, 5))
+        measured = columns @ rng.normal(size=5) + rng.normal(size=30)
+        law = Law(effect, effect, np.arange(5), (np.full(5, 1.0),))
+        (ranked,) = rank_laws([law], self.scores(columns, measured, (effect,)))
+        nothing = multivariate_normal(np.zeros(30)).logpdf(measured)
+        gains = {
+            float(amplitude): multivariate_normal(
+                np.zeros(30), np.eye(30) + amplitude**2 * columns @ columns.T
+            ).logpdf(measured)
+            - nothing
+            for amplitude in AMPLITUDES
+        }
+        best = max(gains, key=lambda amplitude: gains[amplitude])
+        assert ranked.gain == pytest.approx(gains[best], rel=1e-9)
+        assert [item.prior_std for item in ranked.effect.coefficients] == pytest.approx([best] * 5)
+
+    def test_the_right_law_and_length_come_first(self) -> None:
+        """Two curves of different signals: the data follow the second one, which changes slowly."""
+        rng = np.random.default_rng(1)
+        first, second = curve('bias', 'force_x', -1.0, 1.0), curve('bias', 'force_y', -1.0, 1.0)
+        x = rng.uniform(-1.0, 1.0, (400, 2))
+        columns = 1e3 * np.concatenate([first.basis(x[:, 0]), second.basis(x[:, 1])], axis=1)
+        stds = prior_stds('force_y', DEG, 0.6)
+        measured = columns[:, len(stds) :] @ (stds * rng.normal(size=len(stds))) + rng.normal(size=400)
+        shapes = tuple(prior_stds('force_y', 0.1 * DEG, length) for length in (0.08, 0.6))
+        tried = [Law(effect, effect, np.arange(8), shapes) for effect in (first, second)]
+        ranked = rank_laws(tried, self.scores(columns, measured, (first, second)))
+        assert ranked[0].effect.name == 'bias_curve:force_y' and ranked[0].gain > 100.0
+        assert ranked[1].gain < 0.05 * ranked[0].gain
+        found = np.array([item.prior_std for item in ranked[0].effect.coefficients])
+        assert found[-1] < 1e-6 * found[0], 'the longer length'
+
+    def test_noise_gains_nothing(self) -> None:
+        rng = np.random.default_rng(2)
+        effect = curve('bias', 'force_x', -1.0, 1.0)
+        columns = 1e3 * effect.basis(rng.uniform(-1.0, 1.0, 400))
+        law = Law(effect, effect, np.arange(8), (prior_stds('force_x', 0.1 * DEG, 0.3),))
+        (ranked,) = rank_laws([law], self.scores(columns, rng.normal(size=400), (effect,)))
+        assert ranked.gain < 3.0
+
+    def test_laws_in_the_model_and_unwanted_ones_are_left_out(self) -> None:
+        source = recording(seconds=40.0)
+        ranges = signal_ranges(source)
+        run = calibrate(source, Config(), default_model())
+        assert {'rate', 'force_x', 'yaw_acceleration', 'battery_state.voltage'} <= ranges.keys()
+        assert all(low < high for low, high in ranges.values())
+        names = {law.effect.name for law in laws(run, ranges)}
+        assert {'bias_curve:rate', 'bias_curve:heading', 'bias_map:place', 'scale_step:time'} <= names
+        assert 'scale_curve:rate' not in names, 'that is a bias over the rate'
+        assert {name.partition(':')[0] for name in names} == LEARNED_EFFECTS.keys()
+        some = laws(run, ranges, ['bias_curve:rate', 'bias_map'])
+        assert [law.effect.name for law in some] == ['bias_curve:rate', 'bias_map:place']
+        steps = laws(run, ranges, ['bias_step'])
+        assert len(steps) > 1 and len(carried_by(steps)) == 1
+
+
+class TestClosedForms:
+    def curve_of(
+        self, values: Callable[[Array], Array], signal: str, low: float, high: float
+    ) -> LearnedCurve:
+        """Return a curve that was fitted to a function at many places, with noise."""
+        rng = np.random.default_rng(3)
+        made = curve('bias', signal, low, high)
+        items = tuple(replace(item, prior_std=1.0) for item in made.coefficients)
+        effect = replace(made, coefficients=items)
+        at = rng.uniform(low, high, 4000)
+        basis, noise = effect.basis(at), 0.02
+        present = effect.present(at)
+        clean = values(at) - present @ np.linalg.lstsq(present, values(at), rcond=None)[0]
+        measured = clean + noise * rng.normal(size=len(at))
+        covariance = np.linalg.inv(basis.T @ basis / noise**2 + np.eye(basis.shape[1]))
+        fitted = covariance @ basis.T @ measured / noise**2
+        x = np.linspace(low, high, 401)
+        grid = effect.basis(x)
+        std = np.sqrt(np.einsum('nk,kl,nl->n', grid, covariance, grid))
+        return LearnedCurve(effect, x, grid @ fitted, std, fitted, covariance, 1.0)
+
+    @pytest.mark.parametrize(
+        ('name', 'signal', 'function'),
+        [
+            ('cube', 'rate', lambda x: 0.3 * x**3),
+            ('square', 'rate', lambda x: 0.4 * x**2),
+            ('absolute value', 'rate', lambda x: 0.5 * np.abs(x)),
+            ('sine', 'rate', lambda x: 0.3 * np.sin(2.0 * np.pi * x / 1.3)),
+            ('line', 'force_x', lambda x: 0.4 * x),
+            ('hinge', 'force_x', lambda x: 0.5 * np.maximum(x - 0.3, 0.0)),
+            ('sine of the heading', 'heading', lambda x: 0.3 * np.cos(x - 1.0)),
+            ('sine of twice the heading', 'heading', lambda x: 0.3 * np.sin(2.0 * x)),
+        ],
+    )
+    def test_the_law_is_found(self, name: str, signal: str, function: Callable[[Array], Array]) -> None:
+        half = math.pi if signal == 'heading' else 1.5
+        found = closed_forms(self.curve_of(function, signal, -half, half), 4000)
+        assert found[0].form.name == name and found[0].fits
+        assert found[0].explained > 0.98
+
+    def test_its_parameters_are_found(self) -> None:
+        wave = self.curve_of(lambda x: 0.3 * np.sin(2.0 * np.pi * x / 1.3), 'rate', -1.5, 1.5)
+        found = closed_forms(wave, 4000)[0]
+        assert found.parameter == pytest.approx(1.3, rel=0.02)
+        assert found.values[0] == pytest.approx(0.3, abs=0.02)
+        assert abs(found.values[1]) < 0.02
+
+    def test_a_law_of_the_library_is_named(self) -> None:
+        cube = closed_forms(self.curve_of(lambda x: 0.3 * x**3, 'rate', -1.5, 1.5), 4000)[0]
+        assert cube.library == 'scale_cubic'
+        assert cube.values[0] == pytest.approx(0.3, abs=4.0 * cube.stds[0])
+
+    def test_a_law_without_a_form_fits_none(self) -> None:
+        odd = self.curve_of(lambda x: np.sin(5.0 * x) + np.cos(9.0 * x**2), 'force_x', -1.5, 1.5)
+        assert not closed_forms(odd, 4000)[0].fits
+
+
+@pytest.mark.slow
+class TestLearning:
+    def test_a_bias_that_follows_the_heading_is_learned(self) -> None:
+        source = recording(DrawnEffect('stranger_heading', (0.2 * DEG, 0.7)))
+        recorded = summarise_recording(source)
+        first = examine(default_model(), recorded, runner(source))
+        assert is_missing_something(first)
+        learned = learn(Search(first, ()), recorded, signal_ranges(source), runner(source))
+        assert learned.ranked[0].effect.name == 'bias_curve:heading'
+        (added,) = learned.searched.kept
+        assert added.effect.name == 'bias_curve:heading' and added.sigma > 10.0
+        x = np.linspace(-3.0, 3.0, 100)
+        effect = added.effect
+        found = effect.basis(x) @ added.after.run.state.coefficients[1:]  # type: ignore[attr-defined]
+        truth = 0.2 * DEG * np.sin(x + 0.7)
+        assert np.abs(found - truth).max() < 0.03 * DEG
+
+    def test_nothing_is_learned_where_nothing_is_missing(self) -> None:
+        source = recording()
+        recorded = summarise_recording(source)
+        first = examine(default_model(), recorded, runner(source))
+        learned = learn(Search(first, ()), recorded, signal_ranges(source), runner(source))
+        assert learned.searched.additions == () and learned.ranked == ()
+
+    def test_a_law_that_is_not_there_is_rejected(self) -> None:
+        """Also where it is requested."""
+        source = recording()
+        recorded = summarise_recording(source)
+        first = examine(default_model(), recorded, runner(source))
+        ranges = signal_ranges(source)
+        learned = learn(Search(first, ()), recorded, ranges, runner(source), ['bias_curve:force_y'])
+        assert learned.searched.kept == ()
+        assert [item.effect.name for item in learned.ranked] == ['bias_curve:force_y']
+
+    def test_a_jump_of_the_scale_is_dated(self) -> None:
+        source = recording(DrawnEffect('stranger_scale_jump', (0.02, 70.0)))
+        recorded = summarise_recording(source)
+        first = examine(default_model(), recorded, runner(source))
+        learned = learn(Search(first, ()), recorded, signal_ranges(source), runner(source))
+        (added,) = learned.searched.kept[:1]
+        assert added.effect.name == 'scale_step:time'
+        assert abs(added.effect.at_s - 70.0) < 8.0  # type: ignore[attr-defined]
+        assert added.after.run.state.coefficients[1] == pytest.approx(0.02, rel=0.05)
+
+
+# --- the command --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ('kind', 'follows', 'acts_on', 'names'),
+    [
+        (None, None, 'bias', ()),
+        ('curve', None, 'bias', ('bias_curve', 'scale_curve')),
+        ('map', None, 'bias', ('bias_map',)),
+        ('step', None, 'bias', ('bias_step', 'scale_step')),
+        (None, 'heading', 'bias', ('bias_curve:heading',)),
+        ('memory', 'turn_side', 'bias', ('bias_memory:turn_side',)),
+        ('curve', 'temperature', 'scale', ('scale_curve:temperature',)),
+    ],
+)
+def test_what_is_requested(
+    kind: str | None, follows: str | None, acts_on: str, names: tuple[str, ...]
+) -> None:
+    assert requested(argparse.Namespace(kind=kind, follows=follows, acts_on=acts_on)) == names
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures('library')
+def test_the_command_learns_and_writes(tmp_path: Path, capsys: Output) -> None:
+    bag, out, own = tmp_path / 'bag', tmp_path / 'out', tmp_path / 'own.py'
+    hidden = '--effect=stranger_heading=0.005,0.7'
+    assert main(['simulate', str(bag), '--duration', '120', '--seed', '3', hidden]) == 0
+    capsys.readouterr()
+    learn_it = ['learn', str(bag), '--follows', 'heading', '-o', str(out), '--as-effect', str(own)]
+    assert main([*learn_it, '--json']) == 0
+    printed = json.loads(capsys.readouterr().out)
+    (law,) = printed['learned']
+    assert law['effect'] == 'bias_curve:heading' and law['kind'] == 'bias_curve'
+    assert law['closed_forms'][0]['form'] == 'sine of the heading'
+    assert (out / 'report.html').stat().st_size > 10_000
+    assert 'bias_curve:heading' in (out / 'model.yaml').read_text(encoding='utf-8')
+    drifts = [item['held_out_drift_deg']['rms'] for item in printed['revisions']]
+    assert drifts[-1] < 0.5 * drifts[0]
+
+    assert main(['replay', str(bag), '--model', str(out / 'model.yaml'), '--json']) == 0
+    replayed = json.loads(capsys.readouterr().out)
+    assert replayed['model_fits'] is not False
+    assert main(['improve', str(bag), '--effects-from', str(own), '--effect', made_in(own), '--json']) == 0
+    improved = json.loads(capsys.readouterr().out)
+    assert improved['revisions'][-1]['kept']
+
+    assert main(learn_it) == 2
+    assert 'exists already' in capsys.readouterr().err
+
+
+def made_in(path: Path) -> str:
+    """Return the name of the effect in a file."""
+    line = next(line for line in path.read_text(encoding='utf-8').splitlines() if 'name: str = ' in line)
+    return line.split("'")[1]

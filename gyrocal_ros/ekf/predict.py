@@ -65,6 +65,7 @@ def predict(
     model: FilterModel,
     memories: Sequence[Memory],
     extra_yaw_walk: float = 0.0,
+    steady: MotionBlock | None = None,
 ) -> tuple[State, Transition]:
     """Eq. (10): robot, bias and coefficients over one block; Eq. (11): features do not move.
 
@@ -74,6 +75,8 @@ def predict(
         model: sensor model and noise.
         memories: memories of the gyro effects.
         extra_yaw_walk: rad / sqrt(s), additional random walk of the heading.
+        steady: the block with the rate at which the effects are differentiated, see `ekf.steady_rate`; None
+            for the block itself.
     """
     correction = correct(model.effects.gyro, block, state.coefficients, memories)
     rate = body_rates(block, correction, state.bias_rad_s)
@@ -87,7 +90,9 @@ def predict(
     yaw_gain = motion.rate_gain[:, 2] * correction.valid
     matrix[POSE, BIAS] = motion.rate_gain.sum(axis=2)
     matrix[POSE, YAW_BIAS] = yaw_gain.sum(axis=1)
-    matrix[POSE, COEFFICIENTS_START:] = pose_by_values(motion, yaw_gain, added)
+    matrix[POSE, COEFFICIENTS_START:] = pose_by_values(
+        motion, yaw_gain, _differentiated(added, block, steady, model, state, memories)
+    )
     matrix[YAW_BIAS, YAW_BIAS] = bias_kept
 
     mean = state.mean.copy()
@@ -105,6 +110,21 @@ def predict(
     return after, Transition(matrix, motion, added, rate, yaw_gain)
 
 
+def _differentiated(
+    added: MotionContribution,
+    block: MotionBlock,
+    steady: MotionBlock | None,
+    model: FilterModel,
+    state: State,
+    memories: Sequence[Memory],
+) -> MotionContribution:
+    """Return the contributions of a block with derivatives at the steady rate."""
+    if steady is None or steady is block:
+        return added
+    at_steady = correct(model.effects.gyro, steady, state.coefficients, memories)
+    return replace(added, correction=replace(added.correction, by_values=at_steady.by_values))
+
+
 def predict_sensitivity(
     state: State,
     transition: Transition,
@@ -119,7 +139,7 @@ def predict_sensitivity(
     Args:
         state: already predicted, except for its sensitivity.
         transition: transition of that prediction.
-        block: the block.
+        block: the block, with the rate at which effects are differentiated.
         candidates: effects that the model lacks.
         memories: their memories.
 

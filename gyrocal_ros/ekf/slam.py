@@ -40,6 +40,7 @@ from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector
 from gyrocal_ros.ekf.start import Start, inflate_after_gap, initial_state, restarted_at
 from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.steady_rate import SteadyRate
 from gyrocal_ros.ekf.step_record import StepRecord, step_record
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, zero_rate_update
 from gyrocal_ros.errors import ConfigError
@@ -89,6 +90,7 @@ class EkfSlam:
         self._candidate_memories = self._candidates.no_memories()
         self._pose_rate: Array = np.zeros(6)
         self._rest, self._map_watch, self._motion_gate = RestDetector(), MapWatch(), MotionGate()
+        self._steady = SteadyRate()
         self._heading = HeadingReference(config.reference)
         self.expect_pixel_noise(config.camera.pixel_noise_px)
 
@@ -102,13 +104,14 @@ class EkfSlam:
 
         # Prediction: eq. (10) for the robot, eq. (11) for the features; sensitivities of the candidates.
         block = with_pose(block, before)
+        steady = self._steady.without_noise(block, self.config.gyro)
         model = FilterModel(self.model, self._effects, self.config.gyro, self.config.wheels)
-        self.state, transition = predict(before, block, model, self.memories, self._heading.walk_rad)
+        self.state, transition = predict(before, block, model, self.memories, self._heading.walk_rad, steady)
         self.memories = transition.contribution.correction.memories
         self._pose_rate = transition.motion.pose_rate
         if self._candidates.count:
             self.state, self._candidate_memories = predict_sensitivity(
-                self.state, transition, block, self._candidates, self._candidate_memories
+                self.state, transition, steady, self._candidates, self._candidate_memories
             )
         predicted = self.state
 

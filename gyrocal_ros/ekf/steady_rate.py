@@ -1,0 +1,59 @@
+"""The rate that the gyro really had: the reading without its noise, where it is steady.
+
+The scale factor multiplies the true nominal rate, and the filter knows only the reading. While the robot
+drives straight, the reading is noise. A derivative by the scale factor that is built from it regresses no
+rotation on noise: the estimate is pulled towards no scale factor at all, with false confidence (errors in
+variables). So the derivatives are taken at a rate whose error is independent of the noise of the block.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gyrocal_ros.config.sections import GyroConfig
+from gyrocal_ros.data import MotionBlock
+
+CHANGE_SIGMA = 3.0
+"""Change of the mean rate from which it is real."""
+MEMORY = 10
+"""Number of blocks over which rate and noise are averaged."""
+
+
+class SteadyRate:
+    """Follows the yaw rate: its running mean while it is steady, the reading itself while it changes."""
+
+    def __init__(self) -> None:
+        self._mean_rad_s: float | None = None
+        self._blocks = 0
+        self._noise_rad2_s: float | None = None
+
+    def without_noise(self, block: MotionBlock, gyro: GyroConfig) -> MotionBlock:
+        """Return the block with the yaw rate at which derivatives are taken, and remember the block."""
+        duration_s = float(block.dt_s.sum())
+        mean = float(block.rate_rad_s[:, 2] @ block.dt_s) / duration_s
+        std = math.sqrt(self._noise(block, gyro) / duration_s)
+        before = self._mean_rad_s
+        if before is None or abs(mean - before) > CHANGE_SIGMA * std * math.sqrt(1.0 + 1.0 / self._blocks):
+            self._mean_rad_s, self._blocks = mean, 1
+            return block
+        self._blocks = min(self._blocks + 1, MEMORY)
+        self._mean_rad_s = before + (mean - before) / self._blocks
+        rates = block.rate_rad_s.copy()
+        rates[:, 2] = before
+        return replace(block, rate_rad_s=rates)
+
+    def _noise(self, block: MotionBlock, gyro: GyroConfig) -> float:
+        """Return the white noise of the rate as a density, (rad/s)^2/Hz: that of the settings or more.
+
+        Differences of neighbouring readings show it, and hardly the motion.
+        """
+        by_settings = math.radians(gyro.rate_noise_deg_s) ** 2
+        if len(block.dt_s) > 1:
+            steps = np.diff(block.rate_rad_s[:, 2])
+            seen = 0.5 * float(np.mean(steps**2) * block.dt_s.mean())
+            known = self._noise_rad2_s
+            self._noise_rad2_s = seen if known is None else known + (seen - known) / MEMORY
+        return max(by_settings, self._noise_rad2_s or 0.0)

@@ -1,0 +1,82 @@
+"""The rate at which derivatives are taken, and the scale factor before the first turn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from contracts import eventful_block
+
+from gyrocal_ros.config.sections import Config, GyroConfig
+from gyrocal_ros.data import MotionBlock
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.steady_rate import SteadyRate
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+DEG = math.radians(1.0)
+GYRO = GyroConfig(rate_noise_deg_s=0.0075)
+COUNT, STEP_S = 14, 0.005
+
+
+def block(yaw_rate_rad_s: np.ndarray) -> MotionBlock:
+    rates = np.zeros((COUNT, 3))
+    rates[:, 2] = yaw_rate_rad_s
+    return replace(eventful_block(COUNT), rate_rad_s=rates, dt_s=np.full(COUNT, STEP_S))
+
+
+def noisy(rng: np.random.Generator, mean_rad_s: float, factor: float = 1.0) -> MotionBlock:
+    noise = factor * 0.0075 * DEG / math.sqrt(STEP_S) * rng.standard_normal(COUNT)
+    return block(mean_rad_s + noise)
+
+
+@pytest.mark.parametrize('factor', [1.0, 10.0])
+def test_noise_has_no_part_in_a_steady_rate(factor: float) -> None:
+    """Also noise that is larger than the settings say."""
+    rng, steady = np.random.default_rng(0), SteadyRate()
+    products = []
+    for _ in range(500):
+        read = noisy(rng, 0.2 * DEG, factor)
+        used = steady.without_noise(read, GYRO)
+        own = float(read.rate_rad_s[:, 2].mean()) - 0.2 * DEG
+        products.append((own * (float(used.rate_rad_s[:, 2].mean()) - 0.2 * DEG), own**2))
+    false, all_of_it = np.sum(products, axis=0)
+    assert abs(false) < 0.15 * all_of_it
+    assert used.rate_rad_s[0, 2] == pytest.approx(0.2 * DEG, abs=0.02 * factor * DEG)
+
+
+def test_a_turn_is_taken_as_it_is_read() -> None:
+    rng, steady = np.random.default_rng(1), SteadyRate()
+    for _ in range(20):
+        steady.without_noise(noisy(rng, 0.0), GYRO)
+    for rate in np.linspace(1.0, 60.0, 20) * DEG:
+        read = noisy(rng, float(rate))
+        assert steady.without_noise(read, GYRO) is read
+
+
+def test_a_slow_change_is_followed() -> None:
+    rng, steady = np.random.default_rng(2), SteadyRate()
+    for rate in np.linspace(0.0, 2.0, 600) * DEG:
+        used = steady.without_noise(noisy(rng, float(rate)), GYRO)
+    assert used.rate_rad_s[:, 2].mean() == pytest.approx(2.0 * DEG, abs=0.12 * DEG)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', [3, 11, 19])
+def test_before_the_first_turn_the_scale_factor_is_not_drawn_away(seed: int) -> None:
+    """Driving straight says nothing of the scale factor, however well the camera sees the heading."""
+    scenario = find_scenario('cleaning')
+    source = SimSource(
+        replace(scenario, duration_s=27.0, errors=replace(scenario.errors, pixel_noise_px=0.05)), seed
+    )
+    config = Config()
+    config = replace(config, camera=replace(config.camera, pixel_noise_px=0.05))
+    history = calibrate(source, config, default_model()).history
+    straight = np.cumsum(np.abs(history.turn_rad)) < 4.0 * DEG
+    assert history.time_s[straight][-1] > 10.0
+    scale, std = (column[straight, COEFFICIENTS_START] for column in (history.mean, history.std))
+    assert np.abs((1.0 + scale - source.truth.scale_factor) / std).max() < 2.5

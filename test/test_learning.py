@@ -11,12 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contracts import eventful_block
 from scipy.stats import multivariate_normal
 
+from gyrocal_ros.bench.strangers import StrangerResult, row
 from gyrocal_ros.cli.learn import requested
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.diagnose.closed_forms import LearnedCurve, closed_forms
 from gyrocal_ros.diagnose.hypotheses import AMPLITUDES, Law, carried_by, laws, rank_laws, signal_ranges
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
@@ -30,8 +32,9 @@ from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
-from gyrocal_ros.sim.hidden import DrawnEffect, hide
+from gyrocal_ros.sim.hidden import DrawnEffect, draw_hidden, hide
 from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.strangers import STRANGERS
 from gyrocal_ros.sim.world import SimSource
 
 DEG = math.radians(1.0)
@@ -270,3 +273,51 @@ def made_in(path: Path) -> str:
     """Return the name of the effect in a file."""
     line = next(line for line in path.read_text(encoding='utf-8').splitlines() if 'name: str = ' in line)
     return line.split("'")[1]
+
+
+# --- the bench ----------------------------------------------------------------------------------
+
+
+def test_the_rows_of_the_bench_count_what_they_say() -> None:
+    good = StrangerResult('x', 0, ('bias_curve:rate',), True, 2.0, 0.2, 0.18)
+    wrong = StrangerResult('x', 1, ('scale_cubic',), False, 1.0, 1.2, 0.2, names_library=True)
+    rows = row('x', [good, wrong])
+    assert (rows['right'], rows['good'], rows['worse'], rows['library']) == (0.5, 0.5, 0.5, 0.5)
+    assert rows['before_deg'] == 1.5 and rows['learned'] == 'bias_curve:rate 1, scale_cubic 1'
+
+
+@pytest.mark.parametrize('name', STRANGERS)
+def test_every_stranger_says_what_is_right(name: str) -> None:
+    stranger = STRANGERS[name]
+    assert stranger.source and all(find_effect(effect) for effect in stranger.right)
+    drawn = draw_hidden(3, 300.0, [name])
+    (hidden,) = hide(drawn, find_effect)
+    term = hidden.effect.contribute(posed(), np.array(hidden.values), None)  # type: ignore[attr-defined]
+    assert term.rate_rad_s.shape == (400,) and np.all(np.isfinite(term.rate_rad_s))
+    assert np.ptp(term.rate_rad_s) > 0.01 * DEG
+
+
+def posed() -> MotionBlock:
+    """Return two seconds of a turn, with every signal that a stranger follows."""
+    block = eventful_block(400, start_s=140.0)
+    turn = np.concatenate([np.zeros(100), np.full(200, 1.2), np.zeros(100)])
+    rates = np.zeros((400, 3))
+    rates[:, 2] = turn
+    return replace(
+        block,
+        time_s=np.linspace(60.0, 230.0, 400),
+        rate_rad_s=rates,
+        wheel_turn_rad=turn * block.dt_s,
+        heading_rad=np.cumsum(turn * block.dt_s),
+        position_m=np.linspace(-2.0, 2.0, 800).reshape(400, 2),
+        covariates={
+            'battery_state.voltage': np.linspace(14.0, 16.0, 400),
+            'battery_state.current': np.linspace(0.5, 3.0, 400),
+            'fan_speed.data': np.linspace(0.0, 2e4, 400),
+        },
+    )
+
+
+def test_strangers_are_for_the_bench_blind(capsys: Output) -> None:
+    assert main(['bench', 'eyes', '--strangers']) == 2
+    assert '--strangers' in capsys.readouterr().err

@@ -24,6 +24,8 @@ from gyrocal_ros.bench.growth import growth
 from gyrocal_ros.bench.methods import comparison
 from gyrocal_ros.bench.separability import motions
 from gyrocal_ros.bench.speed import speed
+from gyrocal_ros.bench.strangers import labels as stranger_labels
+from gyrocal_ros.bench.strangers import strangers
 from gyrocal_ros.bench.tracker import tracker_accuracy
 from gyrocal_ros.cli.output import print_json, print_message, print_row, progress
 from gyrocal_ros.cli.provenance import provenance
@@ -38,6 +40,7 @@ gyrocal bench accuracy comparison --seeds 20
 gyrocal bench blind --seeds 10 --only none scale_cubic
 gyrocal bench blind --only none --set significant_sigma=3.5 --set min_predictive_gain=2
 gyrocal bench blind --images --seeds 2 --only none gyro_lag
+gyrocal bench blind --strangers --seeds 2
 gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
 gyrocal bench tracker --bag drive_with_images
@@ -47,7 +50,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'accuracy': lambda args: accuracy(args.seeds, args.quick, args.only),
     'comparison': lambda args: comparison(args.seeds),
     'camera_off': lambda args: camera_off(args.seeds),
-    'blind': lambda args: blind(args.seeds, args.only, _settings(args), _scenes(args)),
+    'blind': lambda args: _blind(args),
     'eyes': lambda args: eyes(args.seeds, args.scenes or tuple(SCENES), args.seconds),
     'tracker': lambda args: bag_rows(args.bag) if args.bag else tracker_accuracy(args.seeds),
     'motions': lambda args: motions(),
@@ -57,7 +60,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
 
 CASES: dict[str, Callable[[], list[str]]] = {
     'accuracy': lambda: [case[0] for case in accuracy_cases(quick=False)],
-    'blind': lambda: [case.label for case in blind_cases()],
+    'blind': lambda: [*(case.label for case in blind_cases()), *stranger_labels()],
 }
 """Labels of the cases of the benches that can run some of them."""
 
@@ -96,6 +99,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--images', action='store_true', help='for blind: recordings with images, of a scene by the seed'
     )
     parser.add_argument(
+        '--strangers',
+        action='store_true',
+        help='for blind: laws that no effect of the library has, and what `gyrocal learn` makes of them',
+    )
+    parser.add_argument(
         '--scenes',
         nargs='+',
         default=[],
@@ -130,6 +138,8 @@ def run(args: argparse.Namespace) -> None:
     settings = _settings(args)
     if args.set and (not args.what or set(args.what) != {'blind'}):
         raise GyrocalError('is only for the bench blind', where='--set', todo='name blind')
+    if args.strangers and (set(args.what) != {'blind'} or args.images or args.set):
+        raise GyrocalError('is for the bench blind alone', where='--strangers', todo='name only blind')
     _refuse_wrong_scenes(args)
     if args.seeds < 1:
         raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
@@ -173,6 +183,12 @@ def _refuse_wrong_scenes(args: argparse.Namespace) -> None:
 def _scenes(args: argparse.Namespace) -> tuple[str, ...]:
     """Return the scenes of the blind trials; none for trials without images."""
     return tuple(args.scenes or SCENES) if args.images else ()
+
+
+def _blind(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    if args.strangers:
+        return strangers(args.seeds, args.only)
+    return blind(args.seeds, args.only, _settings(args), _scenes(args))
 
 
 def _settings(args: argparse.Namespace) -> DiagnosisSettings:

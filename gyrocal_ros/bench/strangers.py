@@ -1,0 +1,148 @@
+"""Blind trials of learning: laws that the library lacks, hidden in recordings."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from gyrocal_ros.bench.accuracy import in_parallel
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.diagnose.drift import blind_drift
+from gyrocal_ros.diagnose.hypotheses import signal_ranges
+from gyrocal_ros.diagnose.learning import learn
+from gyrocal_ros.diagnose.search import search
+from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.effects import EFFECTS, default_model, find_effect
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import preload
+from gyrocal_ros.sim.hidden import draw_hidden, draw_scale_factor, hide
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.strangers import STRANGERS
+from gyrocal_ros.sim.world import SimSource
+
+NOTHING = 'nothing hidden'
+GOOD_RATIO = 1.3
+"""Drift after learning, relative to that of the same recording without the law, of a law that was learned."""
+
+
+@dataclass(frozen=True, slots=True)
+class StrangerResult:
+    """Result of one recording with a law that the library lacks."""
+
+    law: str
+    seed: int
+    learned: tuple[str, ...] = ()
+    """Everything that was added to the model, of the library and learned."""
+    is_right: bool = False
+    """True if an effect of the right kind and signal is among it; without a law, if nothing is."""
+    drift_before_deg: float = float('nan')
+    drift_after_deg: float = float('nan')
+    drift_without_deg: float = float('nan')
+    """Held-out drift before and after, and that of the same recording without the law."""
+    names_library: bool = False
+    """True if an effect of the library was claimed and the drift stayed above `GOOD_RATIO`."""
+
+    @property
+    def is_good(self) -> bool:
+        """True if the drift fell to about that of a recording without the law."""
+        return self.drift_after_deg <= GOOD_RATIO * self.drift_without_deg
+
+
+def strangers(seeds: int, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
+    """Yield one row per law as they become ready, and one for all together.
+
+    Args:
+        seeds: number of recordings of each law, 300 s each.
+        only: labels; empty for all.
+    """
+    tasks = [(law, seed) for law in labels() if not only or law in only for seed in range(seeds)]
+    every: list[StrangerResult] = []
+    for law, group in groupby(in_parallel(_run_task, tasks), key=lambda result: result.law):
+        results = list(group)
+        every += results
+        yield row(law, results)
+    yield row('all', [result for result in every if result.law != NOTHING] or every)
+
+
+def labels() -> list[str]:
+    """Return the labels of the cases."""
+    return [NOTHING, *STRANGERS]
+
+
+def row(label: str, results: Sequence[StrangerResult]) -> dict[str, Any]:
+    """Return the figures of some recordings.
+
+    right: share with the right kind and signal. good: share whose drift is at most 1.3 times that without the
+    law. worse: share whose drift rose. library: share with an effect of the library that did not explain it.
+    """
+    answers = Counter(' + '.join(result.learned) or 'nothing' for result in results)
+    return {
+        'law': label,
+        'bags': len(results),
+        'right': float(np.mean([result.is_right for result in results])),
+        'good': float(np.mean([result.is_good for result in results])),
+        'worse': float(np.mean([result.drift_after_deg > result.drift_before_deg for result in results])),
+        'library': float(np.mean([result.names_library for result in results])),
+        'before_deg': float(np.mean([result.drift_before_deg for result in results])),
+        'after_deg': float(np.mean([result.drift_after_deg for result in results])),
+        'without_deg': float(np.mean([result.drift_without_deg for result in results])),
+        'learned': ', '.join(f'{name} {count}' for name, count in answers.most_common()),
+    }
+
+
+def run_stranger(law: str, seed: int) -> StrangerResult:
+    """Hide a law of a random size, search the library, learn, and compare with the truth.
+
+    Args:
+        law: name in `STRANGERS`, or `NOTHING`.
+        seed: seed of the recording.
+    """
+    scenario = find_scenario('cleaning')
+    drawn = draw_hidden(seed, scenario.duration_s, () if law == NOTHING else (law,))
+    errors = replace(scenario.errors, scale_factor=draw_scale_factor(seed))
+    simulate = partial(SimSource, replace(scenario, errors=errors), seed)
+    present = default_model()
+    source, config = preload(simulate(hidden=hide(drawn, find_effect)), Config(), present)
+    recorded = summarise_recording(source)
+
+    def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
+        return calibrate(source, config, model, candidates=candidates)
+
+    result = StrangerResult(law, seed, drift_without_deg=_drift_deg(simulate(hidden=()), present))
+    try:
+        searched = search(present, recorded, run)
+        found = learn(searched, recorded, signal_ranges(source), run).searched
+    except FilterDivergedError:
+        return result
+    learned = tuple(item.effect.name for item in found.kept)
+    result = replace(
+        result,
+        learned=learned,
+        is_right=not learned if law == NOTHING else bool(set(learned) & set(STRANGERS[law].right)),
+        drift_before_deg=_held_out_deg(found.first.run),
+        drift_after_deg=_held_out_deg(found.last.run),
+    )
+    claims = any(name in EFFECTS for name in learned)
+    return replace(result, names_library=claims and not result.is_good)
+
+
+def _drift_deg(source: SimSource, model: SensorModel) -> float:
+    return _held_out_deg(calibrate(source, Config(), model))
+
+
+def _held_out_deg(run: Run) -> float:
+    """Return the held-out drift: in the second half, each span starts with the estimate of that time."""
+    return blind_drift(run, from_s=0.5 * float(run.history.time_s[-1])).rms_deg
+
+
+def _run_task(task: tuple[str, int]) -> StrangerResult:
+    return run_stranger(*task)

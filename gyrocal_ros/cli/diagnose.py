@@ -127,6 +127,9 @@ def _drift_change(missing: MissingEffect) -> str:
 def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
     """Yield the next steps, with the commands to copy."""
     steps = advice(diagnosis)
+    if diagnosis.unexplained is not None or diagnosis.fit.misfits:
+        words = ['gyrocal', 'learn', *bag_arguments(args), *_model_arguments(args), '-o', 'learned']
+        steps = [f'Let this learn what no effect of the library explains: {shlex.join(words)}', *steps]
     if diagnosis.missing:
         improve = shlex.join(
             ['gyrocal', 'improve', *bag_arguments(args), *_model_arguments(args), '-o', 'improved']

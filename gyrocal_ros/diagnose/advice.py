@@ -71,7 +71,7 @@ def _on_structure(structure: UnexplainedStructure) -> Iterator[str]:
     else:
         kind = 'scale' if structure.shape.of_scale else 'bias'
         yield (
-            f'Look for what links the {kind} of the gyro to {signal}. If you know a law, write it as '
+            f'Look for what links the {kind} of the gyro to {signal}. If you know the law, write it as '
             'an effect of your own (docs/your_own_effect.md) and give it with --effects-from.'
         )
         yield CAUTION

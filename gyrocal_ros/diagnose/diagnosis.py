@@ -150,7 +150,7 @@ def _verdict(
     if left is not None and left.gain > settings.leftover_part * sum(item.gain for item in missing):
         return 'unexplained'
     if missing:
-        is_ambiguous = is_coarse or any(item.confused_with for item in missing)
+        is_ambiguous = is_coarse or fit.fits is False or any(item.confused_with for item in missing)
         return 'cannot_tell' if is_ambiguous else 'effect_found'
     if fit.fits is False:
         return 'cannot_tell'

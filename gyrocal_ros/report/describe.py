@@ -112,7 +112,9 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
         causes = join(['these', *missing], 'or')
         return f'The gyro reads in {step}, wider than its noise; {causes} cause the errors.'
     otherwise = NOTHING_MISSING if diagnosis.verdict == 'nothing_missing' else CANNOT_TELL
-    return missing_headline(missing, diagnosis.unexplained if is_unexplained else None, otherwise)
+    headline = missing_headline(missing, diagnosis.unexplained if is_unexplained else None, otherwise)
+    still = missing and not is_unexplained and diagnosis.fit.fits is False
+    return f'{headline} The model still does not fit with it: see the next steps.' if still else headline
 
 
 def improvement_headline(improved: Improvement) -> str:

@@ -116,6 +116,30 @@ def test_an_effect_depends_on_its_signal() -> None:
     )
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    'name',
+    [
+        'bias_curve:rate',
+        'bias_curve:heading',
+        'bias_map:place',
+        'bias_memory:last_turn',
+        'scale_memory:start',
+    ],
+)
+def test_a_learned_effect_runs_live_as_in_a_replay(name: str) -> None:
+    """Also where it follows the pose of the filter."""
+    learned = {'name': name, 'low': -1.5, 'high': 1.5} if 'curve' in name else name
+    model = model_from_dict({'name': 'learned', 'effects': ['scale_factor', learned]}, 'test')
+    items = measured(0.0, 30.0)
+    new = switched_on(model=model)
+    new.run(items)
+    new.live.close()
+    wanted = conclude(calibrate(InMemorySource('', source().rig, source().span, items), Config(), model))
+    np.testing.assert_allclose(new.live.calibration.values, wanted.values, rtol=1e-8, atol=1e-14)
+    assert all(np.isfinite(sample.rate_rad_s).all() for sample in new.calibrated)
+
+
 # --- mounting -------------------------------------------------------------------------------------
 
 

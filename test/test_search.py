@@ -119,6 +119,17 @@ class TestSearch:
         assert found.last.model.version == default_model().version + 2
         assert found.additions[1].before is found.additions[0].after
 
+    @pytest.mark.parametrize(('rise', 'is_kept'), [(1.4, True), (1.6, False), (math.nan, True)])
+    def test_an_effect_that_raises_the_drift_is_not_kept(
+        self, rise: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """However much better it predicts; where no drift can be measured, it cannot rise."""
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.drift_of_both_deg', lambda *runs: (1.0, rise))
+        found = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}))
+        (added,) = found.additions
+        assert added.is_kept == is_kept and added.raises_drift != is_kept
+        assert found.last is (added.after if is_kept else found.first)
+
     def test_noise_adds_nothing(self) -> None:
         found = search(default_model(), AT_REST, FakeFilter({}, {}))
         assert found.additions == () and found.last is found.first

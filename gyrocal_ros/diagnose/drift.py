@@ -212,6 +212,13 @@ def held_out_from_s(run: Run) -> float:
     return max(SETTLING_S, min(0.5 * end_s, end_s - SPAN_S - 3.0 * STRIDE_S))
 
 
+def drift_of_both_deg(before: Run, after: Run) -> tuple[float, float]:
+    """Return the held-out blind drift of two runs against one reference, that of the second; NaN without."""
+    reference, start_s = reference_path(after), held_out_from_s(after)
+    earlier, later = (blind_drift(run, reference, start_s).rms_deg for run in (before, after))
+    return earlier, later
+
+
 def better_sigma(before: BlindDrift, after: BlindDrift) -> float:
     """Return by how many sigma the drift became smaller; NaN where there is no span.
 

@@ -147,6 +147,10 @@ def _reason(added: Addition) -> str:
         return 'beside the other coefficients it is not significantly different from zero'
     if added.predictive_gain < 0.0:
         return f'the recording is predicted worse (log-likelihood -{size})'
+    if added.raises_drift:
+        return f'the recording is predicted better (log-likelihood +{size}), but it drifts more'
+    if added.is_rejected:
+        return f'the recording is not predicted clearly better (log-likelihood +{size}), or it drifts more'
     return f'the recording is predicted hardly better (log-likelihood +{size})'
 
 

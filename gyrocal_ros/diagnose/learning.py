@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
+from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.hypotheses import (
     Law,
     RankedLaw,
@@ -87,14 +87,6 @@ def is_missing_something(present: ExaminedModel) -> bool:
     return present.unexplained_structure is not None or model_fit(present.run).fits is False
 
 
-def held_out_drift_deg(before: ExaminedModel, after: ExaminedModel) -> tuple[float, float]:
-    """Return the held-out blind drift of two models against one reference, that of the second."""
-    reference = reference_path(after.run)
-    start_s = held_out_from_s(after.run)
-    earlier, later = (blind_drift(item.run, reference, start_s).rms_deg for item in (before, after))
-    return earlier, later
-
-
 def _is_better(alone: Search, found: Search) -> bool:
     if not alone.kept:
         return False
@@ -168,7 +160,7 @@ def _judged(added: Addition) -> Addition:
     """Return the addition with its significance, rejected unless it predicts better and drifts no more."""
     assert added.before is not None
     gain = predictive_gain(added.before.run, added.after.run)
-    before_deg, after_deg = held_out_drift_deg(added.before, added.after)
+    before_deg, after_deg = drift_of_both_deg(added.before.run, added.after.run)
     p_value = chi_square_tail(2.0 * max(added.gain, 0.0), len(added.effect.coefficients))
     helps = float(gain.sum()) > MIN_GAIN and vuong_sigma(gain) > MIN_SIGMA
     is_rejected = not helps or after_deg > MAX_DRIFT * before_deg

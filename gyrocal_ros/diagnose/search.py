@@ -11,6 +11,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.candidates import candidates_for
+from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.heading_filter import Headings, headings
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
@@ -100,9 +101,17 @@ class Addition:
 
     @property
     def is_kept(self) -> bool:
-        """True if the recording is predicted better with the effect, and the effect is not zero."""
+        """True if the recording is predicted better with the effect, not zero, and drifts no more."""
         predicts = self.predictive_gain > self.after.settings.min_predictive_gain
-        return predicts and self.stands_out and not self.is_rejected
+        return predicts and self.stands_out and not self.is_rejected and not self.raises_drift
+
+    @property
+    def raises_drift(self) -> bool:
+        """True if the held-out drift rises with the effect by more than chance does where it is harmless."""
+        if self.before is None:
+            return False
+        before_deg, after_deg = drift_of_both_deg(self.before.run, self.after.run)
+        return after_deg > self.after.settings.max_drift_rise * before_deg
 
 
 @dataclass(frozen=True, slots=True, eq=False)

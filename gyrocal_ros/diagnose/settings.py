@@ -60,6 +60,9 @@ class DiagnosisSettings:
     min_predictive_gain: float = threshold(
         3.0, 'nat', 'predictive log-likelihood that an effect must gain to be kept: odds of 20 to 1', 'none'
     )
+    max_drift_rise: float = threshold(
+        1.5, '1', 'largest held-out drift with an effect that is kept, relative to that without', 'none'
+    )
     nonzero_sigma: float = threshold(
         3.0, 'sigma', 'distance from zero that a coefficient must keep in the final model', 'pairs of effects'
     )

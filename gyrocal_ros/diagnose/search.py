@@ -24,7 +24,7 @@ from gyrocal_ros.diagnose.ranking import (
     with_estimate,
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure, unexplained_structure
+from gyrocal_ros.diagnose.shapes import UnexplainedStructure, confirmed, unexplained_structure
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import is_limit, may_break_the_filter, strengths
 from gyrocal_ros.ekf.run import Run
@@ -203,7 +203,8 @@ def examine(
     assert run.scores is not None
     scores, seen = candidates.project(run.scores), headings(run, settings)
     ranked = tuple(rank(scores, settings))
-    structure = _confirmed(unexplained_structure(run, seen, settings), ranked, settings)
+    most_gained = max((item.fit.gain for item in ranked), default=0.0)
+    structure = confirmed(unexplained_structure(run, seen, settings), most_gained, settings)
     return ExaminedModel(model, run, scores, ranked, seen, structure, settings)
 
 
@@ -393,17 +394,3 @@ def _rivals(present: ExaminedModel, name: str, tried: set[str]) -> list[RankedEf
     others = [item for item in present.ranked if item.effect.name not in tried and item.profile is None]
     names = set(indistinguishable(found, others, present.scores, NONE, present.settings))
     return [item for item in others if item.effect.name in names][: present.settings.max_rivals]
-
-
-def _confirmed(
-    structure: UnexplainedStructure | None, ranked: Sequence[RankedEffect], settings: DiagnosisSettings
-) -> UnexplainedStructure | None:
-    """Return the structure if the full filter sees it too: some effect then explains a part of it.
-
-    The headings alone cannot distinguish structure from errors of the map, which change with its features.
-    """
-    if structure is None:
-        return None
-    most = max((item.fit.gain for item in ranked), default=0.0)
-    least = min(settings.structure_shown_part * structure.gain, settings.structure_shown_gain)
-    return structure if most >= least else None

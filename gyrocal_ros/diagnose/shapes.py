@@ -77,6 +77,24 @@ def unexplained_structure(
     return best if best is not None and best.sigma > settings.structure_sigma else None
 
 
+def confirmed(
+    structure: UnexplainedStructure | None, most_gained: float, settings: DiagnosisSettings
+) -> UnexplainedStructure | None:
+    """Return the structure if the full filter sees it too: some effect then explains a part of it.
+
+    The headings alone cannot distinguish structure from errors of the map, which change with its features.
+
+    Args:
+        structure: structure by the headings.
+        most_gained: log-likelihood that the best effect gains in the full filter.
+        settings: thresholds.
+    """
+    if structure is None:
+        return None
+    least = min(settings.structure_shown_part * structure.gain, settings.structure_shown_gain)
+    return structure if most_gained >= least else None
+
+
 def shapes(run: Run, seen: Headings) -> list[Shape]:
     """Fit the rate error as a function of each signal; the one that explains most comes first.
 

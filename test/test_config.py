@@ -158,7 +158,8 @@ def test_a_file_for_the_nodes_is_checked_completely(tmp_path: Path) -> None:
 def test_a_file_may_serve_several_nodes(tmp_path: Path) -> None:
     file = tmp_path / 'robot.yaml'
     file.write_text(
-        '/driver: {ros__parameters: {port: /dev/ttyUSB0, gyro: {rate_noise_deg_s: 0.01}}}\n'
+        '/driver: {ros__parameters: {driver.port: /dev/ttyUSB0, gyro: {rate_noise_deg_s: 0.01}}}\n'
+        '/tracker: {ros__parameters: {use_sim_time: true}}\n'
         '/calibrator: {ros__parameters: {features.map_size: 50, features: {ray_std_m: 50.0}}}\n'
     )
     config = load_config(file)
@@ -177,6 +178,12 @@ def test_a_file_may_serve_several_nodes(tmp_path: Path) -> None:
         ('/**: {ros__parameters: {camera: {pixel_noise: 0.3}}}', "did you mean 'pixel_noise_px'"),
         ('/**: {ros__parameters: {camera.pixel_noise: 0.3}}', "did you mean 'pixel_noise_px'"),
         ('/**: {ros__parameters: {camera: {pixel_noise_px: 300.0}}}', '0.005 to 20.0 px'),
+        ('/**: {ros__parameters: {camra: 3}}', "did you mean 'camera'"),
+        ('/**: {ros__parameters: {camra.pixel_noise_px: 0.3}}', "did you mean 'camera'"),
+        ('/**: {ros__parameters: {pixel_noise_px: 0.3}}', "'pixel_noise_px' is not known"),
+        ('/**: {ros__parameters: {rest: {settle_s: 1.0}}, camera: {}}', "'camera' is not known here"),
+        ('/**: {ros__parameters: {camera: 0.3, camera.pixel_noise_px: 0.3}}', 'contains no settings'),
+        ('/**: {ros__parameters: {camera.pixel_noise_px: 0.3, camera: 0.3}}', 'contains no settings'),
     ],
 )
 def test_an_invalid_file_is_refused(text: str, message: str, tmp_path: Path) -> None:

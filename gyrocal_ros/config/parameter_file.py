@@ -12,6 +12,9 @@ from gyrocal_ros.config.sections import Config, RobotConfig
 from gyrocal_ros.config.yaml_file import read_yaml
 from gyrocal_ros.errors import ConfigError
 
+PARAMETERS_OF_ROS = ('use_sim_time', 'qos_overrides', 'start_type_description_service')
+"""Parameters that every node has and that a file may contain."""
+
 
 def load_config(path: Path | None) -> Config:
     """Load the estimator's settings from a ROS 2 parameter file, or the defaults if `path` is None.
@@ -35,6 +38,10 @@ def load_all(path: Path | None) -> tuple[Config, RobotConfig]:
             raise ConfigError(
                 f'{node_name!r} has no ros__parameters', where=str(path), todo='write a ROS 2 parameter file'
             )
+        for name in node:
+            if name != 'ros__parameters':
+                todo = 'move it under ros__parameters'
+                raise ConfigError(f'{node_name}: {name!r} is not known here', where=str(path), todo=todo)
         nested = _nested(parameters)
         robot_settings = {name: nested.pop(name) for name in _sections(RobotConfig) if name in nested}
         robot = with_settings(robot, robot_settings, str(path))
@@ -43,13 +50,16 @@ def load_all(path: Path | None) -> tuple[Config, RobotConfig]:
 
 
 def _nested(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings among the parameters of a node, nested or written as `section.setting`."""
-    known = {*_sections(Config), *_sections(RobotConfig)}
-    nested = {name: dict(value) for name, value in parameters.items() if isinstance(value, Mapping)}
+    """Return the parameters of a node without those of ROS; `section.setting` may stand for nested ones."""
+    nested: dict[str, Any] = {}
     for name, value in parameters.items():
         section, _, item = str(name).partition('.')
-        if item and section in known:
-            nested.setdefault(section, {})[item] = value
+        if section in PARAMETERS_OF_ROS:
+            continue
+        value = {item: value} if item else value
+        before = nested.get(section, {})
+        if isinstance(before, Mapping):  # anything else is refused later
+            nested[section] = {**before, **value} if isinstance(value, Mapping) else value
     return nested
 
 

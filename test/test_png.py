@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gyrocal_ros.cli.figures import draw_if_requested
+from gyrocal_ros.cli.main import main
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.report import png
 from gyrocal_ros.report.effect import curves
@@ -28,7 +29,24 @@ def test_a_command_continues_without_pictures(
 ) -> None:
     monkeypatch.setattr(png, 'find_spec', lambda _: None)
     draw_if_requested(True, tmp_path, [Section('line', FIGURE, '')])
-    assert 'warning: figures were not drawn' in capsys.readouterr().err
+    assert 'warning: figures cannot be drawn' in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize('command', ['replay', 'diagnose', 'improve'])
+def test_pictures_that_cannot_be_drawn_are_refused_before_the_work(
+    command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(png, 'find_spec', lambda _: None)
+    out = tmp_path / 'out'
+    assert main([command, 'no_bag', '--png', '-o', str(out)]) == 2
+    assert 'kaleido is missing; `pip install' in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+def test_pictures_need_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['replay', 'no_bag', '--png']) == 2
+    assert '--png: needs a folder for the pictures; give one with -o' in capsys.readouterr().err
 
 
 def test_nothing_is_drawn_unless_requested(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gyrocal_ros.bag.check import check_bag
 from gyrocal_ros.bag.source import open_bag
-from gyrocal_ros.cli.figures import add_png_option
+from gyrocal_ros.cli.figures import add_png_option, check_png
 from gyrocal_ros.cli.options import add_bag_options, add_images_option, bag_options, read_config
 from gyrocal_ros.cli.output import progress, warn
 from gyrocal_ros.config.sections import Config
@@ -74,8 +74,10 @@ def result_folder(args: argparse.Namespace) -> Iterator[Path | None]:
     The folder appears when the block ends without an error. Enter it before the work starts.
 
     Raises:
-        GyrocalError: the folder is not empty and may not be overwritten, or cannot be made.
+        GyrocalError: the folder is not empty and may not be overwritten, or cannot be made, or figures are
+            requested that cannot be drawn.
     """
+    check_png(args)
     if args.out is None:
         yield None
     else:

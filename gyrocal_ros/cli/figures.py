@@ -18,8 +18,23 @@ def add_png_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def check_png(args: argparse.Namespace) -> None:
+    """Check before the work starts that the figures can be drawn, if they are requested.
+
+    Raises:
+        GyrocalError: there is no folder for them, or kaleido or a browser that works is missing.
+    """
+    if not args.png:
+        return
+    if args.out is None:
+        raise GyrocalError('needs a folder for the pictures', where='--png', todo='give one with -o')
+    from gyrocal_ros.report.png import try_png  # only a page needs the plotting library
+
+    try_png()
+
+
 def draw_if_requested(is_requested: bool, folder: Path, sections: Iterable[Any]) -> None:
-    """Draw the figures of a page as PNG; print a warning if this machine cannot.
+    """Draw the figures of a page as PNG; a failure is only a warning, because the results are there.
 
     Args:
         is_requested: True if the figures are to be drawn.

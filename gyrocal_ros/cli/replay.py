@@ -12,7 +12,7 @@ from typing import Any
 
 from gyrocal_ros.bag.check import check_bag
 from gyrocal_ros.bag.source import open_bag
-from gyrocal_ros.cli.figures import add_png_option, draw_if_requested
+from gyrocal_ros.cli.figures import add_png_option, check_png, draw_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, load_own_effects
 from gyrocal_ros.cli.options import (
     BagOptions,
@@ -61,6 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Calibrate, print the result, and write the report if requested."""
+    check_png(args)
     config = read_config(args)
     load_own_effects(args)
     known = load_calibration(args.start_from) if args.start_from else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import plotly.graph_objects as go
@@ -15,9 +16,19 @@ WIDTH_PX = 1100
 SCALE = 2
 """Number of picture pixels for a pixel of the figure."""
 REMEDY = (
-    "`pip install 'kaleido>=1'` and a Chromium are needed for that; "
-    'every figure of report.html has a button that saves it'
+    "`pip install 'kaleido>=1'` and install Chromium; or omit --png: every figure of report.html has a "
+    'button that saves it'
 )
+
+
+def try_png() -> None:
+    """Draw an empty figure and discard it.
+
+    Raises:
+        GyrocalError: kaleido is missing, or this machine has no browser that it can use.
+    """
+    with TemporaryDirectory() as folder:
+        save_png({'empty': go.Figure(layout_height=100)}, Path(folder))
 
 
 def save_png(figures: Mapping[str, go.Figure], folder: Path) -> None:
@@ -27,7 +38,7 @@ def save_png(figures: Mapping[str, go.Figure], folder: Path) -> None:
         GyrocalError: kaleido is missing, or this machine has no browser that it can use.
     """
     if find_spec('kaleido') is None:
-        raise GyrocalError('figures were not drawn as PNG, kaleido is missing', todo=REMEDY)
+        raise GyrocalError('figures cannot be drawn as PNG: kaleido is missing', todo=REMEDY)
     import kaleido
 
     try:
@@ -36,7 +47,7 @@ def save_png(figures: Mapping[str, go.Figure], folder: Path) -> None:
             [*_orders(figures, folder)], cancel_on_error=True, kopts={'mathjax': False}
         )
     except Exception as error:  # whatever a browser that does not start may raise
-        raise GyrocalError(f'figures were not drawn as PNG ({_first_line(error)})', todo=REMEDY) from error
+        raise GyrocalError(f'figures cannot be drawn as PNG ({_first_line(error)})', todo=REMEDY) from error
 
 
 def _orders(figures: Mapping[str, go.Figure], folder: Path) -> Iterator[dict[str, Any]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from shutil import rmtree
 
 from gyrocal_ros.config.declare import to_yaml
 from gyrocal_ros.data import NS_PER_S, IntArray
@@ -23,6 +24,7 @@ from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import EULER, POSITION
+from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import json_text, write_text_atomic
 from gyrocal_ros.msgs.transforms import quaternion_from_euler
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, save_calibration
@@ -93,8 +95,13 @@ def draw_figures(folder: Path, sections: Iterable[Section]) -> None:
     Raises:
         GyrocalError: this machine has no browser that can draw them.
     """
-    (folder / 'figures').mkdir()
-    save_png({section.name: section.figure for section in sections}, folder / 'figures')
+    figures = folder / 'figures'
+    figures.mkdir()
+    try:
+        save_png({section.name: section.figure for section in sections}, figures)
+    except GyrocalError:
+        rmtree(figures)
+        raise
 
 
 def slam_trajectory(run: Run) -> str:

@@ -6,10 +6,15 @@ import math
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from gyrocal_ros.cli.add import model_entry
 from gyrocal_ros.cli.main import main
+from gyrocal_ros.effects import EFFECTS, find_effect
+from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.model_file import load_model
+from gyrocal_ros.report.describe import coefficients_in_words
 
 Output = pytest.CaptureFixture[str]
 
@@ -94,6 +99,15 @@ def test_prior_means_and_options_can_be_set(tmp_path: Path) -> None:
     assert hysteresis_effect.coefficients[0].prior_std == math.radians(1.0)
 
 
+@pytest.mark.parametrize('effect', [*EFFECTS.values(), find_effect('covariate_bias:battery.current')])
+def test_values_may_be_set_as_they_are_displayed(effect: LibraryEffect, tmp_path: Path) -> None:
+    values = np.array(effect.about.example)
+    shown = coefficients_in_words(effect, values, np.zeros(len(values)))
+    entry = model_entry(effect.name, shown.split(', '))
+    assert isinstance(entry, dict)
+    assert list(entry['prior_mean'].values()) == pytest.approx(values.tolist(), rel=1e-3)
+
+
 def test_another_file_is_written_and_none_is_overwritten(tmp_path: Path, capsys: Output) -> None:
     first, second = tmp_path / 'model.yaml', tmp_path / 'new.yaml'
     first.write_text(TEXTS['block'], encoding='utf-8')
@@ -114,8 +128,12 @@ def test_another_file_is_written_and_none_is_overwritten(tmp_path: Path, capsys:
     [
         (TEXTS['block'], ['gyro_lagg'], "did you mean 'gyro_lag'?"),
         (TEXTS['block'], ['gyro_lag', '--set', 'tau'], 'write it as NAME=VALUE'),
-        (TEXTS['block'], ['gyro_lag', '--set', 'tua=1'], "'tua' is not known"),
+        (TEXTS['block'], ['gyro_lag', '--set', 'tua=1'], "did you mean 'tau'?"),
         (TEXTS['block'], ['gyro_lag', '--set', 'tau=long'], "tau is 'long'"),
+        (TEXTS['block'], ['gyro_lag', '--set', 'tau=1e999'], 'tau is inf'),
+        (TEXTS['block'], ['gyro_lag', '--set', 'tau=20ms'], 'give it in s'),
+        (TEXTS['block'], ['gyro_lag', '--set', 'prior_std=1'], "no coefficient or option 'prior_std'"),
+        (TEXTS['block'], ['turn_hysteresis', '--set', 'driven_by=sides'], 'choose from rate, side'),
         ('effects: [gyro_lag]', ['scale_cubic'], 'the first effect must be scale_factor'),
         ('usual: &usual\n- scale_factor\neffects: *usual\n', ['scale_cubic'], 'is not known'),
         (

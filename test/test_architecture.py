@@ -70,6 +70,7 @@ EFFECTS_APART = {
         'fading',
         'library',
         'model_file',
+        'quantities',
         'registry',
         'sketch',
         'traits',

@@ -13,19 +13,24 @@ from pathlib import Path
 from typing import Any
 
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
-from gyrocal_ros.effects import find_effect
-from gyrocal_ros.effects.model_file import load_model, with_entry
-from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.cli.options import complete_with
+from gyrocal_ros.effects import EFFECTS, find_effect
+from gyrocal_ros.effects.model_file import load_model, options_of, with_entry
+from gyrocal_ros.effects.quantities import coefficient_value
+from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.files import shipped, write_text_atomic
 
 EXAMPLE = """gyrocal add gyro_lag --model model.yaml
 gyrocal add covariate_bias:battery_state.current --model model.yaml -o heavier.yaml
-gyrocal add rate_saturation --set limit=1.05 --model model.yaml"""
+gyrocal add rate_saturation --set limit=60deg/s --model model.yaml"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('effect', metavar='EFFECT', help='name of the effect, see `gyrocal effects`')
+    complete_with(
+        parser.add_argument('effect', metavar='EFFECT', help='name of the effect, see `gyrocal effects`'),
+        EFFECTS,
+    )
     parser.add_argument(
         '--model',
         type=Path,
@@ -38,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='NAME=VALUE',
-        help='prior mean of a coefficient, in its unit, or an option of the effect; may be repeated',
+        help='prior mean of a coefficient, or an option of the effect, as in k=-0.57deg/s; may be repeated',
     )
     add_own_effects_option(parser)
     parser.add_argument('-o', '--out', type=Path, metavar='FILE', help='file to write (the model itself)')
@@ -70,19 +75,28 @@ def model_entry(name: str, settings: Sequence[str]) -> str | Mapping[str, Any]:
 
     Args:
         name: name of the effect.
-        settings: NAME=VALUE, where NAME is a coefficient or an option of the effect.
+        settings: NAME=VALUE, where NAME is a coefficient or an option of the effect. A value without a
+            unit is in the unit of the coefficient.
 
     Raises:
-        ConfigError: the effect does not exist, or a setting is not of this form.
+        ConfigError: the effect does not exist, or a setting is not known or has an impossible value.
     """
-    coefficients = [item.name for item in find_effect(name).coefficients]
-    means: dict[str, float | str] = {}
+    effect = find_effect(name)
+    coefficients = {item.name: item for item in effect.coefficients}
+    known = options_of(effect)
+    means: dict[str, float] = {}
     options: dict[str, float | str] = {}
     for setting in settings:
-        key, equals, value = setting.partition('=')
+        key, equals, text = (part.strip() for part in setting.partition('='))
         if not equals:
             raise ConfigError(f'is {setting!r}', where='--set', todo='write it as NAME=VALUE')
-        (means if key in coefficients else options)[key] = _number_or_text(value)
+        if key in coefficients:
+            means[key] = coefficient_value(coefficients[key], text, '--set')
+        elif key in known:
+            options[key] = _number_or_text(text)
+        else:
+            todo = did_you_mean(key, [*coefficients, *known])
+            raise ConfigError(f'{name} has no coefficient or option {key!r}', where='--set', todo=todo)
     if not settings:
         return name
     return {'name': name} | ({'prior_mean': means} if means else {}) | options

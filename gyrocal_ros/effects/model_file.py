@@ -15,7 +15,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import yaml
 
@@ -170,7 +170,9 @@ def _effect(entry: Any, where: str) -> Effect:
             number = _number(name, value, place, low)
             coefficients[name] = replace(coefficients[name], **{field: number})  # type: ignore[arg-type]
     given = {
-        name: _option(name, entry[name], default, where) for name, default in options.items() if name in entry
+        name: _option(effect, name, entry[name], default, where)
+        for name, default in options.items()
+        if name in entry
     }
     return replace(effect, coefficients=tuple(coefficients.values()), **given)  # type: ignore[type-var]
 
@@ -182,7 +184,11 @@ def options_of(effect: Effect) -> dict[str, Any]:
     return {name: getattr(effect, name) for name in names}
 
 
-def _option(name: str, value: Any, default: Any, where: str) -> Any:
+def _option(effect: Effect, name: str, value: Any, default: Any, where: str) -> Any:
+    choices = get_args(get_type_hints(type(effect))[name])  # of a Literal
+    if isinstance(default, str) and choices and value not in choices:
+        todo = f'choose from {", ".join(choices)}'
+        raise ConfigError(f'{name} of {effect.name} is {value!r}', where=where, todo=todo)
     if isinstance(default, float):
         return _number(name, value, where, -math.inf)
     if not isinstance(value, type(default)):

@@ -35,6 +35,7 @@ setup(
     ],
     # Ranges, not pins: newer OpenCV wheels insist on numpy 2, older ones work with the 1.26 of ROS 2 Jazzy.
     install_requires=[
+        'argcomplete>=3.0',
         'dash>=4.0',
         'numpy>=1.26',
         'opencv-python-headless>=4.9',

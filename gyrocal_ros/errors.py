@@ -43,5 +43,10 @@ class NotObservableError(GyrocalError):
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return the known name nearest to `name`, or all known names, as text for an error message."""
-    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
-    return f'did you mean {close[0]!r}?' if close else f'known are {", ".join(known)}'
+    near = nearest(name, known)
+    return f'did you mean {near!r}?' if near else f'known are {", ".join(known)}'
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that resembles `name` most, or None if none does."""
+    return next(iter(difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)), None)

@@ -54,7 +54,7 @@ def write_text_atomic(path: Path, text: str, *, overwrite: bool = False) -> None
     """
     path = path.resolve()
     if path.exists() and not overwrite:
-        raise GyrocalError('exists already', where=str(path), todo='choose another name or allow overwriting')
+        raise GyrocalError('exists already', where=str(path), todo='choose another name or give --overwrite')
     part = _temporary_path(path)
     with _reported_os_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -94,7 +94,7 @@ def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
         occupied = path.is_dir() and any(path.iterdir())
         if occupied and not overwrite:
             raise GyrocalError(
-                'is not empty', where=str(path), todo='choose another name or allow overwriting'
+                'is not empty', where=str(path), todo='choose another name or give --overwrite'
             )
         part = _temporary_path(path)
         part.mkdir(parents=True)

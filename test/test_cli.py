@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -76,7 +77,50 @@ def test_each_command_refuses_an_unknown_option_in_one_line(
     assert one_error_line(capsys).endswith(f'see gyrocal {name} --help')
 
 
-@pytest.mark.parametrize('arguments', [[], ['repaly'], ['--loud']])
+def test_without_arguments_the_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    shown = capsys.readouterr().out
+    assert all(f'  {name} ' in shown for name in COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'suggestion'),
+    [
+        (['repaly'], 'did you mean gyrocal replay?'),
+        (['replay', 'bag', '--ovewrite'], 'did you mean --overwrite?'),
+        (['replay', 'bag', '--modle=m.yaml'], 'did you mean --model?'),
+        (['bench', 'acuracy'], "did you mean 'accuracy'?"),
+        (['effects', 'gyro_lagg'], "did you mean 'gyro_lag'?"),
+    ],
+)
+def test_a_misspelt_name_gets_a_suggestion(
+    arguments: list[str], suggestion: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert suggestion in one_error_line(capsys)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'bounds'),
+    [
+        (['studio', '--port', '70000'], 'a whole number, 0 to 65535'),
+        (['studio', '--port', '80.5'], 'a whole number, 0 to 65535'),
+        (['studio', '--lesson', '-1'], 'a whole number, at least 0'),
+        (['simulate', 'bag', '--duration', 'nan'], '1 to 7200 s'),
+        (['simulate', 'bag', '--seed', '-1'], 'at least 0'),
+        (['bench', '--seeds', '0'], 'at least 1'),
+        (['reproduce', '--seeds', 'many'], 'at least 1'),
+    ],
+)
+def test_a_number_out_of_bounds_is_refused(
+    arguments: list[str], bounds: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    line = one_error_line(capsys)
+    assert repr(arguments[-1]) in line and bounds in line
+
+
+@pytest.mark.parametrize('arguments', [['repaly'], ['--loud'], ['qqq']])
 def test_unknown_command_is_refused_in_one_line(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -194,7 +238,7 @@ def test_a_result_folder_that_is_not_empty_is_refused_before_the_work(
 ) -> None:
     (tmp_path / 'mine.txt').write_text('mine')
     assert main(['demo', '-o', str(tmp_path)]) == 2
-    assert 'is not empty' in one_error_line(capsys)
+    assert one_error_line(capsys).endswith('is not empty; choose another name or give --overwrite')
 
 
 @pytest.mark.parametrize('command', ['check', 'replay'])
@@ -226,6 +270,32 @@ finally:
 """
     done = run_python(code)
     assert (done.returncode, done.stderr) == (0, '[]\n')
+
+
+@pytest.mark.parametrize(
+    ('line', 'expected'),
+    [
+        ('gyrocal rep', {'replay', 'reproduce'}),
+        ('gyrocal replay bag --over', {'--overwrite '}),
+        ('gyrocal add gyro_', {'gyro_lag '}),
+        ('gyrocal simulate bag --scenario furn', {'furniture '}),
+        ('gyrocal completion z', {'zsh '}),
+    ],
+)
+def test_bash_completes_commands_options_and_names(line: str, expected: set[str], tmp_path: Path) -> None:
+    answer = tmp_path / 'answer'
+    code = 'import sys; from gyrocal_ros.cli.main import main; sys.exit(main())'
+    asked = {'_ARGCOMPLETE': '1', 'COMP_LINE': line, 'COMP_POINT': str(len(line)), 'COMP_TYPE': '9'}
+    settings = {'_ARGCOMPLETE_IFS': '\n', '_ARGCOMPLETE_STDOUT_FILENAME': str(answer)}
+    subprocess.run([sys.executable, '-c', code], env=os.environ | asked | settings, timeout=60)
+    assert set(answer.read_text().split('\n')) == expected
+
+
+@pytest.mark.parametrize('shell', ['bash', 'zsh'])
+def test_the_code_of_a_shell_is_printed(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['completion', shell]) == 0
+    code = capsys.readouterr().out
+    assert 'gyrocal' in code and 'complete' in code
 
 
 def test_the_end_of_the_reader_is_not_an_error() -> None:

@@ -27,9 +27,11 @@ from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.strangers import labels as stranger_labels
 from gyrocal_ros.bench.strangers import strangers
 from gyrocal_ros.bench.tracker import tracker_accuracy
+from gyrocal_ros.cli.numbers import number, whole_number
+from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, print_row, progress
 from gyrocal_ros.cli.provenance import provenance
-from gyrocal_ros.cli.scenario_options import MAX_DURATION_S, check_bounds
+from gyrocal_ros.cli.scenario_options import MAX_DURATION_S
 from gyrocal_ros.diagnose.settings import DiagnosisSettings, differing, with_thresholds
 from gyrocal_ros.errors import GyrocalError, did_you_mean
 from gyrocal_ros.files import json_text, write_text_atomic
@@ -72,8 +74,13 @@ R = TypeVar('R')
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('what', nargs='*', metavar='WHAT', help=f'what to measure: {", ".join(BENCHES)}')
-    parser.add_argument('--seeds', type=int, default=20, help='number of recordings per case (default 20)')
+    what = parser.add_argument(
+        'what', nargs='*', metavar='WHAT', help=f'what to measure: {", ".join(BENCHES)}'
+    )
+    complete_with(what, BENCHES)
+    parser.add_argument(
+        '--seeds', type=whole_number(1), default=20, help='number of recordings per case (default 20)'
+    )
     parser.add_argument(
         '--quick', action='store_true', help='compare with the kept figures; with a name, its first case only'
     )
@@ -112,7 +119,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--seconds',
-        type=float,
+        type=number(20.0, MAX_DURATION_S, 's'),
         default=120.0,
         metavar='S',
         help='for eyes: length of a recording (120)',
@@ -132,7 +139,7 @@ def run(args: argparse.Namespace) -> None:
     """
     for name in args.what:
         if name not in BENCHES:
-            raise GyrocalError('is not a bench', where=repr(name), todo=f'choose from {", ".join(BENCHES)}')
+            raise GyrocalError('is not a bench', where=repr(name), todo=did_you_mean(name, BENCHES))
     if args.only:
         _refuse_unknown_cases(args)
     settings = _settings(args)
@@ -141,8 +148,6 @@ def run(args: argparse.Namespace) -> None:
     if args.strangers and (set(args.what) != {'blind'} or args.images or args.set):
         raise GyrocalError('is for the bench blind alone', where='--strangers', todo='name only blind')
     _refuse_wrong_scenes(args)
-    if args.seeds < 1:
-        raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
     if args.keep and (args.what or not args.quick):
         raise GyrocalError('is for `gyrocal bench --quick` only', where='--keep')
     if args.quick and not args.what:
@@ -177,7 +182,6 @@ def _refuse_wrong_scenes(args: argparse.Namespace) -> None:
         raise GyrocalError('needs images', where='--scenes', todo='name eyes, or blind with --images')
     for name in args.scenes:
         find_scene(name)
-    check_bounds('--seconds', args.seconds, 20.0, MAX_DURATION_S, 's')
 
 
 def _scenes(args: argparse.Namespace) -> tuple[str, ...]:
@@ -219,8 +223,8 @@ def _compare_with_kept(args: argparse.Namespace) -> None:
     outcomes = gate(each, load_baseline())
     if args.json:
         print_json(provenance() | {'figures': {item.name: _as_row(item) for item in outcomes}})
-    for number, item in enumerate(outcomes if not args.json else ()):
-        print_row({'figure': item.name} | _as_row(item), header=number == 0)
+    for place, item in enumerate(outcomes if not args.json else ()):
+        print_row({'figure': item.name} | _as_row(item), header=place == 0)
     left = [item.name for item in outcomes if not item.passes]
     if left:
         todo = 'fix it, or, if the change is intended, `gyrocal bench --quick --keep`'

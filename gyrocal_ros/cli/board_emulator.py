@@ -22,7 +22,8 @@ from pathlib import Path
 from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.board.protocol import TIME_WRAP
 from gyrocal_ros.cli.main import make_parser, run_program
-from gyrocal_ros.cli.scenario_options import add_scenario_options, check_bounds, scenario_source
+from gyrocal_ros.cli.numbers import number, whole_number
+from gyrocal_ros.cli.scenario_options import add_scenario_options, scenario_source
 from gyrocal_ros.config.parameter_file import load_all
 from gyrocal_ros.config.sections import BoardConfig, Config, DriverConfig
 from gyrocal_ros.data import Measurement, Span
@@ -52,27 +53,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scenario_options(parser)
     parser.add_argument('--config', type=Path, metavar='FILE', help='parameter file with the section board')
     parser.add_argument(
-        '--start-at', type=float, metavar='S', help='start time in seconds since 1970 (when it is ready)'
+        '--start-at',
+        type=number(0.0, unit='s'),
+        metavar='S',
+        help='start time in seconds since 1970 (when it is ready)',
     )
     parser.add_argument(
         '--baud-rate',
-        type=int,
+        type=whole_number(1200, 4_000_000),
         default=DriverConfig().baud_rate,
         metavar='BD',
         help='speed of the serial line (%(default)s)',
     )
     parser.add_argument(
-        '--jitter', type=float, default=0.0, metavar='S', help='maximum random delay of a frame (%(default)s)'
+        '--jitter',
+        type=number(0.0, MAX_JITTER_S, 's'),
+        default=0.0,
+        metavar='S',
+        help='maximum random delay of a frame (%(default)s)',
     )
     parser.add_argument(
         '--drift-ppm',
-        type=float,
+        type=number(-MAX_DRIFT_PPM, MAX_DRIFT_PPM, 'ppm'),
         default=30.0,
         metavar='PPM',
         help="rate error of the board's clock, positive if it is fast (%(default)s)",
     )
     parser.add_argument(
-        '--uptime', type=float, metavar='S', help="time on the board's clock at the start (drawn by the seed)"
+        '--uptime',
+        type=number(0.0, unit='s'),
+        metavar='S',
+        help="time on the board's clock at the start (drawn by the seed)",
     )
     parser.add_argument(
         '--fault',
@@ -112,9 +123,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _emulator(args: argparse.Namespace, config: Config, board: BoardConfig) -> Emulator:
-    check_bounds('--baud-rate', args.baud_rate, 1200, 4_000_000, 'Bd')
-    check_bounds('--jitter', args.jitter, 0.0, MAX_JITTER_S, 's')
-    check_bounds('--drift-ppm', args.drift_ppm, -MAX_DRIFT_PPM, MAX_DRIFT_PPM, 'ppm')
     if not all((*board.gyro_scale_factor_volt, *board.accelerometer_scale, board.temperature_scale)):
         raise ConfigError('a scale of the board is 0', where=str(args.config))
     faults = [parse_fault(text) for text in args.fault]

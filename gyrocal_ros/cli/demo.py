@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '-o', '--out', type=Path, metavar='OUT', help=f'folder for the result ({DEFAULT_FOLDER})'
     )
+    parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
 
 
@@ -38,7 +39,7 @@ def run(args: argparse.Namespace) -> None:
         load_model(None),
         {'remap': {}, 'namespace': None, 'heading_reference': None},
         out=out,
-        overwrite=args.out is None,
+        overwrite=args.overwrite or args.out is None,
     )
     if args.json:
         print_json(summary)

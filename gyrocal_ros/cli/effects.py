@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
+from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, find_effect
 from gyrocal_ros.effects.base import LibraryEffect
@@ -30,7 +31,7 @@ MAX_WIDTH = 100
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('name', nargs='?', metavar='NAME', help='effect to explain')
+    complete_with(parser.add_argument('name', nargs='?', metavar='NAME', help='effect to explain'), EFFECTS)
     add_own_effects_option(parser)
     parser.add_argument(
         '-o', '--out', type=Path, metavar='FILE', help='write a page with a figure of the effect'

@@ -9,13 +9,16 @@ calibration and figures of merit, and the final model.yaml and calibration.yaml 
 from __future__ import annotations
 
 import argparse
+import shlex
 import time
 from collections.abc import Iterator
 from itertools import count
+from pathlib import Path
 
 from gyrocal_ros.cli.bag_runs import BagRuns, add_run_options, open_bag_runs, result_folder
 from gyrocal_ros.cli.figures import draw_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, read_model
+from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, table
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.hypotheses import signal_ranges
@@ -24,12 +27,18 @@ from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
 from gyrocal_ros.diagnose.learning import learn
 from gyrocal_ros.diagnose.search import Calibrate, search, try_effect
 from gyrocal_ros.diagnose.summarise import summarise_recording
-from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibration import conclude
-from gyrocal_ros.report.describe import drift_in_words, improvement_headline, missing_headline, with_std
+from gyrocal_ros.report.describe import (
+    drift_in_words,
+    improvement_headline,
+    launch_command,
+    missing_headline,
+    with_std,
+)
 
 EXAMPLE = """gyrocal improve my_bag -o improved
 gyrocal improve my_bag --model model.yaml -o improved
@@ -46,9 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_options(parser)
     add_model_options(parser)
     which = parser.add_mutually_exclusive_group()
-    which.add_argument(
+    effect = which.add_argument(
         '--effect', metavar='NAME', help='try this effect only, even if the diagnosis does not find it'
     )
+    complete_with(effect, EFFECTS)
     which.add_argument(
         '--learn', action='store_true', help='then learn what no effect of the library explains'
     )
@@ -83,9 +93,7 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print_json(summarise_improvement(improved) | {'wall_s': time.perf_counter() - began_s})
     else:
-        print('\n'.join(as_text(improved)))
-        if args.out:
-            print(f'\nModel: {args.out / "model.yaml"}\nReport: {args.out / "report.html"}')
+        print('\n'.join([*as_text(improved), *files_as_text(args.out, improved)]))
 
 
 def _requested_effect(name: str | None, model: SensorModel) -> Effect | None:
@@ -120,6 +128,16 @@ def as_text(improved: Improvement) -> Iterator[str]:
     structure = improved.final.examined.unexplained_structure
     if structure is not None:
         yield missing_headline({}, structure)
+
+
+def files_as_text(out: Path | None, improved: Improvement) -> Iterator[str]:
+    """Yield the files that were written, and the command that gives a new model to the robot."""
+    if out is not None:
+        yield ''
+        yield f'Model: {out / "model.yaml"}'
+        yield f'Report: {out / "report.html"}'
+        if improved.final is not improved.kept[0]:
+            yield f'On the robot: {launch_command(shlex.quote(str(out.resolve())))}'
 
 
 def _row(revision: Revision) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from gyrocal_ros.cli.bag_runs import add_run_options, open_bag_runs, result_folder
 from gyrocal_ros.cli.figures import draw_if_requested
-from gyrocal_ros.cli.improve import MAX_EFFECTS, announced, as_text
+from gyrocal_ros.cli.improve import MAX_EFFECTS, announced, as_text, files_as_text
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json
 from gyrocal_ros.diagnose.hypotheses import signal_ranges
@@ -87,9 +87,16 @@ def run(args: argparse.Namespace) -> None:
         summary = summarise_improvement(improved) | {'learned': summarise_laws(laws)}
         print_json(summary | {'wall_s': time.perf_counter() - began_s})
     else:
-        print('\n'.join([*as_text(improved), *_laws_as_text(learned, laws), *written]))
-        if args.out:
-            print(f'\nModel: {args.out / "model.yaml"}\nReport: {args.out / "report.html"}')
+        print(
+            '\n'.join(
+                [
+                    *as_text(improved),
+                    *_laws_as_text(learned, laws),
+                    *written,
+                    *files_as_text(args.out, improved),
+                ]
+            )
+        )
 
 
 def requested(args: argparse.Namespace) -> tuple[str, ...]:

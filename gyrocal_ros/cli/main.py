@@ -20,10 +20,10 @@ import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from types import ModuleType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from gyrocal_ros import __version__
-from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.errors import GyrocalError, nearest
 
 COMMANDS = {
     'demo': 'calibrate on the bag that comes with the package and show the result',
@@ -40,12 +40,24 @@ COMMANDS = {
     'reveal': 'open the sealed answer of a simulated bag',
     'reproduce': 'reproduce the figures of the paper',
     'bench': 'measure speed and accuracy',
+    'completion': 'complete commands and options with the Tab key, in bash or zsh',
 }
 """Names and descriptions of the commands, in the order of `gyrocal --help`."""
 
 
 class ArgumentParser(argparse.ArgumentParser):
     """An argparse parser that raises GyrocalError, so that a wrong argument is reported in one line."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse arguments; for an unknown option, suggest the one that resembles it."""
+        parsed, unknown = self.parse_known_args(args, namespace)
+        if not unknown:
+            return parsed
+        name, _, _ = unknown[0].partition('=')
+        flags = [flag for action in self._actions for flag in action.option_strings]
+        near = nearest(name, flags) if name.startswith('-') else None
+        hint = f'did you mean {near}? ' if near else ''
+        raise GyrocalError(f'unknown argument {unknown[0]!r}', todo=f'{hint}see {self.prog} --help')
 
     def error(self, message: str) -> NoReturn:
         """Raise an error of argparse as a GyrocalError."""
@@ -54,6 +66,8 @@ class ArgumentParser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `gyrocal` and return its exit status."""
+    if '_ARGCOMPLETE' in os.environ:  # the shell asks what may come next
+        importlib.import_module('gyrocal_ros.cli.completion').complete(os.environ['COMP_LINE'], COMMANDS)
     arguments = sys.argv[1:] if argv is None else list(argv)
     return run_program('gyrocal', lambda: _run(arguments))
 
@@ -113,7 +127,14 @@ def make_parser(program: str, module: ModuleType) -> ArgumentParser:
 
 
 def _run(arguments: list[str]) -> None:
-    name = _main_parser().parse_args(arguments[:1]).command
+    if not arguments:
+        _main_parser().print_help()
+        return
+    name: str = _main_parser().parse_args(arguments[:1]).command
+    if name not in COMMANDS:
+        near = nearest(name, COMMANDS)
+        hint = f'did you mean gyrocal {near}? ' if near else ''
+        raise GyrocalError(f'there is no command {name!r}', todo=f'{hint}see gyrocal --help')
     args = command_parser(name).parse_args(arguments[1:])
     importlib.import_module(f'gyrocal_ros.cli.{name}').run(args)
 
@@ -137,7 +158,7 @@ def _main_parser() -> ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument('--version', action='version', version=f'gyrocal {__version__}')
-    parser.add_argument('command', choices=COMMANDS, metavar='COMMAND', help='what to do, see below')
+    parser.add_argument('command', nargs='?', metavar='COMMAND', help='what to do, see below')
     return parser
 
 

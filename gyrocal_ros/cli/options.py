@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
@@ -57,6 +58,16 @@ def add_images_option(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='track features in the images even if the bag contains features',
     )
+
+
+def complete_with(action: argparse.Action, names: Iterable[str]) -> None:
+    """Let the shell complete the value of an argument.
+
+    Args:
+        action: the argument, as `add_argument` returns it.
+        names: the possible values.
+    """
+    vars(action)['completer'] = lambda **_: names
 
 
 def read_config(args: argparse.Namespace) -> Config:

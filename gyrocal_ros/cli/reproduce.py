@@ -16,6 +16,8 @@ from typing import Any, TypeVar
 
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.bench.paper.catalogue import EXPERIMENTS, PaperResult
+from gyrocal_ros.cli.numbers import whole_number
+from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, progress
 from gyrocal_ros.cli.provenance import provenance
 from gyrocal_ros.errors import GyrocalError, did_you_mean
@@ -31,11 +33,15 @@ R = TypeVar('R')
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
+    names = parser.add_argument(
         'names', nargs='*', metavar='NAME', help=f'figure or table: {", ".join(EXPERIMENTS)} (all)'
     )
+    complete_with(names, EXPERIMENTS)
     parser.add_argument(
-        '--seeds', type=int, metavar='N', help='number of runs of each, in place of its usual number'
+        '--seeds',
+        type=whole_number(1),
+        metavar='N',
+        help='number of runs of each, in place of its usual number',
     )
     parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the page and the numbers')
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
@@ -49,8 +55,6 @@ def run(args: argparse.Namespace) -> None:
         GyrocalError: a name is not known, or the folder may not be written.
     """
     names = _names(args.names)
-    if args.seeds is not None and args.seeds < 1:
-        raise GyrocalError(f'is {args.seeds}', where='--seeds', todo='give at least 1')
     with new_folder(args.out, overwrite=args.overwrite) if args.out else nullcontext() as folder:
         results = {name: _reproduce(name, args.seeds, to_text=not args.json) for name in names}
         document = _document(results, args.seeds)

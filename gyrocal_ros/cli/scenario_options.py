@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import math
 from dataclasses import replace
 
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
-from gyrocal_ros.effects import find_effect
+from gyrocal_ros.cli.numbers import number, whole_number
+from gyrocal_ros.cli.options import complete_with
+from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.effects.base import LibraryEffect
-from gyrocal_ros.errors import ConfigError, GyrocalError, did_you_mean
+from gyrocal_ros.effects.quantities import coefficient_value
+from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.sensor import Effect, RelativeEffect
 from gyrocal_ros.sim.hidden import (
     UNKNOWN_TO_THE_LIBRARY,
@@ -32,15 +34,25 @@ def add_scenario_options(parser: argparse.ArgumentParser) -> argparse._MutuallyE
         The group of `--effect`, for options that exclude it.
     """
     scenarios = '; '.join(f'{name}: {scenario.about}' for name, scenario in SCENARIOS.items())
-    parser.add_argument('--scenario', default='cleaning', metavar='NAME', help=f'{scenarios} (%(default)s)')
+    scenario = parser.add_argument(
+        '--scenario', default='cleaning', metavar='NAME', help=f'{scenarios} (%(default)s)'
+    )
+    complete_with(scenario, SCENARIOS)
     parser.add_argument(
-        '--seed', type=int, default=0, metavar='N', help='seed of all random numbers (%(default)s)'
+        '--seed',
+        type=whole_number(0),
+        default=0,
+        metavar='N',
+        help='seed of all random numbers (%(default)s)',
     )
     parser.add_argument(
-        '--duration', type=float, metavar='S', help='length in seconds (that of the scenario)'
+        '--duration',
+        type=number(1.0, MAX_DURATION_S, 's'),
+        metavar='S',
+        help='length in seconds (that of the scenario)',
     )
     effects = parser.add_mutually_exclusive_group()
-    effects.add_argument(
+    effect = effects.add_argument(
         '--effect',
         action='append',
         default=[],
@@ -48,6 +60,7 @@ def add_scenario_options(parser: argparse.ArgumentParser) -> argparse._MutuallyE
         help='give the robot a physical effect, with values in the units of `gyrocal effects` or, without '
         'values, of a usual size; may be repeated',
     )
+    complete_with(effect, EFFECTS)
     add_own_effects_option(parser)
     return effects
 
@@ -68,8 +81,6 @@ def scenario_source(
     """
     load_own_effects(args)
     duration_s = scenario.duration_s if args.duration is None else args.duration
-    check_bounds('--duration', duration_s, 1.0, MAX_DURATION_S, 's')
-    check_bounds('--seed', args.seed, 0, math.inf)
     drawn = [parse_effect(text) for text in args.effect]
     scale_factor = scenario.errors.scale_factor
     if hidden:
@@ -103,21 +114,8 @@ def parse_effect(text: str) -> DrawnEffect:
                 todo = did_you_mean(one, known)
                 raise ConfigError(f'{name} has no coefficient {one!r}', where='--effect', todo=todo)
         parts = [named.get(item.name, f'{item.prior_mean}') for item in effect.coefficients]
-    try:
-        values = tuple(map(float, parts))
-    except ValueError:
-        values = (math.nan,)
-    if not all(map(math.isfinite, values)):
-        raise ConfigError(f'{given!r} is not a list of numbers', where=f'--effect {name}', todo='see --help')
-    return DrawnEffect(name, values)
-
-
-def check_bounds(option: str, value: float, low: float, high: float, unit: str = '') -> None:
-    """Check that the value of an option is within its bounds.
-
-    Raises:
-        GyrocalError: it is not.
-    """
-    if not low <= value <= high:
-        bounds = f'at least {low:g}' if math.isinf(high) else f'{low:g} to {high:g}'
-        raise GyrocalError(f'is {value:g}', where=option, todo=f'give {bounds} {unit}'.rstrip())
+    if len(parts) != len(effect.coefficients):
+        names = ','.join(f'{item.name}:VALUE' for item in effect.coefficients)
+        raise ConfigError(f'{given!r} has {len(parts)} values', where='--effect', todo=f'give {name}={names}')
+    pairs = zip(effect.coefficients, parts, strict=True)
+    return DrawnEffect(name, tuple(coefficient_value(item, part, f'--effect {name}') for item, part in pairs))

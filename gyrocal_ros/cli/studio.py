@@ -19,6 +19,7 @@ from typing import Any
 
 from gyrocal_ros.bag.storage import bags_in, is_bag
 from gyrocal_ros.cli.model_options import add_model_options, read_model
+from gyrocal_ros.cli.numbers import whole_number
 from gyrocal_ros.cli.options import add_images_option, add_topic_options, bag_options, read_config
 from gyrocal_ros.cli.output import print_message, warn
 from gyrocal_ros.errors import GyrocalError, RecordingError
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--lesson',
-        type=int,
+        type=whole_number(0),
         metavar='SEED',
         help='start with a simulated robot with hidden effects, drawn by this seed',
     )
@@ -56,7 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--host', default='127.0.0.1', help='address to listen on (%(default)s)')
     parser.add_argument(
-        '--port', type=int, default=PORT, help='port to listen on, 0 for any free one (%(default)s)'
+        '--port',
+        type=whole_number(0, 65535),
+        default=PORT,
+        help='port to listen on, 0 for any free one (%(default)s)',
     )
     parser.add_argument('--no-browser', action='store_true', help='do not open a browser')
 

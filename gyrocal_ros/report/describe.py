@@ -197,6 +197,12 @@ def drift_in_words(drift: BlindDrift) -> str:
     return f'{drift.rms_deg:.2f} ({low:.2f} {above})'
 
 
+def launch_command(folder: str) -> str:
+    """Return the command that starts the robot with the model and the calibration in a folder."""
+    files = f'model:={folder}/model.yaml calibration:={folder}/calibration.yaml'
+    return f'ros2 launch gyrocal_ros robot.launch.py {files}'
+
+
 def number(value: float, form: str = '.2f') -> str:
     """Return a number, or a dash where it is not finite."""
     return f'{value:{form}}' if math.isfinite(value) else '-'

@@ -21,6 +21,7 @@ from gyrocal_ros.report.describe import (
     drift_in_words,
     events_in_words,
     improvement_headline,
+    launch_command,
     with_gain,
 )
 from gyrocal_ros.report.diagnosis_figures import heading_section
@@ -81,7 +82,7 @@ def conclusion(improved: Improvement) -> Verdict:
         result = f'{drifts} {before} deg ({against}).'
         return Verdict('good', improvement_headline(improved), (result, *tried))
     result = f'{drifts} {after} deg; before, it was {before} deg ({against}).'
-    todo = 'Give the robot the new model.yaml and calibration.yaml of this folder.'
+    todo = f'Give the robot the new model; in this folder: {launch_command("$PWD")}'
     return Verdict('good', improvement_headline(improved), (result, *tried), (todo,))
 
 

@@ -152,10 +152,10 @@ def test_the_answer_holds_the_truth_of_the_source() -> None:
     ('option', 'message'),
     [
         ('gyro_lagg=0.1', "did you mean 'gyro_lag'?"),
-        ('gyro_lag=0.1,0.2', 'needs 1 values, not 2'),
+        ('gyro_lag=0.1,0.2', 'has 2 values; give gyro_lag=tau:VALUE'),
         ('gyro_lag=tu:0.1', "no coefficient 'tu'; did you mean 'tau'?"),
-        ('gyro_lag=', 'not a list of numbers'),
-        ('gyro_lag=nan', 'not a list of numbers'),
+        ('gyro_lag=', "tau is ''; give a number in s"),
+        ('gyro_lag=nan', "tau is 'nan'"),
         ('stranger_knock', 'give it, as in stranger_knock=VALUE'),
         ('covariate_bias:fan_speed.data', 'has no usual size'),
         ('covariate_bias:fan_sped.data=1e-6', "did you mean 'fan_speed.data'?"),

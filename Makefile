@@ -3,6 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+DOCS := $(VENV)/.docs
 
 # The first interpreter that is new enough and can make virtual environments.
 PYTHON ?= $(firstword $(shell for python in python3.12 python3.11 python3 python3.13 python3.14; do \
@@ -12,7 +13,7 @@ PYTHON ?= $(firstword $(shell for python in python3.12 python3.11 python3 python
 unexport PYTHONPATH
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help venv demo test quick gate lint types format clean
+.PHONY: help venv demo test quick gate lint types format docs transcripts clean
 
 help:
 	@echo 'make demo    calibrate on the bag that comes with the package'
@@ -22,6 +23,8 @@ help:
 	@echo 'make lint    ruff: rules and formatting'
 	@echo 'make types   mypy'
 	@echo 'make format  let ruff format the code'
+	@echo 'make docs    build the documentation as a web site, build/site/index.html'
+	@echo 'make transcripts  run the commands of the documentation and compare what they print; takes minutes'
 	@echo 'make venv    set up .venv alone; its bin/gyrocal is the command'
 	@echo 'make clean   remove .venv and the caches'
 
@@ -55,6 +58,17 @@ format: $(READY)
 
 types: $(READY)
 	$(BIN)/mypy gyrocal_ros test
+
+$(DOCS): $(READY)
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	@touch $@
+
+docs: $(DOCS)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo 'build/site/index.html'
+
+transcripts: $(READY)
+	$(BIN)/python test/transcripts.py
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache *.egg-info build

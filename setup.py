@@ -49,6 +49,7 @@ setup(
     extras_require={
         'test': TEST,
         'png': PNG,
+        'docs': ['mkdocs>=1.6,<2', 'mkdocs-material>=9.5,<10', 'mkdocstrings[python]>=0.26'],
         'dev': [*TEST, *PNG, 'mypy>=1.10', 'playwright>=1.40', 'ruff>=0.8', 'types-PyYAML', 'types-tqdm'],
     },
     entry_points={

@@ -7,8 +7,10 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 from gyrocal_ros.cli.main import COMMANDS, command_parser
 
@@ -41,6 +43,13 @@ def links(page: Path) -> list[str]:
     """Return the links of a page into this repository."""
     targets = [target.partition('#')[0] for target in LINK.findall(page.read_text(encoding='utf-8'))]
     return [target for target in targets if target and '://' not in target]
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of the headings of a page."""
+    text = re.sub(r'^```.*?^```', '', page.read_text(encoding='utf-8'), flags=re.DOTALL | re.MULTILINE)
+    headings = re.findall(r'^#+ (.*)$', text, re.MULTILINE)
+    return {re.sub(r'[^\w\- ]', '', heading.lower()).replace(' ', '-') for heading in headings}
 
 
 def check(command: str) -> None:
@@ -89,6 +98,31 @@ def test_commands_are_found_in_every_kind_of_code() -> None:
 def test_every_link_has_a_target(page: Path) -> None:
     missing = [target for target in links(page) if not (page.parent / target).exists()]
     assert not missing
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_every_link_to_a_heading_has_one(page: Path) -> None:
+    for target in LINK.findall(page.read_text(encoding='utf-8')):
+        name, _, anchor = target.partition('#')
+        if anchor and '://' not in name:
+            assert anchor in anchors(page.parent / name if name else page), target
+
+
+def test_the_readme_and_the_site_have_every_page() -> None:
+    pages = {f'docs/{page.name}' for page in (ROOT / 'docs').glob('*.md')} - {'docs/index.md'}
+    assert pages <= set(links(ROOT / 'README.md'))
+    assert {page.removeprefix('docs/') for page in pages} <= set(links(ROOT / 'docs/index.md'))
+    site = yaml.safe_load((ROOT / 'mkdocs.yml').read_text(encoding='utf-8'))
+    assert pages <= {f'docs/{name}' for name in names_in(site['nav'])}
+
+
+def names_in(nav: Any) -> Iterator[str]:
+    """Yield the pages of the navigation of the site."""
+    if isinstance(nav, str):
+        yield nav
+    else:
+        for item in nav.values() if isinstance(nav, dict) else nav:
+            yield from names_in(item)
 
 
 def test_every_picture_is_small_and_used() -> None:

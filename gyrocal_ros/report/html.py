@@ -10,6 +10,7 @@ from itertools import groupby
 from typing import Any
 
 from gyrocal_ros.report.describe import Verdict
+from gyrocal_ros.report.glossary import with_terms
 from gyrocal_ros.report.plot import plotly_js, to_fragment
 
 FIGURE_HELP = 'In the figures: drag to zoom in, double-click to see all, click a name to hide it.'
@@ -35,7 +36,7 @@ def document(title: str, about: str, parts: Iterable[str]) -> str:
         about: one line below it, plain text.
         parts: pieces of HTML in their order.
     """
-    body = '\n'.join(part for part in parts if part)
+    body = with_terms('\n'.join(part for part in parts if part))
     return PAGE.format(title=escape(title), about=escape(about), style=STYLE, library=plotly_js(), body=body)
 
 
@@ -135,6 +136,9 @@ body { margin: 0 auto; padding: 1.5rem clamp(1rem, 3vw, 2.5rem) 4rem; max-width:
 h1 { font-size: 1.6rem; margin: 0; overflow-wrap: anywhere; }
 h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; }
 .note { max-width: 110ch; }
+.term { color: inherit; text-decoration: underline dotted; text-underline-offset: .2em; }
+dt { font-weight: 600; margin-top: .6rem; } dd { margin: 0; max-width: 90ch; }
+dt:target { outline: 2px solid var(--found); }
 .about, .note, figcaption { color: var(--faint); font-size: .9rem; }
 .about { margin: .2rem 0 1.2rem; }
 .verdict { background: var(--card); border-left: 6px solid; padding: 1rem 1.3rem; border-radius: 6px; }

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob('*.md'), *ROOT.glob('docs/*.md'), *ROOT.glob('bags/*.md')])
 CODE = re.compile(r'^```\w*\n(.*?)^```|^ {4}(\S.*)$|`([^`\n]+)`', re.DOTALL | re.MULTILINE)
 """Code in Markdown: a fenced block, an indented line, or text between backticks."""
-COMMAND = re.compile(r'\bgyrocal ([a-z][^`\n]*)')
+COMMAND = re.compile(r'\bgyrocal ([a-z][^`\n)]*)')
 TARGET = re.compile(r'^make ([a-z]+)', re.MULTILINE)
 LINK = re.compile(r'\]\(([^)\s]+)\)')
 MAKEFILE = (ROOT / 'Makefile').read_text(encoding='utf-8')

@@ -20,6 +20,8 @@ ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r'^```text\n(.*?)^```', re.DOTALL | re.MULTILINE)
 OMITTED = '...'
 NUMBER = re.compile(r'[-+]?\d+\.?\d*(?:e[-+]?\d+)?')
+CLOSE = 0.8
+"""Similarity from which a printed line is taken for a line of the page whose words have changed."""
 RELATIVE = 0.02
 """Tolerance of a number, with two units of its last digit: another processor rounds differently."""
 
@@ -56,7 +58,7 @@ def agree(expected: Sequence[str], printed: Sequence[str]) -> bool:
 
 def same_line(expected: str, printed: str) -> bool:
     """Return True if two lines have the same words, and numbers that differ by rounding only."""
-    if NUMBER.sub('#', ' '.join(expected.split())) != NUMBER.sub('#', ' '.join(printed.split())):
+    if blank(expected) != blank(printed):
         return False
     pairs = zip(NUMBER.findall(expected), NUMBER.findall(printed), strict=True)
     return all(abs(float(a) - float(b)) <= RELATIVE * abs(float(a)) + last_digit(a) for a, b in pairs)
@@ -78,22 +80,51 @@ def run(step: Step, folder: Path) -> list[str]:
     return done.stdout.rstrip().splitlines() if done.returncode == 0 else [done.stderr]
 
 
-def main(names: Sequence[str]) -> int:
-    """Run the transcripts of some pages, or of all; print the differences and return their number."""
-    failures = 0
-    for page in [Path(name) for name in names] or sorted([ROOT / 'README.md', *ROOT.glob('docs/*.md')]):
-        with tempfile.TemporaryDirectory() as folder:
-            for step in steps(page.read_text(encoding='utf-8')):
-                printed = run(step, Path(folder))
-                is_same = agree(step.output, printed)
-                print(f'{page.name}: {"same" if is_same else "DIFFERS"}: {step.command}', flush=True)
-                if not is_same:
-                    failures += 1
-                    print(
-                        '\n'.join(difflib.unified_diff(step.output, printed, 'page', 'printed', lineterm=''))
-                    )
+def renewed(expected: Sequence[str], printed: Sequence[str]) -> list[str]:
+    """Return the lines of a transcript as the command prints them now, omitting what was omitted."""
+    lines, start = [], 0
+    for line in expected:
+        close = difflib.get_close_matches(blank(line), map(blank, printed[start:]), n=1, cutoff=CLOSE)
+        if line != OMITTED and line and close:
+            place = next(i for i in range(start, len(printed)) if blank(printed[i]) == close[0])
+            line, start = printed[place], place + 1
+        lines.append(line)
+    return lines
+
+
+def blank(line: str) -> str:
+    """Return a line with a sign in place of each number."""
+    return NUMBER.sub('#', ' '.join(line.split()))
+
+
+def check(page: Path, update: bool) -> int:
+    """Run the transcripts of a page, print the differences and return their number."""
+    text, failures = page.read_text(encoding='utf-8'), 0
+    with tempfile.TemporaryDirectory() as folder:
+        for step in steps(text):
+            printed = run(step, Path(folder))
+            is_same = agree(step.output, printed)
+            print(f'{page.name}: {"same" if is_same else "DIFFERS"}: {step.command}', flush=True)
+            if not is_same:
+                failures += 1
+                changes = difflib.unified_diff(step.output, printed, 'page', 'printed', lineterm='')
+                print('\n'.join(changes), flush=True)
+                old, new = (
+                    '\n'.join([f'$ {step.command}', *lines])
+                    for lines in (step.output, renewed(step.output, printed))
+                )
+                text = text.replace(old, new, 1)
+    if update:
+        page.write_text(text, encoding='utf-8')
     return failures
 
 
+def main(arguments: Sequence[str]) -> int:
+    """Check some pages, or all; with `--update`, write what the commands print into them."""
+    names = [name for name in arguments if name != '--update']
+    pages = [Path(name) for name in names] or sorted([ROOT / 'README.md', *ROOT.glob('docs/*.md')])
+    return min(sum(check(page, '--update' in arguments) for page in pages), 1)
+
+
 if __name__ == '__main__':
-    sys.exit(min(main(sys.argv[1:]), 1))
+    sys.exit(main(sys.argv[1:]))

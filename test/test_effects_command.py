@@ -5,12 +5,21 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gyrocal_ros.cli.main import main
-from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS
+from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, find_effect
+from gyrocal_ros.effects.sketch import MAX_LINES, sketch
 
 Output = pytest.CaptureFixture[str]
+
+
+LEARNED = [
+    *('bias_curve:rate', 'bias_curve:heading', 'scale_curve:force_y', 'bias_curve:battery_state.voltage'),
+    *('bias_memory:dynamics', 'bias_memory:temperature', 'scale_memory:start', 'bias_memory:fan.data'),
+    *('bias_map:place', 'scale_step:time'),
+]
 
 
 def test_the_list_has_a_line_for_every_effect(capsys: Output) -> None:
@@ -32,7 +41,8 @@ def test_the_list_as_json(capsys: Output) -> None:
 
 
 @pytest.mark.parametrize(
-    'name', [*EFFECTS, *COVARIATE_EFFECTS, 'covariate_bias:fan_speed.data', 'scale_power_4']
+    'name',
+    [*EFFECTS, *COVARIATE_EFFECTS, 'covariate_bias:fan_speed.data', 'scale_power_4', *LEARNED],
 )
 def test_every_effect_has_a_description(name: str, capsys: Output) -> None:
     assert main(['effects', name]) == 0
@@ -54,6 +64,13 @@ def test_the_page_of_an_effect(tmp_path: Path, capsys: Output) -> None:
     assert 'exists already' in capsys.readouterr().err
     assert main(['effects', 'gyro_lag', '-o', str(page), '--overwrite', '--json']) == 0
     assert json.loads(capsys.readouterr().out)['name'] == 'gyro_lag'
+
+
+@pytest.mark.parametrize('name', LEARNED)
+def test_the_sketch_of_a_learned_effect_shows_something(name: str) -> None:
+    drawn = sketch(find_effect(name))
+    assert 0 < len(drawn.lines) <= MAX_LINES
+    assert all(np.any(line) and np.all(np.isfinite(line)) for line in drawn.lines.values())
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,15 @@ from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.diagnose.closed_forms import LearnedCurve, closed_forms
-from gyrocal_ros.diagnose.hypotheses import AMPLITUDES, Law, carried_by, laws, rank_laws, signal_ranges
+from gyrocal_ros.diagnose.hypotheses import (
+    AMPLITUDES,
+    Law,
+    carried_by,
+    law_names,
+    laws,
+    rank_laws,
+    signal_ranges,
+)
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
 from gyrocal_ros.diagnose.search import Search, examine
 from gyrocal_ros.diagnose.summarise import summarise_recording
@@ -29,6 +37,7 @@ from gyrocal_ros.effects.learned import curve, memory
 from gyrocal_ros.effects.learned.curve import prior_stds
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
@@ -111,9 +120,9 @@ class TestRanking:
         assert {'bias_curve:rate', 'bias_curve:heading', 'bias_map:place', 'scale_step:time'} <= names
         assert 'scale_curve:rate' not in names, 'that is a bias over the rate'
         assert {name.partition(':')[0] for name in names} == LEARNED_EFFECTS.keys()
-        some = laws(run, ranges, ['bias_curve:rate', 'bias_map'])
+        some = laws(run, ranges, ['bias_curve:rate', 'bias_map:place'])
         assert [law.effect.name for law in some] == ['bias_curve:rate', 'bias_map:place']
-        steps = laws(run, ranges, ['bias_step'])
+        steps = laws(run, ranges, ['bias_step:time'])
         assert len(steps) > 1 and len(carried_by(steps)) == 1
 
 
@@ -222,22 +231,55 @@ class TestLearning:
 # --- the command --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ('kind', 'follows', 'acts_on', 'names'),
-    [
-        (None, None, 'bias', ()),
-        ('curve', None, 'bias', ('bias_curve', 'scale_curve')),
-        ('map', None, 'bias', ('bias_map',)),
-        ('step', None, 'bias', ('bias_step', 'scale_step')),
-        (None, 'heading', 'bias', ('bias_curve:heading',)),
-        ('memory', 'turn_side', 'bias', ('bias_memory:turn_side',)),
-        ('curve', 'temperature', 'scale', ('scale_curve:temperature',)),
-    ],
-)
-def test_what_is_requested(
-    kind: str | None, follows: str | None, acts_on: str, names: tuple[str, ...]
-) -> None:
-    assert requested(argparse.Namespace(kind=kind, follows=follows, acts_on=acts_on)) == names
+RANGES = {'rate': (-1.0, 1.0), 'force_y': (-1.0, 1.0), 'temperature': (20.0, 30.0), 'fan.data': (0.0, 9.0)}
+
+
+def request(**given: str) -> tuple[str, ...]:
+    args = argparse.Namespace(**{'kind': None, 'follows': None, 'acts_on': None} | given)
+    return requested(args, law_names(RANGES))
+
+
+class TestWhatIsRequested:
+    def test_nothing_in_particular(self) -> None:
+        assert request() == ()
+
+    @pytest.mark.parametrize(
+        ('given', 'names'),
+        [
+            ({'kind': 'map'}, {'bias_map:place'}),
+            ({'kind': 'step'}, {'bias_step:time', 'scale_step:time'}),
+            ({'kind': 'step', 'acts_on': 'scale'}, {'scale_step:time'}),
+            ({'follows': 'heading'}, {'bias_curve:heading'}),
+            ({'kind': 'memory', 'follows': 'turn_side'}, {'bias_memory:turn_side'}),
+            ({'kind': 'curve', 'follows': 'temperature', 'acts_on': 'scale'}, {'scale_curve:temperature'}),
+            (
+                {'follows': 'fan.data'},
+                {'bias_curve:fan.data', 'scale_curve:fan.data', 'bias_memory:fan.data'},
+            ),
+        ],
+    )
+    def test_a_part_of_what_the_recording_allows(self, given: dict[str, str], names: set[str]) -> None:
+        assert set(request(**given)) == names
+
+    @pytest.mark.parametrize(
+        ('given', 'remedy'),
+        [
+            ({'follows': 'headng'}, "did you mean 'heading'"),
+            ({'follows': 'xyzzy'}, 'known are rate, force_y'),
+            ({'kind': 'map', 'follows': 'rate'}, 'known are place'),
+            ({'kind': 'map', 'acts_on': 'scale'}, 'leave one of them out'),
+        ],
+    )
+    def test_what_it_does_not_allow(self, given: dict[str, str], remedy: str) -> None:
+        with pytest.raises(ConfigError, match=remedy) as raised:
+            request(**given)
+        assert all(value in str(raised.value) for value in given.values())
+
+
+def test_every_law_is_offered_by_its_name() -> None:
+    names = law_names(RANGES)
+    assert len(set(names)) == len(names)
+    assert all(find_effect(name).name == name for name in names)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gyrocal_ros.cli.bag_runs import add_run_options, open_bag_runs, result_folder
@@ -19,7 +19,7 @@ from gyrocal_ros.cli.figures import draw_if_requested
 from gyrocal_ros.cli.improve import MAX_EFFECTS, announced, as_text, files_as_text
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json
-from gyrocal_ros.diagnose.hypotheses import signal_ranges
+from gyrocal_ros.diagnose.hypotheses import law_names, signal_ranges
 from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.json_summary import summarise_improvement
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws, summarise_laws
@@ -27,7 +27,7 @@ from gyrocal_ros.diagnose.learning import Learned, is_missing_something, learn
 from gyrocal_ros.diagnose.search import Search, examine, search
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects.learned.as_effect import effect_source
-from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.files import write_text_atomic
 from gyrocal_ros.report.laws import law_in_words
 
@@ -38,6 +38,7 @@ gyrocal learn my_bag --follows battery_state.current --as-effect my_effects.py
 gyrocal replay another_bag --model learned/model.yaml"""
 
 KINDS = ('curve', 'memory', 'map', 'step')
+OF = ('bias', 'scale')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,10 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_options(parser)
     add_model_options(parser)
     parser.add_argument(
-        '--follows', metavar='SIGNAL', help='learn this only: rate, heading, force_y, temperature, a signal'
+        '--follows',
+        metavar='SIGNAL',
+        help='learn only what follows rate, heading, force_y, temperature, a recorded signal, ...',
     )
-    parser.add_argument('--acts-on', choices=('bias', 'scale'), default='bias', help='with --follows: bias')
-    parser.add_argument('--kind', choices=KINDS, help='with or without --follows: learn this kind only')
+    parser.add_argument('--acts-on', choices=OF, help='learn only what this follows')
+    parser.add_argument('--kind', choices=KINDS, help='learn this kind only')
     parser.add_argument(
         '--as-effect', type=Path, metavar='FILE', help='write the best closed form as an effect of your own'
     )
@@ -61,7 +64,7 @@ def run(args: argparse.Namespace) -> None:
         GyrocalError: the bag or the model cannot be used, or OUT or FILE cannot be written.
     """
     began_s = time.perf_counter()
-    model, only = read_model(args), requested(args)
+    model = read_model(args)
     if args.as_effect and args.as_effect.exists() and not args.overwrite:
         raise ConfigError(
             'exists already', where=str(args.as_effect), todo='name another file or --overwrite'
@@ -69,11 +72,13 @@ def run(args: argparse.Namespace) -> None:
     with result_folder(args) as folder:
         runs = open_bag_runs(args, model)
         recorded, calibrate = summarise_recording(runs.source), announced(runs)
+        ranges = signal_ranges(runs.source)
+        only = requested(args, law_names(ranges))
         if only:
             searched = Search(examine(model, recorded, calibrate), ())
         else:
             searched = search(model, recorded, calibrate, MAX_EFFECTS)
-        learned = learn(searched, recorded, signal_ranges(runs.source), calibrate, only)
+        learned = learn(searched, recorded, ranges, calibrate, only)
         improved, laws = improvement(learned.searched), list(learned_laws(learned.searched.last))
         if folder is not None:
             # Only a page needs the plotting library.
@@ -85,6 +90,7 @@ def run(args: argparse.Namespace) -> None:
         written = _written(args, laws)
     if args.json:
         summary = summarise_improvement(improved) | {'learned': summarise_laws(laws)}
+        summary |= {'given_up': learned.given_up}
         print_json(summary | {'wall_s': time.perf_counter() - began_s})
     else:
         print(
@@ -99,19 +105,39 @@ def run(args: argparse.Namespace) -> None:
         )
 
 
-def requested(args: argparse.Namespace) -> tuple[str, ...]:
-    """Return the kinds or names of laws that are requested; empty for all.
+def requested(args: argparse.Namespace, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the laws that are requested; empty for all.
+
+    Args:
+        args: arguments of the command.
+        names: laws that the recording allows, such as `bias_curve:rate`.
 
     Raises:
         ConfigError: there is no such law.
     """
-    if args.kind == 'map':
-        return ('bias_map',)
-    if args.kind == 'step':
-        return ('bias_step', 'scale_step') if args.follows is None else (f'{args.acts_on}_step',)
-    if args.follows is None:
-        return () if args.kind is None else (f'bias_{args.kind}', f'scale_{args.kind}')
-    return (f'{args.acts_on}_{args.kind or "curve"}:{args.follows}',)
+    if args.kind is None and args.acts_on is None and args.follows is None:
+        return ()
+    wanted = []
+    for name in names:
+        kind, _, signal = name.partition(':')
+        of, _, shape = kind.partition('_')
+        if args.kind in (None, shape) and args.acts_on in (None, of):
+            wanted.append((name, signal))
+    chosen = tuple(name for name, signal in wanted if args.follows in (None, signal))
+    if not chosen:
+        where = ' '.join(
+            f'{flag} {value}'
+            for flag, value in (
+                ('--kind', args.kind),
+                ('--acts-on', args.acts_on),
+                ('--follows', args.follows),
+            )
+            if value is not None
+        )
+        signals = list(dict.fromkeys(signal for _, signal in wanted))
+        todo = did_you_mean(args.follows, signals) if signals else 'leave one of them out'
+        raise ConfigError('no such law can be learned from this recording', where=where, todo=todo)
+    return chosen
 
 
 def _laws_as_text(learned: Learned, laws: list[LearnedLaw]) -> Iterator[str]:
@@ -123,6 +149,8 @@ def _laws_as_text(learned: Learned, laws: list[LearnedLaw]) -> Iterator[str]:
             if contradicts
             else 'Nothing was learned: the recording does not contradict the model.'
         )
+    if learned.given_up:
+        yield f'Not needed any more: {", ".join(learned.given_up)}, which the library had added.'
     for law in laws:
         yield from law_in_words(law)
 

@@ -32,7 +32,7 @@ from gyrocal_ros.effects.learned.curve import prior_stds as curve_stds
 from gyrocal_ros.effects.learned.memory import TAUS_S
 from gyrocal_ros.effects.learned.place_map import LENGTHS as MAP_LENGTHS
 from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
-from gyrocal_ros.effects.learned.signals import HEADING, RATE
+from gyrocal_ros.effects.learned.signals import HEADING, RATE, to_record
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.recording import TEMPERATURE
@@ -119,22 +119,23 @@ def signal_ranges(source: Source) -> dict[str, tuple[float, float]]:
     return {name: (low, high) for name, (low, high) in ranges.items() if high - low > 1e-6 * abs(high + low)}
 
 
+def law_names(ranges: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Return the names of all laws that can be learned from a recording with these signals."""
+    found = [law.effect.name for law in (*_curves(ranges), *_memories(ranges))]
+    return [*found, place_map().name, step('bias').name, step('scale').name]
+
+
 def laws(run: Run, ranges: Mapping[str, tuple[float, float]], only: Sequence[str] = ()) -> list[Law]:
     """Return the laws to try beside the model of a run.
 
     Args:
         run: a finished run, for the path and the duration.
         ranges: range of each signal.
-        only: kinds such as `bias_curve`, or names such as `bias_curve:rate`; empty for all.
+        only: names out of `law_names`; empty for all.
     """
     present = {effect.name for effect in run.model.effects}
-    found = [*_curves(ranges), *_memories(), *_map(run), *_steps(run)]
-    return [
-        law
-        for law in found
-        if law.effect.name not in present
-        and (not only or law.effect.name in only or law.effect.name.partition(':')[0] in only)
-    ]
+    found = [*_curves(ranges), *_memories(ranges), *_map(run), *_steps(run)]
+    return [law for law in found if law.effect.name not in present and (not only or law.effect.name in only)]
 
 
 def fine_steps(of: Of, at_s: float, half_s: float) -> list[Law]:
@@ -205,8 +206,9 @@ def _curves(ranges: Mapping[str, tuple[float, float]]) -> Iterator[Law]:
             yield _law(curve(of, name, low, high), shapes)
 
 
-def _memories() -> Iterator[Law]:
-    for drive in TAUS_S:
+def _memories(ranges: Mapping[str, tuple[float, float]]) -> Iterator[Law]:
+    recorded = (name for name in ranges if to_record(name))
+    for drive in (*TAUS_S, *recorded):
         effect = memory('bias', drive)
         yield _law(effect, [np.array([item.prior_std for item in effect.coefficients])])
     settling = memory('scale', 'start')

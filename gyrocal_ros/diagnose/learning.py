@@ -52,6 +52,8 @@ class Learned:
     """The search, with the learned effects as its last additions."""
     ranked: tuple[RankedLaw, ...]
     """Laws that were considered first, the likeliest first, each with its best prior."""
+    given_up: tuple[str, ...] = ()
+    """Effects that the library had added and that the laws make superfluous."""
 
 
 def learn(
@@ -71,14 +73,15 @@ def learn(
         recording: summary of the recording.
         ranges: range of each signal, see `signal_ranges`.
         calibrate: runs the filter.
-        only: kinds or names of laws; with any, they are tried even where nothing is missing.
+        only: names of laws; with any, they are tried even where nothing is missing.
     """
     last, ranked = _learned_beside(searched.last, recording, ranges, calibrate, only)
     found = Learned(Search(searched.first, (*searched.additions, *last)), tuple(ranked))
     if not searched.kept or searched.kept[0].before is None or only:
         return found
     first, ranked = _learned_beside(searched.first, recording, ranges, calibrate, only)
-    alone = Learned(Search(searched.first, tuple(first)), tuple(ranked))
+    given_up = tuple(item.effect.name for item in searched.kept)
+    alone = Learned(Search(searched.first, tuple(first)), tuple(ranked), given_up)
     return alone if _is_better(alone.searched, found.searched) else found
 
 

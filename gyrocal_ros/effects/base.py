@@ -22,6 +22,8 @@ Stimulus: TypeAlias = Literal[
     'roll',
     'vibration',
     'distance',
+    'heading',
+    'place',
     'signal',
     'image',
 ]

@@ -16,6 +16,8 @@ PLACES = {
     'time': 'in the stamps of the images',
     'shutter': 'in the shutter of the camera',
 }
+MAX_ROWS = 7
+"""Number of coefficients above which they share one row."""
 NOT_ESTIMATED = 'found in the readings, not estimated'
 
 
@@ -29,12 +31,27 @@ def effect_rows(effect: LibraryEffect) -> Iterator[tuple[str, str]]:
     about = effect.about
     yield 'equation', about.equation
     yield 'usual size', about.usual_size
-    for item, example in zip(effect.coefficients, about.example, strict=True):
-        yield item.name, f'{prior_in_words(item)}; for example {with_unit(example, item.unit)}'
+    yield from _coefficient_rows(effect)
     yield 'best motion', about.best_motion
     yield 'easily taken for', ', '.join(about.twins) or 'nothing else in the library'
     yield 'needs', ', '.join(('gyro, wheels, camera', *required_signals(effect)))
     yield 'source', about.source
+
+
+def _coefficient_rows(effect: LibraryEffect) -> Iterator[tuple[str, str]]:
+    items = effect.coefficients
+    if len(items) > MAX_ROWS:
+        smallest, *_, largest = sorted(items, key=lambda item: item.prior_std)
+        priors = (
+            f'{with_unit(smallest.prior_std, smallest.unit)} to {with_unit(largest.prior_std, largest.unit)}'
+        )
+        yield (
+            'coefficients',
+            f'{len(items)}, {items[0].name} to {items[-1].name}, each 0 ± {priors} before any measurement',
+        )
+        return
+    for item, example in zip(items, effect.about.example, strict=True):
+        yield item.name, f'{prior_in_words(item)}; for example {with_unit(example, item.unit)}'
 
 
 def prior_in_words(item: Coefficient) -> str:

@@ -16,11 +16,13 @@ from gyrocal_ros.model.camera import mount_from_yaw, project
 from gyrocal_ros.model.sensor import CameraEffectOnOdometry, GyroEffectOnReadings
 
 COUNT = 401
+MAX_LINES = 7
 TURNING_RAD_S = np.radians(60.0)
 """Yaw rate at which effects on the scale factor are shown."""
 CAMERA = CameraIntrinsics(640, 480, 250.0, 250.0, 319.5, 239.5)
 MOUNT = mount_from_yaw(0.09, 0.0, 0.10, -90.0)
 CEILING_M = 2.4
+TURNING = ', turning at 60 deg/s'
 ROW_PX = 400.0
 """Row of the image whose pixels are shown."""
 
@@ -42,9 +44,10 @@ def sketch(effect: LibraryEffect, shown: Sequence[tuple[float, ...]] | None = No
 
     Args:
         effect: an effect of the library or of the user.
-        shown: sets of values; with None, each coefficient that is a strength has its example value in turn.
+        shown: sets of values; with None, each coefficient that is a strength has its example value in turn,
+            the first `MAX_LINES` of them.
     """
-    every = list(_examples(effect)) if shown is None else list(shown)
+    every = list(_examples(effect))[:MAX_LINES] if shown is None else list(shown)
     if place_of(effect) == 'camera':
         return _shift_of_pixels(effect, every)
     if effect.acts_on == 'shutter':
@@ -109,7 +112,11 @@ def _named(effect: LibraryEffect, values: tuple[float, ...]) -> str:
 
 def _added(effect: Any, block: MotionBlock, values: Array) -> Array:
     if effect.acts_on == 'gyro':
-        return np.degrees(effect.contribute(block, values, None).rate_rad_s)
+        # Learned effects take the mean of the force over a block, so each point is a block of its own.
+        whole = effect.about.shown_against != 'force'
+        parts = [block] if whole else [block.part(slice(i, i + 1)) for i in range(len(block.dt_s))]
+        added = [effect.contribute(part, values, None).rate_rad_s for part in parts]
+        return np.degrees(np.concatenate(added))
     if isinstance(effect, CameraEffectOnOdometry):
         return 1e3 * (block.distance_m - effect.odometry(block.distance_m, values))
     if effect.acts_on == 'wheels':
@@ -158,17 +165,21 @@ def _turn(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
 
 def _time(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
     x = np.linspace(0.0, 1200.0, COUNT)
-    return 'time since the first sample (s)', x, _block(time_s=x, dt_s=np.gradient(x))
+    return f'time since the first sample (s){TURNING}', x, _turning(time_s=x, dt_s=np.gradient(x))
 
 
 def _temperature(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
     x = np.linspace(10.0, 50.0, COUNT)
-    return 'temperature (deg C), turning at 60 deg/s', x, _turning(temperature_c=x)
+    return f'temperature (deg C){TURNING}', x, _turning(temperature_c=x)
 
 
 def _force(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
     x = np.linspace(-2.0, 2.0, COUNT)
-    return 'acceleration along the axis (m/s^2)', x, _block(specific_force_m_s2=np.column_stack([x, x, x]))
+    return (
+        f'acceleration along the axis (m/s^2){TURNING}',
+        x,
+        _turning(specific_force_m_s2=np.column_stack([x, x, x])),
+    )
 
 
 def _roll(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
@@ -179,7 +190,7 @@ def _roll(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
 
 def _vibration(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
     x = np.linspace(0.0, 0.3, COUNT)
-    return 'variance of the specific force ((m/s^2)^2)', x, _block(vibration_m2_s4=x)
+    return f'variance of the specific force ((m/s^2)^2){TURNING}', x, _turning(vibration_m2_s4=x)
 
 
 def _distance(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
@@ -187,10 +198,20 @@ def _distance(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
     return 'distance travelled (m)', x, _block(distance_m=x)
 
 
+def _heading(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    x = np.linspace(-180.0, 180.0, COUNT)
+    return 'heading (deg)', x, _turning(heading_rad=np.radians(x))
+
+
+def _place(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    x = np.linspace(0.0, 1.0, COUNT)
+    return 'way along the diagonal of the first square metre', x, _block(position_m=np.column_stack([x, x]))
+
+
 def _signal(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
     (signal,) = required_signals(effect)
     x = np.linspace(-2.0, 2.0, COUNT)
-    return f'{signal} less its mean, turning at 60 deg/s', x, _turning(covariates={signal: x})
+    return f'{signal} less its mean{TURNING}', x, _turning(covariates={signal: x})
 
 
 _STIMULI: dict[str, Callable[[LibraryEffect], tuple[str, Array, MotionBlock]]] = {
@@ -203,6 +224,8 @@ _STIMULI: dict[str, Callable[[LibraryEffect], tuple[str, Array, MotionBlock]]] =
     'roll': _roll,
     'vibration': _vibration,
     'distance': _distance,
+    'heading': _heading,
+    'place': _place,
     'signal': _signal,
 }
 

@@ -7,19 +7,8 @@ from collections.abc import Sequence
 
 from gyrocal_ros.effects.learned.curve import UNIT, Of
 from gyrocal_ros.effects.learned.forms import Form, meaning
-from gyrocal_ros.effects.learned.signals import UNITS
+from gyrocal_ros.effects.learned.signals import UNITS, shown_against
 
-_COLUMNS = {
-    'rate': 'block.rate_rad_s[:, 2]',
-    'yaw_acceleration': 'np.full(len(block.dt_s), block.yaw_acceleration_rad_s2.mean())',
-    'force_x': 'np.full(len(block.dt_s), block.specific_force_m_s2[:, 0].mean())',
-    'force_y': 'np.full(len(block.dt_s), block.specific_force_m_s2[:, 1].mean())',
-    'force_z': 'np.full(len(block.dt_s), block.specific_force_m_s2[:, 2].mean())',
-    'vibration': 'block.vibration_m2_s4',
-    'temperature': 'block.temperature_c',
-    'time': 'block.time_s',
-    'heading': 'np.full(len(block.dt_s), np.nan) if block.heading_rad is None else block.heading_rad',
-}
 TEMPLATE = '''"""{title}
 
 Learned from the recording {source}: the {of} follows {follows} with the form `{form}`.
@@ -34,6 +23,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column, recorded
+from gyrocal_ros.effects.learned.signals import values_of
 from gyrocal_ros.model.sensor import Coefficient
 
 P = {parameter!r}
@@ -61,23 +51,12 @@ class {class_name}(LinearGyroEffect):
 
     def columns(self, block: MotionBlock) -> Array:
         """Return the terms of the form (N, {count}), zero where the signal is not recorded."""
-        x, p = {signal}, P
+        x, p = values_of({signal}, block), P
         terms = (
 {equation_terms}
         )
         return column(*(recorded({rate}term) for term in terms))
 '''
-_SHOWN = {
-    'rate': 'rate',
-    'yaw_acceleration': 'turn',
-    'force_x': 'force',
-    'force_y': 'force',
-    'force_z': 'force',
-    'vibration': 'vibration',
-    'temperature': 'temperature',
-    'time': 'time',
-    'heading': 'turn',
-}
 
 
 def effect_source(
@@ -103,7 +82,6 @@ def effect_source(
         f"        Coefficient('k{number}', '{UNIT[of]}', prior_std={largest:.3g}),"
         for number in range(1, len(terms) + 1)
     ]
-    signal = _COLUMNS.get(follows, f'block.covariates.get({follows!r}, np.full(len(block.dt_s), np.nan))')
     return TEMPLATE.format(
         title=f'The {of} of the yaw gyro as a function of {follows}.',
         source=source,
@@ -118,11 +96,11 @@ def effect_source(
         usual='as found',
         needs=needs,
         example=tuple(float(f'{value:.4g}') for value in values),
-        shown=_SHOWN.get(follows, 'signal'),
+        shown=shown_against(follows),
         name=name,
         coefficients='\n'.join(lines),
         count=len(terms),
-        signal=signal,
+        signal=repr(follows),
         rate='block.rate_rad_s[:, 2] * ' if of == 'scale' else '',
         equation_terms='\n'.join(f'            {term},' for term in terms),
     )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect
-from gyrocal_ros.effects.learned.signals import HEADING, RATE, to_record, values_of
+from gyrocal_ros.effects.learned.signals import HEADING, RATE, shown_against, to_record, values_of
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory
 
 Of: TypeAlias = Literal['bias', 'scale']
@@ -33,22 +33,26 @@ class Curve(LinearGyroEffect):
     value, with a noise as large as the curve.
     """
 
-    about: ClassVar[Explanation] = Explanation(
-        physics='A smooth function of a signal, learned from a recording. It names no cause: look for the '
-        'physics that has this shape.',
-        equation='w = w_n + f(signal), or w = w_n + f(signal) w_n',
-        usual_size='as found',
-        best_motion='what changes the signal over all of its range, again and again',
-        source='Solin and Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process regression, '
-        'Statistics and Computing 30',
-        example=(0.0,) * COUNT,
-        shown_against='signal',
-    )
     name: str
     coefficients: tuple[Coefficient, ...]
     low: float = 0.0
     high: float = 1.0
     """Range of the signal in which the curve was learned."""
+
+    @property
+    def about(self) -> Explanation:
+        """Description for people."""
+        return Explanation(
+            physics=f'A smooth function of {self.follows}, learned from a recording. It names no cause: look '
+            'for the physics that has this shape.',
+            equation=f'w = w_n + f({self.follows})' + (' w_n' if self.of == 'scale' else ''),
+            usual_size='as found',
+            best_motion=f'what changes {self.follows} over all of its range, again and again',
+            source='Solin and Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process '
+            'regression, Statistics and Computing 30',
+            example=tuple(item.prior_std for item in self.coefficients),
+            shown_against=shown_against(self.follows),
+        )
 
     @property
     def follows(self) -> str:

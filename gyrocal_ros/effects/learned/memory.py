@@ -9,9 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import Explanation
+from gyrocal_ros.effects.base import Explanation, Stimulus
 from gyrocal_ros.effects.learned.curve import TYPICAL, UNIT, Of
 from gyrocal_ros.effects.learned.signals import RATE, required, to_record, values_of
+from gyrocal_ros.model.recording import TEMPERATURE
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
 DYNAMICS, ABS_RATE, SIDE, LAST_TURN, START = 'dynamics', 'abs_rate', 'turn_side', 'last_turn', 'start'
@@ -26,6 +27,15 @@ TAUS_S: dict[str, tuple[float, ...]] = {
 """What a memory may be driven by, with its time constants: the rate less its low-pass, and that less its own
 low-pass; the rate; its magnitude; the side of the turn (-1, 0, 1); the side of the last turn, decaying after
 it; a pulse at power-on."""
+_DRIVES = {
+    DYNAMICS: 'the rate less its low-pass, and that less its own',
+    RATE: 'the rate',
+    ABS_RATE: 'the magnitude of the rate',
+    SIDE: 'the side of the turn: -1, 0 or 1',
+    LAST_TURN: 'the side of the last turn, fading after it',
+    START: 'a pulse at power-on',
+}
+_SHOWN_AGAINST: dict[str, Stimulus] = {START: 'time', TEMPERATURE: 'temperature'}
 OTHER_TAUS_S = (3.0, 10.0, 30.0, 100.0)
 """Time constants for any other signal."""
 TURNING_RAD_S = math.radians(5.0)
@@ -36,20 +46,25 @@ TURNING_RAD_S = math.radians(5.0)
 class ExponentialBank:
     """`sum_j c_j h_j` with `dh_j/dt = (u - h_j) / tau_j` and the drive u."""
 
-    about: ClassVar[Explanation] = Explanation(
-        physics='The sensor remembers: its bias or its scale depends on what was, over a bank of time '
-        'constants. A lag, a resonance, hysteresis and slow heating have this form.',
-        equation='w = w_n + sum_j c_j h_j, dh_j/dt = (u - h_j) / tau_j',
-        usual_size='as found',
-        best_motion='single turns with rests between them',
-        source='Wahlberg 1991, System identification using Laguerre models, IEEE Transactions on Automatic '
-        'Control 36(5)',
-        example=(0.0,),
-        shown_against='turn',
-    )
     acts_on: ClassVar[Place] = 'gyro'
     name: str
     coefficients: tuple[Coefficient, ...]
+
+    @property
+    def about(self) -> Explanation:
+        """Description for people."""
+        return Explanation(
+            physics='The sensor remembers: its bias or its scale depends on what was, over a bank of time '
+            'constants. A lag, a resonance, hysteresis and slow heating have this form.',
+            equation=f'w = w_n + sum_j c_j h_j{" w_n" if self.of == "scale" else ""}, '
+            f'dh_j/dt = (u - h_j) / tau_j, u: {_DRIVES.get(self.drive, self.drive)}',
+            usual_size='as found',
+            best_motion='single turns with rests between them',
+            source='Wahlberg 1991, System identification using Laguerre models, IEEE Transactions on '
+            'Automatic Control 36(5)',
+            example=tuple(item.prior_std for item in self.coefficients),
+            shown_against=_SHOWN_AGAINST.get(self.drive, 'turn' if self.drive in TAUS_S else 'signal'),
+        )
 
     @property
     def drive(self) -> str:

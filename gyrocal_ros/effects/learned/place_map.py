@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import ClassVar
 
 import numpy as np
 
@@ -26,17 +25,6 @@ LENGTHS = (0.08, 0.12, 0.2, 0.35)
 class PlaceMap(LinearGyroEffect):
     """`sum_ij c_ij cos(pi i x) cos(pi j y)` over the parts x, y of the room; valid with one map."""
 
-    about: ClassVar[Explanation] = Explanation(
-        physics='The bias depends on the place in the room: a magnetic disturbance, a motor under a table, a '
-        'heating. It is valid in the map of this recording only.',
-        equation='w = w_n + f(x, y)',
-        usual_size='as found',
-        best_motion='slow passes over all of the room, each place several times',
-        source='Solin and Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process regression, '
-        'Statistics and Computing 30',
-        example=(0.0,) * len(ORDERS),
-        shown_against='distance',
-    )
     name: str
     coefficients: tuple[Coefficient, ...]
     x_low_m: float = 0.0
@@ -44,6 +32,21 @@ class PlaceMap(LinearGyroEffect):
     y_low_m: float = 0.0
     y_high_m: float = 1.0
     """The part of the room in which it was learned; outside the map keeps its value at the edge."""
+
+    @property
+    def about(self) -> Explanation:
+        """Description for people."""
+        return Explanation(
+            physics='The bias depends on the place in the room: a magnetic disturbance, a motor under a '
+            'table, a heating. It is valid in the map of this recording only.',
+            equation='w = w_n + f(x, y)',
+            usual_size='as found',
+            best_motion='slow passes over all of the room, each place several times',
+            source='Solin and Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process '
+            'regression, Statistics and Computing 30',
+            example=tuple(item.prior_std for item in self.coefficients),
+            shown_against='place',
+        )
 
     def basis(self, position_m: Array) -> Array:
         """Return the functions (n, k) at positions (n, 2)."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.effects.base import Stimulus
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.recording import TEMPERATURE
 
@@ -52,12 +53,30 @@ UNITS = {
 """Signals of every recording, and the temperature, with their units. Others are named by topic and field."""
 
 
+_SHOWN_AGAINST: dict[str, Stimulus] = {
+    RATE: 'rate',
+    'yaw_acceleration': 'turn',
+    'force_x': 'force',
+    'force_y': 'force',
+    'force_z': 'force',
+    'vibration': 'vibration',
+    TEMPERATURE: 'temperature',
+    'time': 'time',
+    HEADING: 'heading',
+}
+
+
 def values_of(signal: str, block: MotionBlock) -> Array:
     """Return a signal (N,); NaN where it is not recorded."""
     if signal in _VALUES:
         return _VALUES[signal](block)
     recorded = block.covariates.get(signal)
     return np.full(len(block.dt_s), np.nan) if recorded is None else recorded
+
+
+def shown_against(signal: str) -> Stimulus:
+    """Return what a sketch varies to show an effect that follows a signal."""
+    return _SHOWN_AGAINST.get(signal, 'signal')
 
 
 def to_record(signal: str) -> str:

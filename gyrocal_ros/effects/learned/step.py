@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
@@ -18,21 +17,25 @@ TIME = 'time'
 class Step(LinearGyroEffect):
     """`step` from the moment `at_s` on; valid for one recording."""
 
-    about: ClassVar[Explanation] = Explanation(
-        physics='Bias or scale jumps at one moment: after a blow, a restart of the sensor, or a change of '
-        'its supply. It is valid for this recording only.',
-        equation='w = w_n + step, or w = w_n + step w_n, from the moment on',
-        usual_size='as found',
-        best_motion='turns before and after the moment',
-        source='Willsky and Jones 1976, A generalized likelihood ratio approach to the detection and '
-        'estimation of jumps in linear systems, IEEE Transactions on Automatic Control 21(1)',
-        example=(0.0,),
-        shown_against='time',
-    )
     name: str
     coefficients: tuple[Coefficient, ...]
     at_s: float = 0.0
     """Moment, since the first sample of the gyro."""
+
+    @property
+    def about(self) -> Explanation:
+        """Description for people."""
+        return Explanation(
+            physics='Bias or scale jumps at one moment: after a blow, a restart of the sensor, or a change '
+            'of its supply. It is valid for this recording only.',
+            equation=f'w = w_n + step{" w_n" if self.of == "scale" else ""}, from the moment on',
+            usual_size='as found',
+            best_motion='turns before and after the moment',
+            source='Willsky and Jones 1976, A generalized likelihood ratio approach to the detection and '
+            'estimation of jumps in linear systems, IEEE Transactions on Automatic Control 21(1)',
+            example=tuple(item.prior_std for item in self.coefficients),
+            shown_against='time',
+        )
 
     @property
     def of(self) -> Of:

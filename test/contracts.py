@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from gyrocal_ros.config.sections import FeatureConfig
+from gyrocal_ros.config.sections import FeatureConfig, GyroConfig
 from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, MotionBlock, Mount, nanoseconds, seconds
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, find_effect
 from gyrocal_ros.effects.base import LibraryEffect
@@ -30,6 +30,7 @@ from gyrocal_ros.ekf.effects_by_place import (
     sort_effects,
     true_camera,
 )
+from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.camera import project, project_with_jacobian
 from gyrocal_ros.model.features import PARAMETRISATIONS
@@ -48,8 +49,10 @@ from gyrocal_ros.model.sensor import (
     GroundEffect,
     GyroEffect,
     Memory,
+    NoiseEffect,
     SensorModel,
     WheelEffect,
+    with_means,
 )
 
 CAMERA = CameraIntrinsics(640, 480, 250.0, 260.0, 310.0, 245.0, (-0.05, 0.01, 1e-3, -2e-3, 0.001))
@@ -413,6 +416,35 @@ class GroundEffectContract(EffectContract):
             lambda values: effect.contribute(block, values)[0],
             lambda values: effect.contribute(block, values)[1],
         )
+
+
+class NoiseEffectContract(EffectContract):
+    """Contract of an effect on the noise of the yaw rate."""
+
+    RATES = np.array([-1.0, 0.0, 0.3, 1.0])
+
+    def test_the_noise_grows_with_its_size(self, effect: NoiseEffect) -> None:
+        variances = []
+        for size in effect.coefficients[0].scan:
+            values = np.array([size])
+            density = effect.density(self.RATES, values)
+            assert density.shape == self.RATES.shape and np.all(density >= 0.0)
+            variances.append(float(np.sum(density**2)) + effect.bias_walk(values) ** 2)
+        assert np.all(np.diff(variances) > 0.0)
+
+    def test_size_zero_adds_nothing(self, effect: NoiseEffect) -> None:
+        assert not effect.density(self.RATES, np.zeros(1)).any() and effect.bias_walk(np.zeros(1)) == 0.0
+
+    def test_the_filter_adds_it_to_the_noise_of_the_settings(self, effect: NoiseEffect) -> None:
+        model = SensorModel('noisy', BiasModel(), (with_means(effect, effect.about.example),))  # type: ignore[attr-defined]
+        gyro = GyroConfig()
+        bare, noisy = (yaw_noise_of(m, gyro, self.RATES) for m in (replace(model, effects=()), model))
+        values = np.array(effect.about.example)  # type: ignore[attr-defined]
+        np.testing.assert_allclose(
+            noisy.density_rad_s**2 - bare.density_rad_s**2, effect.density(self.RATES, values) ** 2
+        )
+        added = noisy.bias_walk_rad_s**2 - bare.bias_walk_rad_s**2
+        assert added == pytest.approx(effect.bias_walk(values) ** 2)
 
 
 class ImageEffectContract(EffectContract):

@@ -15,7 +15,7 @@ from gyrocal_ros.diagnose.candidates import CandidateSet, ScanBank, candidates_f
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.covariate import covariate_bank, covariate_bias, covariate_effects
-from gyrocal_ros.effects.traits import forms_of, is_limit, required_signals
+from gyrocal_ros.effects.traits import forms_of, is_limit, is_noise, required_signals
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
 from gyrocal_ros.effects.wheel_scale import MIN_LEVER_M
 from gyrocal_ros.model.recording import TEMPERATURE, RecordingSummary, Signal
@@ -67,7 +67,8 @@ class TestCandidatesFor:
     def test_every_effect_missing_in_the_model_is_a_candidate(self) -> None:
         found = names(candidates_for(default_model(), summary()))
         assert {'rate_saturation', 'rate_deadband'} == LIMITS
-        assert found == set(EFFECTS) - {'scale_factor', *LIMITS}
+        noises = {name for name, effect in EFFECTS.items() if is_noise(effect)}
+        assert found == set(EFFECTS) - {'scale_factor', *LIMITS, *noises}
         more = replace(default_model(), effects=(*default_model().effects, *SOME, BiasWarmup()))
         fewer = names(candidates_for(more, summary()))
         assert found - fewer == {'bias_warmup', *(effect.name for effect in SOME)}

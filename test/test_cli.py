@@ -277,7 +277,7 @@ finally:
     [
         ('gyrocal rep', {'replay', 'reproduce'}),
         ('gyrocal replay bag --over', {'--overwrite '}),
-        ('gyrocal add gyro_', {'gyro_lag '}),
+        ('gyrocal add gyro_l', {'gyro_lag '}),
         ('gyrocal simulate bag --scenario furn', {'furniture '}),
         ('gyrocal completion z', {'zsh '}),
     ],

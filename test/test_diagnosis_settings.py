@@ -104,11 +104,11 @@ class TestSweep:
         class Seen(Exception):
             """Ends the trial where the search begins."""
 
-        def search(*args: Any, settings: DiagnosisSettings) -> None:
+        def find_missing(*args: Any, settings: DiagnosisSettings) -> None:
             assert settings == DiagnosisSettings(significant_sigma=3.5)
             raise Seen
 
-        monkeypatch.setattr(bench, 'search', search)
+        monkeypatch.setattr(bench, 'find_missing', find_missing)
         scenario = replace(find_scenario('cleaning'), duration_s=5.0)
         monkeypatch.setattr(bench, 'find_scenario', lambda name: scenario)
         with pytest.raises(Seen):

@@ -17,6 +17,7 @@ from contracts import (
     GyroEffectContract,
     ImageEffectContract,
     LimitContract,
+    NoiseEffectContract,
     OdometryContract,
     WheelEffectContract,
     eventful_block,
@@ -75,6 +76,11 @@ class TestEachGroundEffect(GroundEffectContract):
 
 @acting_on('camera', 'time', 'shutter')
 class TestEachEffectOnImages(ImageEffectContract):
+    pass
+
+
+@acting_on('noise')
+class TestEachNoise(NoiseEffectContract):
     pass
 
 

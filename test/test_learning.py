@@ -27,10 +27,10 @@ from gyrocal_ros.diagnose.hypotheses import (
     law_names,
     laws,
     rank_laws,
-    signal_ranges,
 )
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
 from gyrocal_ros.diagnose.search import Search, examine
+from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.learned import curve, memory
@@ -190,7 +190,7 @@ class TestLearning:
         recorded = summarise_recording(source)
         first = examine(default_model(), recorded, runner(source))
         assert is_missing_something(first)
-        learned = learn(Search(first, ()), recorded, signal_ranges(source), runner(source))
+        learned = learn(Search(first, ()), recorded, runner(source))
         assert learned.ranked[0].effect.name == 'bias_curve:heading'
         (added,) = learned.searched.kept
         assert added.effect.name == 'bias_curve:heading' and added.sigma > 10.0
@@ -204,7 +204,7 @@ class TestLearning:
         source = recording()
         recorded = summarise_recording(source)
         first = examine(default_model(), recorded, runner(source))
-        learned = learn(Search(first, ()), recorded, signal_ranges(source), runner(source))
+        learned = learn(Search(first, ()), recorded, runner(source))
         assert learned.searched.additions == () and learned.ranked == ()
 
     def test_a_law_that_is_not_there_is_rejected(self) -> None:
@@ -212,8 +212,7 @@ class TestLearning:
         source = recording()
         recorded = summarise_recording(source)
         first = examine(default_model(), recorded, runner(source))
-        ranges = signal_ranges(source)
-        learned = learn(Search(first, ()), recorded, ranges, runner(source), ['bias_curve:force_y'])
+        learned = learn(Search(first, ()), recorded, runner(source), ['bias_curve:force_y'])
         assert learned.searched.kept == ()
         assert [item.effect.name for item in learned.ranked] == ['bias_curve:force_y']
 
@@ -221,7 +220,7 @@ class TestLearning:
         source = recording(DrawnEffect('stranger_scale_jump', (0.02, 70.0)))
         recorded = summarise_recording(source)
         first = examine(default_model(), recorded, runner(source))
-        learned = learn(Search(first, ()), recorded, signal_ranges(source), runner(source))
+        learned = learn(Search(first, ()), recorded, runner(source))
         (added,) = learned.searched.kept[:1]
         assert added.effect.name == 'scale_step:time'
         assert abs(added.effect.at_s - 70.0) < 8.0  # type: ignore[attr-defined]

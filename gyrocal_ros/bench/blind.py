@@ -18,7 +18,8 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.drift import blind_drift
-from gyrocal_ros.diagnose.search import Search, search, with_effect
+from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.search import Search, with_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
@@ -169,7 +170,7 @@ def run_blind(
     run, hidden = partial(calibrate, source, config), simulated.hidden
     recorded = summarise_recording(source)
     try:
-        searched = search(
+        searched = find_missing(
             present, recorded, lambda model, tried: run(model, candidates=tried), settings=settings
         )
     except FilterDivergedError:
@@ -302,7 +303,7 @@ def _drift_deg(run: Run) -> float:
 
 
 def _is_confident(result: BlindResult) -> bool:
-    return result.verdict == 'effect_found'
+    return result.verdict in ('effect_found', 'noise')
 
 
 def _answer(result: BlindResult) -> str:

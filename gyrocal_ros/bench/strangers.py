@@ -14,9 +14,8 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import blind_drift
-from gyrocal_ros.diagnose.hypotheses import signal_ranges
 from gyrocal_ros.diagnose.learning import learn
-from gyrocal_ros.diagnose.search import search
+from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.ekf.run import Run
@@ -119,8 +118,8 @@ def run_stranger(law: str, seed: int) -> StrangerResult:
 
     result = StrangerResult(law, seed, drift_without_deg=_drift_deg(simulate(hidden=()), present))
     try:
-        searched = search(present, recorded, run)
-        found = learn(searched, recorded, signal_ranges(source), run).searched
+        searched = find_missing(present, recorded, run)
+        found = learn(searched, recorded, run).searched
     except FilterDivergedError:
         return result
     learned = tuple(item.effect.name for item in found.kept)

@@ -21,7 +21,7 @@ from gyrocal_ros.diagnose.advice import advice, grouped, join
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
-from gyrocal_ros.diagnose.search import search
+from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.model_file import options_of
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> None:
     with result_folder(args) as folder:
         runs = open_bag_runs(args, model)
         recorded = summarise_recording(runs.source)
-        searched = search(model, recorded, runs.calibrate)
+        searched = find_missing(model, recorded, runs.calibrate)
         diagnosis = diagnose(searched, recorded)
         if folder is not None:
             # Only a page needs the plotting library.

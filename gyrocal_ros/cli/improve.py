@@ -21,11 +21,11 @@ from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, table
 from gyrocal_ros.diagnose.drift import REFERENCES
-from gyrocal_ros.diagnose.hypotheses import signal_ranges
 from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
 from gyrocal_ros.diagnose.learning import learn
-from gyrocal_ros.diagnose.search import Calibrate, search, try_effect
+from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.search import Calibrate, try_effect
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.ekf.run import Run
@@ -77,9 +77,9 @@ def run(args: argparse.Namespace) -> None:
         runs = open_bag_runs(args, model)
         recorded, calibrate = summarise_recording(runs.source), announced(runs)
         if effect is None:
-            searched = search(model, recorded, calibrate, MAX_EFFECTS)
+            searched = find_missing(model, recorded, calibrate, MAX_EFFECTS)
             if args.learn:
-                searched = learn(searched, recorded, signal_ranges(runs.source), calibrate).searched
+                searched = learn(searched, recorded, calibrate).searched
         else:
             searched = try_effect(model, recorded, calibrate, effect)
         improved = improvement(searched)

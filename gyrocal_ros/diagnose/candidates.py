@@ -11,7 +11,13 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.covariate import covariate_bank, covariate_effects
-from gyrocal_ros.effects.traits import forms_of, is_limit, scanned_coefficient, strengths, why_unobservable
+from gyrocal_ros.effects.traits import (
+    forms_of,
+    is_estimated,
+    scanned_coefficient,
+    strengths,
+    why_unobservable,
+)
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.recording import RecordingSummary, Signal
 from gyrocal_ros.model.sensor import (
@@ -111,7 +117,7 @@ def candidates_for(model: SensorModel, recording: RecordingSummary) -> Candidate
     present = {effect.name for effect in model.effects}
     found: list[Candidate] = []
     for name, effect in EFFECTS.items():
-        if name in present or is_limit(effect) or why_unobservable(effect, recording):
+        if name in present or not is_estimated(effect) or why_unobservable(effect, recording):
             continue
         for number, form in enumerate(forms_of(effect), start=1):
             if scanned_coefficient(form) is None:

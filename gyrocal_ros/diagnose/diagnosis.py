@@ -17,7 +17,7 @@ from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.summarise import coarse_step
 from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.traits import is_limit, shows_in_any_turns, why_unobservable
+from gyrocal_ros.effects.traits import is_estimated, is_noise, shows_in_any_turns, why_unobservable
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
@@ -53,7 +53,7 @@ class Diagnosis:
     """The conclusion from one recording: effects that the model lacks, and what is left over."""
 
     verdict: str
-    """`nothing_missing`, `effect_found`, `cannot_tell` or `unexplained`."""
+    """`nothing_missing`, `effect_found`, `noise`, `cannot_tell` or `unexplained`."""
     missing: tuple[MissingEffect, ...]
     """Missing effects, the one that explains most first."""
     ranked: tuple[RankedEffect, ...]
@@ -149,6 +149,8 @@ def _verdict(
 ) -> str:
     if left is not None and left.gain > settings.leftover_part * sum(item.gain for item in missing):
         return 'unexplained'
+    if missing and fit.fits is not False and all(is_noise(item.effect) for item in missing):
+        return 'noise'
     if missing:
         is_ambiguous = is_coarse or fit.fits is False or any(item.confused_with for item in missing)
         return 'cannot_tell' if is_ambiguous else 'effect_found'
@@ -162,7 +164,7 @@ def _verdict(
 def _not_judged(examined: ExaminedModel, recording: RecordingSummary) -> Iterator[tuple[str, str]]:
     present = {effect.name for effect in examined.model.effects}
     for name, effect in EFFECTS.items():
-        if name in present or is_limit(effect):
+        if name in present or not is_estimated(effect):
             continue
         reason, judged = why_unobservable(effect, recording), examined.find(name)
         if reason:

@@ -15,6 +15,7 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import turns
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
+from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
@@ -40,7 +41,7 @@ class Headings:
     seen_rad: Array
     """Heading by the camera; NaN where it saw nothing."""
     std_rad: Array
-    rate_noise_rad_s: float
+    rate_noise_rad_s: Array
     """White noise of the gyro, a density."""
     bias_walk_rad_s: float
     """Random walk of the bias, rad/s/sqrt(s)."""
@@ -59,6 +60,7 @@ def headings(run: Run, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> Headin
         history.turn_rad + history.correction_rad - learned + earlier[:, YAW_BIAS] * history.gyro_valid_s
     )
     expected = earlier[:, YAW] + np.where(history.resting > 0, 0.0, by_gyro + history.tilt_rad)
+    noise = yaw_noise_of(run.model, gyro, history.turn_rad / history.dt_s)
     return Headings(
         time_s=history.time_s,
         dt_s=history.dt_s,
@@ -68,8 +70,8 @@ def headings(run: Run, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> Headin
         turn_rad=turns(run, run.state.coefficients),
         seen_rad=expected + history.heading_innovation_rad,
         std_rad=history.heading_innovation_std_rad,
-        rate_noise_rad_s=math.radians(gyro.rate_noise_deg_s),
-        bias_walk_rad_s=math.radians(gyro.bias_walk_deg_s),
+        rate_noise_rad_s=noise.density_rad_s,
+        bias_walk_rad_s=noise.bias_walk_rad_s,
         map_walk_rad=math.radians(settings.map_walk_deg),
         outlier_sigma=settings.outlier_sigma,
     )
@@ -96,6 +98,12 @@ def heading_scores(seen: Headings, columns: Array) -> ScoreStatistics:
         information=np.array([weighted[part].T @ sensitivity[part] for part in parts]),
         score=np.array([weighted[part].T @ innovation[part] for part in parts]),
     )
+
+
+def heading_log_likelihood(seen: Headings) -> float:
+    """Return the log-likelihood of the headings, up to a constant."""
+    _, innovation, variance = _innovations(seen, np.zeros((len(seen.dt_s), 0)))
+    return float(-0.5 * np.sum(np.log(variance) + innovation**2 / variance))
 
 
 def misfits(seen: Headings, columns: Array) -> Array:
@@ -127,7 +135,7 @@ def _innovations(seen: Headings, added_rad: Array) -> tuple[Array, Array, Array]
     measured = (seen.seen_rad - np.cumsum(seen.turn_rad)).tolist()
     noise = np.square(seen.std_rad).tolist()
     lost = np.square(seen.unobserved_turn_std_rad).tolist()
-    walk = seen.rate_noise_rad_s**2 + seen.map_walk_rad**2
+    walk = ((seen.rate_noise_rad_s**2 + seen.map_walk_rad**2) * seen.dt_s).tolist()
     away, bias = 0.0, 0.0
     p_away, p_both, p_bias = math.inf, 0.0, INITIAL_BIAS_STD_RAD_S**2
     x_away, x_bias = np.zeros(count), np.zeros(count)
@@ -137,7 +145,7 @@ def _innovations(seen: Headings, added_rad: Array) -> tuple[Array, Array, Array]
         away += bias * gyro_valid_s
         x_away += x_bias * gyro_valid_s
         x_away += added_rad[step]
-        p_away += (2.0 * p_both + p_bias * gyro_valid_s) * gyro_valid_s + walk * dt_s + lost[step]
+        p_away += (2.0 * p_both + p_bias * gyro_valid_s) * gyro_valid_s + walk[step] + lost[step]
         p_both += p_bias * gyro_valid_s
         p_bias += seen.bias_walk_rad_s**2 * dt_s
         if math.isnan(measured[step]):

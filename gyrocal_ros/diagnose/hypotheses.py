@@ -7,7 +7,6 @@ of every law with every prior, without another run.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -16,12 +15,8 @@ import numpy as np
 
 from gyrocal_ros.data import (
     Array,
-    CovariateSample,
-    ImuSample,
     IntArray,
     MotionBlock,
-    Source,
-    TemperatureSample,
 )
 from gyrocal_ros.diagnose.candidates import columns_of
 from gyrocal_ros.effects.base import LinearGyroEffect
@@ -35,15 +30,10 @@ from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
 from gyrocal_ros.effects.learned.signals import HEADING, RATE, to_record
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
-from gyrocal_ros.model.recording import TEMPERATURE
 from gyrocal_ros.model.sensor import Coefficient, Effect
 
 AMPLITUDES = np.geomspace(0.01, 100.0, 17)
 """Prior standard deviations that are tried, relative to the usual one."""
-RANGE = (0.002, 0.998)
-"""Quantiles of a signal between which its curve is learned."""
-SMOOTHING_S = 0.07
-"""Time over which the specific force is averaged: about that between two images."""
 STEP_S, FINE_STEP_S = 10.0, 0.5
 """Distance of the moments that are tried for a step, first and in the second pass."""
 MAX_STEPS = 20
@@ -92,31 +82,6 @@ class StepBank(LinearGyroEffect):
         """Return the columns (N, n)."""
         after = (block.time_s[:, None] >= np.array(self.at_s)).astype(float)
         return after * block.rate_rad_s[:, 2:] if self.of == 'scale' else after
-
-
-def signal_ranges(source: Source) -> dict[str, tuple[float, float]]:
-    """Return the range of each signal of a recording that varies, by its name in learned effects."""
-    columns: dict[str, list[float]] = defaultdict(list)
-    imu: list[tuple[float, ...]] = []
-    times_ns: list[int] = []
-    for sample in source.measurements():
-        if isinstance(sample, ImuSample):
-            times_ns.append(sample.t_ns)
-            imu.append((sample.rate_rad_s[2], *sample.specific_force_m_s2))
-        elif isinstance(sample, CovariateSample):
-            columns[sample.name].append(sample.value)
-        elif isinstance(sample, TemperatureSample):
-            columns[TEMPERATURE].append(sample.temperature_c)
-    readings, time_s = np.array(imu), 1e-9 * (np.array(times_ns) - times_ns[0])
-    count = max(round(SMOOTHING_S / float(np.median(np.diff(time_s)))), 1)
-    blocks = len(readings) // count
-    means = readings[: blocks * count].reshape(blocks, count, 4).mean(axis=1)
-    smooth = dict(zip((RATE, 'force_x', 'force_y', 'force_z'), means.T, strict=True))
-    middle_s = time_s[: blocks * count].reshape(blocks, count).mean(axis=1)
-    smooth['yaw_acceleration'] = np.gradient(smooth[RATE], middle_s)
-    every = {name: np.array(values) for name, values in columns.items()} | smooth
-    ranges = {name: np.quantile(values, RANGE).tolist() for name, values in every.items()}
-    return {name: (low, high) for name, (low, high) in ranges.items() if high - low > 1e-6 * abs(high + low)}
 
 
 def law_names(ranges: Mapping[str, tuple[float, float]]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -59,7 +59,6 @@ class Learned:
 def learn(
     searched: Search,
     recording: RecordingSummary,
-    ranges: Mapping[str, tuple[float, float]],
     calibrate: Calibrate,
     only: Sequence[str] = (),
 ) -> Learned:
@@ -71,15 +70,14 @@ def learn(
     Args:
         searched: a finished search in the library.
         recording: summary of the recording.
-        ranges: range of each signal, see `signal_ranges`.
         calibrate: runs the filter.
         only: names of laws; with any, they are tried even where nothing is missing.
     """
-    last, ranked = _learned_beside(searched.last, recording, ranges, calibrate, only)
+    last, ranked = _learned_beside(searched.last, recording, calibrate, only)
     found = Learned(Search(searched.first, (*searched.additions, *last)), tuple(ranked))
     if not searched.kept or searched.kept[0].before is None or only:
         return found
-    first, ranked = _learned_beside(searched.first, recording, ranges, calibrate, only)
+    first, ranked = _learned_beside(searched.first, recording, calibrate, only)
     given_up = tuple(item.effect.name for item in searched.kept)
     alone = Learned(Search(searched.first, tuple(first)), tuple(ranked), given_up)
     return alone if _is_better(alone.searched, found.searched) else found
@@ -102,7 +100,6 @@ def _is_better(alone: Search, found: Search) -> bool:
 def _learned_beside(
     present: ExaminedModel,
     recording: RecordingSummary,
-    ranges: Mapping[str, tuple[float, float]],
     calibrate: Calibrate,
     only: Sequence[str],
 ) -> tuple[list[Addition], list[RankedLaw]]:
@@ -110,7 +107,7 @@ def _learned_beside(
     found: list[Addition] = []
     first: list[RankedLaw] = []
     while len(found) < MAX_LEARNED and (only or is_missing_something(present)):
-        tried = laws(present.run, ranges, only)
+        tried = laws(present.run, recording.ranges, only)
         if not tried:
             break
         ranked = _rank(present, tried, calibrate)

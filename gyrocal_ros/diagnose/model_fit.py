@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s
 from gyrocal_ros.ekf.map_watch import loses_its_map
+from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.scatter import Scatter, scatter_of
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
@@ -48,7 +49,8 @@ def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
     It adds the headings at both ends, the white noise and the bias walk of the gyro, and the uncertainty of
     bias and coefficients at the beginning of each span.
     """
-    history, gyro = run.history, run.config.gyro
+    history = run.history
+    noise = yaw_noise_of(run.model, run.config.gyro, history.turn_rad / history.dt_s)
     moving = history.resting == 0
     first = np.searchsorted(history.time_s, drift.start_s)
     last = np.searchsorted(history.time_s, drift.start_s + drift.span_s)
@@ -56,8 +58,9 @@ def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
     columns = np.cumsum(np.where(moving[:, None], history.columns, 0.0), axis=0)
     span_s = valid_s[last] - valid_s[first]
     variance = history.std[first, YAW] ** 2 + history.std[last, YAW] ** 2
-    variance += math.radians(gyro.rate_noise_deg_s) ** 2 * span_s
-    variance += math.radians(gyro.bias_walk_deg_s) ** 2 * span_s**3 / 3.0
+    white = np.cumsum(np.where(moving, noise.density_rad_s**2 * history.gyro_valid_s, 0.0))
+    variance += white[last] - white[first]
+    variance += noise.bias_walk_rad_s**2 * span_s**3 / 3.0
     variance += (history.std[first, YAW_BIAS] * span_s) ** 2
     by_coefficients = (columns[last] - columns[first]) * history.std[first, COEFFICIENTS_START:]
     variance += np.sum(by_coefficients**2, axis=1)

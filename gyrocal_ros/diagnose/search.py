@@ -162,7 +162,7 @@ def search(
             raise
         additions.append(recovered)
         first = present = recovered.after
-    additions = _continued(additions, present, recording, calibrate, most)
+    additions = continued(additions, present, recording, calibrate, most)
     last = next((item for item in reversed(additions) if item.is_kept), None)
     if last is not None:
         better = _contested(last, recording, calibrate, {item.effect.name for item in additions})
@@ -170,7 +170,7 @@ def search(
         if better.effect.name == last.effect.name:
             additions[place] = better
         else:
-            additions = _continued([*additions[:place], better], better.after, recording, calibrate, most)
+            additions = continued([*additions[:place], better], better.after, recording, calibrate, most)
     return Search(first, tuple(additions))
 
 
@@ -276,7 +276,7 @@ def recover(
     return Addition(effect, None, after, math.inf, math.inf, 0.0, stds, strengths(effect))
 
 
-def _continued(
+def continued(
     additions: Sequence[Addition],
     present: ExaminedModel,
     recording: RecordingSummary,

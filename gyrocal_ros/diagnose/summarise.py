@@ -8,6 +8,7 @@ from collections import defaultdict
 import numpy as np
 
 from gyrocal_ros.data import CovariateSample, ImuSample, Source, TemperatureSample, WheelSample
+from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.model.recording import TEMPERATURE, GyroReadings, RecordingSummary, Signal
 
@@ -72,4 +73,5 @@ def summarise_recording(source: Source) -> RecordingSummary:
         recorded=frozenset(recorded | values.keys()),
         duration_s=source.span.duration_s,
         readings=GyroReadings(np.array(t_ns, np.int64), np.array(rate)),
+        ranges=signal_ranges(source),
     )

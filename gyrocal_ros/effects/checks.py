@@ -11,7 +11,15 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock, nanoseconds
 from gyrocal_ros.effects.base import Explanation, Stimulus
-from gyrocal_ros.effects.traits import forms_of, is_limit, required_signals, scanned_coefficient, strengths
+from gyrocal_ros.effects.traits import (
+    forms_of,
+    is_estimated,
+    is_limit,
+    is_noise,
+    required_signals,
+    scanned_coefficient,
+    strengths,
+)
 from gyrocal_ros.model.sensor import Coefficient, Place, ScannedColumns
 
 METHODS = {
@@ -21,6 +29,7 @@ METHODS = {
     'camera': ('corrected', 'pixels_by_values'),
     'time': (),
     'shutter': ('readout_s',),
+    'noise': ('density', 'bias_walk'),
 }
 """Methods that an effect needs, by the place where it acts."""
 REQUIRED_WORDS = ('physics', 'equation', 'usual_size', 'best_motion')
@@ -52,7 +61,7 @@ def faults(effect: Any) -> Iterator[str]:
     yield from _faults_of_scan(effect)
     if 'contribute' in METHODS[str(place)]:
         yield from _faults_of_contribution(effect)
-    if scanned_coefficient(effect) is not None and not is_limit(effect):
+    if scanned_coefficient(effect) is not None and is_estimated(effect):
         for form in forms_of(effect):
             yield from _faults_of_columns(form)
 
@@ -83,6 +92,10 @@ def _faults_of_scan(effect: Any) -> Iterator[str]:
             yield 'is a limit, which acts on the gyro and has one coefficient with prior_std 0'
         return
     scanned = [item for item in effect.coefficients if item.scan]
+    if is_noise(effect):
+        if len(scanned) != 1 or len(effect.coefficients) > 1 or effect.coefficients[0].prior_std > 0.0:
+            yield 'is a noise, which has one coefficient with prior_std 0 and a scan'
+        return
     if len(scanned) > 1:
         yield f'{" and ".join(item.name for item in scanned)} have a scan; only one coefficient may'
     elif scanned and effect.acts_on != 'gyro':

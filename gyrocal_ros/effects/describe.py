@@ -15,6 +15,7 @@ PLACES = {
     'camera': 'in the camera',
     'time': 'in the stamps of the images',
     'shutter': 'in the shutter of the camera',
+    'noise': 'in the noise of the gyro',
 }
 MAX_ROWS = 7
 """Number of coefficients above which they share one row."""

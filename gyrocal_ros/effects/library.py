@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gyrocal_ros.effects.base import LibraryEffect
+from gyrocal_ros.effects.bias_instability import BiasInstability
 from gyrocal_ros.effects.bias_temperature import BiasTemperature
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.camera_position import CameraPosition
@@ -15,10 +16,12 @@ from gyrocal_ros.effects.cross_axis import CrossAxis
 from gyrocal_ros.effects.focal_length import FocalLength
 from gyrocal_ros.effects.g_sensitivity import GSensitivity
 from gyrocal_ros.effects.gyro_lag import GyroLag
+from gyrocal_ros.effects.gyro_noise import GyroNoise
 from gyrocal_ros.effects.lateral_drift import LateralDrift
 from gyrocal_ros.effects.principal_point import PrincipalPoint
 from gyrocal_ros.effects.radial_distortion import RadialDistortion
 from gyrocal_ros.effects.rate_deadband import RateDeadband
+from gyrocal_ros.effects.rate_noise import RateNoise
 from gyrocal_ros.effects.rate_saturation import RateSaturation
 from gyrocal_ros.effects.rolling_shutter import RollingShutter
 from gyrocal_ros.effects.scale import scale_power
@@ -54,6 +57,9 @@ SHIPPED: tuple[LibraryEffect, ...] = (
     FocalLength(),
     PrincipalPoint(),
     RadialDistortion(),
+    GyroNoise(),
+    RateNoise(),
+    BiasInstability(),
 )
 
 COVARIATE_EFFECTS: dict[str, Callable[[str], LibraryEffect]] = {

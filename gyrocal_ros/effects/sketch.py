@@ -50,6 +50,8 @@ def sketch(effect: LibraryEffect, shown: Sequence[tuple[float, ...]] | None = No
     every = list(_examples(effect))[:MAX_LINES] if shown is None else list(shown)
     if place_of(effect) == 'camera':
         return _shift_of_pixels(effect, every)
+    if effect.acts_on == 'noise':
+        return _heading_by_noise(effect, every)
     if effect.acts_on == 'shutter':
         return _shear(effect, every)
     if effect.acts_on == 'time':
@@ -95,6 +97,17 @@ def _shear(effect: Any, every: Sequence[tuple[float, ...]]) -> Sketch:
     }
     label = f'shift of a pixel {distance_px:.0f} px below the centre (px)'
     return Sketch('yaw rate (deg/s)', label, rate_deg_s, lines)
+
+
+def _heading_by_noise(effect: Any, every: Sequence[tuple[float, ...]]) -> Sketch:
+    """Return the standard deviation of the heading by noise alone, over time."""
+    x = np.linspace(0.0, 60.0, COUNT)
+    lines = {}
+    for values in every:
+        density = effect.density(np.full(COUNT, TURNING_RAD_S), np.array(values))
+        variance = density**2 * x + effect.bias_walk(np.array(values)) ** 2 * x**3 / 3.0
+        lines[_named(effect, values)] = np.degrees(np.sqrt(variance))
+    return Sketch(f'time (s){TURNING}', 'standard deviation of the heading (deg)', x, lines)
 
 
 def _examples(effect: LibraryEffect) -> Iterator[tuple[float, ...]]:

@@ -51,6 +51,16 @@ def is_limit(effect: Effect) -> bool:
     return isinstance(effect, LimitEffect)
 
 
+def is_noise(effect: Effect) -> bool:
+    """Return True if the effect makes the gyro noisier; no reading can be corrected for it."""
+    return effect.acts_on == 'noise'
+
+
+def is_estimated(effect: Effect) -> bool:
+    """Return True if the filter estimates the coefficients: not of a limit, and not of a noise."""
+    return not is_limit(effect) and not is_noise(effect)
+
+
 def may_break_the_filter(effect: Effect) -> bool:
     """Return True if the filter may diverge without the effect."""
     return isinstance(effect, LibraryEffect) and effect.about.may_break_the_filter
@@ -67,9 +77,9 @@ def scanned_coefficient(effect: Effect) -> int | None:
 
 
 def strengths(effect: Effect) -> IntArray:
-    """Return the indices of the coefficients in which the effect is linear; none for a limit."""
-    scanned = None if is_limit(effect) else scanned_coefficient(effect)
-    count = 0 if is_limit(effect) else len(effect.coefficients)
+    """Return the indices of the coefficients in which the effect is linear; none for a limit or a noise."""
+    scanned = scanned_coefficient(effect) if is_estimated(effect) else None
+    count = len(effect.coefficients) if is_estimated(effect) else 0
     return np.array([place for place in range(count) if place != scanned], np.int64)
 
 

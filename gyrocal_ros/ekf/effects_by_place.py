@@ -17,6 +17,7 @@ from gyrocal_ros.model.sensor import (
     GroundEffect,
     GyroEffect,
     Memory,
+    NoiseEffect,
     SeenPoints,
     ShutterEffect,
     WheelEffect,
@@ -38,6 +39,7 @@ class EffectsByPlace:
     camera: Sequence[tuple[CameraEffect, slice]]
     time: Sequence[tuple[Effect, slice]]
     shutter: Sequence[tuple[ShutterEffect, slice]]
+    noise: Sequence[tuple[NoiseEffect, slice]]
 
     @property
     def act_on_images(self) -> bool:
@@ -61,6 +63,7 @@ def sort_effects(effects: tuple[Effect, ...]) -> EffectsByPlace:
         camera=placed(effects, 'camera'),
         time=placed(effects, 'time'),
         shutter=placed(effects, 'shutter'),
+        noise=placed(effects, 'noise'),
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from gyrocal_ros.config.sections import GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, MotionContribution, contribute, pose_by_values
+from gyrocal_ros.ekf.process_noise import yaw_noise
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
 from gyrocal_ros.model.gyro import body_rates, correct
 from gyrocal_ros.model.kinematics import PoseStep, integrate
@@ -162,8 +163,10 @@ def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel, ext
     noise = np.zeros((COEFFICIENTS_START + len(walks),) * 2)
 
     gap_rad = math.radians(gyro.gap_rate_std_deg_s) * block.gap_s
-    rate_std = math.radians(gyro.rate_noise_deg_s)
-    by_rate = (motion.rate_gain * (rate_std / np.sqrt(block.dt_s))).reshape(6, -1)
+    yaw = yaw_noise(model.effects.noise, model.effects.prior_means, gyro, block.rate_rad_s[:, 2])
+    density = np.full((3, len(block.dt_s)), math.radians(gyro.rate_noise_deg_s))
+    density[2] = yaw.density_rad_s
+    by_rate = (motion.rate_gain * (density / np.sqrt(block.dt_s))).reshape(6, -1)
     noise[POSE, POSE] = by_rate @ by_rate.T
     noise[EULER, EULER] += gap_rad**2 * np.eye(3)
     noise[EULER, EULER][2, 2] += extra_yaw_walk**2 * duration_s
@@ -178,6 +181,7 @@ def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel, ext
     noise[POSITION, POSITION] += R_wb * steps @ R_wb.T
 
     noise[BIAS, BIAS] = math.radians(gyro.bias_walk_deg_s) ** 2 * duration_s * np.eye(3)
+    noise[YAW_BIAS, YAW_BIAS] = yaw.bias_walk_rad_s**2 * duration_s
     coefficients = np.arange(COEFFICIENTS_START, len(noise))
     noise[coefficients, coefficients] = np.square(walks) * duration_s
     return noise

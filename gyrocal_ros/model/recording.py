@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from gyrocal_ros.data import Array, IntArray, Rig
 
@@ -43,3 +44,5 @@ class RecordingSummary:
     """Names of all recorded signals, constant ones and the temperature included."""
     duration_s: float
     readings: GyroReadings
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Range of each signal that varies and that a learned law may follow, by its name there."""

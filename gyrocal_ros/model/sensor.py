@@ -14,9 +14,10 @@ from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 
-Place: TypeAlias = Literal['gyro', 'wheels', 'ground', 'camera', 'time', 'shutter']
+Place: TypeAlias = Literal['gyro', 'wheels', 'ground', 'camera', 'time', 'shutter', 'noise']
 """Place where an effect acts: the yaw rate, the distance by the wheels, a motion over the ground that no
-sensor measures, the camera, the stamps of the images, or the times of exposure of their rows."""
+sensor measures, the camera, the stamps of the images, the times of exposure of their rows, or the noise of
+the yaw rate."""
 
 Memory: TypeAlias = Any
 """State of an effect that is passed from block to block; None where it needs none."""
@@ -241,6 +242,19 @@ class ShutterEffect(Effect, Protocol):
 
     def readout_s(self, values: Array) -> tuple[float, Array]:
         """Return the time from the upper edge of the image to the lower one, and the derivative (k,)."""
+
+
+class NoiseEffect(Effect, Protocol):
+    """Makes the yaw rate noisier than the settings say.
+
+    The filter does not estimate noise: its coefficient has `prior_std` 0, and the diagnosis tries the `scan`.
+    """
+
+    def density(self, rate_rad_s: Array, values: Array) -> Array:
+        """Return the density of the added white noise (N,), rad/s/sqrt(Hz), at readings of the rate (N,)."""
+
+    def bias_walk(self, values: Array) -> float:
+        """Return the added random walk of the bias, rad/s/sqrt(s)."""
 
 
 @runtime_checkable

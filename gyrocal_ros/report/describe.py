@@ -111,6 +111,9 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
         step = f'steps of {math.degrees(diagnosis.coarse_step_rad_s):.2g} deg/s'
         causes = join(['these', *missing], 'or')
         return f'The gyro reads in {step}, wider than its noise; {causes} cause the errors.'
+    if diagnosis.verdict == 'noise':
+        noises = join([item.effect.name for item in diagnosis.missing])
+        return f'Only noise: the gyro is noisier than the settings say ({noises}), and no law is left over.'
     otherwise = NOTHING_MISSING if diagnosis.verdict == 'nothing_missing' else CANNOT_TELL
     headline = missing_headline(missing, diagnosis.unexplained if is_unexplained else None, otherwise)
     still = missing and not is_unexplained and diagnosis.fit.fits is False

@@ -108,6 +108,16 @@ def nominal_yaw_rate(true_rad_s: Array, scale_factor: float, block: MotionBlock,
     return nominal
 
 
+def hidden_noise(block: MotionBlock, hidden: Hidden, rng: np.random.Generator) -> Array:
+    """Draw the noise (n,) of the yaw rate by effects on the noise; zero without any."""
+    noise = np.zeros(len(block.dt_s))
+    for effect, values in _acting_on(hidden, 'noise'):
+        white = effect.density(block.rate_rad_s[:, 2], values) / np.sqrt(block.dt_s)
+        walk = effect.bias_walk(values) * np.sqrt(block.dt_s)
+        noise += white * rng.standard_normal(len(noise)) + np.cumsum(walk * rng.standard_normal(len(noise)))
+    return noise
+
+
 def odometry_shortfall(block: MotionBlock, hidden: Hidden) -> Array:
     """Solve `true = odometry + contributions(odometry)` for the accumulated true minus odometry, (n + 1,).
 

@@ -35,6 +35,7 @@ from gyrocal_ros.sim.forward import (
     at_readings,
     between,
     ground_displacement,
+    hidden_noise,
     nominal_yaw_rate,
     odometry_shortfall,
     readout_s,
@@ -250,6 +251,7 @@ class SimSource:
             position_m=truth.position(time_s)[:, :2],
         )
         rate[:, 2] = nominal_yaw_rate(rate[:, 2], truth.scale_factor, block, self.hidden)
+        rate[:, 2] += hidden_noise(block, self.hidden, stream(self.seed, 'hidden noise'))
         rates = read_gyro(rate, hz, errors, stream(self.seed, 'gyro'))
         forces = read_accelerometer(force, hz, errors, stream(self.seed, 'accelerometer'))
         yield from map(ImuSample, _stamps(time_s), map(tuple, rates.tolist()), map(tuple, forces.tolist()))

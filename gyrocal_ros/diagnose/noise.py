@@ -1,0 +1,176 @@
+"""Noise as an explanation: the gyro is noisier than the settings say, and nothing else is missing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.heading_filter import Headings, heading_log_likelihood
+from gyrocal_ros.diagnose.hypotheses import carried_by, laws, rank_laws
+from gyrocal_ros.diagnose.learning import is_missing_something
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.search import (
+    MAX_ADDITIONS,
+    Addition,
+    Calibrate,
+    ExaminedModel,
+    Search,
+    continued,
+    examine,
+    search,
+    with_effect,
+)
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
+from gyrocal_ros.effects import EFFECTS
+from gyrocal_ros.effects.traits import is_noise
+from gyrocal_ros.ekf.process_noise import YawNoise, yaw_noise_of
+from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
+from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
+
+MIN_GAIN = 25.0
+"""Log-likelihood that a noise, or a law beside it, has to gain: many are tried."""
+RIVAL_PART = 0.85
+"""Part of the best gain above which another noise is tried, where the robot drifts more with the best."""
+MIN_SIGMA = 2.0
+"""Significance of the predictive gain of a noise over what was found without it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseFit:
+    """A noise of the size that makes the headings likeliest."""
+
+    effect: Effect
+    gain: float
+    """Log-likelihood of the headings gained."""
+    std: float
+    """Standard deviation of the size, by the curvature of the log-likelihood."""
+
+
+def find_missing(
+    model: SensorModel,
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    most: int = MAX_ADDITIONS,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
+) -> Search:
+    """Find what a model lacks: effects, or noise where nothing else explains the recording; see `search`."""
+    return or_noise(search(model, recording, calibrate, most, settings), recording, calibrate, most)
+
+
+def fit_noises(present: ExaminedModel) -> list[NoiseFit]:
+    """Fit each noise that a model lacks to the headings of its run, the likeliest first."""
+    return sorted(_fits(present), key=lambda item: item.gain, reverse=True)
+
+
+def or_noise(
+    searched: Search,
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    most: int,
+) -> Search:
+    """Return a search in which noise takes the place of what was found, where noise predicts better.
+
+    Wrong effects and process noise may imitate noise, and an unknown law looks like noise as long as it is
+    not known. So a noise has to predict better than everything that was found, and beside it no law may be
+    left over; then the search goes on beside the noise.
+
+    Args:
+        searched: a finished search.
+        recording: summary of the recording.
+        calibrate: runs the filter.
+        most: number of effects to try.
+    """
+    first = searched.first
+    if not is_missing_something(first) or (searched.additions and searched.additions[0].before is None):
+        return searched
+    explained = sum(item.gain for item in searched.kept)
+    noises = fit_noises(first)
+    if not noises or noises[0].gain < max(MIN_GAIN, explained):
+        return searched
+    found = _first_kept(first, noises, recording, calibrate)
+    if found is None:
+        return searched
+    gain = predictive_gain(searched.last.run, found.after.run)
+    is_better = float(gain.sum()) > MIN_GAIN and vuong_sigma(gain) > MIN_SIGMA
+    if not is_better or _follows_a_law(found.after, recording, calibrate):
+        return searched
+    return Search(first, tuple(continued([found], found.after, recording, calibrate, most)))
+
+
+def _first_kept(
+    first: ExaminedModel, noises: Sequence[NoiseFit], recording: RecordingSummary, calibrate: Calibrate
+) -> Addition | None:
+    """Run the filter with the likeliest noises; return the first with which it does not drift more."""
+    for noise in noises:
+        if noise.gain < RIVAL_PART * noises[0].gain:
+            break
+        with suppress(FilterDivergedError):
+            found = _with_noise(first, noise, recording, calibrate)
+            if found.is_kept:
+                return found
+    return None
+
+
+def _fits(present: ExaminedModel) -> Iterator[NoiseFit]:
+    have = {effect.name for effect in present.model.effects}
+    without = heading_log_likelihood(present.seen)
+    for effect in EFFECTS.values():
+        if is_noise(effect) and effect.name not in have:
+            sizes = np.array(effect.coefficients[0].scan)
+            gains = np.array([_gain(present, effect, size) for size in sizes.tolist()]) - without
+            yield _at_maximum(effect, sizes, gains)
+
+
+def _gain(present: ExaminedModel, effect: Effect, size: float) -> float:
+    """Return the log-likelihood of the headings with a noise of a size beside those of the model."""
+    model = with_effect(present.model, with_means(effect, (size,)))  # type: ignore[type-var]
+    noise = _noise(present.seen, model, present)
+    return heading_log_likelihood(
+        replace(
+            present.seen,
+            rate_noise_rad_s=noise.density_rad_s,
+            bias_walk_rad_s=noise.bias_walk_rad_s,
+        )
+    )
+
+
+def _noise(seen: Headings, model: SensorModel, present: ExaminedModel) -> YawNoise:
+    return yaw_noise_of(model, present.run.config.gyro, seen.turn_rad / seen.dt_s)
+
+
+def _at_maximum(effect: Effect, sizes: Array, gains: Array) -> NoiseFit:
+    """Return the maximum of the parabola through the best size and its neighbours, on a logarithmic scale."""
+    place = int(np.clip(gains.argmax(), 1, len(gains) - 2))
+    below, middle, above = gains[place - 1 : place + 2].tolist()
+    step = math.log(sizes[place + 1] / sizes[place])
+    curvature = max(2.0 * middle - below - above, 1e-9)
+    shift = float(np.clip(0.5 * (above - below) / curvature, -1.0, 1.0))
+    size = float(sizes[place]) * math.exp(shift * step)
+    return NoiseFit(with_means(effect, (size,)), float(gains.max()), size * step / math.sqrt(curvature))  # type: ignore[type-var]
+
+
+def _with_noise(
+    first: ExaminedModel, noise: NoiseFit, recording: RecordingSummary, calibrate: Calibrate
+) -> Addition:
+    """Run the filter with a noise."""
+    after = examine(with_effect(first.model, noise.effect), recording, calibrate, first.settings)
+    p_value = chi_square_tail(2.0 * noise.gain, 1)
+    none = np.empty(0, np.int64)
+    return Addition(
+        noise.effect, first, after, noise.gain, sigma_of(p_value), p_value, np.array([noise.std]), none
+    )
+
+
+def _follows_a_law(present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate) -> bool:
+    """Return True if a law that the library lacks explains some of what a model counts as noise."""
+    tried = laws(present.run, recording.ranges)
+    run = calibrate(present.model, carried_by(tried))
+    assert run.scores is not None
+    return rank_laws(tried, run.scores)[0].gain > MIN_GAIN

@@ -1,0 +1,79 @@
+"""Noise as an explanation: sizes that are found, and laws that are not taken for noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import Source
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.noise import find_missing, fit_noises
+from gyrocal_ros.diagnose.search import examine
+from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import preload
+from gyrocal_ros.report.describe import diagnosis_headline
+from gyrocal_ros.sim.hidden import DrawnEffect, hide
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+DEG = math.radians(1.0)
+SIZES = {'gyro_noise': 0.06 * DEG, 'rate_noise': 0.003, 'bias_instability': 0.01 * DEG}
+
+
+def recording(name: str, *values: float, seconds: float = 100.0, seed: int = 2) -> Source:
+    scenario = replace(find_scenario('cleaning'), duration_s=seconds)
+    hidden = hide((DrawnEffect(name, values),), find_effect) if name else ()
+    source, _ = preload(SimSource(scenario, seed, hidden=hidden), Config(), default_model())
+    return source
+
+
+def runner(source: Source) -> Callable[[SensorModel, tuple[Effect, ...]], Run]:
+    return lambda model, tried: calibrate(source, Config(), model, candidates=tried)
+
+
+def diagnosed(source: Source) -> Diagnosis:
+    recorded = summarise_recording(source)
+    return diagnose(find_missing(default_model(), recorded, runner(source)), recorded)
+
+
+@pytest.mark.parametrize('name', SIZES)
+def test_the_size_of_a_noise_is_found(name: str) -> None:
+    source = recording(name, SIZES[name])
+    present = examine(default_model(), summarise_recording(source), runner(source))
+    found = next(item for item in fit_noises(present) if item.effect.name == name)
+    size = found.effect.coefficients[0].prior_mean
+    assert found.gain > 25.0 and found.std < 0.3 * size
+    assert abs(size - SIZES[name]) < 4.0 * found.std
+
+
+def test_no_noise_is_fitted_to_a_gyro_without() -> None:
+    source = recording('')
+    present = examine(default_model(), summarise_recording(source), runner(source))
+    fits = fit_noises(present)
+    assert [item.effect.name for item in fits] and fits[0].gain < 5.0
+    assert np.all(np.diff([item.gain for item in fits]) <= 0.0)
+
+
+@pytest.mark.slow
+def test_noise_is_a_verdict_of_its_own() -> None:
+    found = diagnosed(recording('gyro_noise', SIZES['gyro_noise']))
+    assert found.verdict == 'noise' and [item.effect.name for item in found.missing] == ['gyro_noise']
+    assert found.fit.fits and found.unexplained is None
+    assert found.missing[0].stds[0] > 0.0
+    assert 'gyro_noise' in diagnosis_headline(found)
+
+
+@pytest.mark.slow
+def test_an_unknown_law_is_not_taken_for_noise() -> None:
+    found = diagnosed(recording('stranger_heading', 0.3 * DEG, 0.7))
+    assert found.verdict in ('unexplained', 'cannot_tell')
+    assert not any(item.effect.acts_on == 'noise' for item in found.missing)

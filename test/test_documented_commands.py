@@ -25,11 +25,10 @@ from gyrocal_ros.report.png import try_png
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('library')]
 
-ELSEWHERE = {'bench', 'reproduce', 'studio', 'demo'}
+ELSEWHERE = {'bench', 'reproduce', 'studio', 'demo', 'fleet'}
 """Commands that other tests execute."""
 FEATURES_S, IMAGES_S = '24', '2'
 """Length of a simulated recording."""
-BAGS = ('another_bag', 'next_bag', 'BAG')
 PLACEHOLDERS = {'NAME': 'gyro_lag', 'xsens.bag': 'my_bag'}
 GUIDE = (ROOT / 'docs/your_own_effect.md').read_text(encoding='utf-8')
 OWN_EFFECT = re.findall(r'```python\n(.*?)```', GUIDE, re.DOTALL)[0]
@@ -43,8 +42,6 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     bag, result = folder / 'my_bag', folder / 'result'
     assert main(['simulate', str(bag), '--duration', FEATURES_S]) == 0
     assert main(['replay', str(bag), '-o', str(result)]) == 0
-    for name in BAGS:
-        shutil.copytree(bag, folder / name)
     for name in ('improved', 'learned'):
         shutil.copytree(result, folder / name)
     for name in ('default.yaml', 'model.yaml'):
@@ -69,7 +66,8 @@ def runnable(text: str) -> Iterator[list[str]]:
         arguments = shlex.split(command, comments=True)
         is_new = tuple(arguments) not in seen
         seen.add(tuple(arguments))
-        if is_new and arguments[0] not in ELSEWHERE and '--help' not in arguments and is_complete(arguments):
+        is_elsewhere = arguments[0] in ELSEWHERE or {'--help', '--fleet'} & set(arguments)
+        if is_new and not is_elsewhere and is_complete(arguments):
             yield arguments
 
 
@@ -85,6 +83,7 @@ def is_complete(arguments: list[str]) -> bool:
 def shortened(arguments: list[str]) -> list[str]:
     """Return the arguments for a short recording, with leave to overwrite results of earlier commands."""
     args = command_parser(arguments[0]).parse_args(arguments[1:])
+    provide_recordings(args)
     if arguments[0] == 'simulate':
         arguments = [*arguments, '--duration', IMAGES_S if args.images else FEATURES_S]
     if '--png' in arguments and not can_draw():
@@ -92,6 +91,15 @@ def shortened(arguments: list[str]) -> list[str]:
     written = [vars(args).get(name) for name in ('out', 'as_effect')]
     is_there = any(isinstance(path, Path) and path.exists() for path in written)
     return [*arguments, *(['--overwrite'] if is_there and '--overwrite' not in arguments else [])]
+
+
+def provide_recordings(args: argparse.Namespace) -> None:
+    """Provide the recording and the earlier calibration that a page takes for granted."""
+    bag, start_from = vars(args).get('bag'), vars(args).get('start_from')
+    if isinstance(bag, Path) and not bag.exists():
+        shutil.copytree('my_bag', bag)
+    if start_from is not None and not start_from.exists():
+        shutil.copy('result/calibration.yaml', start_from)
 
 
 def can_draw() -> bool:

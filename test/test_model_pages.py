@@ -389,7 +389,9 @@ class TestPages:
         )
         assert '<div id="drift' not in comparison_page(short)
         revisions = tuple(replace(item, held_out=empty, fitted=empty) for item in improved.revisions)
-        assert '<div id="drift' not in improvement_page(replace(improved, revisions=revisions))
+        page = improvement_page(replace(improved, revisions=revisions))
+        assert '<div id="drift' not in page
+        assert 'too short for a drift over 60 s' in page and 'drifts - deg' not in page
 
     def test_half_figures_are_shown_in_pairs(self, improved: Improvement) -> None:
         figure = models.drift_by_span({'a': improved.final.held_out})

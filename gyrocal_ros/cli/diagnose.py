@@ -129,14 +129,14 @@ def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
     steps = advice(diagnosis)
     if diagnosis.unexplained is not None or diagnosis.fit.misfits:
         words = ['gyrocal', 'learn', *bag_arguments(args), *_model_arguments(args), '-o', 'learned']
-        steps = [f'Let this learn what no effect of the library explains: {shlex.join(words)}', *steps]
+        steps = [f'Learn what no effect of the library explains: {shlex.join(words)}', *steps]
     if diagnosis.missing:
         improve = shlex.join(
             ['gyrocal', 'improve', *bag_arguments(args), *_model_arguments(args), '-o', 'improved']
         )
         steps = [
             *(f'Add it to the model: {add_command(item.effect, args)}' for item in diagnosis.missing),
-            f'Or let this add it and measure the error: {improve}',
+            f'Or add it and measure the error: {improve}',
             *steps,
         ]
     if steps:

@@ -96,7 +96,7 @@ def curve_by_effects(
     parts = hats(np.where(np.isfinite(values), values, like.knots[0]), like.knots, signal)
     columns = parts * np.where(np.abs(rate) > TURNING_RAD_S, rate, 0.0)[:, None] if of_scale else parts
     basis = np.concatenate([columns, rate[:, None]], axis=1) * np.sqrt(history.dt_s)[:, None]
-    fitted = np.linalg.lstsq(basis, added_rad / np.sqrt(history.dt_s))[0][: len(like.knots)]
+    fitted = np.linalg.lstsq(basis, added_rad / np.sqrt(history.dt_s), rcond=None)[0][: len(like.knots)]
     return ErrorCurve(like.knots, _centring(like.knots, signal) @ fitted, np.zeros(len(fitted)))
 
 

@@ -117,7 +117,7 @@ def misfits(seen: Headings, columns: Array) -> Array:
     scores = heading_scores(seen, np.concatenate([blocks, columns], axis=1))
     own, count = np.arange(blocks.shape[1]), blocks.shape[1]
     score, information = scores.score.sum(axis=0), scores.information.sum(axis=0)
-    values = np.linalg.lstsq(information[count:, count:], score[count:])[0]
+    values = np.linalg.lstsq(information[count:, count:], score[count:], rcond=None)[0]
     score = scores.score[own, own] - scores.information[own, own, count:] @ values
     information = scores.information[own, own, own]
     known = information > 0.0

@@ -151,7 +151,7 @@ def _reason(added: Addition) -> str:
         return f'the recording is predicted better (log-likelihood +{size}), but it drifts more'
     if added.is_rejected:
         return f'the recording is not predicted clearly better (log-likelihood +{size}), or it drifts more'
-    return f'the recording is predicted hardly better (log-likelihood +{size})'
+    return f'the prediction of the recording hardly improves (log-likelihood +{size})'
 
 
 def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:

@@ -95,8 +95,8 @@ def _headline(comparison: Comparison) -> tuple[Kind, str]:
     best, first = comparison.best, comparison.results[0]
     if len(comparison.results) == 1:
         if not best.fails_where:
-            return 'good', f'{best.label} fits this recording: it fails nowhere by more than chance.'
-        return 'found', f'{best.label} is off by more than chance in {_places(best)}.'
+            return 'good', f'{best.label} fits this recording: all differences are within chance.'
+        return 'found', f'{best.label} does not fit in {_places(best)}: the errors are larger than chance.'
     if best is first:
         return 'good', f'No other model is better than {first.label}.'
     gain = f'log-likelihood +{best.gain:.1f}, {best.gain_sigma:.1f} sigma'

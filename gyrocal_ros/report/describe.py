@@ -124,7 +124,7 @@ def improvement_headline(improved: Improvement) -> str:
     """State what was added to a model, in one sentence."""
     names = [revision.effect.name for revision in improved.kept if revision.effect is not None]
     if not names:
-        return 'Nothing was added: with no effect the recording is predicted better.'
+        return 'Nothing was added: no effect improves the prediction of the recording.'
     first, last = improved.kept[0].held_out.rms_deg, improved.final.held_out.rms_deg
     change = (
         f': the held-out drift went from {first:.2f} to {last:.2f} deg'
@@ -143,7 +143,7 @@ def events_in_words(run: Run) -> Iterator[tuple[str, str]]:
 def failures_in_words(failures: Sequence[Failure], most: int = 5) -> Iterator[str]:
     """Yield a line for each of the worst failures, or one that says that there is none."""
     if not failures:
-        yield '  nowhere by more than chance'
+        yield '  nowhere: all differences are within chance'
     for failure in failures[:most]:
         yield f'  {failure.what} ({failure.sigma:.0f} sigma)'
     if len(failures) > most:

@@ -78,10 +78,14 @@ def conclusion(improved: Improvement) -> Verdict:
         for revision in improved.revisions
         if revision.effect is not None and not revision.is_kept
     ]
-    if final is first:
+    if not len(first.held_out.error_rad):
+        result = f'The recording is too short for a drift over {SPAN_S:.0f} s that is held out.'
+    elif final is first:
         result = f'{drifts} {before} deg ({against}).'
+    else:
+        result = f'{drifts} {after} deg; before, it was {before} deg ({against}).'
+    if final is first:
         return Verdict('good', improvement_headline(improved), (result, *tried))
-    result = f'{drifts} {after} deg; before, it was {before} deg ({against}).'
     todo = f'Give the robot the new model; in this folder: {launch_command("$PWD")}'
     return Verdict('good', improvement_headline(improved), (result, *tried), (todo,))
 

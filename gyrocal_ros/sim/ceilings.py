@@ -44,7 +44,7 @@ def find_ceiling(name: str) -> Ceiling:
     if name in CEILINGS:
         return CEILINGS[name]
     if not Path(name).is_file():
-        todo = f'{did_you_mean(name, list(CEILINGS))}, or give the file of a photograph'
+        todo = f'give the file of a photograph, or a name: {did_you_mean(name, list(CEILINGS))}'
         raise ConfigError(f'{name!r} is not a ceiling', where='ceiling', todo=todo)
     return Ceiling('a photograph', lambda rng, height_m, grid: (photograph(Path(name), height_m, grid),))
 

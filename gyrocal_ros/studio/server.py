@@ -105,7 +105,9 @@ def listen(app: Dash, host: str, port: int) -> BaseWSGIServer:
     try:
         return make_server(host, port, app.server, threaded=True)
     except (OSError, SystemExit) as error:  # werkzeug exits if the port is in use
-        raise GyrocalError('cannot be used', where=f'{host}:{port}', todo='choose another --port') from error
+        raise GyrocalError(
+            'cannot be used', where=f'{host}:{port}', todo='choose another --port or --host'
+        ) from error
 
 
 def _control_access(server: Any, token: str | None, names: frozenset[str] | None) -> None:

@@ -42,6 +42,7 @@ ROS = {
     *('diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'sensor_msgs', 'visualization_msgs'),
 }
 LIBRARY_HOMES = {
+    'argcomplete': ('cli/completion.py',),
     'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'msgs/images.py'),
     **dict.fromkeys(('dash', 'flask', 'werkzeug'), ('studio',)),
     'kaleido': ('report/png.py',),

@@ -61,6 +61,11 @@ class Improvement:
         return tuple(revision for revision in self.revisions if revision.is_kept)
 
     @property
+    def fell_sigma(self) -> float:
+        """By how many sigma the held-out drift fell from the first model to the last; NaN where unknown."""
+        return better_sigma(self.kept[0].held_out, self.final.held_out)
+
+    @property
     def final(self) -> Revision:
         """The last revision that was kept."""
         return self.kept[-1]

@@ -13,6 +13,7 @@ from gyrocal_ros.diagnose.advice import join
 from gyrocal_ros.diagnose.candidate_fit import held_out_gain
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.separability import how_to_tell_apart
+from gyrocal_ros.diagnose.status import missing_sentence
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Effect
@@ -21,7 +22,6 @@ from gyrocal_ros.report.describe import (
     NO_FAILURE,
     coefficients_in_words,
     drift_in_words,
-    missing_headline,
     sigma_in_words,
     with_gain,
 )
@@ -111,12 +111,12 @@ def verdict(state: StudioState) -> str:
         return ''
     best = examination.best
     if best is not None:
-        headline = missing_headline({best.effect.name: examination.indistinguishable})
+        headline = missing_sentence({best.effect.name: examination.indistinguishable})
         return f'{headline} It explains most of the error left over ({sigma_in_words(best.fit.sigma)} sigma).'
     otherwise = 'No effect of the library explains more than chance.'
     if examination.limits:
         otherwise = f'The readings suggest a limit: {join([one.name for one in examination.limits], "or")}.'
-    return missing_headline({}, examination.examined.unexplained_structure, otherwise)
+    return missing_sentence({}, examination.examined.unexplained_structure, otherwise)
 
 
 def candidate_list(state: StudioState) -> list[Any]:
@@ -242,7 +242,7 @@ def lesson(state: StudioState) -> list[Any]:
     ]
     sentences = [f'Hidden: {hidden}.', guess_text[revealed.guessed_right]]
     if revealed.missed:
-        sentences.append(missing_headline(dict.fromkeys(revealed.missed, ())))
+        sentences.append(missing_sentence(dict.fromkeys(revealed.missed, ())))
     if revealed.superfluous:
         sentences.append(f'In the model but not hidden: {join([*revealed.superfluous])}.')
     heads = ('coefficient', 'truth', 'estimate', 'error')

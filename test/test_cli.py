@@ -19,7 +19,6 @@ from gyrocal_ros import __version__
 from gyrocal_ros.cli.main import COMMANDS, main
 from gyrocal_ros.cli.output import print_json
 from gyrocal_ros.cli.replay import as_text
-from gyrocal_ros.config.sections import Config
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import shipped
 
@@ -216,8 +215,11 @@ def test_demo_finds_the_true_scale_factor(
 )
 def test_the_drift_of_a_single_span_is_reported_as_such(worst: float, text: str) -> None:
     names = ('scale_factor', 'scale_factor_std', 'scale_factor_volt', 'bias', 'bias_std', 'heading_rms_deg')
+    status = {'level': 'yellow', 'sentence': 'Not calibrated yet.', 'next_step': 'Record more turns.'}
     summary = dict.fromkeys(names, 0.1) | {'coefficients': {}, 'converged': False, 'misfits': []}
-    assert text in as_text(summary | {'blind_drift_deg': {'rms': 0.2, 'max': worst}}, Config())
+    printed = as_text(summary | {'status': status, 'blind_drift_deg': {'rms': 0.2, 'max': worst}})
+    assert text in printed and printed.startswith('[yellow] Not calibrated yet.')
+    assert printed.endswith('Next: Record more turns.')
 
 
 @pytest.mark.slow

@@ -26,6 +26,7 @@ from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.search import Search, search
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
+from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.covariate import covariate_bias
@@ -37,7 +38,6 @@ from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import load_calibration
 from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
-from gyrocal_ros.report.describe import diagnosis_headline
 from gyrocal_ros.sim.hidden import DrawnEffect, hide
 
 Output = pytest.CaptureFixture[str]
@@ -183,22 +183,24 @@ class TestDiagnose:
         assert diagnose(search_, fine).verdict == 'effect_found'
         unsure = diagnose(search_, coarse)
         assert unsure.verdict == 'cannot_tell' and unsure.coarse_step_rad_s == pytest.approx(step)
-        assert 'steps of 0.5 deg/s' in diagnosis_headline(unsure)
-        assert 'scale_asymmetry' in diagnosis_headline(unsure)
+        assert 'steps of 0.5 deg/s' in diagnosis_status(unsure).sentence
+        assert 'scale_asymmetry' in diagnosis_status(unsure).sentence
         assert any('finer range' in text for text in advice(unsure))
         clean = replace(unsure, missing=(), verdict='nothing_missing')
-        assert diagnosis_headline(clean).startswith('Nothing is missing')
+        assert diagnosis_status(clean).sentence.startswith('Nothing is missing')
 
     def test_unexplained_structure(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched
         shape = shapes(search_.last.run, search_.last.seen)[0]
         jump = UnexplainedStructure('the bias jumped by +0.2 deg/s at 40 s', 80.0, 9.0, shape, at_s=40.0)
         strange = replace(diagnosis, verdict='unexplained', missing=(), unexplained=jump)
-        assert 'Missing' not in diagnosis_headline(strange)
-        assert 'No effect of the library explains this: the bias jumped' in diagnosis_headline(strange)
+        assert 'Missing' not in diagnosis_status(strange).sentence
+        assert 'No effect of the library explains this: the bias jumped' in diagnosis_status(strange).sentence
         assert any('at 40 s' in text for text in advice(strange))
         both = replace(strange, missing=diagnosis.missing)
-        assert diagnosis_headline(both).startswith('Missing: scale_asymmetry. No effect of the library')
+        assert diagnosis_status(both).sentence.startswith(
+            'Missing: scale_asymmetry. No effect of the library'
+        )
         shown = json.loads(json_text(summarise_diagnosis(search_, strange)))['unexplained']
         assert shown['at_s'] == 40.0 and shown['significance_sigma'] == 9.0 and shown['caution']
         assert len(shown['knots']) == len(shown['values']) == len(shown['stds'])

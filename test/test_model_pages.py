@@ -24,6 +24,7 @@ from gyrocal_ros.diagnose.json_summary import (
     summarise_diagnosis,
     summarise_improvement,
 )
+from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.model_series import (
     MAX_PLACES,
     coefficients,
@@ -40,6 +41,7 @@ from gyrocal_ros.diagnose.search_series import (
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
+from gyrocal_ros.diagnose.status import diagnosis_status, missing_sentence
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.wander import MAX_MOMENTS, wander
 from gyrocal_ros.effects import default_model, find_effect
@@ -53,7 +55,7 @@ from gyrocal_ros.report import improvement as improvement_report
 from gyrocal_ros.report import plot, write
 from gyrocal_ros.report.comparison import comparison_page
 from gyrocal_ros.report.comparison_figures import Mark
-from gyrocal_ros.report.describe import NO_FAILURE, diagnosis_headline, missing_headline, with_gain
+from gyrocal_ros.report.describe import NO_FAILURE, with_gain
 from gyrocal_ros.report.diagnosis import diagnosis_page, estimate_rows
 from gyrocal_ros.report.html import Section, gallery, with_code
 from gyrocal_ros.report.improvement import improvement_page
@@ -407,17 +409,16 @@ class TestConclusions:
         structure = UnexplainedStructure('the bias jumped', 50.0, 9.0, some_shape, at_s=12.0)
         uncertain = replace(diagnosis.missing[0], confused_with=('scale_quadratic',))
         for verdict, missing, left, kind in (
-            ('nothing_missing', (), None, 'good'),
-            ('effect_found', diagnosis.missing, None, 'found'),
-            ('cannot_tell', (uncertain,), None, 'found'),
-            ('cannot_tell', (), None, 'bad'),
-            ('unexplained', (), structure, 'bad'),
+            ('nothing_missing', (), None, 'green'),
+            ('effect_found', diagnosis.missing, None, 'yellow'),
+            ('cannot_tell', (uncertain,), None, 'yellow'),
+            ('cannot_tell', (), None, 'yellow'),
+            ('unexplained', (), structure, 'red'),
         ):
             case = replace(diagnosis, verdict=verdict, missing=missing, unexplained=left)
             words = diagnosis_report.conclusion(case)
-            assert words.kind == kind
-            assert words.good == (verdict == 'nothing_missing')
-            assert bool(words.todo) == (verdict != 'nothing_missing')
+            assert words.status.level == kind
+            assert bool(words.steps) == (verdict != 'nothing_missing')
 
     def test_certain_and_uncertain_effects_are_named_apart(self, diagnosis: Diagnosis) -> None:
         sure = diagnosis.missing[0]
@@ -427,9 +428,9 @@ class TestConclusions:
             'Missing: scale_asymmetry and bias_temperature (not distinguishable here from bias_warmup).'
         )
         swapped = replace(case, missing=(uncertain, sure))
-        assert diagnosis_headline(swapped) == diagnosis_headline(case)
+        assert diagnosis_status(swapped).sentence == diagnosis_status(case).sentence
         twins = {'scale_asymmetry': (), 'bias_temperature': ('bias_warmup',)}
-        assert missing_headline(twins) == diagnosis_headline(case)
+        assert missing_sentence(twins) == diagnosis_status(case).sentence
 
     def test_the_drift_before_and_after_is_stated(self, diagnosis: Diagnosis) -> None:
         missing = replace(diagnosis.missing[0], drift_before_deg=2.0, drift_after_deg=0.25)
@@ -446,12 +447,13 @@ class TestConclusions:
         assert comparison_report.conclusion(worse).headline.startswith('No other model is better')
 
     def test_one_model_alone(self, comparison: Comparison) -> None:
-        old = comparison.results[0]
+        old, new = comparison.results
         words = comparison_report.conclusion(replace(comparison, results=(old,)))
-        assert not words.good
-        assert 'diagnose' in words.todo[0]
-        fine = replace(comparison, results=(replace(old, fails_where=()),))
-        assert comparison_report.conclusion(fine).good
+        assert words.status.level == 'red', 'the model does not fit'
+        assert 'diagnose' in words.steps[0]
+        fine = replace(comparison, results=(replace(new, fails_where=()),))
+        assert model_fit(old.run).fits is False
+        assert comparison_report.conclusion(fine).status.level == 'green'
 
     def test_an_improvement_states_the_decrease(self, improved: Improvement) -> None:
         words = improvement_report.conclusion(improved)

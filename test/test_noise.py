@@ -14,13 +14,13 @@ from gyrocal_ros.data import Source
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.noise import find_missing, fit_noises
 from gyrocal_ros.diagnose.search import examine
+from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
-from gyrocal_ros.report.describe import diagnosis_headline
 from gyrocal_ros.sim.hidden import DrawnEffect, hide
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
@@ -69,7 +69,7 @@ def test_noise_is_a_verdict_of_its_own() -> None:
     assert found.verdict == 'noise' and [item.effect.name for item in found.missing] == ['gyro_noise']
     assert found.fit.fits and found.unexplained is None
     assert found.missing[0].stds[0] > 0.0
-    assert 'gyro_noise' in diagnosis_headline(found)
+    assert 'gyro_noise' in diagnosis_status(found).sentence
 
 
 @pytest.mark.slow

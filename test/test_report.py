@@ -31,6 +31,7 @@ from gyrocal_ros.diagnose.run_series import (
     uncorrected,
     windows,
 )
+from gyrocal_ros.diagnose.status import DOES_NOT_FIT, calibration_status, turned_deg
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
 from gyrocal_ros.ekf.map import ceiling_map
@@ -50,7 +51,7 @@ from gyrocal_ros.report.calibration import (
     coefficient_rows,
     conclusion,
 )
-from gyrocal_ros.report.describe import DOES_NOT_FIT, calibration_headline, sigma_in_words, with_std
+from gyrocal_ros.report.describe import sigma_in_words, with_std
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -339,8 +340,8 @@ class TestSentences:
         assert with_std(value, std) == text
 
     def test_a_good_calibration(self, run: Run, calibration: Calibration) -> None:
-        verdict = conclusion(calibration, run.config, FITS, blind_drift(uncorrected(run)), blind_drift(run))
-        assert verdict.good
+        verdict = conclusion(calibration, run, FITS, blind_drift(uncorrected(run)), blind_drift(run))
+        assert verdict.status.level == 'green'
         assert verdict.headline.startswith('Calibrated: the scale factor was known to 0.05 % after')
         assert '135.' in verdict.sentences[0]
         assert '8.0' in verdict.sentences[0]
@@ -349,36 +350,58 @@ class TestSentences:
 
     def test_a_calibration_that_needs_more_turns(self, run: Run, calibration: Calibration) -> None:
         early = replace(calibration, converged=False, convergence_time_s=None)
-        verdict = conclusion(early, run.config, FITS, blind_drift(run), blind_drift(run))
-        assert not verdict.good
-        assert 'Record more turns' in verdict.headline
+        verdict = conclusion(early, run, FITS, blind_drift(run), blind_drift(run))
+        assert verdict.status.level != 'green'
+        assert 'Record more turns' in verdict.steps[0]
 
     def test_a_model_that_does_not_fit(self, run: Run, calibration: Calibration) -> None:
         misfit = ModelFit(('the heading drifts by 3 deg',), True)
-        verdict = conclusion(calibration, run.config, misfit, blind_drift(run), blind_drift(run))
-        assert not verdict.good
+        verdict = conclusion(calibration, run, misfit, blind_drift(run), blind_drift(run))
+        assert verdict.status.level != 'green'
         assert verdict.headline.startswith('Not to be trusted: the heading drifts by 3 deg')
         assert verdict.headline.endswith(DOES_NOT_FIT)
 
     def test_an_inconsistent_calibration(self, run: Run, calibration: Calibration) -> None:
         inconsistent = replace(calibration, converged=False)
-        verdict = conclusion(inconsistent, run.config, FITS, blind_drift(run), blind_drift(run))
-        assert not verdict.good
+        verdict = conclusion(inconsistent, run, FITS, blind_drift(run), blind_drift(run))
+        assert verdict.status.level != 'green'
         assert 'Not to be trusted' in verdict.headline
 
     def test_a_gyro_mounted_upside_down(self, run: Run, calibration: Calibration) -> None:
         turned = replace(calibration, values=np.array([0.0, -1.99]))
-        verdict = conclusion(turned, run.config, FITS, blind_drift(run), blind_drift(run))
+        verdict = conclusion(turned, run, FITS, blind_drift(run), blind_drift(run))
         assert 'reports 1.01 % too much, and turns the wrong way round' in verdict.sentences[0]
 
     def test_page_and_command_state_the_same_reason(self, run: Run, calibration: Calibration) -> None:
         for converged_s in (None, calibration.convergence_time_s):
             failed = replace(calibration, converged=False, convergence_time_s=converged_s)
-            headline = conclusion(failed, run.config, FITS, blind_drift(run), blind_drift(run)).headline
-            assert headline in as_text(summarise(run, failed), run.config)
-            assert headline == calibration_headline(
-                False, converged_s, calibration.scale_factor_std, run.config
-            )
+            headline = conclusion(failed, run, FITS, blind_drift(run), blind_drift(run)).headline
+            summary = summarise(run, failed)
+            assert f'] {headline}' in as_text(summary).splitlines()[0]
+            assert headline == summary['status']['sentence']
+
+
+class TestStatus:
+    def test_green_needs_turns_to_both_sides(self, run: Run, calibration: Calibration) -> None:
+        assert calibration_status(calibration, run, FITS).level == 'green'
+        left = replace(run.history, turn_rad=np.maximum(run.history.turn_rad, 0.0))
+        status = calibration_status(calibration, replace(run, history=left), FITS)
+        assert status.level == 'yellow'
+        assert 'to the left only' in status.sentence and 'right' in status.next_step
+
+    def test_green_needs_a_model_that_was_judged(self, run: Run, calibration: Calibration) -> None:
+        status = calibration_status(calibration, run, ModelFit((), False))
+        assert status.level == 'yellow' and 'too short' in status.sentence
+
+    def test_turns_are_summed_by_side(self, run: Run) -> None:
+        dt_s = run.history.dt_s
+        rate = np.where(np.arange(len(dt_s)) % 3 == 0, 1.0, -0.5)
+        rate[:4] = 0.01  # too slow for a turn
+        turned = replace(run, history=replace(run.history, turn_rad=rate * dt_s))
+        left, right = (
+            float(np.degrees(rate * dt_s)[4:][side].sum()) for side in (rate[4:] > 0, rate[4:] < 0)
+        )
+        assert turned_deg(turned) == pytest.approx((left, -right))
 
 
 def test_a_calibration_and_a_comparison_have_the_same_drift(run: Run) -> None:

@@ -44,5 +44,5 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print_json(summary)
     else:
-        print(as_text(summary, config))
+        print(as_text(summary))
         print(f'\nReport: {out / "report.html"}')

@@ -22,16 +22,17 @@ from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.model_file import options_of
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.report.describe import (
     coefficients_in_words,
-    diagnosis_headline,
     failures_in_words,
     number,
     sigma_in_words,
+    status_line,
 )
 
 EXAMPLE = """gyrocal diagnose my_bag
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> None:
 
 def as_text(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield the diagnosis in lines of text, the verdict first."""
-    yield diagnosis_headline(diagnosis)
+    yield status_line(diagnosis_status(diagnosis))
     yield ''
     yield from _missing_effects(diagnosis)
     if diagnosis.fails_where:

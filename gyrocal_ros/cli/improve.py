@@ -26,6 +26,7 @@ from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
 from gyrocal_ros.diagnose.learning import learn
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.search import Calibrate, try_effect
+from gyrocal_ros.diagnose.status import improvement_status, missing_sentence
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.ekf.run import Run
@@ -34,9 +35,8 @@ from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.report.describe import (
     drift_in_words,
-    improvement_headline,
     launch_command,
-    missing_headline,
+    status_line,
     with_std,
 )
 
@@ -115,7 +115,7 @@ def announced(runs: BagRuns) -> Calibrate:
 
 def as_text(improved: Improvement) -> Iterator[str]:
     """Yield the improvement in lines of text, with the error of each revision."""
-    yield improvement_headline(improved)
+    yield status_line(improvement_status(improved))
     yield ''
     yield from table(
         ('revision', '', 'held-out drift (deg)', 'fitted', 'predictive gain', 'NIS/dof', 'scale factor'),
@@ -127,7 +127,7 @@ def as_text(improved: Improvement) -> Iterator[str]:
     yield from (f'{revision.label}: {revision.why}' for revision in improved.revisions)
     structure = improved.final.examined.unexplained_structure
     if structure is not None:
-        yield missing_headline({}, structure)
+        yield missing_sentence({}, structure)
 
 
 def files_as_text(out: Path | None, improved: Improvement) -> Iterator[str]:

@@ -24,6 +24,7 @@ from gyrocal_ros.cli.options import (
 from gyrocal_ros.cli.output import print_json, progress, warn
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.json_summary import summarise
+from gyrocal_ros.diagnose.status import DOES_NOT_FIT, Status
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.effects.traits import followers_by_signal
 from gyrocal_ros.ekf.run import Run
@@ -35,7 +36,7 @@ from gyrocal_ros.msgs.issues import BagIssue, raise_first_error, worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.pipeline.run_filter import Progress
-from gyrocal_ros.report.describe import calibration_headline, quantity, with_std
+from gyrocal_ros.report.describe import quantity, status_line, with_std
 
 EXAMPLE = """gyrocal replay my_bag -o result
 gyrocal replay my_bag --json
@@ -79,7 +80,7 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print_json(summary)
     else:
-        print(as_text(summary, config))
+        print(as_text(summary))
         if args.out:
             print(f'\nReport: {args.out / "report.html"}')
 
@@ -118,7 +119,7 @@ def replay(
     return summarise(finished, calibration) | {'wall_s': time.perf_counter() - began_s}
 
 
-def as_text(summary: dict[str, Any], config: Config) -> str:
+def as_text(summary: dict[str, Any]) -> str:
     """Return the result in a few lines of text."""
     scale = with_std(summary['scale_factor'], summary['scale_factor_std'])
     rows = [
@@ -128,7 +129,7 @@ def as_text(summary: dict[str, Any], config: Config) -> str:
             for name, entry in summary['coefficients'].items()
             if name != 'scale_factor'
         ),
-        ('converged', _convergence(summary, config)),
+        ('converged', _convergence(summary)),
     ]
     if 'blind_drift_deg' in summary:
         drift = summary['blind_drift_deg']
@@ -142,20 +143,16 @@ def as_text(summary: dict[str, Any], config: Config) -> str:
             rows.append(('blind drift', f'{size}, {after}'))
     width = max(len(label) for label, _ in rows)
     lines = [f'{label:{width}}  {text}' for label, text in rows]
-    if summary['misfits']:
-        lines += ['', _headline(summary, config)]
-    return '\n'.join(lines)
+    status = Status(**summary['status'])
+    steps = [f'Next: {status.next_step}'] if status.next_step else []
+    ending = [DOES_NOT_FIT[0].upper() + DOES_NOT_FIT[1:]] if summary['misfits'] else steps
+    return '\n'.join([status_line(status), '', *lines, *(['', *ending] if ending else [])])
 
 
-def _convergence(summary: dict[str, Any], config: Config) -> str:
+def _convergence(summary: dict[str, Any]) -> str:
     if summary['converged']:
         return f'after {summary["convergence_time_s"]:.1f} s of {summary["duration_s"]:.0f} s'
-    return 'no' if summary['misfits'] else f'no. {_headline(summary, config)}'
-
-
-def _headline(summary: dict[str, Any], config: Config) -> str:
-    converged_s, std = summary.get('convergence_time_s'), summary['scale_factor_std']
-    return calibration_headline(summary['converged'], converged_s, std, config, summary['misfits'])
+    return 'no'
 
 
 def _calibrate(

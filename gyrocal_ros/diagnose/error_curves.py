@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -37,6 +38,8 @@ class ErrorBySignal:
     """None where nothing was added."""
     by_effects: ErrorCurve | None = None
     """Curve of the effects that were added, which should go through `before`; None where not computed."""
+    proposed: Mapping[str, ErrorCurve] = field(default_factory=dict)
+    """Curves of effects that may be added, by name: the chosen one, then its closest rival."""
 
 
 def errors_by_signal(searched: Search) -> list[ErrorBySignal]:

@@ -14,6 +14,7 @@ from gyrocal_ros.diagnose.drift import (
     held_out_from_s,
     reference_path,
 )
+from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search import Addition, ExaminedModel, Search
 from gyrocal_ros.model.sensor import Effect
@@ -59,6 +60,16 @@ class Improvement:
     def kept(self) -> tuple[Revision, ...]:
         """Revisions that make up the final model, the first model included."""
         return tuple(revision for revision in self.revisions if revision.is_kept)
+
+    @property
+    def drift_by_noise_deg(self) -> float:
+        """The held-out drift that noise explains with the final model; NaN without spans."""
+        return drift_by_noise_deg(self.final.examined.run, self.final.held_out)
+
+    @property
+    def fell_sigma(self) -> float:
+        """By how many sigma the held-out drift fell from the first model to the last; NaN where unknown."""
+        return better_sigma(self.kept[0].held_out, self.final.held_out)
 
     @property
     def final(self) -> Revision:

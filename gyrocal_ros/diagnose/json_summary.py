@@ -17,6 +17,13 @@ from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
+from gyrocal_ros.diagnose.status import (
+    Status,
+    calibration_status,
+    comparison_status,
+    diagnosis_status,
+    improvement_status,
+)
 from gyrocal_ros.effects import SCALE_FACTOR
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
@@ -28,6 +35,7 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
     fit = model_fit(run)
     summary: dict[str, Any] = {
         'source': run.source,
+        'status': _status(calibration_status(calibration, run, fit)),
         SCALE_FACTOR: calibration.scale_factor,
         'scale_factor_std': calibration.scale_factor_std,
         'scale_factor_volt': calibration.scale_factor_volt,
@@ -56,6 +64,7 @@ def summarise_diagnosis(searched: Search, diagnosis: Diagnosis) -> dict[str, Any
     run = searched.first.run
     return {
         'source': run.source,
+        'status': _status(diagnosis_status(diagnosis)),
         'verdict': diagnosis.verdict,
         'missing': [_missing(item) for item in diagnosis.missing],
         'fails_where': [_failure(failure) for failure in diagnosis.fails_where],
@@ -75,6 +84,7 @@ def summarise_comparison(comparison: Comparison) -> dict[str, Any]:
     run = comparison.results[0].run
     return {
         'source': run.source,
+        'status': _status(comparison_status(comparison)),
         'best': comparison.best.label,
         'models': [_model(result) for result in comparison.results],
         'diverged': [{'model': label, 'why': why} for label, why in comparison.diverged.items()],
@@ -88,6 +98,7 @@ def summarise_improvement(improved: Improvement) -> dict[str, Any]:
     run = improved.final.examined.run
     return {
         'source': run.source,
+        'status': _status(improvement_status(improved)),
         'effects': [effect.name for effect in run.model.effects],
         'coefficients': coefficient_table(conclude(run)),
         'revisions': [merit(revision) for revision in improved.revisions],
@@ -123,6 +134,10 @@ def nis_per_dof(run: Run) -> float:
     """Return the NIS per degree of freedom: 1 for a consistent filter, NaN without measurements."""
     value = statistics.nis_per_dof(run.history.nis, run.history.dof)
     return math.nan if value is None else value
+
+
+def _status(status: Status) -> dict[str, str]:
+    return {'level': status.level, 'sentence': status.sentence, 'next_step': status.next_step}
 
 
 def _missing(item: MissingEffect) -> dict[str, Any]:

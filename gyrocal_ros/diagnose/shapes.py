@@ -34,6 +34,8 @@ PERIODS_S = (10.0, 60.0)
 TIME = 'time since the start (s)'
 RATE = 'rate (deg/s)'
 HEADING = 'heading in the map (deg)'
+TEMPERATURE_C = 'temperature (deg C)'
+FORCE = 'acceleration (m/s^2)'
 HEADING_KNOTS_DEG = np.arange(-180.0, 180.0, 60.0)
 
 
@@ -132,8 +134,8 @@ def axes(run: Run) -> Iterator[tuple[str, Array]]:
     yield TIME, history.time_s
     yield RATE, np.degrees(history.turn_rad / history.dt_s)
     yield HEADING, np.degrees(history.mean[:, YAW])
-    yield 'temperature (deg C)', history.temperature_c
-    yield 'acceleration (m/s^2)', history.forward_m_s2
+    yield TEMPERATURE_C, history.temperature_c
+    yield FORCE, history.forward_m_s2
     for place, name in enumerate(run.signal_names):
         yield name, history.signals[:, place]
 

@@ -99,6 +99,11 @@ def _shear(effect: Any, every: Sequence[tuple[float, ...]]) -> Sketch:
     return Sketch('yaw rate (deg/s)', label, rate_deg_s, lines)
 
 
+def motion_of_sketch(effect: LibraryEffect) -> MotionBlock:
+    """Return the motion that a sketch of a gyro effect shows."""
+    return _STIMULI[effect.about.shown_against](effect)[2]
+
+
 def _heading_by_noise(effect: Any, every: Sequence[tuple[float, ...]]) -> Sketch:
     """Return the standard deviation of the heading by noise alone, over time."""
     x = np.linspace(0.0, 60.0, COUNT)

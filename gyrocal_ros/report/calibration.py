@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 from gyrocal_ros import __version__
 from gyrocal_ros.config.declare import to_yaml
-from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import (
     REFERENCES,
     BlindDrift,
@@ -22,6 +21,7 @@ from gyrocal_ros.diagnose.drift import (
 )
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.run_series import CONFIDENCE, distances_m, uncorrected, windows
+from gyrocal_ros.diagnose.status import calibration_status
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.ekf.run import History, Run
@@ -29,7 +29,7 @@ from gyrocal_ros.ekf.state import YAW_BIAS
 from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.report import calibration_figures as figures
 from gyrocal_ros.report.comparison_figures import drift_by_span
-from gyrocal_ros.report.describe import Verdict, calibration_headline, events_in_words, meaning, with_std
+from gyrocal_ros.report.describe import Verdict, events_in_words, meaning, with_std
 from gyrocal_ros.report.html import Section, details, document, gallery, table, verdict_box, warnings
 from gyrocal_ros.report.plot import SIGMAS
 
@@ -86,7 +86,7 @@ def calibration_page(run: Run, calibration: Calibration, findings: Sequence[tupl
         f'Gyro calibration of {run.source}',
         f'{calibration.duration_s:.0f} s recorded, model {run.model.name}, gyrocal {__version__}',
         [
-            verdict_box(conclusion(calibration, run.config, model_fit(run), *_drifts(run))),
+            verdict_box(conclusion(calibration, run, model_fit(run), *_drifts(run))),
             warnings([*findings, *events_in_words(run)]),
             table(
                 'Coefficients',
@@ -102,24 +102,17 @@ def calibration_page(run: Run, calibration: Calibration, findings: Sequence[tupl
 
 
 def conclusion(
-    calibration: Calibration, config: Config, fit: ModelFit, before: BlindDrift, after: BlindDrift
+    calibration: Calibration, run: Run, fit: ModelFit, before: BlindDrift, after: BlindDrift
 ) -> Verdict:
     """State the result of a calibration.
 
     Args:
         calibration: the result.
-        config: settings of the run.
+        run: the run that it is from.
         fit: whether the model fits the run.
         before: blind drift of the nominal gyro.
         after: blind drift of the calibrated gyro.
     """
-    headline = calibration_headline(
-        calibration.converged,
-        calibration.convergence_time_s,
-        calibration.scale_factor_std,
-        config,
-        fit.misfits,
-    )
     sentences = [_scale_sentence(calibration), _bias_sentence(calibration)]
     if len(after.error_rad):
         spread = 'rms' if len(after.error_rad) > 1 else 'in the only span,'
@@ -128,7 +121,7 @@ def conclusion(
             f'({spread} against {REFERENCES[after.reference]}; worst {after.max_deg:.3g} deg). '
             f'With the nominal scale factor it was {before.rms_deg:.3g} deg.'
         )
-    return Verdict('good' if calibration.converged and not fit.misfits else 'bad', headline, tuple(sentences))
+    return Verdict(calibration_status(calibration, run, fit), tuple(sentences))
 
 
 def coefficient_rows(calibration: Calibration, history: History) -> list[CoefficientRow]:

@@ -8,16 +8,15 @@ from gyrocal_ros import __version__
 from gyrocal_ros.diagnose.comparison import Comparison, ModelResult
 from gyrocal_ros.diagnose.drift import REFERENCES, SPAN_S
 from gyrocal_ros.diagnose.heading_filter import headings
-from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA
 from gyrocal_ros.diagnose.json_summary import nis_per_dof
 from gyrocal_ros.diagnose.model_series import coefficients, failures_by_model, slam_errors_deg
 from gyrocal_ros.diagnose.run_series import windows
+from gyrocal_ros.diagnose.status import comparison_status
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.report import comparison_figures as figures
 from gyrocal_ros.report.comparison_figures import Mark, drift_section
 from gyrocal_ros.report.describe import (
     FAILURE_HEADS,
-    Kind,
     Verdict,
     drift_in_words,
     events_in_words,
@@ -85,24 +84,7 @@ def conclusion(comparison: Comparison) -> Verdict:
         for result in comparison.results
     ]
     sentences += [f'With {label} the filter cannot run: {why}.' for label, why in comparison.diverged.items()]
-    kind, headline = _headline(comparison)
-    fails = bool(comparison.best.fails_where)
-    todo = (f'Ask `gyrocal diagnose` what {comparison.best.label} lacks.',) if fails else ()
-    return Verdict(kind, headline, tuple(sentences), todo)
-
-
-def _headline(comparison: Comparison) -> tuple[Kind, str]:
-    best, first = comparison.best, comparison.results[0]
-    if len(comparison.results) == 1:
-        if not best.fails_where:
-            return 'good', f'{best.label} fits this recording: all differences are within chance.'
-        return 'found', f'{best.label} does not fit in {_places(best)}: the errors are larger than chance.'
-    if best is first:
-        return 'good', f'No other model is better than {first.label}.'
-    gain = f'log-likelihood +{best.gain:.1f}, {best.gain_sigma:.1f} sigma'
-    if best.gain_sigma < CHANCE_SIGMA:
-        return 'found', f'{best.label} is best, but not significantly better than {first.label} ({gain}).'
-    return 'found', f'{best.label} predicts the recording better than {first.label} ({gain}).'
+    return Verdict(comparison_status(comparison), tuple(sentences))
 
 
 def _row(result: ModelResult, first: ModelResult) -> tuple[str, ...]:

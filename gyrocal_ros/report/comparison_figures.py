@@ -33,8 +33,9 @@ DRIFT = """Heading error after {span_s:.0f} s without the camera, compared with 
     span starts with the estimates of that moment, so nothing was fitted on what follows. The bars are 90 %
     intervals. The spans are the same for all models, so differences can be significant even where bars
     overlap."""
-LOG_FROM = 8.0
-"""Ratio of the largest to the smallest value above which the axis is logarithmic."""
+HEADROOM = 1.3
+"""Top of the axis of drifts, relative to the largest."""
+NOISE_BAND = 'rgba(0,114,178,0.18)'
 OPEN_END = 10.0
 """Ratio to the value at which an unbounded interval is drawn to end, which is outside the panel."""
 
@@ -89,8 +90,17 @@ def drift_by_span(drifts: Mapping[str, BlindDrift]) -> go.Figure:
     return figure
 
 
-def drift_by_model(title: str, marks: Sequence[Mark], joined: bool = True) -> go.Figure:
-    """Draw the rms of the drift with its 90 % interval, model by model."""
+def drift_by_model(
+    title: str, marks: Sequence[Mark], joined: bool = True, by_noise_deg: float | None = None
+) -> go.Figure:
+    """Draw the rms of the drift with its 90 % interval, model by model.
+
+    Args:
+        title: title of the figure.
+        marks: one or more drifts.
+        joined: draw lines from model to model, where each builds on the one before.
+        by_noise_deg: drift that noise explains, if that is to be marked.
+    """
     models = list(dict.fromkeys(mark.model for mark in marks))
     names = list(dict.fromkeys(mark.series for mark in marks))
     figure = panels(title, [f'heading error after<br>{marks[0].drift.span_s:.0f} s, rms (deg)'], 340)
@@ -100,7 +110,9 @@ def drift_by_model(title: str, marks: Sequence[Mark], joined: bool = True) -> go
             chosen = [mark for mark in marks if mark.series == name and mark.is_kept == is_kept]
             if chosen:
                 _add_series(figure, models, chosen, name, style, aside, joined)
-    _show_drifts(figure, np.array([(mark.drift.rms_deg, *mark.drift.interval_deg) for mark in marks]))
+    _show_drifts(figure, np.array([mark.drift.rms_deg for mark in marks]))
+    if by_noise_deg is not None and math.isfinite(by_noise_deg):
+        _mark_noise(figure, by_noise_deg)
     figure.update_layout(hovermode='closest')
     _name_models(figure, models)
     return figure
@@ -186,19 +198,19 @@ def _add_series(
     points(figure, x, rms, np.stack([rms - low, high - rms]), label, '.3g', shown, joined=is_line)
     mode = 'lines+markers+text' if is_line else 'markers+text'
     words = [f' {value:.3g} ' for value in rms]
-    side = 'middle left' if aside < 0.0 else 'middle right'
+    side = 'top left' if aside < 0.0 else 'top right'
     figure.data[-1].update(mode=mode, text=words, textposition=side, textfont={'color': style.colour})
 
 
-def _show_drifts(figure: go.Figure, values: Array) -> None:
-    """Set the range to rms, low and high (n, 3); an unbounded interval leaves the panel."""
-    rms, low, high = values.T
-    top = 1.1 * float(np.where(np.isfinite(high), high, 2.0 * rms).max())
-    if rms.max() > LOG_FROM * rms.min():
-        bounds = np.log10([0.8 * low.min(), top])
-        figure.update_yaxes(type='log', tickvals=_log_ticks(values), range=bounds)
-    else:
-        figure.update_yaxes(range=[0.0, top])
+def _show_drifts(figure: go.Figure, rms_deg: Array) -> None:
+    """Show the panel from zero to above the largest rms (n,): so an error that falls is seen to fall."""
+    figure.update_yaxes(range=[0.0, HEADROOM * float(rms_deg.max())])
+
+
+def _mark_noise(figure: go.Figure, by_noise_deg: float) -> None:
+    """Mark the drift that noise explains, below which no model can come."""
+    figure.add_hrect(0.0, by_noise_deg, fillcolor=NOISE_BAND, line_width=0, layer='below')
+    figure.update_layout(title_text=f'{figure.layout.title.text} (by noise alone: {by_noise_deg:.2g} deg)')
 
 
 def _log_ticks(values: Array) -> list[float]:

@@ -3,135 +3,45 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
-from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.diagnose.advice import join
-from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.drift import BlindDrift
-from gyrocal_ros.diagnose.improvement import Improvement
 from gyrocal_ros.diagnose.regimes import Failure
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure
+from gyrocal_ros.diagnose.status import Status
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
 
-Kind: TypeAlias = Literal['good', 'found', 'bad']
 MAX_SIGMA = 30.0
 """Significance above which the exact number does not matter."""
-NOTHING_MISSING = 'Nothing is missing: gyro, wheels and camera agree with the model within chance.'
-CANNOT_TELL = (
-    'This recording cannot tell whether an effect is missing: '
-    'too few effects of the library would show in it.'
-)
 NO_FAILURE = 'Nowhere: chance and a slowly wandering bias explain all differences.'
 FAILURE_HEADS = ('place, and the correction needed there', 'sigma')
-DOES_NOT_FIT = 'the model does not fit this recording: run gyrocal diagnose'
-"""The last words on a calibration that its own recording contradicts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """The result in a few sentences, which come first on a page."""
 
-    kind: Kind
-    """`good`: no action needed; `found`: there is something to do; `bad`: the result is not reliable."""
-    headline: str
+    status: Status
     sentences: tuple[str, ...]
     todo: tuple[str, ...] = ()
-    """Next steps."""
+    """Further steps, after that of the status."""
 
     @property
-    def good(self) -> bool:
-        """True if no action is needed."""
-        return self.kind == 'good'
+    def headline(self) -> str:
+        """The status in one sentence."""
+        return self.status.sentence
+
+    @property
+    def steps(self) -> tuple[str, ...]:
+        """All next steps."""
+        return (*((self.status.next_step,) if self.status.next_step else ()), *self.todo)
 
 
-def calibration_headline(
-    is_converged: bool,
-    convergence_time_s: float | None,
-    scale_std: float,
-    config: Config,
-    misfits: Sequence[str] = (),
-) -> str:
-    """State whether a calibration can be used, in one or two sentences.
-
-    Args:
-        is_converged: True if the scale factor reached its accuracy and the filter is consistent.
-        convergence_time_s: time at which the scale factor reached its accuracy; None if it never did.
-        scale_std: standard deviation of the scale factor at the end.
-        config: settings of the run.
-        misfits: what contradicts the model, as clauses.
-    """
-    threshold = f'{100.0 * config.convergence.scale_std:g} %'
-    if misfits:
-        return f'Not to be trusted: {"; ".join(misfits)}; {DOES_NOT_FIT}'
-    if convergence_time_s is None:
-        return (
-            f'Not calibrated yet: the scale factor is known to {100.0 * scale_std:.2g} % only, not to '
-            f'{threshold}. Record more turns, both ways, while the camera sees the ceiling.'
-        )
-    if is_converged:
-        return f'Calibrated: the scale factor was known to {threshold} after {convergence_time_s:.0f} s.'
-    return (
-        'Not to be trusted: at the end the innovations are not as large as the filter expects. '
-        'Look at the warnings, the camera calibration and the time stamps.'
-    )
-
-
-def missing_headline(
-    missing: Mapping[str, Sequence[str]],
-    structure: UnexplainedStructure | None = None,
-    otherwise: str = NOTHING_MISSING,
-) -> str:
-    """State which effects a model lacks, in one or two sentences.
-
-    Args:
-        missing: names of missing effects, each with the effects that this recording cannot distinguish
-            from it.
-        structure: unexplained structure, if there is any.
-        otherwise: sentence for a model that lacks nothing.
-    """
-    clear_first = sorted(missing, key=lambda name: bool(missing[name]))
-    listed = join([_with_twins(name, missing[name]) for name in clear_first])
-    sentences = [f'Missing: {listed}.'] if missing else []
-    if structure is not None:
-        what = f'{structure.what} ({structure.sigma:.0f} sigma)'
-        sentences.append(f'No effect of the library explains this: {what}.')
-    return ' '.join(sentences) or otherwise
-
-
-def diagnosis_headline(diagnosis: Diagnosis) -> str:
-    """State the verdict of a diagnosis, in one or two sentences."""
-    missing = {item.effect.name: item.confused_with for item in diagnosis.missing}
-    is_unexplained = diagnosis.verdict == 'unexplained'
-    if missing and not is_unexplained and diagnosis.coarse_step_rad_s is not None:
-        step = f'steps of {math.degrees(diagnosis.coarse_step_rad_s):.2g} deg/s'
-        causes = join(['these', *missing], 'or')
-        return f'The gyro reads in {step}, wider than its noise; {causes} cause the errors.'
-    if diagnosis.verdict == 'noise':
-        noises = join([item.effect.name for item in diagnosis.missing])
-        return f'Only noise: the gyro is noisier than the settings say ({noises}), and no law is left over.'
-    otherwise = NOTHING_MISSING if diagnosis.verdict == 'nothing_missing' else CANNOT_TELL
-    headline = missing_headline(missing, diagnosis.unexplained if is_unexplained else None, otherwise)
-    still = missing and not is_unexplained and diagnosis.fit.fits is False
-    return f'{headline} The model still does not fit with it: see the next steps.' if still else headline
-
-
-def improvement_headline(improved: Improvement) -> str:
-    """State what was added to a model, in one sentence."""
-    names = [revision.effect.name for revision in improved.kept if revision.effect is not None]
-    if not names:
-        return 'Nothing was added: no effect improves the prediction of the recording.'
-    first, last = improved.kept[0].held_out.rms_deg, improved.final.held_out.rms_deg
-    change = (
-        f': the held-out drift went from {first:.2f} to {last:.2f} deg'
-        if math.isfinite(first) and math.isfinite(last) and len(improved.kept) > 1
-        else ''
-    )
-    return f'Added {join(names)}{change}.'
+def status_line(status: Status) -> str:
+    """Return the status as the first line of a result on the command line."""
+    return f'[{status.level}] {status.sentence}'
 
 
 def events_in_words(run: Run) -> Iterator[tuple[str, str]]:
@@ -214,7 +124,3 @@ def number(value: float, form: str = '.2f') -> str:
 def sigma_in_words(sigma: float) -> str:
     """Return `7.5`, `> 30` above `MAX_SIGMA`, or a dash where it is unknown."""
     return number(sigma, '.1f') if not sigma > MAX_SIGMA else f'> {MAX_SIGMA:.0f}'
-
-
-def _with_twins(name: str, twins: Sequence[str]) -> str:
-    return f'{name} (not distinguishable here from {join([*twins], "or")})' if twins else name

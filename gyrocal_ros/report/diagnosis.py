@@ -19,6 +19,7 @@ from gyrocal_ros.diagnose.search_series import (
     held_out_drifts,
     models_that_ran,
 )
+from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import with_unit
 from gyrocal_ros.effects.describe import NOT_ESTIMATED
@@ -28,9 +29,7 @@ from gyrocal_ros.report.comparison_figures import Mark, drift_by_span, drift_sec
 from gyrocal_ros.report.describe import (
     FAILURE_HEADS,
     NO_FAILURE,
-    Kind,
     Verdict,
-    diagnosis_headline,
     events_in_words,
     meaning,
     sigma_in_words,
@@ -101,16 +100,8 @@ def diagnosis_sections(searched: Search, diagnosis: Diagnosis) -> Iterator[Secti
 
 def conclusion(diagnosis: Diagnosis) -> Verdict:
     """State which effect is missing, why, and what to do."""
-    kind: Kind = 'found' if diagnosis.missing else 'bad'
-    if diagnosis.verdict == 'nothing_missing':
-        kind = 'good'
     sentences = [*_reasons(diagnosis), *_remarks(diagnosis)]
-    todo = advice(diagnosis)
-    if diagnosis.missing:
-        name = diagnosis.missing[0].effect.name
-        add = f'Add it with `gyrocal add {name}`, or let `gyrocal improve` add it and show the gain.'
-        todo = [add, *todo]
-    return Verdict(kind, diagnosis_headline(diagnosis), tuple(sentences), tuple(todo))
+    return Verdict(diagnosis_status(diagnosis), tuple(sentences), tuple(advice(diagnosis)))
 
 
 def _reasons(diagnosis: Diagnosis) -> Iterator[str]:

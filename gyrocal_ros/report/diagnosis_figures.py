@@ -104,7 +104,7 @@ def where_it_fails(
         off_s: beginning and end of each span without a heading by the camera.
         drift: drift without the camera, to mark the worst span.
     """
-    titles = ['gyro less observed<br>(deg)', 'change in 10 s<br>(deg)', 'turning rate<br>(deg/s)']
+    titles = ['error<br>(deg)', 'change in<br>10 s (deg)', 'turning<br>(deg/s)']
     figure = panels(title, titles, 200)
     last = list(wanders.values())[-1]
     reach = SIGMAS * np.degrees(last.std_rad)
@@ -246,6 +246,10 @@ def error_by_signal(error: ErrorBySignal, names: tuple[str, str]) -> go.Figure:
         value = size * error.by_effects.values
         line(figure, error.by_effects.knots, value, 'by the effects added', '.3g', FIRST, BLUE, 'dash')
         ranges.append(value)
+    looks = ((PURPLE, 'solid'), (GREY, 'dash'))
+    for (name, curve), (colour, dash) in zip(error.proposed.items(), looks, strict=False):
+        line(figure, curve.knots, size * curve.values, f'by {name}, if added', '.3g', FIRST, colour, dash)
+        ranges.append(size * curve.values)
     figure.add_hline(0.0, line={'color': GREY, 'width': 1})
     figure.update_xaxes(title_text=error.signal, hoverformat='.4g')
     show_range(figure, FIRST, np.concatenate(ranges), margin=0.1)

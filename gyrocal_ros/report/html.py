@@ -14,7 +14,7 @@ from gyrocal_ros.report.glossary import with_terms
 from gyrocal_ros.report.plot import plotly_js, to_fragment
 
 FIGURE_HELP = 'In the figures: drag to zoom in, double-click to see all, click a name to hide it.'
-SIGNS = {'good': '✓', 'found': '→', 'bad': '✗'}
+SIGNS = {'green': '✓', 'yellow': '→', 'red': '✗'}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +43,11 @@ def document(title: str, about: str, parts: Iterable[str]) -> str:
 def verdict_box(verdict: Verdict) -> str:
     """Return the verdict, its reasons and the next steps in a coloured box."""
     sentences = ''.join(f'<p>{with_code(sentence)}</p>' for sentence in verdict.sentences)
-    todo = ''.join(f'<li>{with_code(sentence)}</li>' for sentence in verdict.todo)
+    todo = ''.join(f'<li>{with_code(sentence)}</li>' for sentence in verdict.steps)
     next_steps = f'<p><b>What to do next</b></p><ul>{todo}</ul>' if todo else ''
     return (
-        f'<section class="verdict {verdict.kind}">'
-        f'<h2>{SIGNS[verdict.kind]} {with_code(verdict.headline)}</h2>'
+        f'<section class="verdict {verdict.status.level}">'
+        f'<h2>{SIGNS[verdict.status.level]} {with_code(verdict.headline)}</h2>'
         f'{sentences}{next_steps}</section>'
     )
 
@@ -145,9 +145,9 @@ dt:target { outline: 2px solid var(--found); }
 .verdict h2 { margin: 0 0 .4rem; font-size: 1.25rem; }
 .verdict ul { margin: .3rem 0; max-width: 80ch; }
 .verdict p { margin: .3rem 0; max-width: 80ch; }
-.good, .good h2 { border-color: var(--good); } .good h2 { color: var(--good); }
-.found, .found h2 { border-color: var(--found); } .found h2 { color: var(--found); }
-.bad, .bad h2 { border-color: var(--bad); } .bad h2 { color: var(--bad); }
+.green, .green h2 { border-color: var(--good); } .green h2 { color: var(--good); }
+.yellow, .yellow h2 { border-color: var(--found); } .yellow h2 { color: var(--found); }
+.red, .red h2 { border-color: var(--bad); } .red h2 { color: var(--bad); }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: .35rem 1.2rem .35rem 0; border-bottom: 1px solid var(--rule); }

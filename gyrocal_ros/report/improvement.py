@@ -9,6 +9,7 @@ from gyrocal_ros.diagnose.drift import REFERENCES, SPAN_S
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw
 from gyrocal_ros.diagnose.model_series import coefficients
+from gyrocal_ros.diagnose.status import improvement_status
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.report.comparison_figures import (
     Mark,
@@ -20,7 +21,6 @@ from gyrocal_ros.report.describe import (
     Verdict,
     drift_in_words,
     events_in_words,
-    improvement_headline,
     launch_command,
     with_gain,
 )
@@ -85,9 +85,9 @@ def conclusion(improved: Improvement) -> Verdict:
     else:
         result = f'{drifts} {after} deg; before, it was {before} deg ({against}).'
     if final is first:
-        return Verdict('good', improvement_headline(improved), (result, *tried))
+        return Verdict(improvement_status(improved), (result, *tried))
     todo = f'Give the robot the new model; in this folder: {launch_command("$PWD")}'
-    return Verdict('good', improvement_headline(improved), (result, *tried), (todo,))
+    return Verdict(improvement_status(improved), (result, *tried), (todo,))
 
 
 def _row(revision: Revision) -> tuple[str, ...]:

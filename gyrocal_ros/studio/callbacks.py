@@ -79,15 +79,15 @@ def _connect_status(app: Dash, workspace: Workspace) -> None:
     def update(_polled: Any, _acted: Any, *shown: str | None) -> tuple[Any, ...]:
         state = workspace.state
         running, present = state.running, state.tree.present
-        has_run = state.examination is not None
+        has_run, status = state.examination is not None, panels.status(state)
         new = marks(state)
         changed = [
             no_update if new[name] == old else new[name] for name, old in zip(MARKS, shown, strict=True)
         ]
         progress = None if running is None else running.progress
         return (
-            state.message or panels.verdict(state),
-            'error-message' if state.is_error else '',
+            state.message or ('' if status is None else status.sentence),
+            'error-message' if state.is_error else '' if state.message or status is None else status.level,
             '' if progress is None else f'{progress.text} {100.0 * progress.fraction:.0f} %',
             '0' if progress is None else f'{100.0 * progress.fraction:.0f}',
             running is None,
@@ -203,7 +203,8 @@ def _connect_texts(app: Dash, workspace: Workspace) -> None:
     )
     def missing(_mark: Any) -> Any:
         state = workspace.state
-        verdict = panels.verdict(state) or WAIT
+        status = panels.status(state)
+        verdict = WAIT if status is None else f'{status.sentence} {status.next_step}'.strip()
         return verdict, panels.candidate_list(state), panels.failures(state), panels.revision_table(state)
 
     @app.callback(
@@ -257,21 +258,33 @@ def _connect_figures(app: Dash, workspace: Workspace) -> None:
         Output('signal', 'options'),
         Output('signal', 'value'),
         Input('mark-missing', 'data'),
+        Input('chosen', 'data'),
         State('signal', 'value'),
     )
-    def signals(_mark: Any, chosen: str | None) -> Any:
+    def signals(_mark: Any, effect: str | None, chosen: str | None) -> Any:
         found = pictures.signals(workspace.state)
         options = [
             {'label': f'{signal} - {_kind(of_scale)}', 'value': f'{_kind(of_scale)}:{signal}'}
             for signal, of_scale in found
         ]
         values = [option['value'] for option in options]
+        axis = pictures.axis_of(workspace.state, effect)
+        if axis is not None and 'chosen' in _triggered():
+            return options, f'{_kind(axis[1])}:{axis[0]}'
         return options, chosen if chosen in values else next(iter(values), None)
 
-    @app.callback(*_figure('residual-figure'), Input('signal', 'value'), Input('mark-missing', 'data'))
-    def residual(chosen: str | None, _mark: Any) -> Any:
+    @app.callback(
+        *_figure('residual-figure'),
+        Input('signal', 'value'),
+        Input('chosen', 'data'),
+        Input('mark-missing', 'data'),
+    )
+    def residual(chosen: str | None, effect: str | None, _mark: Any) -> Any:
         kind, _, signal = (chosen or '').partition(':')
-        figure = pictures.error_by_signal(workspace.state, signal, kind == 'scale') if chosen else None
+        state, of_scale = workspace.state, kind == 'scale'
+        figure = pictures.error_by_signal(state, signal, of_scale, effect) if chosen else None
+        if figure is not None:
+            figure.update_layout(title_text='')  # the choice above says it, and the legend needs the place
         return _figure_or_text(figure, 'Not known from this recording.' if chosen else WAIT, chosen)
 
     @app.callback(*_figure('evidence-figure'), Input('mark-missing', 'data'))

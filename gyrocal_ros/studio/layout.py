@@ -109,8 +109,8 @@ def _residual() -> html.Section:
             ),
             _graph('residual-figure', 'low'),
             html.P(
-                'Error left over in bias or scale, with three standard deviations, less its mean (against '
-                'the rate, less a straight line). A slow signal fits everything that changes slowly.',
+                'With three standard deviations, less the mean; against the rate, less a straight line. '
+                'A slow signal fits everything that changes slowly.',
                 className='note',
             ),
             html.Div(id='failures'),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,7 @@ from gyrocal_ros.diagnose.advice import join
 from gyrocal_ros.diagnose.candidate_fit import held_out_gain
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.separability import how_to_tell_apart
+from gyrocal_ros.diagnose.status import LEARN, NOTHING_MISSING, RECORD, Status, missing_sentence
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Effect
@@ -21,7 +23,6 @@ from gyrocal_ros.report.describe import (
     NO_FAILURE,
     coefficients_in_words,
     drift_in_words,
-    missing_headline,
     sigma_in_words,
     with_gain,
 )
@@ -104,19 +105,29 @@ def failures(state: StudioState) -> list[Any]:
     ]
 
 
-def verdict(state: StudioState) -> str:
-    """State which effect the present model lacks, in one or two sentences."""
+def status(state: StudioState) -> Status | None:
+    """Return what the present model lacks, and the next step; None before the first run has ended."""
     examination = state.examination
     if examination is None:
-        return ''
-    best = examination.best
+        return None
+    best, structure, fit = examination.best, examination.examined.unexplained_structure, examination.fit
     if best is not None:
-        headline = missing_headline({best.effect.name: examination.indistinguishable})
-        return f'{headline} It explains most of the error left over ({sigma_in_words(best.fit.sigma)} sigma).'
-    otherwise = 'No effect of the library explains more than chance.'
+        sentence = missing_sentence({best.effect.name: examination.indistinguishable})
+        explains = f'It explains most of the error left over ({sigma_in_words(best.fit.sigma)} sigma).'
+        return Status('yellow', f'{sentence} {explains}', f'Add {best.effect.name}, and compare the drift.')
     if examination.limits:
-        otherwise = f'The readings suggest a limit: {join([one.name for one in examination.limits], "or")}.'
-    return missing_headline({}, examination.examined.unexplained_structure, otherwise)
+        limits = join([one.name for one in examination.limits], 'or')
+        return Status('yellow', f'The readings suggest a limit: {limits}.', 'Add it, and compare the drift.')
+    if structure is not None:
+        return Status('red', missing_sentence({}, structure), LEARN)
+    if fit.misfits:
+        why = '; '.join(fit.misfits)
+        return Status(
+            'red', f'The model does not fit, and no effect of the library explains it: {why}.', LEARN
+        )
+    if fit.fits is None:
+        return Status('yellow', 'The recording is too short to judge the model.', RECORD)
+    return Status('green', NOTHING_MISSING)
 
 
 def candidate_list(state: StudioState) -> list[Any]:
@@ -129,7 +140,7 @@ def candidate_list(state: StudioState) -> list[Any]:
     return [
         html.Button(
             [
-                html.B(one.effect.name),
+                html.B(_breakable(one.effect.name)),
                 html.Span(
                     html.Span(style={'width': f'{100.0 * _log_gain(one) / longest:.0f}%'}), className='bar'
                 ),
@@ -140,6 +151,12 @@ def candidate_list(state: StudioState) -> list[Any]:
         )
         for one in offered
     ]
+
+
+def _breakable(name: str) -> list[Any]:
+    """Return a name that may break after its colon and its dots."""
+    parts = re.split(r'(?<=[:._])', name)
+    return [item for part in parts for item in (part, html.Wbr())]
 
 
 def _log_gain(choice: EffectChoice) -> float:
@@ -162,14 +179,14 @@ def candidate_card(state: StudioState, chosen: str | None) -> list[Any]:
     if choice is None:
         return [html.P('Choose an effect to see its description and its scores.')]
     about: Explanation = find_effect(choice.effect.name).about
-    rows: list[tuple[str, Any]] = [('equation', html.Code(about.equation))]
+    drift = html.Span(_forecast(state, choice.effect.name), id='forecast')
+    rows: list[tuple[str, Any]] = [('held-out drift', drift), ('equation', html.Code(about.equation))]
     if choice.ranked is not None:
         rows += _scores(choice.ranked, examination, chosen)
-    rows.append(('held-out drift', html.Span(_forecast(state, choice.effect.name), id='forecast')))
     return [
         html.H3(choice.effect.name, id='candidate-name'),
-        html.P(about.physics, className='physics'),
         html.Dl([part for term, value in rows for part in (html.Dt(term), html.Dd(value))]),
+        html.P(about.physics, className='physics'),
     ]
 
 
@@ -219,7 +236,7 @@ def revision_table(state: StudioState) -> list[Any]:
         for one in improved.revisions
     ]
     return [
-        _table(('revision', '', 'held out (deg)', 'fitted (deg)', 'log-likelihood'), rows),
+        _table(('revision', '', 'held out (deg)', 'fitted (deg)', 'gain'), rows),
         html.P(improved.final.why[:1].upper() + improved.final.why[1:] + '.', className='note'),
     ]
 
@@ -242,7 +259,7 @@ def lesson(state: StudioState) -> list[Any]:
     ]
     sentences = [f'Hidden: {hidden}.', guess_text[revealed.guessed_right]]
     if revealed.missed:
-        sentences.append(missing_headline(dict.fromkeys(revealed.missed, ())))
+        sentences.append(missing_sentence(dict.fromkeys(revealed.missed, ())))
     if revealed.superfluous:
         sentences.append(f'In the model but not hidden: {join([*revealed.superfluous])}.')
     heads = ('coefficient', 'truth', 'estimate', 'error')

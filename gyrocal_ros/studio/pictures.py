@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s, reference_path
-from gyrocal_ros.diagnose.error_curves import ErrorBySignal, curve_by_effects
+from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s, reference_path
+from gyrocal_ros.diagnose.effect_axis import curve_before_adding, effect_axis
+from gyrocal_ros.diagnose.error_curves import ErrorBySignal, ErrorCurve, curve_by_effects
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
 from gyrocal_ros.diagnose.model_series import coefficients
+from gyrocal_ros.diagnose.ranking import estimate
 from gyrocal_ros.diagnose.run_series import camera_off, windows
 from gyrocal_ros.diagnose.search_series import FIRST_MODEL, open_candidate_rows
 from gyrocal_ros.diagnose.wander import Wander
+from gyrocal_ros.effects import find_effect
 from gyrocal_ros.report import calibration_figures, comparison_figures
 from gyrocal_ros.report import diagnosis_figures as figures
 from gyrocal_ros.report.improvement import drift_marks
@@ -122,8 +125,15 @@ def _preview(state: StudioState) -> Any | None:
     return figure
 
 
-def error_by_signal(state: StudioState, signal: str, of_scale: bool) -> Any | None:
-    """Draw the error left over as a function of a signal; None if it is not known."""
+def error_by_signal(state: StudioState, signal: str, of_scale: bool, chosen: str | None = None) -> Any | None:
+    """Draw the error left over as a function of a signal; None if it is not known.
+
+    Args:
+        state: the state.
+        signal: name of the signal.
+        of_scale: True for the error of the scale.
+        chosen: effect that may be added, whose curve is drawn over the points.
+    """
     chain = state.tree.chain
     if not chain or chain[0].examination is None or chain[-1].examination is None:
         return None
@@ -135,7 +145,31 @@ def error_by_signal(state: StudioState, signal: str, of_scale: bool) -> Any | No
     if len(chain) > 1:
         after = present.error_curves.get(key)
         added = curve_by_effects(present.examined.run, len(chain) - 1, signal, before, of_scale)
-    return figures.error_by_signal(ErrorBySignal(signal, of_scale, before, after, added), (FIRST, PRESENT))
+    left = before if after is None else after
+    proposed = dict(_proposed(present, chosen, (signal, of_scale), left))
+    error = ErrorBySignal(signal, of_scale, before, after, added, proposed)
+    return figures.error_by_signal(error, (FIRST, PRESENT))
+
+
+def axis_of(state: StudioState, chosen: str | None) -> tuple[str, bool] | None:
+    """Return the key of the error curve that shows an effect which may be added; None without one."""
+    if state.examination is None or chosen is None:
+        return None
+    axis = effect_axis(find_effect(chosen))
+    return axis if axis in state.examination.error_curves else None
+
+
+def _proposed(
+    present: Examination, chosen: str | None, key: tuple[str, bool], like: ErrorCurve
+) -> Iterator[tuple[str, ErrorCurve]]:
+    """Yield the curve of the chosen effect, and that of the best other one with the same axis."""
+    ranked = [item for item in present.examined.ranked if effect_axis(item.effect) == key]
+    for item in sorted(ranked, key=lambda item: item.effect.name != chosen)[:2]:
+        if chosen is None or not item.is_significant:
+            continue
+        curve = curve_before_adding(item.effect, estimate(item), like)  # type: ignore[arg-type]
+        if curve is not None:
+            yield item.effect.name, curve
 
 
 def signals(state: StudioState) -> list[tuple[str, bool]]:
@@ -158,7 +192,10 @@ def revisions(state: StudioState) -> Any | None:
     improved = state.improvement
     if improved is None or not all(len(one.held_out.error_rad) for one in improved.revisions):
         return None
-    return comparison_figures.drift_by_model('Drift in 60 s without the camera', drift_marks(improved))
+    title = f'Heading drift in {SPAN_S:.0f} s without the camera'
+    return comparison_figures.drift_by_model(
+        title, drift_marks(improved), by_noise_deg=improved.drift_by_noise_deg
+    )
 
 
 def all_figures(state: StudioState) -> dict[str, Any]:

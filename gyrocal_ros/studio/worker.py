@@ -22,6 +22,7 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.error_curves import ErrorCurve, centred
 from gyrocal_ros.diagnose.heading_filter import headings
+from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.ranking import RankedEffect, best_explanation, indistinguishable
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.run_series import rows_to_draw
@@ -104,6 +105,7 @@ class Examination:
     indistinguishable: tuple[str, ...]
     """Effects that this recording cannot distinguish from the best."""
     failures: tuple[Failure, ...]
+    fit: ModelFit
     wander: Wander
     error_curves: Mapping[tuple[str, bool], ErrorCurve]
     """Remaining error of the bias (False) or the scale (True) by signal, the most significant first."""
@@ -289,6 +291,7 @@ def _examination(examined: ExaminedModel, recorded: RecordingSummary) -> Examina
         if best is None
         else tuple(indistinguishable(best, others, examined.scores, NONE, examined.settings)),
         failures=tuple(failures(examined.run, examined.seen)),
+        fit=model_fit(examined.run),
         wander=wander(examined.seen),
         error_curves={
             (item.signal, item.of_scale): centred(item) for item in shapes(examined.run, examined.seen)

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Literal
 from urllib.parse import urlsplit
 
 import pytest
@@ -95,10 +96,38 @@ def screenshot(page: Page, name: str, part: str = '') -> None:
 
 
 def parts_below_the_screen(page: Page) -> list[str]:
-    """Return the parts 1 to 5 that do not fit on the screen of a laptop."""
-    names = ('bag', 'model', 'residual', 'missing', 'history')
-    boxes = {name: page.locator(f'#{name}').bounding_box() for name in names}
+    """Return what decides about an effect and is not on the screen of a laptop without scrolling."""
+    names = ('#bag', '#model-figure', '#residual-figure', '#verdict', '#add', '#forecast', '#history-figure')
+    shown = [name for name in names if page.locator(name).count()]
+    boxes = {name: page.locator(name).bounding_box() for name in shown}
     return [name for name, box in boxes.items() if not box or box['y'] + box['height'] > LAPTOP['height']]
+
+
+OVERLAPS = """
+() => {
+  const found = [];
+  for (const name of ['model-figure', 'residual-figure', 'history-figure']) {
+    const texts = [...document.querySelectorAll(`#${name} svg text`)].filter(
+      (text) => text.textContent.trim() && text.getBoundingClientRect().width > 0);
+    const boxes = texts.map((text) => [text.textContent, text.getBoundingClientRect()]);
+    const frame = document.querySelector(`#${name}`).getBoundingClientRect();
+    boxes.forEach(([first, a], number) => {
+      if (a.left < frame.left - 2 || a.right > frame.right + 2) found.push(`${name}: ${first} is clipped`);
+      for (const [second, b] of boxes.slice(number + 1)) {
+        const wide = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+        const high = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+        if (wide > 3 && high > 4) found.push(`${name}: ${first} over ${second}`);
+      }
+    });
+  }
+  for (const table of document.querySelectorAll('#revisions .wide')) {
+    if (table.scrollWidth > table.clientWidth + 1) found.push('a column of the revisions is cut off');
+  }
+  if (document.documentElement.scrollWidth > window.innerWidth) found.push('the page is too wide');
+  return found;
+}
+"""
+"""Texts of the figures that overlap or are clipped, and tables that are cut off."""
 
 
 def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> None:
@@ -112,7 +141,7 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     expect(page.locator('#bag-words')).to_contain_text('100 s')
     expect(page.locator('#verdict')).to_contain_text(f'Missing: {HIDDEN}')
     figure = page.locator('#model-figure')
-    expect(figure).to_contain_text('gyro less observed')
+    expect(figure).to_contain_text('less the observed heading')
     expect(figure).to_contain_text('worst without camera')
     expect(figure.locator('.annotation-text', has_text=re.compile('^1$'))).to_have_count(1)
     expect(page.locator('#failures')).to_contain_text('turning')
@@ -184,7 +213,7 @@ def test_the_error_left_over_is_shown_against_any_signal(page: Page, studio: Stu
     expect(page.locator('#residual-figure')).to_contain_text('error of the')
     page.locator('#signal').click()
     page.get_by_role('option', name='temperature (deg C) - bias').click()
-    expect(page.locator('#residual-figure')).to_contain_text('Bias by temperature')
+    expect(page.locator('#residual-figure')).to_contain_text('temperature (deg C)')
     for kind, text in (
         ('drift', 'Drift span by span'),
         ('innovations', 'NIS'),
@@ -218,6 +247,23 @@ def test_the_theme_can_be_changed_and_the_page_fits_a_tablet(page: Page, studio:
     expect(page.locator('html')).to_have_class('dark')
     assert page.evaluate(background) != light
     assert page.evaluate('document.documentElement.scrollWidth') <= TABLET['width']
+
+
+@pytest.mark.parametrize('theme', ['light', 'dark'])
+@pytest.mark.parametrize('width, height', [(1440, 900), (1920, 1080), (800, 1100)])
+def test_nothing_overlaps_or_is_clipped(
+    browser: Browser, studio: Studio, width: int, height: int, theme: Literal['light', 'dark']
+) -> None:
+    page = browser.new_page(viewport={'width': width, 'height': height}, color_scheme=theme)
+    page.goto(studio.address)
+    for name in ('model-figure', 'residual-figure', 'history-figure'):
+        expect(page.locator(f'#{name} svg text').first).to_be_visible()
+    page.wait_for_timeout(500)
+    assert page.evaluate(OVERLAPS) == []
+    chart = page.locator('#history-figure').bounding_box()
+    assert chart is not None and chart['height'] >= 200.0
+    screenshot(page, f'studio_{width}_{theme}')
+    page.close()
 
 
 def test_all_controls_can_be_reached_by_the_keyboard(page: Page, studio: Studio) -> None:

@@ -1,0 +1,192 @@
+"""The status of a result: green, yellow or red, with one sentence and the next step.
+
+Command line, JSON, pages and studio show the same status. It is never green where the model does not fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from gyrocal_ros.diagnose.advice import join
+from gyrocal_ros.diagnose.comparison import Comparison
+from gyrocal_ros.diagnose.diagnosis import Diagnosis
+from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement
+from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
+from gyrocal_ros.diagnose.shapes import UnexplainedStructure
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.pipeline.calibration import Calibration
+
+Level: TypeAlias = Literal['green', 'yellow', 'red']
+TURNING_RAD_S = math.radians(5.0)
+"""Rate above which the robot counts as turning."""
+MIN_TURN_DEG = 90.0
+"""Total turn to each side below which a recording shows one side only."""
+NOTHING_MISSING = 'Nothing is missing: gyro, wheels and camera agree with the model within chance.'
+CANNOT_TELL = (
+    'This recording cannot tell whether an effect is missing: '
+    'too few effects of the library would show in it.'
+)
+DOES_NOT_FIT = 'the model does not fit this recording: run gyrocal diagnose'
+"""The last words on a calibration that its own recording contradicts."""
+DIAGNOSE = 'Run `gyrocal diagnose` on this recording.'
+LEARN = 'Run `gyrocal learn` on this recording: it learns what no effect of the library explains.'
+RECORD = (
+    'Record five minutes with turns to both sides at several speeds, straight lanes and short rests, '
+    'while the camera sees the ceiling.'
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """A result in one sentence."""
+
+    level: Level
+    """green: can be used as it is; yellow: there is something to do first; red: not to be trusted."""
+    sentence: str
+    next_step: str = ''
+    """Empty where nothing is left to do."""
+
+
+def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Status:
+    """Return whether a calibration can be used.
+
+    Args:
+        calibration: the result.
+        run: the run that it is from.
+        fit: whether the model fits the run.
+    """
+    criteria, converged_s = run.config.convergence, calibration.convergence_time_s
+    threshold = f'{100.0 * criteria.scale_std:g} %'
+    if fit.misfits:
+        return Status('red', f'Not to be trusted: {"; ".join(fit.misfits)}; {DOES_NOT_FIT}', DIAGNOSE)
+    if converged_s is None:
+        known = f'{100.0 * calibration.scale_factor_std:.2g} %'
+        sentence = f'Not calibrated yet: the scale factor is known to {known} only, not to {threshold}.'
+        return Status('yellow', sentence, 'Record more turns, both ways, while the camera sees the ceiling.')
+    if not calibration.converged:
+        sentence = 'Not to be trusted: at the end the innovations are not as large as the filter expects.'
+        return Status('red', sentence, 'Look at the warnings, the camera calibration and the time stamps.')
+    sentence = f'Calibrated: the scale factor was known to {threshold} after {converged_s:.0f} s'
+    left_deg, right_deg = turned_deg(run)
+    if min(left_deg, right_deg) < MIN_TURN_DEG:
+        side, other = ('left', 'right') if left_deg > right_deg else ('right', 'left')
+        sentence += f', but the robot turned to the {side} only, so that an asymmetry cannot show.'
+        return Status('yellow', sentence, f'Record turns to the {other}, too.')
+    if fit.fits is None:
+        return Status('yellow', f'{sentence}, but the recording is too short to judge the model.', RECORD)
+    return Status('green', f'{sentence}.')
+
+
+def turned_deg(run: Run) -> tuple[float, float]:
+    """Return the total turn to the left and to the right, in degrees, by the gyro while the robot turned."""
+    turn = run.history.turn_rad
+    turning = np.abs(turn) > TURNING_RAD_S * run.history.dt_s
+    sides = (np.maximum(side * turn, 0.0)[turning].sum() for side in (1.0, -1.0))
+    left, right = (math.degrees(float(total)) for total in sides)
+    return left, right
+
+
+def diagnosis_status(diagnosis: Diagnosis) -> Status:
+    """Return the verdict of a diagnosis."""
+    sentence = _diagnosis_sentence(diagnosis)
+    if diagnosis.verdict == 'nothing_missing':
+        return Status('green', sentence)
+    if diagnosis.verdict == 'unexplained' or diagnosis.fit.fits is False:
+        return Status('red', sentence, LEARN)
+    if diagnosis.missing:
+        name = diagnosis.missing[0].effect.name
+        add = f'Add it with `gyrocal add {name}`, or let `gyrocal improve` add it and show the gain.'
+        return Status('yellow', sentence, add)
+    return Status('yellow', sentence, RECORD)
+
+
+def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
+    missing = {item.effect.name: item.confused_with for item in diagnosis.missing}
+    is_unexplained = diagnosis.verdict == 'unexplained'
+    if missing and not is_unexplained and diagnosis.coarse_step_rad_s is not None:
+        step = f'steps of {math.degrees(diagnosis.coarse_step_rad_s):.2g} deg/s'
+        causes = join(['these', *missing], 'or')
+        return f'The gyro reads in {step}, wider than its noise; {causes} cause the errors.'
+    if diagnosis.verdict == 'noise':
+        return f'Only noise: the gyro is noisier than the settings say ({join([*missing])}); no law is left.'
+    otherwise = NOTHING_MISSING if diagnosis.verdict == 'nothing_missing' else CANNOT_TELL
+    if diagnosis.fit.misfits:
+        otherwise = f'The model does not fit, for a reason not found: {"; ".join(diagnosis.fit.misfits)}.'
+    sentence = missing_sentence(missing, diagnosis.unexplained if is_unexplained else None, otherwise)
+    still = missing and not is_unexplained and diagnosis.fit.fits is False
+    return f'{sentence} The model still does not fit with it: see the next steps.' if still else sentence
+
+
+def missing_sentence(
+    missing: Mapping[str, Sequence[str]],
+    structure: UnexplainedStructure | None = None,
+    otherwise: str = NOTHING_MISSING,
+) -> str:
+    """Return which effects a model lacks, in one or two sentences.
+
+    Args:
+        missing: names of missing effects, each with the effects that this recording cannot distinguish
+            from it.
+        structure: unexplained structure, if there is any.
+        otherwise: sentence for a model that lacks nothing.
+    """
+    clear_first = sorted(missing, key=lambda name: bool(missing[name]))
+    listed = join([_with_twins(name, missing[name]) for name in clear_first])
+    sentences = [f'Missing: {listed}.'] if missing else []
+    if structure is not None:
+        what = f'{structure.what} ({structure.sigma:.0f} sigma)'
+        sentences.append(f'No effect of the library explains this: {what}.')
+    return ' '.join(sentences) or otherwise
+
+
+def improvement_status(improved: Improvement) -> Status:
+    """Return what was added to a model, and whether the error fell by more than chance."""
+    names = [revision.effect.name for revision in improved.kept if revision.effect is not None]
+    added = f'Added {join(names)}' if names else 'Nothing was added'
+    if model_fit(improved.final.examined.run).fits is False:
+        return Status('red', f'{added}, and the model still does not fit.', LEARN)
+    if not names:
+        return Status('green', f'{added}: no effect improves the prediction of the recording.')
+    first, last = improved.kept[0].held_out, improved.final.held_out
+    change = f'from {first.rms_deg:.2f} to {last.rms_deg:.2f} deg'
+    if len(improved.kept) == 1 or not math.isfinite(first.rms_deg) or not math.isfinite(last.rms_deg):
+        return Status('green', f'{added}.')
+    if improved.fell_sigma > CHANCE_SIGMA:
+        return Status('green', f'{added}: the held-out drift went {change}.')
+    sentence = f'{added}: the recording is predicted better, but the held-out drift went {change}'
+    return Status('yellow', f'{sentence}, no more than by chance.', 'Test the model on another recording.')
+
+
+def comparison_status(comparison: Comparison) -> Status:
+    """Return which model is best, and whether that is more than chance."""
+    best, first = comparison.best, comparison.results[0]
+    ask = f'Ask `gyrocal diagnose` what {best.label} lacks.' if best.fails_where else ''
+    level: Level = 'yellow' if ask else 'green'
+    if model_fit(best.run).fits is False:
+        level, ask = 'red', f'Ask `gyrocal diagnose` what {best.label} lacks.'
+    if len(comparison.results) == 1:
+        if not best.fails_where:
+            return Status(level, f'{best.label} fits this recording: all differences are within chance.', ask)
+        count = len(best.fails_where)
+        places = 'one place' if count == 1 else f'{count} places'
+        return Status(
+            level, f'{best.label} does not fit in {places}: the errors are larger than chance.', ask
+        )
+    if best is first:
+        return Status(level, f'No other model is better than {first.label}.', ask)
+    gain = f'log-likelihood +{best.gain:.1f}, {best.gain_sigma:.1f} sigma'
+    level = 'red' if level == 'red' else 'yellow'
+    use = ask or f'Use {best.label}.'
+    if best.gain_sigma < CHANCE_SIGMA:
+        sentence = f'{best.label} is best, but not significantly better than {first.label} ({gain}).'
+        return Status(level, sentence, ask or 'Compare them on a longer recording.')
+    return Status(level, f'{best.label} predicts the recording better than {first.label} ({gain}).', use)
+
+
+def _with_twins(name: str, twins: Sequence[str]) -> str:
+    return f'{name} (not distinguishable here from {join([*twins], "or")})' if twins else name

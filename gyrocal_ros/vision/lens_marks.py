@@ -22,6 +22,8 @@ BLUR, BLOCK = 9, 20
 """Sides of the blur that removes the brightness, and of a block, in pixels of the reduced image."""
 MIN_VARIANCE, MIN_SIGNAL = 1.0, 8.0
 """Smallest variance of a block with texture: in grey levels, and relative to that of the noise."""
+NOISE_ROWS = 4
+"""Step of the rows from which the noise is estimated."""
 MIN_TEXTURED = 4
 """Fewest blocks with texture that tell of a change."""
 CHANGED = 0.7
@@ -61,7 +63,7 @@ class ViewChange:
             return
         self.number += 1
         self._reference, self._energy = contrast, energy
-        noise_variance = (noise_level(image) / REDUCTION) ** 2
+        noise_variance = (noise_level(image[::NOISE_ROWS]) / REDUCTION) ** 2
         self._min_energy = BLOCK**2 * max(MIN_VARIANCE, MIN_SIGNAL * noise_variance)
 
     def _resembles(self, contrast: NDArray[np.float32], energy: Array, textured: NDArray[np.bool_]) -> bool:
@@ -108,4 +110,4 @@ def _block_sums(values: NDArray[np.float32]) -> Array:
     """Return the sums (n,) over the whole blocks of a reduced image."""
     rows, columns = (side // BLOCK for side in values.shape)
     blocks = values[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
-    return blocks.sum(axis=(1, 3), dtype=float).ravel()
+    return blocks.sum(axis=3).sum(axis=1).ravel()

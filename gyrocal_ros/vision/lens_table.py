@@ -8,6 +8,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics
 from gyrocal_ros.model.camera import bearing, project
+from gyrocal_ros.model.lens import is_undistorted
 
 CELL_PX = 8
 """Distance of the nodes of the table."""
@@ -15,11 +16,14 @@ MAX_ERROR_PX = 0.01
 """Error of a node above which the lens cannot be inverted there."""
 
 
-def approximate_bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
+def approximate_bearing(camera: CameraIntrinsics, pixels: Array) -> Array | None:
     """Return the normalised coordinates (n, 2) of pixels (n, 2), to some 1e-4.
 
-    Between the nodes they are interpolated bilinearly, outside the image extrapolated.
+    Between the nodes they are interpolated bilinearly, outside the image extrapolated. None for a lens that
+    is undone without a start: a pinhole, or a fisheye lens, whose angle alone is solved for.
     """
+    if camera.lens == 'equidistant' or is_undistorted(camera):
+        return None
     table = _table(camera)
     rows, columns = table.shape[:2]
     nodes = pixels / CELL_PX

@@ -105,10 +105,13 @@ class FeatureObservations:
     """(n, 2) raw, distorted pixels (u, v); the centre of the top-left pixel is (0, 0)."""
     covariances_px2: Array | None = None
     """(n, 2, 2) covariances of their errors by the tracker; None if it does not tell."""
+    on_lens: int = 0
+    """Number of features dropped because they stay in the image while the camera turns."""
 
     def __getitem__(self, chosen: IntArray) -> FeatureObservations:
         covariances = None if self.covariances_px2 is None else self.covariances_px2[chosen]
-        return FeatureObservations(self.t_ns, self.ids[chosen], self.pixels[chosen], covariances)
+        pixels = self.pixels[chosen]
+        return FeatureObservations(self.t_ns, self.ids[chosen], pixels, covariances, self.on_lens)
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,6 +99,7 @@ def drive(
         used=np.ones(count),
         rejected=zeros,
         dropped=zeros,
+        on_lens=zeros,
         in_view=np.ones(count),
         heading_innovation_rad=seen_rad - expected,
         heading_innovation_std_rad=np.full(count, HEADING_STD_RAD),

@@ -11,6 +11,7 @@ import pytest
 from gyrocal_ros.bench import accuracy, camera_off
 from gyrocal_ros.bench.accuracy import CONVENTIONAL, OURS, PAPER, accuracy_row, cases, in_parallel
 from gyrocal_ros.bench.bench_run import BenchRun, Variant, bound_std, end_of_first_turn_s, run_bench
+from gyrocal_ros.bench.image_speed import image_speed
 from gyrocal_ros.bench.speed import filter_alone, gyrocal_process
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
@@ -109,6 +110,15 @@ def test_the_filter_is_timed_on_measurements_in_memory() -> None:
     row = filter_alone(replace(SHORT, duration_s=5.0), repeats=1)
     assert row['times_real_time'] == pytest.approx(5.0 / row['wall_s'])
     assert '100 Hz' in row['case']
+
+
+@pytest.mark.slow
+def test_the_time_of_an_image_is_that_of_tracker_and_filter() -> None:
+    (row,) = image_speed([])
+    assert row['images'] > 100
+    assert row['decode_ms'] > 0.0
+    assert row['filter_ms'] > 0.0
+    assert row['tracker_ms'] + row['filter_ms'] == pytest.approx(row['beyond_decoding_ms'])
 
 
 @pytest.mark.slow

@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 from synthetic import drive
 
+from gyrocal_ros.data import nanoseconds
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
-from gyrocal_ros.ekf.map_watch import LOST_IMAGES, MAP_DROPPED, REMEMBERED_IMAGES, MapWatch, loses_its_map
+from gyrocal_ros.ekf.map_watch import (
+    LOST_IMAGES,
+    MAP_DROPPED,
+    REMEMBERED_IMAGES,
+    LostMaps,
+    MapWatch,
+    loses_its_map,
+)
 from gyrocal_ros.ekf.run import RunEvent
 from gyrocal_ros.ekf.update import MeasurementUpdate
 from gyrocal_ros.errors import FilterDivergedError
@@ -78,7 +86,16 @@ def test_noise_at_its_limit_is_a_divergence() -> None:
     assert 'gyrocal check' in caught.value.todo
 
 
-@pytest.mark.parametrize(('losses', 'contradicts'), [(0, False), (2, False), (8, False), (9, True)])
-def test_a_map_that_is_lost_often_contradicts_the_model(losses: int, contradicts: bool) -> None:
+@pytest.mark.parametrize(
+    ('lost_s', 'contradicts'),
+    [([], False), ([5, 10, 15], False), ([5, 10, 15, 64], True), ([5, 10, 15, 66, 90], False)],
+    ids=['none', 'three', 'four in a minute', 'not in a minute'],
+)
+def test_a_map_that_is_lost_often_contradicts_the_model(lost_s: list[int], contradicts: bool) -> None:
     run = drive(duration_s=120.0).run
-    assert loses_its_map(replace(run, events=(RunEvent(0, MAP_DROPPED),) * losses)) is contradicts
+    events = [RunEvent(run.span.start_ns + nanoseconds(time_s), MAP_DROPPED) for time_s in lost_s]
+    assert loses_its_map(replace(run, events=tuple(events))) is contradicts
+    watched = LostMaps()
+    for time_s in lost_s:
+        watched.add(time_s)
+    assert watched.are_many is contradicts

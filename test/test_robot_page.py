@@ -20,6 +20,7 @@ SOURCES = [
     ROOT / 'gyrocal_ros' / 'board' / 'link.py',
     ROOT / 'gyrocal_ros' / 'msgs' / 'mounts.py',
     ROOT / 'gyrocal_ros' / 'vision' / 'tracker.py',
+    ROOT / 'gyrocal_ros' / 'vision' / 'lens_marks.py',
 ]
 MIN_LETTERS = 10
 """Minimum number of literal letters by which a string of the code is recognised in a message."""

@@ -18,7 +18,15 @@ K = 2
 STATS = UpdateStats(nis=3.0, dof=2, log_determinant=1.5)
 REST = UpdateStats(nis=1.0, dof=3, log_determinant=0.5)
 UPDATE = MeasurementUpdate(
-    used=7, rejected=2, dropped=3, unmoved=1, added=1, stats=STATS, heading_rad=0.01, heading_std_rad=0.002
+    used=7,
+    rejected=2,
+    dropped=3,
+    unmoved=1,
+    added=1,
+    on_lens=4,
+    stats=STATS,
+    heading_rad=0.01,
+    heading_std_rad=0.002,
 )
 
 
@@ -72,6 +80,7 @@ def test_each_field_of_the_history_is_that_of_the_step() -> None:
         'used': 7.0,
         'rejected': 2.0,
         'dropped': 3.0,
+        'on_lens': 4.0,
         'in_view': 10.0,
         'heading_innovation_rad': 0.01,
         'heading_innovation_std_rad': 0.002,

@@ -344,7 +344,7 @@ def test_corners_of_a_real_ceiling_are_distributed_over_it() -> None:
     if not photo.exists():
         pytest.skip(f'no {photo.name} beside the project')
     image = np.asarray(cv2.imread(str(photo), cv2.IMREAD_GRAYSCALE), np.uint8)
-    corners = find_corners(image, np.zeros((0, 2)), 14, CONFIG)[:15]
+    corners = find_corners(image, np.zeros((0, 2)), np.zeros((0, 2), np.intp), 14, CONFIG)[:15]
     assert len(corners) == 15
     distances_px = np.linalg.norm(corners[:, None] - corners, axis=2) + 1e3 * np.eye(15)
     assert distances_px.min() >= CONFIG.min_distance_px - 2.0

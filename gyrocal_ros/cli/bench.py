@@ -21,6 +21,7 @@ from gyrocal_ros.bench.camera_off import camera_off
 from gyrocal_ros.bench.eyes import eyes
 from gyrocal_ros.bench.gate import BASELINE, Outcome, baseline_to_dict, gate, load_baseline, measure_baseline
 from gyrocal_ros.bench.growth import growth
+from gyrocal_ros.bench.image_speed import image_speed
 from gyrocal_ros.bench.methods import comparison
 from gyrocal_ros.bench.separability import motions
 from gyrocal_ros.bench.speed import speed
@@ -46,6 +47,7 @@ gyrocal bench blind --strangers --seeds 2
 gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
 gyrocal bench tracker --bag drive_with_images
+gyrocal bench image_speed --bag drive_with_images
 gyrocal bench --quick"""
 
 BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
@@ -57,6 +59,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'tracker': lambda args: bag_rows(args.bag) if args.bag else tracker_accuracy(args.seeds),
     'motions': lambda args: motions(),
     'speed': lambda args: speed(args.quick),
+    'image_speed': lambda args: image_speed(args.bag),
     'growth': lambda args: growth(args.quick),
 }
 
@@ -93,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs='+',
         default=[],
         type=Path,
-        help='for tracker: recordings with images and true poses, in place of rendered images',
+        help='for tracker and image_speed: recordings in place of rendered images; tracker needs true poses',
     )
     parser.add_argument(
         '--set',

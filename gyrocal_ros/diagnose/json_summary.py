@@ -29,6 +29,9 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration, coefficient_table, conclude
 
+FEATURE_COUNTS = ('used', 'rejected', 'dropped', 'on_lens')
+"""Counts of `History` in the summary."""
+
 
 def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
     """Return what `replay --json` prints, except the wall time."""
@@ -46,7 +49,7 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
         'coefficients': coefficient_table(calibration),
         'duration_s': calibration.duration_s,
         'nis_per_dof': nis_per_dof(run),
-        'features': {name: int(getattr(run.history, name).sum()) for name in ('used', 'rejected', 'dropped')},
+        'features': {name: int(getattr(run.history, name).sum()) for name in FEATURE_COUNTS},
         'model_fits': fit.fits,
         'misfits': list(fit.misfits),
         'events': [event.text for event in run.events],

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s
-from gyrocal_ros.ekf.map_watch import loses_its_map
+from gyrocal_ros.ekf.map_watch import LOSES_MAPS, loses_its_map
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.scatter import Scatter, scatter_of
@@ -72,7 +72,7 @@ def _misfits(run: Run, scatter: Scatter, drift: BlindDrift) -> Iterator[str]:
     if nis is not None and nis > limit:
         yield f'the innovations are larger than expected (NIS {nis:.1f} per degree of freedom)'
     if loses_its_map(run):
-        yield 'the images contradict the map again and again'
+        yield LOSES_MAPS
     if scatter.contradicts:
         yield (
             'from stretch to stretch the estimates change by '

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
+
+from gyrocal_ros.data import seconds
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.update import MeasurementUpdate
@@ -13,9 +16,11 @@ LOST_IMAGES = 15
 """Number of consecutive images that contradict the map before it is dropped."""
 REMEMBERED_IMAGES = 300
 """Images over which the share of those that contradict the map is averaged."""
-MIN_LOSSES, MAX_LOSSES_MIN = 3, 4.0
-"""Lost maps, and lost maps per minute, from which the model does not fit: beams lose 2 in a minute, a rolling
-shutter that the model lacks 10."""
+MANY_LOST_MAPS, MANY_LOST_MAPS_S = 4, 60.0
+"""Number of maps lost within a time (s) from which the model does not fit: beams lose 2 in a minute, a
+rolling shutter that the model lacks 10."""
+LOSES_MAPS = 'the images contradict the map again and again'
+"""Finding of such a run."""
 MAX_SHARE = 0.25
 """Share of contradicting images from which the filter has diverged: below crossing beams or moving patches of
 sun it is 0.2 at most."""
@@ -24,8 +29,26 @@ CHECK_THE_CAMERA = 'check the camera calibration, its mounting and the time stam
 
 def loses_its_map(run: Run) -> bool:
     """Return True if the map of a run was dropped more often than things that move explain."""
-    lost = sum(event.text == MAP_DROPPED for event in run.events)
-    return lost >= MIN_LOSSES and lost > MAX_LOSSES_MIN * run.span.duration_s / 60.0
+    lost = LostMaps()
+    for event in run.events:
+        if event.text == MAP_DROPPED:
+            lost.add(seconds(event.t_ns - run.span.start_ns))
+    return lost.are_many
+
+
+class LostMaps:
+    """Decides whether maps were lost too often."""
+
+    def __init__(self) -> None:
+        self.are_many = False
+        """True if there ever were many within a minute."""
+        self._times_s: deque[float] = deque(maxlen=MANY_LOST_MAPS)
+
+    def add(self, time_s: float) -> None:
+        """Add the loss of a map."""
+        self._times_s.append(time_s)
+        is_soon = abs(time_s - self._times_s[0]) < MANY_LOST_MAPS_S
+        self.are_many |= len(self._times_s) == MANY_LOST_MAPS and is_soon
 
 
 class MapWatch:

@@ -46,9 +46,10 @@ class History:
     used: Array
     rejected: Array
     dropped: Array
+    on_lens: Array
     in_view: Array
-    """(s,) numbers of features used, rejected, removed as not fixed in space, and in view; some of these have
-    not moved since their last use."""
+    """(s,) numbers of features used, rejected, removed as not fixed in space, dropped by the tracker because
+    they stay in the image, and in view; some of these have not moved since their last use."""
     heading_innovation_rad: Array
     """(s,) NaN where nothing was measured."""
     heading_innovation_std_rad: Array
@@ -86,6 +87,7 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     'used': lambda step: step.update.used,
     'rejected': lambda step: step.update.rejected,
     'dropped': lambda step: step.update.dropped,
+    'on_lens': lambda step: step.update.on_lens,
     'in_view': lambda step: step.update.used + step.update.rejected + step.update.unmoved,
     'heading_innovation_rad': lambda step: step.update.heading_rad if step.update.stats.dof else np.nan,
     'heading_innovation_std_rad': lambda step: (

@@ -147,7 +147,7 @@ class EkfSlam:
         if self.config.camera.estimate_pixel_noise:
             self.pixel_noise.update(update.noise_distances, 2)
             self._repeated.update(update.changes_px2)
-        return replace(update, added=len(new))
+        return replace(update, added=len(new), on_lens=observations.on_lens)
 
     def _image_model(self) -> ImageModel:
         return ImageModel(

@@ -79,8 +79,10 @@ class MeasurementUpdate:
     dropped: int = 0
     unmoved: int = 0
     added: int = 0
+    on_lens: int = 0
     """Numbers of features used, rejected as outliers, removed because they were outliers in several images
-    (points that are not fixed in space), not used because unmoved, and added to the map."""
+    (points that are not fixed in space), not used because unmoved, added to the map, and dropped by the
+    tracker because they stay in the image."""
     stats: UpdateStats = UpdateStats()
     heading_rad: float = 0.0
     """The innovation as a heading: the rotation about the vertical that fits it best."""

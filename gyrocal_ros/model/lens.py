@@ -15,9 +15,9 @@ COEFFICIENT_COUNTS = {'plumb_bob': 5, 'rational_polynomial': 8, 'equidistant': 4
 """Lens models by their names in CameraInfo, with their numbers of coefficients."""
 
 MAX_NEWTON_STEPS = 20
-LAST_NEWTON_STEP = 1e-8
-"""Length of a Newton step below which the iteration ends: convergence is quadratic, so the next step would be
-below rounding."""
+LAST_NEWTON_STEP = 1e-5
+"""Length of a Newton step below which the iteration ends: convergence is quadratic, so the remaining error is
+about 1e-10, less than a millionth of a pixel."""
 MAX_ANGLE_RAD = math.radians(89.0)
 """Largest angle from the optical axis: x/z is infinite at 90 deg."""
 SMALL_RADIUS = 1e-4
@@ -42,17 +42,22 @@ def distort(camera: CameraIntrinsics, normalised: Array) -> tuple[Array, Array]:
     return _distort_brown(camera.distortion, normalised)
 
 
-def undistort(camera: CameraIntrinsics, distorted: Array) -> Array:
+def undistort(camera: CameraIntrinsics, distorted: Array, start: Array | None = None) -> Array:
     """Return the normalised coordinates (n, 2) of distorted ones: the inverse of `distort`.
 
-    Newton's method, exact to rounding where the distortion can be inverted. An equidistant lens also sees
-    points beside and behind the camera; they are returned at `MAX_ANGLE_RAD`.
+    Newton's method; the error is below 1e-8 where the distortion can be inverted. An equidistant lens also
+    sees points beside and behind the camera; they are returned at `MAX_ANGLE_RAD`.
+
+    Args:
+        camera: intrinsics.
+        distorted: (n, 2).
+        start: (n, 2) approximate result, if known.
     """
     if is_undistorted(camera):
         return distorted
     if camera.lens == 'equidistant':
         return _undistort_equidistant(camera.distortion, distorted)
-    normalised = distorted
+    normalised = distorted if start is None else start
     for _ in range(MAX_NEWTON_STEPS):
         reached, slope = distort(camera, normalised)
         step = _solve_symmetric(slope, reached - distorted)

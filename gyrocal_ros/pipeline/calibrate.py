@@ -19,6 +19,7 @@ from gyrocal_ros.model.recording import TEMPERATURE
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.heading_reference import calibrate_by_heading
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
+from gyrocal_ros.vision.lens_marks import LIFETIME_S, MANY_MARKS, MANY_MARKS_TEXT
 
 MIN_TURN_RAD = math.radians(45.0)
 """Minimum total turn from which a scale factor can be estimated."""
@@ -54,7 +55,17 @@ def calibrate(
     else:
         run = run_filter(source, source.measurements(), config, model, start, report, candidates)
     _require_observable(run)
-    return replace(run, events=(*run.events, *_unrecorded_signals(run)))
+    return replace(run, events=(*run.events, *_marks_on_lens(run), *_unrecorded_signals(run)))
+
+
+def _marks_on_lens(run: Run) -> Iterator[RunEvent]:
+    """Yield an event at the first time at which many features have been found on the lens."""
+    history = run.history
+    found_s = np.repeat(history.time_s, history.on_lens.astype(int))
+    within_s = found_s[MANY_MARKS - 1 :] - found_s[: len(found_s) - MANY_MARKS + 1]
+    for index in np.flatnonzero(within_s < LIFETIME_S)[:1] + MANY_MARKS - 1:
+        step = int(np.searchsorted(history.time_s, found_s[index]))
+        yield RunEvent(int(history.t_ns[step]), MANY_MARKS_TEXT)
 
 
 def _unrecorded_signals(run: Run) -> Iterator[RunEvent]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -12,6 +11,7 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, Rig, seconds
 from gyrocal_ros.ekf.convergence import Convergence
+from gyrocal_ros.ekf.map_watch import LOSES_MAPS, LostMaps
 from gyrocal_ros.ekf.scatter import Scatter
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start, initial_state
@@ -24,8 +24,6 @@ from gyrocal_ros.pipeline.calibration import SCALE, Calibration, calibration_of
 
 CHECKPOINT_S = 5.0
 """Time for which the filter has to stay consistent after a state before that becomes the checkpoint."""
-MAX_NEW_MAPS, NEW_MAPS_S = 3, 60.0
-"""Number of new maps within a time (s) that means divergence, whatever the NIS."""
 CONTRADICTED_S = 30.0
 """Time after which a filter that the measurements contradict is restarted: it does not recover by itself."""
 RESTART_INFLATION = 4.0
@@ -267,7 +265,7 @@ class Estimator:
         self._time_s = self._checkpoint_s = self._trusted_s = 0.0
         self._has_stepped = False
         self._checkpoint = self._candidate = self._trusted
-        self._new_maps_s: deque[float] = deque(maxlen=MAX_NEW_MAPS)
+        self._lost_maps = LostMaps()
 
     def _restart(self, why: str, at: State) -> None:
         """Restart a diverged filter from the last checkpoint, with an inflated covariance."""
@@ -307,10 +305,9 @@ class Estimator:
             self.has_learned = True
         if record.event:
             self.events.append(record.event)
-            self._new_maps_s.append(self._time_s)
-            first_s = self._new_maps_s[0]
-            if len(self._new_maps_s) == MAX_NEW_MAPS and self._time_s - first_s < NEW_MAPS_S:
-                raise FilterDivergedError(f'{MAX_NEW_MAPS} new maps within {self._time_s - first_s:.0f} s')
+            self._lost_maps.add(self._time_s)
+            if self._lost_maps.are_many:
+                raise FilterDivergedError(LOSES_MAPS)
 
     def _trust(self, state: State) -> None:
         self._trusted, self._trusted_s, self.on_probation = state, self._time_s, False

@@ -16,6 +16,7 @@ import numpy as np
 
 from gyrocal_ros.data import FeatureObservations, Frame, seconds
 from gyrocal_ros.msgs.topics import Role
+from gyrocal_ros.vision.lens_marks import LIFETIME_S, MANY_MARKS, MANY_MARKS_TEXT
 
 RECENT_S = 10.0
 """Length of the window of recent counts and events."""
@@ -243,6 +244,7 @@ class TrackingHealth:
         self._delays_s: deque[float] = deque(maxlen=TIMED_IMAGES)
         self._latencies_s: deque[float] = deque(maxlen=LATENCIES)
         self._imu_ns: int | None = None
+        self._marks_s: deque[float] = deque(maxlen=MANY_MARKS)
         self._features = 0
         self._is_guided = False
         self._why_blind = ''
@@ -268,6 +270,8 @@ class TrackingHealth:
         """Store what was seen in an image."""
         self.log.counts['followed'] += 1
         self._features, self._is_guided = len(seen.ids), is_guided
+        self.log.counts['on_lens'] += seen.on_lens
+        self._marks_s.extend([now_s] * seen.on_lens)
         if self._features:
             self.log.add_arrival(SEEN, now_s)
         else:
@@ -322,6 +326,8 @@ class TrackingHealth:
                 f'{recent["late"]} images in {RECENT_S:.0f} s are not newer than the one before; check '
                 'whether two cameras publish on one topic'
             )
+        if len(self._marks_s) == MANY_MARKS and now_s - self._marks_s[0] < LIFETIME_S:
+            yield MANY_MARKS_TEXT
         blind_s = self.log.silent_s(SEEN, now_s)
         if self.log.counts['followed'] and not self._features and blind_s >= DAZZLED_S:
             yield f'no feature was seen for {blind_s:.0f} s: {self._why_blind}'
@@ -349,7 +355,7 @@ class TrackingHealth:
             'latency_ms_p99': round(float(p99), 1),
             'image_behind_imu_ms': round(1e3 * self._delay_s(), 1),
             'images': counts[f'{RECEIVED} {Role.IMAGE}'],
-            **{name: counts[name] for name in ('followed', 'dropped', 'lost', 'late')},
+            **{name: counts[name] for name in ('followed', 'dropped', 'lost', 'late', 'on_lens')},
             UNUSABLE: counts[f'{UNUSABLE} {Role.IMAGE}'],
         }
 

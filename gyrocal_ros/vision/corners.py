@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal_ros.config.sections import TrackerConfig
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, IntArray
 
 HARRIS_K = 0.04
 WINDOW_PX = 14
@@ -19,7 +19,7 @@ DISTINCT_RADIUS_PX = 16
 
 
 def find_corners(
-    image: NDArray[np.uint8], taken: Array, margin_px: int, config: TrackerConfig
+    image: NDArray[np.uint8], taken: Array, marks: IntArray, margin_px: int, config: TrackerConfig
 ) -> NDArray[np.intp]:
     """Find Harris corners in order of preference.
 
@@ -30,7 +30,8 @@ def find_corners(
 
     Args:
         image: (height, width).
-        taken: (n, 2) pixels to keep away from.
+        taken: (n, 2) pixels of features to keep away from.
+        marks: (k, 2) pixels of marks on the lens.
         margin_px: minimum distance from the edge of the image.
         config: distances and quality.
 
@@ -41,21 +42,22 @@ def find_corners(
     allowed = np.zeros(half.shape, dtype=np.uint8)
     edge = margin_px // 2 + 1
     allowed[edge:-edge, edge:-edge] = 255
-    _mask_out(allowed, taken, config)
+    _mask_out(allowed, taken, config.min_distance_px)
+    _mask_out(allowed, marks, 2.0 * config.patch_px)
     saturated = cv2.dilate(half, np.ones((WINDOW_PX // 2 + 2,) * 2, np.uint8)) >= SATURATED_GREY
     unsaturated = _harris(half, np.where(saturated, 0, allowed).astype(np.uint8), config)
     corners = unsaturated[_spread_order(unsaturated, taken, image.shape, config.features)]
     if saturated.any():
-        _mask_out(allowed, unsaturated, config)
+        _mask_out(allowed, unsaturated, config.min_distance_px)
         bright = _harris(half, np.where(saturated, allowed, 0).astype(np.uint8), config)
         corners = np.concatenate([corners, bright])
     return corners
 
 
-def _mask_out(allowed: NDArray[np.uint8], pixels: Array | NDArray[np.intp], config: TrackerConfig) -> None:
+def _mask_out(allowed: NDArray[np.uint8], pixels: Array | IntArray, radius_px: float) -> None:
     """Exclude the surroundings of pixels (n, 2) of the full image."""
     for u, v in pixels:
-        cv2.circle(allowed, (round(0.5 * u), round(0.5 * v)), round(0.5 * config.min_distance_px), 0, -1)
+        cv2.circle(allowed, (round(0.5 * u), round(0.5 * v)), round(0.5 * radius_px), 0, -1)
 
 
 def _harris(half: NDArray[np.uint8], allowed: NDArray[np.uint8], config: TrackerConfig) -> NDArray[np.intp]:

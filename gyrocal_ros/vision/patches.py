@@ -109,7 +109,7 @@ def extract_patches(image: NDArray[np.uint8], centres: NDArray[np.int64], size: 
     slopes = slopes - by_gain * template[:, None, :]
     shifts, turning = slopes[:, :2], slopes[:, 2]
     normal = shifts @ shifts.transpose(0, 2, 1)
-    inverse = np.linalg.inv(normal + _TINY * np.eye(2))
+    inverse = _inverses(normal + _TINY * np.eye(2))
     shift_by_twist = (inverse @ (shifts @ turning[:, :, None]))[:, :, 0]
     turning = turning - (shift_by_twist[:, None, :] @ shifts)[:, 0]
     twist_weight = (turning**2).sum(axis=1)
@@ -283,6 +283,14 @@ def _backward_shift(current: Array, template: Array) -> Array:
     by_u = 0.5 * (square[:, 1:-1, 2:] - square[:, 1:-1, :-2])
     by_v = 0.5 * (square[:, 2:, 1:-1] - square[:, :-2, 1:-1])
     slopes = np.stack([by_u, by_v], axis=1).reshape(-1, 2, inner)
-    normal = slopes @ slopes.transpose(0, 2, 1) + _TINY * np.eye(2)
-    step = np.linalg.solve(normal, slopes @ difference[:, 1:-1, 1:-1].reshape(-1, inner, 1))
-    return np.linalg.norm(step[:, :, 0], axis=1)
+    inverse = _inverses(slopes @ slopes.transpose(0, 2, 1) + _TINY * np.eye(2))
+    step = inverse @ (slopes @ difference[:, 1:-1, 1:-1].reshape(-1, inner, 1))
+    return np.hypot(step[:, 0, 0], step[:, 1, 0])
+
+
+def _inverses(matrices: Array) -> Array:
+    """Return the inverses of n symmetric matrices (n, 2, 2), by Cramer's rule."""
+    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    adjoint = np.stack([c, -b, -b, a], axis=-1).reshape(-1, 2, 2)
+    inverses: Array = adjoint / (a * c - b * b)[:, None, None]
+    return inverses

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from gyrocal_ros.data import Array, CameraIntrinsics
 from gyrocal_ros.model.camera import bearing, project
+from gyrocal_ros.vision.lens_table import approximate_bearing
 from gyrocal_ros.vision.patches import NODE_CENTRE, grid, node_basis
 
 SIGMAS = 3.5
@@ -29,7 +30,8 @@ def ceiling_coordinates(camera: CameraIntrinsics, pixels: Array, R_wc: Array) ->
         (..., 2). On any horizontal plane, the difference of two points is invariant while the camera
         moves and turns below it at constant height.
     """
-    rays_w = _homogeneous(bearing(camera, pixels.reshape(-1, 2))) @ R_wc.T
+    pixels_2d = pixels.reshape(-1, 2)
+    rays_w = _homogeneous(bearing(camera, pixels_2d, approximate_bearing(camera, pixels_2d))) @ R_wc.T
     return (rays_w[:, :2] / np.maximum(rays_w[:, 2:], MIN_RAY_Z)).reshape(pixels.shape)
 
 
@@ -41,13 +43,16 @@ def ceiling_pixels(camera: CameraIntrinsics, ceiling: Array, R_wc: Array) -> Arr
 
 def in_region(offsets: Array, covariances: Array) -> NDArray[np.bool_]:
     """Return which offsets (n, 2) from the prediction are in the region of the covariance (n or 1, 2, 2)."""
-    inverse = np.linalg.inv(covariances + EXTRA_STD_PX**2 * np.eye(2))
-    return ((offsets[:, None, :] @ inverse)[:, 0] * offsets).sum(axis=1) <= SIGMAS**2
+    a, b, c = (covariances + EXTRA_STD_PX**2 * np.eye(2)).reshape(-1, 4)[:, [0, 1, 3]].T
+    u, v = offsets.T
+    distances: Array = (c * u * u - 2.0 * b * u * v + a * v * v) / (a * c - b * b)
+    return distances <= SIGMAS**2
 
 
 def region_radius(covariances: Array) -> Array:
     """Return the radius (n,) of each region, the longer half-axis, in whole pixels."""
-    largest = np.linalg.eigvalsh(covariances)[:, 1] + EXTRA_STD_PX**2
+    a, b, c = covariances.reshape(-1, 4)[:, [0, 1, 3]].T
+    largest = 0.5 * (a + c) + np.hypot(0.5 * (a - c), b) + EXTRA_STD_PX**2
     return np.ceil(SIGMAS * np.sqrt(largest))
 
 

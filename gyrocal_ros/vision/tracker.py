@@ -29,6 +29,7 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
+from gyrocal_ros.vision.lens_marks import MIN_CHANGES, STAYED_PX, LensMarks, ViewChange, correlation_at
 from gyrocal_ros.vision.patches import MATCHING_PX, Patches, align, extract_patches, node_offsets
 from gyrocal_ros.vision.search_region import (
     best_match,
@@ -64,6 +65,10 @@ class _Features:
     """(n, 2) ceiling coordinates at that time."""
     outline: Array
     """(n, 9, 2) ceiling coordinates of the nodes of the patch, relative to its centre."""
+    first_pixels: IntArray
+    """(n, 2) their first observation."""
+    first_view: IntArray
+    """(n,) number of its view, see `ViewChange`."""
     patches: Patches
 
     def __len__(self) -> int:
@@ -78,6 +83,8 @@ class _Features:
             np.concatenate([self.seen_ns, more.seen_ns]),
             np.concatenate([self.ceiling, more.ceiling]),
             np.concatenate([self.outline, more.outline]),
+            np.concatenate([self.first_pixels, more.first_pixels]),
+            np.concatenate([self.first_view, more.first_view]),
             self.patches + more.patches,
         )
 
@@ -134,6 +141,7 @@ class Tracker:
         self._last_ns = -1
         self._frames_to_detection = 0
         self._yaw_error_rad = 0.0  # see `yaw_error_rad`
+        self._view, self._marks = ViewChange(), LensMarks()
         dark = np.zeros((camera.height_px, camera.width_px), np.uint8)
         self._features = self._new_features(Frame(0, dark), np.eye(3), np.zeros((0, 2), np.intp))
 
@@ -158,6 +166,8 @@ class Tracker:
         self._drop_old(frame.t_ns)
         search = self._select(R_wc, regions)
         match = self._match(frame.image, R_wc, search)
+        self._view.add(frame.image)
+        on_lens = self._reject_on_lens(frame, search, match)
         pixels, found = match.pixels, match.score > 0.0
         seen = search.index[found]
         self._features.seen_ns[seen] = frame.t_ns
@@ -167,7 +177,10 @@ class Tracker:
         ids = np.concatenate([self._features.ids[seen], self._features.ids[len(self._features) - len(new) :]])
         first = np.broadcast_to(MATCHING_PX**2 * np.eye(2), (len(new), 2, 2))
         covariances = np.concatenate([match.covariances_px2[found], first])
-        return FeatureObservations(frame.t_ns, ids, np.concatenate([pixels[found], new]), covariances)
+        if len(on_lens):
+            self._features = self._features[~np.isin(np.arange(len(self._features)), on_lens)]
+        pixels = np.concatenate([pixels[found], new])
+        return FeatureObservations(frame.t_ns, ids, pixels, covariances, len(on_lens))
 
     def _check(self, frame: Frame) -> None:
         expected = (self._camera.height_px, self._camera.width_px)
@@ -236,6 +249,23 @@ class Tracker:
         match.pixels[score < 0.0] = search.pixels[score < 0.0]
         return match
 
+    def _reject_on_lens(self, frame: Frame, search: _SearchSet, match: _Match) -> IntArray:
+        """Reject the matches of features that stay in the image; return the indices of these features."""
+        features = self._features
+        has_stayed = np.linalg.norm(match.pixels - features.first_pixels[search.index], axis=1) < STAYED_PX
+        changes = self._view.number - features.first_view[search.index]
+        suspects = np.flatnonzero(
+            (changes >= MIN_CHANGES) & (has_stayed | (match.score < 0.0)) & search.tracked
+        )
+        if not len(suspects):
+            return suspects
+        first = features[search.index[suspects]]
+        correlation = correlation_at(frame.image, first.patches, first.first_pixels)
+        on_lens = suspects[correlation > self.config.min_correlation]
+        match.score[on_lens] = -1.0
+        self._marks.add(features.first_pixels[search.index[on_lens]], frame.t_ns)
+        return search.index[on_lens]
+
     def _best_matches(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet) -> Array:
         """Return the positions (k, 2) of best correlation in the regions, to the pixel."""
         features = self._features[search.index]
@@ -274,7 +304,7 @@ class Tracker:
         if missing <= 0 or (self._frames_to_detection > 0 and missing <= tracked):
             return np.zeros((0, 2))
         self._frames_to_detection = self.config.detect_interval
-        corners = find_corners(frame.image, taken, self._margin_px, self.config)
+        corners = find_corners(frame.image, taken, self._marks.pixels, self._margin_px, self.config)
         information = extract_patches(frame.image, corners, self._size_px).information
         precise = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
         limit = max(0.0, self.config.min_correlation)
@@ -291,7 +321,8 @@ class Tracker:
         outline = self._to_ceiling(corners[:, None] + node_offsets(self._size_px), R_wc) - ceiling[:, None]
         ids = (self._next_id + np.arange(len(corners))) % ID_COUNT
         patches = extract_patches(frame.image, corners, self._size_px)
-        return _Features(ids, np.full(len(ids), frame.t_ns), ceiling, outline, patches)
+        seen_ns, view = np.full(len(ids), frame.t_ns), np.full(len(ids), self._view.number)
+        return _Features(ids, seen_ns, ceiling, outline, corners, view, patches)
 
 
 def _reject_duplicates(pixels: Array, score: Array, distance_px: float) -> None:

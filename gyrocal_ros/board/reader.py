@@ -20,7 +20,7 @@ from gyrocal_ros.board.convert import (
 )
 from gyrocal_ros.board.messages import Acknowledgement, Imu, Message, Supply, Wheels
 from gyrocal_ros.board.protocol import Decoder, Packet, wire_time_s
-from gyrocal_ros.config.sections import BoardConfig
+from gyrocal_ros.config.robot_sections import BoardConfig
 from gyrocal_ros.data import NS_PER_S, ImuSample, TemperatureSample, WheelSample, nanoseconds
 
 TEMPERATURE_PERIOD_NS = NS_PER_S

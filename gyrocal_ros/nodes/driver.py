@@ -12,7 +12,7 @@ from tf2_msgs.msg import TFMessage
 
 from gyrocal_ros.board.convert import SupplySample
 from gyrocal_ros.board.reader import Reading, WheelMotion
-from gyrocal_ros.config.sections import RobotConfig
+from gyrocal_ros.config.robot_sections import RobotConfig
 from gyrocal_ros.data import ImuSample, TemperatureSample
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.msgs import to_ros

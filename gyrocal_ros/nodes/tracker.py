@@ -13,7 +13,8 @@ from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from tf2_msgs.msg import TFMessage
 
-from gyrocal_ros.config.sections import Config, RobotConfig
+from gyrocal_ros.config.robot_sections import RobotConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import seconds
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import images, to_ros, topics

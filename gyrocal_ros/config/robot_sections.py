@@ -69,6 +69,36 @@ class DriverConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class MessagesConfig:
+    """Frames and covariances of the messages of the driver."""
+
+    imu_frame: str = setting('imu_link', '', 'frame of the IMU')
+    odom_frame: str = setting('odom', '', 'frame in which the wheel odometry starts at the origin')
+    base_frame: str = setting('base_link', '', 'frame of the robot body')
+    rate_std_deg_s: float = setting(
+        0.1, 'deg/s', 'standard deviation of one reading of the gyro', low=1e-6, high=100.0
+    )
+    acceleration_std_m_s2: float = setting(
+        0.05, 'm/s^2', 'standard deviation of one reading of the accelerometer', low=1e-6, high=100.0
+    )
+    speed_std_m_s: float = setting(
+        0.02, 'm/s', 'standard deviation of the speed by the wheels', low=1e-6, high=10.0
+    )
+    turn_rate_std_deg_s: float = setting(
+        3.0, 'deg/s', 'standard deviation of the turning rate by the wheels', low=1e-6, high=1000.0
+    )
+    distance_error: float = setting(
+        0.02, '', 'error of the pose by the wheels, as a fraction of the distance', low=0.0, high=1.0
+    )
+    turn_error: float = setting(
+        0.05, '', 'error of the heading by the wheels, as a fraction of the turn', low=0.0, high=1.0
+    )
+    unmeasured_std: float = setting(
+        0.01, 'm, rad, m/s', 'standard deviation of height, tilt and sideways motion', low=1e-6, high=10.0
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class LiveConfig:
     """The calibrator on the robot."""
 
@@ -112,5 +142,6 @@ class RobotConfig:
 
     board: BoardConfig = BoardConfig()
     driver: DriverConfig = DriverConfig()
+    messages: MessagesConfig = MessagesConfig()
     images: ImagesConfig = ImagesConfig()
     live: LiveConfig = LiveConfig()

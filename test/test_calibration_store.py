@@ -107,6 +107,24 @@ def test_a_converged_calibration_is_not_replaced_by_one_that_is_not(tmp_path: Pa
     assert store.may_replace(calibration())
 
 
+def test_a_file_that_another_calibrator_writes_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / 'calibration.yaml'
+    first, second = CalibrationStore(path), CalibrationStore(path)
+    for store in (first, first, second):
+        assert store.save(calibration(), Config()) and not store.problem
+    assert first.save(calibration(), Config())
+    assert 'is also written by another program' in first.problem
+    assert first.save(calibration(), Config()) and not first.problem
+
+
+def test_a_file_that_was_deleted_is_written_again(tmp_path: Path) -> None:
+    path = tmp_path / 'calibration.yaml'
+    store = CalibrationStore(path)
+    store.save(calibration(), Config())
+    path.unlink()
+    assert store.save(calibration(), Config()) and not store.problem
+
+
 def test_a_discarded_file_is_renamed(tmp_path: Path) -> None:
     path = tmp_path / 'calibration.yaml'
     store = CalibrationStore(path)

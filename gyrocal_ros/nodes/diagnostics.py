@@ -42,8 +42,8 @@ class Diagnostics:
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(array)
         self._log_problems(health)
+        self._publisher.publish(array)
 
     def _log_problems(self, health: Status) -> None:
         logger = self._node.get_logger()

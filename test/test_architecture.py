@@ -45,7 +45,6 @@ LIBRARY_HOMES = {
     'argcomplete': ('cli/completion.py',),
     'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'msgs/images.py'),
     **dict.fromkeys(('dash', 'flask', 'werkzeug'), ('studio',)),
-    'argcomplete': ('cli/completion.py',),
     'kaleido': ('report/png.py',),
     'plotly': (
         'report/plot.py',

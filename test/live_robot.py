@@ -10,7 +10,8 @@ from typing import Any
 
 from recordings import at, recording
 
-from gyrocal_ros.config.sections import Config, LiveConfig
+from gyrocal_ros.config.robot_sections import LiveConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     NS_PER_S,
     CalibratedSample,

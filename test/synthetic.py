@@ -116,6 +116,9 @@ def drive(
         forward_m_s2=zeros,
         resting=zeros,
         gap_s=zeros,
+        wheel_turn_rad=true * DT_S,
+        scale_change=zeros,
+        scale_followed=zeros,
         signals=np.array(list(signals.values())).T if signals else np.empty((count, 0)),
     )
     run = Run(

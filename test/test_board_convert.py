@@ -20,7 +20,7 @@ from gyrocal_ros.board.convert import (
 )
 from gyrocal_ros.board.messages import Imu, Supply, Wheels
 from gyrocal_ros.board.protocol import Decoder, encode
-from gyrocal_ros.config.sections import STANDARD_GRAVITY_M_S2, BoardConfig
+from gyrocal_ros.config.robot_sections import STANDARD_GRAVITY_M_S2, BoardConfig
 from gyrocal_ros.data import NS_PER_S, TemperatureSample
 
 T_NS = 1_700_000_000_000_000_000

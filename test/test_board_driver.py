@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from emulated import WITHIN_S, BoardProgram
 
-from gyrocal_ros.config.sections import BoardConfig, DriverConfig
+from gyrocal_ros.config.robot_sections import BoardConfig, DriverConfig
 from gyrocal_ros.data import ImuSample
 from gyrocal_ros.robot import board_driver
 from gyrocal_ros.robot.board_driver import BoardDriver, BoardError

@@ -24,7 +24,7 @@ from gyrocal_ros.board.messages import (
 )
 from gyrocal_ros.board.protocol import Decoder, Packet, encode, wire_time_s
 from gyrocal_ros.board.reader import BoardReader, Reading, WheelMotion, WheelPose
-from gyrocal_ros.config.sections import BoardConfig
+from gyrocal_ros.config.robot_sections import BoardConfig
 from gyrocal_ros.data import NS_PER_S, ImuSample, TemperatureSample, nanoseconds
 
 START_NS = 1_700_000_000 * NS_PER_S

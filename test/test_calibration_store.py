@@ -27,6 +27,7 @@ def calibration(converged: bool = True) -> Calibration:
         duration_s=1.0,
         source='test',
         end_ns=0,
+        temperature_c=31.5,
         inflation=np.ones(2),
     )
 
@@ -37,6 +38,7 @@ def test_a_saved_calibration_is_loaded_again(tmp_path: Path) -> None:
     found = CalibrationStore(path).load(Config())
     assert found is not None
     assert found.values.tolist() == calibration().values.tolist()
+    assert found.temperature_c == 31.5
     assert [item.name for item in path.parent.iterdir()] == [path.name], 'no temporary file is left'
 
 
@@ -51,6 +53,26 @@ def test_an_unusable_file_is_renamed_and_reported(tmp_path: Path, text: str) -> 
     assert (tmp_path / 'calibration.yaml.bad').read_text() == text
     store.save(calibration(), Config())
     assert load_calibration(path).converged
+
+
+@pytest.mark.parametrize('scale_factor', [6.0, -0.9, 0.0, 0.49, 1.51])
+def test_an_impossible_scale_factor_is_refused(tmp_path: Path, scale_factor: float) -> None:
+    path = tmp_path / 'calibration.yaml'
+    wrong = replace(calibration(), values=np.array([0.0, scale_factor - 1.0]))
+    save_calibration(wrong, Config(), path)
+    with pytest.raises(ConfigError, match=f'no gyro has a scale factor of {scale_factor:g}'):
+        load_calibration(path)
+    store = CalibrationStore(path)
+    assert store.load(Config()) is None
+    assert 'no gyro has a scale factor' in store.problem
+
+
+def test_a_scale_factor_that_was_edited_beside_its_coefficient_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / 'calibration.yaml'
+    save_calibration(calibration(), Config(), path)
+    path.write_text(path.read_text().replace('scale_factor: 1.0\n', 'scale_factor: 1.1\n', 1))
+    with pytest.raises(ConfigError, match='scale_factor 1.1 contradicts its coefficient'):
+        load_calibration(path)
 
 
 def test_a_calibration_with_another_nominal_scale_factor_is_renamed(tmp_path: Path) -> None:
@@ -83,6 +105,24 @@ def test_a_converged_calibration_is_not_replaced_by_one_that_is_not(tmp_path: Pa
     store.save(calibration(), Config())
     assert not store.may_replace(calibration(converged=False))
     assert store.may_replace(calibration())
+
+
+def test_a_file_that_another_calibrator_writes_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / 'calibration.yaml'
+    first, second = CalibrationStore(path), CalibrationStore(path)
+    for store in (first, first, second):
+        assert store.save(calibration(), Config()) and not store.problem
+    assert first.save(calibration(), Config())
+    assert 'is also written by another program' in first.problem
+    assert first.save(calibration(), Config()) and not first.problem
+
+
+def test_a_file_that_was_deleted_is_written_again(tmp_path: Path) -> None:
+    path = tmp_path / 'calibration.yaml'
+    store = CalibrationStore(path)
+    store.save(calibration(), Config())
+    path.unlink()
+    assert store.save(calibration(), Config()) and not store.problem
 
 
 def test_a_discarded_file_is_renamed(tmp_path: Path) -> None:

@@ -201,6 +201,9 @@ def is_imu(sample: Measurement, from_s: float = 0.0, to_s: float = 99.0) -> bool
     [
         (lambda s, t: (5.0 if is_imu(s, 5.0, 5.2) else t, t), {'repeated_stamps', 'gap'}),
         (lambda s, t: (t - 0.2 if is_imu(s, 5.0, 5.1) else t, t), {'backward_stamps', 'gap'}),
+        (lambda s, t: (t + 0.008 * (round(100 * t) % 2) if is_imu(s) else t, t), {'irregular_stamps'}),
+        (lambda s, t: (t + 0.002 * (round(100 * t) % 2) if is_imu(s) else t, t), set()),
+        (lambda s, t: (t + 0.06 * (t % 2.0) / 2.0 if is_imu(s) else t, t), {'backward_stamps'}),
         (lambda s, t: (t + 60.0 if is_imu(s, 5.0) else t, t), {'clock_jump'}),
         (lambda s, t: (t - 60.0 if is_imu(s, 5.0, 5.005) else t, t), {'clock_jump'}),
         (lambda s, t: (t, t + 2.0 if isinstance(s, FeatureObservations) and t > 5.0 else t), {'late'}),

@@ -12,7 +12,8 @@ import pytest
 
 from gyrocal_ros.config.declare import Setting, flat_settings, to_dict, to_yaml, with_settings
 from gyrocal_ros.config.parameter_file import load_config
-from gyrocal_ros.config.sections import Config, RobotConfig
+from gyrocal_ros.config.robot_sections import RobotConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.config.yaml_file import read_yaml
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.files import shipped

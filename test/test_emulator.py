@@ -24,7 +24,7 @@ from gyrocal_ros.board.protocol import checksum, cobs_encode, encode
 from gyrocal_ros.board.reader import BoardReader, Reading, WheelMotion
 from gyrocal_ros.cli import board_emulator
 from gyrocal_ros.cli.main import make_parser
-from gyrocal_ros.config.sections import BoardConfig
+from gyrocal_ros.config.robot_sections import BoardConfig
 from gyrocal_ros.data import (
     NS_PER_S,
     Array,

@@ -6,6 +6,7 @@ from collections import Counter
 
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.robot.health import RECENT_S, Expected, HealthLog, Level, Problem, Window, status
+from gyrocal_ros.robot.problem_log import ProblemLog
 
 
 def test_a_window_counts_the_growth_of_its_length() -> None:
@@ -43,3 +44,19 @@ def test_the_worst_problem_comes_first_and_without_any_the_summary_is_the_messag
     joined = status('fine', problems, {'n': 1})
     assert (joined.level, joined.message, joined.numbers) == (Level.ERROR, 'b; a; c', {'n': 1})
     assert (status('fine', [], {}).level, status('fine', [], {}).message) == (Level.OK, 'fine')
+
+
+def test_a_problem_is_logged_at_once_and_again_while_it_lasts() -> None:
+    """Texts that differ by numbers alone are one problem; another level is another one."""
+    log = ProblemLog()
+
+    def logged(now_s: float, *problems: Problem) -> list[str]:
+        return [item.text for item in log.due(status('fine', problems, {}), now_s)]
+
+    silent = [Problem(Level.WARN, f'imu/data_raw: no message for {k} s; check it') for k in (3, 4, 64)]
+    worse = Problem(Level.ERROR, silent[1].text)
+    assert logged(10.0, silent[0]) == [silent[0].text]
+    assert logged(11.0, silent[1]) == []
+    assert logged(12.0, silent[1], worse, Problem(Level.WARN, 'other')) == [worse.text, 'other']
+    assert logged(71.0, silent[2]) == [silent[2].text]
+    assert logged(72.0) == []

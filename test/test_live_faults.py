@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from live_robot import START_S, measured, robot, source, switched_on
-from recordings import at, random_pixels
+from recordings import at, random_pixels, recording
 
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     FeatureObservations,
     ImuSample,
@@ -23,6 +25,7 @@ from gyrocal_ros.data import (
 from gyrocal_ros.ekf.slam import Seen
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.pipeline.calibration import load_calibration, save_calibration
 from gyrocal_ros.robot.health import Level
 from gyrocal_ros.sim.world import START_NS
 
@@ -149,6 +152,77 @@ def test_a_diverged_filter_is_restarted_with_the_last_good_calibration(
     assert abs(after.scale_factor - before.scale_factor) < 3.0 * after.scale_factor_std < 1e-3
     yaws = [estimate.euler_rad[2] for estimate in new.odometry]
     assert np.abs(np.diff(yaws)).max() < 0.1, 'the pose does not jump'
+
+
+@pytest.mark.slow
+def test_a_slow_camera_does_not_restart_the_filter_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a restart, 4 images a second need 75 s until the filter is trusted again."""
+    new = switched_on()
+    assert new.live.filter is not None
+
+    def diverge(block: MotionBlock, seen: Seen | None = None) -> StepRecord:
+        raise FilterDivergedError('the images do not match the map')
+
+    new.run(measured(0.0, 2.0))
+    monkeypatch.setattr(new.live.filter, 'step', diverge)
+    slow = recording('cleaning', 1, 115.0, camera_hz=4)
+    new.run(item for item in slow.measurements() if item.t_ns >= at(2.0))
+    status = new.live.status(new.now_s)
+    assert status.numbers['filter_restarts'] == 1
+    assert max(new.reported('is not trusted yet')) < 85.0
+    found = new.live.calibration
+    assert found.converged
+    assert abs(found.scale_factor - slow.truth.scale_factor) < 3.0 * found.scale_factor_std
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('wrong_by', [-0.01, 0.002, 0.05])
+def test_a_wrong_stored_calibration_is_dropped_and_replaced(tmp_path: Path, wrong_by: float) -> None:
+    path = tmp_path / 'calibration.yaml'
+    first = switched_on(path)
+    first.run(measured(0.0))
+    right = first.live.calibration
+    save_calibration(replace(right, values=right.values + [0.0, wrong_by]), Config(), path)
+    new = switched_on(path)
+    new.run(measured(0.0))
+    new.live.close()
+    assert len(new.reported('off what was calibrated before')) > 0
+    true = source().truth.scale_factor
+    for found in (new.live.calibration, load_calibration(path)):
+        assert found.converged
+        assert abs(found.scale_factor - true) < 3.0 * found.scale_factor_std
+
+
+@pytest.mark.slow
+def test_a_jump_of_the_scale_factor_is_followed_without_a_restart() -> None:
+    def changed(item: Measurement) -> Measurement:
+        if isinstance(item, ImuSample) and item.t_ns > at(40.0):
+            x, y, z = item.rate_rad_s
+            return replace(item, rate_rad_s=(x, y, 1.05 * z))
+        return item
+
+    new, longer = switched_on(), recording('cleaning', 1, 80.0)
+    new.run(changed(item) for item in longer.measurements())
+    found, status = new.live.calibration, new.live.status(new.now_s)
+    assert status.numbers['filter_restarts'] == 0
+    assert found.converged
+    assert abs(found.scale_factor - longer.truth.scale_factor / 1.05) < 3.0 * found.scale_factor_std
+
+
+@pytest.mark.slow
+def test_an_inverted_gyro_is_named_and_its_calibration_not_used() -> None:
+    def inverted(item: Measurement) -> Measurement:
+        if isinstance(item, ImuSample):
+            x, y, z = item.rate_rad_s
+            return replace(item, rate_rad_s=(x, y, -z))
+        return item
+
+    new = switched_on()
+    new.run(inverted(item) for item in measured())
+    assert new.reported('the gyro turns opposite to wheels and images')
+    assert new.live.status(new.now_s).numbers['filter_restarts'] == 0
+    assert not new.live.calibration.converged
+    assert new.live.calibration.scale_factor > 0.5
 
 
 # --- memory ---------------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from gyrocal_ros.config.declare import flat_settings
-from gyrocal_ros.config.sections import Config, RobotConfig
+from gyrocal_ros.config.robot_sections import RobotConfig
+from gyrocal_ros.config.sections import Config
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / 'docs' / 'robot.md').read_text(encoding='utf-8')

@@ -54,6 +54,8 @@ def record(time_s: float = 0.0, event: str = '', **covariates: float) -> StepRec
         unobserved_turn_std_rad=0.006,
         pixel_noise_px=0.3,
         event=event,
+        scale_change=0.02,
+        scale_followed=True,
     )
 
 
@@ -96,6 +98,9 @@ def test_each_field_of_the_history_is_that_of_the_step() -> None:
         'forward_m_s2': float(block.specific_force_m_s2[:, 0] @ block.dt_s) / 0.06,
         'resting': 1.0,
         'gap_s': 0.04,
+        'wheel_turn_rad': float(block.wheel_turn_rad.sum()),
+        'scale_change': 0.02,
+        'scale_followed': 1.0,
     }
     assert expected.keys() == SCALARS.keys()
     for name, value in expected.items():

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from filter_states import MODEL, some_state
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.ekf.landmarks import forget_all
-from gyrocal_ros.ekf.start import Start, inflate_after_gap, initial_state, restarted_at
-from gyrocal_ros.ekf.state import BIAS, POSE, YAW, YAW_BIAS
+from gyrocal_ros.ekf.start import Start, aged, inflate_after_gap, initial_state, restarted_at, warmed
+from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, POSE, YAW, YAW_BIAS, State
 
 
 def test_a_run_starts_from_its_priors() -> None:
@@ -33,10 +35,41 @@ def test_a_run_starts_from_the_result_of_an_earlier_one() -> None:
     np.testing.assert_array_equal(state.mean[places], [0.01, 0.002, -0.07])
     expected = known[np.ix_(taken, taken)]
     expected[0, 0] += math.radians(1.0) ** 2
+    expected[2, 2] += Config().gyro.scale_turn_on_std ** 2
     np.testing.assert_allclose(state.covariance[np.ix_(places, places)], expected)
     fresh = initial_state(MODEL, Config(), None)
     np.testing.assert_array_equal(state.mean[11:], fresh.mean[11:])
     np.testing.assert_array_equal(state.covariance[11:], fresh.covariance[11:])
+
+
+def scale_std(state: State) -> float:
+    return math.sqrt(state.covariance[COEFFICIENTS_START, COEFFICIENTS_START])
+
+
+def test_the_scale_factor_is_known_less_well_after_time_off() -> None:
+    """By the random walk, whichever of the two clocks is ahead, and never worse than by the prior."""
+    gyro, day_ns = replace(Config().gyro, scale_turn_on_std=0.0), 86_400 * 10**9
+    config = replace(Config(), gyro=gyro)
+    start = Start(('scale_factor',), np.array([0.02]), np.array([[1e-8]]), 5 * day_ns)
+    state = initial_state(MODEL, config, start)
+    for days in (-1, 1):
+        later = aged(replace(state, t_ns=(5 + days) * day_ns), MODEL, start, gyro)
+        assert scale_std(later) == pytest.approx(math.hypot(1e-4, gyro.scale_walk * math.sqrt(86_400)))
+    never = aged(replace(state, t_ns=10**9 * day_ns), MODEL, start, gyro)
+    assert scale_std(never) == pytest.approx(MODEL.coefficients[0].prior_std)
+    unknown = replace(start, end_ns=None)
+    assert scale_std(aged(replace(state, t_ns=9 * day_ns), MODEL, unknown, gyro)) == pytest.approx(1e-4)
+
+
+def test_the_scale_factor_is_known_less_well_at_another_temperature() -> None:
+    gyro = replace(Config().gyro, scale_turn_on_std=0.0)
+    start = Start(('scale_factor',), np.array([0.02]), np.array([[1e-8]]), temperature_c=45.0)
+    state = initial_state(MODEL, replace(Config(), gyro=gyro), start)
+    cold = warmed(state, MODEL, start, 20.0, gyro)
+    assert scale_std(cold) == pytest.approx(math.hypot(1e-4, 25.0 * gyro.scale_temperature_std))
+    for then, now in ((math.nan, 20.0), (45.0, math.nan)):
+        same = warmed(state, MODEL, replace(start, temperature_c=then), now, gyro)
+        assert scale_std(same) == pytest.approx(1e-4)
 
 
 def test_a_gap_adds_covariance_to_the_pose() -> None:

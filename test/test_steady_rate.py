@@ -80,3 +80,17 @@ def test_before_the_first_turn_the_scale_factor_is_not_drawn_away(seed: int) -> 
     assert history.time_s[straight][-1] > 10.0
     scale, std = (column[straight, COEFFICIENTS_START] for column in (history.mean, history.std))
     assert np.abs((1.0 + scale - source.truth.scale_factor) / std).max() < 2.5
+
+
+@pytest.mark.parametrize('factor', [0.5, 1.0, 1.5, 5.0, 20.0])
+def test_the_noise_of_the_readings_replaces_a_setting_that_is_far_too_small(factor: float) -> None:
+    """While the robot accelerates, too: 500 deg/s^2. The rate of an interval is the mean of two readings."""
+    rng, steady, used = np.random.default_rng(1), SteadyRate(), GYRO
+    speeding_up = 500.0 * DEG * STEP_S * np.arange(COUNT)
+    for _ in range(200):
+        readings = factor * 0.0075 * DEG / math.sqrt(STEP_S) * rng.standard_normal(COUNT + 1)
+        used = steady.with_noise(block(speeding_up + 0.5 * (readings[1:] + readings[:-1])), GYRO)
+    if factor < 2.0:
+        assert used is GYRO
+    else:
+        assert used.rate_noise_deg_s == pytest.approx(factor * 0.0075, rel=0.15)

@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from small_bags import CAMERA
 
 from gyrocal_ros.bag.fields import field_reader
+from gyrocal_ros.config.robot_sections import MessagesConfig
 from gyrocal_ros.data import (
     CameraIntrinsics,
     FeatureObservations,
@@ -66,6 +67,8 @@ def test_imu(make: MessageMaker) -> None:
     message = to_ros.imu(make, sample)
     assert topics.IMU_SAMPLE.value(message) == sample
     assert message.orientation_covariance[0] == -1.0
+    np.testing.assert_allclose(message.angular_velocity_covariance[::4], math.radians(0.1) ** 2)
+    np.testing.assert_allclose(message.linear_acceleration_covariance[::4], 0.05**2)
 
 
 def test_wheels(make: MessageMaker) -> None:
@@ -73,6 +76,12 @@ def test_wheels(make: MessageMaker) -> None:
     message = to_ros.wheels(make, sample, 1.0, 2.0, 0.5)
     assert topics.WHEEL_SAMPLE.value(message) == sample
     assert (message.header.frame_id, message.child_frame_id) == ('odom', 'base_link')
+    assert min(*message.pose.covariance[::7], *message.twist.covariance[::7]) > 0.0
+    assert message.twist.covariance[0] == pytest.approx(0.02**2)
+    own = MessagesConfig(imu_frame='gyro', odom_frame='r1/odom', base_frame='r1/base', distance_error=0.1)
+    far = to_ros.wheels(make, sample, 1.0, 2.0, 0.5, travelled_m=100.0, config=own)
+    assert (far.header.frame_id, far.child_frame_id) == ('r1/odom', 'r1/base')
+    assert far.pose.covariance[0] == pytest.approx(10.0**2, rel=1e-3)
 
 
 def test_temperature(make: MessageMaker) -> None:

@@ -22,6 +22,8 @@ MAX_UNCOVERED_S = 2.0
 """Limit of the time at the start or the end of the IMU's recording that another topic does not cover."""
 MAX_CLOCK_OFFSET_S = 0.5
 """Limit of the offset between the stamps of two topics that use the same clock."""
+MAX_UNEVEN_SHARE = 0.02
+"""Share of irregular intervals of the IMU above which its stamps are not the times of measurement."""
 MAX_STAMP_OFFSET_S = 1.0
 """Limit of the offset between the stamps and the time of recording on the same clock."""
 
@@ -112,6 +114,15 @@ def _stamp_issues(scan: TopicScan, reorder_window_s: float) -> Iterator[BagIssue
         text = f'{count} {noun} earlier than the one before, {largest(stamps.backward, "by up to")}'
         todo = f'messages up to {reorder_window_s:g} s late are sorted in, later ones left out'
         yield _issue(scan, WARNING, 'backward_stamps', text, todo)
+    if scan.role is Role.IMU and stamps.uneven > MAX_UNEVEN_SHARE * stamps.count:
+        text = (
+            f'{stamps.uneven / stamps.count:.0%} of the intervals between stamps differ from the usual '
+            f'{1e3 / stamps.rate_hz:.3g} ms by more than half'
+        )
+        todo = (
+            'turns are integrated over wrong times; let the driver stamp at the measurement, not on arrival'
+        )
+        yield _issue(scan, WARNING, 'irregular_stamps', text, todo)
     if count := stamps.gap.count:
         text = f'{count} {"gap" if count == 1 else "gaps"}, {largest(stamps.gap, "the longest")}'
         yield _issue(scan, WARNING, 'gap', text, 'were messages lost while recording?')

@@ -12,6 +12,8 @@ from gyrocal_ros.data import NS_PER_S, Array, IntArray, seconds
 
 GAP_PERIODS, GAP_NS = 4.0, NS_PER_S // 10
 """Minimum length of a gap, in typical periods and in time: a few lost messages are no gap."""
+EVEN_PERIODS = (0.5, 1.5)
+"""Interval between two messages, in typical periods, that counts as regular."""
 MAX_STEP_S = 0.3
 """Longest interval over which a rate is integrated."""
 BIN_NS = NS_PER_S // 2
@@ -59,6 +61,8 @@ class StampStats:
     last_ns: int = 0
     unset: int = 0
     """Number of stamps that are zero."""
+    uneven: int = 0
+    """Number of intervals that are neither regular nor one of the events below."""
     period_ns: float = math.nan
     """Typical interval between two messages."""
     repeated: EventStats = field(default_factory=EventStats)
@@ -96,6 +100,8 @@ class StampStats:
             (self.gap, gap),
         ):
             events.add(steps[where], before[where])
+        is_even = (steps > EVEN_PERIODS[0] * self.period_ns) & (steps < EVEN_PERIODS[1] * self.period_ns)
+        self.uneven += int(np.count_nonzero(~is_even & (steps > 0) & ~jumped & ~gap))
         delays = recorded_ns - stamps_ns
         self.min_delay_s = min(self.min_delay_s, seconds(int(delays.min())))
         self.max_delay_s = max(self.max_delay_s, seconds(int(delays.max())))

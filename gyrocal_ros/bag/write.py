@@ -65,6 +65,9 @@ class _WheelPose:
     x_m: float = 0.0
     y_m: float = 0.0
     yaw_rad: float = 0.0
+    travelled_m: float = 0.0
+    turned_rad: float = 0.0
+    """Sums of the absolute distances and turns."""
 
     def add(self, sample: WheelSample) -> None:
         """Integrate one sample."""
@@ -74,7 +77,21 @@ class _WheelPose:
         self.x_m += sample.speed_m_s * dt_s * math.cos(middle)
         self.y_m += sample.speed_m_s * dt_s * math.sin(middle)
         self.yaw_rad += turn
+        self.travelled_m += abs(sample.speed_m_s * dt_s)
+        self.turned_rad += abs(turn)
         self.t_ns = sample.t_ns
+
+    def message(self, make: to_ros.MessageMaker, sample: WheelSample) -> Any:
+        """Return the Odometry of the sample added last."""
+        return to_ros.wheels(
+            make,
+            sample,
+            self.x_m,
+            self.y_m,
+            self.yaw_rad,
+            travelled_m=self.travelled_m,
+            turned_rad=self.turned_rad,
+        )
 
 
 @dataclass(slots=True)
@@ -179,8 +196,7 @@ class BagWriter:
                 return Role.IMU, topics.IMU, to_ros.imu(make, measurement)
             case WheelSample():
                 self._wheel_pose.add(measurement)
-                pose = self._wheel_pose.x_m, self._wheel_pose.y_m, self._wheel_pose.yaw_rad
-                return Role.WHEELS, topics.ODOMETRY, to_ros.wheels(make, measurement, *pose)
+                return Role.WHEELS, topics.ODOMETRY, self._wheel_pose.message(make, measurement)
             case FeatureObservations():
                 return Role.FEATURES, topics.POINT_CLOUD, to_ros.features(make, measurement)
             case TruthSample():

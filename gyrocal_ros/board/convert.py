@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from gyrocal_ros.board.clock import Stamp
 from gyrocal_ros.board.messages import Imu, Supply, Wheels
 from gyrocal_ros.board.protocol import TIME_WRAP
-from gyrocal_ros.config.sections import BoardConfig, Triple
+from gyrocal_ros.config.robot_sections import BoardConfig, Triple
 from gyrocal_ros.data import ImuSample, TemperatureSample, WheelSample
 
 TICK_WRAP = 1 << 32

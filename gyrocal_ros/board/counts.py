@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from gyrocal_ros.board.convert import TICK_WRAP
 from gyrocal_ros.board.messages import Imu, IntTriple, Supply, Wheels
-from gyrocal_ros.config.sections import BoardConfig
+from gyrocal_ros.config.robot_sections import BoardConfig
 from gyrocal_ros.data import ImuSample
 
 I16, I32, U16 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1), (0, (1 << 16) - 1)

@@ -20,7 +20,7 @@ from gyrocal_ros.board.convert import (
 )
 from gyrocal_ros.board.messages import Acknowledgement, Imu, Message, Supply, Wheels
 from gyrocal_ros.board.protocol import Decoder, Packet, wire_time_s
-from gyrocal_ros.config.sections import BoardConfig
+from gyrocal_ros.config.robot_sections import BoardConfig
 from gyrocal_ros.data import NS_PER_S, ImuSample, TemperatureSample, WheelSample, nanoseconds
 
 TEMPERATURE_PERIOD_NS = NS_PER_S
@@ -34,6 +34,9 @@ class WheelPose:
     x_m: float = 0.0
     y_m: float = 0.0
     yaw_rad: float = 0.0
+    travelled_m: float = 0.0
+    turned_rad: float = 0.0
+    """Sums of the absolute distances and turns."""
 
     def advanced(self, distance_m: float, turned_rad: float) -> WheelPose:
         """Return the pose after a step that is short enough to be nearly straight."""
@@ -42,6 +45,8 @@ class WheelPose:
             self.x_m + distance_m * math.cos(heading),
             self.y_m + distance_m * math.sin(heading),
             math.remainder(self.yaw_rad + turned_rad, math.tau),
+            self.travelled_m + abs(distance_m),
+            self.turned_rad + abs(turned_rad),
         )
 
 

@@ -25,7 +25,8 @@ from gyrocal_ros.cli.main import make_parser, run_program
 from gyrocal_ros.cli.numbers import number, whole_number
 from gyrocal_ros.cli.scenario_options import add_scenario_options, scenario_source
 from gyrocal_ros.config.parameter_file import load_all
-from gyrocal_ros.config.sections import BoardConfig, Config, DriverConfig
+from gyrocal_ros.config.robot_sections import BoardConfig, DriverConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, Span
 from gyrocal_ros.emulator.board import EmulatedBoard, Oscillator, detect_sensors
 from gyrocal_ros.emulator.line import FAULT_DESCRIPTIONS, EmulatedLine, parse_fault

@@ -164,7 +164,7 @@ def _calibrate(
         def report(state: Progress) -> None:
             bar.update(round(state.done_s) - bar.n)
 
-        return calibrate(source, config, model, start, report)
+        return calibrate(source, config, model, start, report, follows_changes=True)
 
 
 def _write(

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from gyrocal_ros.config.declare import with_settings
-from gyrocal_ros.config.sections import Config, RobotConfig
+from gyrocal_ros.config.robot_sections import RobotConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.config.yaml_file import read_yaml
 from gyrocal_ros.errors import ConfigError
 

@@ -14,6 +14,7 @@ from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.scatter import Scatter, scatter_of
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
+from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.statistics import nis_per_dof
 
 MAX_DRIFT_RATIO = 4.0
@@ -68,6 +69,8 @@ def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
 
 
 def _misfits(run: Run, scatter: Scatter, drift: BlindDrift) -> Iterator[str]:
+    if fault := mounting_fault(run):
+        yield fault
     nis, limit = nis_per_dof(run.history.nis, run.history.dof), run.config.convergence.nis_high
     if nis is not None and nis > limit:
         yield f'the innovations are larger than expected (NIS {nis:.1f} per degree of freedom)'

@@ -6,8 +6,15 @@ from collections import deque
 
 from gyrocal_ros.config.sections import ConvergenceConfig
 
+PLAUSIBLE_SCALE = (0.5, 1.5)
+"""Bounds of the scale factor of a gyro; outside, an axis is mirrored or swapped, or a unit is wrong."""
 CONSISTENCY_STEPS = 300
 """Number of last steps whose NIS decides on consistency."""
+
+
+def is_plausible(scale_factor: float) -> bool:
+    """Return True if a gyro can have this scale factor."""
+    return PLAUSIBLE_SCALE[0] <= scale_factor <= PLAUSIBLE_SCALE[1]
 
 
 class Convergence:

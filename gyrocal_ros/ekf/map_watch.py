@@ -31,7 +31,7 @@ def loses_its_map(run: Run) -> bool:
     """Return True if the map of a run was dropped more often than things that move explain."""
     lost = LostMaps()
     for event in run.events:
-        if event.text == MAP_DROPPED:
+        if MAP_DROPPED in event.text:
             lost.add(seconds(event.t_ns - run.span.start_ns))
     return lost.are_many
 

@@ -73,6 +73,13 @@ class History:
     """(s,) 1 where the wheels stood still."""
     gap_s: Array
     """(s,) time without IMU samples."""
+    wheel_turn_rad: Array
+    """(s,) turn of the step by the wheels."""
+    scale_change: Array
+    """(s,) significant change of the scale factor that the filter did not follow, see `ekf.scale_watch`; zero
+    without one."""
+    scale_followed: Array
+    """(s,) 1 where the filter followed such a change."""
 
     @property
     def coefficients(self) -> Array:
@@ -107,6 +114,9 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     ),
     'resting': lambda step: step.block.wheels_at_rest,
     'gap_s': lambda step: step.block.gap_s,
+    'wheel_turn_rad': lambda step: step.block.wheel_turn_rad.sum(),
+    'scale_change': lambda step: step.scale_change,
+    'scale_followed': lambda step: step.scale_followed,
 }
 """Fields of `History` that hold one number a step, and how each follows from the record of the step."""
 

@@ -12,9 +12,11 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.run import History
-from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
 from gyrocal_ros.statistics import chi_square_tail
 
+SCALE = 1
+"""Place of the scale factor among bias and coefficients."""
 STRETCH_S = 10.0
 ROUNDING_S = 1e-6
 FORMING = 0.75
@@ -90,11 +92,21 @@ class Scatter:
 
 
 def scatter_of(history: History) -> tuple[Scatter, Array]:
-    """Return the scatter of yaw bias and coefficients over a run, and its inflation (s, 1 + k)."""
+    """Return the scatter of yaw bias and coefficients over a run, and the inflation (s, 1 + k) of their stds.
+
+    By how much the scale factor has changed so far adds to its standard deviation, if the filter did not
+    follow.
+    """
     variances = history.std[:, YAW_BIAS:] ** 2
     scatter, inflations = Scatter(variances.shape[1]), np.ones_like(variances)
     columns = (history.time_s.tolist(), history.change, history.change_variance, variances)
     for i, step in enumerate(zip(*columns, strict=True)):
-        scatter.add(*step)
+        if history.scale_followed[i]:
+            scatter = Scatter(variances.shape[1])
+        else:
+            scatter.add(*step)
         inflations[i] = scatter.inflation
+    parts = np.split(np.abs(history.scale_change), np.flatnonzero(history.scale_followed))
+    changed = np.concatenate([np.maximum.accumulate(part) for part in parts])
+    inflations[:, SCALE] = np.hypot(inflations[:, SCALE], changed / history.std[:, COEFFICIENTS_START])
     return scatter, inflations

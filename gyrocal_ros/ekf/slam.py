@@ -38,7 +38,8 @@ from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch
 from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector
-from gyrocal_ros.ekf.start import Start, inflate_after_gap, initial_state, restarted_at
+from gyrocal_ros.ekf.scale_watch import ScaleChanges, ScaleWatch
+from gyrocal_ros.ekf.start import Start, aged, inflate_after_gap, initial_state, restarted_at, warmed
 from gyrocal_ros.ekf.state import State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
 from gyrocal_ros.ekf.step_record import StepRecord, step_record
@@ -65,6 +66,8 @@ class EkfSlam:
         start: result of an earlier run.
         candidates: effects that the model lacks; the sensitivity of all innovations to them is computed, and
             the estimate does not depend on them.
+        follows_changes: True to let a changed scale factor go as soon as the measurements show the change,
+            False to keep one scale factor for the whole recording and only record the change.
     """
 
     def __init__(
@@ -74,10 +77,14 @@ class EkfSlam:
         rig: Rig,
         start: Start | None = None,
         candidates: tuple[Effect, ...] = (),
+        follows_changes: bool = False,
     ) -> None:
         self.model, self.config, self.rig = model, config, rig
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
-        self._effects, self._candidates = sort_effects(model.effects), sort_effects(candidates)
+        self._effects, self._candidates = (
+            sort_effects(model.effects),
+            sort_effects((*candidates, ScaleChanges())),
+        )
         if self.parametrisation.rows != 2 and (self._effects.act_on_images or self._candidates.act_on_images):
             raise ConfigError(
                 'effects on the camera need features measured in pixels',
@@ -85,6 +92,9 @@ class EkfSlam:
                 todo='use inverse_depth',
             )
         self.state: State = initial_state(model, config, start, self._candidates.count)
+        self._to_age = self._to_warm = start
+        self._scale_watch, self._follows_changes = ScaleWatch(self.state), follows_changes
+        self.state = self._scale_watch.begin(self.state)
         self.memories = self._effects.no_memories()
         """Memories of the gyro effects at the present state."""
         self._candidate_memories = self._candidates.no_memories()
@@ -100,19 +110,19 @@ class EkfSlam:
         Raises:
             FilterDivergedError: the measurements contradict the estimate beyond repair.
         """
-        before, update, event = self.state, MeasurementUpdate(), ''
+        before, update, event = self._warmed(block), MeasurementUpdate(), ''
 
         # Prediction: eq. (10) for the robot, eq. (11) for the features; sensitivities of the candidates.
         block = with_pose(block, before)
-        steady = self._steady.without_noise(block, self.config.gyro)
-        model = FilterModel(self.model, self._effects, self.config.gyro, self.config.wheels)
+        gyro = self._scale_watch.walk(self._steady.with_noise(block, self.config.gyro))
+        steady = self._steady.without_noise(block, gyro)
+        model = FilterModel(self.model, self._effects, gyro, self.config.wheels)
         self.state, transition = predict(before, block, model, self.memories, self._heading.walk_rad, steady)
         self.memories = transition.contribution.correction.memories
         self._pose_rate = transition.motion.pose_rate
-        if self._candidates.count:
-            self.state, self._candidate_memories = predict_sensitivity(
-                self.state, transition, steady, self._candidates, self._candidate_memories
-            )
+        self.state, self._candidate_memories = predict_sensitivity(
+            self.state, transition, steady, self._candidates, self._candidate_memories
+        )
         predicted = self.state
 
         # Zero-rate update: a robot that stands still does not turn.
@@ -131,8 +141,28 @@ class EkfSlam:
             update = self._update_from_image(seen)
             if self._map_watch.is_lost(update, self.pixel_noise):
                 self.state, event = forget_all(self.state), MAP_DROPPED
-        noise_px = self.pixel_noise.std
-        return step_record(before, predicted, self.state, block, transition, update, resting, noise_px, event)
+
+        # Test of the scale factor: it may have changed, or an earlier calibration may be wrong.
+        change = self._scale_watch.add(block.duration_s, (resting, update.stats))
+        follows = self._follows_changes and self._scale_watch.is_settled
+        if change is not None and follows:
+            self.state = self._scale_watch.follow(self.state, change)
+            event = '; '.join(filter(None, (event, str(change))))
+        self.state = self._scale_watch.renew(self.state)
+
+        return step_record(
+            before,
+            predicted,
+            self.state,
+            block,
+            transition,
+            self._scale_watch.of_candidates(update),
+            self._scale_watch.without_changes(resting),
+            self.pixel_noise.std,
+            event,
+            change,
+            follows,
+        )
 
     def _update_from_image(self, observations: FeatureObservations) -> MeasurementUpdate:
         features = self.config.features
@@ -148,6 +178,14 @@ class EkfSlam:
             self.pixel_noise.update(update.noise_distances, 2)
             self._repeated.update(update.changes_px2)
         return replace(update, added=len(new), on_lens=observations.on_lens)
+
+    def _warmed(self, block: MotionBlock) -> State:
+        """Return the state; at the first temperature after an earlier calibration, with its change since."""
+        temperature_c = float(block.temperature_c[0])
+        if self._to_warm is None or not math.isfinite(temperature_c):
+            return self.state
+        start, self._to_warm = self._to_warm, None
+        return warmed(self.state, self.model, start, temperature_c, self.config.gyro)
 
     def _image_model(self) -> ImageModel:
         return ImageModel(
@@ -192,8 +230,11 @@ class EkfSlam:
         self._typical_match = TypicalMatch()
 
     def start_at(self, t_ns: int) -> None:
-        """Set the time of the first sample."""
+        """Set the time of the first sample, or of the first one of a new time base."""
         self.state = replace(self.state, t_ns=t_ns)
+        if self._to_age is not None:
+            self.state = aged(self.state, self.model, self._to_age, self.config.gyro)
+            self._to_age = None
 
     def restart_at(self, state: State) -> None:
         """Move the initial estimate to about the pose of another state."""
@@ -201,6 +242,6 @@ class EkfSlam:
 
     def start_new_time_base(self, t_ns: int) -> None:
         """Keep the calibration and drop the map: the motion during the step of the clock is unknown."""
-        self._rest = RestDetector()
+        self._rest, self._steady = RestDetector(), SteadyRate()
         self._heading.forget_alignment()
         self.state = inflate_after_gap(forget_all(self.state), t_ns)

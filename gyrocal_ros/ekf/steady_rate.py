@@ -9,6 +9,7 @@ variables). So the derivatives are taken at a rate whose error is independent of
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,10 @@ CHANGE_SIGMA = 3.0
 """Change of the mean rate from which it is real."""
 MEMORY = 10
 """Number of blocks over which rate and noise are averaged."""
+NOISE_BLOCKS = 50
+"""Number of last blocks by whose median the noise of the gyro is judged."""
+NOISY = 2.0
+"""Noise of the gyro, relative to that of the settings, from which its own noise is used."""
 
 
 class SteadyRate:
@@ -29,6 +34,21 @@ class SteadyRate:
         self._mean_rad_s: float | None = None
         self._blocks = 0
         self._noise_rad2_s: float | None = None
+        self._seen_rad2_s: deque[float] = deque(maxlen=NOISE_BLOCKS)
+
+    def with_noise(self, block: MotionBlock, gyro: GyroConfig) -> GyroConfig:
+        """Return the settings, with the noise of the readings where that is far above the one set.
+
+        Second differences of the readings show it: they contain neither the rate nor its steady change.
+        """
+        if len(block.dt_s) > 2:
+            bends = np.diff(block.rate_rad_s[:, 2], 2)
+            # An interval's rate is the mean of two readings r: its bend is (r3 - r2 - r1 + r0) / 2.
+            self._seen_rad2_s.append(float(np.mean(bends**2) * block.dt_s.mean()))
+        if len(self._seen_rad2_s) < NOISE_BLOCKS:
+            return gyro
+        seen = math.degrees(math.sqrt(float(np.median(self._seen_rad2_s))))
+        return gyro if seen < NOISY * gyro.rate_noise_deg_s else replace(gyro, rate_noise_deg_s=seen)
 
     def without_noise(self, block: MotionBlock, gyro: GyroConfig) -> MotionBlock:
         """Return the block with the yaw rate at which derivatives are taken, and remember the block."""

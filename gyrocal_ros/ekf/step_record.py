@@ -8,6 +8,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.ekf.predict import Transition
+from gyrocal_ros.ekf.scale_watch import ScaleChange
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
 
@@ -46,6 +47,11 @@ class StepRecord:
     """Present estimate of the pixel noise."""
     event: str = ''
     """Event to report to the user."""
+    scale_change: float = 0.0
+    """Significant change of the scale factor that the filter did not follow, see `ekf.scale_watch`; zero
+    without one."""
+    scale_followed: bool = False
+    """True if the filter followed such a change."""
 
 
 def step_record(
@@ -58,6 +64,8 @@ def step_record(
     resting: UpdateStats,
     pixel_noise_px: float,
     event: str,
+    scale_change: ScaleChange | None,
+    followed: bool,
 ) -> StepRecord:
     """Describe a step from the state before over the predicted one to the state after."""
     correction = transition.contribution.correction
@@ -82,4 +90,6 @@ def step_record(
         unobserved_turn_std_rad=float(np.sum(block.dt_s * correction.noise_rad_s)),
         pixel_noise_px=pixel_noise_px,
         event=event,
+        scale_change=0.0 if scale_change is None or followed else scale_change.value,
+        scale_followed=followed,
     )

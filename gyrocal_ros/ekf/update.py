@@ -230,6 +230,20 @@ def heading_update(
     return corrected, stats, residual, math.sqrt(variance)
 
 
+def add_lacking(state: State, column: int, value: float, std: float) -> State:
+    """Add what the filter has lacked: `x + X theta`, `P + X var(theta) X^T` (Friedland 1969).
+
+    Args:
+        state: the estimate without it.
+        column: its column of the sensitivity X.
+        value: theta, estimated from the innovations.
+        std: its standard deviation.
+    """
+    lacking = state.sensitivity[:, column]
+    covariance = state.covariance + std**2 * np.outer(lacking, lacking)
+    return replace(state, mean=state.mean + value * lacking, covariance=covariance)
+
+
 def _correct(
     state: State, residual: Array, numerator: Array, covariance: Array, sensitivity: Array
 ) -> tuple[State, UpdateStats]:

@@ -23,7 +23,7 @@ from gyrocal_ros.board.messages import (
     Zero,
 )
 from gyrocal_ros.board.protocol import Decoder, encode
-from gyrocal_ros.config.sections import BoardConfig
+from gyrocal_ros.config.robot_sections import BoardConfig
 from gyrocal_ros.data import (
     NS_PER_S,
     CovariateSample,

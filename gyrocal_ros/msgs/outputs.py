@@ -22,6 +22,8 @@ SPHERE, ADD, DELETE = 2, 0, 2
 """Constants of visualization_msgs/Marker: type, and two values of `action`."""
 MIN_DIAMETER_M, MAX_DIAMETER_M = 0.01, 10.0
 """Limits of the diameter of a marker: smaller ones are invisible, larger ones hide the others."""
+ACCELERATION_STD_M_S2 = 0.05
+"""Standard deviation of the acceleration, which the calibrator passes on as it came."""
 GREEN = (0.2, 0.8, 0.3, 0.6)
 """Colour of the markers: red, green, blue and alpha."""
 
@@ -30,10 +32,7 @@ ParameterValue = bool | float | str | list[str] | list[float]
 
 
 def calibrated_imu(make: MessageMaker, sample: CalibratedSample, frame: str) -> Any:
-    """Make an Imu with orientation and covariances.
-
-    The covariance of the accelerometer is not known (zeros).
-    """
+    """Make an Imu with orientation and covariances."""
     rate_covariance = np.zeros(9)
     rate_covariance[::4] = sample.rate_variances
     return make(
@@ -44,7 +43,7 @@ def calibrated_imu(make: MessageMaker, sample: CalibratedSample, frame: str) -> 
         angular_velocity=make.vector(sample.rate_rad_s),
         angular_velocity_covariance=rate_covariance,
         linear_acceleration=make.vector(sample.specific_force_m_s2),
-        linear_acceleration_covariance=np.zeros(9),
+        linear_acceleration_covariance=(ACCELERATION_STD_M_S2**2 * np.eye(3)).ravel(),
     )
 
 

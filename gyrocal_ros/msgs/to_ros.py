@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array, typecodes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal_ros.config.robot_sections import MessagesConfig
 from gyrocal_ros.data import (
     NS_PER_S,
     Array,
@@ -30,6 +31,8 @@ from gyrocal_ros.msgs.transforms import Transform, quaternion_from_rotation, qua
 
 BATTERY_NUMBERS = ('voltage', 'temperature', 'current', 'charge', 'capacity', 'design_capacity', 'percentage')
 """Measured fields of a BatteryState."""
+DEFAULTS = MessagesConfig()
+"""Default frames and covariances."""
 UINT32, FLOAT32 = 6, 7
 """Data types of a PointField."""
 
@@ -87,17 +90,18 @@ def live_maker(get_class: Callable[[str], Callable[..., Any]]) -> MessageMaker:
     return MessageMaker(cache(get_class), sequence)
 
 
-def imu(make: MessageMaker, sample: ImuSample) -> Any:
+def imu(make: MessageMaker, sample: ImuSample, config: MessagesConfig = DEFAULTS) -> Any:
     """Convert an IMU sample to an Imu without orientation."""
+    rate_std = math.radians(config.rate_std_deg_s)
     return make(
         topics.IMU,
-        header=make.header(sample.t_ns, topics.IMU_FRAME),
+        header=make.header(sample.t_ns, config.imu_frame),
         orientation=make.quaternion((0.0, 0.0, 0.0, 1.0)),
         orientation_covariance=np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
         angular_velocity=make.vector(sample.rate_rad_s),
-        angular_velocity_covariance=np.zeros(9),
+        angular_velocity_covariance=(rate_std**2 * np.eye(3)).ravel(),
         linear_acceleration=make.vector(sample.specific_force_m_s2),
-        linear_acceleration_covariance=np.zeros(9),
+        linear_acceleration_covariance=(config.acceleration_std_m_s2**2 * np.eye(3)).ravel(),
     )
 
 
@@ -110,8 +114,14 @@ def odometry(
     *,
     speed_m_s: float = 0.0,
     yaw_rate_rad_s: float = 0.0,
+    body_frame: str = topics.BODY_FRAME,
+    pose_stds: Sequence[float] = (0.0,) * 6,
+    twist_stds: Sequence[float] = (0.0,) * 6,
 ) -> Any:
-    """Make an Odometry of the robot body in `frame`."""
+    """Make an Odometry of the robot body in `frame`.
+
+    The standard deviations are those of x, y, z and of the rotations about them; zeros for unknown ones.
+    """
     twist = make(
         'geometry_msgs/msg/Twist',
         linear=make.vector((speed_m_s, 0.0, 0.0)),
@@ -120,26 +130,58 @@ def odometry(
     return make(
         topics.ODOMETRY,
         header=make.header(t_ns, frame),
-        child_frame_id=topics.BODY_FRAME,
+        child_frame_id=body_frame,
         pose=make(
             'geometry_msgs/msg/PoseWithCovariance',
             pose=make.pose(position_m, yaw_rad),
-            covariance=np.zeros(36),
+            covariance=np.diag(np.square(pose_stds)).ravel(),
         ),
-        twist=make('geometry_msgs/msg/TwistWithCovariance', twist=twist, covariance=np.zeros(36)),
+        twist=make(
+            'geometry_msgs/msg/TwistWithCovariance',
+            twist=twist,
+            covariance=np.diag(np.square(twist_stds)).ravel(),
+        ),
     )
 
 
-def wheels(make: MessageMaker, sample: WheelSample, x_m: float, y_m: float, yaw_rad: float) -> Any:
-    """Convert a wheel sample to an Odometry whose pose the caller has integrated."""
+def wheels(
+    make: MessageMaker,
+    sample: WheelSample,
+    x_m: float,
+    y_m: float,
+    yaw_rad: float,
+    *,
+    travelled_m: float = 0.0,
+    turned_rad: float = 0.0,
+    config: MessagesConfig = DEFAULTS,
+) -> Any:
+    """Convert a wheel sample to an Odometry whose pose the caller has integrated.
+
+    Args:
+        make: message maker.
+        sample: the sample.
+        x_m: pose by the wheels.
+        y_m: pose by the wheels.
+        yaw_rad: pose by the wheels.
+        travelled_m: absolute distance since the start; the error of the pose grows with it.
+        turned_rad: absolute turn since the start.
+        config: frames and covariances.
+    """
+    unmeasured = config.unmeasured_std
+    along = math.hypot(config.distance_error * travelled_m, unmeasured)
+    about = math.hypot(config.turn_error * turned_rad, unmeasured)
+    turn_rate_std = math.radians(config.turn_rate_std_deg_s)
     return odometry(
         make,
         sample.t_ns,
-        topics.ODOM_FRAME,
+        config.odom_frame,
         (x_m, y_m, 0.0),
         yaw_rad,
         speed_m_s=sample.speed_m_s,
         yaw_rate_rad_s=sample.yaw_rate_rad_s,
+        body_frame=config.base_frame,
+        pose_stds=(along, along, *(unmeasured,) * 3, about),
+        twist_stds=(config.speed_std_m_s, *(unmeasured,) * 4, turn_rate_std),
     )
 
 
@@ -157,11 +199,11 @@ def heading(make: MessageMaker, sample: HeadingSample) -> Any:
     )
 
 
-def temperature(make: MessageMaker, sample: TemperatureSample) -> Any:
+def temperature(make: MessageMaker, sample: TemperatureSample, config: MessagesConfig = DEFAULTS) -> Any:
     """Convert a temperature sample to a Temperature."""
     return make(
         topics.TEMPERATURE,
-        header=make.header(sample.t_ns, topics.IMU_FRAME),
+        header=make.header(sample.t_ns, config.imu_frame),
         temperature=sample.temperature_c,
         variance=0.0,
     )
@@ -296,10 +338,17 @@ def transform(make: MessageMaker, t_ns: int, link: Transform) -> Any:
     return make(topics.TRANSFORMS, transforms=[stamped])
 
 
-def odometry_transform(make: MessageMaker, t_ns: int, x_m: float, y_m: float, yaw_rad: float) -> Any:
+def odometry_transform(
+    make: MessageMaker,
+    t_ns: int,
+    x_m: float,
+    y_m: float,
+    yaw_rad: float,
+    config: MessagesConfig = DEFAULTS,
+) -> Any:
     """Make a TFMessage with the pose of the robot body according to the wheel odometry."""
     position, rotation = (x_m, y_m, 0.0), quaternion_from_yaw(yaw_rad)
-    stamped = _transform_stamped(make, t_ns, topics.ODOM_FRAME, topics.BODY_FRAME, position, rotation)
+    stamped = _transform_stamped(make, t_ns, config.odom_frame, config.base_frame, position, rotation)
     return make(topics.TRANSFORMS, transforms=[stamped])
 
 

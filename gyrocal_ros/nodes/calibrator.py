@@ -11,7 +11,8 @@ from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import CameraInfo, Imu, PointCloud2, Temperature
 from tf2_msgs.msg import TFMessage
 
-from gyrocal_ros.config.sections import Config, RobotConfig
+from gyrocal_ros.config.robot_sections import RobotConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import CovariateSample
 from gyrocal_ros.effects.model_file import load_model_with_effects
 from gyrocal_ros.effects.traits import followers_by_signal

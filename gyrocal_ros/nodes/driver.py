@@ -12,7 +12,7 @@ from tf2_msgs.msg import TFMessage
 
 from gyrocal_ros.board.convert import SupplySample
 from gyrocal_ros.board.reader import Reading, WheelMotion
-from gyrocal_ros.config.sections import RobotConfig
+from gyrocal_ros.config.robot_sections import RobotConfig
 from gyrocal_ros.data import ImuSample, TemperatureSample
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.msgs import to_ros
@@ -30,8 +30,9 @@ class DriverNode:
 
     def __init__(self) -> None:
         self.node = Node('driver')
-        settings = Settings(self.node, RobotConfig(), ('board', 'driver'), self._configure)
+        settings = Settings(self.node, RobotConfig(), ('board', 'driver', 'messages'), self._configure)
         board, driver = settings.config.board, settings.config.driver
+        self._messages = settings.config.messages
         self._make = to_ros.live_maker(get_message)
         self._imu = self.node.create_publisher(Imu, 'imu/data_raw', SENSOR_OUT)
         self._temperature = self.node.create_publisher(Temperature, 'imu/temperature', SENSOR_OUT)
@@ -66,21 +67,31 @@ class DriverNode:
 
     def _send(self, reading: Reading) -> None:
         if isinstance(reading, ImuSample):
-            self._imu.publish(to_ros.imu(self._make, reading))
+            self._imu.publish(to_ros.imu(self._make, reading, self._messages))
         elif isinstance(reading, WheelMotion):
             self._send_wheels(reading)
         elif isinstance(reading, SupplySample):
             numbers = {'voltage': reading.voltage_v, 'current': reading.current_a}
             self._battery.publish(to_ros.battery(self._make, reading.t_ns, numbers))
         elif isinstance(reading, TemperatureSample):
-            self._temperature.publish(to_ros.temperature(self._make, reading))
+            self._temperature.publish(to_ros.temperature(self._make, reading, self._messages))
 
     def _send_wheels(self, motion: WheelMotion) -> None:
         pose, t_ns = motion.pose, motion.sample.t_ns
         planar_pose = pose.x_m, pose.y_m, pose.yaw_rad
-        self._odometry.publish(to_ros.wheels(self._make, motion.sample, *planar_pose))
+        message = to_ros.wheels(
+            self._make,
+            motion.sample,
+            *planar_pose,
+            travelled_m=pose.travelled_m,
+            turned_rad=pose.turned_rad,
+            config=self._messages,
+        )
+        self._odometry.publish(message)
         if self._transforms:
-            self._transforms.publish(to_ros.odometry_transform(self._make, t_ns, *planar_pose))
+            self._transforms.publish(
+                to_ros.odometry_transform(self._make, t_ns, *planar_pose, self._messages)
+            )
 
     def _zero(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Wait for the board to measure its zero; its thread keeps publishing meanwhile."""

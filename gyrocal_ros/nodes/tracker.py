@@ -7,31 +7,27 @@ from typing import Any
 
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
+from rclpy.qos import QoSProfile
 from rosidl_runtime_py.utilities import get_message
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2
 from tf2_msgs.msg import TFMessage
 
-from gyrocal_ros.config.sections import Config, RobotConfig
+from gyrocal_ros.config.robot_sections import RobotConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import seconds
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import images, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import polled_subscription, publish, subscribe, take_messages
+from gyrocal_ros.nodes.image_subscription import ImageSubscription
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.robot.health import Status
 from gyrocal_ros.robot.tracking import LiveTracker, Tracked
 
-COMPRESSED = 'compressed'
-TRANSPORTS = {'raw': ('', Image), COMPRESSED: (f'/{COMPRESSED}', CompressedImage)}
-"""Suffix of the topic and message type of each image transport."""
-IMAGE_QUEUE = 2
-"""Queue depth of the images; the oldest are dropped if they come faster than they can be tracked."""
-POLL_S, FAST_POLL_S, SEARCH_S = 0.1, 0.002, 0.5
-"""Periods of polling the IMU, usually and while an image waits for it, and of searching for images."""
+POLL_S, FAST_POLL_S = 0.1, 0.002
+"""Periods of polling the IMU, usually and while an image waits for it."""
 MAX_QUEUED_S = 1.0
 """Longest plausible time of an image in the queue of the middleware."""
 
@@ -49,7 +45,6 @@ class TrackerNode:
         self._camera_frame = topics.CAMERA_FRAME
         self._features = publish(node, PointCloud2, Role.FEATURES, SENSOR_OUT)
         self._tracks = publish(node, Image, 'ceiling_camera/tracks_image', QoSProfile(depth=1))
-        self._images: Subscription | None = None
         self._imu = polled_subscription(node, Imu, Role.IMU, SENSOR_IN)
         subscribe(node, CameraInfo, Role.CAMERA_INFO, self._on_camera, SENSOR_IN)
         subscribe(node, TFMessage, '/tf_static', self._on_transforms, STATIC)
@@ -58,7 +53,7 @@ class TrackerNode:
         node.create_timer(POLL_S, self._work, clock=steady)
         self._fast_poll = node.create_timer(FAST_POLL_S, self._work, clock=steady)
         self._fast_poll.cancel()
-        self._search = node.create_timer(SEARCH_S, self._find_images, clock=steady)
+        self._images = ImageSubscription(node, lambda: self._robot.config.images.transport, self._on_image)
         self._diagnostics = Diagnostics(node, self._status)
 
     def close(self) -> None:
@@ -69,21 +64,6 @@ class TrackerNode:
 
     def _status(self) -> Status:
         return self._live.status(time.monotonic())
-
-    def _find_images(self) -> None:
-        """Subscribe to the published images, with the reliability of their publishers."""
-        wanted = self._robot.config.images.transport
-        name = self.node.resolve_topic_name(Role.IMAGE)
-        for transport, (ending, kind) in TRANSPORTS.items():
-            offered = self.node.get_publishers_info_by_topic(name + ending)
-            if offered and wanted in ('auto', transport):
-                reliable = all(o.qos_profile.reliability is ReliabilityPolicy.RELIABLE for o in offered)
-                policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-                qos = QoSProfile(depth=IMAGE_QUEUE, reliability=policy)
-                self._images = subscribe(self.node, kind, name + ending, self._on_image, qos)
-                self.node.get_logger().info(f'tracking images of {name + ending}')
-                self._search.cancel()
-                return
 
     # --- input ------------------------------------------------------------------------------------
 

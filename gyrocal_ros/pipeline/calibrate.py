@@ -32,6 +32,7 @@ def calibrate(
     start: Start | None = None,
     report: Report | None = None,
     candidates: tuple[Effect, ...] = (),
+    follows_changes: bool = False,
 ) -> Run:
     """Run the filter over a source.
 
@@ -44,6 +45,8 @@ def calibrate(
         start: result of an earlier calibration.
         report: called with the progress about once a second of recorded time.
         candidates: effects that the model lacks, to collect score statistics of.
+        follows_changes: True to follow a scale factor that changes, as on the robot; False to estimate one
+            for the whole recording, as a diagnosis has to.
 
     Raises:
         FilterDivergedError: the measurements contradict the model beyond repair.
@@ -51,9 +54,11 @@ def calibrate(
         RecordingError: the source has no IMU samples to estimate from.
     """
     if source.rig.camera is None:
-        run = calibrate_by_heading(source, config, model, start, report, candidates)
+        run = calibrate_by_heading(source, config, model, start, report, candidates, follows_changes)
     else:
-        run = run_filter(source, source.measurements(), config, model, start, report, candidates)
+        run = run_filter(
+            source, source.measurements(), config, model, start, report, candidates, follows_changes
+        )
     _require_observable(run)
     return replace(run, events=(*run.events, *_marks_on_lens(run), *_unrecorded_signals(run)))
 

@@ -17,18 +17,16 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.config.yaml_file import read_yaml
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
-from gyrocal_ros.ekf.convergence import Convergence
+from gyrocal_ros.ekf.convergence import Convergence, is_plausible
 from gyrocal_ros.ekf.map_watch import loses_its_map
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.scatter import scatter_of
+from gyrocal_ros.ekf.scatter import SCALE, scatter_of
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
+from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import write_text_atomic
 from gyrocal_ros.model.sensor import SensorModel
-
-SCALE = 1
-"""Place of the scale factor among bias and coefficients."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +48,8 @@ class Calibration:
     duration_s: float
     source: str
     end_ns: int
+    temperature_c: float = math.nan
+    """Temperature of the gyro at the end; NaN where unknown."""
 
     @property
     def stds(self) -> Array:
@@ -73,23 +73,27 @@ class Calibration:
 
     def start(self) -> Start:
         """Return the initial values for a later run."""
-        return Start(self.names, self.values, self.covariance)
+        return Start(self.names, self.values, self.covariance, self.end_ns, self.temperature_c)
 
 
 def conclude(run: Run) -> Calibration:
     """Return the calibration at the end of a run.
 
     It has converged if the scale factor is known well enough, and neither the innovations nor the scatter of
-    the estimates nor whole images contradict the filter.
+    the estimates nor whole images contradict the filter, and gyro, wheels and images turn the same way. By
+    how much the scale factor has changed during the run adds to its standard deviation; where the filter
+    followed a change, only what came after counts.
     """
     history, criteria = run.history, run.config.convergence
     convergence, (scatter, inflations) = Convergence(), scatter_of(history)
     scale_stds = history.std[:, COEFFICIENTS_START] * inflations[:, SCALE]
-    columns = (history.time_s, scale_stds, history.nis, history.dof)
-    for time_s, std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
+    columns = (history.scale_followed, history.time_s, scale_stds, history.nis, history.dof)
+    for followed, time_s, std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
+        convergence = Convergence() if followed else convergence
         convergence.add(time_s, std, nis, dof, criteria)
     is_known = convergence.since_s is not None
-    is_contradicted = scatter.contradicts or loses_its_map(run)
+    has_fault = bool(mounting_fault(run))
+    is_contradicted = scatter.contradicts or loses_its_map(run) or has_fault
     return calibration_of(
         run.state,
         run.model,
@@ -99,7 +103,8 @@ def conclude(run: Run) -> Calibration:
         duration_s=run.span.duration_s,
         source=run.source,
         end_ns=run.span.end_ns,
-        inflation=scatter.inflation,
+        temperature_c=_last_finite(history.temperature_c),
+        inflation=inflations[-1],
     )
 
 
@@ -113,6 +118,7 @@ def calibration_of(
     duration_s: float,
     source: str,
     end_ns: int,
+    temperature_c: float,
     inflation: Array,
 ) -> Calibration:
     """Return the calibration by a state of the filter.
@@ -135,7 +141,14 @@ def calibration_of(
         duration_s=duration_s,
         source=source,
         end_ns=end_ns,
+        temperature_c=temperature_c,
     )
+
+
+def _last_finite(values: Array) -> float:
+    """Return the last finite value; NaN without one."""
+    finite = values[np.isfinite(values)]
+    return float(finite[-1]) if len(finite) else math.nan
 
 
 def save_calibration(
@@ -162,8 +175,13 @@ def load_calibration(path: Path) -> Calibration:
             raise ValueError('a value or the covariance is incomplete')
         if not _is_covariance(covariance):
             raise ValueError('the covariance is not positive semidefinite')
+        scale_factor = 1.0 + values[SCALE]
+        if not is_plausible(scale_factor):
+            raise ValueError(f'no gyro has a scale factor of {scale_factor:g}')
+        if not math.isclose(float(tree['scale_factor']), scale_factor, abs_tol=1e-9):
+            raise ValueError(f'scale_factor {tree["scale_factor"]} contradicts its coefficient')
         provenance: Mapping[str, Any] = tree['provenance']
-        time_s = tree['convergence_time_s']
+        time_s, temperature_c = tree['convergence_time_s'], provenance.get('temperature_c')
         return Calibration(
             model=model,
             names=names,
@@ -176,6 +194,7 @@ def load_calibration(path: Path) -> Calibration:
             duration_s=float(provenance['duration_s']),
             source=str(provenance['source']),
             end_ns=int(provenance['end_ns']),
+            temperature_c=math.nan if temperature_c is None else float(temperature_c),
         )
     except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise ConfigError(
@@ -194,6 +213,7 @@ def _is_covariance(matrix: Array) -> bool:
 
 
 def _to_dict(calibration: Calibration, config: Config) -> dict[str, Any]:
+    temperature_c = calibration.temperature_c
     return {
         'scale_factor': calibration.scale_factor,
         'scale_factor_std': calibration.scale_factor_std,
@@ -209,6 +229,7 @@ def _to_dict(calibration: Calibration, config: Config) -> dict[str, Any]:
             'source': calibration.source,
             'duration_s': calibration.duration_s,
             'end_ns': calibration.end_ns,
+            'temperature_c': None if math.isnan(temperature_c) else temperature_c,
             'version': __version__,
         },
         'settings': to_dict(config),

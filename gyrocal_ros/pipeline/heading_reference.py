@@ -24,6 +24,7 @@ from gyrocal_ros.data import (
     Span,
     nanoseconds,
 )
+from gyrocal_ros.ekf.convergence import is_plausible
 from gyrocal_ros.ekf.run import History, Run, RunEvent
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
@@ -35,8 +36,6 @@ OFFSETS_S = np.arange(-0.3, 0.3001, 0.01)
 """Time offsets that are tried."""
 MIN_TURN_RAD = math.radians(45.0)
 """Smallest range of headings that can be fitted."""
-PLAUSIBLE_SCALE = (0.5, 2.0)
-"""Bounds of the scale factor of a usable reference."""
 BLOCK_S = 5.0
 """Length of the blocks whose scatter gives the standard deviation of the scale factor."""
 WALKS_DEG = (0.01, 0.03, 0.1, 0.3, 1.0)
@@ -68,6 +67,7 @@ def calibrate_by_heading(
     start: Start | None,
     report: Report | None,
     candidates: tuple[Effect, ...],
+    follows_changes: bool,
 ) -> Run:
     """Calibrate against another heading reference, with the random walk of the largest likelihood.
 
@@ -85,10 +85,8 @@ def calibrate_by_heading(
     stream.sort(key=attrgetter('t_ns'))
     runs = []
     for walk_deg in WALKS_DEG:
-        reference = replace(config.reference, heading_walk_deg=walk_deg)
-        runs.append(
-            run_filter(source, stream, replace(config, reference=reference), model, start, report, candidates)
-        )
+        walking = replace(config, reference=replace(config.reference, heading_walk_deg=walk_deg))
+        runs.append(run_filter(source, stream, walking, model, start, report, candidates, follows_changes))
     run = max(runs, key=lambda run: log_likelihood(run.history))
     run = replace(run, events=(*run.events, *_reference_events(fitted, source.span)))
     return _widened(run, fitted.scale_std)
@@ -122,7 +120,7 @@ def fit_reference(measurements: Iterable[Measurement], where: str) -> ReferenceF
     yaw = np.unwrap(yaw)
     fits = [_fit(heading_s - offset_s, yaw, imu_s, turned, offset_s) for offset_s in OFFSETS_S]
     best = min(fits, key=lambda fit: fit.residual_rms_rad)
-    if not PLAUSIBLE_SCALE[0] <= best.scale_factor <= PLAUSIBLE_SCALE[1]:
+    if not is_plausible(best.scale_factor):
         raise NotObservableError(
             f'the reference turns {best.scale_factor:.2f} times as far as the gyro, so it is unfit as a '
             'heading reference: slipping wheels, or other units',

@@ -37,6 +37,7 @@ def run_filter(
     start: Start | None,
     report: Report | None,
     candidates: tuple[Effect, ...],
+    follows_changes: bool,
 ) -> Run:
     """Run the filter once.
 
@@ -48,11 +49,12 @@ def run_filter(
         start: result of an earlier calibration.
         report: called with the progress about once a second of recorded time.
         candidates: effects that the model lacks, to collect score statistics of.
+        follows_changes: True to follow a scale factor that changes, see `ekf.slam`.
 
     Raises:
         FilterDivergedError: the measurements contradict the model beyond repair.
     """
-    slam = EkfSlam(model, config, source.rig, start, candidates)
+    slam = EkfSlam(model, config, source.rig, start, candidates, follows_changes)
     visual = VisualSlam(slam)
     recorder = Recorder(len(model.coefficients), candidates)
     span, reported_ns = source.span, source.span.start_ns

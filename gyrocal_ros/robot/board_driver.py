@@ -13,7 +13,7 @@ from gyrocal_ros.board.commands import CommandQueue, PendingCommand
 from gyrocal_ros.board.link import Link, LinkError
 from gyrocal_ros.board.messages import Acknowledgement, CommandResult, Imu, SetRates, Supply, Wheels
 from gyrocal_ros.board.reader import BoardReader, Reading
-from gyrocal_ros.config.sections import BoardConfig, DriverConfig
+from gyrocal_ros.config.robot_sections import BoardConfig, DriverConfig
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.robot.health import Level, Problem, Status, Window, as_warnings, status
 

@@ -24,6 +24,7 @@ class CalibrationStore:
         self.problem = ''
         """Why the file could not be read or written; empty without a problem."""
         self._stored: Calibration | None = None
+        self._version: tuple[int, int] | None = None
 
     def load(self, config: Config) -> Calibration | None:
         """Return the stored calibration; None if there is none. An unusable file is renamed and reported.
@@ -36,6 +37,7 @@ class CalibrationStore:
         if self.path.is_dir():
             raise ConfigError('is a folder', where=str(self.path), todo='name a file in live.calibration')
         try:
+            self._version = self._version_now()
             self._stored = load_calibration(self.path)
             _check_nominal_scale(self._stored, config, self.path)
         except ConfigError as error:
@@ -47,12 +49,18 @@ class CalibrationStore:
         """Write the file atomically; return False, and report it, where that fails."""
         if self.path is None:
             return False
+        is_shared = self._version is not None and self._version_now() not in (None, self._version)
         try:
             save_calibration(calibration, config, self.path, overwrite=True)
         except GyrocalError as error:
             self.problem = f'the calibration could not be saved: {error}'
             return False
-        self._stored, self.problem = calibration, ''
+        self._stored, self._version, self.problem = calibration, self._version_now(), ''
+        if is_shared:
+            self.problem = (
+                f'{self.path} is also written by another program, and each overwrites the other; give every '
+                'calibrator a file of its own in live.calibration'
+            )
         return True
 
     def may_replace(self, calibration: Calibration) -> bool:
@@ -63,6 +71,14 @@ class CalibrationStore:
         """Rename the file; return a clause about it, empty where there was none."""
         self._stored, self.problem = None, ''
         return self._rename(DISCARDED) if self.path is not None and self.path.exists() else ''
+
+    def _version_now(self) -> tuple[int, int] | None:
+        """Return what changes with each write of the file: inode and time; None where there is no file."""
+        try:
+            found = Path(self.path or '').stat()
+        except OSError:
+            return None
+        return found.st_ino, found.st_mtime_ns
 
     def _rename(self, suffix: str) -> str:
         """Rename the file; where that fails, leave it alone from now on."""

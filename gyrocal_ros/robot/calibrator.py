@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrocal_ros.config.sections import Config, LiveConfig
+from gyrocal_ros.config.robot_sections import LiveConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     CalibratedSample,
     CameraIntrinsics,

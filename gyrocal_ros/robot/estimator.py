@@ -11,16 +11,17 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, Rig, seconds
 from gyrocal_ros.ekf.convergence import Convergence
-from gyrocal_ros.ekf.map_watch import LOSES_MAPS, LostMaps
-from gyrocal_ros.ekf.scatter import Scatter
+from gyrocal_ros.ekf.map_watch import LOSES_MAPS, MAP_DROPPED, LostMaps
+from gyrocal_ros.ekf.scatter import SCALE, Scatter
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start, initial_state
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.ekf.stream import SlamStream
+from gyrocal_ros.ekf.turn_agreement import TurnAgreement
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.pipeline.calibration import SCALE, Calibration, calibration_of
+from gyrocal_ros.pipeline.calibration import Calibration, calibration_of
 
 CHECKPOINT_S = 5.0
 """Time for which the filter has to stay consistent after a state before that becomes the checkpoint."""
@@ -54,11 +55,12 @@ class Estimator:
         """Events for the user; the reader clears the list."""
         self._config, self._prior = config, prior
         self._rig: Rig | None = None
-        self._running_s = 0.0
+        self._running_s, self._temperature_c = 0.0, math.nan
         self.is_on = False
         """True if the filter runs, or will run once the camera is known."""
         self.on_probation = False
         """True after a restart, until the filter has been consistent for long enough to be trusted."""
+        self._is_changing, self._fault, self._turns = False, '', TurnAgreement()
         self.has_learned = False
         """True once an image has updated the filter since the start or the last reset."""
         self._trusted = initial_state(model, config, self._start)
@@ -83,7 +85,7 @@ class Estimator:
     @property
     def is_trusted(self) -> bool:
         """True if the present state may be used: no measurement contradicts it."""
-        if self.on_probation and not self.watch.is_settled:
+        if self._is_changing or self._fault or (self.on_probation and not self.watch.is_settled):
             return False
         return not self.watch.is_contradicted(self._config.convergence)
 
@@ -111,6 +113,7 @@ class Estimator:
             duration_s=self._time_s,
             source=self.name,
             end_ns=self._trusted.t_ns,
+            temperature_c=self._temperature_c,
             inflation=inflation,
         )
 
@@ -184,8 +187,12 @@ class Estimator:
             return
         limits, nis = self._config.convergence, self.watch.recent_nis
         scale_std = self.calibration.scale_factor_std
-        if self.on_probation:
+        if self._fault:
+            yield self._fault
+        elif self.on_probation:
             yield 'the filter was restarted and is not trusted yet; the last good calibration is used'
+        elif self._is_changing:
+            yield 'the scale factor does not fit any more; a new one is being estimated'
         elif not self.is_trusted:
             yield (
                 f'the images contradict the filter: NIS {max(nis, self.watch.overall_nis):.1f} per degree of '
@@ -243,7 +250,7 @@ class Estimator:
         """Start a filter from the prior, at a pose; None: at the origin of the map."""
         assert self._rig is not None
         self._stop_filter()
-        slam = EkfSlam(self.model, self._config, self._rig, start=self._start)
+        slam = EkfSlam(self.model, self._config, self._rig, self._start, follows_changes=True)
         if at is not None:
             slam.restart_at(at)
         self._stream = SlamStream(slam, self._running_s)
@@ -262,7 +269,7 @@ class Estimator:
 
     def _reset_watch(self) -> None:
         self.watch, self._scatter = Convergence(), Scatter(1 + len(self.model.coefficients))
-        self._time_s = self._checkpoint_s = self._trusted_s = 0.0
+        self._time_s = self._checkpoint_s = self._consistent_s = 0.0
         self._has_stepped = False
         self._checkpoint = self._candidate = self._trusted
         self._lost_maps = LostMaps()
@@ -286,7 +293,9 @@ class Estimator:
         if records and self.slam is not None:
             if self.is_trusted:
                 self._trust(self.slam.state)
-            elif self._time_s - self._trusted_s > CONTRADICTED_S:
+            elif self._fault or not self.watch.is_contradicted(self._config.convergence):
+                self._consistent_s = self._time_s  # a fault of the mounting would survive a new start
+            elif self._time_s - self._consistent_s > CONTRADICTED_S:
                 raise FilterDivergedError(f'the measurements contradicted it for {CONTRADICTED_S:.0f} s')
         return bool(records)
 
@@ -298,19 +307,42 @@ class Estimator:
         if self._has_stepped:  # time counts from the first step, as in a replay
             self._time_s += record.block.duration_s
         self._has_stepped = True
-        self._scatter.add(self._time_s, record.change, record.change_variance, record.std[YAW_BIAS:] ** 2)
+        if math.isfinite(temperature_c := float(record.block.temperature_c[-1])):
+            self._temperature_c = temperature_c
+        self._is_changing = record.scale_change != 0.0
+        self._compare_turns(record)
+        if record.scale_followed:
+            self._begin_anew()
+        else:
+            self._scatter.add(self._time_s, record.change, record.change_variance, record.std[YAW_BIAS:] ** 2)
         scale_std = float(record.std[COEFFICIENTS_START] * self._scatter.inflation[SCALE])
         self.watch.add(self._time_s, scale_std, stats.nis, stats.dof, self._config.convergence)
         if stats.dof > 0:
             self.has_learned = True
         if record.event:
             self.events.append(record.event)
+        if MAP_DROPPED in record.event:
             self._lost_maps.add(self._time_s)
             if self._lost_maps.are_many:
                 raise FilterDivergedError(LOSES_MAPS)
 
+    def _compare_turns(self, record: StepRecord) -> None:
+        block, scale = record.block, COEFFICIENTS_START
+        gyro_rad = float(block.rate_rad_s[:, 2] @ block.dt_s)
+        self._turns.add(gyro_rad, float(block.wheel_turn_rad.sum()), block.duration_s)
+        self._fault = self._turns.fault(1.0 + float(record.mean[scale]), float(record.std[scale]))
+
+    def _begin_anew(self) -> None:
+        """Judge the filter by what comes after a change of the scale factor, and do not go back behind it."""
+        assert self.slam is not None
+        self.watch, self._scatter = Convergence(), Scatter(1 + len(self.model.coefficients))
+        self._checkpoint = self._candidate = self.slam.state
+        self._checkpoint_s = self._consistent_s = self._time_s
+        if self._prior is not None:
+            self._prior = replace(self._prior, converged=False)
+
     def _trust(self, state: State) -> None:
-        self._trusted, self._trusted_s, self.on_probation = state, self._time_s, False
+        self._trusted, self._consistent_s, self.on_probation = state, self._time_s, False
         if self._time_s - self._checkpoint_s >= CHECKPOINT_S:
             self._checkpoint, self._candidate = self._candidate, state
             self._checkpoint_s = self._time_s

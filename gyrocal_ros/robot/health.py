@@ -55,13 +55,16 @@ class Status:
     message: str
     numbers: Mapping[str, object] = field(default_factory=dict)
     """Counts since the start, rates and estimates, by a name that carries the unit."""
+    problems: tuple[Problem, ...] = ()
+    """Problems of which the message consists, the worst first."""
 
 
 def status(summary: str, problems: Iterable[Problem], numbers: Mapping[str, object]) -> Status:
     """Join problems, the worst first; without any, `summary` is the message."""
     worst_first = sorted(problems, key=lambda problem: -problem.level)
     level = worst_first[0].level if worst_first else Level.OK
-    return Status(level, '; '.join(problem.text for problem in worst_first) or summary, numbers)
+    message = '; '.join(problem.text for problem in worst_first) or summary
+    return Status(level, message, numbers, tuple(worst_first))
 
 
 def as_warnings(texts: Iterable[str]) -> list[Problem]:

@@ -12,7 +12,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from gyrocal_ros.config.declare import flat_settings, plain
-from gyrocal_ros.config.sections import Config, RobotConfig
+from gyrocal_ros.config.robot_sections import RobotConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.nodes.params import Settings
 

@@ -14,7 +14,8 @@ from pathlib import Path
 from graph import PROJECT, WITHIN_S, Graph
 from rcl_interfaces.msg import ParameterEvent
 
-from gyrocal_ros.config.sections import Config, LiveConfig
+from gyrocal_ros.config.robot_sections import LiveConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.nodes.qos import LATCHED
 from gyrocal_ros.pipeline.calibration import Calibration, save_calibration

@@ -132,6 +132,20 @@ def test_features_of_images_are_published(graph: Graph, compressed: bool, qos: Q
     np.testing.assert_allclose(first.pixels, second.pixels, atol=0.05)
 
 
+@pytest.mark.parametrize('compressed', [False, True], ids=['raw', 'compressed'])
+def test_a_camera_that_comes_back_with_other_settings_is_received_again(
+    graph: Graph, compressed: bool
+) -> None:
+    """First reliable raw images, then best-effort ones, perhaps compressed."""
+    first = started(graph)
+    assert len(first.track().ids) == 15
+    for publisher in first.publishers:
+        graph.node.destroy_publisher(publisher)
+    second = Robot(graph, compressed=compressed, qos=BEST_EFFORT)
+    graph.wait(second.has_subscribers, 'a new subscription')
+    assert len(second.track().ids) == 15
+
+
 def test_the_image_with_tracks_is_published_for_subscribers(graph: Graph) -> None:
     robot = started(graph)
     robot.track()
@@ -189,6 +203,13 @@ def test_problems_are_reported_while_they_last(graph: Graph) -> None:
         'the report of the wrong size',
     )
     assert 'an image is 320 x 240 pixels' in last_message(health)
+    printed = graph.processes[0].output
+    for text in (
+        'ceiling_camera/image_raw: no message',
+        'the images are dark',
+        'an image is 320 x 240 pixels',
+    ):
+        assert text in printed, 'problems are logged, too'
     numbers = {item.key: item.value for item in health[-1].status[0].values}
     assert int(numbers['followed']) > 3 and float(numbers['latency_ms_p99']) > 0.0
 

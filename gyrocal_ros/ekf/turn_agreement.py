@@ -1,0 +1,108 @@
+"""Comparison of the turns of gyro, wheels and images, which shows what is mounted or wired wrongly.
+
+The scale factor compares the images with the gyro. A mirrored image or an inverted gyro makes it negative,
+with innovations as small as ever. The wheels tell which of the two is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+
+from gyrocal_ros.ekf.convergence import is_plausible
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import COEFFICIENTS_START
+
+MIN_TURN_RAD = 2.0
+"""Turn of the wheels from which turns are compared."""
+MEMORY_RAD = 6.0
+"""Turn of the wheels over which the comparison is averaged."""
+MIN_RATIO = 0.5
+"""Rate of the gyro, per rate of the wheels, from which both turn the same way; below its negative, opposite
+ways."""
+DEAF_RATIO = 0.2
+"""Rate of the gyro, per rate of the wheels, below which it does not follow turns."""
+STUCK_RAD, STUCK_RAD_S = 1.0, 1e-6
+"""Turn of the wheels in which a working gyro changes its reading, by more than this."""
+
+
+class TurnAgreement:
+    """Regresses the rate of the gyro on that of the wheels, and forgets while the wheels turn."""
+
+    def __init__(self) -> None:
+        self._turn_rad = self._constant_rad = self._last_rad_s = 0.0
+        self._time_s = self._gyro_rad = self._wheels_rad = self._product = self._square = 0.0
+
+    def add(self, gyro_rad: float, wheels_rad: float, duration_s: float) -> None:
+        """Add the turns of one step by the nominal gyro and by the wheels."""
+        turn_rad, rate_rad_s = abs(wheels_rad), gyro_rad / duration_s
+        is_constant = abs(rate_rad_s - self._last_rad_s) < STUCK_RAD_S
+        self._constant_rad = self._constant_rad + turn_rad if is_constant else 0.0
+        self._last_rad_s = rate_rad_s
+        self._turn_rad += turn_rad
+        kept = math.exp(-turn_rad / MEMORY_RAD)
+        self._time_s = kept * self._time_s + duration_s
+        self._gyro_rad = kept * self._gyro_rad + gyro_rad
+        self._wheels_rad = kept * self._wheels_rad + wheels_rad
+        self._product = kept * self._product + gyro_rad * wheels_rad / duration_s
+        self._square = kept * self._square + wheels_rad**2 / duration_s
+
+    @property
+    def is_known(self) -> bool:
+        """True if the wheels have turned enough."""
+        return self._turn_rad >= MIN_TURN_RAD
+
+    @property
+    def ratio(self) -> float:
+        """Rate of the gyro per rate of the wheels, without biases; NaN while unknown."""
+        if not self.is_known:
+            return math.nan
+        covariance = self._product - self._gyro_rad * self._wheels_rad / self._time_s
+        return covariance / (self._square - self._wheels_rad**2 / self._time_s)
+
+    def fault(self, scale_factor: float, scale_std: float) -> str:
+        """Return what is wrong, with its likely cause and remedy; empty where nothing is.
+
+        Args:
+            scale_factor: turn by the images per turn of the gyro.
+            scale_std: its standard deviation; a scale factor that is not known yet is not judged.
+        """
+        is_impossible = not is_plausible(scale_factor) and scale_std < 0.1
+        if self._constant_rad > STUCK_RAD:
+            return (
+                f'the gyro reads {math.degrees(self._last_rad_s):.4g} deg/s whatever the robot does: it is '
+                'stuck, or at the end of its range; check its wiring and supply'
+            )
+        if self.is_known and abs(self.ratio) < DEAF_RATIO:
+            return (
+                'the gyro does not follow the turns of the wheels: its axes are swapped, or the wheels slip; '
+                'check the transform to imu_link'
+            )
+        if is_impossible and scale_factor < 0.0 and self.ratio > MIN_RATIO:
+            return (
+                'the images turn opposite to gyro and wheels: the image is mirrored, or the mounting of the '
+                'camera is upside down; check the flip options of the camera driver and its transform'
+            )
+        if self.ratio < -MIN_RATIO:
+            who = 'wheels and images' if is_impossible and scale_factor < 0.0 else 'the wheels'
+            return (
+                f'the gyro turns opposite to {who}: it is mounted upside down, its sign is inverted, or the '
+                'wheels are swapped; check its transform and the sign of driver and board'
+            )
+        if is_impossible:
+            return (
+                f'no gyro has a scale factor of {scale_factor:.3g}: an axis is mirrored or swapped, or a '
+                'unit is wrong; check the transforms, the camera calibration and the unit of the gyro (rad/s)'
+            )
+        return ''
+
+
+def mounting_fault(run: Run) -> str:
+    """Return what is mounted or wired wrongly, by the turns of a run; empty where nothing is."""
+    history, agreement = run.history, TurnAgreement()
+    columns = (history.turn_rad, history.wheel_turn_rad, history.dt_s)
+    for step in zip(*(column.tolist() for column in columns), strict=True):
+        agreement.add(*step)
+    if not len(history.std):
+        return ''
+    scale = COEFFICIENTS_START
+    return agreement.fault(1.0 + float(history.mean[-1, scale]), float(history.std[-1, scale]))

@@ -1,0 +1,163 @@
+"""A scale factor that changes: a stored calibration that is wrong, a drift, a jump."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recordings import ModifiedSource, recording
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import ImuSample, Measurement, Source, seconds
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.scale_watch import CHANGE_SIGMA, WINDOWS_S, ScaleWatch
+from gyrocal_ros.ekf.start import Start, initial_state
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
+from gyrocal_ros.ekf.update import UpdateStats
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import Calibration, conclude
+from gyrocal_ros.sim.world import START_NS
+
+STORED_STD = 4e-5
+"""Standard deviation of a calibration after five minutes."""
+
+
+def with_gain(source: Source, gain: Callable[[float], float]) -> ModifiedSource:
+    """Multiply the readings of the yaw rate by a function of time."""
+
+    def change(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+        for item in measurements:
+            if isinstance(item, ImuSample):
+                x, y, z = item.rate_rad_s
+                yield replace(item, rate_rad_s=(x, y, z * gain(seconds(item.t_ns - START_NS))))
+            else:
+                yield item
+
+    return ModifiedSource(source, change)
+
+
+def is_right(found: Calibration, true: float) -> bool:
+    """Return True for a result that is within 3 sigma, or does not claim to be one."""
+    return not found.converged or abs(found.scale_factor - true) < 3.0 * found.scale_factor_std
+
+
+@pytest.mark.parametrize('wrong_by', [-0.05, -0.002, 0.0005, 0.01])
+def test_a_wrong_stored_calibration_is_dropped(wrong_by: float) -> None:
+    """Within 30 s, which is two turns each way."""
+    source = recording('cleaning', 3, 30.0)
+    true = source.truth.scale_factor
+    start = Start(('scale_factor',), np.array([true - 1.0 + wrong_by]), np.array([[STORED_STD**2]]), START_NS)
+    run = calibrate(source, Config(), default_model(), start, follows_changes=True)
+    found = conclude(run)
+    assert abs(found.scale_factor - true) < 3.0 * found.scale_factor_std
+    assert found.scale_factor_std < 5e-4
+    if abs(wrong_by) > 0.001:
+        assert run.history.scale_followed.sum() == 1
+        assert any('off what was calibrated before' in event.text for event in run.events)
+
+
+def test_a_right_stored_calibration_is_kept() -> None:
+    source = recording('cleaning', 3, 30.0)
+    true = source.truth.scale_factor
+    start = Start(('scale_factor',), np.array([true - 1.0]), np.array([[STORED_STD**2]]), START_NS)
+    run = calibrate(source, Config(), default_model(), start, follows_changes=True)
+    assert not run.history.scale_followed.any() and conclude(run).converged
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('follows', [True, False])
+@pytest.mark.parametrize(
+    'gain',
+    [lambda s: 1.05 if s > 40.0 else 1.0, lambda s: 1.0 + 1e-4 * s, lambda s: 1.0 + 1e-5 * s],
+    ids=['jump', 'drift', 'slow drift'],
+)
+def test_a_scale_factor_that_changes_is_followed_or_reported(
+    gain: Callable[[float], float], follows: bool
+) -> None:
+    source = recording('lanes', 5, 80.0)
+    changed = with_gain(source, gain)
+    run = calibrate(changed, Config(), default_model(), follows_changes=follows)
+    found, true = conclude(run), source.truth.scale_factor / gain(80.0)
+    assert is_right(found, true)
+    if gain(80.0) > 1.005:
+        assert run.history.scale_followed.any() == follows
+        assert (run.history.scale_change[-1] != 0.0) == (not follows)
+    if gain(80.0) == 1.05 and follows:
+        assert found.converged
+
+
+def some_watch() -> tuple[ScaleWatch, State]:
+    state = initial_state(default_model(), Config(), None, len(WINDOWS_S))
+    watch = ScaleWatch(state)
+    return watch, watch.begin(state)
+
+
+def stats(information: float, change: float, nis: float = 0.0, dof: int = 1) -> UpdateStats:
+    """Make an update that all windows see alike."""
+    each = np.full(len(WINDOWS_S), information)
+    explained = information * change**2
+    return UpdateStats(explained + nis, dof, information=np.diag(each), score=each * change)
+
+
+def test_a_change_is_significant_by_its_standard_deviation() -> None:
+    watch, _ = some_watch()
+    assert watch.add(1.0, (stats(1e6, 0.99e-3 * CHANGE_SIGMA),)) is None
+    watch, _ = some_watch()
+    found = watch.add(1.0, (stats(1e6, 1.01e-3 * CHANGE_SIGMA),))
+    assert found is not None
+    assert found.value == pytest.approx(1.01e-3 * CHANGE_SIGMA)
+    assert found.std == pytest.approx(1e-3)
+
+
+def test_innovations_that_no_change_explains_are_noise() -> None:
+    watch, _ = some_watch()
+    assert watch.add(1.0, (stats(1e6, 5e-3 * CHANGE_SIGMA, nis=100.0, dof=1),)) is None
+
+
+def test_the_state_follows_as_if_the_scale_factor_had_been_unknown() -> None:
+    """At once, this is the update of an unknown number by its measurement."""
+    watch, state = some_watch()
+    found = watch.add(1.0, (stats(1e6, 0.02),))
+    assert found is not None
+    after = watch.follow(state, found)
+    scale, before = COEFFICIENTS_START, state.covariance[COEFFICIENTS_START, COEFFICIENTS_START]
+    assert after.mean[scale] == pytest.approx(state.mean[scale] + 0.02)
+    assert after.covariance[scale, scale] == pytest.approx(before + 1e-6)
+    assert watch.add(1.0, ()) is None, 'all windows begin anew'
+
+
+def test_only_repeated_changes_are_a_drift() -> None:
+    watch, state = some_watch()
+    gyro = Config().gyro
+    for expected in (gyro.scale_walk, 0.02 / np.sqrt(10.0)):
+        found = watch.add(10.0, (stats(1e6, 0.02),))
+        assert found is not None
+        state = watch.follow(state, found)
+        assert watch.walk(gyro).scale_walk == pytest.approx(expected)
+
+
+def test_a_window_begins_again_when_it_has_ended() -> None:
+    watch, state = some_watch()
+    for _ in range(4):
+        watch.add(1.0, (stats(1.0, 0.0),))
+        state = watch.renew(replace(state, sensitivity=0.9 * state.sensitivity))
+    np.testing.assert_allclose(state.sensitivity[COEFFICIENTS_START], [0.9, *[0.9**4] * (len(WINDOWS_S) - 1)])
+
+
+def test_a_window_begins_again_when_the_filter_has_absorbed_the_change() -> None:
+    watch, state = some_watch()
+    watch.add(0.1, (stats(1.0, 0.0),))
+    state = watch.renew(replace(state, sensitivity=0.19 * state.sensitivity))
+    np.testing.assert_array_equal(state.sensitivity[COEFFICIENTS_START], 1.0)
+
+
+def test_candidates_keep_their_statistics() -> None:
+    state = initial_state(default_model(), Config(), None, 2 + len(WINDOWS_S))
+    watch, size = ScaleWatch(state), 2 + len(WINDOWS_S)
+    whole = UpdateStats(1.0, 2, information=np.diag(np.arange(1.0, 1.0 + size)), score=np.arange(float(size)))
+    kept = watch.without_changes(whole)
+    assert kept.information is not None and kept.score is not None
+    assert np.diagonal(kept.information).tolist() == [1.0, 2.0] and kept.score.tolist() == [0.0, 1.0]
+    assert some_watch()[0].without_changes(whole).information is None

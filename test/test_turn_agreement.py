@@ -1,0 +1,92 @@
+"""What is mounted or wired wrongly, by the turns of gyro, wheels and images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recordings import ModifiedSource, recording
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import FeatureObservations, ImuSample, Measurement
+from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.turn_agreement import TurnAgreement
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import conclude
+
+STEP_S = 0.1
+BIAS_RAD_S = 0.2
+
+
+def turned(ratio: float, turns: int = 2, into: TurnAgreement | None = None) -> TurnAgreement:
+    """Turn to both sides at 1 rad/s, with stops between; the gyro has noise and a large bias."""
+    agreement, rng = into or TurnAgreement(), np.random.default_rng(0)
+    for _ in range(turns):
+        for rate in [1.0] * 30 + [0.0] * 20 + [-1.0] * 30 + [0.0] * 20:
+            gyro = ratio * rate + BIAS_RAD_S + 1e-3 * rng.standard_normal()
+            agreement.add(gyro * STEP_S, rate * STEP_S, STEP_S)
+    return agreement
+
+
+@pytest.mark.parametrize(
+    ('ratio', 'scale_factor', 'cause'),
+    [
+        (1.08, 0.926, ''),
+        (0.6, 0.926, ''),
+        (-1.08, -0.926, 'the gyro turns opposite to wheels and images'),
+        (-1.08, 0.926, 'the gyro turns opposite to the wheels'),
+        (1.08, -0.926, 'the images turn opposite to gyro and wheels: the image is mirrored'),
+        (0.02, 0.926, 'the gyro does not follow the turns of the wheels'),
+        (1.08, 6.0, 'no gyro has a scale factor of 6'),
+    ],
+)
+def test_the_likely_cause_is_named(ratio: float, scale_factor: float, cause: str) -> None:
+    found = turned(ratio).fault(scale_factor, 1e-4)
+    assert found.startswith(cause) and bool(found) == bool(cause)
+
+
+def test_the_ratio_is_without_biases() -> None:
+    assert turned(0.9).ratio == pytest.approx(0.9, abs=1e-3)
+
+
+def test_a_gyro_that_gets_stuck_is_named_by_its_reading() -> None:
+    agreement = turned(1.0)
+    for _ in range(12):
+        assert not agreement.fault(1.0, 1e-4)
+        agreement.add(5.2 * STEP_S, 1.0 * STEP_S, STEP_S)
+    assert agreement.fault(1.0, 1e-4).startswith('the gyro reads 297.9 deg/s whatever the robot does')
+
+
+def test_nothing_is_said_before_the_wheels_have_turned_or_the_scale_factor_is_known() -> None:
+    agreement = TurnAgreement()
+    for _ in range(500):
+        agreement.add(0.0, 0.0, STEP_S)
+    assert agreement.fault(-0.9, 0.2) == ''
+    assert turned(1.0).fault(-0.9, 0.2) == ''
+
+
+def inverted(item: Measurement) -> Measurement:
+    if isinstance(item, ImuSample):
+        x, y, z = item.rate_rad_s
+        return replace(item, rate_rad_s=(x, y, -z))
+    return item
+
+
+def mirrored(item: Measurement) -> Measurement:
+    if isinstance(item, FeatureObservations):
+        return replace(item, pixels=item.pixels * [-1.0, 1.0] + [639.0, 0.0])
+    return item
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('change', 'who'), [(inverted, 'the gyro turns'), (mirrored, 'the images turn')])
+def test_a_run_with_a_wrong_sign_has_not_converged(
+    change: Callable[[Measurement], Measurement], who: str
+) -> None:
+    source = ModifiedSource(recording('lanes', 2, 60.0), lambda items: map(change, items))
+    run = calibrate(source, Config(), default_model(), follows_changes=True)
+    assert not conclude(run).converged
+    assert any(text.startswith(f'{who} opposite to') for text in model_fit(run).misfits)

@@ -19,6 +19,7 @@ from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
 from gyrocal_ros.bench.eyes import eyes
+from gyrocal_ros.bench.faults.suite import KINDS, SEMANTIC, SOUND, faults
 from gyrocal_ros.bench.gate import BASELINE, Outcome, baseline_to_dict, gate, load_baseline, measure_baseline
 from gyrocal_ros.bench.growth import growth
 from gyrocal_ros.bench.methods import comparison
@@ -27,6 +28,7 @@ from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.strangers import labels as stranger_labels
 from gyrocal_ros.bench.strangers import strangers
 from gyrocal_ros.bench.tracker import tracker_accuracy
+from gyrocal_ros.cli.main import main
 from gyrocal_ros.cli.numbers import number, whole_number
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, print_row, progress
@@ -45,6 +47,7 @@ gyrocal bench blind --images --seeds 2 --only none gyro_lag
 gyrocal bench blind --strangers --seeds 2
 gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
+gyrocal bench faults --seeds 2 --only clouds images
 gyrocal bench tracker --bag drive_with_images
 gyrocal bench --quick"""
 
@@ -58,10 +61,12 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'motions': lambda args: motions(),
     'speed': lambda args: speed(args.quick),
     'growth': lambda args: growth(args.quick),
+    'faults': lambda args: faults(args.seeds, args.only, main, quick=args.quick, report=print_message),
 }
 
 CASES: dict[str, Callable[[], list[str]]] = {
     'accuracy': lambda: [case[0] for case in accuracy_cases(quick=False)],
+    'faults': lambda: [*KINDS, SEMANTIC, SOUND],
     'blind': lambda: [*(case.label for case in blind_cases()), *stranger_labels()],
 }
 """Labels of the cases of the benches that can run some of them."""
@@ -86,7 +91,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--keep', action='store_true', help='with --quick: keep the figures of this code')
     parser.add_argument(
-        '--only', nargs='+', default=[], metavar='CASE', help='for accuracy and blind: run these cases only'
+        '--only',
+        nargs='+',
+        default=[],
+        metavar='CASE',
+        help='for accuracy, blind and faults: run these cases only',
     )
     parser.add_argument(
         '--bag',

@@ -15,11 +15,11 @@ from tf2_msgs.msg import TFMessage
 
 from gyrocal_ros.config.sections import Config, RobotConfig
 from gyrocal_ros.data import seconds
-from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs import images, to_ros, topics
+from gyrocal_ros.msgs import clouds, images, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import polled_subscription, publish, subscribe, take_messages
+from gyrocal_ros.nodes.guard import Guard
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.robot.health import Status
@@ -28,6 +28,7 @@ from gyrocal_ros.robot.tracking import LiveTracker, Tracked
 COMPRESSED = 'compressed'
 TRANSPORTS = {'raw': ('', Image), COMPRESSED: (f'/{COMPRESSED}', CompressedImage)}
 """Suffix of the topic and message type of each image transport."""
+REGIONS = 'ceiling_camera/search_regions'
 IMAGE_QUEUE = 2
 """Queue depth of the images; the oldest are dropped if they come faster than they can be tracked."""
 POLL_S, FAST_POLL_S, SEARCH_S = 0.1, 0.002, 0.5
@@ -51,12 +52,18 @@ class TrackerNode:
         self._tracks = publish(node, Image, 'ceiling_camera/tracks_image', QoSProfile(depth=1))
         self._images: Subscription | None = None
         self._imu = polled_subscription(node, Imu, Role.IMU, SENSOR_IN)
-        subscribe(node, CameraInfo, Role.CAMERA_INFO, self._on_camera, SENSOR_IN)
-        subscribe(node, TFMessage, '/tf_static', self._on_transforms, STATIC)
-        subscribe(node, PointCloud2, 'ceiling_camera/search_regions', self._on_regions, SENSOR_IN)
+        guard = Guard(node, self._live.health.log.add_unusable)
+        for kind, topic, callback, qos in (
+            (CameraInfo, Role.CAMERA_INFO, self._on_camera, SENSOR_IN),
+            (TFMessage, '/tf_static', self._on_transforms, STATIC),
+            (PointCloud2, REGIONS, self._on_regions, SENSOR_IN),
+        ):
+            subscribe(node, kind, topic, guard(topic, callback), qos)
+        self._on_guarded_image = guard(Role.IMAGE, self._on_image)
+        work = guard('the timer', self._work)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(POLL_S, self._work, clock=steady)
-        self._fast_poll = node.create_timer(FAST_POLL_S, self._work, clock=steady)
+        node.create_timer(POLL_S, work, clock=steady)
+        self._fast_poll = node.create_timer(FAST_POLL_S, work, clock=steady)
         self._fast_poll.cancel()
         self._search = node.create_timer(SEARCH_S, self._find_images, clock=steady)
         self._diagnostics = Diagnostics(node, self._status)
@@ -80,7 +87,7 @@ class TrackerNode:
                 reliable = all(o.qos_profile.reliability is ReliabilityPolicy.RELIABLE for o in offered)
                 policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
                 qos = QoSProfile(depth=IMAGE_QUEUE, reliability=policy)
-                self._images = subscribe(self.node, kind, name + ending, self._on_image, qos)
+                self._images = subscribe(self.node, kind, name + ending, self._on_guarded_image, qos)
                 self.node.get_logger().info(f'tracking images of {name + ending}')
                 self._search.cancel()
                 return
@@ -92,11 +99,7 @@ class TrackerNode:
             time.time_ns() - info['received_timestamp']
         )  # implausible where the middleware has none
         arrival_s = time.monotonic() - (queued_s if 0.0 < queued_s < MAX_QUEUED_S else 0.0)
-        try:
-            frame = images.frame(message)
-        except RecordingError as error:
-            self._live.health.log.add_unusable(Role.IMAGE, f'{error.what}; {error.todo}')
-            return
+        frame = images.frame(message)
         self._camera_frame = message.header.frame_id
         self._poll_imu()
         self._live.image(frame, self._camera_frame, arrival_s)
@@ -107,15 +110,11 @@ class TrackerNode:
             self._live.imu(topics.IMU_SAMPLE.value(message), message.header.frame_id, time.monotonic())
 
     def _on_regions(self, message: PointCloud2) -> None:
-        self._live.regions(topics.search_regions(message), time.monotonic())
+        self._live.regions(clouds.search_regions(message), time.monotonic())
         self._work()
 
     def _on_camera(self, message: CameraInfo) -> None:
-        try:
-            camera = topics.camera_intrinsics(message)
-        except RecordingError as error:
-            self._live.health.log.add_event(f'{Role.CAMERA_INFO}: {error}', time.monotonic())
-            return
+        camera = topics.camera_intrinsics(message)
         self._live.camera(camera, message.header.frame_id, time.monotonic())
 
     def _on_transforms(self, message: TFMessage) -> None:

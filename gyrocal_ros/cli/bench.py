@@ -66,8 +66,8 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
 
 CASES: dict[str, Callable[[], list[str]]] = {
     'accuracy': lambda: [case[0] for case in accuracy_cases(quick=False)],
-    'faults': lambda: [*KINDS, SEMANTIC, SOUND],
     'blind': lambda: [*(case.label for case in blind_cases()), *stranger_labels()],
+    'faults': lambda: [*KINDS, SEMANTIC, SOUND],
 }
 """Labels of the cases of the benches that can run some of them."""
 

@@ -1,4 +1,4 @@
-"""A small part of the fault suite, and proof that its verdicts can fail. All of it: `gyrocal bench faults`."""
+"""A small part of the fault suite, and tests of its verdicts. All of it: `gyrocal bench faults`."""
 
 from __future__ import annotations
 

@@ -64,6 +64,7 @@ def damage_camera_info(random: Random, base: Path, folder: Path) -> Path:
     def change(random: Random, info: Any) -> None:
         kind = random.randrange(5)
         if kind == 0:
+            info.k = info.k.copy()  # the decoded one cannot be written
             info.k[random.randrange(9)] = random.choice(STRANGE_NUMBERS)
         elif kind == 1:
             info.d = np.array([random.choice(STRANGE_NUMBERS) for _ in range(random.randrange(15))])

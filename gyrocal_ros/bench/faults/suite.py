@@ -24,6 +24,7 @@ from gyrocal_ros.bench.faults.isolated import Outcome, run_isolated
 from gyrocal_ros.bench.faults.kills import kill_while_writing
 from gyrocal_ros.bench.faults.semantic import semantic_cases, write_faulty_recording
 from gyrocal_ros.bench.faults.serial_line import feed_damaged_line
+from gyrocal_ros.effects import SCALE_FACTOR
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import shipped
 from gyrocal_ros.sim.scenarios import find_scenario
@@ -31,6 +32,8 @@ from gyrocal_ros.sim.world import SimSource
 
 Command: TypeAlias = Callable[[Sequence[str]], int]
 """The command line: arguments to exit status."""
+
+SCALE_STD = f'{SCALE_FACTOR}_std'
 
 BASE_SEED, BASE_S, IMAGES_S = 7, 25.0, 3.0
 """Seed and length of the recordings that are damaged, without and with images."""
@@ -108,13 +111,13 @@ def judged(outcome: Outcome, scale_factor: float) -> tuple[Verdict, str]:
         result = json.loads(outcome.output)
     except ValueError:
         return Verdict.SURVIVED, errors
-    if 'scale_factor' not in result:
+    if SCALE_FACTOR not in result:
         return Verdict.SURVIVED, errors
     if not result['converged']:
         return Verdict.NOT_CONVERGED, errors
-    error = abs(result['scale_factor'] - scale_factor)
-    limit = max(SILENT_SIGMA * result['scale_factor_std'], SILENT_SHARE * abs(scale_factor))
-    text = f'{result["scale_factor"]:.5f} +- {result["scale_factor_std"]:.5f}, true {scale_factor:.5f}'
+    error = abs(result[SCALE_FACTOR] - scale_factor)
+    limit = max(SILENT_SIGMA * result[SCALE_STD], SILENT_SHARE * abs(scale_factor))
+    text = f'{result[SCALE_FACTOR]:.5f} +- {result[SCALE_STD]:.5f}, true {scale_factor:.5f}'
     return (Verdict.RIGHT if error <= limit else Verdict.WRONG), text
 
 

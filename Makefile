@@ -13,7 +13,7 @@ PYTHON ?= $(firstword $(shell for python in python3.12 python3.11 python3 python
 unexport PYTHONPATH
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help venv demo test quick gate lint types format docs transcripts clean
+.PHONY: help venv demo test quick gate audit lint types format docs transcripts clean
 
 help:
 	@echo 'make demo    calibrate on the bag that comes with the package'
@@ -25,6 +25,7 @@ help:
 	@echo 'make format  let ruff format the code'
 	@echo 'make docs    build the documentation as a web site, build/site/index.html'
 	@echo 'make transcripts  run the commands of the documentation and compare what they print; takes minutes'
+	@echo 'make audit   compare the installed versions with the published vulnerabilities'
 	@echo 'make venv    set up .venv alone; its bin/gyrocal is the command'
 	@echo 'make clean   remove .venv and the caches'
 
@@ -44,6 +45,10 @@ test: $(READY)
 
 quick: $(READY)
 	$(BIN)/python -m pytest -n auto --dist loadfile -m 'not slow'
+
+audit: $(READY)
+	$(BIN)/python -m pip install --quiet pip-audit
+	$(BIN)/pip-audit --strict --skip-editable --progress-spinner off
 
 gate: $(READY)
 	$(BIN)/gyrocal bench --quick

@@ -33,6 +33,10 @@ class RecordingError(GyrocalError):
     """A bag that cannot be read, or lacks data that the command needs."""
 
 
+class MessageError(RecordingError):
+    """One message whose content cannot be used. It is left out and counted; no message ends a program."""
+
+
 class FilterDivergedError(GyrocalError):
     """The estimate is inconsistent with the measurements; its values would be meaningless."""
 

@@ -6,9 +6,12 @@ complete.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import os
+import re
+import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,6 +21,9 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.errors import GyrocalError
+
+AT_FDCWD, RENAME_EXCHANGE = -100, 2
+"""Constants of the system call renameat2, see its manual page."""
 
 
 def shipped(name: str) -> Path:
@@ -52,12 +58,14 @@ def write_text_atomic(path: Path, text: str, *, overwrite: bool = False) -> None
     Raises:
         GyrocalError: the file exists and may not be replaced, or cannot be written.
     """
-    path = path.resolve()
-    if path.exists() and not overwrite:
-        raise GyrocalError('exists already', where=str(path), todo='choose another name or give --overwrite')
-    part = _temporary_path(path)
     with _reported_os_errors(path):
+        path = path.resolve()
+        if path.exists() and not overwrite:
+            todo = 'choose another name or give --overwrite'
+            raise GyrocalError('exists already', where=str(path), todo=todo)
+        part = _temporary_path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
+        _recover(path)
         try:
             with part.open('w', encoding='utf-8') as file:
                 file.write(text)
@@ -82,27 +90,31 @@ def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     Args:
         path: the folder to create; missing parents are created, and an existing empty one is accepted.
         overwrite: accept a folder that contains files. Files of the same name are replaced, all others
-            are kept, so that no file of the user is lost by a mistyped path.
+            are kept, so that no file of the user is lost by a mistyped path. The folder is exchanged as a
+            whole: after an interruption it holds the old files or the new ones, never some of each.
 
     Raises:
         GyrocalError: the folder contains files and may not be written, or cannot be created.
     """
-    path = path.resolve()
-    if path.is_file():
-        raise GyrocalError('is a file, not a folder', where=str(path), todo='choose another name')
     with _reported_os_errors(path):
+        path = path.resolve()
+        if path.is_file():
+            raise GyrocalError('is a file, not a folder', where=str(path), todo='choose another name')
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _recover(path)
         occupied = path.is_dir() and any(path.iterdir())
         if occupied and not overwrite:
             raise GyrocalError(
                 'is not empty', where=str(path), todo='choose another name or give --overwrite'
             )
         part = _temporary_path(path)
-        part.mkdir(parents=True)
+        part.mkdir()
     try:
         yield part
         with _reported_os_errors(path):
             if occupied:
-                _move_files(part, path)
+                _link_other_files(path, part)
+                _exchange(part, path)
             else:
                 part.replace(path)
     finally:
@@ -122,15 +134,75 @@ def _plain(value: Any) -> Any:
 
 
 def _temporary_path(path: Path) -> Path:
-    """Return the temporary name beside `path`, so that renaming stays within one file system."""
-    return path.parent / f'.{path.name}.{os.getpid()}.part'
+    """Return a temporary name beside `path` that no other process uses, in the same file system.
+
+    It holds the process, by which abandoned ones are told, and a random part: after a restart of the
+    computer another process may have the same number. A long name is shortened, as a name has 255 bytes.
+    """
+    return path.parent / f'.{_short(path.name)}.{os.getpid()}.{secrets.token_hex(4)}.part'
 
 
-def _move_files(source: Path, target: Path) -> None:
-    for file in sorted(item for item in source.rglob('*') if not item.is_dir()):
-        place = target / file.relative_to(source)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        file.replace(place)
+def _short(name: str) -> str:
+    return os.fsdecode(os.fsencode(name)[:200])
+
+
+def _link_other_files(folder: Path, part: Path) -> None:
+    """Add the files of a folder that have no successor to the folder that will replace it."""
+    for file in sorted(folder.rglob('*')):
+        place = part / file.relative_to(folder)
+        if file.is_dir() and not file.is_symlink():
+            place.mkdir(exist_ok=True)
+        elif not place.exists() and not place.is_symlink():
+            place.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(file, place, follow_symlinks=False)
+            except OSError:  # a file system without hard links
+                shutil.copy2(file, place, follow_symlinks=False)
+
+
+def _exchange(part: Path, path: Path) -> None:
+    """Exchange a folder for its successor, which then has the name of the temporary one.
+
+    Linux does this in one step. Elsewhere it takes two renames, and after an interruption between them
+    `_recover` puts the old folder back.
+    """
+    renameat2 = getattr(ctypes.CDLL(None), 'renameat2', None)
+    names = AT_FDCWD, os.fsencode(part), AT_FDCWD, os.fsencode(path)
+    if renameat2 is not None and renameat2(*names, RENAME_EXCHANGE) == 0:
+        return
+    old = path.with_name(f'{part.name}.old')
+    path.replace(old)
+    try:
+        part.replace(path)
+    except BaseException:
+        old.replace(path)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _recover(path: Path) -> None:
+    """Remove temporary files of processes that were killed; put back a folder that one had renamed."""
+    pattern = re.compile(rf'\.{re.escape(_short(path.name))}\.(\d+)\.[0-9a-f]{{8}}\.part(\.old)?')
+    for item in path.parent.iterdir():
+        match = pattern.fullmatch(item.name)
+        if match is None or _is_running(int(match[1])):
+            continue
+        if match[2] and not path.exists():
+            item.replace(path)
+        elif item.is_dir():
+            shutil.rmtree(item, ignore_errors=True)
+        else:
+            item.unlink(missing_ok=True)
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 @contextmanager

@@ -134,3 +134,23 @@ def test_a_discarded_file_is_renamed(tmp_path: Path) -> None:
     assert not path.exists()
     assert store.may_replace(calibration(converged=False))
     assert CalibrationStore(path).load(Config()) is None
+
+
+def test_no_renamed_file_is_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / 'calibration.yaml'
+    for number in range(13):
+        path.write_text(f'number: {number}')
+        assert CalibrationStore(path).load(Config()) is None
+    texts = {file.name: file.read_text() for file in tmp_path.iterdir()}
+    assert len(texts) == 10, 'the oldest beyond ten are removed'
+    assert texts['calibration.yaml.bad.13'] == 'number: 12'
+    assert texts['calibration.yaml.bad.4'] == 'number: 3'
+    assert CalibrationStore(path).discard() == ''
+
+
+def test_a_discarded_file_does_not_replace_an_earlier_one(tmp_path: Path) -> None:
+    store = CalibrationStore(tmp_path / 'calibration.yaml')
+    for _ in range(2):
+        store.save(calibration(), Config())
+        store.discard()
+    assert {file.name for file in tmp_path.iterdir()} == {'calibration.yaml.old', 'calibration.yaml.old.2'}

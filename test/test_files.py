@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -77,6 +79,67 @@ def test_overwriting_replaces_only_files_of_the_same_name(tmp_path: Path) -> Non
         'sub/b.html': 'b',
     }
     assert [item.name for item in tmp_path.iterdir()] == ['out']
+
+
+@pytest.mark.parametrize('exchange', [True, False], ids=['one step', 'two renames'])
+def test_a_failed_overwrite_leaves_the_old_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exchange: bool
+) -> None:
+    target = tmp_path / 'out'
+    (target / 'sub').mkdir(parents=True)
+    (target / 'a').write_text('old')
+    (target / 'sub' / 'b').write_text('old')
+    if not exchange:
+        monkeypatch.setattr(files, 'RENAME_EXCHANGE', 0)  # fails: the name exists
+    with pytest.raises(RuntimeError), new_folder(target, overwrite=True) as folder:
+        (folder / 'a').write_text('new')
+        raise RuntimeError
+    assert (target / 'a').read_text() == 'old'
+    with new_folder(target, overwrite=True) as folder:
+        (folder / 'a').write_text('new')
+    assert (target / 'a').read_text() == 'new'
+    assert (target / 'sub' / 'b').read_text() == 'old'
+    assert [item.name for item in tmp_path.iterdir()] == ['out']
+
+
+def abandoned(path: Path, ending: str = '.part', process: int | None = None) -> Path:
+    """Return the name of a temporary folder of a process, one that has ended if none is given."""
+    if process is None:
+        ended = subprocess.Popen(['true'])
+        ended.wait()
+        process = ended.pid
+    return path.with_name(f'.{path.name}.{process}.0123abcd{ending}')
+
+
+def test_temporary_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
+    target = tmp_path / 'out'
+    dead, alive = abandoned(target), abandoned(target, process=os.getpid())
+    other = abandoned(tmp_path / 'another')
+    for folder in (dead, alive, other):
+        folder.mkdir()
+        (folder / 'half').write_text('half')
+    with new_folder(target) as folder:
+        (folder / 'a').write_text('a')
+    assert {item.name for item in tmp_path.iterdir()} == {'out', alive.name, other.name}
+
+
+def test_a_folder_that_a_killed_process_had_renamed_is_put_back(tmp_path: Path) -> None:
+    target = tmp_path / 'out'
+    renamed = abandoned(target, '.part.old')
+    renamed.mkdir()
+    (renamed / 'mine').write_text('mine')
+    with pytest.raises(GyrocalError, match='not empty'), new_folder(target):
+        pytest.fail('the block must not be entered')
+    assert (target / 'mine').read_text() == 'mine'
+
+
+def test_names_that_are_too_long_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(GyrocalError, match='cannot be written'):
+        write_text_atomic(tmp_path / ('a' * 300), 'text')
+    with pytest.raises(GyrocalError, match='cannot be written'), new_folder(tmp_path / ('a' * 300)):
+        pytest.fail('the block must not be entered')
+    write_text_atomic(tmp_path / ('a' * 250), 'text')
+    assert [len(item.name) for item in tmp_path.iterdir()] == [250]
 
 
 def test_an_empty_folder_may_be_filled(tmp_path: Path) -> None:

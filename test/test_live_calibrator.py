@@ -24,7 +24,7 @@ from gyrocal_ros.data import (
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import model_from_dict
 from gyrocal_ros.files import shipped
-from gyrocal_ros.msgs import topics
+from gyrocal_ros.msgs import clouds, topics
 from gyrocal_ros.msgs.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME, Role
 from gyrocal_ros.msgs.transforms import IDENTITY, UPSIDE_DOWN, Transform
 from gyrocal_ros.pipeline.calibrate import calibrate
@@ -66,7 +66,7 @@ def test_the_sample_bag_in_recording_order_gives_the_result_of_its_replay() -> N
             elif name.endswith('camera_info'):
                 new.live.camera(topics.camera_intrinsics(message), message.header.frame_id, new.now_s)
             elif name.endswith('features'):
-                new.run([topics.features(message)])
+                new.run([clouds.features(message)])
             elif name.strip('/') in (Role.IMU, Role.WHEELS, Role.TEMPERATURE):
                 new.run([topics.field_conversion(Role(name.strip('/')), kind).value(message)])
             last_ns = max(last_ns, topics.stamp_ns(message) if hasattr(message, 'header') else 0)

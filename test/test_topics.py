@@ -29,7 +29,7 @@ from gyrocal_ros.data import (
     WheelSample,
 )
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs import images, to_ros, topics
+from gyrocal_ros.msgs import clouds, images, to_ros, topics
 from gyrocal_ros.msgs.to_ros import MessageMaker, live_maker
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import (
@@ -102,7 +102,7 @@ def test_truth_and_heading(make: MessageMaker, yaw_rad: float) -> None:
 
 def test_features(make: MessageMaker) -> None:
     seen = FeatureObservations(T_NS, np.array([3, 2**32 - 1]), np.array([[1.5, 2.5], [639.0, 0.25]]))
-    back = topics.features(to_ros.features(make, seen))
+    back = clouds.features(to_ros.features(make, seen))
     assert back.t_ns == T_NS
     assert back.ids.dtype == np.int64
     np.testing.assert_array_equal(back.ids, seen.ids)
@@ -112,29 +112,29 @@ def test_features(make: MessageMaker) -> None:
 def test_features_with_covariances(make: MessageMaker) -> None:
     covariances = np.array([[[0.25, 0.125], [0.125, 0.5]], [[1.0, 0.0], [0.0, 1.0]]])
     seen = FeatureObservations(T_NS, np.array([3, 4]), np.array([[1.5, 2.5], [639.0, 0.25]]), covariances)
-    back = topics.features(to_ros.features(make, seen))
+    back = clouds.features(to_ros.features(make, seen))
     np.testing.assert_array_equal(back.covariances_px2, covariances)
-    assert topics.features(to_ros.features(make, replace(seen, covariances_px2=None))).covariances_px2 is None
+    assert clouds.features(to_ros.features(make, replace(seen, covariances_px2=None))).covariances_px2 is None
 
 
 @pytest.mark.parametrize('bad', [np.nan, 0.0, -1.0], ids=['not a number', 'zero', 'negative'])
 def test_covariances_that_are_none_are_ignored(make: MessageMaker, bad: float) -> None:
     covariances = np.array([[[bad, 0.0], [0.0, 0.5]], [[1.0, 0.0], [0.0, 1.0]]])
     seen = FeatureObservations(T_NS, np.array([3, 4]), np.ones((2, 2)), covariances)
-    back = topics.features(to_ros.features(make, seen))
+    back = clouds.features(to_ros.features(make, seen))
     assert len(back.ids) == 2 and back.covariances_px2 is None
 
 
 def test_an_image_without_features(make: MessageMaker) -> None:
     nothing = FeatureObservations(T_NS, np.zeros(0, np.int64), np.zeros((0, 2)))
-    back = topics.features(to_ros.features(make, nothing))
+    back = clouds.features(to_ros.features(make, nothing))
     assert (back.ids.shape, back.pixels.shape) == ((0,), (0, 2))
 
 
 def test_search_regions(make: MessageMaker) -> None:
     covariances = np.array([[[4.0, 0.5], [0.5, 9.0]]])
     regions = SearchRegions(T_NS, np.array([7]), np.array([[1.0, 2.0]]), covariances)
-    back = topics.search_regions(to_ros.search_regions(make, regions))
+    back = clouds.search_regions(to_ros.search_regions(make, regions))
     np.testing.assert_array_equal(back.covariances_px2, covariances)
     np.testing.assert_array_equal(back.pixels, regions.pixels)
 
@@ -166,11 +166,11 @@ def test_point_clouds_with_another_layout(order: str) -> None:
         point_step=32,
         data=array('B', points.tobytes()),
     )
-    seen = topics.features(cloud)
+    seen = clouds.features(cloud)
     np.testing.assert_array_equal(seen.ids, [5, 6])
     np.testing.assert_array_equal(seen.pixels, [[1.0, 3.0], [2.0, 4.0]])
     with pytest.raises(RecordingError, match='cov_uu'):
-        topics.search_regions(cloud)
+        clouds.search_regions(cloud)
 
 
 LENSES = {

@@ -140,10 +140,10 @@ def _stamp_issues(scan: TopicScan, reorder_window_s: float) -> Iterator[BagIssue
 
 
 def _nan_issues(scan: TopicScan) -> Iterator[BagIssue]:
-    if scan.not_finite:
-        share = scan.not_finite / scan.stamps.count
+    if scan.invalid:
+        share = scan.invalid / scan.topic.count
         severity = ERROR if share > MAX_NAN_SHARE else WARNING
-        text = f'{scan.not_finite} of {scan.stamps.count} messages are not finite (NaN)'
+        text = f'{scan.invalid} of {scan.topic.count} messages are damaged or not finite (NaN)'
         yield _issue(scan, severity, 'not_finite', text, 'they are left out; check the driver')
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
@@ -14,10 +13,11 @@ from gyrocal_ros.bag.rig import Geometry
 from gyrocal_ros.bag.selection import NEEDED_ROLES, Selection
 from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.data import NS_PER_S, CovariateSample, Measurement
-from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs import images, topics
+from gyrocal_ros.errors import MessageError, RecordingError
+from gyrocal_ros.msgs import clouds, images, topics
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.mounts import into_body_axes
+from gyrocal_ros.msgs.plausible import MAX_DISTANCE_M, MAX_NUMBER, MAX_READING, plausible
 from gyrocal_ros.msgs.topics import STAMP_FIELDS, FieldConversion, Role
 
 MAX_INVALID_SHARE, MAX_INVALID = 0.1, 10
@@ -54,24 +54,36 @@ class MessageDecoder:
         self.issues: list[BagIssue] = []
         """Topics that had to be left out."""
         self.invalid: Counter[str] = Counter()
-        """Number of messages of each topic that were left out as invalid (NaN, a damaged image)."""
+        """Number of messages of each topic that were left out as invalid (NaN, damaged)."""
         self.stamp_offset_ns = 0
         """Latest stamp minus its time of recording; set by the user of the decoder."""
-        self._storage, self._geometry, self._other_clock_ns = storage, geometry, other_clock_ns
-        self._needed = {topic.name for role, topic in selection.topics.items() if role in NEEDED_ROLES}
         self.streams: list[tuple[Topic, Decode]] = []
         """Each topic in use with its decoder; a topic with two roles appears twice."""
+        self._storage, self._geometry, self._other_clock_ns = storage, geometry, other_clock_ns
+        self._needed = {topic.name for role, topic in selection.topics.items() if role in NEEDED_ROLES}
         for role in Role:
             if role in selection.topics and role is not Role.CAMERA_INFO:
                 topic = selection.topics[role]
-                self.streams.append((topic, self._role_decoder(role, topic)))
+                self.streams.append((topic, self._checked(topic, self._role_decoder(role, topic))))
         for name, topic in selection.others.items() if with_covariates else ():
             try:
-                self.streams.append((topic, self._covariate_decoder(topic, name)))
+                self.streams.append((topic, self._checked(topic, self._covariate_decoder(topic, name))))
             except RecordingError as error:
                 self.issues.append(
                     BagIssue(Severity.WARNING, 'unknown_type', topic.name, f'is left out: {error.what}')
                 )
+
+    def _checked(self, topic: Topic, decode: Decode) -> Decode:
+        """Return a decoder that leaves out and counts messages that cannot be used."""
+
+        def checked(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
+            try:
+                return decode(raw, recorded_ns)
+            except MessageError as error:
+                self._count_invalid(topic, error)
+                return ()
+
+        return checked
 
     def _role_decoder(self, role: Role, topic: Topic) -> Decode:
         if role is Role.FEATURES:
@@ -84,23 +96,24 @@ class MessageDecoder:
             conversion = FieldConversion(
                 conversion.fields, lambda *values: rotate(topics.imu_sample(*values))
             )
-        return self._field_decoder(topic, conversion)
+        bound = MAX_DISTANCE_M if role in (Role.TRUTH, Role.HEADING) else MAX_READING
+        return self._field_decoder(topic, conversion, bound)
 
-    def _field_decoder(self, topic: Topic, conversion: FieldConversion[Measurement]) -> Decode:
+    def _field_decoder(self, topic: Topic, conversion: FieldConversion[Measurement], bound: float) -> Decode:
         read, build = self._storage.reader_of(topic, conversion.fields), conversion.build
 
         def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
             values = read(raw)
-            if math.isfinite(sum(values)):
-                return (build(*values),)
-            self._count_invalid(topic, 'the numbers are not finite (NaN)', 'check the driver of this sensor')
-            return ()
+            if not plausible(values, bound):
+                what = 'the numbers are not finite (NaN), or impossibly large'
+                raise MessageError(what, todo='check the driver of this sensor')
+            return (build(*values),)
 
         return decode
 
     def _feature_decoder(self, topic: Topic) -> Decode:
         def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
-            return (topics.features(self._storage.message(topic, raw)),)
+            return (clouds.features(self._storage.message(topic, raw)),)
 
         return decode
 
@@ -109,11 +122,7 @@ class MessageDecoder:
         assert camera, 'images are not selected without camera_info'
 
         def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
-            try:
-                frame = images.frame(self._storage.message(topic, raw))
-            except RecordingError as error:
-                self._count_invalid(topic, error.what, error.todo)
-                return ()
+            frame = images.frame(self._storage.message(topic, raw))
             images.require_camera_size(frame, camera, f'{self._storage.path}, {topic.name}')
             return (frame,)
 
@@ -139,7 +148,7 @@ class MessageDecoder:
             return [
                 CovariateSample(t_ns, full_name, float(value))
                 for full_name, value in zip(names, values, strict=True)
-                if math.isfinite(value)
+                if abs(value) < MAX_NUMBER
             ]
 
         return decode
@@ -148,10 +157,10 @@ class MessageDecoder:
         """Return the offset from the time of recording to the stamps, 0 unless they use different clocks."""
         return self.stamp_offset_ns if abs(self.stamp_offset_ns) > self._other_clock_ns else 0
 
-    def _count_invalid(self, topic: Topic, what: str, todo: str) -> None:
+    def _count_invalid(self, topic: Topic, error: MessageError) -> None:
         """Count an invalid message; raise an error if a needed topic has too many of them."""
         self.invalid[topic.name] += 1
         count = self.invalid[topic.name]
         if topic.name in self._needed and count > max(MAX_INVALID, MAX_INVALID_SHARE * topic.count):
             place = f'{self._storage.path}, {topic.name}'
-            raise RecordingError(f'{what} in at least {count} messages', where=place, todo=todo)
+            raise RecordingError(f'{error.what} in at least {count} messages', where=place, todo=error.todo)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -10,11 +9,11 @@ from typing import TypeVar
 import numpy as np
 
 from gyrocal_ros.bag.selection import Selection
-from gyrocal_ros.bag.storage import DAMAGED, Storage, Topic, damaged_message
+from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.bag.topic_stats import TurnStats, compare_turns
 from gyrocal_ros.config.sections import CameraConfig
 from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, Mount, Rig
-from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.errors import MessageError, RecordingError
 from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.msgs.mounts import (
     REST_NS,
@@ -23,6 +22,7 @@ from gyrocal_ros.msgs.mounts import (
     mount_from_settings,
     mount_from_transforms,
 )
+from gyrocal_ros.msgs.plausible import plausible
 from gyrocal_ros.msgs.topics import (
     IMU_SAMPLE,
     FieldConversion,
@@ -187,7 +187,7 @@ def _turn_opposite(storage: Storage, imu: Topic, R_bi: Array, heading: Topic) ->
 
 
 def _first_samples(storage: Storage, topic: Topic, conversion: FieldConversion[T], length_ns: int) -> list[T]:
-    """Return the samples of a topic over its first `length_ns`, without those that contain NaN."""
+    """Return the samples of a topic over its first `length_ns`, without invalid ones."""
     read = storage.reader_of(topic, conversion.fields)
     samples: list[T] = []
     start_ns: int | None = None
@@ -197,8 +197,8 @@ def _first_samples(storage: Storage, topic: Topic, conversion: FieldConversion[T
             break
         try:
             values = read(raw)
-        except DAMAGED as error:
-            raise damaged_message(storage.path, topic.name, error) from error
-        if math.isfinite(sum(values)):
+        except MessageError:
+            continue
+        if plausible(values):
             samples.append(conversion.build(*values))
     return samples

@@ -12,10 +12,12 @@ import numpy as np
 from gyrocal_ros.bag.fields import FieldReader
 from gyrocal_ros.bag.rig import read_imu_rotation
 from gyrocal_ros.bag.selection import Selection
-from gyrocal_ros.bag.storage import DAMAGED, Storage, Topic, damaged_message
+from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.bag.topic_stats import ImuStats, StampStats, TurnStats
 from gyrocal_ros.data import NS_PER_S, Array, IntArray
+from gyrocal_ros.errors import MessageError
 from gyrocal_ros.msgs.issues import BagIssue
+from gyrocal_ros.msgs.plausible import MAX_READING
 from gyrocal_ros.msgs.topics import (
     IMU_SAMPLE,
     STAMP_FIELDS,
@@ -42,14 +44,18 @@ class TopicScan:
     read: FieldReader
     handle: BlockHandler
     stamps: StampStats
-    not_finite: int = 0
-    """Number of messages with a number that is NaN or infinite."""
+    invalid: int = 0
+    """Number of messages that are damaged, or have a number that is not finite or impossibly large."""
     _rows: list[tuple[float, ...]] = field(default_factory=list)
     _recorded_ns: list[int] = field(default_factory=list)
 
     def add(self, recorded_ns: int, raw: bytes) -> None:
-        """Add one message."""
-        self._rows.append(self.read(raw))
+        """Add one message; a damaged one is counted only."""
+        try:
+            self._rows.append(self.read(raw))
+        except MessageError:
+            self.invalid += 1
+            return
         self._recorded_ns.append(recorded_ns)
         if len(self._rows) == BLOCK_SIZE:
             self.finish()
@@ -62,10 +68,10 @@ class TopicScan:
         self._rows, self._recorded_ns = [], []
         stamps_ns = rows[:, 0].astype(np.int64) * NS_PER_S + rows[:, 1].astype(np.int64)
         self.stamps.add(stamps_ns, recorded_ns)
-        finite = np.isfinite(rows).all(axis=1)
-        self.not_finite += int(np.count_nonzero(~finite))
-        if finite.any():
-            self.handle(stamps_ns[finite], rows[finite, 2:])
+        valid = (np.abs(rows[:, 2:]) < MAX_READING).all(axis=1)
+        self.invalid += int(np.count_nonzero(~valid))
+        if valid.any():
+            self.handle(stamps_ns[valid], rows[valid, 2:])
 
 
 @dataclass(slots=True)
@@ -148,10 +154,7 @@ def _read_messages(storage: Storage, scans: Sequence[TopicScan]) -> None:
     used = {scan.topic.name: scan.topic for scan in scans}
     for name, recorded_ns, raw in storage.raw_messages(used.values()):
         for scan in by_topic[name]:
-            try:
-                scan.add(recorded_ns, raw)
-            except DAMAGED as error:
-                raise damaged_message(storage.path, name, error) from error
+            scan.add(recorded_ns, raw)
     for scan in scans:
         scan.finish()
 

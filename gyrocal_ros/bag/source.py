@@ -9,7 +9,7 @@ from pathlib import Path
 from gyrocal_ros.bag.decode import Decode, MessageDecoder
 from gyrocal_ros.bag.rig import Geometry, read_geometry
 from gyrocal_ros.bag.selection import Selection, TopicOptions, parse_remap, remap_roles, select_topics
-from gyrocal_ros.bag.storage import DAMAGED, Storage, damaged_message, open_storage
+from gyrocal_ros.bag.storage import Storage, open_storage
 from gyrocal_ros.config.sections import Config, RecordingConfig
 from gyrocal_ros.data import ClockStep, Measurement, Rig, Span, nanoseconds
 from gyrocal_ros.msgs import topics
@@ -151,10 +151,7 @@ def _read_sorted(
     used = {topic.name: topic for topic, _ in decoder.streams}
     for name, recorded_ns, raw in storage.raw_messages(used.values()):
         for stream, decode in decoders[name]:
-            try:
-                samples = decode(raw, recorded_ns)
-            except DAMAGED as error:
-                raise damaged_message(storage.path, name, error) from error
+            samples = decode(raw, recorded_ns)
             if samples:
                 t_ns = samples[0].t_ns
                 decoder.stamp_offset_ns = t_ns - recorded_ns
@@ -173,7 +170,7 @@ def _drop_issues(decoder: MessageDecoder, reorderer: Reorderer[Sequence[Measurem
         if counts:
             yield _drop_issue(drop, counts, predicate)
     if decoder.invalid:
-        yield _drop_issue('meaningless', decoder.invalid, 'are invalid (NaN, or a damaged image)')
+        yield _drop_issue('meaningless', decoder.invalid, 'are invalid (NaN, or damaged)')
 
 
 def _drop_issue(kind: str, counts: Mapping[str, int], predicate: str) -> BagIssue:

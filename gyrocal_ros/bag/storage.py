@@ -6,7 +6,6 @@ All access to the files goes through this module, which converts every failure o
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,16 +18,17 @@ from typing import Any
 from rosbags import rosbag1, rosbag2
 from rosbags.convert.converter import migrate_message
 from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from gyrocal_ros.bag.bounds import require_bounded
 from gyrocal_ros.bag.fields import FieldReader, field_reader
-from gyrocal_ros.errors import GyrocalError, RecordingError
+from gyrocal_ros.data import NS_PER_S
+from gyrocal_ros.errors import GyrocalError, MessageError, RecordingError
 
 STORAGE_FILES = ('.mcap', '.db3')
-DAMAGED = (struct.error, SerdeError, UnicodeDecodeError)
-"""Exceptions that decoding a damaged message raises."""
+MAX_DURATION_NS = 366 * 86400 * NS_PER_S
+"""Longest duration of a recording; a longer one has damaged times."""
 IDL_SEPARATOR = '=' * 80 + '\n'
 """Separator of the types in a definition in IDL."""
 
@@ -106,28 +106,32 @@ class Storage:
             yield self.message(topic, raw)
 
     def first_message(self, topic: Topic) -> Any:
-        """Return the first message of a topic, completely decoded.
+        """Return the first message of a topic that is not damaged, completely decoded.
 
         Raises:
-            RecordingError: there is no message, it is damaged, or its type is unknown.
+            RecordingError: there is no such message, or its type is unknown.
         """
-        for message in self.messages(topic):
-            return message
-        raise RecordingError('has no messages', where=f'{self.path}, {topic.name}', todo='record it again')
+        for _, _, raw in self.raw_messages([topic]):
+            try:
+                return self.message(topic, raw)
+            except MessageError:
+                continue
+        raise RecordingError(
+            'has no readable messages', where=f'{self.path}, {topic.name}', todo='record it again'
+        )
 
     def message(self, topic: Topic, raw: bytes) -> Any:
         """Decode one message completely.
 
         Raises:
-            RecordingError: the message is damaged, or its type is unknown.
+            MessageError: the message is damaged.
+            RecordingError: its type is unknown.
         """
         store = self._store_of(topic)
-        try:
+        with self._damage_as_message_error(topic):
             if self.cdr:
                 return store.deserialize_cdr(raw, topic.type_name)
             return store.deserialize_ros1(raw, topic.type_name)
-        except DAMAGED as error:
-            raise damaged_message(self.path, topic.name, error) from error
 
     def can_publish(self, topic: Topic) -> bool:
         """Return True if ROS 2 can publish the messages of a topic: recorded by ROS 2, or of a known type."""
@@ -149,12 +153,25 @@ class Storage:
     def reader_of(self, topic: Topic, paths: Sequence[str]) -> FieldReader:
         """Return a function that reads a few fields, see `field_reader`.
 
-        That function raises one of `DAMAGED` if a message is damaged.
+        That function raises a `MessageError` if a message is damaged.
 
         Raises:
-            RecordingError: the type of the topic is unknown.
+            RecordingError: the type of the topic is unknown, or lacks a field.
         """
-        return field_reader(self._store_of(topic), topic.type_name, paths, cdr=self.cdr)
+        store = self._store_of(topic)
+        try:
+            read = field_reader(store, topic.type_name, paths, cdr=self.cdr)
+        except KeyError as error:
+            what = f'the definition of {topic.type_name} in the recording is incomplete ({error})'
+            raise RecordingError(what, where=f'{self.path}, {topic.name}', todo='record it again') from error
+
+        def checked(raw: bytes) -> tuple[Any, ...]:
+            try:
+                return read(raw)
+            except Exception as error:
+                raise self._damaged_message(topic, error) from error
+
+        return checked
 
     def has_header(self, topic: Topic) -> bool:
         """Return True if the messages of a topic begin with a header.
@@ -164,6 +181,17 @@ class Storage:
         """
         _, fields = self._store_of(topic).fielddefs[topic.type_name]
         return bool(fields) and fields[0][0] == 'header'
+
+    @contextmanager
+    def _damage_as_message_error(self, topic: Topic) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # decoding a damaged message can raise any exception
+            raise self._damaged_message(topic, error) from error
+
+    def _damaged_message(self, topic: Topic, error: Exception) -> MessageError:
+        where = f'{self.path}, {topic.name}'
+        return MessageError(f'a message is damaged ({_one_line(error)})', where=where, todo='record it again')
 
     def _store_of(self, topic: Topic) -> Typestore:
         """Return the store that contains the type of a topic, from a cache after the first call."""
@@ -219,24 +247,35 @@ def open_storage(path: Path) -> Iterator[Storage]:
     Raises:
         RecordingError: the path does not exist, is not a recording, or the recording is empty or damaged.
     """
-    _require_recording(path)
+    try:
+        _require_recording(path)
+        require_bounded(path)
+    except OSError as error:  # for example a name that is too long
+        what = f'cannot be read ({error.strerror})'
+        raise RecordingError(what, where=str(path), todo='check the path') from error
     with _damage_as_recording_error(path):
         reader = rosbag1.Reader(path) if path.suffix == '.bag' else rosbag2.Reader(path)
         reader.open()
     try:
         storage = Storage(path, reader)
-        if not storage.message_count:
-            raise RecordingError('the bag is empty', where=str(path), todo='record it again')
+        with _damage_as_recording_error(path):
+            _require_contents(storage)
         yield storage
     finally:
         reader.close()
 
 
-def damaged_message(path: Path, topic: str, error: Exception) -> RecordingError:
-    """Return the error to raise when decoding a message has raised one of `DAMAGED`."""
-    return RecordingError(
-        f'a message is damaged ({_one_line(error)})', where=f'{path}, {topic}', todo='record it again'
-    )
+def _require_contents(storage: Storage) -> None:
+    """Raise an error unless a recording has messages and a beginning and end; metadata may have any type."""
+    if not storage.message_count:
+        raise RecordingError('the bag is empty', where=str(storage.path), todo='record it again')
+    numbers = [storage.start_ns, storage.end_ns, storage.message_count]
+    numbers += [topic.count for topic in storage.topics.values()]
+    names = [text for topic in storage.topics.values() for text in (topic.name, topic.type_name)]
+    if not all(type(number) is int for number in numbers) or not all(type(name) is str for name in names):
+        raise ValueError('a number or a name in its metadata has the wrong type')
+    if storage.end_ns - storage.start_ns > MAX_DURATION_NS:
+        raise ValueError('it lasts longer than a year')
 
 
 def _require_recording(path: Path) -> None:

@@ -19,6 +19,7 @@ from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
 from gyrocal_ros.bench.eyes import eyes
+from gyrocal_ros.bench.faults.suite import KINDS, SEMANTIC, SOUND, faults
 from gyrocal_ros.bench.gate import BASELINE, Outcome, baseline_to_dict, gate, load_baseline, measure_baseline
 from gyrocal_ros.bench.growth import growth
 from gyrocal_ros.bench.image_speed import image_speed
@@ -28,6 +29,7 @@ from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.strangers import labels as stranger_labels
 from gyrocal_ros.bench.strangers import strangers
 from gyrocal_ros.bench.tracker import tracker_accuracy
+from gyrocal_ros.cli.main import main
 from gyrocal_ros.cli.numbers import number, whole_number
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, print_row, progress
@@ -46,6 +48,7 @@ gyrocal bench blind --images --seeds 2 --only none gyro_lag
 gyrocal bench blind --strangers --seeds 2
 gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
+gyrocal bench faults --seeds 2 --only clouds images
 gyrocal bench tracker --bag drive_with_images
 gyrocal bench image_speed --bag drive_with_images
 gyrocal bench --quick"""
@@ -61,11 +64,13 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'speed': lambda args: speed(args.quick),
     'image_speed': lambda args: image_speed(args.bag),
     'growth': lambda args: growth(args.quick),
+    'faults': lambda args: faults(args.seeds, args.only, main, quick=args.quick, report=print_message),
 }
 
 CASES: dict[str, Callable[[], list[str]]] = {
     'accuracy': lambda: [case[0] for case in accuracy_cases(quick=False)],
     'blind': lambda: [*(case.label for case in blind_cases()), *stranger_labels()],
+    'faults': lambda: [*KINDS, SEMANTIC, SOUND],
 }
 """Labels of the cases of the benches that can run some of them."""
 
@@ -89,7 +94,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--keep', action='store_true', help='with --quick: keep the figures of this code')
     parser.add_argument(
-        '--only', nargs='+', default=[], metavar='CASE', help='for accuracy and blind: run these cases only'
+        '--only',
+        nargs='+',
+        default=[],
+        metavar='CASE',
+        help='for accuracy, blind and faults: run these cases only',
     )
     parser.add_argument(
         '--bag',

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import signal
 import sys
@@ -83,6 +84,9 @@ def run_program(program: str, work: Callable[[], None]) -> int:
         Exit status: 0 done, 2 an error that the user can fix, 130 interrupted, 141 the reader of the
         output has ended.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors='replace')  # a terminal without UTF-8 must not end the work
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # the filter's matrices are too small for threads
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that half-written results are removed
     try:
@@ -97,7 +101,23 @@ def run_program(program: str, work: Callable[[], None]) -> int:
     except BrokenPipeError:  # the reader, for example `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except OSError as error:
+        place = f'{error.filename}: ' if error.filename else ''
+        _print_error(program, f'{place}{error.strerror or error}; check paths, permissions and free space')
+        return 2
+    except MemoryError:
+        _print_error(program, 'not enough memory; use a shorter recording, or close other programs')
+        return 2
     return 0
+
+
+def _print_error(program: str, text: str) -> None:
+    """Print an error after which the standard output may be unusable."""
+    print(f'{program}: error: {text}', file=sys.stderr)
+    try:
+        sys.stdout.flush()
+    except OSError:  # it is full: let the interpreter flush into nothing at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def command_parser(name: str) -> ArgumentParser:

@@ -10,6 +10,11 @@ import yaml
 
 from gyrocal_ros.errors import ConfigError
 
+MAX_BYTES = 16 * 2**20
+"""Largest file; those of this package have a few kilobytes."""
+MAX_DEPTH = 50
+"""Deepest nesting of lists and mappings."""
+
 
 class YamlLoader(yaml.SafeLoader):
     """Loads `1e-3` as a number, as ROS does; PyYAML requires `1.0e-3`."""
@@ -20,6 +25,24 @@ YamlLoader.add_implicit_resolver(
 )
 
 
+def load_yaml(text: str) -> Any:
+    """Read a YAML text.
+
+    Raises:
+        yaml.YAMLError: it is not YAML, has anchors whose expansion could fill the memory, or is nested
+            too deeply.
+        ValueError: a number or a date in it is impossible.
+    """
+    depth = 0
+    for event in yaml.parse(text, YamlLoader):
+        if isinstance(event, yaml.AliasEvent):
+            raise yaml.YAMLError('aliases (*name) are not supported')
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise yaml.YAMLError(f'nested more than {MAX_DEPTH} levels deep')
+    return yaml.load(text, YamlLoader)
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Read a YAML file that contains a mapping.
 
@@ -27,13 +50,21 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ConfigError: the file does not exist, is not YAML, or contains something else.
     """
     try:
-        tree = yaml.load(path.read_text(encoding='utf-8'), YamlLoader)
+        if path.exists() and not path.is_file():  # reading a pipe would wait for ever
+            raise ConfigError('cannot be read (it is not a file)', where=str(path), todo='check the path')
+        with path.open('rb') as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise ConfigError(
+                f'has more than {MAX_BYTES // 2**20} MB', where=str(path), todo='check the path'
+            )
+        tree = load_yaml(content.decode('utf-8'))
     except OSError as error:
         raise ConfigError(
             f'cannot be read ({error.strerror})', where=str(path), todo='check the path'
         ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        line = str(error).replace('\n', ' ')
+    except (yaml.YAMLError, ValueError) as error:
+        line = ' '.join(str(error).split())
         raise ConfigError(f'is not valid YAML ({line})', where=str(path)) from error
     if not isinstance(tree, dict):
         raise ConfigError('contains no settings', where=str(path), todo='write `name: value` lines')

@@ -19,7 +19,7 @@ from typing import Any, get_args, get_type_hints
 
 import yaml
 
-from gyrocal_ros.config.yaml_file import YamlLoader, read_yaml
+from gyrocal_ros.config.yaml_file import load_yaml, read_yaml
 from gyrocal_ros.effects.library import SCALE_FACTOR
 from gyrocal_ros.effects.registry import default_model, find_effect, load_file, load_installed
 from gyrocal_ros.errors import ConfigError, did_you_mean
@@ -116,7 +116,7 @@ def with_entry(text: str, entry: str | Mapping[str, Any], where: str) -> str:
     Raises:
         ConfigError: the model cannot have that effect, or the style of the text is not supported.
     """
-    tree = yaml.load(text, YamlLoader)
+    tree = load_yaml(text)
     tree['effects'].append(entry)
     if 'version' in tree:
         tree['version'] += 1
@@ -126,7 +126,7 @@ def with_entry(text: str, entry: str | Mapping[str, Any], where: str) -> str:
     line = entry if isinstance(entry, str) else yaml.safe_dump(entry, default_flow_style=True, width=1000)
     added = _after_last(text, _nodes(text)['effects'], line.strip())
     try:
-        if model_from_dict(yaml.load(added, YamlLoader), where) == wanted:
+        if model_from_dict(load_yaml(added), where) == wanted:
             return added
     except yaml.YAMLError:
         pass

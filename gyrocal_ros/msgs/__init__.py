@@ -1,6 +1,7 @@
 """Conversion between ROS messages and the values of `data`, shared by bags and live nodes.
 
 topics       topic names and types; messages to values
+clouds       point clouds of features and search regions
 to_ros       values to messages of the recorded topics
 outputs      estimates to messages of the calibrator's topics
 images       image messages

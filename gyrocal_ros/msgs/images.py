@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal_ros.data import CameraIntrinsics, Frame
-from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.errors import MessageError, RecordingError
 from gyrocal_ros.msgs import topics
+from gyrocal_ros.msgs.image_size import declared_size
 from gyrocal_ros.msgs.to_ros import MessageMaker
 
 _PIXEL_FORMATS: dict[str, tuple[type[np.generic], int]] = {
@@ -56,11 +57,15 @@ _TO_GREY = {
 """OpenCV conversion to grey, by encoding; the other encodings are grey already."""
 
 
+MAX_PIXELS = 50_000_000
+"""Largest number of pixels of an image."""
+
+
 def frame(message: Any) -> Frame:
     """Convert an Image or a CompressedImage to a grey image.
 
     Raises:
-        RecordingError: the encoding is not supported, or the data are damaged.
+        MessageError: the image is too large, the encoding is not supported, or the data are damaged.
     """
     t_ns = topics.stamp_ns(message)
     return Frame(t_ns, _raw_image(message) if hasattr(message, 'encoding') else _compressed_image(message))
@@ -100,24 +105,29 @@ def require_camera_size(frame: Frame, camera: CameraIntrinsics, where: str) -> N
 
 def _raw_image(message: Any) -> NDArray[np.uint8]:
     pixels = _pixels(message)
-    if message.encoding in _TO_GREY:
+    if message.encoding not in _TO_GREY:
+        return pixels
+    try:
         return np.asarray(cv2.cvtColor(pixels, _TO_GREY[message.encoding]), np.uint8)
-    return pixels
+    except cv2.error as error:  # for example YUV of an odd width
+        size = f'{message.width}x{message.height}'
+        raise MessageError(f'an image of {size} cannot be {message.encoding}') from error
 
 
 def _pixels(message: Any) -> NDArray[np.uint8]:
     """Return the pixels (height, width) or (height, width, channels) in the channels of the encoding."""
     encoding, height, width = message.encoding, message.height, message.width
     if encoding not in _PIXEL_FORMATS:
-        raise RecordingError(
+        raise MessageError(
             f'images are encoded as {encoding!r}', todo=f'record them as one of {", ".join(_PIXEL_FORMATS)}'
         )
+    _require_size(width, height)
     scalar, channels = _PIXEL_FORMATS[encoding]
     row_bytes = width * channels * np.dtype(scalar).itemsize
     step = message.step or row_bytes
     data = np.frombuffer(message.data, np.uint8)
     if step < row_bytes or len(data) < height * step:
-        raise RecordingError(f'an image of {width}x{height} holds only {len(data)} bytes')
+        raise MessageError(f'an image of {width}x{height} holds only {len(data)} bytes')
     rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row_bytes])
     dtype = np.dtype(scalar).newbyteorder('>' if message.is_bigendian else '<')
     pixels = rows.view(dtype).reshape((height, width, channels) if channels > 1 else (height, width))
@@ -127,13 +137,27 @@ def _pixels(message: Any) -> NDArray[np.uint8]:
 
 
 def _compressed_image(message: Any) -> NDArray[np.uint8]:
-    return _decoded(np.frombuffer(message.data, np.uint8))
+    data = np.frombuffer(message.data, np.uint8)
+    _require_size(*declared_size(data.tobytes()))  # before a few bytes become gigabytes
+    return _decoded(data)
+
+
+def _require_size(width: int, height: int) -> None:
+    """Raise an error unless an image has pixels, and not too many."""
+    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+        what = f'an image has {width}x{height} pixels, allowed are 1 to {MAX_PIXELS}'
+        raise MessageError(what, todo='check the driver of the camera')
 
 
 def _decoded(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    pixels = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
+    try:
+        pixels = (
+            cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
+        )
+    except cv2.error:
+        pixels = None
     if pixels is None:
-        raise RecordingError('a compressed image cannot be decoded', todo='record jpeg or png images')
+        raise MessageError('a compressed image cannot be decoded', todo='record jpeg or png images')
     return np.asarray(pixels, np.uint8)
 
 

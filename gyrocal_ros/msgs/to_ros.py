@@ -26,7 +26,7 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
-from gyrocal_ros.msgs import topics
+from gyrocal_ros.msgs import clouds, topics
 from gyrocal_ros.msgs.transforms import Transform, quaternion_from_rotation, quaternion_from_yaw
 
 BATTERY_NUMBERS = ('voltage', 'temperature', 'current', 'charge', 'capacity', 'design_capacity', 'percentage')
@@ -251,7 +251,7 @@ def search_regions(make: MessageMaker, regions: SearchRegions) -> Any:
 def _covariance_columns(covariances: Array) -> dict[str, Array]:
     """Return the columns of covariances (n, 2, 2)."""
     upper = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
-    return dict(zip(topics.COVARIANCES, upper, strict=True))
+    return dict(zip(clouds.COVARIANCES, upper, strict=True))
 
 
 def _point_cloud(

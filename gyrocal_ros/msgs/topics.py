@@ -7,31 +7,28 @@ ROS installation.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import StrEnum
-from functools import lru_cache
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrocal_ros.data import (
     NS_PER_S,
-    Array,
     CameraIntrinsics,
-    FeatureObservations,
     HeadingSample,
     ImuSample,
     Mount,
-    SearchRegions,
     TemperatureSample,
     TruthSample,
     WheelSample,
 )
-from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.errors import MessageError
 from gyrocal_ros.model.lens import COEFFICIENT_COUNTS
+from gyrocal_ros.msgs.plausible import MAX_DISTANCE_M
 from gyrocal_ros.msgs.transforms import (
     Transform,
     rotation_from_quaternion,
@@ -53,14 +50,18 @@ BATTERY = 'sensor_msgs/msg/BatteryState'
 NUMBER = 'std_msgs/msg/Float64'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
-COVARIANCES = ('cov_uu', 'cov_uv', 'cov_vv')
-"""Fields of a point cloud with the covariance of each pixel."""
 POSES = {
     ODOMETRY: 'pose.pose',
     POSE_STAMPED: 'pose',
     'geometry_msgs/msg/PoseWithCovarianceStamped': 'pose.pose',
 }
 """Message types that contain a pose, with the dotted name of the pose."""
+
+
+MAX_INTRINSIC = 1e6
+"""Largest plausible number in camera_info, pixels or distortion."""
+MIN_NORM = 1e-3
+"""Smallest norm of a quaternion; its inverse is the largest."""
 
 
 class Role(StrEnum):
@@ -184,96 +185,24 @@ def stamp_ns(message: Any) -> int:
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
-def features(message: Any) -> FeatureObservations:
-    """Convert a PointCloud2 of tracked features; points that are not finite are left out.
-
-    Raises:
-        RecordingError: the message lacks one of the fields u, v, id.
-    """
-    points = _points(message, ('u', 'v', 'id'))
-    finite = np.isfinite(_pairs(points, 'u', 'v')).all(axis=1)
-    if not finite.all():
-        points = points[finite]
-    pixels = _pairs(points, 'u', 'v')
-    return FeatureObservations(
-        stamp_ns(message), points['id'].astype(np.int64), pixels, _valid_covariances(points)
-    )
-
-
-def search_regions(message: Any) -> SearchRegions:
-    """Convert a PointCloud2 of search regions.
-
-    Raises:
-        RecordingError: the message lacks one of the fields u, v, id, cov_uu, cov_uv, cov_vv.
-    """
-    points = _points(message, ('u', 'v', 'id', *COVARIANCES))
-    pixels = _pairs(points, 'u', 'v')
-    return SearchRegions(stamp_ns(message), points['id'].astype(np.int64), pixels, _covariances(points))
-
-
-def _covariances(points: NDArray[Any]) -> Array:
-    rows = _pairs(points, 'cov_uu', 'cov_uv'), _pairs(points, 'cov_uv', 'cov_vv')
-    return np.stack(rows, axis=1)
-
-
-def _valid_covariances(points: NDArray[Any]) -> Array | None:
-    """Return the covariances of a cloud; None if it has none, or one that is not positive definite."""
-    if not set(COVARIANCES) <= set(points.dtype.names or ()):
-        return None
-    covariances = _covariances(points)
-    if not np.isfinite(covariances).all():
-        return None
-    is_valid = (covariances[:, 0, 0] > 0.0) & (np.linalg.det(covariances) > 0.0)
-    return covariances if is_valid.all() else None
-
-
-def _pairs(points: NDArray[Any], first: str, second: str) -> Array:
-    pairs = np.empty((len(points), 2))
-    pairs[:, 0], pairs[:, 1] = points[first], points[second]
-    return pairs
-
-
-def _points(message: Any, names: tuple[str, ...]) -> NDArray[Any]:
-    layout = tuple((item.name, item.offset, item.datatype) for item in message.fields)
-    dtype = _point_type(layout, message.point_step, message.is_bigendian)
-    missing = [name for name in names if name not in (dtype.names or ())]
-    if missing:
-        raise RecordingError(
-            f'a point cloud lacks the field {missing[0]}', todo=f'its points need {", ".join(names)}'
-        )
-    return np.frombuffer(message.data, dtype, count=message.width * message.height)
-
-
-@lru_cache
-def _point_type(layout: tuple[tuple[str, int, int], ...], size: int, big_endian: bool) -> np.dtype[Any]:
-    codes = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
-    names, offsets, datatypes = zip(*layout, strict=True) if layout else ((), (), ())
-    order = '>' if big_endian else '<'
-    return np.dtype(
-        {
-            'names': list(names),
-            'formats': [order + codes[datatype] for datatype in datatypes],
-            'offsets': list(offsets),
-            'itemsize': size,
-        }
-    )
-
-
 def camera_intrinsics(message: Any) -> CameraIntrinsics:
     """Convert a CameraInfo.
 
     Raises:
-        RecordingError: the message holds no calibration, or a lens model other than those of `model.lens`.
+        MessageError: the message holds no calibration, one with impossible numbers, or a lens model other
+            than those of `model.lens`.
     """
     k = [float(value) for value in (message.k if hasattr(message, 'k') else message.K)]
     d = [float(value) for value in (message.d if hasattr(message, 'd') else message.D)]
+    if not all(abs(value) < MAX_INTRINSIC for value in (*k, *d)):
+        raise MessageError('camera_info has impossible numbers', todo='calibrate the camera')
     if k[0] <= 0.0 or k[4] <= 0.0:
-        raise RecordingError('the camera is not calibrated (focal length 0)', todo='calibrate the camera')
+        raise MessageError('the camera is not calibrated (focal length 0)', todo='calibrate the camera')
     lens = message.distortion_model
     if not lens or (lens not in COEFFICIENT_COUNTS and not any(d)):
         lens = 'plumb_bob'
     if lens not in COEFFICIENT_COUNTS or any(d[COEFFICIENT_COUNTS[lens] :]):
-        raise RecordingError(
+        raise MessageError(
             f'the lens model is {lens!r} with {len(d)} coefficients',
             todo=f'calibrate the camera with {", ".join(COEFFICIENT_COUNTS)}',
         )
@@ -283,19 +212,39 @@ def camera_intrinsics(message: Any) -> CameraIntrinsics:
 
 
 def transforms(message: Any) -> list[Transform]:
-    """Convert a TFMessage; leading slashes of old frame names are dropped."""
+    """Convert a TFMessage; leading slashes of old frame names are dropped.
+
+    Raises:
+        MessageError: a transform has impossible numbers.
+    """
     links = []
     for item in message.transforms:
         p, q = item.transform.translation, item.transform.rotation
-        mount = Mount(rotation_from_quaternion(q.x, q.y, q.z, q.w), np.array([p.x, p.y, p.z]))
+        mount = _mount(p, q, f'the transform from {item.header.frame_id!r} to {item.child_frame_id!r}')
         links.append(Transform(item.header.frame_id.lstrip('/'), item.child_frame_id.lstrip('/'), mount))
     return links
 
 
 def body_pose(message: Any) -> Mount:
-    """Return the pose of the body in an Odometry."""
-    p, q = message.pose.pose.position, message.pose.pose.orientation
-    return Mount(rotation_from_quaternion(q.x, q.y, q.z, q.w), np.array([p.x, p.y, p.z]))
+    """Return the pose of the body in an Odometry.
+
+    Raises:
+        MessageError: it has impossible numbers.
+    """
+    return _mount(message.pose.pose.position, message.pose.pose.orientation, 'the pose')
+
+
+def _mount(p: Any, q: Any, what: str) -> Mount:
+    """Return position and rotation; the quaternion need not be normalised.
+
+    Raises:
+        MessageError: a number is not finite or far too large, or the quaternion is almost zero.
+    """
+    norm = math.hypot(q.x, q.y, q.z, q.w)
+    if not (all(abs(value) < MAX_DISTANCE_M for value in (p.x, p.y, p.z)) and MIN_NORM < norm < 1 / MIN_NORM):
+        raise MessageError(f'{what} has impossible numbers (NaN, or no rotation)', todo='check its publisher')
+    rotation = rotation_from_quaternion(q.x / norm, q.y / norm, q.z / norm, q.w / norm)
+    return Mount(rotation, np.array([p.x, p.y, p.z]))
 
 
 def map_frame(odom_frame: str) -> str:

@@ -16,13 +16,13 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import CovariateSample
 from gyrocal_ros.effects.model_file import load_model_with_effects
 from gyrocal_ros.effects.traits import followers_by_signal
-from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs import outputs, to_ros, topics
+from gyrocal_ros.msgs import clouds, outputs, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.calibration_publisher import CalibrationPublisher
 from gyrocal_ros.nodes.calibrator_services import CalibratorServices
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import SortedSubscriptions, publish, subscribe
+from gyrocal_ros.nodes.guard import Guard
 from gyrocal_ros.nodes.map_frame import MapFrame
 from gyrocal_ros.nodes.map_publisher import MapPublisher
 from gyrocal_ros.nodes.params import Settings
@@ -60,18 +60,21 @@ class CalibratorNode:
         self._odometry = publish(node, Odometry, 'odometry/slam', SENSOR_OUT)
         self._regions = publish(node, PointCloud2, 'ceiling_camera/search_regions', SENSOR_OUT)
         self._map_publisher = MapPublisher(node, self._make)
+        guard = Guard(node, self._live.unusable)
         sensors = SortedSubscriptions(node, SENSOR_IN)
-        sensors.subscribe(Imu, Role.IMU, self._on_imu)
-        sensors.subscribe(Odometry, Role.WHEELS, self._on_wheels)
-        sensors.subscribe(PointCloud2, Role.FEATURES, self._on_features)
-        sensors.subscribe(Temperature, Role.TEMPERATURE, self._on_temperature)
-        subscribe(node, CameraInfo, Role.CAMERA_INFO, self._on_camera, SENSOR_IN)
-        node.create_subscription(TFMessage, '/tf_static', self._on_transforms, STATIC)
+        sensors.subscribe(Imu, Role.IMU, guard(Role.IMU, self._on_imu))
+        sensors.subscribe(Odometry, Role.WHEELS, guard(Role.WHEELS, self._on_wheels))
+        sensors.subscribe(PointCloud2, Role.FEATURES, guard(Role.FEATURES, self._on_features))
+        sensors.subscribe(Temperature, Role.TEMPERATURE, guard(Role.TEMPERATURE, self._on_temperature))
+        on_camera = guard(Role.CAMERA_INFO, self._on_camera)
+        subscribe(node, CameraInfo, Role.CAMERA_INFO, on_camera, SENSOR_IN)
+        node.create_subscription(TFMessage, '/tf_static', guard('/tf_static', self._on_transforms), STATIC)
         followers = followers_by_signal(model)
-        self._signals = Signals(node, followers, lambda: self._live.newest_ns, self._on_signal)
+        self._signals = Signals(node, followers, lambda: self._live.newest_ns, self._on_signal, guard)
         CalibratorServices(node, self._live)
         # By the steady clock: the calibration is also published and saved while simulated time is paused.
-        node.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        every_second = guard('the timer', self._every_second)
+        node.create_timer(1.0, every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
         Diagnostics(node, self._status)
 
     def close(self) -> None:
@@ -97,11 +100,7 @@ class CalibratorNode:
         self._work()
 
     def _on_features(self, message: PointCloud2) -> None:
-        try:
-            seen = topics.features(message)
-        except RecordingError as error:
-            self._live.unusable(Role.FEATURES, str(error))
-            return
+        seen = clouds.features(message)
         self._live.features(seen, message.header.frame_id.lstrip('/'), time.monotonic())
         self._work()
 
@@ -112,11 +111,7 @@ class CalibratorNode:
         self._live.signal(sample, time.monotonic())
 
     def _on_camera(self, message: CameraInfo) -> None:
-        try:
-            camera = topics.camera_intrinsics(message)
-        except RecordingError as error:
-            self._live.unusable(Role.CAMERA_INFO, str(error))
-            return
+        camera = topics.camera_intrinsics(message)
         self._live.camera(camera, message.header.frame_id.lstrip('/'), time.monotonic())
 
     def _on_transforms(self, message: TFMessage) -> None:

@@ -12,6 +12,7 @@ from rosidl_runtime_py.utilities import get_message
 from gyrocal_ros.data import CovariateSample
 from gyrocal_ros.msgs.topics import stamp_ns
 from gyrocal_ros.nodes.endpoints import subscribe
+from gyrocal_ros.nodes.guard import Guard
 from gyrocal_ros.nodes.qos import SENSOR_IN
 
 
@@ -23,6 +24,7 @@ class Signals:
         names: names of the signals as in a bag, `battery_state.current`: topic, then field.
         now_ns: returns the present time of the sensors' clock, for messages without a stamp; 0 if unknown.
         callback: called with each value.
+        guard: protects the callbacks.
     """
 
     def __init__(
@@ -31,8 +33,10 @@ class Signals:
         names: Iterable[str],
         now_ns: Callable[[], int],
         callback: Callable[[CovariateSample], None],
+        guard: Guard,
     ) -> None:
         self._node, self._now_ns, self._callback = node, now_ns, callback
+        self._guard = guard
         self._missing = set(names)
 
     def poll(self) -> None:
@@ -56,7 +60,7 @@ class Signals:
             if t_ns:
                 self._callback(CovariateSample(t_ns, name, float(read(message))))
 
-        subscribe(self._node, kind, topic, receive, SENSOR_IN)
+        subscribe(self._node, kind, topic, self._guard(topic, receive), SENSOR_IN)
 
 
 def _candidates(name: str) -> Iterator[tuple[str, str]]:

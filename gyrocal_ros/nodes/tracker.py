@@ -15,17 +15,18 @@ from tf2_msgs.msg import TFMessage
 from gyrocal_ros.config.robot_sections import RobotConfig
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import seconds
-from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs import images, to_ros, topics
+from gyrocal_ros.msgs import clouds, images, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import polled_subscription, publish, subscribe, take_messages
+from gyrocal_ros.nodes.guard import Guard
 from gyrocal_ros.nodes.image_subscription import ImageSubscription
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.robot.health import Status
 from gyrocal_ros.robot.tracking import LiveTracker, Tracked
 
+REGIONS = 'ceiling_camera/search_regions'
 POLL_S, FAST_POLL_S = 0.1, 0.002
 """Periods of polling the IMU, usually and while an image waits for it."""
 MAX_QUEUED_S = 1.0
@@ -46,14 +47,20 @@ class TrackerNode:
         self._features = publish(node, PointCloud2, Role.FEATURES, SENSOR_OUT)
         self._tracks = publish(node, Image, 'ceiling_camera/tracks_image', QoSProfile(depth=1))
         self._imu = polled_subscription(node, Imu, Role.IMU, SENSOR_IN)
-        subscribe(node, CameraInfo, Role.CAMERA_INFO, self._on_camera, SENSOR_IN)
-        subscribe(node, TFMessage, '/tf_static', self._on_transforms, STATIC)
-        subscribe(node, PointCloud2, 'ceiling_camera/search_regions', self._on_regions, SENSOR_IN)
+        guard = Guard(node, self._live.health.log.add_unusable)
+        for kind, topic, callback, qos in (
+            (CameraInfo, Role.CAMERA_INFO, self._on_camera, SENSOR_IN),
+            (TFMessage, '/tf_static', self._on_transforms, STATIC),
+            (PointCloud2, REGIONS, self._on_regions, SENSOR_IN),
+        ):
+            subscribe(node, kind, topic, guard(topic, callback), qos)
+        on_image = guard(Role.IMAGE, self._on_image)
+        work = guard('the timer', self._work)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(POLL_S, self._work, clock=steady)
-        self._fast_poll = node.create_timer(FAST_POLL_S, self._work, clock=steady)
+        node.create_timer(POLL_S, work, clock=steady)
+        self._fast_poll = node.create_timer(FAST_POLL_S, work, clock=steady)
         self._fast_poll.cancel()
-        self._images = ImageSubscription(node, lambda: self._robot.config.images.transport, self._on_image)
+        self._images = ImageSubscription(node, lambda: self._robot.config.images.transport, on_image)
         self._diagnostics = Diagnostics(node, self._status)
 
     def close(self) -> None:
@@ -72,11 +79,7 @@ class TrackerNode:
             time.time_ns() - info['received_timestamp']
         )  # implausible where the middleware has none
         arrival_s = time.monotonic() - (queued_s if 0.0 < queued_s < MAX_QUEUED_S else 0.0)
-        try:
-            frame = images.frame(message)
-        except RecordingError as error:
-            self._live.health.log.add_unusable(Role.IMAGE, f'{error.what}; {error.todo}')
-            return
+        frame = images.frame(message)
         self._camera_frame = message.header.frame_id
         self._poll_imu()
         self._live.image(frame, self._camera_frame, arrival_s)
@@ -87,15 +90,11 @@ class TrackerNode:
             self._live.imu(topics.IMU_SAMPLE.value(message), message.header.frame_id, time.monotonic())
 
     def _on_regions(self, message: PointCloud2) -> None:
-        self._live.regions(topics.search_regions(message), time.monotonic())
+        self._live.regions(clouds.search_regions(message), time.monotonic())
         self._work()
 
     def _on_camera(self, message: CameraInfo) -> None:
-        try:
-            camera = topics.camera_intrinsics(message)
-        except RecordingError as error:
-            self._live.health.log.add_event(f'{Role.CAMERA_INFO}: {error}', time.monotonic())
-            return
+        camera = topics.camera_intrinsics(message)
         self._live.camera(camera, message.header.frame_id, time.monotonic())
 
     def _on_transforms(self, message: TFMessage) -> None:

@@ -10,6 +10,8 @@ from gyrocal_ros.pipeline.calibration import Calibration, load_calibration, save
 
 UNUSABLE, DISCARDED = '.bad', '.old'
 """Suffixes of a renamed file: one that could not be read, and one that the user has discarded."""
+MAX_KEPT = 10
+"""Number of renamed files of each kind that are kept; the oldest is removed before one more is added."""
 
 
 class CalibrationStore:
@@ -83,13 +85,36 @@ class CalibrationStore:
     def _rename(self, suffix: str) -> str:
         """Rename the file; where that fails, leave it alone from now on."""
         assert self.path is not None
-        other = self.path.with_name(self.path.name + suffix)
         try:
+            other = _free_name(self.path, suffix)
             self.path.replace(other)
         except OSError as error:
             path, self.path = self.path, None
             return f'{path} could not be renamed ({error.strerror}): nothing is saved'
         return f'the file was renamed to {other}'
+
+
+def _free_name(path: Path, suffix: str) -> Path:
+    """Return the name for a renamed file: with the suffix, then with .2, .3 and so on after it.
+
+    The numbers increase for ever, so the highest belongs to the newest file. Beyond `MAX_KEPT` files the
+    oldest is removed.
+
+    Raises:
+        OSError: the folder cannot be read, or the oldest file not removed.
+    """
+    first = path.name + suffix
+    kept: dict[int, Path] = {}
+    for file in path.parent.iterdir():
+        number = file.name.removeprefix(f'{first}.')
+        if file.name == first:
+            kept[1] = file
+        elif file.name.startswith(f'{first}.') and number.isdecimal():
+            kept[int(number)] = file
+    for oldest in sorted(kept)[: max(0, len(kept) - MAX_KEPT + 1)]:
+        kept[oldest].unlink()
+    newest = max(kept, default=0)
+    return path.with_name(f'{first}.{newest + 1}' if newest else first)
 
 
 def _check_nominal_scale(calibration: Calibration, config: Config, path: Path) -> None:

@@ -30,6 +30,7 @@ from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.mounts import into_body_axes
+from gyrocal_ros.msgs.plausible import IMPLAUSIBLE, MAX_READING
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
 from gyrocal_ros.pipeline.calibration import Calibration
@@ -50,8 +51,6 @@ from gyrocal_ros.robot.health import (
 from gyrocal_ros.robot.input_queue import STEP_S, InputQueue
 from gyrocal_ros.robot.mounting import Mounting
 
-MAX_READING = 1e5
-"""Bound on every reading, in SI units; no sensor of a robot reads more."""
 ORDERED_ROLES = (Role.IMU, Role.WHEELS, Role.FEATURES)
 """Topics whose messages arrive in the order of their stamps. When all of them have passed a moment the filter
 steps to it at once, so that the tracker gets its search regions before the next image."""
@@ -281,9 +280,7 @@ class LiveCalibrator:
         """Return True if all values are finite and within bounds; count the message otherwise."""
         is_plausible = all(abs(value) < MAX_READING for value in values)
         if not is_plausible:
-            self._log.add_unusable(
-                topic, 'the values are impossible (NaN, or far too large); check its driver'
-            )
+            self._log.add_unusable(topic, IMPLAUSIBLE)
         return is_plausible
 
     def _take(self, topic: str, samples: Sequence[Measurement], now_s: float) -> None:

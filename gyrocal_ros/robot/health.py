@@ -313,6 +313,10 @@ class TrackingHealth:
                 f'{Role.CAMERA_INFO}: no message yet; nothing is tracked without it; calibrate the camera '
                 'and let its driver publish it',
             )
+        for kind, count in sorted(recent.items()):
+            word, _, topic = kind.partition(' ')
+            if word == UNUSABLE and topic != Role.IMAGE and count:
+                yield Problem(Level.WARN, self.log.unusable_text(topic, count))
         if unusable := recent[f'{UNUSABLE} {Role.IMAGE}']:
             level = Level.ERROR if unusable > 0.5 * images else Level.WARN
             yield Problem(level, self.log.unusable_text(Role.IMAGE, unusable, 'images'))

@@ -28,6 +28,8 @@ from gyrocal_ros.studio.layout import layout
 from gyrocal_ros.studio.workspace import Workspace
 
 COOKIE = 'gyrocal_studio'
+MAX_REQUEST_BYTES = 2**20
+"""Largest body of a request; those of the page have a few kilobytes."""
 POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; frame-ancestors 'none'; form-action 'self'"
@@ -78,6 +80,7 @@ def _app(token: str | None, names: frozenset[str] | None) -> Dash:
         suppress_callback_exceptions=True,  # the buttons of the effects are created at run time
         meta_tags=[{'name': 'viewport', 'content': 'width=device-width, initial-scale=1'}],
     )
+    app.server.config['MAX_CONTENT_LENGTH'] = MAX_REQUEST_BYTES
     _control_access(app.server, token, names)
     return app
 

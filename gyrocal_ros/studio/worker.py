@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import signal
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -231,6 +232,9 @@ def _execute(executor: _TaskExecutor, task: Task, send: Callable[[TaskMessage], 
         return Failed(str(error))
     except MemoryError:
         return Failed('this machine has too little memory')
+    except Exception as error:  # one recording must not end the work on all others
+        traceback.print_exc()
+        return Failed(f'internal error ({error!r}); please report it with the recording')
 
 
 class _TaskExecutor:

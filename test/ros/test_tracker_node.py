@@ -26,7 +26,7 @@ from gyrocal_ros.data import (
     nanoseconds,
 )
 from gyrocal_ros.model.camera import mount_from_yaw
-from gyrocal_ros.msgs import images, to_ros, topics
+from gyrocal_ros.msgs import clouds, images, to_ros, topics
 from gyrocal_ros.msgs.transforms import IDENTITY
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
 from gyrocal_ros.sim.render import ceiling_renderer
@@ -101,7 +101,7 @@ class Robot:
                 published.add(self.publish(image))
             return new
 
-        return topics.features(self.graph.wait(tracked, 'the features of an image')[-1])
+        return clouds.features(self.graph.wait(tracked, 'the features of an image')[-1])
 
 
 @pytest.fixture

@@ -1,0 +1,267 @@
+"""Sensors that are wrong while every message is valid: the calibration must be right, or not converged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from random import Random
+from typing import TypeAlias
+
+import numpy as np
+
+from gyrocal_ros.bag.write import new_bag
+from gyrocal_ros.data import (
+    NS_PER_S,
+    Array,
+    CameraIntrinsics,
+    FeatureObservations,
+    ImuSample,
+    IntArray,
+    Measurement,
+    Rig,
+    WheelSample,
+    nanoseconds,
+)
+from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+DURATION_S = 60.0
+"""Length of the recordings; drifts end and jumps happen in relation to it."""
+NO_SCALE = math.nan
+"""True scale factor where no value is right, as for a mirrored image: such a run must not converge."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Arguments of a change: time since the start, size of the fault, and random numbers."""
+
+    time_s: float
+    size: float
+    random: np.random.Generator
+
+
+RateChange: TypeAlias = Callable[[Array, Moment], Array]
+"""Function from the true readings (3,) of the gyro to the wrong ones."""
+PixelChange: TypeAlias = Callable[[Array, Moment], Array]
+"""Function from pixels (n, 2), relative to the principal point, to wrong ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class SemanticFault:
+    """One way in which sensors are wrong. All functions leave what is not concerned unchanged."""
+
+    sizes: tuple[float, ...]
+    rates: RateChange = lambda rate, at: rate
+    pixels: PixelChange = lambda pixels, at: pixels
+    ids: Callable[[IntArray, Moment], IntArray] = lambda ids, at: ids
+    wheels: Callable[[float, float, Moment], tuple[float, float]] = lambda speed, turn, at: (speed, turn)
+    imu_delay_s: Callable[[Moment], float] = lambda at: 0.0
+    image_delay_s: Callable[[Moment], float] = lambda at: 0.0
+    lost_imu: Callable[[Moment], bool] = lambda at: False
+    lost_image: Callable[[Moment], bool] = lambda at: False
+    rig: Callable[[Rig, float], Rig] = lambda rig, size: rig
+    scale: Callable[[float], float] = lambda size: 1.0
+    """Factor on the true scale factor at the end of the recording."""
+
+
+def _camera(rig: Rig, change: Callable[[CameraIntrinsics], CameraIntrinsics]) -> Rig:
+    assert rig.camera is not None
+    return replace(rig, camera=change(rig.camera))
+
+
+def _turned(rig: Rig, roll: float, pitch: float, yaw: float) -> Rig:
+    R = rotation_from_euler(np.radians([roll, pitch, yaw]))
+    return replace(rig, camera_mount=replace(rig.camera_mount, R_bs=R @ rig.camera_mount.R_bs))
+
+
+def _stuck(rate: Array, at: Moment) -> Array:
+    """Return a constant rate from half of the recording on, for `size` seconds."""
+    is_stuck = 0.0 <= at.time_s - DURATION_S / 2.0 < at.size
+    return np.array([0.0, 0.0, 0.123]) if is_stuck else rate
+
+
+def _elapsed(at: Moment) -> float:
+    """Return the share of the recording that has passed."""
+    return min(at.time_s / DURATION_S, 1.0)
+
+
+def _since_half(at: Moment) -> float:
+    return 1.0 if at.time_s > DURATION_S / 2.0 else 0.0
+
+
+def _dead(rate: Array, at: Moment) -> Array:
+    return np.where(np.abs(rate) < at.size, 0.0, rate)
+
+
+FAULTS: dict[str, SemanticFault] = {
+    # --- gyro
+    'gyro scale drifts': SemanticFault(
+        (0.001, 0.003, 0.01),
+        rates=lambda rate, at: rate / (1.0 + at.size * _elapsed(at)),
+        scale=lambda size: 1.0 + size,
+    ),
+    'gyro scale jumps': SemanticFault(
+        (0.005, 0.02, 0.05),
+        rates=lambda rate, at: rate / (1.0 + at.size * _since_half(at)),
+        scale=lambda size: 1.0 + size,
+    ),
+    'gyro bias jumps': SemanticFault(
+        (0.005, 0.02, 0.1), rates=lambda rate, at: rate + at.size * _since_half(at)
+    ),
+    'gyro bias drifts': SemanticFault(
+        (0.005, 0.02, 0.1), rates=lambda rate, at: rate + at.size * _elapsed(at)
+    ),
+    'gyro noise': SemanticFault(
+        (0.005, 0.02, 0.05), rates=lambda rate, at: rate + at.random.normal(0.0, at.size, 3)
+    ),
+    'gyro outliers': SemanticFault(
+        (0.5, 5.0, 30.0), rates=lambda rate, at: rate + (at.random.random() < 0.01) * at.size
+    ),
+    'gyro inverted': SemanticFault((1.0,), rates=lambda rate, at: -rate, scale=lambda size: NO_SCALE),
+    'gyro axes exchanged': SemanticFault(
+        (1.0, 2.0), rates=lambda rate, at: np.roll(rate, int(at.size)), scale=lambda size: NO_SCALE
+    ),
+    'gyro in deg/s': SemanticFault(
+        (1.0,), rates=lambda rate, at: np.degrees(rate), scale=lambda size: math.radians(1.0)
+    ),
+    'gyro saturates': SemanticFault((0.3, 0.6, 1.0), rates=lambda rate, at: np.clip(rate, -at.size, at.size)),
+    'gyro sticks': SemanticFault((2.0, 10.0, 90.0), rates=_stuck),
+    'gyro dead band': SemanticFault((0.01, 0.05, 0.1), rates=_dead),
+    'gyro cubic': SemanticFault(
+        (0.01, 0.03, 0.1), rates=lambda rate, at: rate / (1.0 + at.size * rate**2), scale=lambda size: 1.0
+    ),
+    'gyro depends on the sign': SemanticFault(
+        (0.002, 0.01, 0.03), rates=lambda rate, at: np.where(rate > 0.0, rate * (1.0 + at.size), rate)
+    ),
+    # --- times
+    'imu late': SemanticFault((0.01, 0.05, 0.2), imu_delay_s=lambda at: at.size),
+    'imu stamps jitter': SemanticFault(
+        (0.005, 0.02, 0.05), imu_delay_s=lambda at: at.random.normal(0.0, at.size)
+    ),
+    'imu clock drifts and jumps back': SemanticFault(
+        (0.02, 0.06, 0.12), imu_delay_s=lambda at: at.size * (at.time_s / 3.0 % 1.0)
+    ),
+    'imu clock runs fast': SemanticFault((0.0005, 0.002, 0.01), imu_delay_s=lambda at: at.size * at.time_s),
+    'images late': SemanticFault((0.01, 0.05, 0.2), image_delay_s=lambda at: at.size),
+    'image stamps jitter': SemanticFault(
+        (0.005, 0.02, 0.05), image_delay_s=lambda at: at.random.normal(0.0, at.size)
+    ),
+    'imu lost': SemanticFault((0.1, 0.3, 0.7), lost_imu=lambda at: at.random.random() < at.size),
+    'imu gaps': SemanticFault((0.3, 1.0, 3.0), lost_imu=lambda at: at.time_s % 10.0 < at.size),
+    'images lost': SemanticFault((0.3, 0.7, 0.95), lost_image=lambda at: at.random.random() < at.size),
+    'camera dark': SemanticFault((3.0, 7.0, 9.0), lost_image=lambda at: at.time_s % 10.0 < at.size),
+    # --- images
+    'image mirrored': SemanticFault(
+        (1.0,), pixels=lambda pixels, at: pixels * (-1.0, 1.0), scale=lambda size: NO_SCALE
+    ),
+    'image turned': SemanticFault(
+        (5.0, 90.0, 180.0),
+        pixels=lambda pixels, at: pixels @ rotation_from_euler(np.radians([0.0, 0.0, at.size]))[:2, :2],
+    ),
+    'image noise': SemanticFault(
+        (0.5, 2.0, 8.0), pixels=lambda pixels, at: pixels + at.random.normal(0.0, at.size, pixels.shape)
+    ),
+    'image outliers': SemanticFault(
+        (0.05, 0.2, 0.5),
+        pixels=lambda pixels, at: (
+            pixels
+            + (at.random.random((len(pixels), 1)) < at.size) * at.random.normal(0.0, 40.0, pixels.shape)
+        ),
+    ),
+    'image still': SemanticFault(
+        (1.0,), pixels=lambda pixels, at: np.zeros_like(pixels) + np.arange(len(pixels))[:, None]
+    ),
+    'ids exchanged': SemanticFault(
+        (0.02, 0.1, 1.0),
+        ids=lambda ids, at: at.random.permutation(ids) if at.random.random() < at.size else ids,
+    ),
+    'ids constant': SemanticFault((1.0,), ids=lambda ids, at: np.arange(len(ids))),
+    # --- camera_info and mounting
+    'focal length wrong': SemanticFault(
+        (0.02, 0.1, 0.5),
+        rig=lambda rig, size: _camera(
+            rig,
+            lambda camera: replace(camera, fx_px=camera.fx_px * (1 + size), fy_px=camera.fy_px * (1 + size)),
+        ),
+    ),
+    'principal point wrong': SemanticFault(
+        (10.0, 30.0, 100.0),
+        rig=lambda rig, size: _camera(rig, lambda camera: replace(camera, cx_px=camera.cx_px + size)),
+    ),
+    'distortion wrong': SemanticFault(
+        (0.01, 0.05, 0.2),
+        rig=lambda rig, size: _camera(
+            rig, lambda camera: replace(camera, distortion=(size, size, 0.0, 0.0, size), lens='plumb_bob')
+        ),
+    ),
+    'camera tilted': SemanticFault((2.0, 5.0, 15.0), rig=lambda rig, size: _turned(rig, size, 0.0, 0.0)),
+    'camera turned': SemanticFault((5.0, 45.0, 180.0), rig=lambda rig, size: _turned(rig, 0.0, 0.0, size)),
+    # --- wheels
+    'wheels scaled': SemanticFault((1.05, 1.3, 3.0), wheels=lambda speed, turn, at: (speed * at.size, turn)),
+    'wheels inverted': SemanticFault((1.0,), wheels=lambda speed, turn, at: (-speed, -turn)),
+    'wheels stand': SemanticFault(
+        (0.2, 0.5, 1.0),
+        wheels=lambda speed, turn, at: (0.0, 0.0) if at.time_s % 10.0 < 10.0 * at.size else (speed, turn),
+    ),
+    'wheels turn wrongly': SemanticFault(
+        (0.5, -1.0, 5.0), wheels=lambda speed, turn, at: (speed, turn * at.size)
+    ),
+}
+"""The faults by name."""
+
+
+def semantic_cases() -> Iterator[tuple[str, float]]:
+    """Yield name and size of every fault."""
+    for name, fault in FAULTS.items():
+        for size in fault.sizes:
+            yield name, size
+
+
+def write_faulty_recording(name: str, size: float, seed: int, folder: Path) -> tuple[Path, float]:
+    """Simulate a recording, make one of its sensors wrong, and write it.
+
+    Args:
+        name: one of `FAULTS`; empty for a sound recording.
+        size: its size.
+        seed: seed of the simulation.
+        folder: folder of the new bag.
+
+    Returns:
+        The bag, and the true scale factor at its end; NaN where no value is right.
+    """
+    source = SimSource(replace(find_scenario('cleaning'), duration_s=DURATION_S), seed)
+    fault = FAULTS[name] if name else SemanticFault(())
+    random = np.random.default_rng(Random(f'{name} {size} {seed}').getrandbits(64))
+    start_ns, rig = source.span.start_ns, fault.rig(source.rig, size)
+    with new_bag(folder / 'bag') as bag:
+        bag.write_rig(rig, start_ns, R_bi=np.eye(3))
+        for sample in _changed(source, fault, size, random):
+            bag.write(sample)
+    return folder / 'bag', source.truth.scale_factor * fault.scale(size)
+
+
+def _changed(
+    source: SimSource, fault: SemanticFault, size: float, random: np.random.Generator
+) -> Iterator[Measurement]:
+    camera = source.rig.camera
+    assert camera is not None
+    center = np.array([camera.cx_px, camera.cy_px])
+    for sample in source.measurements():
+        at = Moment((sample.t_ns - source.span.start_ns) / NS_PER_S, size, random)
+        if isinstance(sample, ImuSample):
+            if not fault.lost_imu(at):
+                rates = fault.rates(np.array(sample.rate_rad_s), at)
+                t_ns = sample.t_ns + nanoseconds(fault.imu_delay_s(at))
+                yield ImuSample(t_ns, (rates[0], rates[1], rates[2]), sample.specific_force_m_s2)
+        elif isinstance(sample, FeatureObservations):
+            if not fault.lost_image(at):
+                pixels = center + fault.pixels(sample.pixels - center, at)
+                t_ns = sample.t_ns + nanoseconds(fault.image_delay_s(at))
+                yield replace(sample, t_ns=t_ns, ids=fault.ids(sample.ids, at), pixels=pixels)
+        elif isinstance(sample, WheelSample):
+            yield WheelSample(sample.t_ns, *fault.wheels(sample.speed_m_s, sample.yaw_rate_rad_s, at))
+        else:
+            yield sample

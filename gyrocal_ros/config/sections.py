@@ -182,6 +182,14 @@ class ReferenceConfig:
     heading_walk_deg: float = setting(
         0.02, 'deg/sqrt(s)', 'random walk of the reference heading', low=0.0, high=10.0, live=True
     )
+    tail_dof: float = setting(
+        6.0,
+        '',
+        'degrees of freedom of the Student t distribution of heading errors; few for many outliers',
+        low=1.0,
+        high=1000.0,
+        live=True,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,6 +275,14 @@ class ConvergenceConfig:
         5e-4,
         '1',
         'standard deviation of the scale factor below which it has converged',
+        low=1e-7,
+        high=1.0,
+        live=True,
+    )
+    heading_scale_std: float = setting(
+        5e-3,
+        '1',
+        'the same with a heading reference in place of the ceiling camera, which is less accurate',
         low=1e-7,
         high=1.0,
         live=True,

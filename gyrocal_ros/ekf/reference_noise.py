@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrocal_ros.data import Array
 
@@ -34,6 +35,11 @@ class ReferenceNoise:
     """Random walk, rad/sqrt(s)."""
     tail_dof: Array | float
     """Degrees of freedom of the Student t distribution of the innovations; large for normal ones."""
+
+    def alternative(self, place: int) -> ReferenceNoise:
+        """Return one of the alternatives."""
+        columns = (np.atleast_1d(column) for column in (self.white_rad, self.walk_rad, self.tail_dof))
+        return ReferenceNoise(*(float(column[place]) for column in columns))
 
     def weight(self, distance: Array | float) -> Array | float:
         """Return the weight, at most 1, of a heading whose innovation squared is `distance` variances.
@@ -63,11 +69,11 @@ class JumpDetector:
         self._outliers = np.zeros(count, np.int64)
         self._side = np.zeros(count)
 
-    def update(self, deviation: Array) -> Array:
+    def update(self, deviation: Array) -> NDArray[np.bool_]:
         """Take the innovations (m,) of a heading, in sigma; return where (m,) the reference has jumped."""
         side = np.sign(deviation) * (np.abs(deviation) > OUTLIER_SIGMA)
         self._outliers = np.where((side != 0.0) & (side == self._side), self._outliers + 1, side != 0.0)
         self._side = side
-        has_jumped: Array = self._outliers >= JUMP_HEADINGS
+        has_jumped: NDArray[np.bool_] = self._outliers >= JUMP_HEADINGS
         self._outliers[has_jumped] = 0
         return has_jumped

@@ -8,6 +8,7 @@ noise parameters (Schweppe 1965). It runs for many of them side by side.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ WALK_DEG = (1e-3, 5.0)
 """Ranges of the white noise (deg) and of the random walk (deg/sqrt(s))."""
 TAIL_DOFS = (3.0, 5.0, 10.0, 30.0)
 """Degrees of freedom of the tails that are tried; 30 is close to a normal distribution."""
-COARSE_POINTS, FINE_POINTS = 9, 5
+COARSE_POINTS, FINE_POINTS = 15, 5
 """Points of a grid in white noise and in random walk; a fine one spans two steps of the one before."""
 REFINEMENTS = 3
 PRIOR_STDS = (math.pi, math.radians(5.0), 0.2, 0.05)
@@ -50,8 +51,13 @@ class HeadingTrack:
         """Return the track with at most `most` headings."""
         step = -(-len(self.time_s) // most)
         gap_s = np.diff(np.cumsum(self.gap_s)[::step], prepend=0.0)
-        columns = (self.time_s, self.yaw_rad, self.turned_rad, self.rate_rad_s)
-        return HeadingTrack(*(column[::step] for column in columns), gap_s=gap_s)
+        return HeadingTrack(
+            time_s=self.time_s[::step],
+            yaw_rad=self.yaw_rad[::step],
+            turned_rad=self.turned_rad[::step],
+            rate_rad_s=self.rate_rad_s[::step],
+            gap_s=gap_s,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,18 +95,27 @@ class NoiseFit:
 def fit_noise(track: HeadingTrack, gyro: GyroConfig) -> NoiseFit:
     """Find the likeliest noise on grids in white noise, random walk and tails, each finer than the last."""
     track = track.thinned(MAX_HEADINGS)
-    white, walk = (np.log(np.radians(bounds)) for bounds in (WHITE_DEG, WALK_DEG))
-    dofs, points = np.array(TAIL_DOFS[1:2]), COARSE_POINTS
-    for _ in range(1 + REFINEMENTS):
-        axes = (np.linspace(*white, points), np.linspace(*walk, points), dofs)
-        grid = [axis.ravel() for axis in np.meshgrid(*axes)]
-        best = _likeliest(track, ReferenceNoise(np.exp(grid[0]), np.exp(grid[1]), grid[2]), gyro)
+    white, walk = (
+        np.linspace(math.log(low), math.log(high), COARSE_POINTS)
+        for low, high in (np.radians(WHITE_DEG), np.radians(WALK_DEG))
+    )
+    best = _likeliest(track, _grid(white, walk, TAIL_DOFS[:1]), gyro)
+    for _ in range(REFINEMENTS):
         white, walk = (
-            math.log(value) + (axis[1] - axis[0]) * np.array([-1.0, 1.0])
-            for value, axis in ((best.noise.white_rad, axes[0]), (best.noise.walk_rad, axes[1]))
+            np.linspace(math.log(value) - step, math.log(value) + step, FINE_POINTS)
+            for value, step in (
+                (best.noise.white_rad, white[1] - white[0]),
+                (best.noise.walk_rad, walk[1] - walk[0]),
+            )
         )
-        dofs, points = np.array(TAIL_DOFS), FINE_POINTS
+        best = _likeliest(track, _grid(white, walk, TAIL_DOFS), gyro)
     return best
+
+
+def _grid(log_white: Array, log_walk: Array, dofs: Sequence[float]) -> ReferenceNoise:
+    """Return all combinations of white noise, random walk and degrees of freedom."""
+    white, walk, dof = (axis.ravel() for axis in np.meshgrid(np.exp(log_white), np.exp(log_walk), dofs))
+    return ReferenceNoise(white, walk, dof)
 
 
 def _likeliest(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> NoiseFit:
@@ -145,5 +160,4 @@ def _likeliest(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> 
         mean += gain * residual[:, None]
         P -= gain[:, :, None] * numerator[:, None, :]
     best = int(np.argmax(likelihood))
-    parameters = (float(column[best]) for column in (noise.white_rad, noise.walk_rad, noise.tail_dof))
-    return NoiseFit(ReferenceNoise(*parameters), float(likelihood[best]), mean[best], P[best])
+    return NoiseFit(noise.alternative(best), float(likelihood[best]), mean[best], P[best])

@@ -235,8 +235,8 @@ def test_a_topic_that_covers_only_a_part_of_the_time(tmp_path: Path) -> None:
 
 
 def test_a_slow_imu(tmp_path: Path) -> None:
-    slow = with_changed(ImuSample, lambda s: s if round(time_s(s) * 100) % 4 == 0 else None)
-    assert '25 messages a second' in issues_by_kind(check(tmp_path, slow))['slow'].text
+    slow = with_changed(ImuSample, lambda s: s if round(time_s(s) * 100) % 10 == 0 else None)
+    assert '10 messages a second' in issues_by_kind(check(tmp_path, slow))['slow'].text
 
 
 # --- topics --------------------------------------------------------------------------------------

@@ -13,9 +13,10 @@ from gyrocal_ros.bag.fields import FieldReader
 from gyrocal_ros.bag.rig import Geometry
 from gyrocal_ros.bag.selection import NEEDED_ROLES, Selection
 from gyrocal_ros.bag.storage import Storage, Topic
-from gyrocal_ros.data import NS_PER_S, CovariateSample, Measurement
+from gyrocal_ros.data import NS_PER_S, CovariateSample, HeadingSample, Measurement
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import images, topics
+from gyrocal_ros.msgs.headings import FrameHeading, heading_conversion
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.mounts import into_body_axes
 from gyrocal_ros.msgs.topics import STAMP_FIELDS, FieldConversion, Role
@@ -59,6 +60,7 @@ class MessageDecoder:
         """Latest stamp minus its time of recording; set by the user of the decoder."""
         self._storage, self._geometry, self._other_clock_ns = storage, geometry, other_clock_ns
         self._needed = {topic.name for role, topic in selection.topics.items() if role in NEEDED_ROLES}
+        self._heading = selection.heading
         self.streams: list[tuple[Topic, Decode]] = []
         """Each topic in use with its decoder; a topic with two roles appears twice."""
         for role in Role:
@@ -78,6 +80,8 @@ class MessageDecoder:
             return self._feature_decoder(topic)
         if role is Role.IMAGE:
             return self._image_decoder(topic)
+        if role is Role.HEADING:
+            return self._heading_decoder(topic)
         conversion = topics.field_conversion(role, topic.type_name)
         if role is Role.IMU and not np.array_equal(self._geometry.R_bi, np.eye(3)):
             rotate = into_body_axes(self._geometry.R_bi)
@@ -97,6 +101,33 @@ class MessageDecoder:
             return ()
 
         return decode
+
+    def _heading_decoder(self, topic: Topic) -> Decode:
+        assert self._heading is not None
+        if self._heading.frames is None:
+            conversion = heading_conversion(topic.type_name, self._heading.field)
+            return self._set_headings(
+                topic, self._field_decoder(topic, FieldConversion(conversion.fields, conversion.build))
+            )
+        frames = FrameHeading(*self._heading.frames)
+
+        def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
+            sample = frames.add(self._storage.message(topic, raw))
+            return (sample,) if sample else ()
+
+        return decode
+
+    def _set_headings(self, topic: Topic, decode: Decode) -> Decode:
+        """Return a decoder that leaves out orientations that are not set."""
+
+        def decode_set(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
+            samples = decode(raw, recorded_ns)
+            if any(isinstance(item, HeadingSample) and math.isnan(item.yaw_rad) for item in samples):
+                self._count_invalid(topic, 'the orientation is not set (all zero)', 'use another reference')
+                return ()
+            return samples
+
+        return decode_set
 
     def _feature_decoder(self, topic: Topic) -> Decode:
         def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:

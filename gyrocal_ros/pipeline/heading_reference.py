@@ -31,11 +31,14 @@ from gyrocal_ros.errors import NotObservableError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.reference_fit import HeadingTrack, NoiseFit, fit_noise
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
+from gyrocal_ros.statistics import robust_std
 
 OFFSETS_S = np.arange(-0.5, 0.501, 0.02)
 """Time offsets that are tried first; the maximum-likelihood fit begins at the best."""
 OFFSET_PASSES = 3
 """Maximum-likelihood fits, each at the time offset of the one before."""
+TURN_S, TRIMMED_FITS, TRIM_SIGMA = 1.0, 4, 3.0
+"""Length of the turns that are compared, and number of fits, each without the outliers of the one before."""
 MIN_HEADINGS = 10
 MIN_TURN_RAD = math.radians(45.0)
 """Smallest sum of turns that can be fitted."""
@@ -135,7 +138,7 @@ def fit_reference(
         NotObservableError: there is too little to fit, or the reference is unfit.
     """
     readings = _read(measurements, where)
-    coarse = {offset_s: _least_squares(readings, offset_s) for offset_s in OFFSETS_S.tolist()}
+    coarse = {offset_s: _by_turns(readings, offset_s) for offset_s in OFFSETS_S.tolist()}
     offset_s = min(coarse, key=lambda offset: coarse[offset][1])
     scale_factor, _ = coarse[offset_s]
     if not PLAUSIBLE_SCALE[0] <= scale_factor <= PLAUSIBLE_SCALE[1]:
@@ -149,7 +152,7 @@ def fit_reference(
     for _ in range(OFFSET_PASSES):
         fitted = fit_noise(_track(readings, offset_s), gyro)
         offset_s += fitted.time_offset_s
-    return _as_fit(fitted, offset_s, _least_squares(readings, offset_s)[1])
+    return _as_fit(fitted, offset_s, _misfit_rad(readings, offset_s))
 
 
 def on_time(sample: HeadingSample, offset_s: float) -> HeadingSample:
@@ -212,13 +215,31 @@ def _columns(samples: list[tuple[int, float]], start_ns: int) -> tuple[Array, Ar
     )
 
 
-def _least_squares(readings: _Readings, offset_s: float) -> tuple[float, float]:
-    """Return the scale factor of the least squares fit, and the rms of what is left."""
+def _by_turns(readings: _Readings, offset_s: float) -> tuple[float, float]:
+    """Return the scale factor by the turns over a second, and the robust deviation (rad) of a turn from it.
+
+    Few of the turns contain an outlier or a jump of the reference, and those are left out.
+    """
+    track = _track(readings, offset_s)
+    step = max(1, round(TURN_S / float(np.median(np.diff(track.time_s)))))
+    by_gyro, by_reference, length_s = (
+        column[step:] - column[:-step] for column in (track.turned_rad, track.yaw_rad, track.time_s)
+    )
+    columns, left = np.stack([by_gyro, length_s], axis=1), np.ones(len(length_s), bool)
+    for _ in range(TRIMMED_FITS):
+        solution = np.linalg.lstsq(columns[left], by_reference[left], rcond=None)[0]
+        residual = by_reference - columns @ solution
+        deviation = robust_std(residual)
+        left = np.abs(residual) <= TRIM_SIGMA * deviation
+    return float(solution[0]), deviation
+
+
+def _misfit_rad(readings: _Readings, offset_s: float) -> float:
+    """Return the rms of the headings about their best fit by scale factor, bias and heading."""
     track = _track(readings, offset_s)
     columns = np.stack([track.turned_rad, track.time_s, np.ones(len(track.time_s))], axis=1)
     solution = np.linalg.lstsq(columns, track.yaw_rad, rcond=None)[0]
-    rms = float(np.sqrt(np.mean((track.yaw_rad - columns @ solution) ** 2)))
-    return float(solution[0]), rms
+    return float(np.sqrt(np.mean((track.yaw_rad - columns @ solution) ** 2)))
 
 
 def _as_fit(fitted: NoiseFit, offset_s: float, residual_rms_rad: float) -> ReferenceFit:

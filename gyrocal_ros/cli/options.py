@@ -41,8 +41,8 @@ def add_topic_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--heading-reference',
         metavar='TOPIC',
-        help='take the heading from this topic in place of the ceiling camera: odometry, a pose, a transform, '
-        'an orientation or a magnetic field; TOPIC.FIELD for a yaw, tf:PARENT:CHILD for a frame on /tf',
+        help='take the heading from this topic in place of the ceiling camera: odometry, a pose, a '
+        'transform, an orientation, a magnetic field; TOPIC.FIELD for a yaw, tf:PARENT:CHILD for a frame',
     )
     add_config_option(parser)
 

@@ -25,11 +25,12 @@ from gyrocal_ros.data import (
     nanoseconds,
 )
 from gyrocal_ros.ekf.motion import GAP_NS
+from gyrocal_ros.ekf.reference_bank import NoiseFit
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import NotObservableError
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.pipeline.reference_fit import HeadingTrack, NoiseFit, fit_noise
+from gyrocal_ros.pipeline.reference_fit import HeadingTrack, fit_noise
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
 from gyrocal_ros.statistics import robust_std
 

@@ -54,30 +54,38 @@ class HeadingReference:
         """
         white_rad = float(self.noise.white_rad)
         if self._offset_rad is None:
-            self._offset_rad = sample.yaw_rad - float(state.mean[YAW])
-            return _with_unknown_heading(state, white_rad), MeasurementUpdate()
+            return self._align(state, sample, white_rad), MeasurementUpdate()
         by_values, by_candidates = np.zeros(effects.count), np.zeros(candidates.count)
         for derivative, group in ((by_values, effects), (by_candidates, candidates)):
             for _, place in group.time:
                 derivative[place] = -pose_rate[YAW]
         yaw_rad = sample.yaw_rad - self._offset_rad
         residual, known = heading_innovation(state, yaw_rad, by_values)
-        variance, event = known + white_rad**2, ''
+        variance = known + white_rad**2
         if self._jumps.update(np.array([residual / math.sqrt(variance)]))[0]:
             event = f'the heading reference jumped by {math.degrees(residual):+.1f} deg'
-            state = _with_unknown_heading(state, residual)
-            known, variance = known + residual**2, variance + residual**2
+            return self._align(state, sample, white_rad), MeasurementUpdate(event=event)
         distance = residual**2 / variance
         std = math.sqrt(variance / float(self.noise.weight(distance)) - known)
         state, stats, residual = heading_update(state, yaw_rad, std, by_values, by_candidates)
         log_likelihood = float(self.noise.log_likelihood(variance, distance))
         return state, MeasurementUpdate(
             stats=with_log_likelihood(stats, log_likelihood),
-            rejected=int(not event and distance > OUTLIER_SIGMA**2),
+            rejected=int(distance > OUTLIER_SIGMA**2),
             heading_rad=residual,
             heading_std_rad=std,
-            event=event,
         )
+
+    def _align(self, state: State, sample: HeadingSample, white_rad: float) -> State:
+        """Align the frame of the reference to the map, so that the heading in it is that of the sample.
+
+        What the heading had to do with bias and scale factor before says nothing about the new frame.
+        """
+        self._offset_rad = sample.yaw_rad - float(state.mean[YAW])
+        covariance, sensitivity = state.covariance.copy(), state.sensitivity.copy()
+        covariance[YAW], covariance[:, YAW], sensitivity[YAW] = 0.0, 0.0, 0.0
+        covariance[YAW, YAW] = white_rad**2
+        return replace(state, covariance=covariance, sensitivity=sensitivity)
 
 
 def reference_noise(config: ReferenceConfig) -> ReferenceNoise:
@@ -91,10 +99,3 @@ def with_log_likelihood(stats: UpdateStats, log_likelihood: float) -> UpdateStat
     """Return the statistics of one number with the log-likelihood by its own distribution."""
     log_determinant = -2.0 * log_likelihood - stats.nis - math.log(2.0 * math.pi)
     return replace(stats, log_determinant=log_determinant)
-
-
-def _with_unknown_heading(state: State, std_rad: float) -> State:
-    """Return the state with a more uncertain heading."""
-    covariance = state.covariance.copy()
-    covariance[YAW, YAW] += std_rad**2
-    return replace(state, covariance=covariance)

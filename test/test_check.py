@@ -341,7 +341,7 @@ def test_topics_of_a_foreign_bag_are_suggested() -> None:
 @needs_recordings
 def test_an_imu_on_its_side_and_one_that_reads_zero() -> None:
     kinds = {issue.kind for issue in check_bag(SHARED / 'test1_husky.bag', Config()).issues}
-    assert {'imu_mount', 'slow'} <= kinds
+    assert 'imu_mount' in kinds
     report = check_bag(SHARED / 'test1_2014_xsens_wheel_stereo.bag', Config())
     assert topic_of_issue(report, 'dead_imu') == '/my_odometry2imu/imu_data'
 

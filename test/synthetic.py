@@ -17,11 +17,12 @@ from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State, no_landmarks
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.sim.scenarios import CAMERA
 
 DT_S = 0.1
 HEADING_STD_RAD = math.radians(0.05)
 TOP_DEG_S = 90.0
-RIG = Rig(None, Mount(np.eye(3), np.zeros(3)))
+RIG = Rig(CAMERA, Mount(np.eye(3), np.zeros(3)))
 
 
 def score_statistics_of(columns: Array, seen: Array, candidates: tuple[Effect, ...] = ()) -> ScoreStatistics:

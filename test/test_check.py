@@ -238,8 +238,8 @@ def test_a_topic_that_covers_only_a_part_of_the_time(tmp_path: Path) -> None:
 
 
 def test_a_slow_imu(tmp_path: Path) -> None:
-    slow = with_changed(ImuSample, lambda s: s if round(time_s(s) * 100) % 4 == 0 else None)
-    assert '25 messages a second' in issues_by_kind(check(tmp_path, slow))['slow'].text
+    slow = with_changed(ImuSample, lambda s: s if round(time_s(s) * 100) % 10 == 0 else None)
+    assert '10 messages a second' in issues_by_kind(check(tmp_path, slow))['slow'].text
 
 
 # --- topics --------------------------------------------------------------------------------------
@@ -344,7 +344,7 @@ def test_topics_of_a_foreign_bag_are_suggested() -> None:
 @needs_recordings
 def test_an_imu_on_its_side_and_one_that_reads_zero() -> None:
     kinds = {issue.kind for issue in check_bag(SHARED / 'test1_husky.bag', Config()).issues}
-    assert {'imu_mount', 'slow'} <= kinds
+    assert 'imu_mount' in kinds
     report = check_bag(SHARED / 'test1_2014_xsens_wheel_stereo.bag', Config())
     assert topic_of_issue(report, 'dead_imu') == '/my_odometry2imu/imu_data'
 

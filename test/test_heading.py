@@ -8,16 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filter_states import CANDIDATES, EFFECTS, some_state
+from scipy.stats import t as student_t
 
 from gyrocal_ros.config.sections import ReferenceConfig
 from gyrocal_ros.data import HeadingSample
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.effects_by_place import sort_effects
 from gyrocal_ros.ekf.heading import HeadingReference
+from gyrocal_ros.ekf.reference_noise import JUMP_HEADINGS
 from gyrocal_ros.ekf.state import YAW, State
-from gyrocal_ros.ekf.update import MeasurementUpdate, heading_update
+from gyrocal_ros.ekf.update import MeasurementUpdate, heading_innovation, heading_update
 
-CONFIG = replace(ReferenceConfig(), heading_noise_deg=0.5, heading_walk_deg=0.1)
+CONFIG = replace(ReferenceConfig(), heading_noise_deg=0.5, heading_walk_deg=0.1, tail_dof=4.0)
 STD = math.radians(0.5)
 MODEL_EFFECTS = sort_effects(EFFECTS)
 OTHERS = sort_effects(CANDIDATES)
@@ -41,8 +43,13 @@ def test_the_first_sample_aligns_the_frames() -> None:
     reference, state = HeadingReference(CONFIG), some_state()
     after, update = updated(reference, state, 0.0)
     np.testing.assert_array_equal(after.mean, state.mean)
-    grown = after.covariance - state.covariance
-    assert grown[YAW, YAW] == pytest.approx(STD**2) and np.count_nonzero(grown) == 1
+    others = np.arange(len(state.mean)) != YAW
+    assert after.covariance[YAW, YAW] == pytest.approx(STD**2)
+    assert not after.covariance[YAW, others].any() and not after.covariance[others, YAW].any()
+    np.testing.assert_array_equal(
+        after.covariance[np.ix_(others, others)], state.covariance[np.ix_(others, others)]
+    )
+    assert not after.sensitivity[YAW].any()
     assert update.stats.dof == 0
 
 
@@ -57,12 +64,13 @@ def test_later_samples_correct_the_heading() -> None:
     by_values = np.zeros(MODEL_EFFECTS.count)
     by_values[-1] = -POSE_RATE[YAW]
     yaw_rad = float(state.mean[YAW]) + 0.002
-    expected, stats, residual, std = heading_update(state, yaw_rad, STD, by_values, np.zeros(OTHERS.count))
+    expected, stats, residual = heading_update(state, yaw_rad, STD, by_values, np.zeros(OTHERS.count))
     after, update = updated(reference, state, 0.002)
     np.testing.assert_allclose(after.mean, expected.mean, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(after.covariance, expected.covariance, rtol=1e-9, atol=1e-15)
     assert update.heading_rad == pytest.approx(residual) == pytest.approx(0.002)
-    assert update.heading_std_rad == pytest.approx(std)
+    assert update.heading_std_rad == pytest.approx(STD)
+    assert update.rejected == 0 and not update.event
     assert update.stats.nis == pytest.approx(stats.nis) and update.stats.dof == 1
 
 
@@ -74,7 +82,7 @@ def test_a_time_offset_among_the_candidates_has_a_sensitivity() -> None:
     effects = replace(MODEL_EFFECTS, time=none.time)
     _, update = reference.update(state, sample, effects, late, POSE_RATE)
     assert update.stats.information is not None and update.stats.score is not None
-    variance = update.heading_std_rad**2
+    variance = heading_innovation(state, 0.0, np.zeros(MODEL_EFFECTS.count))[1] + STD**2
     np.testing.assert_allclose(update.stats.information, [[POSE_RATE[YAW] ** 2 / variance]])
     np.testing.assert_allclose(update.stats.score, [-POSE_RATE[YAW] * update.heading_rad / variance])
 
@@ -89,14 +97,38 @@ def test_after_a_lost_alignment_the_next_sample_aligns() -> None:
     assert updated(reference, state, 0.8)[1].heading_rad == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_noise_is_estimated_where_it_dominates() -> None:
-    certain = replace(some_state(), covariance=1e-12 * np.eye(len(some_state().mean)))
-    uncertain = replace(certain, covariance=np.eye(len(certain.mean)))
-    rng = np.random.default_rng(0)
-    reference = aligned()
-    for _ in range(500):
-        updated(reference, uncertain, 0.3)
-    assert reference.noise.std == STD, 'the state dominates these innovations'
-    for error_rad in rng.normal(0.0, 3.0 * STD, 3000):
-        updated(reference, certain, float(error_rad))
-    assert reference.noise.std == pytest.approx(3.0 * STD, rel=0.1)
+def certain() -> State:
+    return replace(some_state(), covariance=1e-12 * np.eye(len(some_state().mean)))
+
+
+def test_an_outlier_counts_little() -> None:
+    """Its weight is that of a Student t variable."""
+    reference, state, error_rad = aligned(), certain(), 20.0 * STD
+    after, update = updated(reference, state, error_rad)
+    assert update.rejected == 1 and not update.event
+    assert update.heading_std_rad**2 == pytest.approx(STD**2 * (4.0 + 400.0) / 5.0, rel=1e-6)
+    moved, bound = after.mean[YAW] - state.mean[YAW], 1e-12 * error_rad / STD**2
+    assert 0.0 < moved < 0.02 * bound
+
+
+def test_outliers_to_both_sides_are_no_jump() -> None:
+    reference, state = aligned(), certain()
+    for side in (1.0, -1.0) * JUMP_HEADINGS:
+        after, update = updated(reference, state, side * 20.0 * STD)
+        assert update.rejected == 1 and abs(after.mean[YAW] - state.mean[YAW]) < 1e-6
+
+
+def test_after_a_jump_the_reference_is_aligned_again() -> None:
+    reference, state, jump_rad = aligned(), certain(), 20.0 * STD
+    for _ in range(JUMP_HEADINGS - 1):
+        assert updated(reference, state, jump_rad)[1].rejected == 1
+    after, update = updated(reference, state, jump_rad)
+    assert 'jumped by +10.0 deg' in update.event and update.rejected == 0
+    np.testing.assert_array_equal(after.mean, state.mean)
+    assert updated(reference, after, jump_rad)[1].heading_rad == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_log_likelihood_is_that_of_a_student_t_variable() -> None:
+    _, update = updated(aligned(), certain(), 3.0 * STD)
+    expected = float(student_t.logpdf(3.0 * STD, df=4.0, scale=STD))
+    assert update.stats.log_likelihood == pytest.approx(expected, rel=1e-6)

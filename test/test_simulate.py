@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,12 +17,15 @@ from gyrocal_ros.data import (
     CovariateSample,
     FeatureObservations,
     Frame,
+    HeadingSample,
     ImuSample,
     TruthSample,
     WheelSample,
 )
+from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.sim.image_scenes import SCENES
-from gyrocal_ros.sim.scenarios import SCENARIOS
+from gyrocal_ros.sim.references import KINDS, ReferenceSource
+from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
 from gyrocal_ros.sim.world import SimSource
 
 CLEANING = replace(SCENARIOS['cleaning'], duration_s=5.0)
@@ -138,3 +142,24 @@ def test_an_interrupted_run_leaves_no_files(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(SimSource, 'measurements', interrupted)
     assert simulate(tmp_path / 'bag') == 130
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_reference_in_place_of_the_camera(kind: str) -> None:
+    robot = SimSource(replace(find_scenario('cleaning'), duration_s=30.0), 2)
+    first, again = (list(ReferenceSource(robot, kind).measurements()) for _ in range(2))
+    assert first == again and [item.t_ns for item in first] == sorted(item.t_ns for item in first)
+    found = [item for item in first if isinstance(item, HeadingSample)]
+    drawn, true = ReferenceSource(robot, kind).reference, robot.truth.trajectory
+    hidden_s = sum(min(end_s, 30.0) - start_s for start_s, end_s in drawn.gaps_s)
+    assert len(found) == pytest.approx(drawn.rate_hz * (30.0 - hidden_s), rel=0.05, abs=2.0)
+    time_s = np.array([(item.t_ns - robot.span.start_ns) / 1e9 for item in found]) - drawn.offset_s
+    wrong = np.unwrap([item.yaw_rad for item in found]) - true.motion(time_s).euler_rad[:, 2]
+    jumps_rad = sum(abs(size) for _, size in drawn.jumps)
+    spread = 6.0 * drawn.white_rad + 4.0 * drawn.walk_rad * math.sqrt(30.0) + jumps_rad
+    assert drawn.white_rad / 3.0 < np.std(wrong) < spread
+
+
+def test_an_unknown_reference_is_refused() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'lidar'"):
+        ReferenceSource(SimSource(find_scenario('cleaning')), 'lidr')

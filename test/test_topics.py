@@ -30,6 +30,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import clouds, images, to_ros, topics
+from gyrocal_ros.msgs.headings import heading_conversion
 from gyrocal_ros.msgs.to_ros import MessageMaker, live_maker
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import (
@@ -96,8 +97,8 @@ def test_truth_and_heading(make: MessageMaker, yaw_rad: float) -> None:
     assert (back.t_ns, back.position_m) == (T_NS, (1.0, 2.0, 3.0))
     assert back.yaw_rad == pytest.approx(yaw_rad)
     heading = to_ros.heading(make, HeadingSample(T_NS, yaw_rad))
-    assert topics.heading_sample(topics.POSE_STAMPED).value(heading).yaw_rad == pytest.approx(yaw_rad)
-    assert topics.heading_sample(topics.ODOMETRY).value(truth).yaw_rad == pytest.approx(yaw_rad)
+    assert heading_conversion(topics.POSE_STAMPED).value(heading).yaw_rad == pytest.approx(yaw_rad)
+    assert heading_conversion(topics.ODOMETRY).value(truth).yaw_rad == pytest.approx(yaw_rad)
 
 
 def test_features(make: MessageMaker) -> None:

@@ -28,6 +28,7 @@ from gyrocal_ros.ekf.state import BIAS, EULER, POSE, YAW, State
 from gyrocal_ros.ekf.update import (
     Innovation,
     UpdateStats,
+    heading_innovation,
     heading_update,
     innovate,
     mahalanobis,
@@ -229,8 +230,8 @@ def test_heading_update_agrees_with_the_textbook(turns: int) -> None:
     jacobian = np.zeros((1, len(state.mean)))
     jacobian[0, YAW], jacobian[0, state.coefficient_columns] = 1.0, by_values
     yaw_rad = float(state.mean[YAW]) + 0.02 + 2.0 * math.pi * turns
-    after, stats, residual, sigma = heading_update(state, yaw_rad, std, by_values, by_candidates)
+    after, stats, residual = heading_update(state, yaw_rad, std, by_values, by_candidates)
     assert residual == pytest.approx(0.02)
-    assert (residual / sigma) ** 2 == pytest.approx(stats.nis)
+    assert heading_innovation(state, yaw_rad, by_values)[0] == residual
     noise = np.array([[std**2]])
     assert_textbook(state, after, stats, jacobian, np.array([residual]), noise, by_candidates[None])

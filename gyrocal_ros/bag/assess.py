@@ -14,7 +14,7 @@ from gyrocal_ros.msgs.topics import Role
 
 ERROR, WARNING, NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
-MIN_RATE_HZ = {Role.IMU: 50.0, Role.WHEELS: 8.0, Role.FEATURES: 4.0, Role.IMAGE: 4.0, Role.HEADING: 2.0}
+MIN_RATE_HZ = {Role.IMU: 15.0, Role.WHEELS: 8.0, Role.FEATURES: 4.0, Role.IMAGE: 4.0, Role.HEADING: 1.0}
 """Minimum rate of a topic; slower ones follow turns badly."""
 MAX_NAN_SHARE = 0.1
 """Share of messages with NaN above which a topic cannot be used."""

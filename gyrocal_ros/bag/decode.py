@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
@@ -12,9 +13,10 @@ from gyrocal_ros.bag.fields import FieldReader
 from gyrocal_ros.bag.rig import Geometry
 from gyrocal_ros.bag.selection import NEEDED_ROLES, Selection
 from gyrocal_ros.bag.storage import Storage, Topic
-from gyrocal_ros.data import NS_PER_S, CovariateSample, Measurement
+from gyrocal_ros.data import NS_PER_S, CovariateSample, HeadingSample, Measurement
 from gyrocal_ros.errors import MessageError, RecordingError
 from gyrocal_ros.msgs import clouds, images, topics
+from gyrocal_ros.msgs.headings import FrameHeading, heading_conversion
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.mounts import into_body_axes
 from gyrocal_ros.msgs.plausible import MAX_DISTANCE_M, MAX_NUMBER, MAX_READING, plausible
@@ -57,6 +59,7 @@ class MessageDecoder:
         """Number of messages of each topic that were left out as invalid (NaN, damaged)."""
         self.stamp_offset_ns = 0
         """Latest stamp minus its time of recording; set by the user of the decoder."""
+        self._heading = selection.heading
         self.streams: list[tuple[Topic, Decode]] = []
         """Each topic in use with its decoder; a topic with two roles appears twice."""
         self._storage, self._geometry, self._other_clock_ns = storage, geometry, other_clock_ns
@@ -90,6 +93,8 @@ class MessageDecoder:
             return self._feature_decoder(topic)
         if role is Role.IMAGE:
             return self._image_decoder(topic)
+        if role is Role.HEADING:
+            return self._heading_decoder(topic)
         conversion = topics.field_conversion(role, topic.type_name)
         if role is Role.IMU and not np.array_equal(self._geometry.R_bi, np.eye(3)):
             rotate = into_body_axes(self._geometry.R_bi)
@@ -110,6 +115,35 @@ class MessageDecoder:
             return (build(*values),)
 
         return decode
+
+    def _heading_decoder(self, topic: Topic) -> Decode:
+        assert self._heading is not None
+        if self._heading.frames is None:
+            conversion = heading_conversion(topic.type_name, self._heading.field)
+            return self._set_headings(
+                topic,
+                self._field_decoder(
+                    topic, FieldConversion(conversion.fields, conversion.build), MAX_DISTANCE_M
+                ),
+            )
+        frames = FrameHeading(*self._heading.frames)
+
+        def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
+            sample = frames.add(self._storage.message(topic, raw))
+            return (sample,) if sample else ()
+
+        return decode
+
+    def _set_headings(self, topic: Topic, decode: Decode) -> Decode:
+        """Return a decoder that leaves out orientations that are not set."""
+
+        def decode_set(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
+            samples = decode(raw, recorded_ns)
+            if any(isinstance(item, HeadingSample) and math.isnan(item.yaw_rad) for item in samples):
+                raise MessageError('the orientation is not set (all zero)', todo='use another reference')
+            return samples
+
+        return decode_set
 
     def _feature_decoder(self, topic: Topic) -> Decode:
         def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:

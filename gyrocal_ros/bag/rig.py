@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -12,8 +13,9 @@ from gyrocal_ros.bag.selection import Selection
 from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.bag.topic_stats import TurnStats, compare_turns
 from gyrocal_ros.config.sections import CameraConfig
-from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, Mount, Rig
+from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, HeadingSample, Mount, Rig
 from gyrocal_ros.errors import MessageError, RecordingError
+from gyrocal_ros.msgs.headings import FrameHeading, HeadingName, heading_conversion
 from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.msgs.mounts import (
     REST_NS,
@@ -28,7 +30,6 @@ from gyrocal_ros.msgs.topics import (
     FieldConversion,
     Role,
     camera_intrinsics,
-    heading_sample,
     transforms,
 )
 from gyrocal_ros.msgs.transforms import Transform
@@ -68,8 +69,7 @@ def read_geometry(storage: Storage, selection: Selection, config: CameraConfig) 
     links = read_static_transforms(storage, selection)
     issues: list[BagIssue] = []
     rig = read_rig(storage, selection, links, config, issues)
-    heading = selection.topics.get(Role.HEADING)
-    R_bi = read_imu_rotation(storage, selection.topics[Role.IMU], links, heading, issues)
+    R_bi = read_imu_rotation(storage, selection.topics[Role.IMU], links, selection, issues)
     return Geometry(rig, R_bi, tuple(issues))
 
 
@@ -119,7 +119,7 @@ def read_imu_rotation(
     storage: Storage,
     topic: Topic,
     links: Sequence[Transform],
-    heading: Topic | None,
+    selection: Selection,
     issues: list[BagIssue],
 ) -> Array:
     """Return the rotation (3, 3) from an IMU's axes to body axes.
@@ -132,7 +132,7 @@ def read_imu_rotation(
         storage: the open recording.
         topic: the IMU.
         links: the static transforms.
-        heading: the heading reference, if any.
+        selection: the topics, with the heading reference, if any.
         issues: list to which assumptions and contradictions are appended.
 
     Raises:
@@ -141,7 +141,11 @@ def read_imu_rotation(
     frame = storage.first_message(topic).header.frame_id.lstrip('/')
 
     def opposite_topic(R_bi: Array) -> str:
-        return heading.name if heading and _turn_opposite(storage, topic, R_bi, heading) else ''
+        heading, name = selection.topics.get(Role.HEADING), selection.heading
+        if heading is None or name is None:
+            return ''
+        poses = _first_headings(storage, heading, name)
+        return heading.name if _turn_opposite(storage, topic, R_bi, poses) else ''
 
     force = _initial_force(storage, topic)
     R_bi, imu_issues = imu_rotation(topic.name, frame, links, force, opposite_topic)
@@ -173,17 +177,32 @@ def _initial_force(storage: Storage, topic: Topic) -> Array:
     return np.mean(forces, axis=0) if forces else np.zeros(3)
 
 
-def _turn_opposite(storage: Storage, imu: Topic, R_bi: Array, heading: Topic) -> bool:
+def _turn_opposite(storage: Storage, imu: Topic, R_bi: Array, poses: list[HeadingSample]) -> bool:
     """Return True if an IMU and a heading reference turn in opposite directions."""
     by_gyro, by_heading = TurnStats(), TurnStats()
     samples = _first_samples(storage, imu, IMU_SAMPLE, TURN_COMPARISON_NS)
     rates = np.array([sample.rate_rad_s for sample in samples]).reshape(-1, 3)
     by_gyro.add(np.array([sample.t_ns for sample in samples]), rates @ R_bi[2])
-    poses = _first_samples(storage, heading, heading_sample(heading.type_name), TURN_COMPARISON_NS)
     yaws = np.array([pose.yaw_rad for pose in poses])
     by_heading.add_headings(np.array([pose.t_ns for pose in poses]), yaws)
     compared = compare_turns(by_gyro, by_heading)
     return compared is not None and compared.correlation < -MIN_OPPOSITE_CORRELATION
+
+
+def _first_headings(storage: Storage, topic: Topic, name: HeadingName) -> list[HeadingSample]:
+    """Return the headings of a reference over the first `TURN_COMPARISON_NS`."""
+    if name.frames is None:
+        conversion = heading_conversion(topic.type_name, name.field)
+        found = _first_samples(storage, topic, conversion, TURN_COMPARISON_NS)
+        return [sample for sample in found if math.isfinite(sample.yaw_rad)]
+    frames, samples = FrameHeading(*name.frames), list[HeadingSample]()
+    for message in storage.messages(topic):
+        sample = frames.add(message)
+        if sample:
+            samples.append(sample)
+            if sample.t_ns > samples[0].t_ns + TURN_COMPARISON_NS:
+                break
+    return samples
 
 
 def _first_samples(storage: Storage, topic: Topic, conversion: FieldConversion[T], length_ns: int) -> list[T]:

@@ -14,8 +14,9 @@ from gyrocal_ros.bag.rig import read_imu_rotation
 from gyrocal_ros.bag.selection import Selection
 from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.bag.topic_stats import ImuStats, StampStats, TurnStats
-from gyrocal_ros.data import NS_PER_S, Array, IntArray
+from gyrocal_ros.data import NS_PER_S, Array, HeadingSample, IntArray
 from gyrocal_ros.errors import MessageError
+from gyrocal_ros.msgs.headings import heading_conversion
 from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.msgs.plausible import MAX_READING
 from gyrocal_ros.msgs.topics import (
@@ -23,10 +24,10 @@ from gyrocal_ros.msgs.topics import (
     STAMP_FIELDS,
     TYPES,
     WHEEL_SAMPLE,
+    FieldConversion,
     Role,
-    heading_sample,
 )
-from gyrocal_ros.msgs.transforms import Transform, yaw_from_quaternion
+from gyrocal_ros.msgs.transforms import Transform
 
 BLOCK_SIZE = 2048
 """Number of messages of a topic that are processed together."""
@@ -114,18 +115,20 @@ def scan_bag(
         RecordingError: the recording is damaged.
     """
     scan = BagScan()
-    heading = selection.topics.get(Role.HEADING)
     for role, topic in _topics_to_scan(storage, selection):
         fields: tuple[str, ...] = STAMP_FIELDS
         handle: BlockHandler = _ignore
         if role is Role.IMU:
-            R_bi = read_imu_rotation(storage, topic, links, heading, issues)
+            R_bi = read_imu_rotation(storage, topic, links, selection, issues)
             stats = scan.imus[topic.name] = ImuStats(R_bi)
             fields, handle = IMU_SAMPLE.fields, stats.add
         elif role is Role.WHEELS:
             fields, handle = WHEEL_SAMPLE.fields, _wheel_handler(scan)
         elif role is Role.HEADING:
-            fields, handle = heading_sample(topic.type_name).fields, _heading_handler(scan)
+            if selection.heading is None or selection.heading.frames:
+                continue  # transforms have no stamp of their own
+            conversion = heading_conversion(topic.type_name, selection.heading.field)
+            fields, handle = conversion.fields, _heading_handler(scan, conversion)
         elif role is Role.FEATURES:
             fields, handle = (*STAMP_FIELDS, 'width'), _feature_handler(scan)
         reader, stamps = storage.reader_of(topic, fields), StampStats(step_ns)
@@ -168,11 +171,14 @@ def _wheel_handler(scan: BagScan) -> BlockHandler:
     return lambda stamps_ns, numbers: turns.add(stamps_ns, numbers[:, 1])
 
 
-def _heading_handler(scan: BagScan) -> BlockHandler:
+def _heading_handler(scan: BagScan, conversion: FieldConversion[HeadingSample]) -> BlockHandler:
     turns = scan.turns[Role.HEADING] = TurnStats()
 
-    def handle(stamps_ns: IntArray, quaternions: Array) -> None:
-        turns.add_headings(stamps_ns, np.array([yaw_from_quaternion(*row) for row in quaternions.tolist()]))
+    def handle(stamps_ns: IntArray, numbers: Array) -> None:
+        yaws_rad = np.array([conversion.build(0, 0, *row).yaw_rad for row in numbers.tolist()])
+        is_set = np.isfinite(yaws_rad)
+        if is_set.any():
+            turns.add_headings(stamps_ns[is_set], yaws_rad[is_set])
 
     return handle
 

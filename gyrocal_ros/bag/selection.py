@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 from gyrocal_ros.bag.storage import Topic
 from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.msgs.headings import HEADING_TYPES, HeadingName, parse_heading_name
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import POSES, STATIC_TRANSFORMS, TRANSFORMS, TYPES, Role
 
@@ -16,6 +17,15 @@ NAME_ENDINGS = {role: (str(role),) for role in Role} | {Role.IMAGE: (Role.IMAGE,
 CAMERA_ROLES = (Role.FEATURES, Role.IMAGE)
 NEEDED_ROLES = (Role.IMU, Role.WHEELS, Role.FEATURES, Role.IMAGE, Role.CAMERA_INFO, Role.HEADING)
 """Roles that calibration relies on; the topics of the others are optional and may be faulty."""
+
+WHEEL_WORDS = ('odom', 'wheel', 'encoder', 'base_controller', 'velocity_controller')
+SIGHT_WORDS = ('visual', 'stereo', 'lidar', 'laser', 'scan', 'vio', 'slam', 'camera', 'mocap', 'vicon')
+"""Parts of the names of topics of wheel odometry, and of others that are called odometry, too."""
+FUSED_WORDS = ('filtered', 'fused', 'ekf', 'ukf')
+"""Parts of the names of topics that a filter publishes which probably uses the gyro itself."""
+OBVIOUS_TYPES = (*POSES, 'geometry_msgs/msg/TransformStamped')
+"""Types of a heading reference that is suggested, or used without being named if it is the only one. The
+orientation of an IMU comes mostly from its gyro, and a compass is disturbed indoors: they must be named."""
 
 NOT_COVARIATES = (
     'geometry_msgs/',
@@ -38,7 +48,7 @@ class TopicOptions:
     namespace: str | None = None
     """Namespace of the robot, if the recording holds several."""
     heading_reference: str | None = None
-    """Topic that provides the heading, in place of the ceiling camera."""
+    """Name of the heading reference, in place of the ceiling camera; see `msgs.headings`."""
     use_images: bool = False
     """True to use the images even if there are features."""
 
@@ -53,6 +63,8 @@ class Selection:
     """Topics that may hold covariates, by their name without namespace."""
     issues: tuple[BagIssue, ...]
     """Missing, ambiguous or unusable topics."""
+    heading: HeadingName | None = None
+    """What the topic of the heading reference provides; None without one."""
 
 
 def parse_remap(words: Iterable[str]) -> dict[str, str]:
@@ -101,20 +113,18 @@ def select_topics(topics: Mapping[str, Topic], options: TopicOptions) -> Selecti
     issues: list[BagIssue] = []
     robots = _robot_namespaces(topics)
     robot = _select_robot(topics, robots, options, issues)
-    named = dict(options.remap)
-    if options.heading_reference:
-        named[Role.HEADING] = options.heading_reference
     selected: dict[Role, Topic] = {}
-    for role in Role:
-        if role in named:
-            topic = _find_by_name(topics, named[role], issues)
-        elif role is not Role.HEADING:
+    for role in (role for role in Role if role is not Role.HEADING):
+        if role in options.remap:
+            topic = _find_by_name(topics, options.remap[role], issues)
+        else:
             any_namespace = len(robots) < 2 and options.namespace is None
             topic = _find_by_ending(topics, role, robot, any_namespace=any_namespace)
-        else:
-            topic = None
-        if topic and _is_usable(topic, role, issues):
+        if topic and _is_usable(topic, role, TYPES[role], issues):
             selected[role] = topic
+    if not options.heading_reference:
+        options = _with_obvious_reference(topics, selected, options, issues)
+    heading = _select_heading(topics, selected, options, issues)
     _keep_one_reference(selected, options)
     issues += _missing_topics(topics, selected, options)
     return Selection(
@@ -122,7 +132,59 @@ def select_topics(topics: Mapping[str, Topic], options: TopicOptions) -> Selecti
         tuple(t for t in topics.values() if t.type_name == TRANSFORMS and t.name.endswith(STATIC_TRANSFORMS)),
         dict(_other_topics(topics, selected, robot, robots)),
         tuple(issues),
+        heading,
     )
+
+
+def _select_heading(
+    topics: Mapping[str, Topic], selected: dict[Role, Topic], options: TopicOptions, issues: list[BagIssue]
+) -> HeadingName | None:
+    """Select the topic of the heading reference; return what it provides, None without a usable one."""
+    if not options.heading_reference:
+        return None
+    name = parse_heading_name(options.heading_reference)
+    topic = _find_by_name(topics, name.topic, issues)
+    fitting = (TRANSFORMS,) if name.frames else HEADING_TYPES
+    if topic is None or not _is_usable(topic, Role.HEADING, () if name.field else fitting, issues):
+        return None
+    selected[Role.HEADING] = topic
+    return name
+
+
+def _with_obvious_reference(
+    topics: Mapping[str, Topic],
+    selected: Mapping[Role, Topic],
+    options: TopicOptions,
+    issues: list[BagIssue],
+) -> TopicOptions:
+    """Return the options with the one obvious heading reference, if there is no camera and only one."""
+    if any(role in selected for role in CAMERA_ROLES):
+        return options
+    obvious = [
+        topic.name
+        for topic in _possible_references(topics, selected)
+        if not _is_named_like_wheels(topic) and not any(word in topic.name.lower() for word in FUSED_WORDS)
+    ]
+    if len(obvious) != 1:
+        return options
+    text = f'there is no ceiling camera; {obvious[0]} is used as the heading reference'
+    todo = 'name another one with --heading-reference'
+    issues.append(BagIssue(Severity.NOTE, 'chosen_reference', obvious[0], text, todo))
+    return replace(options, heading_reference=obvious[0])
+
+
+def _possible_references(topics: Mapping[str, Topic], selected: Mapping[Role, Topic]) -> list[Topic]:
+    """Return the unused topics that may be heading references."""
+    return [
+        topic
+        for topic in topics.values()
+        if topic.count and topic.type_name in OBVIOUS_TYPES and topic not in selected.values()
+    ]
+
+
+def _is_named_like_wheels(topic: Topic) -> bool:
+    name = topic.name.lower()
+    return any(word in name for word in WHEEL_WORDS) and not any(word in name for word in SIGHT_WORDS)
 
 
 def _namespace(name: str, ending: str) -> str | None:
@@ -205,11 +267,11 @@ def _find_by_name(topics: Mapping[str, Topic], name: str, issues: list[BagIssue]
     return None
 
 
-def _is_usable(topic: Topic, role: Role, issues: list[BagIssue]) -> bool:
-    """Return True if a topic has messages of a type that fits its role; append an issue otherwise."""
+def _is_usable(topic: Topic, role: Role, types: Collection[str], issues: list[BagIssue]) -> bool:
+    """Return True if a topic has messages of one of some types (none: any); append an issue otherwise."""
     severity = Severity.ERROR if role in NEEDED_ROLES else Severity.WARNING
-    if topic.type_name not in TYPES[role]:
-        text = f'is a {topic.type_name}, not a {" or ".join(TYPES[role])}'
+    if types and topic.type_name not in types:
+        text = f'is a {topic.type_name}, not a {" or ".join(types)}'
         issues.append(BagIssue(severity, 'wrong_type', topic.name, text, f'use another topic as {role}'))
         return False
     if not topic.count:
@@ -258,11 +320,7 @@ def _missing_topics(
             )
         return
     if not any(role in selected for role in CAMERA_ROLES):
-        poses = [
-            topic.name
-            for topic in topics.values()
-            if topic.type_name in POSES and topic not in (selected.get(Role.TRUTH), selected.get(Role.WHEELS))
-        ]
+        poses = [topic.name for topic in _possible_references(topics, selected)]
         option = f'--heading-reference {" or ".join(poses)}' if poses else '--heading-reference TOPIC'
         todo = f'{_suggest_topic(topics, selected, Role.IMAGE)}, or give {option}'
         yield missing(Role.IMAGE, 'there is no ceiling camera', todo)
@@ -273,7 +331,11 @@ def _missing_topics(
 def _suggest_topic(topics: Mapping[str, Topic], selected: Mapping[Role, Topic], role: Role) -> str:
     """Return advice that names the unused topics that could take a role."""
     free = [topic for topic in topics.values() if topic not in selected.values()]
-    fitting = [topic.name for topic in free if topic.type_name in TYPES[role]]
+    fitting = [
+        topic.name
+        for topic in free
+        if topic.type_name in TYPES[role] and (role is not Role.WHEELS or _is_named_like_wheels(topic))
+    ]
     if len(fitting) == 1:
         return f'give -r {role}:={fitting[0]}'
     if fitting:

@@ -41,7 +41,8 @@ def add_topic_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--heading-reference',
         metavar='TOPIC',
-        help='take the heading from this Odometry or PoseStamped topic in place of the ceiling camera',
+        help='take the heading from this topic in place of the ceiling camera: odometry, a pose, a '
+        'transform, an orientation, a magnetic field; TOPIC.FIELD for a yaw, tf:PARENT:CHILD for a frame',
     )
     add_config_option(parser)
 

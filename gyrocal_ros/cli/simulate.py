@@ -17,11 +17,13 @@ import numpy as np
 
 from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.cli.image_options import add_image_options, with_image_options
+from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import progress
 from gyrocal_ros.cli.scenario_options import add_scenario_options, scenario_source
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.effects.base import with_unit
 from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.sim.references import KINDS, ReferenceSource
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sealed import answer_of, seal, sealed_path
 
@@ -30,7 +32,8 @@ gyrocal simulate my_images --duration 60 --images
 gyrocal simulate my_beams --duration 60 --images --ceiling beams --condition readout_s=0.02
 gyrocal simulate my_fisheye --duration 60 --images --scene fisheye
 gyrocal simulate slow_gyro --effect gyro_lag=0.02 --effect bias_warmup=amplitude:0.01,time_constant:200
-gyrocal simulate exercise --hidden --seed 7"""
+gyrocal simulate exercise --hidden --seed 7
+gyrocal simulate my_lidar --reference lidar --duration 180"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,6 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='hide effects drawn by the seed; `gyrocal reveal OUT` shows them',
     )
+    reference = parser.add_argument(
+        '--reference',
+        metavar='KIND',
+        help='record a heading reference in place of the ceiling camera, with noise, drift, offset, gaps and '
+        'jumps by the seed: ' + '; '.join(f'{name}: {kind.about}' for name, kind in KINDS.items()),
+    )
+    complete_with(reference, KINDS)
     add_image_options(parser)
     parser.add_argument(
         '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='storage format (%(default)s)'
@@ -55,7 +65,10 @@ def run(args: argparse.Namespace) -> None:
         GyrocalError: an argument is out of bounds, or the bag cannot be written.
     """
     scenario = with_image_options(args, find_scenario(args.scenario))
-    source = scenario_source(args, scenario, images=args.images, hidden=args.hidden)
+    robot = scenario_source(args, scenario, images=args.images, hidden=args.hidden)
+    if args.reference and args.images:
+        raise GyrocalError('excludes --images', where='--reference', todo='give one of them')
+    source = ReferenceSource(robot, args.reference) if args.reference else robot
     sealed = sealed_path(args.out)
     if args.hidden and sealed.exists() and not args.overwrite:
         raise GyrocalError('exists already', where=str(sealed), todo='choose another name or --overwrite')
@@ -69,16 +82,18 @@ def run(args: argparse.Namespace) -> None:
                 bag.write(measurement)
                 counts[type(measurement).__name__] += 1
     if args.hidden:
-        seal(args.out, answer_of(source), overwrite=args.overwrite)
+        seal(args.out, answer_of(robot), overwrite=args.overwrite)
     size_mb = sum(file.stat().st_size for file in args.out.iterdir()) / 1e6
     camera = f'{counts["Frame"]} images' if args.images else f'{counts["FeatureObservations"]} feature lists'
+    if args.reference:
+        camera = f'{counts["HeadingSample"]} headings'
     print(
-        f'{args.out}: {source.scenario.name}, seed {source.seed}, {span.duration_s:g} s, '
+        f'{args.out}: {robot.scenario.name}, seed {robot.seed}, {span.duration_s:g} s, '
         f'{counts["ImuSample"]} IMU samples, {camera}, {size_mb:.1f} MB'
     )
     if args.hidden:
         print(f'to see the hidden effects: gyrocal reveal {args.out}')
-    for item in () if args.hidden else source.hidden:
+    for item in () if args.hidden else robot.hidden:
         pairs = zip(item.effect.coefficients, item.values, strict=True)
         values = ', '.join(f'{about.name} = {with_unit(value, about.unit)}' for about, value in pairs)
         print(f'with {item.effect.name}: {values}')

@@ -56,12 +56,7 @@ class GyroConfig:
         high=0.1,
     )
     gap_rate_std_deg_s: float = setting(
-        40.0,
-        'deg/s',
-        'standard deviation of the unobserved yaw rate while IMU samples are missing',
-        low=0.0,
-        high=1000.0,
-        live=True,
+        40.0, 'deg/s', 'standard deviation of the yaw rate in gaps of the IMU', low=0.0, high=1e3, live=True
     )
 
 
@@ -174,12 +169,7 @@ class RestConfig:
     """Detection of rest and the noise of the zero-rate update."""
 
     settle_s: float = setting(
-        0.3,
-        's',
-        'time with wheels at rest before the zero-rate update is used',
-        low=0.0,
-        high=60.0,
-        live=True,
+        0.3, 's', 'rest of the wheels before the zero-rate update is used', low=0.0, high=60.0, live=True
     )
     rotation_noise_deg: float = setting(
         0.005,
@@ -200,6 +190,9 @@ class ReferenceConfig:
     )
     heading_walk_deg: float = setting(
         0.02, 'deg/sqrt(s)', 'random walk of the reference heading', low=0.0, high=10.0, live=True
+    )
+    tail_dof: float = setting(
+        6.0, '', 'Student t degrees of freedom of heading errors; few for many outliers', low=1.0, high=1e3
     )
 
 
@@ -289,6 +282,9 @@ class ConvergenceConfig:
         low=1e-7,
         high=1.0,
         live=True,
+    )
+    heading_scale_std: float = setting(
+        5e-3, '1', 'the same with a heading reference in place of the camera', low=1e-7, high=1.0
     )
     nis_low: float = setting(
         0.5, '', 'smallest NIS per degree of freedom of a healthy filter', low=0.0, high=1.0, live=True

@@ -46,7 +46,7 @@ class Headings:
     bias_walk_rad_s: float
     """Random walk of the bias, rad/s/sqrt(s)."""
     map_walk_rad: float
-    """Random walk of the map's own heading, rad/sqrt(s)."""
+    """Random walk of the heading of the map, or of the heading reference, rad/sqrt(s)."""
     outlier_sigma: float
     """Innovations beyond this count less, the larger they are."""
 
@@ -72,7 +72,9 @@ def headings(run: Run, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> Headin
         std_rad=history.heading_innovation_std_rad,
         rate_noise_rad_s=noise.density_rad_s,
         bias_walk_rad_s=noise.bias_walk_rad_s,
-        map_walk_rad=math.radians(settings.map_walk_deg),
+        map_walk_rad=math.radians(
+            settings.map_walk_deg if run.rig.camera is not None else run.config.reference.heading_walk_deg
+        ),
         outlier_sigma=settings.outlier_sigma,
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
+from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 
@@ -35,6 +36,12 @@ class GyroLag(LinearGyroEffect):
     coefficients: tuple[Coefficient, ...] = (
         Coefficient('tau', 's', prior_std=0.03, typical=TypicalRange(0.003, 0.06, signed=False)),
     )
+
+    def unobservable(self, recording: RecordingSummary) -> str:
+        """Return why a recording cannot show it; empty if it may."""
+        if recording.rig.camera is None:
+            return 'the time offset of the heading reference, which is estimated, looks the same'
+        return ''
 
     def columns(self, block: MotionBlock) -> Array:
         """Return the column (N, 1)."""

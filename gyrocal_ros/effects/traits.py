@@ -39,7 +39,7 @@ def followers_by_signal(model: SensorModel) -> dict[str, list[str]]:
 def why_unobservable(effect: Effect, recording: RecordingSummary) -> str:
     """Return why the recording cannot show an effect; empty if it may."""
     missing = set(required_signals(effect)) - recording.recorded
-    if effect.acts_on in ('camera', 'shutter') and recording.rig.camera is None:
+    if effect.acts_on in ('camera', 'shutter', 'time') and recording.rig.camera is None:
         missing.add(CEILING_IMAGES)
     if missing:
         return f'{NOT_RECORDED}{", ".join(sorted(missing))}'

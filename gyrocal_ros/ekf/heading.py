@@ -9,31 +9,27 @@ import numpy as np
 
 from gyrocal_ros.config.sections import ReferenceConfig
 from gyrocal_ros.data import Array, HeadingSample
-from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace
+from gyrocal_ros.ekf.reference_noise import OUTLIER_SIGMA, JumpDetector, ReferenceNoise
 from gyrocal_ros.ekf.state import YAW, State
-from gyrocal_ros.ekf.update import MeasurementUpdate, heading_update
-
-NOISE_RANGE = 1e3
-"""Maximum factor between the estimated noise and its setting, to either side."""
-DOMINATED = 2.0
-"""Upper bound of the standard deviation of an innovation, relative to that of the reference, for estimating
-the noise of the reference from it."""
+from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, heading_innovation, heading_update
 
 
 class HeadingReference:
-    """Aligns a heading reference to the map at its first sample, then updates the filter with it."""
+    """Aligns a heading reference to the map at its first sample, then updates the filter with it.
+
+    Its random walk is part of the heading in the state: that is the heading in the frame of the reference.
+    """
 
     def __init__(self, config: ReferenceConfig) -> None:
-        std = math.radians(config.heading_noise_deg)
-        self.noise = AdaptiveNoise(std, std / NOISE_RANGE, std * NOISE_RANGE)
-        self._walk = math.radians(config.heading_walk_deg)
+        self.noise = reference_noise(config)
         self._offset_rad: float | None = None
+        self._jumps = JumpDetector()
 
     @property
     def walk_rad(self) -> float:
         """Random walk (rad/sqrt(s)) of the reference; zero before its first sample."""
-        return 0.0 if self._offset_rad is None else self._walk
+        return 0.0 if self._offset_rad is None else float(self.noise.walk_rad)
 
     def forget_alignment(self) -> None:
         """Align again at the next sample."""
@@ -56,17 +52,50 @@ class HeadingReference:
             candidates: effects that the model lacks.
             pose_rate: (6,) rate of the pose.
         """
+        white_rad = float(self.noise.white_rad)
         if self._offset_rad is None:
-            self._offset_rad = sample.yaw_rad - float(state.mean[YAW])
-            covariance = state.covariance.copy()
-            covariance[YAW, YAW] += self.noise.std**2
-            return replace(state, covariance=covariance), MeasurementUpdate()
+            return self._align(state, sample, white_rad), MeasurementUpdate()
         by_values, by_candidates = np.zeros(effects.count), np.zeros(candidates.count)
         for derivative, group in ((by_values, effects), (by_candidates, candidates)):
             for _, place in group.time:
                 derivative[place] = -pose_rate[YAW]
         yaw_rad = sample.yaw_rad - self._offset_rad
-        state, stats, residual, std = heading_update(state, yaw_rad, self.noise.std, by_values, by_candidates)
-        if std < DOMINATED * self.noise.std:
-            self.noise.update(np.array([stats.nis]), 1)
-        return state, MeasurementUpdate(stats=stats, heading_rad=residual, heading_std_rad=std)
+        residual, known = heading_innovation(state, yaw_rad, by_values)
+        variance = known + white_rad**2
+        if self._jumps.update(np.array([residual / math.sqrt(variance)]))[0]:
+            event = f'the heading reference jumped by {math.degrees(residual):+.1f} deg'
+            return self._align(state, sample, white_rad), MeasurementUpdate(event=event)
+        distance = residual**2 / variance
+        std = math.sqrt(variance / float(self.noise.weight(distance)) - known)
+        state, stats, residual = heading_update(state, yaw_rad, std, by_values, by_candidates)
+        log_likelihood = float(self.noise.log_likelihood(variance, distance))
+        return state, MeasurementUpdate(
+            stats=with_log_likelihood(stats, log_likelihood),
+            rejected=int(distance > OUTLIER_SIGMA**2),
+            heading_rad=residual,
+            heading_std_rad=std,
+        )
+
+    def _align(self, state: State, sample: HeadingSample, white_rad: float) -> State:
+        """Align the frame of the reference to the map, so that the heading in it is that of the sample.
+
+        What the heading had to do with bias and scale factor before says nothing about the new frame.
+        """
+        self._offset_rad = sample.yaw_rad - float(state.mean[YAW])
+        covariance, sensitivity = state.covariance.copy(), state.sensitivity.copy()
+        covariance[YAW], covariance[:, YAW], sensitivity[YAW] = 0.0, 0.0, 0.0
+        covariance[YAW, YAW] = white_rad**2
+        return replace(state, covariance=covariance, sensitivity=sensitivity)
+
+
+def reference_noise(config: ReferenceConfig) -> ReferenceNoise:
+    """Return the noise of the settings."""
+    return ReferenceNoise(
+        math.radians(config.heading_noise_deg), math.radians(config.heading_walk_deg), config.tail_dof
+    )
+
+
+def with_log_likelihood(stats: UpdateStats, log_likelihood: float) -> UpdateStats:
+    """Return the statistics of one number with the log-likelihood by its own distribution."""
+    log_determinant = -2.0 * log_likelihood - stats.nis - math.log(2.0 * math.pi)
+    return replace(stats, log_determinant=log_determinant)

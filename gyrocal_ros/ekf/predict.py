@@ -31,6 +31,8 @@ class FilterModel:
     """Effects of the sensor model, by place."""
     gyro: GyroConfig
     wheels: WheelConfig
+    tilt_rate_noise_rad_s: Array | None = None
+    """(2,) white noise densities of the x and y gyros; None where they are like the yaw gyro's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,6 +167,8 @@ def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel, ext
     gap_rad = math.radians(gyro.gap_rate_std_deg_s) * block.gap_s
     yaw = yaw_noise(model.effects.noise, model.effects.prior_means, gyro, block.rate_rad_s[:, 2])
     density = np.full((3, len(block.dt_s)), math.radians(gyro.rate_noise_deg_s))
+    if model.tilt_rate_noise_rad_s is not None:
+        density[:2] = model.tilt_rate_noise_rad_s[:, None]
     density[2] = yaw.density_rad_s
     by_rate = (motion.rate_gain * (density / np.sqrt(block.dt_s))).reshape(6, -1)
     noise[POSE, POSE] = by_rate @ by_rate.T

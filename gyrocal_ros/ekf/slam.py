@@ -34,6 +34,7 @@ from gyrocal_ros.ekf.image_update import (
     update_from_image,
 )
 from gyrocal_ros.ekf.landmarks import forget_all
+from gyrocal_ros.ekf.levelling import Levelling, unlevelled
 from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch
 from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
@@ -102,6 +103,9 @@ class EkfSlam:
         self._rest, self._map_watch, self._motion_gate = RestDetector(), MapWatch(), MotionGate()
         self._steady = SteadyRate()
         self._heading = HeadingReference(config.reference)
+        self._levelling: Levelling | None = None
+        if rig.camera is None:
+            self._levelling, self.state = Levelling(), unlevelled(self.state)
         self.expect_pixel_noise(config.camera.pixel_noise_px)
 
     def step(self, block: MotionBlock, seen: Seen | None = None) -> StepRecord:
@@ -117,6 +121,8 @@ class EkfSlam:
         gyro = self._scale_watch.walk(self._steady.with_noise(block, self.config.gyro))
         steady = self._steady.without_noise(block, gyro)
         model = FilterModel(self.model, self._effects, gyro, self.config.wheels)
+        if self._levelling is not None:
+            model = replace(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
         self.state, transition = predict(before, block, model, self.memories, self._heading.walk_rad, steady)
         self.memories = transition.contribution.correction.memories
         self._pose_rate = transition.motion.pose_rate
@@ -128,15 +134,21 @@ class EkfSlam:
         # Zero-rate update: a robot that stands still does not turn.
         resting = UpdateStats()
         if self._rest.is_at_rest(block, self.config.rest.settle_s):
-            std = math.radians(self.config.rest.rotation_noise_deg)
+            std = math.radians(self.config.rest.rotation_noise_deg) * np.ones(3)
+            std[2] = math.hypot(std[2], self._heading.walk_rad * math.sqrt(block.duration_s))
             gate = chi_square_quantile(1.0 - self.config.features.outlier_probability, 3)
             self.state, resting = zero_rate_update(before, self.state, transition.matrix, std, gate)
+
+        # Levelling: without a camera gravity bounds roll and pitch.
+        if self._levelling is not None:
+            self.state = self._levelling.update(self.state, block)
 
         # Measurement update: eqs. (12) to (14), or a heading; new features join the map: eqs. (15) to (22).
         if isinstance(seen, HeadingSample):
             self.state, update = self._heading.update(
                 self.state, seen, self._effects, self._candidates, self._pose_rate
             )
+            event = update.event
         elif seen is not None:
             update = self._update_from_image(seen)
             if self._map_watch.is_lost(update, self.pixel_noise):

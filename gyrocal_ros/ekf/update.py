@@ -92,6 +92,8 @@ class MeasurementUpdate:
     """Squared distances of the features that the pixel noise dominates, see `robust.Judged`."""
     changes_px2: Array = field(default_factory=lambda: np.empty(0))
     """Changes of unmoved features, see `repeated_errors.Motion`."""
+    event: str = ''
+    """Event to report to the user."""
 
 
 def innovate(
@@ -176,7 +178,7 @@ def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
 
 
 def zero_rate_update(
-    before: State, after: State, matrix: Array, rotation_std_rad: float, gate: float
+    before: State, after: State, matrix: Array, rotation_std_rad: Array | float, gate: float
 ) -> tuple[State, UpdateStats]:
     """Update with zero rotation: the Euler angles of a robot at rest do not change.
 
@@ -187,7 +189,8 @@ def zero_rate_update(
         before: the state that was predicted from.
         after: the predicted state, same features.
         matrix: (r, r) transition of the robot part.
-        rotation_std_rad: standard deviation of the rotation of a robot at rest.
+        rotation_std_rad: (3,) or for all three, standard deviations of the changes of the Euler angles at
+            rest.
         gate: chi-square bound (3 degrees of freedom) above which the robot is not at rest.
     """
     r = len(matrix)
@@ -195,7 +198,7 @@ def zero_rate_update(
     with_change = (after.covariance[:, EULER] - with_before).T
     cross = with_before[EULER]
     change_covariance = after.covariance[EULER, EULER] + before.covariance[EULER, EULER] - cross - cross.T
-    change_covariance = change_covariance + rotation_std_rad**2 * np.eye(3)
+    change_covariance = change_covariance + np.square(rotation_std_rad) * np.eye(3)
     residual = before.euler_rad - after.euler_rad
     if residual @ np.linalg.solve(change_covariance, residual) > gate:
         return after, UpdateStats()
@@ -203,9 +206,24 @@ def zero_rate_update(
     return _correct(after, residual, with_change, change_covariance, sensitivity)
 
 
+def heading_innovation(state: State, yaw_rad: float, by_values: Array) -> tuple[float, float]:
+    """Return the innovation (rad) of a heading and its variance without the noise of the heading.
+
+    Args:
+        state: predicted to the time of the heading.
+        yaw_rad: measured.
+        by_values: (k,) derivative of the expected heading by the coefficients.
+    """
+    k = state.coefficient_columns
+    numerator = state.covariance[YAW] + by_values @ state.covariance[k]
+    residual = yaw_rad - float(state.mean[YAW])
+    residual -= 2.0 * math.pi * round(residual / (2.0 * math.pi))
+    return residual, float(numerator[YAW] + numerator[k] @ by_values)
+
+
 def heading_update(
     state: State, yaw_rad: float, std_rad: float, by_values: Array, by_candidates: Array
-) -> tuple[State, UpdateStats, float, float]:
+) -> tuple[State, UpdateStats, float]:
     """Update with a heading by another reference, aligned to the map's frame.
 
     Args:
@@ -216,18 +234,31 @@ def heading_update(
         by_candidates: (c,) the same by effects that the model lacks.
 
     Returns:
-        The state after, the statistics, the innovation in rad and its standard deviation.
+        The state after, the statistics and the innovation in rad.
     """
-    residual = yaw_rad - state.mean[YAW]
-    residual -= 2.0 * math.pi * round(residual / (2.0 * math.pi))
+    residual, variance = heading_innovation(state, yaw_rad, by_values)
+    variance += std_rad**2
     k = state.coefficient_columns
     numerator = state.covariance[YAW] + by_values @ state.covariance[k]
-    variance = float(numerator[YAW] + numerator[k] @ by_values) + std_rad**2
     sensitivity = state.sensitivity[YAW] + by_values @ state.sensitivity[k] + by_candidates
     corrected, stats = _correct(
         state, np.array([residual]), numerator[None], np.array([[variance]]), sensitivity[None]
     )
-    return corrected, stats, residual, math.sqrt(variance)
+    return corrected, stats, residual
+
+
+def tilt_update(state: State, roll_pitch_rad: Array, std_rad: Array) -> State:
+    """Update with roll and pitch by gravity.
+
+    Args:
+        state: predicted.
+        roll_pitch_rad: (2,) measured.
+        std_rad: (2,) their noise.
+    """
+    tilt = slice(EULER.start, EULER.start + 2)
+    covariance = state.covariance[tilt, tilt] + np.diag(std_rad**2)
+    residual = roll_pitch_rad - state.mean[tilt]
+    return _correct(state, residual, state.covariance[tilt], covariance, state.sensitivity[tilt])[0]
 
 
 def add_lacking(state: State, column: int, value: float, std: float) -> State:

@@ -19,7 +19,6 @@ import numpy as np
 from gyrocal_ros.data import (
     NS_PER_S,
     CameraIntrinsics,
-    HeadingSample,
     ImuSample,
     Mount,
     TemperatureSample,
@@ -85,10 +84,8 @@ TYPES: dict[Role, tuple[str, ...]] = {
     Role.IMAGE: (IMAGE, COMPRESSED_IMAGE),
     Role.CAMERA_INFO: (CAMERA_INFO,),
     Role.TRUTH: tuple(POSES),
-    Role.HEADING: tuple(POSES),
 }
-
-"""Message types that each role accepts."""
+"""Message types that each role accepts; those of a heading reference are in `headings`."""
 
 T = TypeVar('T')
 
@@ -149,16 +146,6 @@ def truth_sample(type_name: str) -> FieldConversion[TruthSample]:
     return FieldConversion((*STAMP_FIELDS, *position, *orientation), build)
 
 
-def heading_sample(type_name: str) -> FieldConversion[HeadingSample]:
-    """Return the conversion of pose messages of a type, one of `POSES`, to their heading alone."""
-
-    def build(sec: int, nanosec: int, x: float, y: float, z: float, w: float) -> HeadingSample:
-        return HeadingSample(sec * NS_PER_S + nanosec, yaw_from_quaternion(x, y, z, w))
-
-    orientation = _members(f'{POSES[type_name]}.orientation', 'xyzw')
-    return FieldConversion((*STAMP_FIELDS, *orientation), build)
-
-
 def field_conversion(role: Role, type_name: str) -> FieldConversion[Any]:
     """Return the conversion of the messages of a role that is read field by field.
 
@@ -174,8 +161,6 @@ def field_conversion(role: Role, type_name: str) -> FieldConversion[Any]:
             return TEMPERATURE_SAMPLE
         case Role.TRUTH:
             return truth_sample(type_name)
-        case Role.HEADING:
-            return heading_sample(type_name)
     raise ValueError(f'{role} is not read field by field')
 
 

@@ -1,7 +1,7 @@
 """Calibration against another heading reference than the ceiling.
 
-An unknown reference may turn the other way than the gyro, be stamped late, or slip. A least squares fit of
-its heading to the integrated gyro shows that before the filter relies on it.
+An unknown reference may be stamped late, drift, jump, or slip. A fit of its heading to the integrated gyro
+shows that, and gives its time offset and its noise, before the filter relies on it.
 """
 
 from __future__ import annotations
@@ -24,40 +24,64 @@ from gyrocal_ros.data import (
     Span,
     nanoseconds,
 )
-from gyrocal_ros.ekf.convergence import is_plausible
-from gyrocal_ros.ekf.run import History, Run, RunEvent
+from gyrocal_ros.ekf.motion import GAP_NS
+from gyrocal_ros.ekf.reference_bank import NoiseFit
+from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.start import Start
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.errors import NotObservableError
 from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.pipeline.reference_fit import HeadingTrack, fit_noise
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
+from gyrocal_ros.statistics import robust_std
 
-OFFSETS_S = np.arange(-0.3, 0.3001, 0.01)
-"""Time offsets that are tried."""
+OFFSETS_S = np.arange(-0.5, 0.501, 0.02)
+"""Time offsets that are tried first; the maximum-likelihood fit begins at the best."""
+OFFSET_PASSES = 3
+"""Maximum-likelihood fits, each at the time offset of the one before."""
+TURN_S, TRIMMED_FITS, TRIM_SIGMA = 1.0, 4, 3.0
+"""Length of the turns that are compared, and number of fits, each without the outliers of the one before."""
+MIN_HEADINGS = 10
 MIN_TURN_RAD = math.radians(45.0)
-"""Smallest range of headings that can be fitted."""
-BLOCK_S = 5.0
-"""Length of the blocks whose scatter gives the standard deviation of the scale factor."""
-WALKS_DEG = (0.01, 0.03, 0.1, 0.3, 1.0)
-"""Random walks of the reference, deg/sqrt(s), among which the likelihood chooses."""
+"""Smallest sum of turns that can be fitted."""
+PLAUSIBLE_SCALE = (0.5, 2.0)
+"""Bounds of the scale factor of a usable reference."""
 MAX_MISFIT_DEG = 2.0
-"""Largest rms difference of a usable reference from the best fit of the gyro."""
+"""Largest rms difference of a usable reference from the best fit of the gyro, beyond its random walk."""
 REPORTED_OFFSET_S = 0.02
 """Smallest time offset that is reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceFit:
-    """Least squares fit of a heading reference to the gyro over the whole recording."""
+    """Fit of a heading reference to the gyro over the whole recording."""
 
     scale_factor: float
     bias_rad_s: float
     time_offset_s: float
-    """Stamp of the reference minus true time, positive when it is stamped late."""
+    """Stamp of the reference minus true time, positive when it is stamped late. A lag of the gyro looks the
+    same, with the opposite sign."""
+    time_offset_std_s: float
     residual_rms_rad: float
-    scale_std: float
-    """Standard deviation of the scale factor by the scatter of the turns in blocks of 5 s. It is valid if
-    errors of the reference do not last longer than a block."""
+    """Rms difference from the least squares fit of scale factor, bias and heading."""
+    white_rad: float
+    """White noise of a heading."""
+    walk_rad: float
+    """Random walk of the reference and the gyro together, rad/sqrt(s)."""
+    tail_dof: float
+    """Degrees of freedom of the Student t distribution of its errors."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Readings:
+    """Gyro and reference over a recording."""
+
+    imu_s: Array
+    rate_rad_s: Array
+    turned_rad: Array
+    """(i,) integral of the rate."""
+    heading_s: Array
+    yaw_rad: Array
+    """(n,) unwrapped."""
 
 
 def calibrate_by_heading(
@@ -69,35 +93,78 @@ def calibrate_by_heading(
     candidates: tuple[Effect, ...],
     follows_changes: bool,
 ) -> Run:
-    """Calibrate against another heading reference, with the random walk of the largest likelihood.
-
-    An unknown reference drifts; taken for white noise, its drift would make the filter overconfident.
+    """Calibrate against another heading reference, with its time offset and its noise by maximum likelihood.
 
     Raises:
         NotObservableError: there is too little to fit, or the reference is unfit.
         FilterDivergedError: the measurements contradict the model beyond repair.
     """
-    fitted = fit_reference(source.measurements(), source.name)
+    fitted = fit_reference(source.measurements(), source.name, config)
     stream = [
         on_time(sample, fitted.time_offset_s) if isinstance(sample, HeadingSample) else sample
         for sample in source.measurements()
     ]
     stream.sort(key=attrgetter('t_ns'))
-    runs = []
-    for walk_deg in WALKS_DEG:
-        walking = replace(config, reference=replace(config.reference, heading_walk_deg=walk_deg))
-        runs.append(run_filter(source, stream, walking, model, start, report, candidates, follows_changes))
-    run = max(runs, key=lambda run: log_likelihood(run.history))
-    run = replace(run, events=(*run.events, *_reference_events(fitted, source.span)))
-    return _widened(run, fitted.scale_std)
+    run = run_filter(
+        source, stream, with_noise(config, fitted), model, start, report, candidates, follows_changes
+    )
+    return replace(run, events=(*run.events, *_reference_events(fitted, source.span, run)))
 
 
-def fit_reference(measurements: Iterable[Measurement], where: str) -> ReferenceFit:
-    """Fit the reference heading by scale, bias, offset in time and offset in heading.
+def with_noise(config: Config, fitted: ReferenceFit) -> Config:
+    """Return the settings with the noise of a fit, and with the criterion of convergence for a reference.
+
+    Its random walk is that of gyro and reference together, which the headings cannot tell apart.
+    """
+    walk_deg = math.degrees(fitted.walk_rad)
+    gyro_deg = min(config.gyro.rate_noise_deg_s, walk_deg)
+    reference = replace(
+        config.reference,
+        heading_noise_deg=math.degrees(fitted.white_rad),
+        heading_walk_deg=math.sqrt(walk_deg**2 - gyro_deg**2),
+        tail_dof=fitted.tail_dof,
+    )
+    return replace(
+        config,
+        gyro=replace(config.gyro, rate_noise_deg_s=gyro_deg),
+        reference=reference,
+        # The noise is estimated from all headings, so a calm end with small innovations says nothing.
+        convergence=replace(config.convergence, scale_std=config.convergence.heading_scale_std, nis_low=0.0),
+    )
+
+
+def fit_reference(
+    measurements: Iterable[Measurement], where: str, config: Config | None = None
+) -> ReferenceFit:
+    """Fit the reference heading by scale, bias, time offset, heading and noise.
 
     Raises:
         NotObservableError: there is too little to fit, or the reference is unfit.
     """
+    readings = _read(measurements, where)
+    coarse = {offset_s: _by_turns(readings, offset_s) for offset_s in OFFSETS_S.tolist()}
+    offset_s = min(coarse, key=lambda offset: coarse[offset][1])
+    scale_factor, _ = coarse[offset_s]
+    if not PLAUSIBLE_SCALE[0] <= scale_factor <= PLAUSIBLE_SCALE[1]:
+        raise NotObservableError(
+            f'the reference turns {scale_factor:.2f} times as far as the gyro, so it is unfit as a '
+            'heading reference: slipping wheels, or other units',
+            where=where,
+            todo='give a reference that does not slip',
+        )
+    gyro = (config or Config()).gyro
+    for _ in range(OFFSET_PASSES):
+        fitted = fit_noise(_track(readings, offset_s), gyro)
+        offset_s += fitted.time_offset_s
+    return _as_fit(fitted, offset_s, _misfit_rad(readings, offset_s))
+
+
+def on_time(sample: HeadingSample, offset_s: float) -> HeadingSample:
+    """Return the sample with its stamp corrected."""
+    return replace(sample, t_ns=sample.t_ns - nanoseconds(offset_s))
+
+
+def _read(measurements: Iterable[Measurement], where: str) -> _Readings:
     imu: list[tuple[int, float]] = []
     headings: list[tuple[int, float]] = []
     for sample in measurements:
@@ -105,7 +172,7 @@ def fit_reference(measurements: Iterable[Measurement], where: str) -> ReferenceF
             imu.append((sample.t_ns, sample.rate_rad_s[2]))
         elif isinstance(sample, HeadingSample):
             headings.append((sample.t_ns, sample.yaw_rad))
-    if len(imu) < 2 or len(headings) < 10:
+    if len(imu) < 2 or len(headings) < MIN_HEADINGS:
         raise NotObservableError(
             f'only {len(headings)} reference headings beside {len(imu)} IMU samples', where=where
         )
@@ -117,29 +184,32 @@ def fit_reference(measurements: Iterable[Measurement], where: str) -> ReferenceF
         raise NotObservableError(
             'no turns, so the scale factor cannot be known', where=where, todo='record two turns each way'
         )
-    yaw = np.unwrap(yaw)
-    fits = [_fit(heading_s - offset_s, yaw, imu_s, turned, offset_s) for offset_s in OFFSETS_S]
-    best = min(fits, key=lambda fit: fit.residual_rms_rad)
-    if not is_plausible(best.scale_factor):
-        raise NotObservableError(
-            f'the reference turns {best.scale_factor:.2f} times as far as the gyro, so it is unfit as a '
-            'heading reference: slipping wheels, or other units',
-            where=where,
-            todo='give a reference that does not slip',
-        )
-    return replace(best, scale_std=_scale_std(heading_s - best.time_offset_s, yaw, imu_s, turned))
+    return _Readings(imu_s, rate, turned, heading_s, np.unwrap(yaw))
 
 
-def on_time(sample: HeadingSample, offset_s: float) -> HeadingSample:
-    """Return the sample with its stamp corrected."""
-    return replace(sample, t_ns=sample.t_ns - nanoseconds(offset_s))
+def _track(readings: _Readings, offset_s: float) -> HeadingTrack:
+    """Return the headings beside the gyro, at a time offset."""
+    imu_s, time_s = readings.imu_s, readings.heading_s - offset_s
+    inside = (time_s >= imu_s[0]) & (time_s <= imu_s[-1])
+    time_s = time_s[inside]
+    around = float(np.median(np.diff(imu_s)))
+    turned, before, after = (
+        np.interp(time_s + shift_s, imu_s, readings.turned_rad) for shift_s in (0.0, -around, around)
+    )
+    return HeadingTrack(
+        time_s=time_s,
+        yaw_rad=readings.yaw_rad[inside],
+        turned_rad=turned,
+        rate_rad_s=(after - before) / (2.0 * around),
+        gap_s=np.diff(np.interp(time_s, *_gap_time(imu_s)), prepend=0.0),
+    )
 
 
-def log_likelihood(history: History) -> float:
-    """Return the log-likelihood of the headings by the filter's innovations, up to a constant."""
-    measured = history.dof > 0
-    std = history.heading_innovation_std_rad[measured]
-    return float(-0.5 * np.sum((history.heading_innovation_rad[measured] / std) ** 2) - np.sum(np.log(std)))
+def _gap_time(imu_s: Array) -> tuple[Array, Array]:
+    """Return times and the time in gaps of the IMU up to each."""
+    interval_s = np.diff(imu_s)
+    in_gaps = np.where(interval_s > GAP_NS / NS_PER_S, interval_s, 0.0)
+    return imu_s, np.concatenate([[0.0], np.cumsum(in_gaps)])
 
 
 def _columns(samples: list[tuple[int, float]], start_ns: int) -> tuple[Array, Array]:
@@ -149,53 +219,64 @@ def _columns(samples: list[tuple[int, float]], start_ns: int) -> tuple[Array, Ar
     )
 
 
-def _fit(heading_s: Array, yaw: Array, imu_s: Array, turned: Array, offset_s: float) -> ReferenceFit:
-    inside = (heading_s >= imu_s[0]) & (heading_s <= imu_s[-1])
-    time_s, yaw = heading_s[inside], yaw[inside]
-    columns = np.stack([np.interp(time_s, imu_s, turned), time_s, np.ones(len(time_s))], axis=1)
-    solution = np.linalg.lstsq(columns, yaw, rcond=None)[0]
-    residual = yaw - columns @ solution
-    rms = float(np.sqrt(np.mean(residual**2)))
-    return ReferenceFit(float(solution[0]), float(solution[1]), float(offset_s), rms, math.nan)
+def _by_turns(readings: _Readings, offset_s: float) -> tuple[float, float]:
+    """Return the scale factor by the turns over a second, and the robust deviation (rad) of a turn from it.
 
-
-def _scale_std(heading_s: Array, yaw: Array, imu_s: Array, turned: Array) -> float:
-    """Return the standard deviation by the scatter of blocks (HC3, MacKinnon and White 1985)."""
-    edges = np.arange(max(heading_s[0], imu_s[0]), min(heading_s[-1], imu_s[-1]), BLOCK_S)
-    if len(edges) < 5:
-        return math.inf
-    by_gyro, by_reference = (
-        np.diff(np.interp(edges, imu_s, turned)),
-        np.diff(np.interp(edges, heading_s, yaw)),
+    Few of the turns contain an outlier or a jump of the reference, and those are left out.
+    """
+    track = _track(readings, offset_s)
+    step = max(1, round(TURN_S / float(np.median(np.diff(track.time_s)))))
+    by_gyro, by_reference, length_s = (
+        column[step:] - column[:-step] for column in (track.turned_rad, track.yaw_rad, track.time_s)
     )
-    columns = np.stack([by_gyro, np.full(len(by_gyro), BLOCK_S)], axis=1)
-    inverse = np.linalg.inv(columns.T @ columns)
-    residual = by_reference - columns @ (inverse @ columns.T @ by_reference)
-    leverage = np.einsum('ij,jk,ik->i', columns, inverse, columns)
-    scores = columns * (residual / (1.0 - leverage))[:, None]
-    return float(np.sqrt((inverse @ scores.T @ scores @ inverse)[0, 0]))
+    columns, left = np.stack([by_gyro, length_s], axis=1), np.ones(len(length_s), bool)
+    for _ in range(TRIMMED_FITS):
+        solution = np.linalg.lstsq(columns[left], by_reference[left], rcond=None)[0]
+        residual = by_reference - columns @ solution
+        deviation = robust_std(residual)
+        left = np.abs(residual) <= TRIM_SIGMA * deviation
+    return float(solution[0]), deviation
 
 
-def _widened(run: Run, scale_std: float) -> Run:
-    """Return the run with all standard deviations scaled up to the scatter of the reference."""
-    history, state = run.history, run.state
-    factor = max(1.0, scale_std / float(history.std[-1, COEFFICIENTS_START]))
-    return replace(
-        run,
-        history=replace(history, std=factor * history.std),
-        state=replace(state, covariance=factor**2 * state.covariance),
+def _misfit_rad(readings: _Readings, offset_s: float) -> float:
+    """Return the rms of the headings about their best fit by scale factor, bias and heading."""
+    track = _track(readings, offset_s)
+    columns = np.stack([track.turned_rad, track.time_s, np.ones(len(track.time_s))], axis=1)
+    solution = np.linalg.lstsq(columns, track.yaw_rad, rcond=None)[0]
+    return float(np.sqrt(np.mean((track.yaw_rad - columns @ solution) ** 2)))
+
+
+def _as_fit(fitted: NoiseFit, offset_s: float, residual_rms_rad: float) -> ReferenceFit:
+    return ReferenceFit(
+        scale_factor=fitted.scale_factor,
+        bias_rad_s=fitted.bias_rad_s,
+        time_offset_s=offset_s,
+        time_offset_std_s=fitted.time_offset_std_s,
+        residual_rms_rad=residual_rms_rad,
+        white_rad=float(fitted.noise.white_rad),
+        walk_rad=float(fitted.noise.walk_rad),
+        tail_dof=float(fitted.noise.tail_dof),
     )
 
 
-def _reference_events(fitted: ReferenceFit, span: Span) -> Iterator[RunEvent]:
+def _reference_events(fitted: ReferenceFit, span: Span, run: Run) -> Iterator[RunEvent]:
     """Yield an event for each notable property of the reference."""
     if abs(fitted.time_offset_s) >= REPORTED_OFFSET_S:
         late = 'late' if fitted.time_offset_s > 0.0 else 'early'
-        text = (
-            f'the reference is stamped {abs(fitted.time_offset_s) * 1e3:.0f} ms too {late}; this is corrected'
+        offset_ms, std_ms = abs(fitted.time_offset_s) * 1e3, fitted.time_offset_std_s * 1e3
+        yield RunEvent(
+            span.start_ns,
+            f'the reference is stamped {offset_ms:.1f} +- {std_ms:.1f} ms too {late}, or the gyro lags; this '
+            'is corrected',
         )
-        yield RunEvent(span.start_ns, text)
+    outliers = int(run.history.rejected.sum())
+    if outliers:
+        yield RunEvent(span.start_ns, f'{outliers} headings of the reference are outliers and count little')
+    walked_deg = math.degrees(fitted.walk_rad) * math.sqrt(span.duration_s)
     misfit_deg = math.degrees(fitted.residual_rms_rad)
     if misfit_deg > MAX_MISFIT_DEG:
-        text = f'the reference does not fit the gyro: {misfit_deg:.1f} deg rms remain at best'
-        yield RunEvent(span.start_ns, text)
+        yield RunEvent(
+            span.start_ns,
+            f'the reference does not fit the gyro: {misfit_deg:.1f} deg rms remain at best '
+            f'(random walk {walked_deg:.1f} deg over the recording)',
+        )

@@ -204,7 +204,7 @@ class SimSource:
         """Yield the measurements in the order of their stamps."""
         parts = (
             self._imu(), self._wheels(), self._frames() if self._images else self._features(),
-            self._temperature(), self._covariates(), self._truth_poses(),
+            self._temperature(), self._covariates(), self.truth_poses(),
         )  # fmt: skip
         return heapq.merge(*parts, key=attrgetter('t_ns'))
 
@@ -320,7 +320,8 @@ class SimSource:
             for name, values in readings.items():
                 yield CovariateSample(t_ns, name, values[row])
 
-    def _truth_poses(self) -> Iterator[TruthSample]:
+    def truth_poses(self) -> Iterator[TruthSample]:
+        """Yield the ground truth."""
         time_s = _times(self.scenario.truth_hz, self.scenario.duration_s)
         positions = map(tuple, self.truth.position(time_s).tolist())
         yaw = self.truth.trajectory.motion(time_s).euler_rad[:, 2].tolist()

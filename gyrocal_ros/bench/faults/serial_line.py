@@ -8,7 +8,7 @@ from gyrocal_ros.bench.faults.bag_bytes import damaged_bytes
 from gyrocal_ros.board.messages import Imu, Message, Supply, Wheels
 from gyrocal_ros.board.protocol import encode
 from gyrocal_ros.board.reader import BoardReader
-from gyrocal_ros.config.sections import BoardConfig
+from gyrocal_ros.config.robot_sections import BoardConfig
 
 PACKETS = 300
 BAUD_RATE = 115200

@@ -1,0 +1,103 @@
+"""Maximum-likelihood fit of a heading reference to the gyro, before the filter relies on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrocal_ros.config.sections import GyroConfig
+from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.reference_bank import NoiseFit, ReferenceBank, grid
+from gyrocal_ros.ekf.reference_noise import ReferenceNoise
+
+MAX_HEADINGS = 5000
+"""Number of headings that are used for the fit; of more, every second, third, ... is."""
+WHITE_DEG = (1e-3, 10.0)
+WALK_DEG = (1e-3, 5.0)
+"""Ranges of the white noise (deg) and of the random walk (deg/sqrt(s))."""
+TAIL_DOFS = (3.0, 5.0, 10.0, 30.0)
+"""Degrees of freedom of the tails that are tried; 30 is close to a normal distribution."""
+COARSE_POINTS, FINE_POINTS = 15, 5
+"""Points of a grid in white noise and in random walk; a fine one spans two steps of the one before."""
+REFINEMENTS = 3
+WALK_POINTS = 40
+"""Points at which the likelihood of the random walk is averaged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadingTrack:
+    """Headings by a reference beside the gyro, n headings."""
+
+    time_s: Array
+    """(n,) stamps less the time offset."""
+    yaw_rad: Array
+    """(n,) by the reference, unwrapped."""
+    turned_rad: Array
+    """(n,) by the nominal gyro since the start."""
+    rate_rad_s: Array
+    """(n,) nominal rate."""
+    gap_s: Array
+    """(n,) time since the heading before that no IMU sample covers."""
+
+    def thinned(self, most: int) -> HeadingTrack:
+        """Return the track with at most `most` headings."""
+        step = -(-len(self.time_s) // most)
+        gap_s = np.diff(np.cumsum(self.gap_s)[::step], prepend=0.0)
+        return HeadingTrack(
+            time_s=self.time_s[::step],
+            yaw_rad=self.yaw_rad[::step],
+            turned_rad=self.turned_rad[::step],
+            rate_rad_s=self.rate_rad_s[::step],
+            gap_s=gap_s,
+        )
+
+
+def fit_noise(track: HeadingTrack, gyro: GyroConfig) -> NoiseFit:
+    """Find the likeliest noise on grids in white noise, random walk and tails, each finer than the last."""
+    track = track.thinned(MAX_HEADINGS)
+    white, walk = (
+        np.linspace(math.log(low), math.log(high), COARSE_POINTS)
+        for low, high in (np.radians(WHITE_DEG), np.radians(WALK_DEG))
+    )
+    best = _likeliest(track, grid(white, walk, TAIL_DOFS[:1]), gyro)
+    for _ in range(REFINEMENTS):
+        white, walk = (
+            np.linspace(math.log(value) - step, math.log(value) + step, FINE_POINTS)
+            for value, step in (
+                (best.noise.white_rad, white[1] - white[0]),
+                (best.noise.walk_rad, walk[1] - walk[0]),
+            )
+        )
+        best = _likeliest(track, grid(white, walk, TAIL_DOFS), gyro)
+    return replace(best, noise=_mean_noise(track, best.noise, gyro))
+
+
+def _mean_noise(track: HeadingTrack, likeliest: ReferenceNoise, gyro: GyroConfig) -> ReferenceNoise:
+    """Return the likeliest noise with the mean random walk, as far as the track tells."""
+    low_deg, high_deg = WALK_DEG
+    walk = np.linspace(math.log(math.radians(low_deg)), math.log(math.radians(high_deg)), WALK_POINTS)
+    white = np.log([float(likeliest.white_rad)])
+    noise = grid(white, walk, (float(likeliest.tail_dof),))
+    return _filtered(track, noise, gyro).mean_noise()
+
+
+def _likeliest(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> NoiseFit:
+    """Return the likeliest of m alternatives of the noise."""
+    return _filtered(track, noise, gyro).likeliest()
+
+
+def _filtered(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> ReferenceBank:
+    """Filter a track with m alternatives of the noise."""
+    bank = ReferenceBank(noise, gyro)
+    columns = (
+        np.diff(track.time_s, prepend=track.time_s[0]),
+        np.diff(track.turned_rad, prepend=track.turned_rad[0]),
+        track.gap_s,
+        track.rate_rad_s,
+        track.yaw_rad - track.turned_rad,
+    )
+    for row in zip(*(column.tolist() for column in columns), strict=True):
+        bank.add(*row)
+    return bank

@@ -1,0 +1,79 @@
+"""Maximum-likelihood noise of a heading reference."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.pipeline.reference_fit import HeadingTrack, fit_noise
+
+SCALE_FACTOR, BIAS_RAD_S = 0.93, math.radians(0.2)
+DURATION_S = 120.0
+
+
+def track(
+    seed: int = 0,
+    *,
+    white_deg: float = 0.1,
+    walk_deg: float = 0.2,
+    hz: float = 10.0,
+    outliers: float = 0.0,
+    late_s: float = 0.0,
+    jump_deg: float = 0.0,
+    gap: tuple[float, float] = (0.0, 0.0),
+) -> HeadingTrack:
+    """Return headings of a robot that turns to and fro; outliers are six times as wide."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(0.0, DURATION_S, 1.0 / hz)
+    rate = np.where(time_s % 10.0 < 4.0, 1.0, 0.0) * np.where(time_s % 20.0 < 10.0, 1.0, -1.0)
+    turned = np.cumsum(rate) / hz
+    errors = np.cumsum(math.radians(walk_deg) / math.sqrt(hz) * rng.standard_normal(len(time_s)))
+    wide = np.where(rng.random(len(time_s)) < outliers, 6.0, 1.0)
+    errors += math.radians(white_deg) * wide * rng.standard_normal(len(time_s))
+    errors += math.radians(jump_deg) * (time_s > 0.5 * DURATION_S)
+    yaw = SCALE_FACTOR * turned + BIAS_RAD_S * time_s - late_s * rate + errors
+    present = (time_s < gap[0]) | (time_s >= gap[1])
+    columns = (column[present] for column in (time_s, yaw, turned, rate, np.zeros(len(time_s))))
+    return HeadingTrack(*columns)
+
+
+@pytest.mark.parametrize(
+    ('white_deg', 'walk_deg', 'outliers'), [(0.05, 0.05, 0.0), (0.5, 0.2, 0.0), (0.5, 0.2, 0.1)]
+)
+def test_white_noise_and_walk_are_found(white_deg: float, walk_deg: float, outliers: float) -> None:
+    found = fit_noise(track(white_deg=white_deg, walk_deg=walk_deg, outliers=outliers), Config().gyro)
+    assert math.degrees(float(found.noise.white_rad)) == pytest.approx(white_deg, rel=0.35)
+    assert math.degrees(float(found.noise.walk_rad)) == pytest.approx(walk_deg, rel=0.6)
+    assert (float(found.noise.tail_dof) < 6.0) == (outliers > 0.0)
+
+
+def test_the_states_are_honest() -> None:
+    fits = [fit_noise(track(seed, outliers=0.05, late_s=0.03), Config().gyro) for seed in range(4)]
+    z = [
+        (fit.mean[place] - true) / math.sqrt(fit.covariance[place, place])
+        for place, true in ((1, BIAS_RAD_S), (2, SCALE_FACTOR - 1.0), (3, 0.03))
+        for fit in fits
+    ]
+    assert 0.4 < np.sqrt(np.mean(np.square(z))) < 1.6
+
+
+def test_a_jump_is_neither_walk_nor_scale() -> None:
+    still, jumped = (fit_noise(track(jump_deg=jump), Config().gyro) for jump in (0.0, 20.0))
+    assert float(jumped.noise.walk_rad) < 1.5 * float(still.noise.walk_rad)
+    assert jumped.scale_factor == pytest.approx(SCALE_FACTOR, abs=3.0 * math.sqrt(jumped.covariance[2, 2]))
+
+
+def test_a_gap_costs_only_what_it_hides() -> None:
+    whole, gapped = (fit_noise(track(gap=gap), Config().gyro) for gap in ((0.0, 0.0), (40.0, 80.0)))
+    assert math.sqrt(gapped.covariance[2, 2] / whole.covariance[2, 2]) < 1.6
+
+
+def test_a_long_track_is_thinned_without_losing_its_gaps() -> None:
+    full = track(hz=10.0)
+    full.gap_s[7] = 0.5
+    thin = full.thinned(400)
+    assert len(thin.time_s) == 400 and thin.gap_s.sum() == pytest.approx(0.5)
+    assert thin.time_s[1] - thin.time_s[0] == pytest.approx(0.3)

@@ -27,6 +27,7 @@ from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.strangers import labels as stranger_labels
 from gyrocal_ros.bench.strangers import strangers
 from gyrocal_ros.bench.tracker import tracker_accuracy
+from gyrocal_ros.cli.fleet import require_extra
 from gyrocal_ros.cli.numbers import number, whole_number
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, print_row, progress
@@ -45,6 +46,7 @@ gyrocal bench blind --images --seeds 2 --only none gyro_lag
 gyrocal bench blind --strangers --seeds 2
 gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
+gyrocal bench fleet --seeds 20
 gyrocal bench tracker --bag drive_with_images
 gyrocal bench --quick"""
 
@@ -58,6 +60,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'motions': lambda args: motions(),
     'speed': lambda args: speed(args.quick),
     'growth': lambda args: growth(args.quick),
+    'fleet': lambda args: _fleet(args),
 }
 
 CASES: dict[str, Callable[[], list[str]]] = {
@@ -195,6 +198,14 @@ def _blind(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     return blind(args.seeds, args.only, _settings(args), _scenes(args))
 
 
+def _fleet(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    # The libraries of fleets are an extra.
+    require_extra()
+    from gyrocal_ros.bench.fleet import fleet
+
+    return fleet(args.seeds)
+
+
 def _settings(args: argparse.Namespace) -> DiagnosisSettings:
     return with_thresholds(args.set, '--set')
 
@@ -208,7 +219,7 @@ def _rows(name: str, args: argparse.Namespace) -> list[dict[str, Any]]:
                 about = provenance()
                 changed = ''.join(f', {key} = {value:g}' for key, value in differing(_settings(args)).items())
                 print(f'{name}: gyrocal {about["version"]}, {about["machine"]}{changed}')
-            print_row(row, header=len(rows) == 1)
+            print_row(row, header=len(rows) == 1 or row.keys() != rows[-2].keys())
     return rows
 
 

@@ -74,14 +74,19 @@ def run(args: argparse.Namespace) -> None:
     Raises:
         GyrocalError: the extra is not installed, or the command fails.
     """
-    missing = [name for name in EXTRA if find_spec(name) is None]
-    if missing:
-        todo = "pip install 'gyrocal_ros[fleet]'"
-        raise GyrocalError(f'needs {", ".join(missing)}', where='gyrocal fleet', todo=todo)
+    require_extra()
     if args.what == 'run':
         _run(args)
     else:
         fleet_report.run(args)
+
+
+def require_extra() -> None:
+    """Raise an error if a library of the extra is not installed."""
+    missing = [name for name in EXTRA if find_spec(name) is None]
+    if missing:
+        todo = "pip install 'gyrocal_ros[fleet]'"
+        raise GyrocalError(f'needs {", ".join(missing)}', where='gyrocal fleet', todo=todo)
 
 
 def _run(args: argparse.Namespace) -> None:

@@ -51,9 +51,9 @@ def test_folders_files_and_patterns_are_searched_for_bags(tmp_path: Path) -> Non
 
 def test_a_table_names_robots_and_has_further_columns(tmp_path: Path) -> None:
     table = tmp_path / 'bags.csv'
-    table.write_text('bag,robot,age_h,site\nb/one,7,12.5,hall\nmemory://two,8,,\n')
+    table.write_text('bag,robot,age_h,site\nb/one,007,12.5,hall\nmemory://two,8,,\n')
     first, second = plan_bags([str(table)])
-    assert (first.bag, first.robot) == (str(tmp_path / 'b/one'), '7')
+    assert (first.bag, first.robot) == (str(tmp_path / 'b/one'), '007')
     assert first.columns == {'age_h': 12.5, 'site': 'hall'}
     assert second.bag == 'memory://two' and second.columns['age_h'] is None
 

@@ -73,12 +73,16 @@ def _bags_below(fs: Any, path: str) -> list[str]:
 
 def _of_table(place: str) -> Iterator[PlannedBag]:
     """Yield the bags of a table."""
-    from pyarrow import ArrowException, csv, parquet
+    from pyarrow import ArrowException, csv, parquet, string
 
     fs, path = _file_system(place)
     try:
         with fs.open(path, 'rb') as file:
-            table = csv.read_csv(file) if path.endswith('.csv') else parquet.read_table(file)
+            names = csv.ConvertOptions(
+                column_types={'bag': string(), 'robot': string()}
+            )  # a robot may be 007
+            is_text = path.endswith('.csv')
+            table = csv.read_csv(file, convert_options=names) if is_text else parquet.read_table(file)
     except (OSError, ArrowException) as error:
         raise GyrocalError(
             f'cannot be read ({error})', where=place, todo='give a CSV or Parquet file'

@@ -78,9 +78,7 @@ def _of_table(place: str) -> Iterator[PlannedBag]:
     fs, path = _file_system(place)
     try:
         with fs.open(path, 'rb') as file:
-            names = csv.ConvertOptions(
-                column_types={'bag': string(), 'robot': string()}
-            )  # a robot may be 007
+            names = csv.ConvertOptions(column_types={'bag': string(), 'robot': string()})
             is_text = path.endswith('.csv')
             table = csv.read_csv(file, convert_options=names) if is_text else parquet.read_table(file)
     except (OSError, ArrowException) as error:

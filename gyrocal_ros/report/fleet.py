@@ -61,7 +61,8 @@ def _verdict(found: Findings) -> Verdict:
         sentences.append(f'Out of family: {shown}.')
     failed_bags = found.table.columns['status'].count(FAILED)
     if failed_bags:
-        sentences.append(f'{failed_bags} bags could not be used; the table below has the reasons.')
+        plural = 's' if failed_bags > 1 else ''
+        sentences.append(f'{failed_bags} bag{plural} could not be used; the table of bags has the reasons.')
     if missing:
         headline = f'All robots lack {" and ".join(missing)}'
     elif faulty:
@@ -144,7 +145,7 @@ def _table_frame(name: str, title: str, note: str) -> str:
         f'<h2>{escape(title)}</h2><p class="note">{escape(note)} '
         f'<input id="{name}-filter" type="search" placeholder="filter" aria-label="filter {name}"> '
         f'<span id="{name}-count"></span></p>'
-        f'<div id="{name}-view" style="height:26rem;overflow:auto"><table style="width:100%">'
+        f'<div id="{name}-view" style="max-height:26rem;overflow:auto"><table style="width:100%">'
         f'<thead style="position:sticky;top:0;background:var(--paper)"><tr id="{name}-head"></tr></thead>'
         f'<tbody id="{name}-rows"></tbody></table></div>'
     )

@@ -116,6 +116,7 @@ def _ageing(found: Findings, scale: FleetEstimate) -> Section:
     line(figure, ends, 100.0 * slope.value * ends, 'mean', '.3f')
     for edge in (slope.low, slope.high):
         line(figure, ends, 100.0 * edge * ends, '95 %', '.3f', dash='dot')
+    figure.data[-1].showlegend = False  # both limits have one entry
     figure.update_xaxes(title_text='age (1000 h)')
     figure.update_yaxes(title_text='change of the scale factor (%)')
     caption = (

@@ -16,6 +16,7 @@ from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import model_to_dict
+from gyrocal_ros.fleet.examine import bags_to_examine
 from gyrocal_ros.fleet.plan import PlannedBag
 from gyrocal_ros.fleet.result import BagResult, BagScores, failed
 from gyrocal_ros.fleet.store import CALIBRATIONS, SCORES, FleetStore
@@ -155,6 +156,24 @@ def test_the_prior_starts_a_replay_and_leaves_a_robot_out(
     capsys.readouterr()
     assert main(['fleet', 'prior', str(folder), '-o', str(out), '--leave-out', 'r3']) == 2
     assert "there is no robot 'r3'" in capsys.readouterr().err
+
+
+def test_the_studio_lists_the_bags_of_the_most_unusual_robot_first(tmp_path: Path) -> None:
+    planned, results = [], []
+    for robot in range(6):
+        path = tmp_path / f'r{robot}' / 'bag'
+        path.mkdir(parents=True)
+        planned.append(PlannedBag(str(path), f'r{robot}', {}))
+        row = {'status': 'calibrated', 'converged': True, 'scale_factor': 1.0 + 1e-3 * (-1) ** robot}
+        results.append(BagResult(row | {'scale_factor_std': 1e-4}, None))
+    results[4] = BagResult({**results[4].row, 'scale_factor': 1.2}, None)
+    planned.append(PlannedBag('s3://far/bag', 'r1', {}))
+    results.append(BagResult({**results[0].row}, None))
+    (tmp_path / 'r0' / 'bag').rmdir()
+    FleetStore(tmp_path / 'fleet').write_tables(planned, results, {'model': {}})
+    listed = bags_to_examine(tmp_path / 'fleet')
+    assert listed[0] == ('r4-bag', tmp_path / 'r4' / 'bag')
+    assert sorted(title for title, _ in listed) == ['r1-bag', 'r2-bag', 'r3-bag', 'r4-bag', 'r5-bag']
 
 
 def test_two_fleets_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,8 @@ result     result of one bag            store      results on disk, resumable; P
 engine     bags on a Dask cluster       table      the tables as arrays
 hierarchy  random-effects model (REML)  pooling    score statistics of many bags
 findings   conclusions on a fleet       prior      initial calibration of the next robot
-comparison two fleets
+comparison two fleets                  examine    which bag to look at first
+summary    conclusions as JSON
 
 The libraries of this room are the extra `fleet`; the other rooms work without them.
 """

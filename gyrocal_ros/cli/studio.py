@@ -80,8 +80,8 @@ def run(args: argparse.Namespace) -> None:
         _serve_live(args)
         return
     model, config, options = read_model(args), read_config(args), bag_options(args)
+    worker = Worker()  # it forks, so it comes before any thread is started, those of Arrow included
     bags = [Bag(path, config, options, name) for name, path in _bags(args)]
-    worker = Worker()  # it forks, so it comes before any thread is started
     from gyrocal_ros.studio.server import make_app
     from gyrocal_ros.studio.workspace import Workspace  # imported while the worker starts
 

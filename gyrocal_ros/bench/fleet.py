@@ -11,7 +11,7 @@ import math
 import resource
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -50,7 +50,7 @@ MEASURED = 40
 PER_BAG_SIGMA = 1.5
 """Size of a hidden effect of the fleet in standard deviations of one bag."""
 ROWS, ROWS_PER_ROBOT = 100_000, 4
-ENGINE_BAGS = 200
+BAGS_PER_SEED = 10
 TIGHT = 1e-3
 """Standard deviation of the scale factor to which the time is measured."""
 
@@ -70,17 +70,22 @@ class Measured:
     """Time until the standard deviation of the scale factor is below `TIGHT`; infinite if it never is."""
 
 
-def fleet(fleets: int) -> Iterator[dict[str, Any]]:
+def fleet(fleets: int, only: Collection[str] = ()) -> Iterator[dict[str, Any]]:
     """Yield the figures one after the other.
 
     Args:
-        fleets: number of drawn fleets for coverage and for effects.
+        fleets: number of drawn fleets for coverage and effects; the engine works on ten times as many bags.
+        only: names of figures to measure; all if it is empty.
     """
-    yield coverage(fleets)
-    yield from effects(fleets)
-    yield priors()
-    yield large(ROWS)
-    yield from engine(ENGINE_BAGS)
+    figures: dict[str, Callable[[], Iterable[dict[str, Any]]]] = {
+        'coverage': lambda: [coverage(fleets)],
+        'effects': lambda: effects(fleets),
+        'prior': lambda: [priors()],
+        'size': lambda: [large(ROWS)],
+        'engine': lambda: engine(BAGS_PER_SEED * fleets),
+    }
+    for name in only or figures:
+        yield from figures[name]()
 
 
 def measure(bag: FleetBag, start: Start | None = None) -> Measured:

@@ -46,7 +46,7 @@ gyrocal bench blind --images --seeds 2 --only none gyro_lag
 gyrocal bench blind --strangers --seeds 2
 gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
-gyrocal bench fleet --seeds 20
+gyrocal bench fleet --only coverage effects
 gyrocal bench tracker --bag drive_with_images
 gyrocal bench --quick"""
 
@@ -66,6 +66,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
 CASES: dict[str, Callable[[], list[str]]] = {
     'accuracy': lambda: [case[0] for case in accuracy_cases(quick=False)],
     'blind': lambda: [*(case.label for case in blind_cases()), *stranger_labels()],
+    'fleet': lambda: ['coverage', 'effects', 'prior', 'size', 'engine'],
 }
 """Labels of the cases of the benches that can run some of them."""
 
@@ -89,7 +90,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--keep', action='store_true', help='with --quick: keep the figures of this code')
     parser.add_argument(
-        '--only', nargs='+', default=[], metavar='CASE', help='for accuracy and blind: run these cases only'
+        '--only',
+        nargs='+',
+        default=[],
+        metavar='CASE',
+        help='for accuracy, blind and fleet: run these cases only',
     )
     parser.add_argument(
         '--bag',
@@ -203,7 +208,7 @@ def _fleet(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     require_extra()
     from gyrocal_ros.bench.fleet import fleet
 
-    return fleet(args.seeds)
+    return fleet(args.seeds, args.only)
 
 
 def _settings(args: argparse.Namespace) -> DiagnosisSettings:

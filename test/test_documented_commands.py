@@ -25,7 +25,7 @@ from gyrocal_ros.report.png import try_png
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('library')]
 
-ELSEWHERE = {'bench', 'reproduce', 'studio', 'demo'}
+ELSEWHERE = {'bench', 'reproduce', 'studio', 'demo', 'fleet'}
 """Commands that other tests execute."""
 FEATURES_S, IMAGES_S = '24', '2'
 """Length of a simulated recording."""
@@ -47,6 +47,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(bag, folder / name)
     for name in ('improved', 'learned'):
         shutil.copytree(result, folder / name)
+    shutil.copy(result / 'calibration.yaml', folder / 'prior.yaml')
     for name in ('default.yaml', 'model.yaml'):
         shutil.copy(shipped('config/model.yaml'), folder / name)
     for name in ('my_effects.py', 'ripple.py'):
@@ -87,6 +88,7 @@ def shortened(arguments: list[str]) -> list[str]:
     args = command_parser(arguments[0]).parse_args(arguments[1:])
     if arguments[0] == 'simulate':
         arguments = [*arguments, '--duration', IMAGES_S if args.images else FEATURES_S]
+        arguments += ['--fleet', '2', '--bags', '1'] if args.fleet else []
     if '--png' in arguments and not can_draw():
         arguments = [word for word in arguments if word != '--png']
     written = [vars(args).get(name) for name in ('out', 'as_effect')]

@@ -7,6 +7,8 @@ from setuptools import find_packages, setup
 
 NAME = 'gyrocal_ros'
 SHARE = Path('share') / NAME
+# Bokeh draws the dashboard of Dask.
+FLEET = ['bokeh>=3.1', 'dask>=2024.1', 'distributed>=2024.1', 'fsspec>=2023.10', 'pyarrow>=14.0']
 PNG = ['kaleido>=1.0']  # draws figures by a Chromium that is there
 TEST = ['pytest>=7.4', 'pytest-xdist>=3.3']
 
@@ -65,10 +67,20 @@ setup(
         'tqdm>=4.60',
     ],
     extras_require={
+        'fleet': FLEET,
         'test': TEST,
         'png': PNG,
         'docs': ['mkdocs>=1.6,<2', 'mkdocs-material>=9.5,<10', 'mkdocstrings[python]>=0.26'],
-        'dev': [*TEST, *PNG, 'mypy>=1.10', 'playwright>=1.40', 'ruff>=0.8', 'types-PyYAML', 'types-tqdm'],
+        'dev': [
+            *FLEET,
+            *TEST,
+            *PNG,
+            'mypy>=1.10',
+            'playwright>=1.40',
+            'ruff>=0.8',
+            'types-PyYAML',
+            'types-tqdm',
+        ],
     },
     entry_points={
         'console_scripts': [

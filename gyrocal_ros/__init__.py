@@ -10,6 +10,7 @@ The rooms, in six bands. A room imports from its own band and from the bands bel
            diagnose    accuracy of a finished run, where it fails, which effect its model lacks
            report      pages and figures; computes nothing
            sim         simulated robots: measurements with ground truth
+           fleet       many bags of many robots: spread, ageing, missing effects, priors
            emulator    an emulated board and ceiling camera
            bench       accuracy, speed and diagnosis on simulated robots; the figures of the paper
     io     bag         recorded bags: check, read, play, write

@@ -21,7 +21,7 @@ BANDS = {
     'base': ('config', 'data', 'errors', 'files'),
     'core': ('effects', 'ekf', 'model', 'statistics'),
     'io': ('bag', 'board', 'msgs', 'vision'),
-    'lab': ('bench', 'diagnose', 'emulator', 'pipeline', 'report', 'sim'),
+    'lab': ('bench', 'diagnose', 'emulator', 'fleet', 'pipeline', 'report', 'sim'),
     'robot': ('robot',),
     'edge': ('cli', 'nodes', 'studio'),
 }
@@ -29,8 +29,9 @@ BANDS = {
 BAND_OF = {room: level for level, rooms in enumerate(BANDS.values()) for room in rooms}
 
 FORBIDDEN = {
-    'robot': {'bag', 'bench', 'diagnose', 'emulator', 'report', 'sim'},
-    'diagnose': {'sim', 'report', 'bench'},
+    'robot': {'bag', 'bench', 'diagnose', 'emulator', 'fleet', 'report', 'sim'},
+    'diagnose': {'sim', 'report', 'bench', 'fleet'},
+    'fleet': {'sim', 'report', 'bench'},
     'report': {'sim', 'bench'},
 }
 """Imports that the bands allow and the data flow does not: the robot needs no bag and no simulator."""
@@ -52,11 +53,19 @@ LIBRARY_HOMES = {
         'report/calibration_figures.py',
         'report/comparison_figures.py',
         'report/diagnosis_figures.py',
+        'report/fleet_figures.py',
         'report/paper.py',
     ),
+    **dict.fromkeys(('dask', 'distributed', 'fsspec', 'pyarrow'), ('fleet',)),
     **dict.fromkeys(ROS, ('nodes',)),
     'rosbags': ('bag', 'msgs'),
-    'scipy': ('statistics.py', 'bench/batch.py', 'bench/bag_tracks.py'),
+    'scipy': (
+        'statistics.py',
+        'fleet/comparison.py',
+        'fleet/hierarchy.py',
+        'bench/batch.py',
+        'bench/bag_tracks.py',
+    ),
     'serial': ('board/link.py',),
     'tqdm': ('cli/output.py',),
 }

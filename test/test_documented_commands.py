@@ -44,6 +44,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert main(['replay', str(bag), '-o', str(result)]) == 0
     for name in ('improved', 'learned'):
         shutil.copytree(result, folder / name)
+    shutil.copy(result / 'calibration.yaml', folder / 'prior.yaml')
     for name in ('default.yaml', 'model.yaml'):
         shutil.copy(shipped('config/model.yaml'), folder / name)
     for name in ('my_effects.py', 'ripple.py'):
@@ -86,6 +87,7 @@ def shortened(arguments: list[str]) -> list[str]:
     provide_recordings(args)
     if arguments[0] == 'simulate':
         arguments = [*arguments, '--duration', IMAGES_S if args.images else FEATURES_S]
+        arguments += ['--fleet', '2', '--bags', '1'] if args.fleet else []
     if '--png' in arguments and not can_draw():
         arguments = [word for word in arguments if word != '--png']
     written = [vars(args).get(name) for name in ('out', 'as_effect')]

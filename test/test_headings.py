@@ -102,10 +102,10 @@ def test_the_heading_of_a_frame_follows_the_chain_of_transforms() -> None:
     frames = FrameHeading('map', 'base_link')
     assert frames.add(message(link('odom', 'base_link', 0.3, 10))) is None
     first = frames.add(message(link('map', 'odom', 0.5, 20)))
-    assert first is not None and (first.t_ns, first.yaw_rad) == (20, pytest.approx(0.8))
+    assert first is not None and first.t_ns == 20 and first.yaw_rad == pytest.approx(0.8)
     assert frames.add(message(link('base_link', 'wheel', 2.0, 25))) is None
     second = frames.add(message(link('odom', 'base_link', 0.4, 30)))
-    assert second is not None and (second.t_ns, second.yaw_rad) == (30, pytest.approx(0.9))
+    assert second is not None and second.t_ns == 30 and second.yaw_rad == pytest.approx(0.9)
     assert frames.add(message(link('odom', 'base_link', 0.4, 30))) is None, 'nothing is new'
 
 

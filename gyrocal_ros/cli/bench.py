@@ -29,6 +29,7 @@ from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.strangers import labels as stranger_labels
 from gyrocal_ros.bench.strangers import strangers
 from gyrocal_ros.bench.tracker import tracker_accuracy
+from gyrocal_ros.cli.fleet import require_extra
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.cli.numbers import number, whole_number
 from gyrocal_ros.cli.options import complete_with
@@ -49,6 +50,7 @@ gyrocal bench blind --strangers --seeds 2
 gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
 gyrocal bench faults --seeds 2 --only clouds images
+gyrocal bench fleet --only coverage effects
 gyrocal bench tracker --bag drive_with_images
 gyrocal bench image_speed --bag drive_with_images
 gyrocal bench --quick"""
@@ -65,12 +67,14 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'image_speed': lambda args: image_speed(args.bag),
     'growth': lambda args: growth(args.quick),
     'faults': lambda args: faults(args.seeds, args.only, main, quick=args.quick, report=print_message),
+    'fleet': lambda args: _fleet(args),
 }
 
 CASES: dict[str, Callable[[], list[str]]] = {
     'accuracy': lambda: [case[0] for case in accuracy_cases(quick=False)],
     'blind': lambda: [*(case.label for case in blind_cases()), *stranger_labels()],
     'faults': lambda: [*KINDS, SEMANTIC, SOUND],
+    'fleet': lambda: ['coverage', 'effects', 'prior', 'size', 'engine'],
 }
 """Labels of the cases of the benches that can run some of them."""
 
@@ -98,7 +102,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs='+',
         default=[],
         metavar='CASE',
-        help='for accuracy, blind and faults: run these cases only',
+        help='for accuracy, blind, faults and fleet: run these cases only',
     )
     parser.add_argument(
         '--bag',
@@ -207,6 +211,14 @@ def _blind(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     return blind(args.seeds, args.only, _settings(args), _scenes(args))
 
 
+def _fleet(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    # The libraries of fleets are an extra.
+    require_extra()
+    from gyrocal_ros.bench.fleet import fleet
+
+    return fleet(args.seeds, args.only)
+
+
 def _settings(args: argparse.Namespace) -> DiagnosisSettings:
     return with_thresholds(args.set, '--set')
 
@@ -220,7 +232,7 @@ def _rows(name: str, args: argparse.Namespace) -> list[dict[str, Any]]:
                 about = provenance()
                 changed = ''.join(f', {key} = {value:g}' for key, value in differing(_settings(args)).items())
                 print(f'{name}: gyrocal {about["version"]}, {about["machine"]}{changed}')
-            print_row(row, header=len(rows) == 1)
+            print_row(row, header=len(rows) == 1 or row.keys() != rows[-2].keys())
     return rows
 
 

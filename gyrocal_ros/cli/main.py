@@ -37,6 +37,7 @@ COMMANDS = {
     'add': 'add an effect to a sensor model',
     'improve': 'add missing effects while the held-out error falls',
     'learn': 'learn a law that no effect of the library has',
+    'fleet': 'calibrate many robots: spread, ageing, what all lack, a prior for the next one',
     'studio': 'do all this on a web page',
     'reveal': 'open the sealed answer of a simulated bag',
     'reproduce': 'reproduce the figures of the paper',

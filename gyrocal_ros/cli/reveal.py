@@ -40,6 +40,11 @@ def run(args: argparse.Namespace) -> None:
 
 def as_text(answer: Mapping[str, Any]) -> Iterator[str]:
     """Yield a sealed answer in lines of text."""
+    if 'fleet' in answer:
+        for name, value in answer['fleet'].items():
+            text = ', '.join(map(str, value)) if isinstance(value, list) else value
+            yield f'{name:18} {text if text not in ("", None) else "none"}'
+        return
     bias = answer['bias']
     start, end = math.degrees(bias['start']), math.degrees(bias['end'])
     yield f'{answer["scenario"]}, seed {answer["seed"]}, {answer["duration_s"]:g} s'

@@ -2,7 +2,8 @@
 
 With `--effect` the robot has a physical effect that the default sensor model lacks (`gyrocal effects`
 lists them). With `--hidden` the effects are drawn by the seed, possibly none, and the answer is written to
-a sealed file beside the bag.
+a sealed file beside the bag. With `--fleet` there are many robots, with bags of each and a table of all;
+means, spread, ageing, a common effect and faulty robots are drawn by the seed and sealed.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrocal_ros.bag.write import new_bag
+from gyrocal_ros.cli.fleet_options import add_fleet_options, simulate_fleet
 from gyrocal_ros.cli.image_options import add_image_options, with_image_options
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import progress
@@ -33,7 +35,8 @@ gyrocal simulate my_beams --duration 60 --images --ceiling beams --condition rea
 gyrocal simulate my_fisheye --duration 60 --images --scene fisheye
 gyrocal simulate slow_gyro --effect gyro_lag=0.02 --effect bias_warmup=amplitude:0.01,time_constant:200
 gyrocal simulate exercise --hidden --seed 7
-gyrocal simulate my_lidar --reference lidar --duration 180"""
+gyrocal simulate my_lidar --reference lidar --duration 180
+gyrocal simulate robots --fleet 40 --bags 3 --duration 60 --seed 1"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'jumps by the seed: ' + '; '.join(f'{name}: {kind.about}' for name, kind in KINDS.items()),
     )
     complete_with(reference, KINDS)
+    add_fleet_options(parser)
     add_image_options(parser)
     parser.add_argument(
         '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='storage format (%(default)s)'
@@ -64,6 +68,9 @@ def run(args: argparse.Namespace) -> None:
     Raises:
         GyrocalError: an argument is out of bounds, or the bag cannot be written.
     """
+    if args.fleet or args.bags:
+        simulate_fleet(args)
+        return
     scenario = with_image_options(args, find_scenario(args.scenario))
     robot = scenario_source(args, scenario, images=args.images, hidden=args.hidden)
     if args.reference and args.images:

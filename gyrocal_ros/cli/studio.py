@@ -1,6 +1,7 @@
 """Find missing effects on a web page: see where the model fails, add an effect, see the error fall.
 
-Give a bag, or a folder of bags to choose from; the default is the bags of the package. No other file is
+Give a bag, a folder of bags to choose from, or a folder of `gyrocal fleet run`, whose bags are then listed
+with those of the most unusual robot first; the default is the bags of the package. No other file is
 read. Every model that you try is saved in a folder OUT/BAG, in the format of `gyrocal improve`, so a
 reload or a killed server loses nothing; run the same command again to continue.
 """
@@ -18,6 +19,7 @@ from threading import Timer
 from typing import Any
 
 from gyrocal_ros.bag.storage import bags_in, is_bag
+from gyrocal_ros.cli.fleet import require_extra
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.numbers import whole_number
 from gyrocal_ros.cli.options import add_images_option, add_topic_options, bag_options, read_config
@@ -29,6 +31,7 @@ from gyrocal_ros.studio.worker import Worker
 
 EXAMPLE = """gyrocal studio my_bag
 gyrocal studio my_bags --model model.yaml -o results
+gyrocal studio my_fleet
 gyrocal studio --lesson 7
 gyrocal studio --live"""
 
@@ -39,7 +42,9 @@ BROWSER_DELAY_S = 0.5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('bag', type=Path, nargs='?', metavar='BAG', help='bag, or folder of bags')
+    parser.add_argument(
+        'bag', type=Path, nargs='?', metavar='BAG', help='bag, folder of bags, or folder of a fleet'
+    )
     add_topic_options(parser)
     add_images_option(parser)
     add_model_options(parser)
@@ -75,8 +80,8 @@ def run(args: argparse.Namespace) -> None:
         _serve_live(args)
         return
     model, config, options = read_model(args), read_config(args), bag_options(args)
-    bags = [Bag(path, config, options) for path in _bags(args)]
-    worker = Worker()  # it forks, so it comes before any thread is started
+    worker = Worker()  # it forks, so it comes before any thread is started, those of Arrow included
+    bags = [Bag(path, config, options, name) for name, path in _bags(args)]
     from gyrocal_ros.studio.server import make_app
     from gyrocal_ros.studio.workspace import Workspace  # imported while the worker starts
 
@@ -119,12 +124,26 @@ def _serve(args: argparse.Namespace, make: Callable[..., Any], remark: str) -> N
     server.serve_forever()
 
 
-def _bags(args: argparse.Namespace) -> list[Path]:
-    """Return the recordings that may be opened."""
+def _bags(args: argparse.Namespace) -> list[tuple[str, Path]]:
+    """Return names and paths of the recordings that may be opened; a name may be empty."""
     if args.bag is not None and is_bag(args.bag):
-        return [args.bag]
+        return [('', args.bag)]
+    if args.bag is not None and (args.bag / 'calibrations.parquet').is_file():
+        return _bags_of_fleet(args.bag)
     folder = shipped('bags') if args.bag is None else args.bag
     found = bags_in(folder)
     if not found:
         raise RecordingError('contains no bag', where=str(folder), todo='give a bag, or a folder of bags')
+    return [('', path) for path in found]
+
+
+def _bags_of_fleet(folder: Path) -> list[tuple[str, Path]]:
+    """Return the bags of a fleet, those of the robot farthest from the others first."""
+    require_extra()
+    from gyrocal_ros.fleet.examine import bags_to_examine  # Arrow is loaded only for work on fleets
+
+    found = bags_to_examine(folder)
+    if not found:
+        todo = 'copy them to where calibrations.parquet says they are, or run the fleet again'
+        raise RecordingError('has no calibrated bag on this machine', where=str(folder), todo=todo)
     return found

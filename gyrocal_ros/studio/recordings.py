@@ -35,11 +35,13 @@ class Bag:
     config: Config
     options: Mapping[str, Any] = field(default_factory=dict)
     """Keywords of `open_bag` and `check_bag`."""
+    name: str = ''
+    """Name in place of that of its file, where bags of several robots have the same."""
 
     @property
     def title(self) -> str:
         """Name of the recording for the user, and name of its folder of revisions."""
-        return self.path.resolve().name
+        return self.name or self.path.resolve().name
 
 
 @dataclass(frozen=True, slots=True)

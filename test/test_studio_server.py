@@ -192,3 +192,32 @@ class TestCommand:
     ) -> None:
         assert main(['studio', str(tmp_path), '--no-browser']) == 2
         assert 'contains no bag' in capsys.readouterr().err
+
+
+class TestDownloads:
+    HOST = {'Host': 'localhost'}
+
+    def test_an_exported_file_is_sent_under_the_name_of_the_recording(
+        self, client: Any, workspace: Any
+    ) -> None:
+        file = workspace.session.folder / 'report.zip'
+        assert client.get('/download/report.zip', headers=self.HOST).status_code == 404
+        file.write_bytes(b'packed')
+        try:
+            answer = client.get('/download/report.zip', headers=self.HOST)
+            assert answer.status_code == 200 and answer.data == b'packed'
+            assert 'attachment; filename=uneven_report.zip' in answer.headers['Content-Disposition']
+        finally:
+            file.unlink()
+
+    @pytest.mark.parametrize(
+        'name', ['studio.json', '.lock', '../studio.json', '..%2Fstudio.json', '/etc/passwd', 'report/..']
+    )
+    def test_no_other_file_can_be_named(self, client: Any, name: str) -> None:
+        answer = client.get(f'/download/{name}', headers=self.HOST)
+        assert answer.status_code == 404 or b'<!DOCTYPE html>' in answer.data  # the page, not a file
+        assert 'Content-Disposition' not in answer.headers and b'builds_on' not in answer.data
+
+    def test_a_token_is_needed_as_for_the_page(self, workspace: Any) -> None:
+        guarded = make_app(workspace, token='secret', names=NAMES).server.test_client()
+        assert guarded.get('/download/report.zip', headers=self.HOST).status_code == 401

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 from studio_parts import HIDDEN, SIZE, InProcessWorker, open_session
@@ -307,12 +308,17 @@ class TestReport:
         self, session: Session, opened: tuple[Session, InProcessWorker], monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr('gyrocal_ros.report.png.find_spec', lambda _: None)
+        monkeypatch.setattr('gyrocal_ros.report.pdf.shutil.which', lambda _: None)
         session.add(HIDDEN)
         opened[1].work()
         message = export(session.state, session.folder)
         report = session.folder / 'report'
-        assert 'kaleido is missing' in message
+        assert 'kaleido is missing' in message and 'there is no Chromium' in message
         assert HIDDEN in (report / 'report.html').read_text()
         assert 'Diagnosis' in (report / 'present' / 'report.html').read_text()
         assert json.loads((report / 'history.json').read_text())['effects'] == ['scale_factor', HIDDEN]
         assert (report / SECOND / 'merit.json').is_file()
+        with ZipFile(session.folder / 'report.zip') as packed:
+            files = {str(path.relative_to(session.folder)) for path in report.rglob('*') if path.is_file()}
+            assert {name for name in packed.namelist() if not name.endswith('/')} == files
+            assert packed.testzip() is None

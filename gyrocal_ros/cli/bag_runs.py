@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gyrocal_ros.bag.check import check_bag
 from gyrocal_ros.bag.source import open_bag
-from gyrocal_ros.cli.figures import add_png_option, check_png
+from gyrocal_ros.cli.figures import add_picture_options, check_pictures
 from gyrocal_ros.cli.options import add_bag_options, add_images_option, bag_options, read_config
 from gyrocal_ros.cli.output import progress, warn
 from gyrocal_ros.config.sections import Config
@@ -51,7 +51,7 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
         '-o', '--out', type=Path, metavar='OUT', help='folder for the page and the result files'
     )
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
-    add_png_option(parser)
+    add_picture_options(parser)
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
 
 
@@ -77,7 +77,7 @@ def result_folder(args: argparse.Namespace) -> Iterator[Path | None]:
         GyrocalError: the folder is not empty and may not be overwritten, or cannot be made, or figures are
             requested that cannot be drawn.
     """
-    check_png(args)
+    check_pictures(args)
     if args.out is None:
         yield None
     else:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gyrocal_ros.cli.bag_runs import BagRuns, add_run_options, open_bag_runs, result_folder
-from gyrocal_ros.cli.figures import draw_if_requested
+from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.diagnose.comparison import Comparison, ModelResult, compare
@@ -64,6 +64,7 @@ def run(args: argparse.Namespace) -> None:
 
             fill_comparison(folder, comparison, runs.issues)
             draw_if_requested(args.png, folder, comparison_sections(comparison))
+            print_if_requested(args.pdf, folder)
     if args.json:
         print_json(summarise_comparison(comparison) | {'wall_s': time.perf_counter() - began_s})
     else:

@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 
 from gyrocal_ros.cli.bag_runs import add_run_options, bag_arguments, open_bag_runs, result_folder
-from gyrocal_ros.cli.figures import draw_if_requested
+from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.diagnose.advice import advice, grouped, join
@@ -66,6 +66,7 @@ def run(args: argparse.Namespace) -> None:
 
             fill_diagnosis(folder, searched, diagnosis, runs.issues)
             draw_if_requested(args.png, folder, diagnosis_sections(searched, diagnosis))
+            print_if_requested(args.pdf, folder)
     if args.json:
         print_json(summarise_diagnosis(searched, diagnosis) | {'wall_s': time.perf_counter() - began_s})
     else:

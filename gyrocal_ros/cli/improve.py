@@ -16,7 +16,7 @@ from itertools import count
 from pathlib import Path
 
 from gyrocal_ros.cli.bag_runs import BagRuns, add_run_options, open_bag_runs, result_folder
-from gyrocal_ros.cli.figures import draw_if_requested
+from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, table
@@ -90,6 +90,7 @@ def run(args: argparse.Namespace) -> None:
 
             fill_improvement(folder, improved, runs.issues)
             draw_if_requested(args.png, folder, improvement_sections(improved))
+            print_if_requested(args.pdf, folder)
     if args.json:
         print_json(summarise_improvement(improved) | {'wall_s': time.perf_counter() - began_s})
     else:

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gyrocal_ros.cli.bag_runs import add_run_options, open_bag_runs, result_folder
-from gyrocal_ros.cli.figures import draw_if_requested
+from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.improve import MAX_EFFECTS, announced, as_text, files_as_text
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json
@@ -87,6 +87,7 @@ def run(args: argparse.Namespace) -> None:
 
             fill_improvement(folder, improved, runs.issues, laws)
             draw_if_requested(args.png, folder, improvement_sections(improved, laws))
+            print_if_requested(args.pdf, folder)
         written = _written(args, laws)
     if args.json:
         summary = summarise_improvement(improved) | {'learned': summarise_laws(laws)}

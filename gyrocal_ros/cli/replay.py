@@ -12,7 +12,7 @@ from typing import Any
 
 from gyrocal_ros.bag.check import check_bag
 from gyrocal_ros.bag.source import open_bag
-from gyrocal_ros.cli.figures import add_png_option, check_png, draw_if_requested
+from gyrocal_ros.cli.figures import add_picture_options, check_pictures, draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, load_own_effects
 from gyrocal_ros.cli.options import (
     BagOptions,
@@ -56,13 +56,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_images_option(parser)
     parser.add_argument('-o', '--out', type=Path, metavar='OUT', help='folder for the report and the results')
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
-    add_png_option(parser)
+    add_picture_options(parser)
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
 
 
 def run(args: argparse.Namespace) -> None:
     """Calibrate, print the result, and write the report if requested."""
-    check_png(args)
+    check_pictures(args)
     config = read_config(args)
     load_own_effects(args)
     known = load_calibration(args.start_from) if args.start_from else None
@@ -76,6 +76,7 @@ def run(args: argparse.Namespace) -> None:
         out=args.out,
         overwrite=args.overwrite,
         png=args.png,
+        pdf=args.pdf,
     )
     if args.json:
         print_json(summary)
@@ -95,6 +96,7 @@ def replay(
     out: Path | None = None,
     overwrite: bool = False,
     png: bool = False,
+    pdf: bool = False,
 ) -> dict[str, Any]:
     """Check a bag, calibrate from it, write the report, and return the values for `--json`."""
     began_s = time.perf_counter()
@@ -116,6 +118,7 @@ def replay(
             warn(event.text)
         if folder is not None:
             _write(folder, finished, calibration, issues, png)
+            print_if_requested(pdf, folder)
     return summarise(finished, calibration) | {'wall_s': time.perf_counter() - began_s}
 
 

@@ -155,8 +155,14 @@ def save_calibration(
     calibration: Calibration, config: Config, path: Path, *, overwrite: bool = False
 ) -> None:
     """Write `calibration.yaml` atomically, with model, settings and provenance."""
-    text = yaml.safe_dump(_to_dict(calibration, config), sort_keys=False, allow_unicode=True, width=110)
-    write_text_atomic(path, text, overwrite=overwrite)
+    write_text_atomic(path, calibration_to_yaml(calibration, config), overwrite=overwrite)
+
+
+def calibration_to_yaml(calibration: Calibration, config: Config | None = None) -> str:
+    """Return the text of `calibration.yaml`; without `config` it lacks the settings, which a robot has."""
+    settings = {} if config is None else {'settings': to_dict(config)}
+    content = _to_dict(calibration) | settings
+    return str(yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110))
 
 
 def load_calibration(path: Path) -> Calibration:
@@ -212,7 +218,7 @@ def _is_covariance(matrix: Array) -> bool:
     return bool(np.allclose(correlation, correlation.T) and np.linalg.eigvalsh(correlation).min() > -1e-9)
 
 
-def _to_dict(calibration: Calibration, config: Config) -> dict[str, Any]:
+def _to_dict(calibration: Calibration) -> dict[str, Any]:
     temperature_c = calibration.temperature_c
     return {
         'scale_factor': calibration.scale_factor,
@@ -232,7 +238,6 @@ def _to_dict(calibration: Calibration, config: Config) -> dict[str, Any]:
             'temperature_c': None if math.isnan(temperature_c) else temperature_c,
             'version': __version__,
         },
-        'settings': to_dict(config),
     }
 
 

@@ -30,6 +30,7 @@ from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.report import calibration_figures as figures
 from gyrocal_ros.report.comparison_figures import drift_by_span
 from gyrocal_ros.report.describe import Verdict, events_in_words, meaning, with_std
+from gyrocal_ros.report.first_page import first_page
 from gyrocal_ros.report.html import Section, details, document, gallery, table, verdict_box, warnings
 from gyrocal_ros.report.plot import SIGMAS
 
@@ -88,6 +89,7 @@ def calibration_page(run: Run, calibration: Calibration, findings: Sequence[tupl
         [
             verdict_box(conclusion(calibration, run, model_fit(run), *_drifts(run))),
             warnings([*findings, *events_in_words(run)]),
+            first_page(run),
             table(
                 'Coefficients',
                 ('coefficient', 'value', 'unit', 'prior', 'meaning'),

@@ -23,6 +23,7 @@ from gyrocal_ros.report.describe import (
     with_gain,
 )
 from gyrocal_ros.report.diagnosis_figures import heading_section
+from gyrocal_ros.report.first_page import first_page
 from gyrocal_ros.report.html import (
     Section,
     bar_table,
@@ -67,6 +68,7 @@ def comparison_page(comparison: Comparison, findings: Sequence[tuple[str, str]] 
         [
             verdict_box(conclusion(comparison)),
             warnings([*findings, *occurred]),
+            first_page(comparison.best.run),
             table('Models', heads, [_row(result, results[0]) for result in results], note),
             gallery(comparison_sections(comparison)),
             *(_failures(result) for result in results),

@@ -35,6 +35,7 @@ from gyrocal_ros.report.describe import (
     sigma_in_words,
     with_std,
 )
+from gyrocal_ros.report.first_page import first_page
 from gyrocal_ros.report.html import (
     Section,
     bar_table,
@@ -82,6 +83,7 @@ def diagnosis_page(searched: Search, diagnosis: Diagnosis, findings: Sequence[tu
         [
             verdict_box(conclusion(diagnosis)),
             warnings([*findings, *events_in_words(run)]),
+            first_page(searched.last.run),
             *(_card(item) for item in diagnosis.missing),
             gallery(_sections(searched, diagnosis)),
             gallery(_left_over(searched), 'What is left over', LEFT_OVER),

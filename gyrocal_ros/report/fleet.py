@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros import __version__
+from gyrocal_ros.diagnose.status import Level, Status
 from gyrocal_ros.fleet.findings import Findings, advice
 from gyrocal_ros.fleet.result import FAILED
-from gyrocal_ros.report.describe import Kind, Verdict
+from gyrocal_ros.report.describe import Verdict
 from gyrocal_ros.report.fleet_figures import fleet_sections
 from gyrocal_ros.report.html import document, gallery, table, verdict_box
 
@@ -69,8 +70,8 @@ def _verdict(found: Findings) -> Verdict:
         headline = f'{len(faulty)} of {len(found.robots)} robots are out of family'
     else:
         headline = 'No effect is missing in the fleet, and no robot is out of family'
-    kind: Kind = 'found' if missing or faulty else 'good'
-    return Verdict(kind, headline, tuple(sentences), tuple(advice(found)))
+    level: Level = 'yellow' if missing or faulty else 'green'
+    return Verdict(Status(level, headline), tuple(sentences), tuple(advice(found)))
 
 
 def _coefficients(found: Findings) -> str:

@@ -14,6 +14,9 @@ from gyrocal_ros.report.glossary import with_terms
 from gyrocal_ros.report.plot import plotly_js, to_fragment
 
 FIGURE_HELP = 'In the figures: drag to zoom in, double-click to see all, click a name to hide it.'
+PAPER_ZOOM = 0.75
+PAPER_WIDTH_PX = round((210 - 2 * 12) / 25.4 * 96 / PAPER_ZOOM)
+"""Width of the page on A4 paper with margins of 12 mm, in CSS pixels before the zoom."""
 SIGNS = {'green': '✓', 'yellow': '→', 'red': '✗'}
 
 
@@ -168,7 +171,20 @@ details { border-top: 1px solid var(--rule); padding: .6rem 0; }
 summary { cursor: pointer; }
 pre { overflow-x: auto; font-size: .85rem; }
 .infolayer text, .cartesianlayer text { fill: var(--ink) !important; }
-"""
+.paper-only { display: none; }
+@media print {
+  @page { size: A4; margin: 12mm; }
+  :root { color-scheme: light; --paper: #ffffff; --card: #f4f6f8; --ink: #1d2127; --faint: #59616b;
+    --rule: #d5dae0; --good: #00795a; --found: #00619b; --bad: #b84a00; }
+  body { zoom: ZOOM; max-width: none; padding: 0; print-color-adjust: exact; }
+  .paper-only { display: block; } .paper-only h2 { margin-top: 1.2rem; }
+  .paper-only + * { break-before: page; }
+  .verdict, figure, tr { break-inside: avoid; } h2, .note { break-after: avoid; }
+  .figures { display: block; } figure { margin-bottom: 2rem; } .wide { overflow: visible; }
+  pre { white-space: pre-wrap; overflow-wrap: anywhere; line-height: 1.3; } .paper-only pre { columns: 2; }
+  .modebar { display: none; }
+}
+""".replace('ZOOM', str(PAPER_ZOOM))
 
 PAGE = """<!doctype html>
 <html lang="en">
@@ -183,6 +199,9 @@ PAGE = """<!doctype html>
 <h1>{title}</h1>
 <p class="about">{about}</p>
 {body}
+<script>
+addEventListener('beforeprint', () => document.querySelectorAll('details').forEach(part => part.open = true));
+</script>
 </body>
 </html>
 """

@@ -25,6 +25,7 @@ from gyrocal_ros.report.describe import (
     with_gain,
 )
 from gyrocal_ros.report.diagnosis_figures import heading_section
+from gyrocal_ros.report.first_page import first_page
 from gyrocal_ros.report.html import Section, details, document, gallery, table, verdict_box, warnings
 from gyrocal_ros.report.laws_figures import law_sections
 
@@ -60,6 +61,7 @@ def improvement_page(
         [
             verdict_box(conclusion(improved)),
             warnings([*findings, *events_in_words(run)]),
+            first_page(run),
             table('Revisions', HEADS, [_row(revision) for revision in improved.revisions], NOTE),
             gallery(improvement_sections(improved, laws)),
             details('Final sensor model (model.yaml)', model_to_yaml(run.model)),

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import new_folder
+from gyrocal_ros.report.pdf import save_pdf
 from gyrocal_ros.report.png import save_png
 from gyrocal_ros.report.write import fill_diagnosis, fill_improvement
 from gyrocal_ros.studio import pictures
 from gyrocal_ros.studio.state import StudioState
 
-NAME = 'report'
+NAME, PDF, ARCHIVE = 'report', 'report.pdf', 'report.zip'
 
 
 def export(state: StudioState, folder: Path) -> str:
     """Write `report/` into the folder of a session; return a message to the user.
 
     It contains the history with all models, `report.html` about it, `present/report.html` about the
-    effects that the present model still lacks, and `figures/` as PNG if this machine can draw them.
+    effects that the present model still lacks, `figures/` as PNG and `report.pdf` if this machine can draw
+    them. `report.zip`, beside it, contains all of it.
 
     Raises:
         GyrocalError: the model has not run yet, or the report cannot be written.
@@ -39,4 +43,19 @@ def export(state: StudioState, folder: Path) -> str:
             save_png(pictures.all_figures(state), part / 'figures')
         except GyrocalError as error:
             remark = f' {error}.'
+        try:
+            save_pdf(part / 'report.html', part / PDF)
+        except GyrocalError as error:
+            remark += f' {error}.'
+    _pack(folder)
     return f'The report is in {folder / NAME}.{remark}'
+
+
+def _pack(folder: Path) -> None:
+    """Write the report as one file, which appears completely or not at all."""
+    try:
+        with TemporaryDirectory(dir=folder, prefix='.zip_') as work:
+            packed = shutil.make_archive(f'{work}/{NAME}', 'zip', root_dir=folder, base_dir=NAME)
+            Path(packed).replace(folder / ARCHIVE)
+    except OSError as error:
+        raise GyrocalError(f'cannot be written ({error.strerror})', where=str(folder / ARCHIVE)) from error

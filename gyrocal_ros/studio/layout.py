@@ -151,6 +151,7 @@ def _history() -> html.Section:
                     html.Button('Undo', id='undo'),
                     html.Button('Write model and calibration', id='write'),
                     html.Button('Export the report', id='export'),
+                    html.Span(id='downloads', className='row'),
                 ],
                 className='row',
             ),

@@ -24,6 +24,7 @@ from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.robot.feed import Overview
 from gyrocal_ros.studio import live_page
 from gyrocal_ros.studio.callbacks import connect
+from gyrocal_ros.studio.downloads import connect_downloads
 from gyrocal_ros.studio.layout import layout
 from gyrocal_ros.studio.workspace import Workspace
 
@@ -51,6 +52,7 @@ def make_app(workspace: Workspace, token: str | None = None, names: frozenset[st
     app = _app(token, names)
     app.layout = lambda: layout(workspace.titles)
     connect(app, workspace)
+    connect_downloads(app, workspace)
     return app
 
 

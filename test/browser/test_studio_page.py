@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 from urllib.parse import urlsplit
+from zipfile import ZipFile
 
 import pytest
 from conftest import CHROMIUM
@@ -191,6 +192,12 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     expect(page.locator('#message')).to_contain_text('model.yaml and calibration.yaml are in')
     page.locator('#export').click()
     expect(page.locator('#message')).to_contain_text('The report is in')
+    with page.expect_download() as packed:
+        page.locator('#downloads a', has_text='report.zip').click()
+    assert packed.value.suggested_filename == 'uneven_report.zip'
+    with ZipFile(packed.value.path()) as archive:
+        assert 'report/report.pdf' in archive.namelist() and archive.testzip() is None
+    expect(page.locator('#downloads')).to_contain_text('report.pdf')
     folder = studio.out / 'uneven'
     assert HIDDEN in (folder / 'model.yaml').read_text()
     assert HIDDEN in (folder / 'report' / 'report.html').read_text()

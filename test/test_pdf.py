@@ -21,7 +21,7 @@ needs_browser = pytest.mark.skipif(CHROMIUM is None, reason='needs Chromium')
 
 @pytest.fixture
 def no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('shutil.'which', lambda _: None)
+    monkeypatch.setattr('shutil.which', lambda _: None)
 
 
 @pytest.fixture(scope='module')

@@ -16,7 +16,17 @@ from gyrocal_ros.robot.health import Level, Status
 
 RATES = SetRates(200, 50, 10)
 OPEN = PortState(is_open=True, since_s=0.0)
-COUNTERS = ('bytes', 'imu', 'wheels', 'supply', 'board_restarts', 'clock_sets', 'odd_times', 'connections')
+COUNTERS = (
+    'bytes',
+    'imu',
+    'wheels',
+    'supply',
+    'board_restarts',
+    'clock_sets',
+    'odd_times',
+    'implausible',
+    'connections',
+)
 FRAMES = asdict(Counts())
 
 
@@ -71,6 +81,7 @@ def test_a_working_board_has_no_problems() -> None:
         ({'unknown': 5}, Level.WARN, '5 messages of unknown types'),
         ({'board_restarts': 1, 'odd_times': 1}, Level.WARN, 'the board has restarted'),
         ({'odd_times': 2}, Level.WARN, '2 messages with inconsistent board times were dropped'),
+        ({'implausible': 2}, Level.WARN, '2 packets beyond board_limits were dropped'),
         ({'clock_sets': 1}, Level.WARN, "this computer's clock was set"),
     ],
 )

@@ -24,6 +24,7 @@ from gyrocal_ros.board.messages import (
 )
 from gyrocal_ros.board.protocol import Decoder, Packet, encode, wire_time_s
 from gyrocal_ros.board.reader import BoardReader, Reading, WheelMotion, WheelPose
+from gyrocal_ros.config.board_limits import BoardLimits
 from gyrocal_ros.config.robot_sections import BoardConfig
 from gyrocal_ros.data import NS_PER_S, ImuSample, TemperatureSample, nanoseconds
 
@@ -121,10 +122,10 @@ def test_the_pose_follows_the_wheels() -> None:
 def test_the_pose_continues_over_a_gap_of_unknown_speed() -> None:
     sender, reader = Sender(), BoardReader(BoardConfig(), BAUD)
     times = (0.0, 0.02, 5.0, 5.02)
-    found = readings(reader, *(sender.send(Wheels(1000 * i, 1000 * i), t) for i, t in enumerate(times)))
+    found = readings(reader, *(sender.send(Wheels(100 * i, 100 * i), t) for i, t in enumerate(times)))
     motions = [reading for reading in found if isinstance(reading, WheelMotion)]
-    assert [motion.pose.x_m for motion in motions] == pytest.approx([0.3, 0.9])
-    assert motions[-1].sample.speed_m_s == pytest.approx(15.0)
+    assert [motion.pose.x_m for motion in motions] == pytest.approx([0.03, 0.09])
+    assert motions[-1].sample.speed_m_s == pytest.approx(1.5)
 
 
 # --- lost lines -----------------------------------------------------------------------------------
@@ -239,3 +240,47 @@ def test_the_sequence_numbers_of_commands_wrap() -> None:
     commands = CommandQueue(RATES)
     numbers = [packets(commands.due_frames(float(at_s)))[0].sequence for at_s in range(65_540)]
     assert numbers[65_535] == 0 and max(numbers) == 65_535
+
+
+# --- limits ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    'absurd',
+    [
+        Imu((0, 0, 2**31 - 1), LEVEL.accelerometer, 2550),
+        Imu((-(2**31), 0, 0), LEVEL.accelerometer, 2550),
+        Imu((0, 0, 1_400_000), LEVEL.accelerometer, 2550),
+    ],
+)
+def test_readings_beyond_the_limits_are_dropped_and_counted(absurd: Imu) -> None:
+    sender, reader = Sender(), BoardReader(BoardConfig(), BAUD)
+    found = readings(reader, *(sender.send(absurd if i == 5 else LEVEL, 0.005 * i) for i in range(10)))
+    assert len(stamps(found)) == 9
+    assert reader.implausible == 1
+
+
+def test_a_specific_force_beyond_its_limit_is_dropped() -> None:
+    limits = BoardLimits(force_m_s2=20.0)
+    sender, reader = Sender(), BoardReader(BoardConfig(), BAUD, limits)
+    absurd = Imu((0, 0, 0), (0, 0, 2**15 - 1), 2550)
+    assert readings(reader, sender.send(absurd, 0.0)) == []
+    assert reader.implausible == 1
+
+
+def test_one_absurd_count_of_a_wheel_moves_nothing() -> None:
+    reader = BoardReader(BoardConfig(), BAUD)
+    ticks = [(10 * i, 10 * i) for i in range(20)]
+    ticks[7] = (2**31 - 1, 70)
+    pose = drive(reader, ticks)
+    assert pose.x_m == pytest.approx(190 * BoardConfig().tick_m)
+    assert (pose.y_m, pose.yaw_rad, reader.implausible) == (0.0, 0.0, 1)
+
+
+def test_counters_that_have_jumped_for_good_are_used_after_a_second() -> None:
+    reader = BoardReader(BoardConfig(), BAUD)
+    ticks = [(10 * i + (10**8 if i > 50 else 0), 10 * i) for i in range(200)]
+    pose = drive(reader, ticks)
+    assert reader.implausible == pytest.approx(50, abs=2), 'those of a second'
+    assert 0.9 * 1500 < pose.x_m / BoardConfig().tick_m < 1500
+    assert abs(pose.yaw_rad) < 0.01

@@ -10,6 +10,8 @@ from typing import TypeAlias
 
 from gyrocal_ros.board.clock import Clock, Stamp
 from gyrocal_ros.board.convert import (
+    MAX_INTERVAL_S,
+    US_PER_S,
     SupplySample,
     WheelReading,
     imu_sample,
@@ -19,7 +21,8 @@ from gyrocal_ros.board.convert import (
     wheel_step,
 )
 from gyrocal_ros.board.messages import Acknowledgement, Imu, Message, Supply, Wheels
-from gyrocal_ros.board.protocol import Decoder, Packet, wire_time_s
+from gyrocal_ros.board.protocol import TIME_WRAP, Decoder, Packet, wire_time_s
+from gyrocal_ros.config.board_limits import BoardLimits
 from gyrocal_ros.config.robot_sections import BoardConfig
 from gyrocal_ros.data import NS_PER_S, ImuSample, TemperatureSample, WheelSample, nanoseconds
 
@@ -71,15 +74,18 @@ class BoardReader:
         config: meaning of one count of each converter.
         baud_rate: speed of the line; it determines the transmission time of a frame, which arrivals do
             not reveal.
+        limits: largest readings; None for the default ones.
     """
 
-    def __init__(self, config: BoardConfig, baud_rate: int) -> None:
+    def __init__(self, config: BoardConfig, baud_rate: int, limits: BoardLimits | None = None) -> None:
         self.decoder = Decoder()
         self.clock = Clock()
         self.received: Counter[type[Message]] = Counter()
         """Number of packets received, by message type."""
         self.bytes = 0
-        self._config = config
+        self.implausible = 0
+        """Number of packets dropped because their contents exceed the limits."""
+        self._config, self._limits = config, limits or BoardLimits()
         self._wire_ns = {
             kind: nanoseconds(wire_time_s(kind, baud_rate)) for kind in (Imu, Wheels, Supply, Acknowledgement)
         }
@@ -115,13 +121,33 @@ class BoardReader:
 
     def _stamped(self, message: Imu | Wheels | Supply, stamp: Stamp, time_us: int) -> Iterator[Reading]:
         if isinstance(message, Imu):
-            yield imu_sample(message, stamp.t_ns, self._config)
+            sample = imu_sample(message, stamp.t_ns, self._config)
+            if not self._is_plausible(sample):
+                self.implausible += 1
+                return
+            yield sample
             if self._temperature_is_due(stamp.t_ns):
                 yield temperature_sample(message, stamp.t_ns, self._config)
         elif isinstance(message, Wheels):
             yield from self._wheel_motion(WheelReading(stamp, time_us, message))
         else:
             yield supply_sample(message, stamp.t_ns)
+
+    def _is_plausible(self, sample: ImuSample) -> bool:
+        max_rate = math.radians(self._limits.rate_deg_s)
+        return (
+            max(map(abs, sample.rate_rad_s)) <= max_rate
+            and max(map(abs, sample.specific_force_m_s2)) <= self._limits.force_m_s2
+        )
+
+    def _is_possible(self, before: WheelReading, after: WheelReading) -> bool:
+        """Return True if the wheels can have turned from one reading to the next."""
+        duration_s = (after.time_us - before.time_us) % TIME_WRAP / US_PER_S
+        distance_m, turned_rad = wheel_step(before, after, self._config)
+        max_m = self._limits.speed_m_s * duration_s + self._config.tick_m  # one tick may come at any time
+        tick_rad = self._config.tick_m / self._config.track_m
+        max_rad = math.radians(self._limits.turn_rate_deg_s) * duration_s + tick_rad
+        return abs(distance_m) <= max_m and abs(turned_rad) <= max_rad
 
     def _temperature_is_due(self, t_ns: int) -> bool:
         last_ns = self._temperature_ns
@@ -131,7 +157,13 @@ class BoardReader:
         return is_due
 
     def _wheel_motion(self, after: WheelReading) -> Iterator[WheelMotion]:
-        before, self._wheels = self._wheels, after
+        before = self._wheels
+        if before is not None and not self._is_possible(before, after):
+            self.implausible += 1
+            if (after.time_us - before.time_us) % TIME_WRAP <= MAX_INTERVAL_S * US_PER_S:
+                return  # the next packet is compared with the last good one
+            before = None  # the counters have jumped for good
+        self._wheels = after
         if before is None:
             return
         self._pose = self._pose.advanced(*wheel_step(before, after, self._config))

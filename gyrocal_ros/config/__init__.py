@@ -4,5 +4,6 @@ sections         settings of the estimator with default, unit, bounds and descri
 robot_sections   the same of what only the nodes need
 declare          declaration, checks and output of settings
 parameter_file   ROS 2 parameter files
+board_limits     limits of the readings of the board
 yaml_file        YAML files in general
 """

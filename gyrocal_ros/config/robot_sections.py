@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from gyrocal_ros.config.board_limits import BoardLimits
 from gyrocal_ros.config.declare import setting
 from gyrocal_ros.config.sections import GyroConfig
 
@@ -141,6 +142,7 @@ class RobotConfig:
     """Settings that only the nodes need."""
 
     board: BoardConfig = BoardConfig()
+    board_limits: BoardLimits = BoardLimits()
     driver: DriverConfig = DriverConfig()
     messages: MessagesConfig = MessagesConfig()
     images: ImagesConfig = ImagesConfig()

@@ -30,7 +30,8 @@ class DriverNode:
 
     def __init__(self) -> None:
         self.node = Node('driver')
-        settings = Settings(self.node, RobotConfig(), ('board', 'driver', 'messages'), self._configure)
+        sections = ('board', 'board_limits', 'driver', 'messages')
+        settings = Settings(self.node, RobotConfig(), sections, self._configure)
         board, driver = settings.config.board, settings.config.driver
         self._messages = settings.config.messages
         self._make = to_ros.live_maker(get_message)
@@ -43,7 +44,7 @@ class DriverNode:
             if driver.publish_odom_transform
             else None
         )
-        self._board = BoardDriver(board, driver, self._now_ns, self._publish)
+        self._board = BoardDriver(board, driver, self._now_ns, self._publish, settings.config.board_limits)
         self._diagnostics = Diagnostics(self.node, self._board.status)
         self.node.create_service(Trigger, '~/zero', self._zero)
         self._board.start()

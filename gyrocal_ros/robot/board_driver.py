@@ -13,6 +13,7 @@ from gyrocal_ros.board.commands import CommandQueue, PendingCommand
 from gyrocal_ros.board.link import Link, LinkError
 from gyrocal_ros.board.messages import Acknowledgement, CommandResult, Imu, SetRates, Supply, Wheels
 from gyrocal_ros.board.reader import BoardReader, Reading
+from gyrocal_ros.config.board_limits import BoardLimits
 from gyrocal_ros.config.robot_sections import BoardConfig, DriverConfig
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.robot.health import Level, Problem, Status, Window, as_warnings, status
@@ -61,6 +62,7 @@ class BoardDriver:
         driver: the serial line, and the rates to request.
         now_ns: clock of the stamps.
         publish: called with each reading, in the thread of the driver.
+        limits: largest readings; None for the default ones.
     """
 
     def __init__(
@@ -69,11 +71,12 @@ class BoardDriver:
         driver: DriverConfig,
         now_ns: Callable[[], int],
         publish: Callable[[Reading], None],
+        limits: BoardLimits | None = None,
     ) -> None:
         self._driver, self._now_ns, self._publish = driver, now_ns, publish
         self._changed = threading.Condition()
         """Guards all attributes below; notified when the board has answered a command."""
-        self._reader = BoardReader(board, driver.baud_rate)
+        self._reader = BoardReader(board, driver.baud_rate, limits)
         self._commands = CommandQueue(rates_of(driver))
         self._connections = 0
         self._port = PortState(is_open=False, since_s=time.monotonic(), why='not tried yet')
@@ -140,6 +143,7 @@ class BoardDriver:
             board_restarts=clock.restarts[RestartCause.BOARD],
             clock_sets=clock.restarts[RestartCause.ARRIVALS],
             odd_times=clock.outliers,
+            implausible=self._reader.implausible,
             connections=self._connections,
             **asdict(self._reader.decoder.counts),
         )
@@ -208,7 +212,7 @@ class BoardHealth:
 
     Args:
         counts: counts since the start: messages `imu`, `wheels` and `supply`, `board_restarts`,
-            `clock_sets`, `odd_times`, and the frames as in `board.protocol.Counts`.
+            `clock_sets`, `odd_times`, `implausible`, and the frames as in `board.protocol.Counts`.
         now_s: the present time, by a monotonic clock.
     """
 
@@ -246,7 +250,7 @@ class BoardHealth:
         ]
         problems = [*_line_problems(recent, port, data_s, now_s)] or [
             *_frame_problems(recent),
-            *as_warnings(_clock_texts(recent)),
+            *as_warnings(_content_texts(recent)),
             *as_warnings(_rate_texts(recent, rates, order, is_steady=is_steady)),
         ]
         summary = ', '.join(f'{name} {hz:.0f} Hz' for name, hz, _ in rates)
@@ -287,11 +291,13 @@ def _frame_problems(recent: Counter[str]) -> Iterator[Problem]:
         yield Problem(Level.WARN, text)
 
 
-def _clock_texts(recent: Counter[str]) -> Iterator[str]:
+def _content_texts(recent: Counter[str]) -> Iterator[str]:
     if recent['board_restarts']:
         yield 'the board has restarted: check its power supply'
     elif recent['odd_times']:
         yield f'{recent["odd_times"]} messages with inconsistent board times were dropped'
+    if recent['implausible']:
+        yield f'{recent["implausible"]} packets beyond board_limits were dropped'
     if recent['clock_sets']:
         yield "this computer's clock was set: the stamps follow it"
 

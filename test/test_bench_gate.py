@@ -80,8 +80,8 @@ def test_the_command_fails_if_a_figure_exceeds_its_tolerance(
 
 
 def test_an_unknown_bench_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['bench', 'beauty']) == 2
-    assert 'accuracy' in capsys.readouterr().err
+    assert main(['bench', 'acuracy']) == 2
+    assert "did you mean 'accuracy'" in capsys.readouterr().err
 
 
 @pytest.mark.slow

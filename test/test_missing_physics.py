@@ -215,7 +215,7 @@ class TestDiagnose:
         assert any(text.startswith('To judge cross_axis, record five minutes') for text in sentences)
         assert any('turns to both sides' in text for text in sentences)
         printed = '\n'.join(as_text(unsure))
-        assert printed.startswith('This recording cannot tell')
+        assert printed.startswith('[yellow] This recording cannot tell')
         assert 'bias_temperature and scale_temperature: not recorded: temperature' in printed
 
 

@@ -135,7 +135,7 @@ def test_another_file_is_written_and_none_is_overwritten(tmp_path: Path, capsys:
         (TEXTS['block'], ['gyro_lag', '--set', 'prior_std=1'], "no coefficient or option 'prior_std'"),
         (TEXTS['block'], ['turn_hysteresis', '--set', 'driven_by=sides'], 'choose from rate, side'),
         ('effects: [gyro_lag]', ['scale_cubic'], 'the first effect must be scale_factor'),
-        ('usual: &usual\n- scale_factor\neffects: *usual\n', ['scale_cubic'], 'aliases (*name) are not supported'),
+        ('usual: &usual\n- scale_factor\neffects: *usual\n', ['scale_cubic'], 'are not supported'),
         (
             'effects:\n- scale_factor\n- |-\n  gyro_lag\nversion: 7\n',
             ['scale_cubic'],

@@ -62,12 +62,14 @@ def folder(tmp_path: Path, prepared: Path, monkeypatch: pytest.MonkeyPatch) -> P
 
 def runnable(text: str) -> Iterator[list[str]]:
     """Yield the arguments of the complete commands of a page, each once."""
-    seen = set()
+    seen, fleets = set(), set[str]()
     for command in commands(text):
         arguments = shlex.split(command, comments=True)
         is_new = tuple(arguments) not in seen
         seen.add(tuple(arguments))
-        is_elsewhere = arguments[0] in ELSEWHERE or {'--help', '--fleet'} & set(arguments)
+        if '--fleet' in arguments:
+            fleets.add(arguments[1])
+        is_elsewhere = arguments[0] in ELSEWHERE or {'--help', '--fleet', *fleets} & set(arguments)
         if is_new and not is_elsewhere and is_complete(arguments):
             yield arguments
 

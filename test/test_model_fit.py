@@ -10,10 +10,12 @@ import pytest
 from synthetic import drive
 
 from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import nanoseconds
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift
 from gyrocal_ros.diagnose.model_fit import ModelFit, drift_by_noise_deg, model_fit
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.run import Run, RunEvent
+from gyrocal_ros.ekf.scale_watch import ScaleChange
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.sim.forward import HiddenEffect
@@ -31,6 +33,11 @@ def test_a_clean_recording_fits() -> None:
     run = simulated(())
     assert model_fit(run).fits is True
     assert conclude(run).converged
+    change = str(ScaleChange(0, 0.01, 0.001, 10.0))
+    for time_s, is_misfit in ((20.0, False), (80.0, True)):
+        event = RunEvent(run.span.start_ns + nanoseconds(time_s), change)
+        misfits = model_fit(replace(run, events=(event,))).misfits
+        assert bool(misfits) == is_misfit, 'an earlier calibration may be wrong at first'
 
 
 @pytest.mark.slow

@@ -8,15 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gyrocal_ros.data import seconds
 from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s
 from gyrocal_ros.ekf.map_watch import LOSES_MAPS, loses_its_map
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.scale_watch import SCALE_CHANGED
 from gyrocal_ros.ekf.scatter import Scatter, scatter_of
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.statistics import nis_per_dof
 
+CALIBRATED_S = 60.0
+"""Time after which a change of the scale factor is none of an earlier calibration that was wrong."""
 MAX_DRIFT_RATIO = 4.0
 """Largest blind drift, relative to what noise explains, of a model that fits."""
 
@@ -76,6 +80,11 @@ def _misfits(run: Run, scatter: Scatter, drift: BlindDrift) -> Iterator[str]:
         yield f'the innovations are larger than expected (NIS {nis:.1f} per degree of freedom)'
     if loses_its_map(run):
         yield LOSES_MAPS
+    changed_s = [
+        seconds(event.t_ns - run.span.start_ns) for event in run.events if SCALE_CHANGED in event.text
+    ]
+    if any(time_s > CALIBRATED_S for time_s in changed_s):
+        yield 'the scale factor changes within the recording'
     if scatter.contradicts:
         yield (
             'from stretch to stretch the estimates change by '

@@ -36,6 +36,8 @@ from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
 
 MIN_GAIN = 25.0
 """Log-likelihood that a noise, or a law beside it, has to gain: many are tried."""
+JUMP_PART = 0.7
+"""Part of the gain of a noise above which a single jump of the bias is preferred to it."""
 RIVAL_PART = 0.85
 """Part of the best gain above which another noise is tried, where the robot drifts more with the best."""
 MIN_SIGMA = 2.0
@@ -91,8 +93,10 @@ def or_noise(
     if not is_missing_something(first) or (searched.additions and searched.additions[0].before is None):
         return searched
     explained = sum(item.gain for item in searched.kept)
-    noises = fit_noises(first)
+    noises, structure = fit_noises(first), first.unexplained_structure
     if not noises or noises[0].gain < max(MIN_GAIN, explained):
+        return searched
+    if structure is not None and structure.at_s is not None and structure.gain > JUMP_PART * noises[0].gain:
         return searched
     found = _first_kept(first, noises, recording, calibrate)
     if found is None:

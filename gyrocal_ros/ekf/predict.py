@@ -188,5 +188,6 @@ def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel, ext
     noise[YAW_BIAS, YAW_BIAS] = yaw.bias_walk_rad_s**2 * duration_s
     coefficients = np.arange(COEFFICIENTS_START, len(noise))
     noise[coefficients, coefficients] = np.square(walks) * duration_s
-    noise[COEFFICIENTS_START, COEFFICIENTS_START] += gyro.scale_walk**2 * duration_s
+    if walks:  # the first coefficient is the scale factor
+        noise[COEFFICIENTS_START, COEFFICIENTS_START] += gyro.scale_walk**2 * duration_s
     return noise

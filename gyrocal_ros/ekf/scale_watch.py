@@ -20,6 +20,8 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, add_lacking
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
+SCALE_CHANGED = 'off what was calibrated before'
+"""Words in the event of a run."""
 WINDOWS_S = (3.0, 8.0, 20.0, 50.0, 120.0)
 """Lengths of the windows, one column each: a jump shows in a short one, a slow drift in a long one."""
 ABSORBED = 0.2
@@ -69,7 +71,7 @@ class ScaleChange:
 
     def __str__(self) -> str:
         return (
-            f'the scale factor is {100.0 * self.value:+.2g} % off what was calibrated before '
+            f'the scale factor is {100.0 * self.value:+.2g} % {SCALE_CHANGED} '
             f'({self.sigma:.0f} sigma), so that was dropped: another gyro, one that has changed, or an '
             'effect that the model lacks'
         )
@@ -139,6 +141,8 @@ class ScaleWatch:
 
     def renew(self, state: State) -> State:
         """Return the state where windows begin again that have ended, or say no more about the present."""
+        if not state.coefficient_count:  # a model without a scale factor
+            return state
         remaining = state.sensitivity[COEFFICIENTS_START, self._first :]
         ended = (self._ages_s >= WINDOWS_S) | (remaining < ABSORBED)
         return self._restarted(state, ended) if ended.any() else state
@@ -171,7 +175,8 @@ class ScaleWatch:
         columns = self._first + np.flatnonzero(chosen)
         sensitivity = state.sensitivity.copy()
         sensitivity[:, columns] = 0.0
-        sensitivity[COEFFICIENTS_START, columns] = 1.0
+        if state.coefficient_count:
+            sensitivity[COEFFICIENTS_START, columns] = 1.0
         for sums in (self._ages_s, self._information, self._score, self._nis, self._dof):
             sums[chosen] = 0.0
         return replace(state, sensitivity=sensitivity)

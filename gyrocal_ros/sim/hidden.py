@@ -12,6 +12,7 @@ import numpy as np
 
 from gyrocal_ros.effects import SHIPPED
 from gyrocal_ros.effects.covariate import covariate_effects
+from gyrocal_ros.effects.traits import is_noise
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.recording import Signal
 from gyrocal_ros.model.sensor import Effect, TypicalRange
@@ -40,6 +41,9 @@ LIBRARY_RANGES: dict[str, tuple[TypicalRange, ...]] = _ranges(SHIPPED) | _ranges
 )
 """Every effect of the library that can be hidden, with the typical ranges of its coefficients."""
 
+NOISES = {effect.name for effect in SHIPPED if is_noise(effect)}
+DRAWN = [name for name in LIBRARY_RANGES if name not in NOISES]
+"""Effects that are hidden where none is named; noise is no effect to find."""
 OUT_OF_LIBRARY_RANGES: dict[str, tuple[TypicalRange, ...]] = _ranges(list(OUT_OF_LIBRARY.values()))
 """The same of effects that the library lacks."""
 UNKNOWN_TO_THE_LIBRARY: dict[str, Effect] = {**OUT_OF_LIBRARY, **STRANGERS}
@@ -119,5 +123,5 @@ def _draw_names(rng: np.random.Generator) -> list[str]:
         return []
     if chance < P_NONE + P_ONE + P_TWO:
         count = 1 if chance < P_NONE + P_ONE else 2
-        return [str(name) for name in rng.choice(list(LIBRARY_RANGES), count, replace=False)]
+        return [str(name) for name in rng.choice(DRAWN, count, replace=False)]
     return [str(rng.choice(list(OUT_OF_LIBRARY_RANGES)))]

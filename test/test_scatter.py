@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from synthetic import drive
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.scatter import FORMING, MAX_INFLATION, STRETCH_S, Scatter
+from gyrocal_ros.ekf import scatter as scatter_module
+from gyrocal_ros.ekf.scale_watch import SETTLE_S
+from gyrocal_ros.ekf.scatter import FORMING, MAX_INFLATION, SCALE, STRETCH_S, Scatter
 
 STEPS = 100
 
@@ -62,3 +67,18 @@ def test_an_estimate_that_nothing_measures_is_left_alone() -> None:
     for step in range(100):
         scatter.add(float(step), np.array([0.0, 5.0]), np.array([0.0, 0.01]), np.array([1.0, 1.0]))
     assert scatter.inflation[0] == 1.0 and scatter.inflation[1] > 10.0
+
+
+@pytest.mark.parametrize('lasting', [True, False])
+def test_a_change_of_the_scale_factor_counts_on_where_it_was_significant_for_long(lasting: bool) -> None:
+    history = drive(duration_s=60.0).run.history
+    after_s = history.time_s - 20.0
+    is_significant = (after_s >= 0.0) & (after_s < (1.5 if lasting else 0.5) * SETTLE_S)
+    changed = replace(
+        history,
+        std=np.full_like(history.std, 1e-4),
+        scale_change=np.where(is_significant, 0.005, 0.0),
+    )
+    _, inflations = scatter_module.scatter_of(changed)
+    assert inflations[is_significant, SCALE].min() == pytest.approx(50.0, rel=0.05)
+    assert (inflations[-1, SCALE] > 40.0) == lasting

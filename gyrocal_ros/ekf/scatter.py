@@ -12,6 +12,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.scale_watch import SETTLE_S
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
 from gyrocal_ros.statistics import chi_square_tail
 
@@ -95,7 +96,7 @@ def scatter_of(history: History) -> tuple[Scatter, Array]:
     """Return the scatter of yaw bias and coefficients over a run, and the inflation (s, 1 + k) of their stds.
 
     By how much the scale factor has changed so far adds to its standard deviation, if the filter did not
-    follow.
+    follow. A change that was significant for less than `SETTLE_S`, as in a first turn, adds only meanwhile.
     """
     variances = history.std[:, YAW_BIAS:] ** 2
     scatter, inflations = Scatter(variances.shape[1]), np.ones_like(variances)
@@ -106,7 +107,10 @@ def scatter_of(history: History) -> tuple[Scatter, Array]:
         else:
             scatter.add(*step)
         inflations[i] = scatter.inflation
-    parts = np.split(np.abs(history.scale_change), np.flatnonzero(history.scale_followed))
-    changed = np.concatenate([np.maximum.accumulate(part) for part in parts])
+    change, time_s = np.abs(history.scale_change), history.time_s
+    unchanged_s = np.maximum.accumulate(np.where(change > 0.0, 0.0, time_s))
+    lasting = np.where(time_s - unchanged_s >= SETTLE_S, change, 0.0)
+    parts = np.split(lasting, np.flatnonzero(history.scale_followed))
+    changed = np.maximum(change, np.concatenate([np.maximum.accumulate(part) for part in parts]))
     inflations[:, SCALE] = np.hypot(inflations[:, SCALE], changed / history.std[:, COEFFICIENTS_START])
     return scatter, inflations

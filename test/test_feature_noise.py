@@ -31,7 +31,7 @@ def learned(state: State, variances: Array, images: int, noise_share: float = 1.
         assumed = variance_factors(state.landmarks.noise)
         total = noise_share * variances / assumed + 1.0 - noise_share
         distances = total * rng.chisquare(2, COUNT)
-        state = learn_noise(state, ROWS, Judged(distances, np.full(COUNT, noise_share)), 2)
+        state = learn_noise(state, ROWS, Judged(distances, np.full(COUNT, noise_share), np.nan), 2)
     return state
 
 
@@ -57,7 +57,9 @@ def test_equal_features_remain_nearly_equal() -> None:
 
 
 def test_few_observations_change_little() -> None:
-    state = learn_noise(some_state(), ROWS, Judged(np.array([2.0, 2.0, 200.0, 2.0, 2.0]), np.ones(COUNT)), 2)
+    state = learn_noise(
+        some_state(), ROWS, Judged(np.array([2.0, 2.0, 200.0, 2.0, 2.0]), np.ones(COUNT), np.nan), 2
+    )
     factors = variance_factors(state.landmarks.noise)
     assert factors.max() < 1.0 + MAX_ERROR / PRIOR_OBSERVATIONS and np.argmax(factors) == 2
 

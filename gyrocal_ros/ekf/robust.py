@@ -41,6 +41,8 @@ class Judged:
     """(m,) squared Mahalanobis distances, chi-square distributed with r degrees of freedom."""
     noise_share: Array
     """(m,) share of the measurement noise in the variance of the difference."""
+    nis: float
+    """Normalised innovation squared of all features together; NaN where each is judged alone."""
 
 
 def each_alone(innovation: Innovation) -> Judged:
@@ -51,7 +53,7 @@ def each_alone(innovation: Innovation) -> Judged:
     """
     distances = mahalanobis(innovation.residual, own_precisions(innovation))
     total = np.einsum('mii->m', innovation.own_covariances())
-    return Judged(distances, np.einsum('mii->m', innovation.noise) / total)
+    return Judged(distances, np.einsum('mii->m', innovation.noise) / total, np.nan)
 
 
 def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
@@ -82,7 +84,7 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
     if not (distances >= 0.0).all():
         raise not_a_covariance()
     noise_share = np.einsum('mii->m', innovation.noise) / np.einsum('mii->m', variance)
-    return Judged(distances, noise_share)
+    return Judged(distances, noise_share, float(np.vdot(weighted, innovation.residual)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,13 +123,14 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     m, r = innovation.residual.shape
     gate = chi_square_quantile(1.0 - outlier_probability, r)
     pose_gate = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
-    inflation, judged = _weights(innovation)
+    inflation, judged, nis = _weights(innovation)
     good = judged.distances <= gate
     by_pose = Consensus(_with_noise(innovation, inflation), judged, good)
-    if m < MIN_FEATURES or _is_close(innovation, pose_gate):
+    # Even all features together may be closer to the prediction than a contradicted pose.
+    if m < MIN_FEATURES or nis <= pose_gate:
         return by_pose
     loose = _with_looser_pose(innovation, LOOSE_POSE_RATE * interval_s)
-    inflation, judged = _weights(loose)
+    inflation, judged, _ = _weights(loose)
     closest = np.argsort(judged.distances)[: (m + 1) // 2]
     tight_nis, loose_nis = (_nis(each, inflation, closest) for each in (innovation, loose))
     if 2 * good.sum() >= m and tight_nis - loose_nis <= pose_gate:
@@ -141,21 +144,16 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     return Consensus(_with_noise(innovation, inflation), judged, good)
 
 
-def _is_close(innovation: Innovation, gate: float) -> bool:
-    """Return True if even all features together are closer to the prediction than a contradicted pose."""
-    m = len(innovation.rows)
-    return _nis(innovation, np.ones(m), np.arange(m)) <= gate
-
-
-def _weights(innovation: Innovation) -> tuple[Array, Judged]:
-    """Return the factors (m,) on the noise of the features, and their final comparison."""
-    inflation = np.ones(len(innovation.rows))
+def _weights(innovation: Innovation) -> tuple[Array, Judged, float]:
+    """Return the factors (m,) on the noise of features, their comparison with them, and the NIS without."""
+    inflation, judged = np.ones(len(innovation.rows)), []
     for _ in range(MAX_ITERATIONS):
-        judged = leave_one_out(innovation, inflation)
-        before, inflation = inflation, np.clip(np.sqrt(judged.distances) / HUBER_BOUND, 1.0, MAX_INFLATION)
-        if np.allclose(inflation, before, rtol=CONVERGED):
+        judged.append(leave_one_out(innovation, inflation))
+        distances = np.sqrt(judged[-1].distances)
+        before, inflation = inflation, np.clip(distances / HUBER_BOUND, 1.0, MAX_INFLATION)
+        if (np.abs(inflation - before) <= CONVERGED * before).all():
             break
-    return inflation, judged
+    return inflation, judged[-1], judged[0].nis
 
 
 def _with_noise(innovation: Innovation, inflation: Array) -> Innovation:
@@ -173,6 +171,8 @@ def _with_looser_pose(innovation: Innovation, std: Array) -> Innovation:
 
 def _inflated(innovation: Innovation, inflation: Array) -> Array:
     """Return the covariance (m, r, m, r) with inflated noise."""
+    if (inflation == 1.0).all():
+        return innovation.covariance
     each = np.arange(len(inflation))
     covariance = innovation.covariance.copy()
     covariance[each, :, each, :] += (inflation - 1.0)[:, None, None] * innovation.noise

@@ -9,6 +9,7 @@ variables). So the derivatives are taken at a rate whose error is independent of
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 from dataclasses import replace
 
@@ -47,7 +48,7 @@ class SteadyRate:
             self._seen_rad2_s.append(float(np.mean(bends**2) * block.dt_s.mean()))
         if len(self._seen_rad2_s) < NOISE_BLOCKS:
             return gyro
-        seen = math.degrees(math.sqrt(float(np.median(self._seen_rad2_s))))
+        seen = math.degrees(math.sqrt(statistics.median(self._seen_rad2_s)))
         return gyro if seen < NOISY * gyro.rate_noise_deg_s else replace(gyro, rate_noise_deg_s=seen)
 
     def without_noise(self, block: MotionBlock, gyro: GyroConfig) -> MotionBlock:

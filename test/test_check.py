@@ -118,6 +118,17 @@ def test_implausible_numbers(
     assert issues[expected].severity is severity
 
 
+@pytest.mark.parametrize(('shift', 'sign', 'axis'), [(1, 1.0, 'x'), (2, -1.0, '-y')])
+def test_exchanged_axes_are_named(tmp_path: Path, shift: int, sign: float, axis: str) -> None:
+    def exchange(item: ImuSample) -> ImuSample:
+        rates = np.roll(item.rate_rad_s, shift) * sign
+        return replace(item, rate_rad_s=(rates[0], rates[1], rates[2] + 1e-3 * math.sin(item.t_ns)))
+
+    issue = issues_by_kind(check(tmp_path, with_changed(ImuSample, exchange)))['exchanged_axes']
+    assert issue.severity is Severity.ERROR
+    assert f'its {axis} axis turns as /wheel/odometry' in issue.text
+
+
 def test_degrees_without_wheels_for_comparison(tmp_path: Path) -> None:
     samples = [scale_rates(50.0)(item) if isinstance(item, ImuSample) else item for item in drive()]
     report = check(tmp_path, [item for item in samples if not isinstance(item, WheelSample)])

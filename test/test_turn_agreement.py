@@ -14,6 +14,7 @@ from gyrocal_ros.data import FeatureObservations, ImuSample, Measurement
 from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.turn_agreement import TurnAgreement
+from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 
@@ -90,3 +91,15 @@ def test_a_run_with_a_wrong_sign_has_not_converged(
     run = calibrate(source, Config(), default_model(), follows_changes=True)
     assert not conclude(run).converged
     assert any(text.startswith(f'{who} opposite to') for text in model_fit(run).misfits)
+
+
+def test_exchanged_axes_are_named_where_the_filter_diverges() -> None:
+    def exchanged(item: Measurement) -> Measurement:
+        if isinstance(item, ImuSample):
+            x, y, z = item.rate_rad_s
+            return replace(item, rate_rad_s=(z, x, y))
+        return item
+
+    source = ModifiedSource(recording('cleaning', 2, 30.0), lambda items: map(exchanged, items))
+    with pytest.raises(FilterDivergedError, match='an axis is mirrored or swapped'):
+        calibrate(source, Config(), default_model())

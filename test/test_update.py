@@ -151,7 +151,7 @@ class TestStackedUpdate:
 
 def test_a_covariance_that_is_not_positive_definite_raises() -> None:
     state, innovation = seen(INVERSE_DEPTH, np.arange(5))
-    with pytest.raises(FilterDivergedError, match='not positive definite'):
+    with pytest.raises(FilterDivergedError, match='no longer positive definite'):
         update(state, replace(innovation, covariance=-innovation.covariance))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 
 from gyrocal_ros.bag.scan import BagScan, TopicScan
 from gyrocal_ros.bag.selection import NEEDED_ROLES
-from gyrocal_ros.bag.topic_stats import EventStats, ImuStats, TurnComparison, compare_turns
+from gyrocal_ros.bag.topic_stats import EventStats, TurnComparison, compare_turns
 from gyrocal_ros.data import seconds
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import Role
@@ -40,6 +40,7 @@ MIN_REFERENCE_CORRELATION = 0.7
 """Correlation of turns below which a heading reference is unfit; below its negative, the sign is reversed."""
 MIN_FEATURES = 4.0
 """Minimum of the mean number of features per image."""
+AXES_ADVICE = 'publish its mounting on /tf_static, or correct the order of the axes in its driver or firmware'
 TURN_ADVICE = 'turn on the spot, a few full turns to each side, some slow and some fast'
 
 
@@ -64,7 +65,7 @@ def assess(bag: BagScan, *, reorder_window_s: float, clock_step_s: float) -> Ite
         if imus and scan.role in NEEDED_ROLES and scan.role is not Role.IMU:
             yield from _synchronisation_issues(scan, imus[0], clock_step_s)
     for imu in imus:
-        yield from _imu_issues(imu, bag.imus[imu.topic.name], _compare_with_imu(imu, stamped, bag))
+        yield from _imu_issues(imu, bag, _compare_with_imu(imu, stamped, bag))
     features = bag.of_role(Role.FEATURES)
     if features and bag.feature_count < MIN_FEATURES * features.stamps.count:
         mean = bag.feature_count / features.stamps.count
@@ -167,9 +168,10 @@ def _synchronisation_issues(scan: TopicScan, imu: TopicScan, clock_step_s: float
 
 
 def _imu_issues(
-    imu: TopicScan, stats: ImuStats, comparisons: Mapping[str, tuple[TopicScan, TurnComparison]]
+    imu: TopicScan, bag: BagScan, comparisons: Mapping[str, tuple[TopicScan, TurnComparison]]
 ) -> Iterator[BagIssue]:
     """Yield the issues of the readings of an IMU, and of the sensors whose turns are compared with it."""
+    stats = bag.imus[imu.topic.name]
     if not stats.count:
         return
     if stats.zero_count == stats.count:
@@ -181,6 +183,14 @@ def _imu_issues(
         if _is_degrees(1.0 / compared.ratio):
             text = f'turns {abs(1.0 / compared.ratio):.0f} times as much as {scan.topic.name}: in degrees?'
             yield _issue(imu, ERROR, 'unit_degrees', text, 'the driver must publish rad/s')
+            return
+        axis = stats.turning_axis(bag.turns[scan.role])
+        if axis and abs(compared.correlation) < MIN_REFERENCE_CORRELATION:
+            text = (
+                f'its {axis} axis turns as {scan.topic.name}, its z axis does not: the axes are exchanged, '
+                'or the IMU is mounted otherwise'
+            )
+            yield _issue(imu, ERROR, 'exchanged_axes', text, AXES_ADVICE)
             return
         yield from _turn_issues(scan, imu, compared)
     if stats.largest_rate_rad_s > MAX_RATE_RAD_S and not comparisons:

@@ -24,6 +24,8 @@ MIN_COMMON_BINS = 10
 """Minimum number of common bins for comparing two sensors."""
 MIN_RMS_TURN_RAD = math.radians(0.5)
 """Standard deviation of the turn in a bin that one of two sensors must reach for comparing them."""
+MIN_AXIS_CORRELATION = 0.9
+"""Correlation of turns from which an axis of the gyro measures the turns of the robot."""
 
 
 @dataclass(slots=True)
@@ -171,7 +173,15 @@ class ImuStats:
     """Number of samples with all three rates exactly zero."""
     largest_rate_rad_s: float = 0.0
     force_sum_m_s2: float = 0.0
-    turns: TurnStats = field(default_factory=TurnStats)
+    axis_turns: tuple[TurnStats, TurnStats, TurnStats] = field(
+        default_factory=lambda: (TurnStats(), TurnStats(), TurnStats())
+    )
+    """Turns about the x, y and z axes."""
+
+    @property
+    def turns(self) -> TurnStats:
+        """Turns about the vertical."""
+        return self.axis_turns[2]
 
     def add(self, stamps_ns: IntArray, readings: Array) -> None:
         """Add a block of samples: stamps (n,), and rates and specific forces (n, 6)."""
@@ -180,7 +190,16 @@ class ImuStats:
         self.zero_count += int(np.count_nonzero(~rates.any(axis=1)))
         self.largest_rate_rad_s = max(self.largest_rate_rad_s, float(np.abs(rates).max()))
         self.force_sum_m_s2 += float(np.linalg.norm(readings[:, 3:], axis=1).sum())
-        self.turns.add(stamps_ns, rates[:, 2])
+        for turns, axis_rates in zip(self.axis_turns, rates.T, strict=True):
+            turns.add(stamps_ns, axis_rates)
+
+    def turning_axis(self, other: TurnStats) -> str:
+        """Return the horizontal axis, with its sign, that turns as another sensor; empty if none does."""
+        for name, turns in zip('xy', self.axis_turns, strict=False):
+            compared = compare_turns(turns, other)
+            if compared is not None and abs(compared.correlation) > MIN_AXIS_CORRELATION:
+                return name if compared.correlation > 0.0 else f'-{name}'
+        return ''
 
     @property
     def mean_force_m_s2(self) -> float:

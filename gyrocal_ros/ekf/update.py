@@ -12,6 +12,8 @@ from gyrocal_ros.ekf.state import EULER, YAW, State
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.features.base import Prediction
 
+CHECK_THE_SENSORS = 'look for outliers, wrong units and exchanged axes of the gyro with `gyrocal check`'
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
@@ -296,7 +298,7 @@ def _correct(
     gain, score, sensitivities = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
     mean = state.mean + gain.T @ score
     if not np.isfinite(mean).all():
-        raise FilterDivergedError('the estimate is no longer finite', todo='check the noise settings')
+        raise FilterDivergedError('the estimate is no longer finite', todo=CHECK_THE_SENSORS)
     after = replace(state, mean=mean, covariance=state.covariance - gain.T @ gain)
     log_determinant = 2.0 * float(np.log(np.diagonal(factor)).sum())
     stats = UpdateStats(float(score @ score), len(residual), log_determinant)
@@ -309,5 +311,6 @@ def _correct(
 def not_a_covariance() -> FilterDivergedError:
     """Return the error of a singular or indefinite covariance of an innovation."""
     return FilterDivergedError(
-        'the covariance of the innovation is not positive definite', todo='check the noise settings'
+        'the readings contradict each other: the covariance of the innovation is no longer positive definite',
+        todo=CHECK_THE_SENSORS,
     )

@@ -11,6 +11,7 @@ from gyrocal_ros.data import NS_PER_S, ClockStep, Measurement, Source, TruthSamp
 from gyrocal_ros.ekf.run import Recorder, Run
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.visual_slam import VisualSlam
@@ -89,5 +90,7 @@ def run_filter(
         for record in visual.finish():
             recorder.add(record)
     except FilterDivergedError as error:
-        raise FilterDivergedError(error.what, where=source.name, todo=error.todo) from error
+        fault = mounting_fault(so_far())
+        what = f'{error.what}: {fault}' if fault else error.what
+        raise FilterDivergedError(what, where=source.name, todo='' if fault else error.todo) from error
     return so_far()

@@ -4,7 +4,8 @@ slam              the algorithm: one step over a block of samples and the measur
 stream            measurements become blocks and steps; `motion` buffers the samples
 state, start      layout of the state; its initial value
 predict           prediction of state and covariance
-update            measurement updates; `image_update` for an image, `heading` for a heading reference
+update            measurement updates; `image_update` for an image, `heading` for a heading reference;
+                  `positive_definite` solves them
 landmarks, map    features join and leave the state; the map as points in the world
 gating            outlier and motion gates; `adaptive_noise`, `rest` and `map_watch` monitor the measurements
 effects_by_place  the effects of the sensor model in prediction and measurement

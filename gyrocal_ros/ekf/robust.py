@@ -13,7 +13,8 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.gating import inliers
-from gyrocal_ros.ekf.update import Innovation, mahalanobis, not_a_covariance, own_precisions
+from gyrocal_ros.ekf.positive_definite import cholesky, inverse, not_a_covariance, whiten
+from gyrocal_ros.ekf.update import Innovation, mahalanobis, own_precisions
 from gyrocal_ros.statistics import chi_square_quantile
 
 HUBER_BOUND = 3.0
@@ -73,7 +74,7 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
     each = np.arange(m)
     extra = (inflation - 1.0)[:, None, None] * innovation.noise
     try:
-        precision = np.linalg.inv(_inflated(innovation, inflation).reshape(m * r, m * r))
+        precision = inverse(_inflated(innovation, inflation).reshape(m * r, m * r))
         own = np.linalg.inv(precision.reshape(m, r, m, r)[each, :, each, :])
         weighted = (precision @ innovation.residual.ravel()).reshape(m, r)
         difference = (own @ weighted[:, :, None])[:, :, 0]
@@ -183,4 +184,5 @@ def _nis(innovation: Innovation, inflation: Array, chosen: IntArray) -> float:
     """Return the normalised innovation squared of the features of the given indices."""
     residual = innovation.residual[chosen].ravel()
     covariance = _inflated(innovation, inflation)[chosen][:, :, chosen].reshape((len(residual),) * 2)
-    return float(residual @ np.linalg.solve(covariance, residual))
+    whitened = whiten(cholesky(covariance), residual)
+    return float(whitened @ whitened)

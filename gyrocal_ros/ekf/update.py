@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.ekf.positive_definite import cholesky, not_a_covariance, whiten
 from gyrocal_ros.ekf.state import EULER, YAW, State
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.features.base import Prediction
@@ -289,12 +290,8 @@ def _correct(
         covariance: S (q, q).
         sensitivity: G (q, c).
     """
-    try:
-        factor = np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError as error:
-        raise not_a_covariance() from error
-    n = len(state.mean)
-    whitened = np.linalg.solve(factor, np.concatenate([numerator, residual[:, None], sensitivity], axis=1))
+    factor, n = cholesky(covariance), len(state.mean)
+    whitened = whiten(factor, np.concatenate([numerator, residual[:, None], sensitivity], axis=1))
     gain, score, sensitivities = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
     mean = state.mean + gain.T @ score
     if not np.isfinite(mean).all():
@@ -306,11 +303,3 @@ def _correct(
         return after, stats
     after = replace(after, sensitivity=state.sensitivity - gain.T @ sensitivities)
     return after, replace(stats, information=sensitivities.T @ sensitivities, score=sensitivities.T @ score)
-
-
-def not_a_covariance() -> FilterDivergedError:
-    """Return the error of a singular or indefinite covariance of an innovation."""
-    return FilterDivergedError(
-        'the readings contradict each other: the covariance of the innovation is no longer positive definite',
-        todo=CHECK_THE_SENSORS,
-    )

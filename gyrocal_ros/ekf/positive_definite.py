@@ -8,6 +8,8 @@ from scipy.linalg import lapack
 from gyrocal_ros.data import Array
 from gyrocal_ros.errors import FilterDivergedError
 
+CHECK_THE_SENSORS = 'look for outliers, wrong units and exchanged axes of the gyro with `gyrocal check`'
+
 
 def cholesky(covariance: Array) -> Array:
     """Return the lower triangular L (q, q) of `L L^T = S`.

@@ -8,12 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.ekf.positive_definite import cholesky, not_a_covariance, whiten
+from gyrocal_ros.ekf.positive_definite import CHECK_THE_SENSORS, cholesky, not_a_covariance, whiten
 from gyrocal_ros.ekf.state import EULER, YAW, State
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.features.base import Prediction
-
-CHECK_THE_SENSORS = 'look for outliers, wrong units and exchanged axes of the gyro with `gyrocal check`'
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -62,12 +62,11 @@ def step(
     gyro: GyroConfig = QUIET_GYRO,
     wheels: WheelConfig = QUIET_WHEELS,
     model: SensorModel = MODEL,
-    extra_yaw_walk: float = 0.0,
 ) -> tuple[State, Transition]:
     """Predict over one block."""
     effects = sort_effects(model.effects)
     filter_model = FilterModel(model, effects, gyro, wheels)
-    return predict(state, block, filter_model, effects.no_memories(), extra_yaw_walk)
+    return predict(state, block, filter_model, effects.no_memories())
 
 
 def dense_transition(state: State, block: MotionBlock) -> Array:

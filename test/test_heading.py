@@ -54,8 +54,12 @@ def test_the_first_sample_aligns_the_frames() -> None:
 
 
 def test_the_random_walk_acts_from_the_first_sample_on() -> None:
-    assert HeadingReference(CONFIG).walk_rad == 0.0
-    assert aligned().walk_rad == pytest.approx(math.radians(0.1))
+    state = some_state()
+    before, after = (reference.wander(state, 4.0) for reference in (HeadingReference(CONFIG), aligned()))
+    np.testing.assert_array_equal(before.covariance, state.covariance)
+    grown = after.covariance - state.covariance
+    assert grown[YAW, YAW] == pytest.approx(4.0 * math.radians(0.1) ** 2)
+    assert np.count_nonzero(grown) == 1
 
 
 def test_later_samples_correct_the_heading() -> None:
@@ -90,7 +94,7 @@ def test_a_time_offset_among_the_candidates_has_a_sensitivity() -> None:
 def test_after_a_lost_alignment_the_next_sample_aligns() -> None:
     reference, state = aligned(), some_state()
     reference.forget_alignment()
-    assert reference.walk_rad == 0.0
+    assert reference.wander(state, 4.0) is state
     after, update = updated(reference, state, 0.8)
     np.testing.assert_array_equal(after.mean, state.mean)
     assert update.stats.dof == 0

@@ -24,6 +24,8 @@ from gyrocal_ros.bench.gate import BASELINE, Outcome, baseline_to_dict, gate, lo
 from gyrocal_ros.bench.growth import growth
 from gyrocal_ros.bench.image_speed import image_speed
 from gyrocal_ros.bench.methods import comparison
+from gyrocal_ros.bench.references import cases as reference_cases
+from gyrocal_ros.bench.references import references
 from gyrocal_ros.bench.separability import motions
 from gyrocal_ros.bench.speed import speed
 from gyrocal_ros.bench.strangers import labels as stranger_labels
@@ -51,6 +53,7 @@ gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
 gyrocal bench faults --seeds 2 --only clouds images
 gyrocal bench fleet --only coverage effects
+gyrocal bench references --seeds 6 --only lidar effects
 gyrocal bench tracker --bag drive_with_images
 gyrocal bench image_speed --bag drive_with_images
 gyrocal bench --quick"""
@@ -68,6 +71,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'growth': lambda args: growth(args.quick),
     'faults': lambda args: faults(args.seeds, args.only, main, quick=args.quick, report=print_message),
     'fleet': lambda args: _fleet(args),
+    'references': lambda args: references(args.seeds, args.only),
 }
 
 CASES: dict[str, Callable[[], list[str]]] = {
@@ -75,6 +79,7 @@ CASES: dict[str, Callable[[], list[str]]] = {
     'blind': lambda: [*(case.label for case in blind_cases()), *stranger_labels()],
     'faults': lambda: [*KINDS, SEMANTIC, SOUND],
     'fleet': lambda: ['coverage', 'effects', 'prior', 'size', 'engine'],
+    'references': reference_cases,
 }
 """Labels of the cases of the benches that can run some of them."""
 
@@ -102,7 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs='+',
         default=[],
         metavar='CASE',
-        help='for accuracy, blind, faults and fleet: run these cases only',
+        help='for accuracy, blind, faults, fleet and references: run these cases only',
     )
     parser.add_argument(
         '--bag',

@@ -26,10 +26,13 @@ class HeadingReference:
         self._offset_rad: float | None = None
         self._jumps = JumpDetector()
 
-    @property
-    def walk_rad(self) -> float:
-        """Random walk (rad/sqrt(s)) of the reference; zero before its first sample."""
-        return 0.0 if self._offset_rad is None else float(self.noise.walk_rad)
+    def wander(self, state: State, duration_s: float) -> State:
+        """Add the random walk of the reference over a time; none before its first sample."""
+        if self._offset_rad is None:
+            return state
+        covariance = state.covariance.copy()
+        covariance[YAW, YAW] += float(self.noise.walk_rad) ** 2 * duration_s
+        return replace(state, covariance=covariance)
 
     def forget_alignment(self) -> None:
         """Align again at the next sample."""

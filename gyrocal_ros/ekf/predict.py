@@ -67,7 +67,6 @@ def predict(
     block: MotionBlock,
     model: FilterModel,
     memories: Sequence[Memory],
-    extra_yaw_walk: float = 0.0,
     steady: MotionBlock | None = None,
 ) -> tuple[State, Transition]:
     """Eq. (10): robot, bias and coefficients over one block; Eq. (11): features do not move.
@@ -77,7 +76,6 @@ def predict(
         block: samples up to its end.
         model: sensor model and noise.
         memories: memories of the gyro effects.
-        extra_yaw_walk: rad / sqrt(s), additional random walk of the heading.
         steady: the block with the rate at which the effects are differentiated, see `ekf.steady_rate`; None
             for the block itself.
     """
@@ -104,7 +102,7 @@ def predict(
     r = state.robot_size
     covariance = np.empty_like(state.covariance)
     covariance[:r, :r] = matrix @ state.covariance[:r, :r] @ matrix.T
-    covariance[:r, :r] += _process_noise(block, motion, model, extra_yaw_walk)
+    covariance[:r, :r] += _process_noise(block, motion, model)
     covariance[YAW, YAW] += float(np.sum(correction.noise_rad_s * block.dt_s)) ** 2
     covariance[:r, r:] = matrix @ state.covariance[:r, r:]
     covariance[r:, :r] = covariance[:r, r:].T
@@ -158,7 +156,7 @@ def predict_sensitivity(
     return replace(state, sensitivity=sensitivity), correction.memories
 
 
-def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel, extra_yaw_walk: float) -> Array:
+def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel) -> Array:
     """Return the covariance (9 + k, 9 + k) that one block adds."""
     duration_s, gyro, wheels = block.duration_s, model.gyro, model.wheels
     walks = [coefficient.walk for coefficient in model.sensors.coefficients]
@@ -173,7 +171,6 @@ def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel, ext
     by_rate = (motion.rate_gain * (density / np.sqrt(block.dt_s))).reshape(6, -1)
     noise[POSE, POSE] = by_rate @ by_rate.T
     noise[EULER, EULER] += gap_rad**2 * np.eye(3)
-    noise[EULER, EULER][2, 2] += extra_yaw_walk**2 * duration_s
 
     distance_m = float(np.abs(block.distance_m).sum())
     turn_rad = float(np.abs(block.rate_rad_s[:, 2]) @ block.dt_s)

@@ -123,7 +123,7 @@ class EkfSlam:
         model = FilterModel(self.model, self._effects, gyro, self.config.wheels)
         if self._levelling is not None:
             model = replace(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
-        self.state, transition = predict(before, block, model, self.memories, self._heading.walk_rad, steady)
+        self.state, transition = predict(before, block, model, self.memories, steady)
         self.memories = transition.contribution.correction.memories
         self._pose_rate = transition.motion.pose_rate
         self.state, self._candidate_memories = predict_sensitivity(
@@ -134,10 +134,15 @@ class EkfSlam:
         # Zero-rate update: a robot that stands still does not turn.
         resting = UpdateStats()
         if self._rest.is_at_rest(block, self.config.rest.settle_s):
-            std = math.radians(self.config.rest.rotation_noise_deg) * np.ones(3)
-            std[2] = math.hypot(std[2], self._heading.walk_rad * math.sqrt(block.duration_s))
+            std = math.radians(self.config.rest.rotation_noise_deg)
+            if self._levelling is not None:
+                # Images see the sway between them; that against a heading reference is part of its noise.
+                std *= math.sqrt(min(block.duration_s, 1.0))
             gate = chi_square_quantile(1.0 - self.config.features.outlier_probability, 3)
             self.state, resting = zero_rate_update(before, self.state, transition.matrix, std, gate)
+
+        # A heading reference wanders also at rest, and its frame is that of the heading.
+        self.state = self._heading.wander(self.state, block.duration_s)
 
         # Levelling: without a camera gravity bounds roll and pitch.
         if self._levelling is not None:

@@ -42,7 +42,11 @@ TURN_S, TRIMMED_FITS, TRIM_SIGMA = 1.0, 4, 3.0
 """Length of the turns that are compared, and number of fits, each without the outliers of the one before."""
 MIN_HEADINGS = 10
 MIN_TURN_RAD = math.radians(45.0)
-"""Smallest sum of turns that can be fitted."""
+"""Smallest sum of turns, to both sides, that can be fitted."""
+MIN_RATE_RAD_S = math.radians(2.0)
+"""Rate beside the bias from which the robot turns."""
+SWING_S = 0.2
+"""Time over which rates are averaged for it; swings to and fro are slower."""
 PLAUSIBLE_SCALE = (0.5, 2.0)
 """Bounds of the scale factor of a usable reference."""
 MAX_MISFIT_DEG = 2.0
@@ -71,6 +75,16 @@ class ReferenceFit:
     """Degrees of freedom of the Student t distribution of its errors."""
 
 
+@dataclass(frozen=True, slots=True)
+class _TurnFit:
+    """Fit of scale factor and bias to the turns over a second."""
+
+    scale_factor: float
+    bias_rad_s: float
+    deviation_rad: float
+    """Robust deviation of a turn from the fit."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Readings:
     """Gyro and reference over a recording."""
@@ -81,7 +95,7 @@ class _Readings:
     """(i,) integral of the rate."""
     heading_s: Array
     yaw_rad: Array
-    """(n,) unwrapped."""
+    """(n,) as measured, not unwrapped."""
 
 
 def calibrate_by_heading(
@@ -143,8 +157,8 @@ def fit_reference(
     """
     readings = _read(measurements, where)
     coarse = {offset_s: _by_turns(readings, offset_s) for offset_s in OFFSETS_S.tolist()}
-    offset_s = min(coarse, key=lambda offset: coarse[offset][1])
-    scale_factor, _ = coarse[offset_s]
+    offset_s = min(coarse, key=lambda offset: coarse[offset].deviation_rad)
+    scale_factor, bias_rad_s = coarse[offset_s].scale_factor, coarse[offset_s].bias_rad_s
     if not PLAUSIBLE_SCALE[0] <= scale_factor <= PLAUSIBLE_SCALE[1]:
         raise NotObservableError(
             f'the reference turns {scale_factor:.2f} times as far as the gyro, so it is unfit as a '
@@ -154,9 +168,10 @@ def fit_reference(
         )
     gyro = (config or Config()).gyro
     for _ in range(OFFSET_PASSES):
-        fitted = fit_noise(_track(readings, offset_s), gyro)
+        fitted = fit_noise(_track(readings, offset_s, (scale_factor, bias_rad_s)), gyro)
         offset_s += fitted.time_offset_s
-    return _as_fit(fitted, offset_s, _misfit_rad(readings, offset_s))
+        scale_factor, bias_rad_s = fitted.scale_factor, fitted.bias_rad_s
+    return _as_fit(fitted, offset_s, _misfit_rad(_track(readings, offset_s, (scale_factor, bias_rad_s))))
 
 
 def on_time(sample: HeadingSample, offset_s: float) -> HeadingSample:
@@ -180,15 +195,31 @@ def _read(measurements: Iterable[Measurement], where: str) -> _Readings:
     imu_s, rate = _columns(imu, start_ns)
     heading_s, yaw = _columns(headings, start_ns)
     turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(imu_s))])
-    if np.ptp(np.unwrap(yaw)) < MIN_TURN_RAD and np.ptp(turned) < MIN_TURN_RAD:
+    if _turned_to_and_fro_rad(imu_s, turned) < MIN_TURN_RAD:
         raise NotObservableError(
             'no turns, so the scale factor cannot be known', where=where, todo='record two turns each way'
         )
-    return _Readings(imu_s, rate, turned, heading_s, np.unwrap(yaw))
+    return _Readings(imu_s, rate, turned, heading_s, yaw)
 
 
-def _track(readings: _Readings, offset_s: float) -> HeadingTrack:
-    """Return the headings beside the gyro, at a time offset."""
+def _turned_to_and_fro_rad(imu_s: Array, turned_rad: Array) -> float:
+    """Return the sum of the turns to both sides, beside the bias and the noise of the gyro."""
+    edges_s = np.arange(imu_s[0], imu_s[-1], SWING_S)
+    turns = np.diff(np.interp(edges_s, imu_s, turned_rad))
+    turns = np.abs(turns - np.median(turns)) if len(turns) else turns
+    return float(turns[turns > MIN_RATE_RAD_S * SWING_S].sum())
+
+
+def _track(readings: _Readings, offset_s: float, gyro: tuple[float, float] = (1.0, 0.0)) -> HeadingTrack:
+    """Return the headings beside the gyro, at a time offset.
+
+    Headings are unwrapped by the gyro, so that a gap in which the robot turns is no ambiguity.
+
+    Args:
+        readings: gyro and reference.
+        offset_s: stamp minus true time of the reference.
+        gyro: scale factor and bias (rad/s) as far as they are known.
+    """
     imu_s, time_s = readings.imu_s, readings.heading_s - offset_s
     inside = (time_s >= imu_s[0]) & (time_s <= imu_s[-1])
     time_s = time_s[inside]
@@ -196,9 +227,10 @@ def _track(readings: _Readings, offset_s: float) -> HeadingTrack:
     turned, before, after = (
         np.interp(time_s + shift_s, imu_s, readings.turned_rad) for shift_s in (0.0, -around, around)
     )
+    expected = gyro[0] * turned + gyro[1] * time_s
     return HeadingTrack(
         time_s=time_s,
-        yaw_rad=readings.yaw_rad[inside],
+        yaw_rad=expected + np.unwrap(readings.yaw_rad[inside] - expected),
         turned_rad=turned,
         rate_rad_s=(after - before) / (2.0 * around),
         gap_s=np.diff(np.interp(time_s, *_gap_time(imu_s)), prepend=0.0),
@@ -219,28 +251,29 @@ def _columns(samples: list[tuple[int, float]], start_ns: int) -> tuple[Array, Ar
     )
 
 
-def _by_turns(readings: _Readings, offset_s: float) -> tuple[float, float]:
-    """Return the scale factor by the turns over a second, and the robust deviation (rad) of a turn from it.
+def _by_turns(readings: _Readings, offset_s: float) -> _TurnFit:
+    """Fit scale factor and bias to the turns over a second.
 
     Few of the turns contain an outlier or a jump of the reference, and those are left out.
     """
     track = _track(readings, offset_s)
     step = max(1, round(TURN_S / float(np.median(np.diff(track.time_s)))))
-    by_gyro, by_reference, length_s = (
-        column[step:] - column[:-step] for column in (track.turned_rad, track.yaw_rad, track.time_s)
+    by_gyro, by_reference, length_s, in_gaps_s = (
+        column[step:] - column[:-step]
+        for column in (track.turned_rad, track.yaw_rad, track.time_s, np.cumsum(track.gap_s))
     )
-    columns, left = np.stack([by_gyro, length_s], axis=1), np.ones(len(length_s), bool)
+    is_short = (length_s < 2.0 * step * float(np.median(np.diff(track.time_s)))) & (in_gaps_s == 0.0)
+    columns, left = np.stack([by_gyro, length_s], axis=1), is_short
     for _ in range(TRIMMED_FITS):
         solution = np.linalg.lstsq(columns[left], by_reference[left], rcond=None)[0]
         residual = by_reference - columns @ solution
-        deviation = robust_std(residual)
-        left = np.abs(residual) <= TRIM_SIGMA * deviation
-    return float(solution[0]), deviation
+        deviation = robust_std(residual[is_short])
+        left = is_short & (np.abs(residual) <= TRIM_SIGMA * deviation)
+    return _TurnFit(float(solution[0]), float(solution[1]), deviation)
 
 
-def _misfit_rad(readings: _Readings, offset_s: float) -> float:
+def _misfit_rad(track: HeadingTrack) -> float:
     """Return the rms of the headings about their best fit by scale factor, bias and heading."""
-    track = _track(readings, offset_s)
     columns = np.stack([track.turned_rad, track.time_s, np.ones(len(track.time_s))], axis=1)
     solution = np.linalg.lstsq(columns, track.yaw_rad, rcond=None)[0]
     return float(np.sqrt(np.mean((track.yaw_rad - columns @ solution) ** 2)))

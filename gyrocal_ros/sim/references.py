@@ -120,7 +120,7 @@ class ReferenceSource:
     """
 
     def __init__(self, robot: SimSource, kind: str) -> None:
-        self._robot, self._kind = robot, kind
+        self.robot, self._kind = robot, kind
         rng = stream(robot.seed, f'reference {kind}')
         self.reference = draw_reference(find_kind(kind), robot.scenario.duration_s, rng)
         """Properties of the reference."""
@@ -128,31 +128,31 @@ class ReferenceSource:
     @property
     def name(self) -> str:
         """Scenario, seed and kind of reference."""
-        return f'{self._robot.name}-{self._kind}'
+        return f'{self.robot.name}-{self._kind}'
 
     @property
     def rig(self) -> Rig:
         """Geometry without a camera."""
-        return replace(self._robot.rig, camera=None)
+        return replace(self.robot.rig, camera=None)
 
     @property
     def span(self) -> Span:
         """Interval from the first IMU sample to the end."""
-        return self._robot.span
+        return self.robot.span
 
     @property
     def truth(self) -> SimTruth:
         """The truth of this recording."""
-        return self._robot.truth
+        return self.robot.truth
 
     def measurements(self) -> Iterator[Measurement]:
         """Yield the measurements in the order of their stamps."""
-        parts = (self._robot.board_measurements(), self._headings(), self._robot.truth_poses())
+        parts = (self.robot.board_measurements(), self._headings(), self.robot.truth_poses())
         return heapq.merge(*parts, key=attrgetter('t_ns'))
 
     def _headings(self) -> Iterator[HeadingSample]:
-        drawn, rng = self.reference, stream(self._robot.seed, f'headings {self._kind}')
-        time_s = np.arange(0.004, self._robot.scenario.duration_s, 1.0 / drawn.rate_hz)
+        drawn, rng = self.reference, stream(self.robot.seed, f'headings {self._kind}')
+        time_s = np.arange(0.004, self.robot.scenario.duration_s, 1.0 / drawn.rate_hz)
         yaw_rad = self.truth.trajectory.motion(time_s).euler_rad[:, 2] + _errors(time_s, drawn, rng)
         present = np.ones(len(time_s), bool)
         for start_s, end_s in drawn.gaps_s:

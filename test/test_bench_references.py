@@ -1,0 +1,107 @@
+"""The bench of heading references: its bound, its arithmetic, and a short recording."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.bench.reference_bound import reference_bound, white_information
+from gyrocal_ros.bench.references import (
+    ReferenceResult,
+    cases,
+    clean_row,
+    drift_rad,
+    effects_row,
+    run_reference,
+)
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.effects import find_effect
+from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.references import OUTLIER_FACTOR, DrawnReference, ReferenceSource
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+SHORT = replace(find_scenario('cleaning'), duration_s=40.0, imu_hz=50)
+NORMAL = DrawnReference(10.0, 0.01, 0.001, 0.0, 0.0, (), ())
+
+
+def test_the_information_of_normal_noise_is_the_inverse_of_its_variance() -> None:
+    assert white_information(NORMAL) == pytest.approx(1.0 / NORMAL.white_rad**2, rel=1e-6)
+
+
+def test_outliers_cost_less_information_than_their_variance_says() -> None:
+    information = white_information(replace(NORMAL, outliers=0.1)) * NORMAL.white_rad**2
+    assert 1.0 / (0.9 + 0.1 * OUTLIER_FACTOR**2) < information < 1.0
+    assert information > 0.8, 'nine tenths of the headings are as good as before'
+
+
+def test_the_bound_follows_the_noise() -> None:
+    def bound(**changed: float) -> tuple[float, float]:
+        source = ReferenceSource(SimSource(SHORT, 3), 'mocap')
+        source.reference = replace(NORMAL, **changed)  # type: ignore[arg-type]
+        found = reference_bound(source, Config())
+        return found.scale_std, found.bias_std_rad_s
+
+    usual, walking, coarse = bound(), bound(walk_rad=0.01), bound(white_rad=0.1)
+    assert walking[0] > usual[0] and coarse[0] > usual[0]
+    assert walking[1] > usual[1], 'the rest at the start is short'
+    assert walking[1] < math.radians(0.0075) / math.sqrt(2.5) * 1.5, 'at rest the gyro reads its bias'
+
+
+def test_a_hidden_effect_drifts_in_proportion_to_its_size() -> None:
+    clean = SimSource(SHORT, 3)
+    effect = find_effect('scale_asymmetry')
+    small, large = (
+        drift_rad(SimSource(SHORT, 3, hidden=(HiddenEffect(effect, (size,)),)), clean)
+        for size in (0.005, 0.01)
+    )
+    assert drift_rad(clean, clean) == pytest.approx(0.0, abs=1e-9)
+    assert large == pytest.approx(2.0 * small, rel=0.05) and small > 0.0
+
+
+def result(scale_z: float, verdict: str = 'nothing_missing', **changed: object) -> ReferenceResult:
+    known = ReferenceResult(
+        'lidar', '', False, '', scale_z, 0.5, 1e-3, 1.2, 1.3, converged=True, verdict=verdict
+    )
+    return replace(known, **changed)  # type: ignore[arg-type]
+
+
+def test_rows_of_recordings_that_hide_nothing() -> None:
+    failed = ReferenceResult('lidar', failure='no turns')
+    claimed = result(3.0, 'effect_found', named=('scale_cubic',))
+    row = clean_row('lidar', [result(-1.0), result(1.0), claimed, failed])
+    assert (row['bags'], row['failed']) == (4, 1)
+    assert row['scale_z_rms'] == pytest.approx(math.sqrt(11.0 / 3.0))
+    assert row['scale_inside'] == pytest.approx(2.0 / 3.0) and row['bias_inside'] == 1.0
+    assert row['false_claims'] == pytest.approx(1.0 / 3.0) and row['claimed'] == 'scale_cubic 1'
+    assert row['scale_by_bound'] == pytest.approx(1.2)
+    assert clean_row('lidar', [failed])['scale_z_rms'] is None
+
+
+def test_rows_of_hidden_effects_count_the_large_ones() -> None:
+    def hidden(name: str, is_large: bool, *named: str, twins: tuple[str, ...] = ()) -> ReferenceResult:
+        return result(0.0, 'effect_found', hidden=name, is_large=is_large, named=named, twins=twins)
+
+    row = effects_row(
+        [
+            hidden('scale_cubic', True, 'scale_cubic'),
+            hidden('bias_warmup', True, 'bias_temperature', twins=('bias_warmup',)),
+            hidden('bias_warmup', True, 'scale_cubic'),
+            hidden('scale_cubic', False),
+        ]
+    )
+    assert (row['bags'], row['large']) == (4, 3)
+    assert row['named_first'] == pytest.approx(1.0 / 3.0) and row['or_twin'] == pytest.approx(2.0 / 3.0)
+    assert row['missed'] == 'bias_warmup as scale_cubic 1'
+
+
+@pytest.mark.slow
+def test_a_recording_is_honest() -> None:
+    found = run_reference('encoders', 1, 30.0)
+    assert not found.failure and found.verdict in ('nothing_missing', 'cannot_tell')
+    assert abs(found.scale_z) < 3.0 and abs(found.bias_z) < 3.0
+    assert 0.7 < found.scale_by_bound < 2.0 and 0.7 < found.bias_by_bound < 2.5
+    assert np.isfinite(found.scale_std) and 'effects' in cases()

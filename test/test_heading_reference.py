@@ -1,0 +1,89 @@
+"""The fit of a heading reference to the gyro over a recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal_ros.data import Array, HeadingSample, ImuSample, Measurement
+from gyrocal_ros.errors import NotObservableError
+from gyrocal_ros.pipeline.heading_reference import ReferenceFit, fit_reference
+
+SCALE_FACTOR, BIAS_RAD_S = 0.94, math.radians(0.3)
+IMU_HZ, REFERENCE_HZ, DURATION_S = 50.0, 5.0, 80.0
+NOISE_RAD = math.radians(0.1)
+
+Rate = Callable[[Array], Array]
+Present = Callable[[Array], NDArray[np.bool_]]
+
+
+def turning(time_s: Array) -> Array:
+    """Turn to and fro at 100 deg/s, five seconds each."""
+    return math.radians(100.0) * np.sign(np.sin(2.0 * math.pi * time_s / 10.0))
+
+
+def swinging(time_s: Array) -> Array:
+    """Swing by 34 deg to and fro, once in two seconds."""
+    return math.radians(17.0) * math.pi * np.cos(math.pi * time_s)
+
+
+def everywhere(time_s: Array) -> NDArray[np.bool_]:
+    return np.ones(len(time_s), bool)
+
+
+def outside(start_s: float, end_s: float) -> Present:
+    return lambda time_s: (time_s < start_s) | (time_s >= end_s)
+
+
+def recorded(rate: Rate, imu: Present = everywhere, reference: Present = everywhere) -> list[Measurement]:
+    """Return a recording: nominal rates with a scale error and a bias, and noisy wrapped headings."""
+    rng = np.random.default_rng(5)
+    time_s = np.arange(0.0, DURATION_S, 1.0 / IMU_HZ)
+    true = rate(time_s)
+    yaw = np.cumsum(true) / IMU_HZ
+    nominal = (true - BIAS_RAD_S) / SCALE_FACTOR + 1e-3 * rng.standard_normal(len(time_s))
+    heading_s = np.arange(0.05, DURATION_S, 1.0 / REFERENCE_HZ)
+    headings = np.interp(heading_s, time_s, yaw) + NOISE_RAD * rng.standard_normal(len(heading_s))
+    wrapped = np.angle(np.exp(1j * headings))
+    samples: list[Measurement] = [
+        ImuSample(round(t * 1e9), (0.0, 0.0, r), (0.0, 0.0, 9.8))
+        for t, r in zip(time_s[imu(time_s)].tolist(), nominal[imu(time_s)].tolist(), strict=True)
+    ]
+    kept = reference(heading_s)
+    samples += map(
+        HeadingSample, np.round(heading_s[kept] * 1e9).astype(int).tolist(), wrapped[kept].tolist()
+    )
+    return sorted(samples, key=lambda item: item.t_ns)
+
+
+def fitted(rate: Rate, imu: Present = everywhere, reference: Present = everywhere) -> ReferenceFit:
+    return fit_reference(recorded(rate, imu, reference), 'a recording')
+
+
+def test_swings_that_add_up_are_turns() -> None:
+    found = fitted(swinging)
+    assert found.scale_factor == pytest.approx(SCALE_FACTOR, rel=3e-3)
+    assert found.bias_rad_s == pytest.approx(BIAS_RAD_S, abs=1e-3)
+
+
+def test_a_bias_and_noise_are_no_turns() -> None:
+    with pytest.raises(NotObservableError, match='no turns'):
+        fitted(lambda time_s: np.zeros(len(time_s)))
+
+
+def test_a_gap_of_the_reference_in_which_the_robot_turns_is_no_misfit() -> None:
+    """Fifteen seconds at 100 deg/s: the headings alone do not tell how many turns they were."""
+    whole, gapped = fitted(turning), fitted(turning, reference=outside(40.0, 54.0))
+    assert gapped.scale_factor == pytest.approx(SCALE_FACTOR, rel=2e-3)
+    assert math.degrees(gapped.residual_rms_rad) < 2.0 * math.degrees(whole.residual_rms_rad) + 0.05
+    assert gapped.walk_rad < 2.0 * whole.walk_rad + 1e-4
+
+
+def test_a_pause_of_the_gyro_hides_only_the_turn_within() -> None:
+    found = fitted(turning, imu=outside(31.0, 57.0))
+    assert found.scale_factor == pytest.approx(SCALE_FACTOR, rel=2e-3)
+    assert found.bias_rad_s == pytest.approx(BIAS_RAD_S, abs=2e-3)

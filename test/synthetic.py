@@ -94,6 +94,7 @@ def drive(
         std=np.zeros_like(mean),
         change=np.zeros((count, 2)),
         change_variance=np.zeros((count, 2)),
+        suspected_std=np.zeros((count, 2)),
         nis=zeros,
         dof=np.ones(count),
         log_likelihood=zeros,

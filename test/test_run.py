@@ -44,6 +44,7 @@ def record(time_s: float = 0.0, event: str = '', **covariates: float) -> StepRec
         std=0.1 * np.arange(9.0 + K),
         change=np.arange(1.0 + K),
         change_variance=0.2 * np.arange(1.0 + K),
+        suspected_std=0.3 * np.arange(1.0 + K),
         update=UPDATE,
         resting=REST,
         block=block,
@@ -67,7 +68,8 @@ def history(*records: StepRecord) -> History:
 
 
 def test_history_has_a_field_for_each_column() -> None:
-    others = {'t_ns', 'time_s', 'mean', 'std', 'change', 'change_variance', 'columns', 'signals'}
+    others = {'t_ns', 'time_s', 'mean', 'std', 'change', 'change_variance', 'suspected_std'}
+    others |= {'columns', 'signals'}
     assert not others & SCALARS.keys()
     assert {field.name for field in fields(History)} == others | SCALARS.keys()
 
@@ -112,6 +114,7 @@ def test_each_field_of_the_history_is_that_of_the_step() -> None:
     np.testing.assert_array_equal(found.std, [step.std])
     np.testing.assert_array_equal(found.change, [step.change])
     np.testing.assert_array_equal(found.change_variance, [step.change_variance])
+    np.testing.assert_array_equal(found.suspected_std, [step.suspected_std])
     np.testing.assert_array_equal(found.columns, [step.columns])
     np.testing.assert_array_equal(found.coefficients, [[9.0, 10.0]])
 

@@ -12,7 +12,7 @@ from recordings import ModifiedSource, recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ImuSample, Measurement, Source, seconds
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.scale_watch import CHANGE_SIGMA, WINDOWS_S, ScaleWatch
+from gyrocal_ros.ekf.scale_watch import CHANGE_SIGMA, COLUMNS, RAMP, RAMP_S, WINDOWS_S, ScaleWatch
 from gyrocal_ros.ekf.start import Start, initial_state
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import UpdateStats
@@ -89,14 +89,14 @@ def test_a_scale_factor_that_changes_is_followed_or_reported(
 
 
 def some_watch() -> tuple[ScaleWatch, State]:
-    state = initial_state(default_model(), Config(), None, len(WINDOWS_S))
+    state = initial_state(default_model(), Config(), None, COLUMNS)
     watch = ScaleWatch(state)
     return watch, watch.begin(state)
 
 
 def stats(information: float, change: float, nis: float = 0.0, dof: int = 1) -> UpdateStats:
     """Make an update that all windows see alike."""
-    each = np.full(len(WINDOWS_S), information)
+    each = np.full(COLUMNS, information)
     explained = information * change**2
     return UpdateStats(explained + nis, dof, information=np.diag(each), score=each * change)
 
@@ -142,22 +142,43 @@ def test_a_window_begins_again_when_it_has_ended() -> None:
     watch, state = some_watch()
     for _ in range(4):
         watch.add(1.0, (stats(1.0, 0.0),))
-        state = watch.renew(replace(state, sensitivity=0.9 * state.sensitivity))
-    np.testing.assert_allclose(state.sensitivity[COEFFICIENTS_START], [0.9, *[0.9**4] * (len(WINDOWS_S) - 1)])
+        state = watch.renew(replace(state, sensitivity=0.9 * state.sensitivity), 1.0)
+    steps = state.sensitivity[COEFFICIENTS_START, :RAMP]
+    np.testing.assert_allclose(steps, [0.9, *[0.9**4] * (len(WINDOWS_S) - 1)])
 
 
 def test_a_window_begins_again_when_the_filter_has_absorbed_the_change() -> None:
     watch, state = some_watch()
     watch.add(0.1, (stats(1.0, 0.0),))
-    state = watch.renew(replace(state, sensitivity=0.19 * state.sensitivity))
-    np.testing.assert_array_equal(state.sensitivity[COEFFICIENTS_START], 1.0)
+    state = watch.renew(replace(state, sensitivity=0.19 * state.sensitivity), 0.1)
+    np.testing.assert_array_equal(state.sensitivity[COEFFICIENTS_START, :RAMP], 1.0)
+
+
+def test_the_ramp_grows_at_a_constant_rate() -> None:
+    watch, state = some_watch()
+    for _ in range(3):
+        watch.add(0.1 * RAMP_S, (stats(1.0, 0.0),))
+        state = watch.renew(state, 0.1 * RAMP_S)
+    assert state.sensitivity[COEFFICIENTS_START, RAMP] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(('sigma', 'expected'), [(1.9, 0.0), (-4.0, 0.01 * np.sqrt(0.75))])
+def test_a_drift_that_is_not_sure_adds_to_the_standard_deviation(sigma: float, expected: float) -> None:
+    watch, state = some_watch()
+    watch.add(30.0, ())
+    state = watch.renew(state, 30.0)
+    change = 0.1 / state.sensitivity[COEFFICIENTS_START, RAMP] * 0.1
+    state.sensitivity[COEFFICIENTS_START, RAMP] *= 1.0
+    alone = np.zeros(COLUMNS)
+    alone[RAMP] = (sigma / change) ** 2
+    score = alone * np.copysign(change, sigma)
+    watch.add(1.0, (UpdateStats(sigma**2, 1, information=np.diag(alone), score=score),))
+    assert watch.suspected_std(state) == pytest.approx(expected)
 
 
 def test_candidates_keep_their_statistics() -> None:
-    state = initial_state(default_model(), Config(), None, 2 + len(WINDOWS_S))
-    watch, size = ScaleWatch(state), 2 + len(WINDOWS_S)
-    whole = UpdateStats(1.0, 2, information=np.diag(np.arange(1.0, 1.0 + size)), score=np.arange(float(size)))
-    kept = watch.without_changes(whole)
+    whole = UpdateStats(1.0, 2, information=np.diag(np.arange(1.0, 5.0)), score=np.arange(4.0))
+    kept = whole.of_first(2)
     assert kept.information is not None and kept.score is not None
     assert np.diagonal(kept.information).tolist() == [1.0, 2.0] and kept.score.tolist() == [0.0, 1.0]
-    assert some_watch()[0].without_changes(whole).information is None
+    assert whole.of_first(0).information is None

@@ -11,7 +11,8 @@ from synthetic import drive
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf import scatter as scatter_module
 from gyrocal_ros.ekf.scale_watch import SETTLE_S
-from gyrocal_ros.ekf.scatter import FORMING, MAX_INFLATION, SCALE, STRETCH_S, Scatter
+from gyrocal_ros.ekf.scatter import FORMING, MAX_INFLATION, STRETCH_S, Scatter
+from gyrocal_ros.ekf.state import SCALE
 
 STEPS = 100
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from gyrocal_ros.config.sections import ConvergenceConfig
@@ -10,6 +11,8 @@ PLAUSIBLE_SCALE = (0.5, 1.5)
 """Bounds of the scale factor of a gyro; outside, an axis is mirrored or swapped, or a unit is wrong."""
 CONSISTENCY_STEPS = 300
 """Number of last steps whose NIS decides on consistency."""
+STEPS_AFTER_CHANGE = 100
+"""Number of steps after a changed scale factor from which their NIS decides."""
 
 
 def is_plausible(scale_factor: float) -> bool:
@@ -18,9 +21,16 @@ def is_plausible(scale_factor: float) -> bool:
 
 
 class Convergence:
-    """Monitors the steps of a filter in constant memory."""
+    """Monitors the steps of a filter in constant memory.
 
-    def __init__(self) -> None:
+    Args:
+        after_change: True if the filter has just followed a changed scale factor. It then counts as
+            consistent only after enough steps: where the model lacks something, the scale factor seems to
+            change.
+    """
+
+    def __init__(self, after_change: bool = False) -> None:
+        self._after_change = after_change
         self.since_s: float | None = None
         """Time since which the standard deviation of the scale factor has been below its threshold."""
         self._recent: deque[tuple[float, int]] = deque(maxlen=CONSISTENCY_STEPS)
@@ -65,12 +75,19 @@ class Convergence:
         """NIS per degree of freedom since the start."""
         return self._nis / self._dof if self._dof else float('nan')
 
+    @property
+    def inflation(self) -> float:
+        """Factor, 1 or more, on standard deviations by the size of the innovations (Birge 1932)."""
+        return math.sqrt(max(1.0, self.recent_nis, self.overall_nis)) if self.has_measured else 1.0
+
     def is_consistent(self, config: ConvergenceConfig) -> bool:
         """Return True if the innovations are as large as expected, recently and overall.
 
         The last steps show the present consistency. The whole run shows errors that the noise estimate has
         absorbed since, as where the camera calibration is wrong.
         """
+        if self._after_change and len(self._recent) < STEPS_AFTER_CHANGE:
+            return False
         is_not_too_small = self.has_measured and self.recent_nis >= config.nis_low
         return is_not_too_small and not self.is_contradicted(config)
 

@@ -34,6 +34,8 @@ class History:
     """(s, 1 + k) change of yaw bias and coefficients by the measurements of the step."""
     change_variance: Array
     """(s, 1 + k) decrease of their variances by them."""
+    suspected_std: Array
+    """(s, 1 + k) standard deviations of their errors by what is suspected of the camera and of a drift."""
     columns: Array
     """(s, k) derivative of the correction with respect to the coefficients."""
     signals: Array
@@ -180,6 +182,7 @@ class Recorder:
                 ('std', float, (size,)),
                 ('change', float, (1 + coefficient_count,)),
                 ('change_variance', float, (1 + coefficient_count,)),
+                ('suspected_std', float, (1 + coefficient_count,)),
                 ('columns', float, (coefficient_count,)),
             ]
             + [(name, float) for name in SCALARS],
@@ -204,6 +207,7 @@ class Recorder:
             record.std,
             record.change,
             record.change_variance,
+            record.suspected_std,
             record.columns,
             *scalars,
         )

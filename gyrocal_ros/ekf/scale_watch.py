@@ -4,7 +4,8 @@ The generalised likelihood ratio test of Willsky and Jones 1976. Columns of the 
 change of the scale factor at some moment and go on with the filter: nu(delta) = nu(0) - G delta is the
 innovation, had the scale factor changed by delta at that moment. Sums of G^T S^-1 G and G^T S^-1 nu give the
 change, its standard deviation and its significance. Where it is significant, the state and the covariance
-follow in closed form, as if the scale factor had been unknown at that moment.
+follow in closed form, as if the scale factor had been unknown at that moment. The last column is a ramp: the
+scale factor changes at a constant rate since the beginning of its window.
 """
 
 from __future__ import annotations
@@ -17,13 +18,19 @@ import numpy as np
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
-from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, add_lacking
+from gyrocal_ros.ekf.update import UpdateStats, add_lacking
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
 SCALE_CHANGED = 'off what was calibrated before'
 """Words in the event of a run."""
 WINDOWS_S = (3.0, 8.0, 20.0, 50.0, 120.0)
 """Lengths of the windows, one column each: a jump shows in a short one, a slow drift in a long one."""
+RAMP_S = 300.0
+"""Length of the window of the ramp; its unit is the change over this time."""
+COLUMNS, RAMP = len(WINDOWS_S) + 1, -1
+"""Number of columns, and the place of the ramp."""
+SUSPECTED_SIGMA = 2.0
+"""Significance from which a drift that is not yet sure adds to the standard deviation of the scale factor."""
 ABSORBED = 0.2
 """Part of a change that is left when the filter has corrected the rest by itself, as in the first turn."""
 MAX_STD = 0.005
@@ -38,6 +45,28 @@ JUMP_S = 20.0
 DRIFT_MEMORY_S = 600.0
 """Time constant by which a random walk that was learned from repeated changes decays."""
 
+TINY = float(np.finfo(float).tiny)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations:
+    """Sums over a run for q errors that are estimated together."""
+
+    information: Array
+    """(q, q)"""
+    score: Array
+    """(q,)"""
+
+    @property
+    def values(self) -> Array:
+        """(q,) estimates."""
+        return np.linalg.solve(self.information, self.score)
+
+    @property
+    def explained(self) -> float:
+        """Part of the NIS that they explain."""
+        return float(self.score @ self.values)
+
 
 @dataclass(frozen=True, slots=True)
 class ScaleChanges:
@@ -48,14 +77,15 @@ class ScaleChanges:
 
     name: str = 'scale_change'
     acts_on: Place = 'gyro'
-    coefficients: tuple[Coefficient, ...] = tuple(
-        Coefficient(f'change_{length_s:.0f}_s', '1', 0.1) for length_s in WINDOWS_S
+    coefficients: tuple[Coefficient, ...] = (
+        *(Coefficient(f'change_{length_s:.0f}_s', '1', 0.1) for length_s in WINDOWS_S),
+        Coefficient('ramp', '1', 0.1),
     )
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Return no contribution."""
         size = len(block.dt_s)
-        return GyroTerm(np.zeros(size), np.zeros((size, len(WINDOWS_S))))
+        return GyroTerm(np.zeros(size), np.zeros((size, COLUMNS)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,13 +112,17 @@ class ScaleWatch:
 
     Args:
         state: initial state of the filter.
+        others: number of columns before, of errors that are tested beside, as those of the camera.
     """
 
-    def __init__(self, state: State) -> None:
-        self._first = state.sensitivity.shape[1] - len(WINDOWS_S)
-        self._ages_s = np.zeros(len(WINDOWS_S))
-        self._information, self._score = np.zeros(len(WINDOWS_S)), np.zeros(len(WINDOWS_S))
-        self._nis, self._dof = np.zeros(len(WINDOWS_S)), np.zeros(len(WINDOWS_S))
+    def __init__(self, state: State, others: int = 0) -> None:
+        self._first = state.sensitivity.shape[1] - COLUMNS
+        self._others = slice(self._first - others, self._first)
+        self._cross = np.zeros((COLUMNS, others))
+        self._ages_s = np.zeros(COLUMNS)
+        self._information, self._score = np.zeros(COLUMNS), np.zeros(COLUMNS)
+        self._nis, self._dof = np.zeros(COLUMNS), np.zeros(COLUMNS)
+        self._ramp, self._ramp_sigma = 0.0, 0.0
         self._running_s = self._significant_s = 0.0
         self._unchanged_s, self._walk = math.inf, 0.0
 
@@ -98,18 +132,27 @@ class ScaleWatch:
 
     def begin(self, state: State) -> State:
         """Return the state with all windows beginning now."""
-        return self._restarted(state, np.ones(len(WINDOWS_S), bool))
+        return self._restarted(state, np.ones(COLUMNS, bool))
 
-    def add(self, duration_s: float, updates: tuple[UpdateStats, ...]) -> ScaleChange | None:
+    def add(
+        self, duration_s: float, updates: tuple[UpdateStats, ...], others: NormalEquations | None = None
+    ) -> ScaleChange | None:
         """Add the updates of one step; return the most significant change, None if none is significant.
 
         Innovations that a change does not explain count as noise: what contradicts the filter otherwise, such
         as images of something else, is no change of the scale factor.
+
+        Args:
+            duration_s: length of the step.
+            updates: its updates.
+            others: errors that are tested beside. Where they explain the innovations better than any change,
+                only what they do not explain can be a change.
         """
         for stats in updates:
             if stats.information is not None and stats.score is not None:
                 self._information += np.diagonal(stats.information)[self._first :]
                 self._score += stats.score[self._first :]
+                self._cross += stats.information[self._first :, self._others]
                 self._nis += stats.nis
                 self._dof += stats.dof
         self._ages_s += duration_s
@@ -117,11 +160,19 @@ class ScaleWatch:
         self._running_s += duration_s
         self._significant_s += duration_s if self._significant_s > 0.0 else 0.0
         self._walk *= math.exp(-0.5 * duration_s / DRIFT_MEMORY_S)
-        information = np.maximum(self._information, np.finfo(float).tiny)
-        explained = self._score**2 / information
+        information, score = np.maximum(self._information, TINY), self._score
+        explained = score**2 / information
+        if others is not None and others.explained > explained.max():
+            # The Schur complement: change and other errors are estimated together.
+            by_others = np.linalg.solve(others.information, self._cross.T).T
+            information = np.maximum(information - np.sum(by_others * self._cross, axis=1), TINY)
+            score = score - by_others @ others.score
+            explained = score**2 / information
         unexplained = (self._nis - explained) / np.maximum(self._dof, 1.0)
         sigmas = np.sqrt(explained / np.maximum(unexplained, 1.0))
-        sigmas[information < 1.0 / MAX_STD**2] = 0.0
+        grown = self._grown()
+        sigmas[information < (grown / MAX_STD) ** 2] = 0.0
+        self._ramp_sigma, self._ramp = float(sigmas[RAMP]), float(score[RAMP] / information[RAMP])
         best = int(sigmas.argmax())
         if sigmas[best] < CHANGE_SIGMA:
             self._significant_s = 0.0
@@ -129,8 +180,8 @@ class ScaleWatch:
         self._significant_s = self._significant_s or duration_s
         return ScaleChange(
             column=self._first + best,
-            value=float(self._score[best] / information[best]),
-            std=float(math.sqrt(max(unexplained[best], 1.0) / information[best])),
+            value=float(grown[best] * score[best] / information[best]),
+            std=float(grown[best] * math.sqrt(max(unexplained[best], 1.0) / information[best])),
             sigma=float(sigmas[best]),
         )
 
@@ -139,13 +190,31 @@ class ScaleWatch:
         """True if a change has been significant for long enough to be followed."""
         return self._significant_s >= SETTLE_S
 
-    def renew(self, state: State) -> State:
-        """Return the state where windows begin again that have ended, or say no more about the present."""
+    def suspected_std(self, state: State) -> float:
+        """Return what a drift that is not yet sure adds to the standard deviation of the scale factor.
+
+        It is the shift by the ramp, without what is probable by chance.
+        """
+        if self._ramp_sigma <= SUSPECTED_SIGMA or self._ages_s[RAMP] < JUMP_S:
+            return 0.0
+        shift = state.sensitivity[COEFFICIENTS_START, RAMP] * self._ramp
+        return abs(float(shift)) * math.sqrt(1.0 - (SUSPECTED_SIGMA / self._ramp_sigma) ** 2)
+
+    def renew(self, state: State, duration_s: float) -> State:
+        """Return the state where windows begin again that have ended, or say no more about the present.
+
+        Args:
+            state: after a step.
+            duration_s: length of the step, in which the ramp has grown.
+        """
         if not state.coefficient_count:  # a model without a scale factor
             return state
         remaining = state.sensitivity[COEFFICIENTS_START, self._first :]
-        ended = (self._ages_s >= WINDOWS_S) | (remaining < ABSORBED)
-        return self._restarted(state, ended) if ended.any() else state
+        ended = self._ages_s >= (*WINDOWS_S, RAMP_S)
+        ended[:RAMP] |= remaining[:RAMP] < ABSORBED
+        state = self._restarted(state, ended)
+        state.sensitivity[COEFFICIENTS_START, RAMP] += duration_s / RAMP_S
+        return state
 
     def follow(self, state: State, change: ScaleChange) -> State:
         """Return the state as if the scale factor had been unknown at the beginning of the window.
@@ -154,22 +223,19 @@ class ScaleWatch:
         walk then covers. One since the start is a calibration that was wrong.
         """
         window_s = float(self._ages_s[change.column - self._first])
-        is_drift = JUMP_S < window_s < self._running_s
+        is_ramp = change.column == self._first + COLUMNS - 1
+        is_drift = is_ramp or JUMP_S < window_s < self._running_s
         drifting_s = min(self._unchanged_s, window_s if is_drift else math.inf)
         self._walk = max(self._walk, abs(change.value) / math.sqrt(max(drifting_s, SETTLE_S)))
         self._unchanged_s = self._significant_s = 0.0
-        return self.begin(add_lacking(state, change.column, change.value, change.std))
+        unit = float(self._grown()[change.column - self._first])
+        return self.begin(add_lacking(state, change.column, change.value / unit, change.std / unit))
 
-    def without_changes(self, stats: UpdateStats) -> UpdateStats:
-        """Return statistics of the candidates alone."""
-        if stats.information is None or stats.score is None or self._first == 0:
-            return replace(stats, information=None, score=None)
-        kept = slice(self._first)
-        return replace(stats, information=stats.information[kept, kept], score=stats.score[kept])
-
-    def of_candidates(self, update: MeasurementUpdate) -> MeasurementUpdate:
-        """Return an update with the statistics of the candidates alone."""
-        return replace(update, stats=self.without_changes(update.stats))
+    def _grown(self) -> Array:
+        """Return the change of the scale factor so far in units of each column."""
+        grown = np.ones(COLUMNS)
+        grown[RAMP] = self._ages_s[RAMP] / RAMP_S
+        return grown
 
     def _restarted(self, state: State, chosen: np.ndarray) -> State:
         columns = self._first + np.flatnonzero(chosen)
@@ -177,6 +243,8 @@ class ScaleWatch:
         sensitivity[:, columns] = 0.0
         if state.coefficient_count:
             sensitivity[COEFFICIENTS_START, columns] = 1.0
-        for sums in (self._ages_s, self._information, self._score, self._nis, self._dof):
+            if chosen[RAMP]:
+                sensitivity[COEFFICIENTS_START, RAMP] = 0.0
+        for sums in (self._ages_s, self._information, self._score, self._cross, self._nis, self._dof):
             sums[chosen] = 0.0
         return replace(state, sensitivity=sensitivity)

@@ -13,11 +13,9 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.scale_watch import SETTLE_S
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS
 from gyrocal_ros.statistics import chi_square_tail
 
-SCALE = 1
-"""Place of the scale factor among bias and coefficients."""
 STRETCH_S = 10.0
 ROUNDING_S = 1e-6
 FORMING = 0.75
@@ -96,7 +94,8 @@ def scatter_of(history: History) -> tuple[Scatter, Array]:
     """Return the scatter of yaw bias and coefficients over a run, and the inflation (s, 1 + k) of their stds.
 
     By how much the scale factor has changed so far adds to its standard deviation, if the filter did not
-    follow. A change that was significant for less than `SETTLE_S`, as in a first turn, adds only meanwhile.
+    follow. A change that was significant for less than `SETTLE_S`, as in a first turn, adds only meanwhile,
+    as does what is suspected of the camera and of a drift.
     """
     variances = history.std[:, YAW_BIAS:] ** 2
     scatter, inflations = Scatter(variances.shape[1]), np.ones_like(variances)
@@ -113,4 +112,11 @@ def scatter_of(history: History) -> tuple[Scatter, Array]:
     parts = np.split(lasting, np.flatnonzero(history.scale_followed))
     changed = np.maximum(change, np.concatenate([np.maximum.accumulate(part) for part in parts]))
     inflations[:, SCALE] = np.hypot(inflations[:, SCALE], changed / history.std[:, COEFFICIENTS_START])
-    return scatter, inflations
+    return scatter, with_suspected(inflations, history.suspected_std, np.sqrt(variances))
+
+
+def with_suspected(inflation: Array, suspected_std: Array, std: Array) -> Array:
+    """Add standard deviations of suspected errors to factors on standard deviations."""
+    relative = np.divide(suspected_std, std, out=np.zeros_like(std), where=std > 0.0)
+    total: Array = np.hypot(inflation, relative)
+    return total

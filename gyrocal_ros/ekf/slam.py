@@ -22,6 +22,7 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
+from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
 from gyrocal_ros.ekf.effects_by_place import sort_effects, true_camera
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.gating import MotionGate
@@ -41,7 +42,7 @@ from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector
 from gyrocal_ros.ekf.scale_watch import ScaleChanges, ScaleWatch
 from gyrocal_ros.ekf.start import Start, aged, inflate_after_gap, initial_state, restarted_at, warmed
-from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.state import SCALE, State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
 from gyrocal_ros.ekf.step_record import StepRecord, step_record
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, zero_rate_update
@@ -82,10 +83,10 @@ class EkfSlam:
     ) -> None:
         self.model, self.config, self.rig = model, config, rig
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
-        self._effects, self._candidates = (
-            sort_effects(model.effects),
-            sort_effects((*candidates, ScaleChanges())),
-        )
+        tests_camera = rig.camera is not None and self.parametrisation.rows == 2
+        watched = (*(CAMERA_ERRORS if tests_camera else ()), ScaleChanges())
+        self._effects, self._candidates = sort_effects(model.effects), sort_effects((*candidates, *watched))
+        self._own_candidates = sum(len(effect.coefficients) for effect in candidates)
         if self.parametrisation.rows != 2 and (self._effects.act_on_images or self._candidates.act_on_images):
             raise ConfigError(
                 'effects on the camera need features measured in pixels',
@@ -94,8 +95,12 @@ class EkfSlam:
             )
         self.state: State = initial_state(model, config, start, self._candidates.count)
         self._to_age = self._to_warm = start
-        self._scale_watch, self._follows_changes = ScaleWatch(self.state), follows_changes
+        self._camera_watch = CameraWatch(self._own_candidates) if tests_camera else None
+        self._scale_watch = ScaleWatch(self.state, CameraWatch.count if tests_camera else 0)
+        self._follows_changes = follows_changes
         self.state = self._scale_watch.begin(self.state)
+        self._has_told_of_camera, self.camera_finding = False, ''
+        """What is wrong with the calibration or the mounting of the camera; empty where nothing is."""
         self.memories = self._effects.no_memories()
         """Memories of the gyro effects at the present state."""
         self._candidate_memories = self._candidates.no_memories()
@@ -160,12 +165,19 @@ class EkfSlam:
                 self.state, event = forget_all(self.state), MAP_DROPPED
 
         # Test of the scale factor: it may have changed, or an earlier calibration may be wrong.
-        change = self._scale_watch.add(block.duration_s, (resting, update.stats))
+        camera, updates = self._camera_watch, (resting, update.stats)
+        if camera is not None:
+            camera.add(updates)
+        change = self._scale_watch.add(block.duration_s, updates, None if camera is None else camera.sums)
         follows = self._follows_changes and self._scale_watch.is_settled
         if change is not None and follows:
             self.state = self._scale_watch.follow(self.state, change)
+            if camera is not None:
+                camera.restart()
             event = '; '.join(filter(None, (event, str(change))))
-        self.state = self._scale_watch.renew(self.state)
+        # Errors that are suspected, of the camera and of the scale factor, add to the standard deviations.
+        suspected_std, finding = self._suspect(block.duration_s)
+        self.state = self._scale_watch.renew(self.state, block.duration_s)
 
         return step_record(
             before,
@@ -173,13 +185,26 @@ class EkfSlam:
             self.state,
             block,
             transition,
-            self._scale_watch.of_candidates(update),
-            self._scale_watch.without_changes(resting),
+            replace(update, stats=update.stats.of_first(self._own_candidates)),
+            resting.of_first(self._own_candidates),
             self.pixel_noise.std,
-            event,
+            '; '.join(filter(None, (event, finding))),
             change,
             follows,
+            suspected_std,
         )
+
+    def _suspect(self, duration_s: float) -> tuple[Array, str]:
+        """Return stds (1 + k,) of yaw bias and coefficients by suspected errors, and an event."""
+        std = np.zeros(1 + self.state.coefficient_count)
+        std[SCALE : SCALE + 1] = self._scale_watch.suspected_std(self.state)
+        if self._camera_watch is None:
+            return std, ''
+        shift = self._camera_watch.shift(self.state)
+        self.camera_finding = self._camera_watch.finding(duration_s, self.state, shift)
+        event = '' if self._has_told_of_camera else self.camera_finding
+        self._has_told_of_camera |= bool(event)
+        return np.hypot(std, shift), event
 
     def _update_from_image(self, observations: FeatureObservations) -> MeasurementUpdate:
         features = self.config.features

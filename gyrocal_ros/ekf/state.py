@@ -19,6 +19,8 @@ YAW = 5
 BIAS = slice(6, 9)
 YAW_BIAS = 8
 COEFFICIENTS_START = 9
+SCALE = COEFFICIENTS_START - YAW_BIAS
+"""Place of the scale factor among yaw bias and coefficients."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

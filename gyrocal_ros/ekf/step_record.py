@@ -36,6 +36,8 @@ class StepRecord:
     """Correction of the turn by the coefficients after the step, to first order, without bias."""
     tilt_rad: float
     """Change of heading beyond the turn about the body's own z axis, because that is tilted."""
+    suspected_std: Array
+    """(1 + k,) standard deviations of their errors by what is suspected of the camera and of a drift."""
     columns: Array
     """(k,) derivative of the correction with respect to the coefficients, rad per unit."""
     gyro_valid_s: float
@@ -66,6 +68,7 @@ def step_record(
     event: str,
     scale_change: ScaleChange | None,
     followed: bool,
+    suspected_std: Array,
 ) -> StepRecord:
     """Describe a step from the state before over the predicted one to the state after."""
     correction = transition.contribution.correction
@@ -80,6 +83,7 @@ def step_record(
         std=np.sqrt(np.diagonal(after.covariance)[:r]),
         change=after.mean[learned] - predicted.mean[learned],
         change_variance=np.diagonal(predicted.covariance)[learned] - np.diagonal(after.covariance)[learned],
+        suspected_std=suspected_std,
         update=update,
         resting=resting,
         block=block,

@@ -65,6 +65,13 @@ class UpdateStats:
     score: Array | None = None
     """(c,) `G^T S^-1 nu`."""
 
+    def of_first(self, count: int) -> UpdateStats:
+        """Return the statistics of the first candidates alone."""
+        if self.information is None or self.score is None or count == 0:
+            return replace(self, information=None, score=None)
+        kept = slice(count)
+        return replace(self, information=self.information[kept, kept], score=self.score[kept])
+
     @property
     def log_likelihood(self) -> float:
         """Predictive log-likelihood of the measurement: as expected before it was used."""

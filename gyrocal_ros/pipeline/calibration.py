@@ -20,9 +20,9 @@ from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.ekf.convergence import Convergence, is_plausible
 from gyrocal_ros.ekf.map_watch import loses_its_map
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.scatter import SCALE, scatter_of
+from gyrocal_ros.ekf.scatter import scatter_of
 from gyrocal_ros.ekf.start import Start
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS, State
 from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import write_text_atomic
@@ -81,15 +81,16 @@ def conclude(run: Run) -> Calibration:
 
     It has converged if the scale factor is known well enough, and neither the innovations nor the scatter of
     the estimates nor whole images contradict the filter, and gyro, wheels and images turn the same way. By
-    how much the scale factor has changed during the run adds to its standard deviation; where the filter
-    followed a change, only what came after counts.
+    how much the scale factor has changed during the run adds to its standard deviation, as do suspected
+    errors of the camera; where the filter followed a change, only what came after counts. Innovations that
+    are larger than expected enlarge the standard deviations.
     """
     history, criteria = run.history, run.config.convergence
     convergence, (scatter, inflations) = Convergence(), scatter_of(history)
     scale_stds = history.std[:, COEFFICIENTS_START] * inflations[:, SCALE]
     columns = (history.scale_followed, history.time_s, scale_stds, history.nis, history.dof)
     for followed, time_s, std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
-        convergence = Convergence() if followed else convergence
+        convergence = Convergence(after_change=True) if followed else convergence
         convergence.add(time_s, std, nis, dof, criteria)
     is_known = convergence.since_s is not None
     has_fault = bool(mounting_fault(run))
@@ -104,7 +105,7 @@ def conclude(run: Run) -> Calibration:
         source=run.source,
         end_ns=run.span.end_ns,
         temperature_c=_last_finite(history.temperature_c),
-        inflation=inflations[-1],
+        inflation=np.maximum(inflations[-1], convergence.inflation),
     )
 
 

@@ -90,7 +90,7 @@ def run_filter(
         for record in visual.finish():
             recorder.add(record)
     except FilterDivergedError as error:
-        fault = mounting_fault(so_far())
+        fault, _, remedy = mounting_fault(so_far()).partition('; ')
         what = f'{error.what}: {fault}' if fault else error.what
-        raise FilterDivergedError(what, where=source.name, todo='' if fault else error.todo) from error
+        raise FilterDivergedError(what, where=source.name, todo=remedy or error.todo) from error
     return so_far()

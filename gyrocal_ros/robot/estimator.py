@@ -12,10 +12,10 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, Rig, seconds
 from gyrocal_ros.ekf.convergence import Convergence
 from gyrocal_ros.ekf.map_watch import LOSES_MAPS, MAP_DROPPED, LostMaps
-from gyrocal_ros.ekf.scatter import SCALE, Scatter
+from gyrocal_ros.ekf.scatter import Scatter, with_suspected
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start, initial_state
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS, State
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.ekf.turn_agreement import TurnAgreement
@@ -98,7 +98,7 @@ class Estimator:
     def calibration(self) -> Calibration:
         """The calibration of the last state that was trusted."""
         watch, prior = self.watch, self._prior
-        inflation = self._scatter.inflation
+        inflation = self._trusted_inflation
         std = float(np.sqrt(self._trusted.covariance[COEFFICIENTS_START, COEFFICIENTS_START]))
         std *= float(inflation[SCALE])
         was_converged = prior is not None and prior.converged and not watch.is_settled
@@ -204,6 +204,8 @@ class Estimator:
                 f'the images are less noisy than the filter assumes (NIS {nis:.1f}, from {limits.nis_low:g} '
                 'on is consistent): it adapts to that, or lower camera.pixel_noise_px'
             )
+        if self.slam is not None and self.slam.camera_finding:
+            yield self.slam.camera_finding
         if self._scatter.contradicts:
             yield (
                 'the model does not fit: the estimates change by far more than the filter expects; record a '
@@ -269,6 +271,7 @@ class Estimator:
 
     def _reset_watch(self) -> None:
         self.watch, self._scatter = Convergence(), Scatter(1 + len(self.model.coefficients))
+        self._inflation = self._trusted_inflation = self._scatter.inflation
         self._time_s = self._checkpoint_s = self._consistent_s = 0.0
         self._has_stepped = False
         self._checkpoint = self._candidate = self._trusted
@@ -315,7 +318,8 @@ class Estimator:
             self._begin_anew()
         else:
             self._scatter.add(self._time_s, record.change, record.change_variance, record.std[YAW_BIAS:] ** 2)
-        scale_std = float(record.std[COEFFICIENTS_START] * self._scatter.inflation[SCALE])
+        self._inflation = with_suspected(self._scatter.inflation, record.suspected_std, record.std[YAW_BIAS:])
+        scale_std = float(record.std[COEFFICIENTS_START] * self._inflation[SCALE])
         self.watch.add(self._time_s, scale_std, stats.nis, stats.dof, self._config.convergence)
         if stats.dof > 0:
             self.has_learned = True
@@ -335,7 +339,7 @@ class Estimator:
     def _begin_anew(self) -> None:
         """Judge the filter by what comes after a change of the scale factor, and do not go back behind it."""
         assert self.slam is not None
-        self.watch, self._scatter = Convergence(), Scatter(1 + len(self.model.coefficients))
+        self.watch, self._scatter = Convergence(after_change=True), Scatter(1 + len(self.model.coefficients))
         self._checkpoint = self._candidate = self.slam.state
         self._checkpoint_s = self._consistent_s = self._time_s
         if self._prior is not None:
@@ -343,6 +347,7 @@ class Estimator:
 
     def _trust(self, state: State) -> None:
         self._trusted, self._consistent_s, self.on_probation = state, self._time_s, False
+        self._trusted_inflation = np.maximum(self._inflation, self.watch.inflation)
         if self._time_s - self._checkpoint_s >= CHECKPOINT_S:
             self._checkpoint, self._candidate = self._candidate, state
             self._checkpoint_s = self._time_s

@@ -1,0 +1,102 @@
+"""A camera that differs from its calibration is found, and its error counts in the standard deviations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recordings import ModifiedSource, recording
+
+from gyrocal_ros.config.sections import Config, ConvergenceConfig
+from gyrocal_ros.data import Rig
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.camera_watch import GATE, PRIOR_STD, CameraWatch
+from gyrocal_ros.ekf.convergence import STEPS_AFTER_CHANGE, Convergence
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.start import initial_state
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, State
+from gyrocal_ros.ekf.update import UpdateStats
+from gyrocal_ros.model.rotation import rotation_from_euler
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import conclude
+
+COUNT = len(PRIOR_STD)
+
+
+def some_state(by_k1: float) -> State:
+    """Return a state whose scale factor depends on k1."""
+    state = initial_state(default_model(), Config(), None, COUNT)
+    state.sensitivity[COEFFICIENTS_START, 0] = by_k1
+    return state
+
+
+def stats_of(k1: float, sigma: float, nis: float = 0.0, dof: int = 1) -> UpdateStats:
+    """Return an update that shows k1 with a significance."""
+    information = np.zeros(COUNT)
+    information[0] = (sigma / k1) ** 2
+    return UpdateStats(sigma**2 + nis, dof, information=np.diag(information), score=information * k1)
+
+
+def test_only_a_significant_error_shifts_the_scale_factor() -> None:
+    state = some_state(0.5)
+    for sigma, shift in ((0.9 * math.sqrt(GATE), 0.0), (20.0, 0.5 * 0.01)):
+        watch = CameraWatch(0)
+        watch.add((stats_of(0.01, sigma),))
+        np.testing.assert_allclose(watch.shift(state), [0.0, shift], rtol=0.02)
+        assert SCALE == 1
+
+
+def test_innovations_that_no_camera_explains_are_noise() -> None:
+    watch = CameraWatch(0)
+    watch.add((stats_of(0.01, 20.0, nis=1000.0, dof=10),))
+    np.testing.assert_array_equal(watch.shift(some_state(0.5)), 0.0)
+
+
+def test_an_error_is_reported_once_it_has_mattered_for_some_time() -> None:
+    watch, state = CameraWatch(0), some_state(50.0)
+    watch.add((stats_of(0.01, 20.0),))
+    said = [watch.finding(4.0, state, watch.shift(state)) for _ in range(3)]
+    assert said[:2] == ['', ''] and said[2].startswith('the distortion in camera_info does not fit')
+    assert watch.finding(4.0, state, np.zeros(2)) == '', 'it no longer matters'
+
+
+def with_rig(rig: Rig, seed: int = 1) -> Run:
+    source = recording('cleaning', seed, 45.0)
+    return calibrate(ModifiedSource(source, iter, rig), Config(), default_model(), follows_changes=True)
+
+
+@pytest.mark.parametrize('fault', ['lens', 'tilt'])
+def test_a_wrong_camera_is_named_and_no_result_claims_more_than_it_knows(fault: str) -> None:
+    source = recording('cleaning', 1, 45.0)
+    rig, camera = source.rig, source.rig.camera
+    assert camera is not None
+    if fault == 'lens':
+        wrong = replace(rig, camera=replace(camera, distortion=(0.01, 0.01, 0.0, 0.0, 0.01)))
+        said = 'the distortion in camera_info does not fit the images'
+    else:
+        R = rotation_from_euler(np.radians([1.5, 0.0, 0.0]))
+        wrong = replace(rig, camera_mount=replace(rig.camera_mount, R_bs=rig.camera_mount.R_bs @ R))
+        said = 'beside the direction of its transform'
+    run = with_rig(wrong)
+    found = conclude(run)
+    assert sum(said in event.text for event in run.events) == 1
+    is_right = abs(found.scale_factor - source.truth.scale_factor) < 3.0 * found.scale_factor_std
+    assert is_right or not found.converged
+
+
+def test_nothing_is_said_of_a_right_camera() -> None:
+    run = with_rig(recording('cleaning', 1, 45.0).rig)
+    assert not run.events and conclude(run).converged
+
+
+def test_after_a_change_consistency_needs_enough_steps() -> None:
+    config = ConvergenceConfig()
+    for after_change in (False, True):
+        watch = Convergence(after_change)
+        for i in range(STEPS_AFTER_CHANGE):
+            assert watch.is_consistent(config) == (not after_change and i > 0)
+            watch.add(0.1 * i, 1e-4, 4.0, 2, config)
+        assert watch.is_consistent(config)
+        assert watch.inflation == pytest.approx(math.sqrt(2.0))

@@ -19,6 +19,7 @@ PAGE = (ROOT / 'docs' / 'robot.md').read_text(encoding='utf-8')
 SOURCES = [
     *(ROOT / 'gyrocal_ros' / 'robot').glob('*.py'),
     ROOT / 'gyrocal_ros' / 'board' / 'link.py',
+    ROOT / 'gyrocal_ros' / 'ekf' / 'camera_watch.py',
     ROOT / 'gyrocal_ros' / 'msgs' / 'mounts.py',
     ROOT / 'gyrocal_ros' / 'vision' / 'tracker.py',
     ROOT / 'gyrocal_ros' / 'vision' / 'lens_marks.py',

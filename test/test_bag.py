@@ -499,6 +499,29 @@ def test_a_step_of_the_clock(tmp_path: Path, step_s: int) -> None:
     assert_same(samples[index + 1 :], second)
 
 
+def test_a_pause_of_a_recording_is_no_step_of_the_clock(tmp_path: Path) -> None:
+    first, second = drive(), drive(start_ns=START_NS + 36 * NS_PER_S)
+    samples = read(write(tmp_path / 'bag', [*first, *second]), with_covariates=True)
+    assert not any(isinstance(sample, ClockStep) for sample in samples)
+    assert_same(samples, [*first, *second])
+
+
+def test_a_recording_that_begins_anew_after_minutes_starts_a_new_time_base(tmp_path: Path) -> None:
+    first, second = drive(), drive(start_ns=START_NS + 3600 * NS_PER_S)
+    samples = read(write(tmp_path / 'bag', [*first, *second]), with_covariates=True)
+    assert sum(isinstance(sample, ClockStep) for sample in samples) == 1
+
+
+def test_a_step_shows_although_the_times_of_recording_mean_nothing(tmp_path: Path) -> None:
+    second = drive(20.0, start_ns=START_NS - 40 * NS_PER_S)
+    with new_bag(tmp_path / 'bag') as bag:
+        bag.write_rig(RIG, START_NS)
+        for sample in [*drive(), *second]:
+            bag.write(sample, recorded_ns=START_NS)
+    samples = read(tmp_path / 'bag')
+    assert [sample.t_ns for sample in samples if isinstance(sample, ClockStep)] == [second[0].t_ns]
+
+
 def test_single_outlying_stamps_are_left_out(tmp_path: Path) -> None:
     outlier_ns = drive()[500].t_ns
     samples = changed(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal_ros.data import Array, HeadingSample, ImuSample, Measurement
+from gyrocal_ros.data import NS_PER_S, Array, ClockStep, HeadingSample, ImuSample, Measurement
 from gyrocal_ros.errors import NotObservableError
 from gyrocal_ros.pipeline.heading_reference import ReferenceFit, fit_reference
 
@@ -85,5 +86,15 @@ def test_a_gap_of_the_reference_in_which_the_robot_turns_is_no_misfit() -> None:
 
 def test_a_pause_of_the_gyro_hides_only_the_turn_within() -> None:
     found = fitted(turning, imu=outside(31.0, 57.0))
+    assert found.scale_factor == pytest.approx(SCALE_FACTOR, rel=2e-3)
+    assert found.bias_rad_s == pytest.approx(BIAS_RAD_S, abs=2e-3)
+
+
+def test_the_fit_goes_on_after_a_step_of_the_clock() -> None:
+    samples = recorded(turning)
+    half = len(samples) // 2
+    step = ClockStep(samples[half].t_ns - 50 * NS_PER_S, -50 * NS_PER_S)
+    later = [replace(item, t_ns=item.t_ns - 50 * NS_PER_S) for item in samples[half:]]  # type: ignore[type-var]
+    found = fit_reference([*samples[:half], step, *later], 'a recording')
     assert found.scale_factor == pytest.approx(SCALE_FACTOR, rel=2e-3)
     assert found.bias_rad_s == pytest.approx(BIAS_RAD_S, abs=2e-3)

@@ -142,6 +142,17 @@ def test_a_gap_is_counted_in_the_blocks_that_it_overlaps() -> None:
     assert gaps(buffer, [0.0, 0.2, 0.4, 0.5, 0.7]) == pytest.approx([0.0, 0.11, 0.1, 0.05], abs=1e-9)
 
 
+def test_a_turn_before_and_after_a_pause_is_none_within() -> None:
+    buffer = MotionBuffer()
+    for time_s in (0.0, 0.01, 0.02, 26.0, 26.01):
+        buffer.add(imu(time_s, 2.0))
+    assert np.all(buffer.cut(at(0.0), at(0.02)).rate_rad_s[:, 2] == 2.0)
+    block = buffer.cut(at(0.02), at(1.0))
+    pause = buffer.cut(at(1.0), at(25.0))
+    assert abs(float(block.rate_rad_s[:, 2] @ block.dt_s)) <= 1.0 and not pause.rate_rad_s[:, 2].any()
+    assert pause.gap_s == pytest.approx(24.0)
+
+
 def test_slow_samples_are_not_a_gap() -> None:
     buffer = MotionBuffer()
     for i in range(6):

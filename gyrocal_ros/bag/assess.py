@@ -230,14 +230,18 @@ def _turn_issues(scan: TopicScan, imu: TopicScan, compared: TurnComparison) -> I
         todo = 'is the IMU upside down? publish its mounting on /tf_static'
         yield _issue(scan, WARNING, 'opposite_turns', text, todo)
     elif compared.correlation < MIN_CORRELATION or not 1.0 / MAX_TURN_RATIO < compared.ratio < MAX_TURN_RATIO:
-        is_reference = scan.role is Role.HEADING
         text = (
             f'turns {compared.other_deg:.0f} deg in total, {imu.topic.name} {compared.this_deg:.0f} deg '
             f'(correlation {compared.correlation:.2f})'
         )
-        todo = 'unfit as a heading reference' + ('' if is_reference else '; do the wheels slip?')
-        is_unfit = is_reference and compared.correlation < MIN_REFERENCE_CORRELATION
-        yield _issue(scan, ERROR if is_unfit else WARNING, 'turns_disagree', text, todo)
+        if scan.role is not Role.HEADING:
+            todo = 'unfit as a heading reference; do the wheels slip?'
+            yield _issue(scan, WARNING, 'turns_disagree', text, todo)
+        elif compared.correlation < MIN_REFERENCE_CORRELATION:
+            yield _issue(scan, ERROR, 'turns_disagree', text, 'unfit as a heading reference')
+        else:
+            todo = 'a noisy, drifting or late reference takes longer; give a better one if there is one'
+            yield _issue(scan, WARNING, 'turns_disagree', text, todo)
 
 
 def _is_degrees(ratio: float) -> bool:

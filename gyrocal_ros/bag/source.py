@@ -11,12 +11,14 @@ from gyrocal_ros.bag.rig import Geometry, read_geometry
 from gyrocal_ros.bag.selection import Selection, TopicOptions, parse_remap, remap_roles, select_topics
 from gyrocal_ros.bag.storage import Storage, open_storage
 from gyrocal_ros.config.sections import Config, RecordingConfig
-from gyrocal_ros.data import ClockStep, Measurement, Rig, Span, nanoseconds
+from gyrocal_ros.data import NS_PER_S, ClockStep, Measurement, Rig, Span, nanoseconds
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.issues import BagIssue, Severity, raise_first_error, worst_per_kind
 from gyrocal_ros.msgs.reorder import Drop, Reorderer
 from gyrocal_ros.msgs.topics import Role
 
+MAX_PAUSE_NS = 120 * NS_PER_S
+"""Longest pause of a recording that continues; after a longer one it begins anew, as after a clock step."""
 DROP_TEXTS = {
     Drop.LATE: 'are too late to be sorted in',
     Drop.DUPLICATE: 'repeat a stamp',
@@ -149,13 +151,16 @@ def _read_sorted(
     for stream, (topic, decode) in enumerate(decoder.streams):
         decoders[topic.name].append((stream, decode))
     used = {topic.name: topic for topic, _ in decoder.streams}
+    arrival_ns = last_ns = storage.start_ns
     for name, recorded_ns, raw in storage.raw_messages(used.values()):
+        arrival_ns += min(max(recorded_ns - last_ns, 0), MAX_PAUSE_NS)
+        last_ns = recorded_ns
         for stream, decode in decoders[name]:
             samples = decode(raw, recorded_ns)
             if samples:
                 t_ns = samples[0].t_ns
                 decoder.stamp_offset_ns = t_ns - recorded_ns
-                yield from reorderer.push(t_ns, stream, samples)
+                yield from reorderer.push(t_ns, stream, samples, arrival_ns)
     yield from reorderer.finish()
 
 

@@ -21,6 +21,8 @@ from gyrocal_ros.data import (
 
 GAP_NS = 100_000_000
 """Maximum interval between IMU samples; a longer one is a gap."""
+PAUSE_NS = 1_000_000_000
+"""Minimum length of a gap whose rates are not interpolated: a turn at its ends says nothing about the rest."""
 DROPOUT_INTERVALS, MIN_DROPOUT_NS = 4.0, 15_000_000
 """Minimum length of a dropout (some samples lost), in usual intervals and in ns; both have to be exceeded."""
 DROPOUT_S = 1.0
@@ -169,13 +171,15 @@ class MotionBuffer:
         )
 
     def _imu_at(self, t_ns: int) -> tuple[float, ...]:
-        """Return rates and specific force at a time, interpolated linearly."""
+        """Return rates and specific force at a time, interpolated linearly; without turning in a pause."""
         after = bisect_left(self._imu_ns, t_ns)
         if after == len(self._imu_ns):
             return self._imu[-1]
         if after == 0 or self._imu_ns[after] == t_ns:
             return self._imu[after]
         earlier_ns, later_ns = self._imu_ns[after - 1], self._imu_ns[after]
+        if later_ns - earlier_ns > PAUSE_NS:
+            return 0.0, 0.0, 0.0, *self._imu[after - 1][3:]
         part = (t_ns - earlier_ns) / (later_ns - earlier_ns)
         return tuple(a + part * (b - a) for a, b in zip(self._imu[after - 1], self._imu[after], strict=True))
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array
@@ -32,6 +33,8 @@ class NoiseFit:
     """(4,) heading, bias, scale factor less 1 and time offset."""
     covariance: Array
     """(4, 4)"""
+    jumps_s: tuple[float, ...] = ()
+    """Times at which jumps of the reference were noticed, since its first heading."""
 
     @property
     def scale_factor(self) -> float:
@@ -70,6 +73,7 @@ class ReferenceBank:
         count = len(self._variances)
         self._mean, self._P = np.zeros((count, 4)), np.tile(np.diag(np.square(PRIOR_STDS)), (count, 1, 1))
         self._log_likelihood, self._jumps = np.zeros(count), JumpDetector(count)
+        self._elapsed_s, self._seen_jumps = 0.0, list[tuple[float, NDArray[np.bool_]]]()
         self.count = 0
         """Number of headings so far."""
 
@@ -86,6 +90,7 @@ class ReferenceBank:
             difference_rad: heading by the reference less the turn by the nominal gyro since the start.
         """
         mean, P = self._mean, self._P
+        self._elapsed_s += dt_s
         if self.count == 0:
             mean[:, HEADING] = difference_rad
         mean[:, HEADING] += dt_s * mean[:, BIAS] + turn_rad * mean[:, SCALE]
@@ -104,6 +109,7 @@ class ReferenceBank:
             numerator[:, HEADING] += added
             variance = variance + added
             self._log_likelihood += JUMP_LOG_PRIOR * has_jumped
+            self._seen_jumps.append((self._elapsed_s, has_jumped))
         distance = residual**2 / variance
         self._log_likelihood += self._noise.log_likelihood(variance, distance)
 
@@ -132,8 +138,9 @@ class ReferenceBank:
         """Return the likeliest alternative so far."""
         best = int(np.argmax(self._log_likelihood))
         likelihood = float(self._log_likelihood[best])
+        jumps_s = tuple(time_s for time_s, has_jumped in self._seen_jumps if has_jumped[best])
         return NoiseFit(
-            self._noise.alternative(best), likelihood, self._mean[best].copy(), self._P[best].copy()
+            self._noise.alternative(best), likelihood, self._mean[best].copy(), self._P[best].copy(), jumps_s
         )
 
 

@@ -18,6 +18,9 @@ CONFIRMATION_NS = NS_PER_S // 2
 
 If they arrive in less than half this time, they were delayed together and confirm nothing.
 """
+UNDENIABLE_NS = 10 * NS_PER_S
+"""Time for which stamps must continue after a jump to confirm a step whatever the times of arrival are: those
+of a converted recording may mean nothing."""
 RECENT_INTERVALS = 5
 """Number of recent intervals of a stream whose shortest predicts when its next message is due."""
 MAX_BUFFERED = 300_000
@@ -176,7 +179,7 @@ class Reorderer(Generic[T]):
             self._base = self._new_base(t_ns, arrival_ns)
         if self._outliers and self._base.newest_ns - self._newest_at_outlier_ns > CONFIRMATION_NS // 2:
             self._drop_outliers()
-        elapsed_ns = arrival_ns - self._base.newest_arrival_ns
+        elapsed_ns = max(arrival_ns - self._base.newest_arrival_ns, 0)
         ahead_ns = t_ns - self._base.newest_ns
         is_in_range = -self._step_ns <= ahead_ns <= self._step_ns + elapsed_ns
         if is_in_range and not self._continues_outliers(t_ns, ahead_ns):
@@ -207,8 +210,10 @@ class Reorderer(Generic[T]):
             self._newest_at_outlier_ns = base.newest_ns
         self._outliers.append((t_ns, stream, item, arrival_ns))
         first_ns, _, _, first_arrival_ns = self._outliers[0]
+        lasted_ns = t_ns - first_ns
         has_lasted = not arrival_ns or arrival_ns - first_arrival_ns >= CONFIRMATION_NS // 2
-        return self._step(base) if t_ns - first_ns >= CONFIRMATION_NS and has_lasted else ()
+        is_confirmed = lasted_ns >= CONFIRMATION_NS and has_lasted
+        return self._step(base) if is_confirmed or lasted_ns >= UNDENIABLE_NS else ()
 
     def _step(self, base: _TimeBase[T]) -> Sequence[T | ClockStep]:
         """Start a new time base with the outliers."""

@@ -17,6 +17,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     NS_PER_S,
     Array,
+    ClockStep,
     HeadingSample,
     ImuSample,
     Measurement,
@@ -24,7 +25,7 @@ from gyrocal_ros.data import (
     Span,
     nanoseconds,
 )
-from gyrocal_ros.ekf.motion import GAP_NS
+from gyrocal_ros.ekf.motion import GAP_NS, PAUSE_NS
 from gyrocal_ros.ekf.reference_bank import NoiseFit
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.start import Start
@@ -51,6 +52,8 @@ PLAUSIBLE_SCALE = (0.5, 2.0)
 """Bounds of the scale factor of a usable reference."""
 MAX_MISFIT_DEG = 2.0
 """Largest rms difference of a usable reference from the best fit of the gyro, beyond its random walk."""
+WALKED_PART = 0.5
+"""The same in the random walk over the recording: a walk leaves a quarter beside a straight line (rms)."""
 REPORTED_OFFSET_S = 0.02
 """Smallest time offset that is reported."""
 
@@ -66,7 +69,7 @@ class ReferenceFit:
     same, with the opposite sign."""
     time_offset_std_s: float
     residual_rms_rad: float
-    """Rms difference from the least squares fit of scale factor, bias and heading."""
+    """Rms difference from the least squares fit of scale factor, bias, heading and jumps."""
     white_rad: float
     """White noise of a heading."""
     walk_rad: float
@@ -114,11 +117,7 @@ def calibrate_by_heading(
         FilterDivergedError: the measurements contradict the model beyond repair.
     """
     fitted = fit_reference(source.measurements(), source.name, config)
-    stream = [
-        on_time(sample, fitted.time_offset_s) if isinstance(sample, HeadingSample) else sample
-        for sample in source.measurements()
-    ]
-    stream.sort(key=attrgetter('t_ns'))
+    stream = _with_headings_on_time(source.measurements(), fitted.time_offset_s)
     run = run_filter(
         source, stream, with_noise(config, fitted), model, start, report, candidates, follows_changes
     )
@@ -171,7 +170,21 @@ def fit_reference(
         fitted = fit_noise(_track(readings, offset_s, (scale_factor, bias_rad_s)), gyro)
         offset_s += fitted.time_offset_s
         scale_factor, bias_rad_s = fitted.scale_factor, fitted.bias_rad_s
-    return _as_fit(fitted, offset_s, _misfit_rad(_track(readings, offset_s, (scale_factor, bias_rad_s))))
+    track = _track(readings, offset_s, (scale_factor, bias_rad_s))
+    return _as_fit(fitted, offset_s, _misfit_rad(track, fitted.jumps_s))
+
+
+def _with_headings_on_time(measurements: Iterable[Measurement], offset_s: float) -> Iterator[Measurement]:
+    """Yield the measurements with the stamps of the headings corrected, sorted on each time base."""
+    on_base: list[Measurement] = []
+    for sample in measurements:
+        if isinstance(sample, ClockStep):
+            yield from sorted(on_base, key=attrgetter('t_ns'))
+            yield sample
+            on_base.clear()
+        else:
+            on_base.append(on_time(sample, offset_s) if isinstance(sample, HeadingSample) else sample)
+    yield from sorted(on_base, key=attrgetter('t_ns'))
 
 
 def on_time(sample: HeadingSample, offset_s: float) -> HeadingSample:
@@ -182,11 +195,14 @@ def on_time(sample: HeadingSample, offset_s: float) -> HeadingSample:
 def _read(measurements: Iterable[Measurement], where: str) -> _Readings:
     imu: list[tuple[int, float]] = []
     headings: list[tuple[int, float]] = []
+    stepped_ns = 0
     for sample in measurements:
-        if isinstance(sample, ImuSample):
-            imu.append((sample.t_ns, sample.rate_rad_s[2]))
+        if isinstance(sample, ClockStep):
+            stepped_ns += sample.step_ns - 2 * PAUSE_NS  # how the robot moved meanwhile is not known
+        elif isinstance(sample, ImuSample):
+            imu.append((sample.t_ns - stepped_ns, sample.rate_rad_s[2]))
         elif isinstance(sample, HeadingSample):
-            headings.append((sample.t_ns, sample.yaw_rad))
+            headings.append((sample.t_ns - stepped_ns, sample.yaw_rad))
     if len(imu) < 2 or len(headings) < MIN_HEADINGS:
         raise NotObservableError(
             f'only {len(headings)} reference headings beside {len(imu)} IMU samples', where=where
@@ -194,7 +210,9 @@ def _read(measurements: Iterable[Measurement], where: str) -> _Readings:
     start_ns = imu[0][0]
     imu_s, rate = _columns(imu, start_ns)
     heading_s, yaw = _columns(headings, start_ns)
-    turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(imu_s))])
+    interval_s = np.diff(imu_s)
+    turns = np.where(interval_s > PAUSE_NS / NS_PER_S, 0.0, 0.5 * (rate[1:] + rate[:-1]) * interval_s)
+    turned = np.concatenate([[0.0], np.cumsum(turns)])
     if _turned_to_and_fro_rad(imu_s, turned) < MIN_TURN_RAD:
         raise NotObservableError(
             'no turns, so the scale factor cannot be known', where=where, todo='record two turns each way'
@@ -272,9 +290,11 @@ def _by_turns(readings: _Readings, offset_s: float) -> _TurnFit:
     return _TurnFit(float(solution[0]), float(solution[1]), deviation)
 
 
-def _misfit_rad(track: HeadingTrack) -> float:
-    """Return the rms of the headings about their best fit by scale factor, bias and heading."""
-    columns = np.stack([track.turned_rad, track.time_s, np.ones(len(track.time_s))], axis=1)
+def _misfit_rad(track: HeadingTrack, jumps_s: tuple[float, ...]) -> float:
+    """Return the rms of the headings about their best fit by scale factor, bias, heading and known jumps."""
+    since_s = track.time_s - track.time_s[0]
+    jumps = [(since_s >= at_s).astype(float) for at_s in jumps_s]
+    columns = np.stack([track.turned_rad, track.time_s, np.ones(len(since_s)), *jumps], axis=1)
     solution = np.linalg.lstsq(columns, track.yaw_rad, rcond=None)[0]
     return float(np.sqrt(np.mean((track.yaw_rad - columns @ solution) ** 2)))
 
@@ -307,7 +327,7 @@ def _reference_events(fitted: ReferenceFit, span: Span, run: Run) -> Iterator[Ru
         yield RunEvent(span.start_ns, f'{outliers} headings of the reference are outliers and count little')
     walked_deg = math.degrees(fitted.walk_rad) * math.sqrt(span.duration_s)
     misfit_deg = math.degrees(fitted.residual_rms_rad)
-    if misfit_deg > MAX_MISFIT_DEG:
+    if misfit_deg > math.hypot(MAX_MISFIT_DEG, WALKED_PART * walked_deg):
         yield RunEvent(
             span.start_ns,
             f'the reference does not fit the gyro: {misfit_deg:.1f} deg rms remain at best '

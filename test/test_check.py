@@ -81,6 +81,12 @@ def scale_forces(factor: float) -> Callable[[ImuSample], ImuSample]:
     return lambda item: replace(item, specific_force_m_s2=scaled(factor, item.specific_force_m_s2))
 
 
+def lean(pitch_deg: float) -> Callable[[ImuSample], ImuSample]:
+    pitch = math.radians(pitch_deg)
+    force = (-9.8 * math.sin(pitch), 0.0, 9.8 * math.cos(pitch))
+    return lambda item: replace(item, specific_force_m_s2=force)
+
+
 def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, float, float]:
     x, y, z = vector
     return factor * x, factor * y, factor * z
@@ -96,6 +102,7 @@ def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, fl
         (ImuSample, scale_forces(1 / 9.81), 'unit_g', Severity.WARNING),
         (ImuSample, scale_forces(0.6), 'odd_gravity', Severity.WARNING),
         (ImuSample, scale_forces(0.0), 'no_accelerometer', Severity.NOTE),
+        (ImuSample, lean(6.0), 'tilted_imu', Severity.NOTE),
         (
             WheelSample,
             lambda s: replace(s, yaw_rate_rad_s=57.3 * s.yaw_rate_rad_s),

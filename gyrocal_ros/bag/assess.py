@@ -32,6 +32,8 @@ MIN_TURN_DEG, FEW_TURNS_DEG = 20.0, 180.0
 """Total turns below which the scale factor is not observable, and weakly observable."""
 ONE_WAY_SHARE = 0.1
 """Share of the total turn below which one direction counts as missing."""
+MAX_TILT_RAD, MAX_LEAN_RAD = math.radians(3.0), math.radians(40.0)
+"""Lean of an IMU against gravity that is reported, and up to which it is a tilt."""
 MAX_RATE_RAD_S = 20.0
 """Limit of the turning rate of a robot on a floor; higher readings are probably in degrees."""
 MAX_TURN_RATIO, MIN_CORRELATION = 1.2, 0.85
@@ -178,7 +180,7 @@ def _imu_issues(
         text = 'the gyro reads exactly zero throughout'
         yield _issue(imu, ERROR, 'dead_imu', text, 'choose another IMU topic')
         return
-    yield from _accelerometer_issues(imu, stats.mean_force_m_s2)
+    yield from _accelerometer_issues(imu, stats.mean_force_m_s2, stats.tilt_rad)
     for scan, compared in comparisons.values():
         if _is_degrees(1.0 / compared.ratio):
             text = f'turns {abs(1.0 / compared.ratio):.0f} times as much as {scan.topic.name}: in degrees?'
@@ -209,7 +211,7 @@ def _imu_issues(
         yield _issue(imu, NOTE, 'one_way_turns', text, 'turns to both sides are needed to separate effects')
 
 
-def _accelerometer_issues(imu: TopicScan, force_m_s2: float) -> Iterator[BagIssue]:
+def _accelerometer_issues(imu: TopicScan, force_m_s2: float, tilt_rad: float) -> Iterator[BagIssue]:
     if force_m_s2 < 0.3:
         yield _issue(imu, NOTE, 'no_accelerometer', 'the accelerometer reads no gravity')
     elif 0.8 < force_m_s2 < 1.25:
@@ -218,6 +220,13 @@ def _accelerometer_issues(imu: TopicScan, force_m_s2: float) -> Iterator[BagIssu
     elif not 9.0 < force_m_s2 < 11.0:
         text = f'the accelerometer reads {force_m_s2:.3g} m/s^2 on average where 9.8 is expected'
         yield _issue(imu, WARNING, 'odd_gravity', text, 'check its unit and its calibration')
+    if MAX_TILT_RAD < tilt_rad < MAX_LEAN_RAD:
+        text = (
+            f'leans by {DEGREES * tilt_rad:.1f} deg against gravity on average: its yaw axis reads '
+            f'{100.0 * (1.0 - math.cos(tilt_rad)):.2g} % of a turn less'
+        )
+        todo = 'corrected with a heading reference and three gyros; else publish its mounting on /tf_static'
+        yield _issue(imu, NOTE, 'tilted_imu', text, todo)
 
 
 def _turn_issues(scan: TopicScan, imu: TopicScan, compared: TurnComparison) -> Iterator[BagIssue]:
@@ -241,6 +250,8 @@ def _turn_issues(scan: TopicScan, imu: TopicScan, compared: TurnComparison) -> I
             yield _issue(scan, ERROR, 'turns_disagree', text, 'unfit as a heading reference')
         else:
             todo = 'a noisy, drifting or late reference takes longer; give a better one if there is one'
+            if not 1.0 / MAX_TURN_RATIO < compared.ratio < MAX_TURN_RATIO:
+                todo = 'one of the two scale factors is far off; do the wheels of the reference slip?'
             yield _issue(scan, WARNING, 'turns_disagree', text, todo)
 
 

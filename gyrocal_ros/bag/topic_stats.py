@@ -10,6 +10,8 @@ import numpy as np
 
 from gyrocal_ros.data import NS_PER_S, Array, IntArray, seconds
 
+STEADY_PART = 0.95
+"""Part of the mean norm of the specific force that its mean has if the robot keeps its attitude."""
 GAP_PERIODS, GAP_NS = 4.0, NS_PER_S // 10
 """Minimum length of a gap, in typical periods and in time: a few lost messages are no gap."""
 EVEN_PERIODS = (0.5, 1.5)
@@ -173,6 +175,8 @@ class ImuStats:
     """Number of samples with all three rates exactly zero."""
     largest_rate_rad_s: float = 0.0
     force_sum_m_s2: float = 0.0
+    direction_sum_m_s2: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) sum of the specific forces in body axes."""
     axis_turns: tuple[TurnStats, TurnStats, TurnStats] = field(
         default_factory=lambda: (TurnStats(), TurnStats(), TurnStats())
     )
@@ -190,6 +194,7 @@ class ImuStats:
         self.zero_count += int(np.count_nonzero(~rates.any(axis=1)))
         self.largest_rate_rad_s = max(self.largest_rate_rad_s, float(np.abs(rates).max()))
         self.force_sum_m_s2 += float(np.linalg.norm(readings[:, 3:], axis=1).sum())
+        self.direction_sum_m_s2 = self.direction_sum_m_s2 + self.R_bi @ readings[:, 3:].sum(axis=0)
         for turns, axis_rates in zip(self.axis_turns, rates.T, strict=True):
             turns.add(stamps_ns, axis_rates)
 
@@ -205,6 +210,13 @@ class ImuStats:
     def mean_force_m_s2(self) -> float:
         """Mean norm of the specific force: gravity, independent of the mounting."""
         return self.force_sum_m_s2 / self.count if self.count else math.nan
+
+    @property
+    def tilt_rad(self) -> float:
+        """Angle between the mean specific force and the vertical axis; NaN where the forces cancel out."""
+        x, y, z = self.direction_sum_m_s2.tolist()
+        is_steady = math.hypot(x, y, z) > STEADY_PART * self.force_sum_m_s2
+        return math.atan2(math.hypot(x, y), abs(z)) if is_steady else math.nan
 
 
 @dataclass(frozen=True, slots=True)

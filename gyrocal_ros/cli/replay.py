@@ -134,6 +134,11 @@ def as_text(summary: dict[str, Any]) -> str:
         ),
         ('converged', _convergence(summary)),
     ]
+    if 'mount_tilt_deg' in summary:
+        tilt = summary['mount_tilt_deg']
+        rows.append(
+            ('mount tilt', f'{tilt["value"]:.1f} ± {tilt["std"]:.1f} deg against the vertical, corrected')
+        )
     if 'blind_drift_deg' in summary:
         drift = summary['blind_drift_deg']
         rows.append(('heading', f'{summary["heading_rms_deg"]:.3f} deg rms against the ground truth'))

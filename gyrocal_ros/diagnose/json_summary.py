@@ -28,6 +28,7 @@ from gyrocal_ros.effects import SCALE_FACTOR
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration, coefficient_table, conclude
+from gyrocal_ros.pipeline.mount_tilt import mount_tilt
 
 FEATURE_COUNTS = ('used', 'rejected', 'dropped', 'on_lens')
 """Counts of `History` in the summary."""
@@ -54,6 +55,10 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
         'misfits': list(fit.misfits),
         'events': [event.text for event in run.events],
     }
+    tilt = mount_tilt(run)
+    if tilt is not None:
+        angle_deg, std_deg = math.degrees(tilt.angle_rad), math.degrees(tilt.std_rad)
+        summary['mount_tilt_deg'] = {'value': angle_deg, 'std': std_deg}
     heading_rms = heading_rms_deg(run)
     if heading_rms is not None:
         drift = blind_drift(run, from_s=held_out_from_s(run))

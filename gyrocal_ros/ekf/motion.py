@@ -22,7 +22,7 @@ from gyrocal_ros.data import (
 GAP_NS = 100_000_000
 """Maximum interval between IMU samples; a longer one is a gap."""
 PAUSE_NS = 1_000_000_000
-"""Minimum length of a gap whose rates are not interpolated: a turn at its ends says nothing about the rest."""
+"""Minimum length of a gap whose rates are not interpolated: its ends say nothing about the turn within."""
 DROPOUT_INTERVALS, MIN_DROPOUT_NS = 4.0, 15_000_000
 """Minimum length of a dropout (some samples lost), in usual intervals and in ns; both have to be exceeded."""
 DROPOUT_S = 1.0

@@ -27,6 +27,7 @@ from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.ekf.run import History, Run
 from gyrocal_ros.ekf.state import YAW_BIAS
 from gyrocal_ros.pipeline.calibration import Calibration
+from gyrocal_ros.pipeline.mount_tilt import mount_tilt
 from gyrocal_ros.report import calibration_figures as figures
 from gyrocal_ros.report.comparison_figures import drift_by_span
 from gyrocal_ros.report.describe import Verdict, events_in_words, meaning, with_std
@@ -116,6 +117,9 @@ def conclusion(
         after: blind drift of the calibrated gyro.
     """
     sentences = [_scale_sentence(calibration), _bias_sentence(calibration)]
+    tilt = mount_tilt(run)
+    if tilt is not None:
+        sentences.append(f'Levelled by gravity, {tilt}; this is corrected.')
     if len(after.error_rad):
         spread = 'rms' if len(after.error_rad) > 1 else 'in the only span,'
         sentences.append(

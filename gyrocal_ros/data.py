@@ -21,6 +21,7 @@ Array: TypeAlias = NDArray[np.floating[Any]]  # float64; the stubs of numpy.lina
 IntArray: TypeAlias = NDArray[np.int64]
 
 NS_PER_S = 1_000_000_000
+STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 def seconds(t_ns: int) -> float:

@@ -20,8 +20,8 @@ from gyrocal_ros.board.convert import (
 )
 from gyrocal_ros.board.messages import Imu, Supply, Wheels
 from gyrocal_ros.board.protocol import Decoder, encode
-from gyrocal_ros.config.robot_sections import STANDARD_GRAVITY_M_S2, BoardConfig
-from gyrocal_ros.data import NS_PER_S, TemperatureSample
+from gyrocal_ros.config.robot_sections import BoardConfig
+from gyrocal_ros.data import NS_PER_S, STANDARD_GRAVITY_M_S2, TemperatureSample
 
 T_NS = 1_700_000_000_000_000_000
 LEVEL = Imu((0, 0, 0), (0, 0, 8192), 0)

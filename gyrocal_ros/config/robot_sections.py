@@ -8,10 +8,9 @@ from typing import TypeAlias
 from gyrocal_ros.config.board_limits import BoardLimits
 from gyrocal_ros.config.declare import setting
 from gyrocal_ros.config.sections import GyroConfig
+from gyrocal_ros.data import STANDARD_GRAVITY_M_S2
 
 Triple: TypeAlias = tuple[float, float, float]
-
-STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 @dataclass(frozen=True, slots=True)

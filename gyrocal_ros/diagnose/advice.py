@@ -39,7 +39,7 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict == 'cannot_tell' and not diagnosis.missing:
         sentences.append(
             'Record at least two minutes with turns to both sides at several speeds, straight lanes '
-            'and short rests, while the camera sees the ceiling.'
+            'and short rests, with the ceiling or the heading reference in view.'
         )
     return sentences
 

@@ -26,7 +26,7 @@ TURNING_RAD_S = math.radians(5.0)
 """Rate above which the robot counts as turning."""
 MIN_TURN_DEG = 90.0
 """Total turn to each side below which a recording shows one side only."""
-NOTHING_MISSING = 'Nothing is missing: gyro, wheels and camera agree with the model within chance.'
+NOTHING_MISSING = 'Nothing is missing: all measurements agree with the model within chance.'
 CANNOT_TELL = (
     'This recording cannot tell whether an effect is missing: '
     'too few effects of the library would show in it.'
@@ -35,9 +35,10 @@ DOES_NOT_FIT = 'the model does not fit this recording: run gyrocal diagnose'
 """The last words on a calibration that its own recording contradicts."""
 DIAGNOSE = 'Run `gyrocal diagnose` on this recording.'
 LEARN = 'Run `gyrocal learn` on this recording: it learns what no effect of the library explains.'
+MORE_TURNS = 'Record more turns, both ways, with the ceiling or the heading reference in view.'
 RECORD = (
     'Record five minutes with turns to both sides at several speeds, straight lanes and short rests, '
-    'while the camera sees the ceiling.'
+    'with the ceiling or the heading reference in view.'
 )
 
 
@@ -67,7 +68,7 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
     if converged_s is None:
         known = f'{100.0 * calibration.scale_factor_std:.2g} %'
         sentence = f'Not calibrated yet: the scale factor is known to {known} only, not to {threshold}.'
-        return Status('yellow', sentence, 'Record more turns, both ways, while the camera sees the ceiling.')
+        return Status('yellow', sentence, MORE_TURNS)
     if not calibration.converged:
         sentence = 'Not to be trusted: at the end the innovations are not as large as the filter expects.'
         return Status('red', sentence, 'Look at the warnings, the camera calibration and the time stamps.')

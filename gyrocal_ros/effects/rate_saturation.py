@@ -13,11 +13,12 @@ from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.recording import GyroReadings
 from gyrocal_ros.model.sensor import Coefficient, DetectedLimit, GyroTerm, Memory, Place, TypicalRange
 
-AT_LIMIT = 0.995
-"""Readings within half a per cent of the limit count as clipped."""
+AT_LIMIT = 0.98
+"""Part of the limit from which readings count as clipped: the limits of the two sides differ by up to 2 %, by
+the offset of the sensor."""
 WHEEL_TURN_ERROR = 0.1
 """Relative standard deviation of the wheels' turn, which replaces the clipped reading."""
-TOP_PART = 0.99
+TOP_PART = 0.98
 """Fraction of the largest reading above which readings count as equal to it."""
 MIN_TOP_S = 0.5
 """Minimum time with readings at the largest one for a limit to be possible."""

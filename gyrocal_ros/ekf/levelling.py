@@ -11,8 +11,7 @@ import math
 
 import numpy as np
 
-from gyrocal_ros.config.robot_sections import STANDARD_GRAVITY_M_S2
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import STANDARD_GRAVITY_M_S2, Array, MotionBlock
 from gyrocal_ros.ekf.state import EULER, YAW_BIAS, State
 from gyrocal_ros.ekf.update import tilt_update
 

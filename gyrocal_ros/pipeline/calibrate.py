@@ -105,5 +105,5 @@ def _require_observable(run: Run) -> None:
         raise NotObservableError(
             f'no turns: {math.degrees(turned_rad):.0f} deg in all, so the scale factor cannot be known',
             where=run.source,
-            todo='record two full turns each way while the camera sees the ceiling',
+            todo='record two full turns each way, with the ceiling or the heading reference in view',
         )

@@ -101,12 +101,20 @@ def message(*links: SimpleNamespace) -> SimpleNamespace:
 def test_the_heading_of_a_frame_follows_the_chain_of_transforms() -> None:
     frames = FrameHeading('map', 'base_link')
     assert frames.add(message(link('odom', 'base_link', 0.3, 10))) is None
-    first = frames.add(message(link('map', 'odom', 0.5, 20)))
-    assert first is not None and first.t_ns == 20 and first.yaw_rad == pytest.approx(0.8)
+    first = frames.add(message(link('map', 'odom', 0.5, 1000)))
+    assert first is not None and first.yaw_rad == pytest.approx(0.8)
+    assert first.t_ns == 10, 'corrections are stamped ahead'
     assert frames.add(message(link('base_link', 'wheel', 2.0, 25))) is None
-    second = frames.add(message(link('odom', 'base_link', 0.4, 30)))
-    assert second is not None and second.t_ns == 30 and second.yaw_rad == pytest.approx(0.9)
-    assert frames.add(message(link('odom', 'base_link', 0.4, 30))) is None, 'nothing is new'
+    assert frames.add(message(link('odom', 'base_link', 0.4, 30))) is None, 'odometry is no reference'
+    assert frames.add(message(link('map', 'odom', 0.5, 1010))) is None, 'only its stamp is new'
+    second = frames.add(message(link('map', 'odom', 0.52, 1020)))
+    assert second is not None and second.t_ns == 30 and second.yaw_rad == pytest.approx(0.92)
+
+
+def test_a_frame_directly_below_the_other_is_a_heading_each_time() -> None:
+    frames = FrameHeading('vicon', 'base_link')
+    found = [frames.add(message(link('vicon', 'base_link', 0.3, t_ns))) for t_ns in (10, 20, 20, 30)]
+    assert [None if item is None else item.t_ns for item in found] == [10, 20, None, 30]
 
 
 def bag_with(path: Path, *, names: dict[str, str], tf: bool = False) -> Path:

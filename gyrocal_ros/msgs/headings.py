@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -92,29 +93,37 @@ def _by_quaternion(sec: int, nanosec: int, x: float, y: float, z: float, w: floa
 
 
 class FrameHeading:
-    """The heading of one frame in another, by the latest transforms between them."""
+    """The heading of one frame in another, by the latest transforms between them.
+
+    In a chain (map, odom, base_link) the transform next to the parent holds the corrections of a
+    localisation, and the one next to the child comes from odometry, which may use the gyro itself. So there
+    is a heading only where the correction has changed. It is stamped by the odometry, since a localisation
+    stamps its corrections ahead, for as long as they are to hold.
+    """
 
     def __init__(self, parent: str, child: str) -> None:
         self._parent, self._child = parent, child
         self._links: dict[str, tuple[str, Array, int]] = {}
         self._last_ns = 0
+        self._correction: Array = np.zeros((3, 3))
 
     def add(self, message: Any) -> HeadingSample | None:
-        """Take a TFMessage; return a heading if a transform between the frames is new.
-
-        The stamp is that of the newest transform of the chain: the others hold until they change.
-        """
+        """Take a TFMessage; return a heading if there is a new one."""
         for link, item in zip(transforms(message), message.transforms, strict=True):
             stamp = item.header.stamp
             t_ns = int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
             self._links[link.child] = link.parent, link.mount.R_bs, t_ns
-        R, frame, newest_ns = np.eye(3), self._child, 0
-        for _ in range(MAX_LINKS):
-            if frame == self._parent or frame not in self._links:
-                break
+        chain: list[tuple[Array, int]] = []
+        frame = self._child
+        while frame != self._parent and frame in self._links and len(chain) < MAX_LINKS:
             frame, rotation, t_ns = self._links[frame]
-            R, newest_ns = rotation @ R, max(newest_ns, t_ns)
-        if frame != self._parent or newest_ns <= self._last_ns:
+            chain.append((rotation, t_ns))
+        if frame != self._parent or not chain:
             return None
-        self._last_ns = newest_ns
-        return HeadingSample(newest_ns, math.atan2(R[1, 0], R[0, 0]))
+        correction, (_, stamp_ns) = chain[-1][0], chain[0]
+        is_corrected = len(chain) == 1 or not np.array_equal(correction, self._correction)
+        if stamp_ns <= self._last_ns or not is_corrected:
+            return None
+        self._last_ns, self._correction = stamp_ns, correction
+        R = reduce(lambda R, link: link[0] @ R, chain, np.eye(3))
+        return HeadingSample(stamp_ns, math.atan2(R[1, 0], R[0, 0]))

@@ -205,7 +205,9 @@ def _read(measurements: Iterable[Measurement], where: str) -> _Readings:
             headings.append((sample.t_ns - stepped_ns, sample.yaw_rad))
     if len(imu) < 2 or len(headings) < MIN_HEADINGS:
         raise NotObservableError(
-            f'only {len(headings)} reference headings beside {len(imu)} IMU samples', where=where
+            f'only {len(headings)} reference headings beside {len(imu)} IMU samples',
+            where=where,
+            todo='give a reference that is measured at least once a second',
         )
     start_ns = imu[0][0]
     imu_s, rate = _columns(imu, start_ns)

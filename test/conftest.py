@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -63,3 +64,14 @@ def library() -> Iterator[None]:
     yield
     EFFECTS.clear()
     EFFECTS.update(before)
+
+
+@pytest.fixture(scope='module')
+def slow_sensors() -> Iterator[None]:
+    """Scenarios with few images and samples a second, so that a recording costs a third."""
+    from gyrocal_ros.sim.scenarios import SCENARIOS
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name, scenario in SCENARIOS.items():
+            patch.setitem(SCENARIOS, name, replace(scenario, imu_hz=100, camera_hz=5))
+        yield

@@ -23,7 +23,7 @@ from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import shipped
 from gyrocal_ros.report.png import try_png
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('library')]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('library', 'slow_sensors')]
 
 ELSEWHERE = {'bench', 'reproduce', 'studio', 'demo', 'fleet'}
 """Commands that other tests execute."""
@@ -36,7 +36,7 @@ OWN_MODEL = re.findall(r'```yaml\n(.*?)```', GUIDE, re.DOTALL)[0]
 
 
 @pytest.fixture(scope='module')
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def prepared(tmp_path_factory: pytest.TempPathFactory, slow_sensors: None) -> Path:
     """What the pages take for granted: recordings with every topic of a robot, models and results."""
     folder = tmp_path_factory.mktemp('prepared')
     bag, result = folder / 'my_bag', folder / 'result'

@@ -51,7 +51,7 @@ Output = pytest.CaptureFixture[str]
 
 
 def recording(*drawn: DrawnEffect, seconds: float = 150.0, seed: int = 1) -> InMemorySource:
-    scenario = replace(find_scenario('cleaning'), duration_s=seconds)
+    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=5)
     source, _ = preload(SimSource(scenario, seed, hidden=hide(drawn, find_effect)), Config(), default_model())
     assert isinstance(source, InMemorySource)
     return source

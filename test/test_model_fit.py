@@ -24,7 +24,7 @@ from gyrocal_ros.sim.world import SimSource
 
 
 def simulated(hidden: tuple[HiddenEffect, ...]) -> Run:
-    scenario = replace(find_scenario('cleaning'), duration_s=100.0)
+    scenario = replace(find_scenario('cleaning'), duration_s=100.0, imu_hz=100, camera_hz=5)
     return calibrate(SimSource(scenario, 3, hidden=hidden), Config(), default_model())
 
 

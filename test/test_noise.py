@@ -30,7 +30,7 @@ SIZES = {'gyro_noise': 0.06 * DEG, 'rate_noise': 0.003, 'bias_instability': 0.01
 
 
 def recording(name: str, *values: float, seconds: float = 100.0, seed: int = 2) -> Source:
-    scenario = replace(find_scenario('cleaning'), duration_s=seconds)
+    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=5)
     hidden = hide((DrawnEffect(name, values),), find_effect) if name else ()
     source, _ = preload(SimSource(scenario, seed, hidden=hidden), Config(), default_model())
     return source

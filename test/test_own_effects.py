@@ -56,6 +56,7 @@ def blocks_of_the_guide(language: str) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures('slow_sensors')
 def test_the_example_of_the_guide_works(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

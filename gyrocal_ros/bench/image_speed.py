@@ -24,6 +24,8 @@ from gyrocal_ros.pipeline.visual_slam import VisualSlam
 
 IMAGES = 400
 """Number of images that are timed, so that they fit into memory."""
+SIMULATED_S = 30.0
+"""Length of a simulated recording."""
 
 
 def image_speed(bags: Sequence[Path]) -> Iterator[dict[str, Any]]:
@@ -39,7 +41,9 @@ def image_speed(bags: Sequence[Path]) -> Iterator[dict[str, Any]]:
     if not bags:
         with tempfile.TemporaryDirectory() as folder:
             bag = Path(folder) / 'simulated'
-            gyrocal_process('simulate', str(bag), '--scenario', 'filmed', '--duration', '30', '--images')
+            gyrocal_process(
+                'simulate', str(bag), '--scenario', 'filmed', '--duration', str(SIMULATED_S), '--images'
+            )
             yield _row(bag)
 
 

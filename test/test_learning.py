@@ -19,7 +19,9 @@ from gyrocal_ros.cli.learn import requested
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.closed_forms import LearnedCurve, closed_forms
+from gyrocal_ros.diagnose.examined import examine
 from gyrocal_ros.diagnose.hypotheses import (
     AMPLITUDES,
     Law,
@@ -29,12 +31,11 @@ from gyrocal_ros.diagnose.hypotheses import (
     rank_laws,
 )
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
-from gyrocal_ros.diagnose.search import Search, examine
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.learned import curve, memory
-from gyrocal_ros.effects.learned.curve import prior_stds
+from gyrocal_ros.effects.learned.curve import LENGTHS, prior_stds
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.errors import ConfigError
@@ -128,19 +129,26 @@ class TestRanking:
 
 class TestClosedForms:
     def curve_of(
-        self, values: Callable[[Array], Array], signal: str, low: float, high: float
+        self, values: Callable[[Array], Array], signal: str, low: float, high: float, length: float = 0.0
     ) -> LearnedCurve:
-        """Return a curve that was fitted to a function at many places, with noise."""
+        """Return a curve that was fitted to a function at many places, with noise.
+
+        Its prior is that of a smooth curve of some length, or a wide one.
+        """
         rng = np.random.default_rng(3)
         made = curve('bias', signal, low, high)
-        items = tuple(replace(item, prior_std=1.0) for item in made.coefficients)
+        count = len(made.coefficients)
+        stds = prior_stds(signal, 1.0, length).tolist() if length else [1.0] * count
+        items = tuple(replace(item, prior_std=std) for item, std in zip(made.coefficients, stds, strict=True))
         effect = replace(made, coefficients=items)
         at = rng.uniform(low, high, 4000)
         basis, noise = effect.basis(at), 0.02
         present = effect.present(at)
         clean = values(at) - present @ np.linalg.lstsq(present, values(at), rcond=None)[0]
         measured = clean + noise * rng.normal(size=len(at))
-        covariance = np.linalg.inv(basis.T @ basis / noise**2 + np.eye(basis.shape[1]))
+        prior = np.array(stds)
+        information = (basis * prior).T @ (basis * prior) / noise**2 + np.eye(count)
+        covariance = np.linalg.inv(information) * np.outer(prior, prior)
         fitted = covariance @ basis.T @ measured / noise**2
         x = np.linspace(low, high, 401)
         grid = effect.basis(x)
@@ -172,6 +180,15 @@ class TestClosedForms:
         assert found.parameter == pytest.approx(1.3, rel=0.02)
         assert found.values[0] == pytest.approx(0.3, abs=0.02)
         assert abs(found.values[1]) < 0.02
+
+    def test_a_prior_that_leaves_no_short_waves_does_not_change_them(self) -> None:
+        """Then most coefficients are not seen at all."""
+        wave = self.curve_of(lambda x: 0.3 * np.cos(x - 1.0), 'heading', -math.pi, math.pi, LENGTHS[-1])
+        assert np.ptp(np.log10([item.prior_std for item in wave.effect.coefficients])) > 10.0
+        found = closed_forms(wave, 4000)[0]
+        assert found.form.name == 'sine of the heading' and found.fits
+        assert found.explained == pytest.approx(1.0, abs=0.01)
+        np.testing.assert_allclose(found.values, 0.3 * np.array([math.sin(1.0), math.cos(1.0)]), atol=0.005)
 
     def test_a_law_of_the_library_is_named(self) -> None:
         cube = closed_forms(self.curve_of(lambda x: 0.3 * x**3, 'rate', -1.5, 1.5), 4000)[0]
@@ -293,7 +310,9 @@ def test_the_command_learns_and_writes(tmp_path: Path, capsys: Output) -> None:
     printed = json.loads(capsys.readouterr().out)
     (law,) = printed['learned']
     assert law['effect'] == 'bias_curve:heading' and law['kind'] == 'bias_curve'
-    assert law['closed_forms'][0]['form'] == 'sine of the heading'
+    form = law['closed_forms'][0]
+    assert form['form'] == 'sine of the heading'
+    assert math.hypot(*form['values']) == pytest.approx(0.005, rel=0.05), 'the amplitude that was hidden'
     assert (out / 'report.html').stat().st_size > 10_000
     assert 'bias_curve:heading' in (out / 'model.yaml').read_text(encoding='utf-8')
     drifts = [item['held_out_drift_deg']['rms'] for item in printed['revisions']]

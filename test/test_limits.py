@@ -10,8 +10,8 @@ import pytest
 from synthetic import DT_S, TOP_DEG_S, Drive, banded, drive, readings, readings_of, turning_rad_s
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
-from gyrocal_ros.diagnose.search import with_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.rate_deadband import RateDeadband

@@ -21,10 +21,11 @@ from gyrocal_ros.cli.diagnose import add_arguments, as_text, next_steps
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import TruthSample
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.advice import advice
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
-from gyrocal_ros.diagnose.search import Search, search
+from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording

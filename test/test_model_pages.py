@@ -13,6 +13,7 @@ import pytest
 
 from gyrocal_ros.config.declare import with_settings
 from gyrocal_ros.config.sections import Config
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.candidate_fit import Fit
 from gyrocal_ros.diagnose.comparison import Comparison, compare
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
@@ -32,7 +33,7 @@ from gyrocal_ros.diagnose.model_series import (
     slam_errors_deg,
 )
 from gyrocal_ros.diagnose.regimes import Failure
-from gyrocal_ros.diagnose.search import Search, search
+from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.diagnose.search_series import (
     candidate_rows,
     effect_curve,

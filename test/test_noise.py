@@ -12,8 +12,8 @@ import pytest
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.examined import examine
 from gyrocal_ros.diagnose.noise import find_missing, fit_noises
-from gyrocal_ros.diagnose.search import examine
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect

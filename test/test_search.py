@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +21,11 @@ from synthetic import (
 )
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.search import search, try_effect, with_effect
+from gyrocal_ros.diagnose.diagnosis import diagnose
+from gyrocal_ros.diagnose.elimination import eliminate
+from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.improvement import improvement
+from gyrocal_ros.diagnose.search import search, try_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.traits import is_limit, may_break_the_filter
@@ -56,6 +60,12 @@ class FakeFilter:
     diverges_without: str = ''
     ends: dict[str, float] = field(default_factory=dict)
     """Final estimate of an effect, where it is not its hidden size."""
+    leftover_of: dict[str, str] = field(default_factory=dict)
+    """Hidden effects that are none: they show as long as another one starts at an inexact value."""
+    alone: dict[str, float] = field(default_factory=dict)
+    """Final estimate of an effect that is the only one added."""
+    beside: dict[str, float] = field(default_factory=dict)
+    """Predictive log-likelihood that an effect gains where it is not the only one added."""
     models: list[tuple[str, ...]] = field(default_factory=list)
 
     def __call__(self, model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
@@ -63,27 +73,37 @@ class FakeFilter:
         self.models.append(names)
         if self.diverges_without and self.diverges_without not in names:
             raise FilterDivergedError('lost the measurements')
+        gains = {**self.predictive_gains, **(self.beside if len(names) > 2 else {})}
         history = self.made.run.history
         steps, values = len(history.time_s), self.estimates(model)
-        scores = self.scores(names, candidates) if candidates else None
+        exact = {effect.name for effect in model.effects if self.starts_exactly(effect)}
+        gone = {name for name, of in self.leftover_of.items() if of in exact}
+        scores = self.scores({*names, *gone}, candidates) if candidates else None
         coefficients, uneven = np.tile(values, (steps, 1)), np.linspace(0.5, 1.5, steps)
         changed = replace(
             history,
             mean=np.hstack([history.mean[:, :COEFFICIENTS_START], coefficients]),
             std=np.full((steps, COEFFICIENTS_START + len(values)), STD),
             columns=np.hstack([history.columns, np.zeros((steps, len(values) - 1))]),
-            log_likelihood=sum(self.predictive_gains.get(name, 0.0) for name in names) / steps * uneven,
+            change=np.zeros((steps, 1 + len(values))),
+            change_variance=np.zeros((steps, 1 + len(values))),
+            log_likelihood=sum(gains.get(name, 0.0) for name in names) / steps * uneven,
         )
         state = replace(self.made.run.state, mean=changed.mean[-1], coefficient_count=len(values))
         return replace(self.made.run, model=model, history=changed, state=state, scores=scores)
 
     def estimates(self, model: SensorModel) -> Array:
         """Return the hidden size of each effect as its first coefficient."""
-        known = {**self.hidden, **self.ends}
+        known = {**self.hidden, **self.ends, **(self.alone if len(model.effects) == 2 else {})}
         firsts = ((known.get(effect.name, 0.0), effect) for effect in model.effects)
         return np.concatenate([[first, *[0.0] * (len(effect.coefficients) - 1)] for first, effect in firsts])
 
-    def scores(self, names: Sequence[str], candidates: tuple[Effect, ...]) -> ScoreStatistics:
+    def starts_exactly(self, effect: Effect) -> bool:
+        """Return True if an effect starts at its hidden size."""
+        size = self.hidden.get(effect.name)
+        return size is not None and math.isclose(effect.coefficients[0].prior_mean, size)
+
+    def scores(self, names: Collection[str], candidates: tuple[Effect, ...]) -> ScoreStatistics:
         """Return scores in which every effect has its own columns, whatever the other candidates are."""
         blocks, each = round(DURATION_S / BLOCK_S), 20
         noise = np.random.default_rng(0).normal(size=(blocks, each))
@@ -124,7 +144,7 @@ class TestSearch:
         self, rise: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """However much better it predicts; where no drift can be measured, it cannot rise."""
-        monkeypatch.setattr('gyrocal_ros.diagnose.search.drift_of_both_deg', lambda *runs: (1.0, rise))
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (1.0, rise))
         found = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}))
         (added,) = found.additions
         assert added.is_kept == is_kept and added.raises_drift != is_kept
@@ -147,27 +167,36 @@ class TestSearch:
     @pytest.mark.parametrize(('part', 'is_kept'), [(0.9, False), (-0.9, False), (1.1, True), (-1.1, True)])
     def test_an_effect_that_ends_at_zero_is_not_kept(self, part: float, is_kept: bool) -> None:
         """However much predictive log-likelihood it gains: other coefficients have taken its place."""
-        (first,) = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {})).additions
-        ends = {'gyro_lag': part * DEFAULT_SETTINGS.nonzero_sigma * max(first.stds[0], STD)}
+        ends = {'gyro_lag': part * DEFAULT_SETTINGS.nonzero_sigma * STD}
         fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}, ends=ends)
         (added,) = search(default_model(), AT_REST, fake).additions
         assert added.predictive_gain == pytest.approx(400.0)
         assert added.is_kept == added.stands_out == is_kept
 
     @pytest.mark.slow
-    @pytest.mark.parametrize(('part', 'is_tried'), [(0.5, False), (2.0, True)])
-    def test_an_effect_that_hardly_adds_to_what_was_found_is_not_tried(
-        self, part: float, is_tried: bool
+    @pytest.mark.parametrize(('part', 'inexact', 'is_found'), [(0.5, '', True), (0.5, 'scale_cubic', False)])
+    def test_an_effect_that_hardly_adds_to_what_was_found_is_tried_beside_exact_coefficients(
+        self, part: float, inexact: str, is_found: bool
     ) -> None:
-        """The effect found is not quite exact, and some other effect always goes with the rest."""
+        """Where the coefficients found are inexact at the start, some other effect goes with the rest."""
         weak = 1.0
         fake = FakeFilter({'gyro_lag': weak}, {'gyro_lag': 50.0})
         (alone,) = search(default_model(), AT_REST, fake).additions
         strong = math.sqrt(2.0 * alone.gain / (part * DEFAULT_SETTINGS.residual_part) / 200.0)
         sizes = {'scale_cubic': strong, 'gyro_lag': weak}
-        found = search(default_model(), AT_REST, FakeFilter(sizes, {'scale_cubic': 1e4, 'gyro_lag': 50.0}))
-        names = [item.effect.name for item in found.additions]
-        assert names[0] == 'scale_cubic' and ('gyro_lag' in names) == is_tried
+        gains = {'scale_cubic': 1e4, 'gyro_lag': 50.0}
+        fake = FakeFilter(sizes, gains, leftover_of={'gyro_lag': inexact} if inexact else {})
+        found = search(default_model(), AT_REST, fake)
+        assert [item.effect.name for item in found.additions] == ['scale_cubic', 'gyro_lag'][: 1 + is_found]
+        assert fake.models[1:3] == [('scale_factor', 'scale_cubic')] * 2
+        assert ('gyro_lag' in fake.models[-1]) == is_found
+
+    def test_a_rejected_effect_is_tried_again_beside_one_found_later(self) -> None:
+        sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}
+        fake = FakeFilter(sizes, {'gyro_lag': 400.0, 'scale_cubic': 90.0}, alone={'gyro_lag': 0.0})
+        found = search(default_model(), AT_REST, fake)
+        names = [(item.effect.name, item.is_kept) for item in found.additions]
+        assert names == [('gyro_lag', False), ('scale_cubic', True), ('gyro_lag', True)]
 
     def test_after_a_rejected_effect_the_next_is_tried_without_it(self) -> None:
         fake = FakeFilter({'gyro_lag': 2.0, 'scale_cubic': 1.0}, {'gyro_lag': -9.0, 'scale_cubic': 90.0})
@@ -175,6 +204,7 @@ class TestSearch:
         assert [(item.effect.name, item.is_kept) for item in found.additions] == [
             ('gyro_lag', False),
             ('scale_cubic', True),
+            ('gyro_lag', False),
         ]
         assert [effect.name for effect in found.last.model.effects] == ['scale_factor', 'scale_cubic']
         assert fake.models.count(('scale_factor', 'gyro_lag')) == 1
@@ -201,7 +231,7 @@ class TestSearch:
         found = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}))
         (item,) = found.additions[0].effect.coefficients
         assert item.prior_mean == pytest.approx(2.0, abs=0.3)
-        assert found.additions[0].stds[0] == pytest.approx(1.0 / math.sqrt(200.0), rel=0.5)
+        assert item.prior_std <= find_effect('gyro_lag').coefficients[0].prior_std
 
     def test_unexplained_structure_that_explains_more_is_not_forced_into_an_effect(self) -> None:
         fake = FakeFilter({'gyro_lag': 0.8}, {'gyro_lag': 40.0}, knocked())
@@ -304,6 +334,56 @@ class TestLimits:
         assert [item.effect.name for item in found.kept] == ['rate_saturation'] * is_found
         if is_found:
             assert found.additions[0].gain == pytest.approx(gained)
+
+
+class TestElimination:
+    def test_an_effect_that_ends_at_zero_beside_the_others_is_removed_and_reported(self) -> None:
+        sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}
+        fake = FakeFilter(sizes, {'gyro_lag': 400.0, 'scale_cubic': 90.0})
+        both = search(default_model(), AT_REST, fake)
+        assert [item.effect.name for item in both.kept] == ['gyro_lag', 'scale_cubic']
+        assert eliminate(both, AT_REST, fake) is both, 'both are far from zero'
+        fake.ends = {'gyro_lag': 2.0 * STD}
+        fake.alone = {'gyro_lag': 2.0}
+        doubtful = search(default_model(), AT_REST, fake)
+        found = eliminate(doubtful, AT_REST, fake)
+        (removal,) = found.removals
+        assert removal.effect.name == 'gyro_lag' and removal.distance == pytest.approx(2.0)
+        assert removal.before is doubtful.last and removal.after is found.last
+        assert [item.effect.name for item in found.kept] == ['scale_cubic']
+        assert [effect.name for effect in found.last.model.effects] == ['scale_factor', 'scale_cubic']
+        assert found.last.model.version == doubtful.last.model.version + 1
+        assert [missing.effect.name for missing in diagnose(found, AT_REST).missing] == ['scale_cubic']
+        shown = improvement(found)
+        assert [(one.label, one.is_kept) for one in shown.revisions] == [
+            ('0_default', True),
+            ('1_gyro_lag', False),
+            ('2_scale_cubic', True),
+            ('3_without_gyro_lag', True),
+        ]
+        assert shown.revisions[1].why.startswith('removed again: ')
+        assert '2.0 sigma from zero' in shown.final.why and shown.final.examined is found.last
+
+    @pytest.mark.parametrize(('gained', 'is_needed'), [(50.0, True), (0.5 * MIN_GAIN, False)])
+    def test_a_run_decides_about_a_limit(self, gained: float, is_needed: bool) -> None:
+        """The filter does not estimate it, so it has no distance from zero."""
+        made = saturated()
+        gains = {'rate_saturation': 1e6, 'gyro_lag': 100.0}
+        beside = {'rate_saturation': gained, 'gyro_lag': 1.1e6}
+        fake = FakeFilter({'gyro_lag': 2.0}, gains, made, beside=beside)
+        both = search(default_model(), summary_of(made), fake)
+        assert [item.effect.name for item in both.kept] == ['rate_saturation', 'gyro_lag']
+        fake.predictive_gains['gyro_lag'] = beside['gyro_lag']
+        found = eliminate(both, summary_of(made), fake)
+        assert [item.effect.name for item in found.removals] == ['rate_saturation'] * (not is_needed)
+
+    def test_an_effect_without_which_the_filter_diverges_stays(self) -> None:
+        sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}
+        fake = FakeFilter(sizes, {'gyro_lag': 400.0, 'scale_cubic': 90.0}, alone={'gyro_lag': 2.0})
+        fake.ends = {'gyro_lag': 0.0}
+        both = search(default_model(), AT_REST, fake)
+        fake.diverges_without = 'gyro_lag'
+        assert eliminate(both, AT_REST, fake) is both
 
 
 class TestTryEffect:

@@ -15,7 +15,7 @@ from gyrocal_ros.bench import separability as bench
 from gyrocal_ros.bench.separability import Figures, Lost, figures
 from gyrocal_ros.cli.output import print_row
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.search import examine
+from gyrocal_ros.diagnose.examined import examine
 from gyrocal_ros.diagnose.separability import (
     MIN_SEPARATION,
     best_drive,

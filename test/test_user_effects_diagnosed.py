@@ -25,11 +25,12 @@ from test_own_effects import blocks_of_the_guide
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ImuSample, Measurement, Source
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.candidates import candidates_for
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.limits import Competition, propose_limits
 from gyrocal_ros.diagnose.ranking import estimate, estimate_stds
-from gyrocal_ros.diagnose.search import Search, search
+from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect

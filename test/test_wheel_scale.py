@@ -13,9 +13,10 @@ from recordings import recording
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, WheelSample
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.candidate_fit import correlation
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.search import ExaminedModel, Search, examine
+from gyrocal_ros.diagnose.examined import ExaminedModel, examine
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run

@@ -16,10 +16,11 @@ from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.bench.eyes import StoredImages, model_of
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.drift import blind_drift
+from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.search import Search, with_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect

@@ -15,7 +15,7 @@ from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, Frame, Measurement, Rig, Source, Span
 from gyrocal_ros.diagnose.drift import heading_rms_deg
-from gyrocal_ros.diagnose.search import with_effect
+from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.effects import EFFECTS, default_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import GyrocalError

@@ -21,11 +21,12 @@ from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, table
 from gyrocal_ros.diagnose.drift import REFERENCES
+from gyrocal_ros.diagnose.examined import Calibrate
 from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
 from gyrocal_ros.diagnose.learning import learn
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.search import Calibrate, try_effect
+from gyrocal_ros.diagnose.search import try_effect
 from gyrocal_ros.diagnose.status import improvement_status, missing_sentence
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import EFFECTS, find_effect
@@ -45,9 +46,6 @@ gyrocal improve my_bag --model model.yaml -o improved
 gyrocal improve my_bag --effect gyro_lag
 gyrocal improve my_bag --learn -o improved
 gyrocal replay another_bag --model improved/model.yaml"""
-
-MAX_EFFECTS = 6
-"""Maximum number of effects that are tried."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,7 +75,7 @@ def run(args: argparse.Namespace) -> None:
         runs = open_bag_runs(args, model)
         recorded, calibrate = summarise_recording(runs.source), announced(runs)
         if effect is None:
-            searched = find_missing(model, recorded, calibrate, MAX_EFFECTS)
+            searched = find_missing(model, recorded, calibrate)
             if args.learn:
                 searched = learn(searched, recorded, calibrate).searched
         else:

@@ -16,16 +16,17 @@ from pathlib import Path
 
 from gyrocal_ros.cli.bag_runs import add_run_options, open_bag_runs, result_folder
 from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
-from gyrocal_ros.cli.improve import MAX_EFFECTS, announced, as_text, files_as_text
+from gyrocal_ros.cli.improve import announced, as_text, files_as_text
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json
+from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.examined import examine
 from gyrocal_ros.diagnose.hypotheses import law_names
 from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.json_summary import summarise_improvement
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws, summarise_laws
 from gyrocal_ros.diagnose.learning import Learned, is_missing_something, learn
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.search import Search, examine
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.errors import ConfigError, did_you_mean
@@ -77,7 +78,7 @@ def run(args: argparse.Namespace) -> None:
         if only:
             searched = Search(examine(model, recorded, calibrate), ())
         else:
-            searched = find_missing(model, recorded, calibrate, MAX_EFFECTS)
+            searched = find_missing(model, recorded, calibrate)
         learned = learn(searched, recorded, calibrate, only)
         improved, laws = improvement(learned.searched), list(learned_laws(learned.searched.last))
         if folder is not None:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.heading_filter import misfits
-from gyrocal_ros.diagnose.search import ExaminedModel
 from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.forms import FORMS, Form, library_effect, meaning
 from gyrocal_ros.effects.learned.signals import HEADING
@@ -23,6 +23,8 @@ FITS = 0.999
 NEGLIGIBLE = 0.003
 """Part of the log-likelihood that a form may miss and still fit: no form is exact to more than that."""
 SINGULAR = 1e-9
+UNSEEN = 1e-3
+"""Information of the data, relative to that of the prior, below which they do not determine a direction."""
 REFINED, REFINEMENTS = 11, 3
 """Number of values between two neighbours of a scanned parameter, and how often."""
 
@@ -89,34 +91,59 @@ def without_present(curve: LearnedCurve, functions: Array) -> Array:
     return left
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What the data say of a curve, in the directions of its coefficients that they determine.
+
+    The coefficients c are relative to their prior standard deviations D: those of short wavelengths have so
+    small a prior that Sigma^-1 - P^-1 would otherwise be rounding.
+    """
+
+    basis: Array
+    """(n, k) basis functions over the range, times D."""
+    axes: Array
+    """(k, s) the directions."""
+    information: Array
+    score: Array
+    """(s,) Lambda, which is diagonal in them, and b."""
+
+    def directions(self, functions: Array) -> Array:
+        """Return functions over the range (n, q) as combinations (s, q) of the directions."""
+        combinations: Array = self.axes.T @ np.linalg.lstsq(self.basis, functions, rcond=None)[0]
+        return combinations
+
+
+def _seen_in(curve: LearnedCurve) -> _Seen:
+    prior = np.array([item.prior_std for item in curve.effect.coefficients], float)
+    inverse, variance = np.linalg.inv(curve.covariance / np.outer(prior, prior)), curve.scatter**2
+    information, axes = np.linalg.eigh((inverse - np.eye(len(prior))) / variance)
+    seen = information > max(SINGULAR * information[-1], UNSEEN / variance)
+    score = axes[:, seen].T @ inverse @ (curve.values / prior) / variance
+    return _Seen(curve.effect.basis(curve.x) * prior, axes[:, seen], information[seen], score)
+
+
 def closed_forms(curve: LearnedCurve, count: int) -> list[ClosedForm]:
     """Fit every form to a curve; the shortest description comes first.
 
     Only the data count, not the prior: with the information Lambda = Sigma^-1 - P^-1 and b = Sigma^-1 c of
-    the coefficients c, a form A p gains `b^T A p - 1/2 p^T A^T Lambda A p`.
+    the coefficients c, a form A p gains `b^T A p - 1/2 p^T A^T Lambda A p`, see `_Seen`.
 
     Args:
         curve: the curve.
         count: number of data, for the cost of a parameter.
     """
-    prior = np.array([item.prior_std for item in curve.effect.coefficients])
-    inverse, variance = np.linalg.inv(curve.covariance), curve.scatter**2
-    score = inverse @ curve.values / variance
-    spread, axes = np.linalg.eigh((inverse - np.diag(prior**-2.0)) / variance)
-    seen = spread > SINGULAR * spread[-1]
-    information = (axes[:, seen] * spread[seen]) @ axes[:, seen].T
-    most = 0.5 * float(np.sum(np.square(axes.T @ score)[seen] / spread[seen]))
-    basis = curve.effect.basis(curve.x)
+    seen = _seen_in(curve)
+    most = 0.5 * float(np.sum(seen.score**2 / seen.information))
     found = []
     for form in FORMS:
         if not form.suits(curve.effect.follows, float(curve.x[0]), float(curve.x[-1])):
             continue
-        best = _best_parameter(curve, form, basis, score, information)
+        best = _best_parameter(curve, form, seen)
         if best is None:
             continue
         gain, parameter, values, stds = best
         missed = max(most - gain, 0.0)
-        dof = max(int(seen.sum()) - form.size, 1)
+        dof = max(len(seen.score) - form.size, 1)
         of, follows = curve.effect.of, curve.effect.follows
         found.append(
             ClosedForm(
@@ -139,13 +166,11 @@ def _length(found: ClosedForm) -> float:
     return found.form.size - 0.5 * found.explained if found.fits else found.description_length
 
 
-def _best_parameter(
-    curve: LearnedCurve, form: Form, basis: Array, score: Array, information: Array
-) -> tuple[float, float, Array, Array] | None:
+def _best_parameter(curve: LearnedCurve, form: Form, seen: _Seen) -> tuple[float, float, Array, Array] | None:
     """Return the fit with the best scanned parameter: of its values, then between the neighbours of that."""
     tried, best = form.values(float(curve.x[0]), float(curve.x[-1])), None
     for _ in range(REFINEMENTS + 1):
-        fits = [_fitted(curve, form, float(p), basis, score, information) for p in tried]
+        fits = [_fitted(curve, form, float(p), seen) for p in tried]
         best = max((item for item in fits if item is not None), key=lambda item: item[0], default=None)
         if best is None or len(tried) == 1:
             break
@@ -156,7 +181,7 @@ def _best_parameter(
 
 
 def _fitted(
-    curve: LearnedCurve, form: Form, p: float, basis: Array, score: Array, information: Array
+    curve: LearnedCurve, form: Form, p: float, seen: _Seen
 ) -> tuple[float, float, Array, Array] | None:
     """Return gain, parameter, values and deviations; None where bias and scale factor explain the form."""
     columns = form.columns(curve.x, p)
@@ -164,12 +189,12 @@ def _fitted(
     sizes = np.sqrt(np.mean(columns**2, axis=0))
     if np.any(np.sqrt(np.mean(new**2, axis=0)) < 1e-6 * sizes):
         return None
-    mixing = np.linalg.lstsq(basis, new, rcond=None)[0]
-    normal = mixing.T @ information @ mixing
+    mixing = seen.directions(new)
+    normal = mixing.T @ (seen.information[:, None] * mixing)
     scale = np.sqrt(np.diagonal(normal))
     if not np.all(scale > 0.0) or np.linalg.cond(normal / np.outer(scale, scale)) > 1.0 / SINGULAR:
         return None
     inverse = np.linalg.inv(normal)
-    values = inverse @ (mixing.T @ score)
-    gain = 0.5 * float(values @ mixing.T @ score)
+    values = inverse @ (mixing.T @ seen.score)
+    gain = 0.5 * float(values @ mixing.T @ seen.score)
     return gain, p, values, np.sqrt(np.maximum(np.diagonal(inverse), 0.0))

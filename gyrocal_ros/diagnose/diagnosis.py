@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
+from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.ranking import RankedEffect, indistinguishable
 from gyrocal_ros.diagnose.regimes import Failure, failures
-from gyrocal_ros.diagnose.search import ExaminedModel, Search
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.summarise import coarse_step
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import is_estimated, is_noise, shows_in_any_turns, why_unobservable
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
 
@@ -31,7 +31,7 @@ class MissingEffect:
     """The effect; its prior means are the estimates."""
     values: Array
     stds: Array
-    """(k,) by the run of the filter with it, not below what the scatter over the recording allows."""
+    """(k,) by the final run; the standard deviations are those that the scatter over it supports."""
     gain: float
     """Log-likelihood gained."""
     sigma: float
@@ -101,16 +101,12 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
         return blind_drift(examined.run, reference, from_s).rms_deg
 
     confused = _confused(searched)
-    start = len(searched.last.model.coefficients)
-    for item in reversed(searched.kept):
-        start -= len(item.effect.coefficients)
-        places = slice(start, start + len(item.effect.coefficients))
-        values = run.state.coefficients[places]
-        stds = np.maximum(run.history.std[-1, COEFFICIENTS_START:][places], item.stds)
+    for item in searched.kept:
+        values, stds = searched.last.estimate_of(item.effect.name)
         yield MissingEffect(
             effect=with_means(item.effect, values.tolist()),
             values=values,
-            stds=stds,
+            stds=np.maximum(stds, item.stds),
             gain=item.gain,
             sigma=item.sigma,
             p_value=item.p_value,

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.heading_filter import TURNING_RAD_S
-from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.diagnose.shapes import RATE, Shape, axes, hats, shapes
 from gyrocal_ros.ekf.run import Run
 

@@ -6,6 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 
+from gyrocal_ros.diagnose.additions import Addition, Removal, Search
 from gyrocal_ros.diagnose.drift import (
     BlindDrift,
     Trajectory2D,
@@ -14,9 +15,9 @@ from gyrocal_ros.diagnose.drift import (
     held_out_from_s,
     reference_path,
 )
+from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.search import Addition, ExaminedModel, Search
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.statistics import vuong_sigma
 
@@ -31,7 +32,7 @@ class Revision:
     label: str
     """Name of its folder: `0_default`, `1_scale_asymmetry`."""
     effect: Effect | None
-    """Effect added to the revision that it builds on; None for the first model."""
+    """Effect added to the revision that it builds on; None for the first model, and where one was removed."""
     examined: ExaminedModel
     is_kept: bool
     held_out: BlindDrift
@@ -85,7 +86,9 @@ def improvement(searched: Search) -> Improvement:
         revisions.append(first_revision(searched.first, reference))
     for number, item in enumerate(searched.additions, start=1):
         label = revision_label(number, item.effect.name)
-        revisions.append(revision(item, label, reference, item.is_kept))
+        revisions.append(revision(item, label, reference, item in searched.kept))
+    for number, removal in enumerate(searched.removals, start=len(searched.additions) + 1):
+        revisions.append(_removing(removal, number, reference))
     return Improvement(tuple(revisions), reference[1])
 
 
@@ -128,7 +131,8 @@ def revision(added: Addition, label: str, reference: tuple[Trajectory2D, str], i
     """
     held_out, fitted = _drifts(added.after, reference)
     gain_sigma = drift_sigma = float('nan')
-    why = f'{"kept" if is_kept else "left out"}: {_reason(added)}'
+    fate = 'kept' if is_kept else ('removed again' if added.is_kept else 'left out')
+    why = f'{fate}: {_reason(added)}'
     if added.before is not None:
         before = _drifts(added.before, reference)[0]
         gain_sigma = vuong_sigma(predictive_gain(added.before.run, added.after.run))
@@ -146,6 +150,35 @@ def revision(added: Addition, label: str, reference: tuple[Trajectory2D, str], i
         drift_sigma=drift_sigma,
         why=why,
     )
+
+
+def _removing(removal: Removal, number: int, reference: tuple[Trajectory2D, str]) -> Revision:
+    """Describe a model from which an effect was removed again."""
+    name = removal.effect.name
+    held_out, fitted = _drifts(removal.after, reference)
+    before = _drifts(removal.before, reference)[0]
+    why = (
+        f'{name} was removed again: {removal_reason(removal)}; without it {_drift_in_words(before, held_out)}'
+    )
+    return Revision(
+        label=revision_label(number, f'without_{name}'),
+        effect=None,
+        examined=removal.after,
+        is_kept=True,
+        held_out=held_out,
+        fitted=fitted,
+        gain=removal.predictive_gain,
+        gain_sigma=vuong_sigma(predictive_gain(removal.before.run, removal.after.run)),
+        drift_sigma=better_sigma(before, held_out),
+        why=why,
+    )
+
+
+def removal_reason(removal: Removal) -> str:
+    """Return why an effect was removed, as a clause."""
+    if math.isinf(removal.distance):
+        return 'beside the other effects the recording is predicted as well without it'
+    return f'beside the other effects it is {removal.distance:.1f} sigma from zero'
 
 
 def _reason(added: Addition) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 from gyrocal_ros import statistics
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.advice import CAUTION, advice
 from gyrocal_ros.diagnose.comparison import Comparison, ModelResult
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
@@ -15,7 +16,6 @@ from gyrocal_ros.diagnose.improvement import Improvement, Revision
 from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.regimes import Failure
-from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.status import (
     Status,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, closed_forms, learned_curve
-from gyrocal_ros.diagnose.search import ExaminedModel
+from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.effects import LEARNED_EFFECTS
 from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.signals import UNITS

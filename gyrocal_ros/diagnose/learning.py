@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.drift import drift_of_both_deg
+from gyrocal_ros.diagnose.elimination import eliminate
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.hypotheses import (
     Law,
     RankedLaw,
@@ -17,15 +20,6 @@ from gyrocal_ros.diagnose.hypotheses import (
 )
 from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.search import (
-    Addition,
-    Calibrate,
-    ExaminedModel,
-    Search,
-    addition,
-    examine,
-    with_effect,
-)
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
@@ -74,7 +68,8 @@ def learn(
         only: names of laws; with any, they are tried even where nothing is missing.
     """
     last, ranked = _learned_beside(searched.last, recording, calibrate, only)
-    found = Learned(Search(searched.first, (*searched.additions, *last)), tuple(ranked))
+    wider = replace(searched, additions=(*searched.additions, *last))
+    found = Learned(eliminate(wider, recording, calibrate), tuple(ranked))
     if not searched.kept or searched.kept[0].before is None or only:
         return found
     first, ranked = _learned_beside(searched.first, recording, calibrate, only)

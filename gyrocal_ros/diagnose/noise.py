@@ -10,21 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.additions import Addition, Search
+from gyrocal_ros.diagnose.elimination import eliminate
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.heading_filter import Headings, heading_log_likelihood
 from gyrocal_ros.diagnose.hypotheses import carried_by, laws, rank_laws
 from gyrocal_ros.diagnose.learning import is_missing_something
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.search import (
-    MAX_ADDITIONS,
-    Addition,
-    Calibrate,
-    ExaminedModel,
-    Search,
-    continued,
-    examine,
-    search,
-    with_effect,
-)
+from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import is_noise
@@ -63,7 +56,8 @@ def find_missing(
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> Search:
     """Find what a model lacks: effects, or noise where nothing else explains the recording; see `search`."""
-    return or_noise(search(model, recording, calibrate, most, settings), recording, calibrate, most)
+    searched = or_noise(search(model, recording, calibrate, most, settings), recording, calibrate, most)
+    return eliminate(searched, recording, calibrate)
 
 
 def fit_noises(present: ExaminedModel) -> list[NoiseFit]:

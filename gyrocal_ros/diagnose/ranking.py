@@ -16,6 +16,9 @@ from gyrocal_ros.effects.traits import scanned_coefficient, strengths
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.sensor import Effect, with_means
 
+MAX_TOGETHER = 3
+"""Number of effects that may explain a recording together."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RankedEffect:
@@ -88,6 +91,33 @@ def best_explanation(
     return best
 
 
+def explained_together(
+    ranked: Sequence[RankedEffect], scores: ScoreStatistics, settings: DiagnosisSettings
+) -> float:
+    """Return the log-likelihood that several effects gain together, each significant beside the others.
+
+    Args:
+        ranked: ranked effects, the best first.
+        scores: the score statistics that they were ranked by.
+        settings: thresholds.
+    """
+    left = [item for item in ranked if item.merit > 0.0]
+    columns, gain = np.empty(0, np.int64), 0.0
+    for _ in range(MAX_TOGETHER):
+        fits = [(item, fit(scores, item.fit.columns, columns)) for item in left]
+        significant = [
+            (item, beside)
+            for item, beside in fits
+            if beside is not None and beside.sigma >= settings.significant_sigma
+        ]
+        if not significant:
+            break
+        best, beside = max(significant, key=lambda pair: pair[1].gain)
+        columns, gain = np.concatenate([columns, best.fit.columns]), gain + beside.gain
+        left.remove(best)
+    return gain
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pair:
     """Two effects that explain a recording together."""
@@ -145,13 +175,13 @@ def with_estimate(ranked: RankedEffect, scores: ScoreStatistics, settings: Diagn
     The filter has to start near: with a wide prior, some steps about a wrong value can lead it astray. How
     near follows from the difference of both halves. A scanned coefficient is estimated from the whole.
     """
-    stds = np.array([item.prior_std for item in ranked.effect.coefficients])
+    stds = np.array([item.prior_std for item in ranked.effect.coefficients], float)
     if ranked.profile is not None:
         found = ranked.profile
         stds[ranked.places] = np.maximum(np.abs(found.linear), found.linear_stds)
         stds[scanned_coefficient(ranked.effect)] = settings.scan_start_part * found.value
         return _with_priors(ranked.effect, estimate(ranked), stds)
-    values = np.array([item.prior_mean for item in ranked.effect.coefficients])
+    values = np.array([item.prior_mean for item in ranked.effect.coefficients], float)
     half, whole, places = fit(scores.first_half(), ranked.fit.columns), ranked.fit, ranked.places
     if half is not None and len(half.values) == len(whole.values):
         values[places] += half.values
@@ -166,7 +196,7 @@ def with_estimate(ranked: RankedEffect, scores: ScoreStatistics, settings: Diagn
 
 def estimate(ranked: RankedEffect) -> Array:
     """Return the estimates of the coefficients (k,) by the score statistics of the whole recording."""
-    values = np.array([item.prior_mean for item in ranked.effect.coefficients])
+    values = np.array([item.prior_mean for item in ranked.effect.coefficients], float)
     if ranked.profile is None:
         values[ranked.places] += ranked.fit.values
         return values

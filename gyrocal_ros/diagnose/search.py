@@ -3,134 +3,42 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.candidates import candidates_for
-from gyrocal_ros.diagnose.drift import drift_of_both_deg
-from gyrocal_ros.diagnose.heading_filter import Headings, headings
+from gyrocal_ros.diagnose.additions import NONE, Addition, Search, addition
+from gyrocal_ros.diagnose.examined import (
+    Calibrate,
+    ExaminedModel,
+    coefficient_places,
+    examine,
+    wider_model,
+    with_effect,
+)
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.ranking import (
     RankedEffect,
     best_explanation,
-    estimate_stds,
+    explained_together,
     indistinguishable,
-    rank,
-    with_estimate,
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure, confirmed, unexplained_structure
 from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.traits import is_limit, may_break_the_filter, strengths
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.effects.traits import is_estimated, is_limit, may_break_the_filter, strengths
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
-from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
 
-NONE: IntArray = np.empty(0, np.int64)
-Calibrate = Callable[[SensorModel, tuple[Effect, ...]], Run]
-"""Runs the filter with a model and with candidate effects."""
-MAX_ADDITIONS = 3
+MAX_ADDITIONS = 6
 """Number of effects that a search tries to add."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ExaminedModel:
-    """One model on a recording, and what the recording says that it lacks."""
-
-    model: SensorModel
-    run: Run
-    scores: ScoreStatistics
-    ranked: tuple[RankedEffect, ...]
-    """Candidate effects, the best first."""
-    seen: Headings
-    unexplained_structure: UnexplainedStructure | None
-    """Structure left over as a function of something recorded; None where it may be chance."""
-    settings: DiagnosisSettings
-
-    def find(self, name: str) -> RankedEffect | None:
-        """Return the candidate of that name."""
-        return next((item for item in self.ranked if item.effect.name == name), None)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Addition:
-    """An effect that was added to the model."""
-
-    effect: Effect
-    """The effect with the prior that it was added with."""
-    before: ExaminedModel | None
-    """None where the filter could not run without it."""
-    after: ExaminedModel
-    gain: float
-    """Log-likelihood that the score statistics predicted; for a limit, what the run gained."""
-    sigma: float
-    p_value: float
-    stds: Array
-    """(k,) standard deviations by the scatter over the recording, zero where none was estimated."""
-    strengths: IntArray
-    """(q,) indices of the coefficients that say how strong it is; not a limit or a time constant."""
-    outperformed: tuple[str, ...] = ()
-    """Effects that looked like it, until a run with each predicted the recording clearly worse."""
-    is_rejected: bool = False
-    """True for a learned effect with which the recording is not predicted better, or drifts more."""
-
-    @property
-    def predictive_gain(self) -> float:
-        """Predictive log-likelihood gained over the model before."""
-        return (
-            math.inf if self.before is None else float(predictive_gain(self.before.run, self.after.run).sum())
-        )
-
-    @property
-    def stands_out(self) -> bool:
-        """True if any of its strengths is clear of zero once all others are estimated beside it."""
-        if not len(self.strengths):
-            return True
-        places = self.strengths - len(self.effect.coefficients)
-        values, stds = self.after.run.state.coefficients, self.after.run.history.std[-1]
-        std = np.maximum(stds[places], self.stds[self.strengths])
-        return bool(np.any(np.abs(values[places]) > self.after.settings.nonzero_sigma * std))
-
-    @property
-    def is_kept(self) -> bool:
-        """True if the recording is predicted better with the effect, not zero, and drifts no more."""
-        predicts = self.predictive_gain > self.after.settings.min_predictive_gain
-        return predicts and self.stands_out and not self.is_rejected and not self.raises_drift
-
-    @property
-    def raises_drift(self) -> bool:
-        """True if the held-out drift rises with the effect by more than chance does where it is harmless."""
-        if self.before is None:
-            return False
-        before_deg, after_deg = drift_of_both_deg(self.before.run, self.after.run)
-        return after_deg > self.after.settings.max_drift_rise * before_deg
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Search:
-    """A finished search."""
-
-    first: ExaminedModel
-    additions: tuple[Addition, ...]
-    """Kept and rejected ones, in the order in which they were tried."""
-
-    @property
-    def kept(self) -> tuple[Addition, ...]:
-        """Additions that helped."""
-        return tuple(item for item in self.additions if item.is_kept)
-
-    @property
-    def last(self) -> ExaminedModel:
-        """The model with all additions that helped."""
-        return self.kept[-1].after if self.kept else self.first
+MAX_TRIES = 2
+"""Number of times that one effect is tried: one that was rejected may help beside others found since."""
 
 
 def search(
@@ -191,54 +99,6 @@ def try_effect(
     return Search(first, (addition(first, after),))
 
 
-def examine(
-    model: SensorModel,
-    recording: RecordingSummary,
-    calibrate: Calibrate,
-    settings: DiagnosisSettings = DEFAULT_SETTINGS,
-) -> ExaminedModel:
-    """Run the filter with a model and with everything else as candidates."""
-    candidates = candidates_for(model, recording)
-    run = calibrate(model, candidates.carried)
-    assert run.scores is not None
-    scores, seen = candidates.project(run.scores), headings(run, settings)
-    ranked = tuple(rank(scores, settings))
-    most_gained = max((item.fit.gain for item in ranked), default=0.0)
-    structure = confirmed(unexplained_structure(run, seen, settings), most_gained, settings)
-    return ExaminedModel(model, run, scores, ranked, seen, structure, settings)
-
-
-def wider_model(present: ExaminedModel, effect: Effect) -> SensorModel:
-    """Return the model with one more effect, its prior by the score statistics where there are any."""
-    found = present.find(effect.name)
-    if found is not None:
-        effect = with_estimate(found, present.scores, present.settings)
-    return with_effect(present.model, effect)
-
-
-def with_effect(model: SensorModel, effect: Effect) -> SensorModel:
-    """Return the next version of the model, with one more effect."""
-    return replace(model, effects=(*model.effects, effect), version=model.version + 1)
-
-
-def addition(before: ExaminedModel, after: ExaminedModel) -> Addition:
-    """Describe the last effect of the model `after`, which is not in the model before."""
-    effect = after.model.effects[-1]
-    found = before.find(effect.name)
-    if found is None:
-        return Addition(effect, before, after, 0.0, 0.0, 1.0, np.zeros(len(effect.coefficients)), NONE)
-    return Addition(
-        effect=effect,
-        before=before,
-        after=after,
-        gain=found.fit.gain,
-        sigma=found.fit.sigma,
-        p_value=found.fit.p_value,
-        stds=estimate_stds(found),
-        strengths=found.places,
-    )
-
-
 def limits_to_check(
     present: ExaminedModel, recording: RecordingSummary, best: RankedEffect | None
 ) -> list[LimitProposal]:
@@ -283,45 +143,94 @@ def continued(
     calibrate: Calibrate,
     most: int,
 ) -> list[Addition]:
-    """Add one effect after the other, until nothing more is found or enough were tried."""
+    """Add one effect after the other, until nothing more is found or enough were tried.
+
+    Coefficients that were inexact at the start of the run leave errors that look like further effects. So
+    before an effect is tried that gains little beside those found, the filter runs again from the estimates.
+    """
     found = [*additions]
+    is_exact = False
     while len(found) < most:
-        tried = {item.effect.name for item in found}
-        gained = sum(item.gain for item in found if item.is_kept and math.isfinite(item.gain))
-        following = _next_addition(
-            present, recording, calibrate, tried, present.settings.residual_part * gained
-        )
-        if following is None:
+        least_gain = 0.0 if is_exact else _residual_gain(found, present.settings)
+        excluded = _not_to_try(found)
+        following = _next_addition(present, recording, calibrate, excluded, least_gain)
+        if following is not None:
+            found.append(following)
+            if following.is_kept:
+                present, is_exact = following.after, False
+            continue
+        if is_exact or best_explanation(present.ranked, present.scores, excluded, present.settings) is None:
             break
-        found.append(following)
-        if following.is_kept:
-            present = following.after
+        added = {item.effect.name for item in found if item.is_kept}
+        present, is_exact = _relinearised(present, added, recording, calibrate), True
     return found
+
+
+def _residual_gain(found: Sequence[Addition], settings: DiagnosisSettings) -> float:
+    """Return the log-likelihood that an effect may gain because those found were not quite exact."""
+    gained = sum(item.gain for item in found if item.is_kept and math.isfinite(item.gain))
+    return settings.residual_part * gained
+
+
+def _not_to_try(found: Sequence[Addition]) -> set[str]:
+    """Return the names of effects that were rejected beside the present model, or too often."""
+    kept = [place for place, item in enumerate(found) if item.is_kept]
+    tried = Counter(item.effect.name for item in found)
+    since = {item.effect.name for item in found[kept[-1] if kept else 0 :]}
+    return since | {name for name, count in tried.items() if count >= MAX_TRIES}
+
+
+def _relinearised(
+    present: ExaminedModel, added: set[str], recording: RecordingSummary, calibrate: Calibrate
+) -> ExaminedModel:
+    """Run the filter again, with the effects that were added starting at their estimates of half time.
+
+    The second half remains a test of them. Returns the present model where the filter diverges.
+    """
+    history = present.run.history
+    half = int(np.searchsorted(history.time_s, 0.5 * history.time_s[-1]))
+    values = history.coefficients[half]
+    effects = tuple(
+        with_means(effect, values[coefficient_places(present.model, effect.name)].tolist())
+        if effect.name in added and is_estimated(effect)
+        else effect
+        for effect in present.model.effects
+    )
+    with suppress(FilterDivergedError):
+        return examine(replace(present.model, effects=effects), recording, calibrate, present.settings)
+    return present
 
 
 def _next_addition(
     present: ExaminedModel,
     recording: RecordingSummary,
     calibrate: Calibrate,
-    tried: set[str],
+    excluded: set[str],
     least_gain: float,
 ) -> Addition | None:
-    """Add the best explanation, unless nothing is missing or nothing known explains it."""
+    """Add the best explanation, unless nothing is missing or nothing known explains it.
+
+    Args:
+        present: the model so far.
+        recording: summary of the recording.
+        calibrate: runs the filter.
+        excluded: names of effects not to try.
+        least_gain: log-likelihood that an effect has to gain.
+    """
     settings = present.settings
-    best = best_explanation(present.ranked, present.scores, tried, settings)
+    best = best_explanation(present.ranked, present.scores, excluded, settings)
     if best is not None and best.fit.gain < least_gain:
         best = None
-    rival_gain = best.fit.gain if best is not None else 0.0
     structure = present.unexplained_structure
     structure_gain = structure.gain if structure is not None else 0.0
-    limits = [item for item in limits_to_check(present, recording, best) if item.effect.name not in tried]
+    limits = [item for item in limits_to_check(present, recording, best) if item.effect.name not in excluded]
     for limit in (item for item in limits if item.is_certain):
         limited = _limited(present, limit.effect, recording, calibrate, settings.min_predictive_gain)
         if limited is not None:
             return limited
-    is_known = best is not None and structure_gain <= settings.structure_margin * rival_gain
+    known_gain = explained_together(present.ranked, present.scores, settings)
     rival = None
-    if best is not None and is_known:
+    if best is not None and structure_gain <= settings.structure_margin * known_gain:
         with suppress(FilterDivergedError):
             wider = wider_model(present, best.effect)
             rival = addition(present, examine(wider, recording, calibrate, settings))

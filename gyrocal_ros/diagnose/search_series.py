@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s, reference_path
-from gyrocal_ros.diagnose.search import ExaminedModel, Search
+from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.sketch import sketch
 
@@ -94,12 +95,13 @@ def _role(name: str, is_significant: bool, found: Collection[str], twins: Collec
 
 
 def models_that_ran(searched: Search) -> dict[str, ExaminedModel]:
-    """Return the models of a search by name: the first one, and that with each effect that was kept.
+    """Return the models of a search by name: the first, with each effect kept, without each one removed.
 
     The first model is missing where the filter diverged with it.
     """
     named = {FIRST_MODEL: searched.first}
     named |= {f'with {item.effect.name}': item.after for item in searched.kept}
+    named |= {f'without {item.effect.name}': item.after for item in searched.removals}
     diverged = any(item.before is None for item in searched.additions)
     return {name: examined for name, examined in named.items() if name != FIRST_MODEL or not diverged}
 

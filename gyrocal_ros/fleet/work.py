@@ -22,12 +22,13 @@ from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.config.declare import to_dict
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.candidate_fit import fit
 from gyrocal_ros.diagnose.candidates import ScanBank
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
 from gyrocal_ros.diagnose.json_summary import summarise
-from gyrocal_ros.diagnose.search import Search, search
+from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects.covariate import CovariateBank, covariate_effects
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict

@@ -8,6 +8,7 @@ from shutil import rmtree
 
 from gyrocal_ros.config.declare import to_yaml
 from gyrocal_ros.data import NS_PER_S, IntArray
+from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.drift import dead_reckoning
@@ -20,7 +21,6 @@ from gyrocal_ros.diagnose.json_summary import (
     summarise_improvement,
 )
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw
-from gyrocal_ros.diagnose.search import Search
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import EULER, POSITION

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from gyrocal_ros.diagnose.additions import addition
 from gyrocal_ros.diagnose.drift import reference_path
 from gyrocal_ros.diagnose.improvement import (
     Improvement,
@@ -12,7 +13,6 @@ from gyrocal_ros.diagnose.improvement import (
     revision,
     revision_label,
 )
-from gyrocal_ros.diagnose.search import addition
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.studio.worker import Examination
 

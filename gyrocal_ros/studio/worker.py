@@ -21,13 +21,15 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.additions import NONE
 from gyrocal_ros.diagnose.error_curves import ErrorCurve, centred
+from gyrocal_ros.diagnose.examined import ExaminedModel, examine
 from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.ranking import RankedEffect, best_explanation, indistinguishable
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.run_series import rows_to_draw
-from gyrocal_ros.diagnose.search import NONE, ExaminedModel, examine, limits_to_check, recover
+from gyrocal_ros.diagnose.search import limits_to_check, recover
 from gyrocal_ros.diagnose.shapes import shapes
 from gyrocal_ros.diagnose.wander import Wander, wander
 from gyrocal_ros.ekf.run import Run

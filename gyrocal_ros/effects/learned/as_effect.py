@@ -77,9 +77,9 @@ def effect_source(
     needs = () if follows in UNITS and follows != 'temperature' else (follows,)
     rate = ' * rate' if of == 'scale' else ''
     equation = ' + '.join(f'k{n} ({term}){rate}' for n, term in enumerate(terms, start=1))
-    largest = max(abs(value) for value in values)
+    largest = float(f'{max(abs(value) for value in values):.3g}')
     lines = [
-        f"        Coefficient('k{number}', '{UNIT[of]}', prior_std={largest:.3g}),"
+        f"        Coefficient('k{number}', '{UNIT[of]}', prior_std={largest!r}),"
         for number in range(1, len(terms) + 1)
     ]
     return TEMPLATE.format(

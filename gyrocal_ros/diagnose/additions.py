@@ -1,0 +1,136 @@
+"""The steps of a search: effects that were added to a model, and removed again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.diagnose.drift import drift_of_both_deg
+from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.model.sensor import Effect
+
+NONE: IntArray = np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Addition:
+    """An effect that was added to the model."""
+
+    effect: Effect
+    """The effect with the prior that it was added with."""
+    before: ExaminedModel | None
+    """None where the filter could not run without it."""
+    after: ExaminedModel
+    gain: float
+    """Log-likelihood that the score statistics predicted; for a limit, what the run gained."""
+    sigma: float
+    p_value: float
+    stds: Array
+    """(k,) standard deviations of coefficients that the filter does not estimate; zero for all others."""
+    strengths: IntArray
+    """(q,) indices of the coefficients that say how strong it is; not a limit or a time constant."""
+    outperformed: tuple[str, ...] = ()
+    """Effects that looked like it, until a run with each predicted the recording clearly worse."""
+    is_rejected: bool = False
+    """True for a learned effect with which the recording is not predicted better, or drifts more."""
+
+    @property
+    def predictive_gain(self) -> float:
+        """Predictive log-likelihood gained over the model before."""
+        return (
+            math.inf if self.before is None else float(predictive_gain(self.before.run, self.after.run).sum())
+        )
+
+    @property
+    def stands_out(self) -> bool:
+        """True if any of its strengths is clear of zero once all others are estimated beside it."""
+        return self.distance_from_zero(self.after) > self.after.settings.nonzero_sigma
+
+    @cached_property
+    def is_kept(self) -> bool:
+        """True if the recording is predicted better with the effect, not zero, and drifts no more."""
+        predicts = self.predictive_gain > self.after.settings.min_predictive_gain
+        return predicts and self.stands_out and not self.is_rejected and not self.raises_drift
+
+    @property
+    def raises_drift(self) -> bool:
+        """True if the held-out drift rises with the effect by more than chance does where it is harmless."""
+        if self.before is None:
+            return False
+        before_deg, after_deg = drift_of_both_deg(self.before.run, self.after.run)
+        return after_deg > self.after.settings.max_drift_rise * before_deg
+
+    def distance_from_zero(self, examined: ExaminedModel) -> float:
+        """Return how far its strongest coefficient is from zero in a model with it, in standard deviations.
+
+        Infinite for a limit or a noise, whose size the filter does not estimate.
+        """
+        if not len(self.strengths):
+            return math.inf
+        values, stds = (part[self.strengths] for part in examined.estimate_of(self.effect.name))
+        estimated = stds > 0.0
+        return float(np.max(np.abs(values[estimated]) / stds[estimated], initial=0.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Removal:
+    """An effect that was removed again, for it does not earn its place beside those found after it."""
+
+    effect: Effect
+    before: ExaminedModel
+    after: ExaminedModel
+    distance: float
+    """Distance from zero of its strongest coefficient beside all others, in standard deviations."""
+
+    @property
+    def predictive_gain(self) -> float:
+        """Predictive log-likelihood that the model without it gains; negative where it loses some."""
+        return float(predictive_gain(self.before.run, self.after.run).sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Search:
+    """A finished search."""
+
+    first: ExaminedModel
+    additions: tuple[Addition, ...]
+    """Kept and rejected ones, in the order in which they were tried."""
+    removals: tuple[Removal, ...] = ()
+    """Effects that were kept at first and removed in the end."""
+
+    @property
+    def kept(self) -> tuple[Addition, ...]:
+        """Additions that helped, and that were not removed again."""
+        removed = {item.effect.name for item in self.removals}
+        return tuple(item for item in self.additions if item.is_kept and item.effect.name not in removed)
+
+    @property
+    def last(self) -> ExaminedModel:
+        """The latest version of the model, with all additions that helped."""
+        helped = [item.after for item in self.additions if item.is_kept]
+        versions = [self.first, *helped, *(item.after for item in self.removals)]
+        return max(versions, key=lambda examined: examined.model.version)
+
+
+def addition(before: ExaminedModel, after: ExaminedModel) -> Addition:
+    """Describe the last effect of the model `after`, which is not in the model before."""
+    effect = after.model.effects[-1]
+    found = before.find(effect.name)
+    unknown = np.zeros(len(effect.coefficients))
+    if found is None:
+        return Addition(effect, before, after, 0.0, 0.0, 1.0, unknown, NONE)
+    return Addition(
+        effect=effect,
+        before=before,
+        after=after,
+        gain=found.fit.gain,
+        sigma=found.fit.sigma,
+        p_value=found.fit.p_value,
+        stds=unknown,
+        strengths=found.places,
+    )

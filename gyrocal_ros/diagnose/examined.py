@@ -1,0 +1,98 @@
+"""A model on a recording, and what the recording says that it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.candidates import candidates_for
+from gyrocal_ros.diagnose.heading_filter import Headings, headings
+from gyrocal_ros.diagnose.ranking import RankedEffect, rank, with_estimate
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
+from gyrocal_ros.diagnose.shapes import UnexplainedStructure, confirmed, unexplained_structure
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.scatter import scatter_of
+from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.model.sensor import Effect, SensorModel
+
+Calibrate = Callable[[SensorModel, tuple[Effect, ...]], Run]
+"""Runs the filter with a model and with candidate effects."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExaminedModel:
+    """One model on a recording, and what the recording says that it lacks."""
+
+    model: SensorModel
+    run: Run
+    scores: ScoreStatistics
+    ranked: tuple[RankedEffect, ...]
+    """Candidate effects, the best first."""
+    seen: Headings
+    unexplained_structure: UnexplainedStructure | None
+    """Structure left over as a function of something recorded; None where it may be chance."""
+    settings: DiagnosisSettings
+
+    def find(self, name: str) -> RankedEffect | None:
+        """Return the candidate of that name."""
+        return next((item for item in self.ranked if item.effect.name == name), None)
+
+    def estimate_of(self, name: str) -> tuple[Array, Array]:
+        """Return the final estimates (k,) of the coefficients of an effect of the model.
+
+        Their standard deviations (k,) are those that the scatter over the recording supports.
+        """
+        places = coefficient_places(self.model, name)
+        inflation = scatter_of(self.run.history)[1][-1, 1:]
+        stds = self.run.history.std[-1, COEFFICIENTS_START:] * inflation
+        return self.run.state.coefficients[places], stds[places]
+
+
+def examine(
+    model: SensorModel,
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
+) -> ExaminedModel:
+    """Run the filter with a model and with everything else as candidates."""
+    candidates = candidates_for(model, recording)
+    run = calibrate(model, candidates.carried)
+    assert run.scores is not None
+    scores, seen = candidates.project(run.scores), headings(run, settings)
+    ranked = tuple(rank(scores, settings))
+    most_gained = max((item.fit.gain for item in ranked), default=0.0)
+    structure = confirmed(unexplained_structure(run, seen, settings), most_gained, settings)
+    return ExaminedModel(model, run, scores, ranked, seen, structure, settings)
+
+
+def wider_model(present: ExaminedModel, effect: Effect) -> SensorModel:
+    """Return the model with one more effect, its prior by the score statistics where there are any."""
+    found = present.find(effect.name)
+    if found is not None:
+        effect = with_estimate(found, present.scores, present.settings)
+    return with_effect(present.model, effect)
+
+
+def with_effect(model: SensorModel, effect: Effect) -> SensorModel:
+    """Return the next version of the model, with one more effect."""
+    return replace(model, effects=(*model.effects, effect), version=model.version + 1)
+
+
+def without_effect(model: SensorModel, name: str) -> SensorModel:
+    """Return the next version of the model, without the effect of that name."""
+    effects = tuple(effect for effect in model.effects if effect.name != name)
+    return replace(model, effects=effects, version=model.version + 1)
+
+
+def coefficient_places(model: SensorModel, name: str) -> slice:
+    """Return the places of an effect's coefficients among those of its model."""
+    start = 0
+    for effect in model.effects:
+        end = start + len(effect.coefficients)
+        if effect.name == name:
+            return slice(start, end)
+        start = end
+    raise KeyError(name)

@@ -16,6 +16,7 @@ from gyrocal_ros.bench import blind as bench
 from gyrocal_ros.bench.blind import (
     MOMENT_S,
     PAIRS,
+    TRIPLES,
     WRONG_NOISE,
     BlindResult,
     Case,
@@ -33,7 +34,7 @@ from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.sim.forward import HiddenEffect
-from gyrocal_ros.sim.hidden import LIBRARY_RANGES, OUT_OF_LIBRARY_RANGES
+from gyrocal_ros.sim.hidden import LIBRARY_RANGES, NOISES, OUT_OF_LIBRARY_RANGES
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY, VOLTAGE
 from gyrocal_ros.sim.scenarios import find_scenario
 
@@ -48,6 +49,9 @@ class TestCases:
             *OUT_OF_LIBRARY_RANGES,
         }
         pairs = [case.names for case in every if len(case.names) == 2]
+        triples = [case.names for case in every if len(case.names) == 3]
+        assert len(triples) == TRIPLES and all(len(set(names)) == 3 for names in triples)
+        assert not {name for names in triples for name in names} & NOISES
         assert len(pairs) == PAIRS and all(first != second for first, second in pairs)
         assert {name for pair in pairs for name in pair} <= set(LIBRARY_RANGES)
         assert len({case.label for case in every}) == len(every)

@@ -30,7 +30,14 @@ from gyrocal_ros.model.sensor import SensorModel, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.forward import HiddenEffect
-from gyrocal_ros.sim.hidden import LIBRARY_RANGES, OUT_OF_LIBRARY_RANGES, draw_hidden, draw_scale_factor, hide
+from gyrocal_ros.sim.hidden import (
+    DRAWN,
+    LIBRARY_RANGES,
+    OUT_OF_LIBRARY_RANGES,
+    draw_hidden,
+    draw_scale_factor,
+    hide,
+)
 from gyrocal_ros.sim.image_scenes import find_scene
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import find_scenario
@@ -44,6 +51,8 @@ WRONG_NOISE = 2.0
 """Factor by which the noise settings are wrong, to either side."""
 PAIRS = 20
 """Number of cases with two effects at once."""
+TRIPLES = 10
+"""Number of cases with three effects at once; noise is none of them."""
 MOMENT_S = 5.0
 """Maximum error of the reported time of a jump."""
 
@@ -89,16 +98,18 @@ def cases(only: Sequence[str] = ()) -> list[Case]:
     """Return all cases, or those with the given labels.
 
     The cases hide each effect alone, nothing, nothing with wrong noise settings, effects that the library
-    does not have, and two effects at once.
+    does not have, and two and three effects at once.
     """
     rng = stream(0, 'pairs of effects')
     pairs = [rng.choice(list(LIBRARY_RANGES), 2, replace=False).tolist() for _ in range(PAIRS)]
+    rng = stream(0, 'triples of effects')
+    triples = [rng.choice(DRAWN, 3, replace=False).tolist() for _ in range(TRIPLES)]
     every = [
         Case('none'),
         Case('none, noise set too high', noise=WRONG_NOISE),
         Case('none, noise set too low', noise=1.0 / WRONG_NOISE),
         *(Case(name, (name,)) for name in (*LIBRARY_RANGES, *OUT_OF_LIBRARY_RANGES)),
-        *(Case(' + '.join(pair), tuple(pair)) for pair in pairs),
+        *(Case(' + '.join(several), tuple(several)) for several in (*pairs, *triples)),
     ]
     return [case for case in every if not only or case.label in only]
 
@@ -253,7 +264,7 @@ def _with_diagnosis(
 def is_right(case: Case, hidden: Sequence[HiddenEffect], found: Diagnosis) -> bool:
     """Return True if the diagnosis is right.
 
-    One hidden effect has to be named first, and of two both and no other. For an effect out of the library,
+    One hidden effect has to be named first, of several all and no other. For an effect out of the library,
     the time of its jump, the signal that it follows, or the effect that explains most of it has to be found.
     """
     named = [missing.effect.name for missing in found.missing]

@@ -53,8 +53,8 @@ class DiagnosisSettings:
     residual_part: float = threshold(
         0.004,
         '1',
-        'part of the gain of the effects found that a further one must gain: less is due to their inexact '
-        'coefficients',
+        'part of the gain of the effects found below which a further one is tried only after a run from the '
+        'estimates of those: less may be due to inexact coefficients',
         'single effects',
     )
     min_predictive_gain: float = threshold(

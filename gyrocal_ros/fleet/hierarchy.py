@@ -106,7 +106,7 @@ def fit_fleet(observed: Observations, *, has_bag_spread: bool = True, looks: int
     robots = int(observed.robot.max(initial=-1)) + 1
     usable = np.isfinite(observed.value) & (observed.std > 0.0) & np.isfinite(observed.std)
     usable &= np.isfinite(observed.regressors).all(axis=1)
-    data = _rows(observed, usable)
+    data = _rows(observed, np.flatnonzero(usable)[np.argsort(observed.robot[usable], kind='stable')])
     present = np.unique(data.robot)
     if len(present) < MIN_ROBOTS or len(present) <= data.regressors.shape[1] + 1:
         return None
@@ -129,6 +129,28 @@ def fit_fleet(observed: Observations, *, has_bag_spread: bool = True, looks: int
         seen.add(following.tobytes())
         outside = following
     return _concluded(solved, data, robots, z, np.flatnonzero(outside))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grouped:
+    """The bags sorted by robot, as the sums over each robot need them."""
+
+    columns: Array
+    """(n, p + 1) design X, a one first, and y."""
+    variance: Array
+    """(n,) s^2"""
+    robot: IntArray
+    """(g,) indices of the robots that have bags."""
+    first: IntArray
+    """(g,) first bag of each."""
+    robots: int
+    """m"""
+
+    def by_robot(self, columns: Array) -> Array:
+        """Return the sums (m, q) of columns (n, q) over the bags of each robot."""
+        sums = np.zeros((self.robots, columns.shape[1]))
+        sums[self.robot] = np.add.reduceat(columns, self.first, axis=0)
+        return sums
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,8 +179,7 @@ class _Sums:
 class _Solution:
     """Estimates of variances and fixed effects."""
 
-    data: Observations
-    robots: int
+    bags: _Grouped
     tau: float
     omega: float
     beta: Array
@@ -169,12 +190,13 @@ class _Solution:
     @classmethod
     def of(cls, data: Observations, robots: int, has_bag_spread: bool) -> _Solution:
         """Maximise the restricted likelihood over both standard deviations."""
+        bags = _grouped(data, robots)
         count = np.bincount(data.robot, minlength=robots)
         free = has_bag_spread and int((count > 1).sum()) > 1
         scale = max(robust_std(data.value - np.median(data.value)), float(np.median(data.std)), 1e-300)
 
         def loss(tau: float, omega: float) -> float:
-            return _restricted(_sums(data, robots, (scale * tau) ** 2, (scale * omega) ** 2))
+            return _restricted(_sums(bags, (scale * tau) ** 2, (scale * omega) ** 2))
 
         if free:
             found = optimize.minimize(
@@ -189,10 +211,10 @@ class _Solution:
         else:
             tau, omega = _minimum(lambda tau: loss(tau, 0.0)), 0.0
         tau = 0.0 if loss(0.0, omega) <= loss(tau, omega) else tau
-        sums = _sums(data, robots, (scale * tau) ** 2, (scale * omega) ** 2)
+        sums = _sums(bags, (scale * tau) ** 2, (scale * omega) ** 2)
         covariance = np.linalg.inv(sums.normal)
         beta = covariance @ sums.right
-        return cls(data, robots, scale * tau, scale * omega, beta, covariance, sums, scale)
+        return cls(bags, scale * tau, scale * omega, beta, covariance, sums, scale)
 
     def interval_of_tau(self) -> tuple[float, float]:
         """Return the profile likelihood interval of tau, omega at its estimate.
@@ -202,7 +224,7 @@ class _Solution:
         """
 
         def loss(tau: float) -> float:
-            return _restricted(_sums(self.data, self.robots, tau**2, self.omega**2))
+            return _restricted(_sums(self.bags, tau**2, self.omega**2))
 
         limit = loss(self.tau) + chi_square_quantile(CONFIDENCE, 1.0)
 
@@ -220,18 +242,16 @@ class _Solution:
         The sandwich of Liang and Zeger 1986 with robots as clusters, the scores of each multiplied by
         m / (m - p); it also holds where robots age differently.
         """
-        data, sums, (used, p) = self.data, self.sums, self._size()
-        design = _design(data)
-        left = data.value - design @ self.beta
-        weight = 1.0 / (data.std**2 + self.omega**2)
-        plain = _by_robot(data.robot, (weight * left)[:, None] * design, self.robots)
-        total = np.bincount(data.robot, weight * left, self.robots)
-        scores = plain - (sums.kappa * total)[:, None] * sums.x
+        bags, sums, (used, p) = self.bags, self.sums, self._size()
+        design, value = bags.columns[:, :-1], bags.columns[:, -1]
+        weighted = (value - design @ self.beta) / (bags.variance + self.omega**2)
+        plain = bags.by_robot(weighted[:, None] * design)
+        scores = plain - (sums.kappa * plain[:, 0])[:, None] * sums.x
         middle = (used / (used - p)) ** 2 * scores.T @ scores
         return self.covariance @ middle @ self.covariance
 
     def _size(self) -> tuple[int, int]:
-        return len(np.unique(self.data.robot)), len(self.beta)
+        return len(self.bags.robot), len(self.beta)
 
 
 def _minimum(loss: Callable[[float], float]) -> float:
@@ -249,32 +269,33 @@ def _design(data: Observations) -> Array:
     return np.column_stack([np.ones(len(data.value)), data.regressors])
 
 
-def _by_robot(robot: IntArray, columns: Array, robots: int) -> Array:
-    """Return the sums (m, p) of columns (n, p) over the rows of each robot."""
-    return np.stack([np.bincount(robot, column, robots) for column in columns.T], axis=1)
+def _grouped(data: Observations, robots: int) -> _Grouped:
+    """Return bags that are sorted by robot with the first one of each."""
+    robot, first = np.unique(data.robot, return_index=True)
+    return _Grouped(np.column_stack([_design(data), data.value]), data.std**2, robot, first, robots)
 
 
-def _sums(data: Observations, robots: int, tau2: float, omega2: float) -> _Sums:
+def _sums(bags: _Grouped, tau2: float, omega2: float) -> _Sums:
     """Return what the likelihood needs, without a matrix larger than p x p.
 
     With D = diag(s^2 + omega^2) and w = 1 / D of the bags of one robot, V = D + tau^2 1 1' has the inverse
     diag(w) - kappa w w', kappa = tau^2 / (1 + tau^2 W), and the determinant |D| (1 + tau^2 W) (Sherman and
     Morrison 1950).
     """
-    design, variance = _design(data), data.std**2 + omega2
-    w = 1.0 / variance
-    weight = np.bincount(data.robot, w, robots).astype(float)
-    x = _by_robot(data.robot, w[:, None] * design, robots)
-    y = np.bincount(data.robot, w * data.value, robots).astype(float)
+    variance = bags.variance + omega2
+    weighted = bags.columns / variance[:, None]
+    by_robot = bags.by_robot(weighted)
+    weight = by_robot[:, 0]
     kappa = tau2 / (1.0 + tau2 * weight)
+    products = weighted.T @ bags.columns - (by_robot * kappa[:, None]).T @ by_robot
     return _Sums(
         weight=weight,
-        x=x,
-        y=y,
+        x=by_robot[:, :-1],
+        y=by_robot[:, -1],
         kappa=kappa,
-        normal=(design * w[:, None]).T @ design - (x * kappa[:, None]).T @ x,
-        right=(design * w[:, None]).T @ data.value - x.T @ (kappa * y),
-        square=float(w @ data.value**2 - kappa @ y**2),
+        normal=products[:-1, :-1],
+        right=products[:-1, -1],
+        square=float(products[-1, -1]),
         log_det=float(np.log(variance).sum() + np.log1p(tau2 * weight).sum()),
     )
 
@@ -306,7 +327,7 @@ def _deleted_z(solved: _Solution, data: Observations, outside: np.ndarray) -> Ar
     C of beta: less for a robot in the fit, more for one that was set aside. Divided by its own standard
     deviation the first equals the deleted residual (Cook and Weisberg 1982, section 2.2.2).
     """
-    sums = _sums(data, solved.robots, solved.tau**2, solved.omega**2)
+    sums = _sums(_grouped(data, solved.bags.robots), solved.tau**2, solved.omega**2)
     with np.errstate(invalid='ignore', divide='ignore'):
         x, y = sums.x / sums.weight[:, None], sums.y / sums.weight
         leverage = np.einsum('mi,ij,mj->m', x, solved.covariance, x)
@@ -349,7 +370,7 @@ def _predicted(solved: _Solution, data: Observations, robots: int) -> tuple[Arra
     The best linear unbiased prediction beta_0 + kappa sum w (y - x' beta), with the variance
     tau^2 / (1 + tau^2 W) + g' C g, g = (1, 0, ..) - kappa sum w x (Robinson 1991, section 5.4).
     """
-    sums = _sums(data, robots, solved.tau**2, solved.omega**2)
+    sums = _sums(_grouped(data, robots), solved.tau**2, solved.omega**2)
     shrunk = sums.kappa * (sums.y - sums.x @ solved.beta)
     constant = np.eye(len(solved.beta))[0]
     g = constant - sums.kappa[:, None] * sums.x

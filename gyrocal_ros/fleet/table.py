@@ -178,6 +178,9 @@ def _layouts(codes: IntArray, offsets: IntArray) -> Iterator[tuple[IntArray, Int
     for length in np.unique(lengths):
         members = np.flatnonzero(lengths == length)
         matrix = codes[starts[members][:, None] + np.arange(length)]
+        if (matrix == matrix[0]).all():  # most fleets have one layout
+            yield matrix[0], members
+            continue
         layouts, which = np.unique(matrix, axis=0, return_inverse=True)
         for number, layout in enumerate(layouts):
             yield layout, members[which.ravel() == number]

@@ -17,6 +17,7 @@ from gyrocal_ros.data import (
     CalibratedSample,
     CovariateSample,
     FeatureObservations,
+    HeadingSample,
     ImuSample,
     Measurement,
     OdometryEstimate,
@@ -100,6 +101,8 @@ class Robot:
                     self.odometry.append(estimate)
             case FeatureObservations():
                 self.live.features(item, CAMERA_FRAME, self.now_s)
+            case HeadingSample():
+                self.live.heading(item, self.now_s)
             case TemperatureSample():
                 self.live.temperature(item, self.now_s)
             case CovariateSample():

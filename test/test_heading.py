@@ -10,7 +10,7 @@ import pytest
 from filter_states import CANDIDATES, EFFECTS, some_state
 from scipy.stats import t as student_t
 
-from gyrocal_ros.config.sections import ReferenceConfig
+from gyrocal_ros.config.sections import GyroConfig, ReferenceConfig
 from gyrocal_ros.data import HeadingSample
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.effects_by_place import sort_effects
@@ -34,13 +34,13 @@ def updated(reference: HeadingReference, state: State, error_rad: float) -> tupl
 
 
 def aligned() -> HeadingReference:
-    reference = HeadingReference(CONFIG)
+    reference = HeadingReference(CONFIG, GyroConfig())
     updated(reference, some_state(), 0.0)
     return reference
 
 
 def test_the_first_sample_aligns_the_frames() -> None:
-    reference, state = HeadingReference(CONFIG), some_state()
+    reference, state = HeadingReference(CONFIG, GyroConfig()), some_state()
     after, update = updated(reference, state, 0.0)
     np.testing.assert_array_equal(after.mean, state.mean)
     others = np.arange(len(state.mean)) != YAW
@@ -55,7 +55,9 @@ def test_the_first_sample_aligns_the_frames() -> None:
 
 def test_the_random_walk_acts_from_the_first_sample_on() -> None:
     state = some_state()
-    before, after = (reference.wander(state, 4.0) for reference in (HeadingReference(CONFIG), aligned()))
+    before, after = (
+        reference.wander(state, 4.0) for reference in (HeadingReference(CONFIG, GyroConfig()), aligned())
+    )
     np.testing.assert_array_equal(before.covariance, state.covariance)
     grown = after.covariance - state.covariance
     assert grown[YAW, YAW] == pytest.approx(4.0 * math.radians(0.1) ** 2)

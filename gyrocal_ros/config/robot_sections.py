@@ -109,10 +109,18 @@ class LiveConfig:
     reorder_window_s: float = setting(
         0.6, 's', 'largest delay of a message that can still be sorted by its stamp', low=0.01, high=10.0
     )
+    heading_reference: str = setting(
+        '', '', 'heading used in place of the camera: TOPIC, TOPIC.field or tf:PARENT:CHILD'
+    )
     save_interval_s: float = setting(
         60.0, 's', 'interval between saves of the calibration', low=1.0, high=86400.0, live=True
     )
-    publish_map_transform: bool = setting(True, '', 'publish map to odom')
+    publish_map_transform: bool = setting(True, '', 'publish map to odom; never with a heading reference')
+
+    @property
+    def publishes_map(self) -> bool:
+        """True if map to odom is published; with a heading reference the navigation does that."""
+        return self.publish_map_transform and not self.heading_reference
 
 
 @dataclass(frozen=True, slots=True)

@@ -185,6 +185,7 @@ class RestConfig:
 class ReferenceConfig:
     """An external heading reference instead of the ceiling camera."""
 
+    estimate_noise: bool = setting(False, '', 'learn noise and time offset while running, as on the robot')
     heading_noise_deg: float = setting(
         0.5, 'deg', 'white noise of the reference heading', low=1e-4, high=90.0
     )

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrocal_ros.config.sections import ReferenceConfig
-from gyrocal_ros.data import Array, HeadingSample
+from gyrocal_ros.config.sections import GyroConfig, ReferenceConfig
+from gyrocal_ros.data import Array, HeadingSample, MotionBlock
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace
+from gyrocal_ros.ekf.reference_learner import ReferenceLearner
 from gyrocal_ros.ekf.reference_noise import OUTLIER_SIGMA, JumpDetector, ReferenceNoise
 from gyrocal_ros.ekf.state import YAW, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, heading_innovation, heading_update
@@ -19,10 +20,16 @@ class HeadingReference:
     """Aligns a heading reference to the map at its first sample, then updates the filter with it.
 
     Its random walk is part of the heading in the state: that is the heading in the frame of the reference.
+
+    Args:
+        config: its noise, or that this is learned: then the filter ignores it at first.
+        gyro: noise of the gyro.
     """
 
-    def __init__(self, config: ReferenceConfig) -> None:
+    def __init__(self, config: ReferenceConfig, gyro: GyroConfig) -> None:
         self.noise = reference_noise(config)
+        self._learner = ReferenceLearner(gyro) if config.estimate_noise else None
+        self._gyro_walk = math.radians(gyro.rate_noise_deg_s)
         self._offset_rad: float | None = None
         self._jumps = JumpDetector()
 
@@ -33,6 +40,30 @@ class HeadingReference:
         covariance = state.covariance.copy()
         covariance[YAW, YAW] += float(self.noise.walk_rad) ** 2 * duration_s
         return replace(state, covariance=covariance)
+
+    @property
+    def time_offset_s(self) -> float:
+        """Stamp minus true time, by which stamps are to be corrected."""
+        return 0.0 if self._learner is None else self._learner.time_offset_s
+
+    @property
+    def _offset_std_s(self) -> float:
+        return 0.0 if self._learner is None else self._learner.time_offset_std_s
+
+    def move(self, block: MotionBlock) -> None:
+        """Follow one block of the gyro."""
+        if self._learner is not None:
+            self._learner.move(block)
+
+    def numbers(self) -> dict[str, float]:
+        """Return noise and time offset, by the names of /diagnostics; empty while they are unknown."""
+        if self._learner is not None and self._learner.noise is None:
+            return {}
+        return {
+            'reference_noise_deg': round(math.degrees(float(self.noise.white_rad)), 4),
+            'reference_walk_deg': round(math.degrees(float(self.noise.walk_rad)), 4),
+            'reference_time_offset_s': round(self.time_offset_s, 4),
+        }
 
     def forget_alignment(self) -> None:
         """Align again at the next sample."""
@@ -55,7 +86,12 @@ class HeadingReference:
             candidates: effects that the model lacks.
             pose_rate: (6,) rate of the pose.
         """
-        white_rad = float(self.noise.white_rad)
+        if self._learner is not None:
+            self._learner.add(sample.yaw_rad, float(pose_rate[YAW]))
+            if self._learner.noise is None:
+                return state, MeasurementUpdate()
+            self.noise = self._without_gyro(self._learner.noise)
+        white_rad = math.hypot(float(self.noise.white_rad), self._offset_std_s * float(pose_rate[YAW]))
         if self._offset_rad is None:
             return self._align(state, sample, white_rad), MeasurementUpdate()
         by_values, by_candidates = np.zeros(effects.count), np.zeros(candidates.count)
@@ -78,6 +114,11 @@ class HeadingReference:
             heading_rad=residual,
             heading_std_rad=std,
         )
+
+    def _without_gyro(self, noise: ReferenceNoise) -> ReferenceNoise:
+        """Return the noise of the reference alone, given its random walk together with that of the gyro."""
+        walk_rad = math.sqrt(max(float(noise.walk_rad) ** 2 - self._gyro_walk**2, 0.0))
+        return ReferenceNoise(noise.white_rad, walk_rad, noise.tail_dof)
 
     def _align(self, state: State, sample: HeadingSample, white_rad: float) -> State:
         """Align the frame of the reference to the map, so that the heading in it is that of the sample.

@@ -118,6 +118,10 @@ class ReferenceBank:
         P -= gain[:, :, None] * numerator[:, None, :]
         self.count += 1
 
+    def correct_offset(self, offset_s: float) -> None:
+        """Note that the stamps are corrected by a further time offset from now on."""
+        self._mean[:, OFFSET] -= offset_s
+
     def mean_noise(self) -> ReferenceNoise:
         """Return the noise with the mean variances over all alternatives, weighted by their likelihood.
 

@@ -107,7 +107,7 @@ class EkfSlam:
         self._pose_rate: Array = np.zeros(6)
         self._rest, self._map_watch, self._motion_gate = RestDetector(), MapWatch(), MotionGate()
         self._steady = SteadyRate()
-        self._heading = HeadingReference(config.reference)
+        self._heading = HeadingReference(config.reference, config.gyro)
         self._levelling: Levelling | None = None
         if rig.camera is None:
             self._levelling, self.state = Levelling(), unlevelled(self.state)
@@ -120,6 +120,8 @@ class EkfSlam:
             FilterDivergedError: the measurements contradict the estimate beyond repair.
         """
         before, update, event = self._warmed(block), MeasurementUpdate(), ''
+
+        self._heading.move(block)
 
         # Prediction: eq. (10) for the robot, eq. (11) for the features; sensitivities of the candidates.
         block = with_pose(block, before)
@@ -261,8 +263,13 @@ class EkfSlam:
         return search_regions(self.state, self._image_model())
 
     def time_offset_s(self) -> float:
-        """Return the estimated stamp error of the images: stamp minus true time."""
-        return sum(float(self.state.coefficients[place][0]) for _, place in self._effects.time)
+        """Return the estimated stamp error of images or headings: stamp minus true time."""
+        by_effects = sum(float(self.state.coefficients[place][0]) for _, place in self._effects.time)
+        return by_effects + self._heading.time_offset_s
+
+    def reference_numbers(self) -> dict[str, float]:
+        """Return noise and time offset of the heading reference, by the names of /diagnostics; {} before."""
+        return self._heading.numbers() if self.rig.camera is None else {}
 
     def expect_pixel_noise(self, std_px: float) -> None:
         """Restart the estimation of the pixel noise at this standard deviation."""

@@ -27,6 +27,7 @@ from gyrocal_ros.nodes.map_frame import MapFrame
 from gyrocal_ros.nodes.map_publisher import MapPublisher
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_IN, SENSOR_OUT, STATIC
+from gyrocal_ros.nodes.reference import ReferenceSubscription
 from gyrocal_ros.nodes.signals import Signals
 from gyrocal_ros.robot.calibrator import LiveCalibrator
 from gyrocal_ros.robot.health import Status
@@ -54,7 +55,7 @@ class CalibratorNode:
         )
         self._make = to_ros.live_maker(get_message)
         self._publisher = CalibrationPublisher(node, self._make, self._live.calibration)
-        self._map_frame = MapFrame(node, self._make) if live.publish_map_transform else None
+        self._map_frame = MapFrame(node, self._make) if live.publishes_map else None
         self._odom, self._body, self._map = topics.ODOM_FRAME, topics.BODY_FRAME, topics.MAP_FRAME
         self._imu = publish(node, Imu, 'imu/data', SENSOR_OUT)
         self._odometry = publish(node, Odometry, 'odometry/slam', SENSOR_OUT)
@@ -71,6 +72,8 @@ class CalibratorNode:
         node.create_subscription(TFMessage, '/tf_static', guard('/tf_static', self._on_transforms), STATIC)
         followers = followers_by_signal(model)
         self._signals = Signals(node, followers, lambda: self._live.newest_ns, self._on_signal, guard)
+        named, take = live.heading_reference, self._live.heading
+        self._reference = ReferenceSubscription(node, sensors, named, take, guard)
         CalibratorServices(node, self._live)
         # By the steady clock: the calibration is also published and saved while simulated time is paused.
         every_second = guard('the timer', self._every_second)
@@ -128,13 +131,15 @@ class CalibratorNode:
         self._publisher.update(self._live.calibration)
         self._live.save_if_due(time.monotonic())
         self._signals.poll()
+        self._reference.poll()
         if self._map_frame is not None:
             self._map_frame.poll()
         if self._map_publisher.is_wanted and (points := self._live.ceiling_map()):
             self._map_publisher.publish(points, self._map)
 
     def _status(self) -> Status:
-        return self._live.status(time.monotonic(), self._map_frame.problem if self._map_frame else '')
+        map_problem = self._map_frame.problem if self._map_frame else ''
+        return self._live.status(time.monotonic(), self._reference.problem, map_problem)
 
     def _configure(self, _: Config | RobotConfig) -> None:
         self._live.configure(self._config.config, self._robot.config.live)

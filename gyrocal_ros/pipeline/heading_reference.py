@@ -125,7 +125,7 @@ def calibrate_by_heading(
 
 
 def with_noise(config: Config, fitted: ReferenceFit) -> Config:
-    """Return the settings with the noise of a fit, and with the criterion of convergence for a reference.
+    """Return the settings for a heading reference, with the noise of a fit.
 
     Its random walk is that of gyro and reference together, which the headings cannot tell apart.
     """
@@ -133,14 +133,20 @@ def with_noise(config: Config, fitted: ReferenceFit) -> Config:
     gyro_deg = min(config.gyro.rate_noise_deg_s, walk_deg)
     reference = replace(
         config.reference,
+        estimate_noise=False,
         heading_noise_deg=math.degrees(fitted.white_rad),
         heading_walk_deg=math.sqrt(walk_deg**2 - gyro_deg**2),
         tail_dof=fitted.tail_dof,
     )
+    gyro = replace(config.gyro, rate_noise_deg_s=gyro_deg)
+    return replace(for_reference(config), gyro=gyro, reference=reference)
+
+
+def for_reference(config: Config) -> Config:
+    """Return the settings for a heading reference that is learned while running, on the robot."""
     return replace(
         config,
-        gyro=replace(config.gyro, rate_noise_deg_s=gyro_deg),
-        reference=reference,
+        reference=replace(config.reference, estimate_noise=True),
         # The noise is estimated from all headings, so a calm end with small innovations says nothing.
         convergence=replace(config.convergence, scale_std=config.convergence.heading_scale_std, nis_low=0.0),
     )

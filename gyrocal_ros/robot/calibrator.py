@@ -16,6 +16,7 @@ from gyrocal_ros.data import (
     CameraIntrinsics,
     CovariateSample,
     FeatureObservations,
+    HeadingSample,
     ImuSample,
     Measurement,
     OdometryEstimate,
@@ -34,11 +35,14 @@ from gyrocal_ros.msgs.plausible import IMPLAUSIBLE, MAX_READING
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
 from gyrocal_ros.pipeline.calibration import Calibration
+from gyrocal_ros.pipeline.heading_reference import for_reference
 from gyrocal_ros.robot.calibration_store import CalibrationStore
 from gyrocal_ros.robot.dead_reckoning import DeadReckoning
 from gyrocal_ros.robot.estimator import Estimator
 from gyrocal_ros.robot.health import (
+    CALIBRATOR_INPUTS,
     DROPPED,
+    HEADING_INPUTS,
     RECEIVED,
     SEEN,
     WITHOUT_IMU,
@@ -84,13 +88,17 @@ class LiveCalibrator:
         steady: bool,
         now_s: float,
     ) -> None:
+        self._by_heading = bool(live.heading_reference)
+        seen = ('headings', Role.HEADING) if self._by_heading else ('features', Role.FEATURES)
+        self._rates = (('imu', Role.IMU), ('wheels', Role.WHEELS), seen)
+        config = for_reference(config) if self._by_heading else config
         self._model, self._live = model, live
         self._steady, self._clock_step_s = steady, config.recording.clock_step_s
         self._store = CalibrationStore(Path(live.calibration).expanduser() if live.calibration else None)
         self._estimator = Estimator(model, config, self._store.load(config), name)
         self._applied = self._estimator.trusted
         self._reckoning = DeadReckoning(model, config, self._applied, 1.25 * live.reorder_window_s)
-        self._mounting = Mounting(config.camera)
+        self._mounting = Mounting(config.camera, has_camera=not self._by_heading)
         self._rig, self._R_bi = self._mounting.rig, self._mounting.R_bi
         self._streams = [str(role) for role in Role]
         self._signals = {SPEED_SIGNAL}
@@ -128,6 +136,11 @@ class LiveCalibrator:
             self._log.add_arrival(SEEN, now_s)
         self._mounting.set_camera_frame(frame)
         self._update_mounting()
+
+    def heading(self, sample: HeadingSample, now_s: float) -> None:
+        """Take in a heading of the reference; NaN where it has none."""
+        if self._is_plausible(Role.HEADING, sample.yaw_rad):
+            self._take(Role.HEADING, (sample,), now_s)
 
     def temperature(self, sample: TemperatureSample, now_s: float) -> None:
         """Take in a temperature."""
@@ -214,9 +227,10 @@ class LiveCalibrator:
             }
         )
         recent, passed_s = log.recent(counts, now_s)
+        inputs = HEADING_INPUTS if self._by_heading else CALIBRATOR_INPUTS
         window_s, knows_camera = self._live.reorder_window_s, self._rig is not None
         problems = [
-            *input_problems(log, recent, knows_camera=knows_camera, window_s=window_s, now_s=now_s),
+            *input_problems(log, recent, inputs, knows_camera=knows_camera, window_s=window_s, now_s=now_s),
             *as_warnings(estimator.problems()),
             *as_warnings(self._missing_signals()),
             *as_warnings(str(issue) for issue in self._mounting.issues),
@@ -225,10 +239,7 @@ class LiveCalibrator:
         ]
         numbers = {
             **estimator.numbers(self.newest_ns),
-            **{
-                f'{name}_hz': round(recent[f'{RECEIVED} {role}'] / passed_s, 1)
-                for name, role in (('imu', Role.IMU), ('wheels', Role.WHEELS), ('features', Role.FEATURES))
-            },
+            **{f'{name}_hz': round(recent[f'{RECEIVED} {role}'] / passed_s, 1) for name, role in self._rates},
             **{name: count for name, count in sorted(counts.items()) if not name.startswith(RECEIVED)},
         }
         return status(estimator.summary, problems, numbers)
@@ -237,6 +248,7 @@ class LiveCalibrator:
 
     def configure(self, config: Config, live: LiveConfig) -> None:
         """Replace the settings; those that are only read at the start have no effect."""
+        config = for_reference(config) if self._by_heading else config
         self._estimator.config = self._reckoning.config = config
         self._live = live
 
@@ -293,7 +305,8 @@ class LiveCalibrator:
     def _new_queue(self) -> InputQueue:
         clock_step_s = STEP_S if self._steady else self._clock_step_s
         window_s = self._live.reorder_window_s
-        ordered = [self._streams.index(role) for role in ORDERED_ROLES]
+        roles = (Role.IMU, Role.WHEELS) if self._by_heading else ORDERED_ROLES
+        ordered = [self._streams.index(role) for role in roles]
         return InputQueue(window_s, max(clock_step_s, 1.5 * window_s), ordered)
 
     def _update_mounting(self) -> None:
@@ -319,7 +332,7 @@ class LiveCalibrator:
             if not estimator.is_trusted:
                 reckoning.recalibrate(estimator.trusted)
             self._applied = estimator.trusted
-        return slam.regions()
+        return None if self._by_heading else slam.regions()
 
     def _missing_signals(self) -> Iterator[str]:
         for signal, names in followers_by_signal(self._model).items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,23 @@ from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.pipeline.calibration import Calibration, calibration_of
 
+
+class _Words(NamedTuple):
+    """Words for what corrects the heading."""
+
+    seen: str
+    to_check: str
+    where: str
+
+
+BY_CAMERA = _Words(
+    'images',
+    'the calibration, the mounting and the stamps of the camera',
+    'where the camera sees the ceiling',
+)
+BY_REFERENCE = _Words(
+    'headings', 'the stamps and the jumps of the heading reference', 'while the heading reference works'
+)
 CHECKPOINT_S = 5.0
 """Time for which the filter has to stay consistent after a state before that becomes the checkpoint."""
 CONTRADICTED_S = 30.0
@@ -187,6 +205,7 @@ class Estimator:
             return
         limits, nis = self._config.convergence, self.watch.recent_nis
         scale_std = self.calibration.scale_factor_std
+        words = BY_CAMERA if self._rig is None or self._rig.camera is not None else BY_REFERENCE
         if self._fault:
             yield self._fault
         elif self.on_probation:
@@ -195,9 +214,9 @@ class Estimator:
             yield 'the scale factor does not fit any more; a new one is being estimated'
         elif not self.is_trusted:
             yield (
-                f'the images contradict the filter: NIS {max(nis, self.watch.overall_nis):.1f} per degree of '
-                f'freedom, up to {limits.nis_high:g} is consistent; the last good calibration is used; check '
-                'the calibration, the mounting and the stamps of the camera'
+                f'the {words.seen} contradict the filter: NIS {max(nis, self.watch.overall_nis):.1f} per '
+                f'degree of freedom, up to {limits.nis_high:g} is consistent; the last good calibration is '
+                f'used; check {words.to_check}'
             )
         elif nis < limits.nis_low:
             yield (
@@ -215,7 +234,7 @@ class Estimator:
             yield (
                 'not converged yet: the standard deviation of the scale factor is '
                 f'{100.0 * scale_std:.2g} %, {100.0 * limits.scale_std:.2g} % is required; turn both ways '
-                'where the camera sees the ceiling'
+                f'{words.where}'
             )
 
     def numbers(self, newest_ns: int) -> dict[str, object]:
@@ -238,6 +257,7 @@ class Estimator:
             'pixel_noise_px': round(math.nan if slam is None else slam.pixel_noise.std, 3),
             'map_size': 0 if slam is None else len(slam.state.landmarks.ids),
             'features_dropped': self.dropped,
+            **(slam.reference_numbers() if slam is not None else {}),
             'filter_lag_s': round(self._lag_s(newest_ns), 3),
             'filter_restarts': self.restarts,
         }

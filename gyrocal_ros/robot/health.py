@@ -176,21 +176,33 @@ CALIBRATOR_INPUTS = (
     Expected(Role.WHEELS, 1.0, Level.ERROR, 'check that the driver runs; the distance driven is unknown'),
     Expected(Role.FEATURES, BLIND_S, Level.WARN, f'check that camera and tracker run; {LAST_GOOD}'),
 )
+HEADING_INPUTS = (
+    CALIBRATOR_INPUTS[0],
+    Expected(Role.HEADING, 2.0 * BLIND_S, Level.WARN, f'check that its node runs; {LAST_GOOD}'),
+)
+"""Inputs of a calibrator with a heading reference in place of the camera; it need not have wheels."""
 
 
 def input_problems(
-    log: HealthLog, recent: Counter[str], *, knows_camera: bool, window_s: float, now_s: float
+    log: HealthLog,
+    recent: Counter[str],
+    inputs: Sequence[Expected],
+    *,
+    knows_camera: bool,
+    window_s: float,
+    now_s: float,
 ) -> Iterator[Problem]:
     """Yield what is wrong with the messages that come to the calibrator.
 
     Args:
         log: arrivals of the topics, and of images with features as `SEEN`.
         recent: recent counts, with those of the input queue.
-        knows_camera: calibration and mounting of the camera are known.
+        inputs: the expected topics.
+        knows_camera: calibration and mounting of the camera are known, or there is none.
         window_s: largest delay of a message that the input queue accepts.
         now_s: the present time.
     """
-    yield from log.silences(CALIBRATOR_INPUTS, now_s)
+    yield from log.silences(inputs, now_s)
     texts = []
     blind_s = log.silent_s(SEEN, now_s)
     if log.silent_s(Role.FEATURES, now_s) < BLIND_S <= blind_s:

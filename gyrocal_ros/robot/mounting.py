@@ -29,16 +29,17 @@ class Mounting:
 
     Args:
         config: mounting of the camera without a transform.
+        has_camera: False if there is another heading reference; then only the IMU is mounted.
     """
 
-    def __init__(self, config: CameraConfig) -> None:
+    def __init__(self, config: CameraConfig, *, has_camera: bool = True) -> None:
         self.R_bi: Array | None = None
         """(3, 3) from the IMU's axes to body axes; None while unknown."""
         self.rig: Rig | None = None
         """Camera and its mounting; None while one of them is unknown."""
         self.issues: tuple[BagIssue, ...] = ()
         """Assumptions that were needed, and contradictions."""
-        self._config = config
+        self._config, self._has_camera = config, has_camera
         self._camera: CameraIntrinsics | None = None
         self._camera_frame: str | None = None
         self._info_frame: str | None = None
@@ -84,6 +85,8 @@ class Mounting:
     def _update(self) -> None:
         transforms = list(self._transforms.values())
         self.issues = (*self._update_imu(transforms), *self._update_camera(transforms))
+        if not self._has_camera and self.R_bi is not None and self.rig is None:
+            self.rig = Rig(None, mount_from_settings(self._config))
 
     def _update_imu(self, transforms: list[Transform]) -> list[BagIssue]:
         if self._imu_frame is None:
@@ -97,7 +100,7 @@ class Mounting:
         return issues
 
     def _update_camera(self, transforms: list[Transform]) -> list[BagIssue]:
-        if self._camera is None:
+        if self._camera is None or not self._has_camera:
             return []
         frame = self._camera_frame or self._info_frame or ''
         mount = mount_from_transforms(transforms, frame)

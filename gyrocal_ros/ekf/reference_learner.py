@@ -1,0 +1,79 @@
+"""Noise and time offset of a heading reference, learned while the robot drives."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gyrocal_ros.config.sections import GyroConfig
+from gyrocal_ros.data import MotionBlock
+from gyrocal_ros.ekf.reference_bank import ReferenceBank, grid
+from gyrocal_ros.ekf.reference_noise import ReferenceNoise
+
+WHITE_DEG, WALK_DEG, TAIL_DOF = (0.003, 5.0), (0.005, 3.0), 5.0
+"""Ranges of the white noise (deg) and the random walk (deg/sqrt(s)), and degrees of freedom of the tails."""
+POINTS = 14
+"""Points of the grid in each: neighbours differ by a factor of 1.8 and 1.6."""
+MIN_HEADINGS, MIN_S = 50, 20.0
+"""Fewest headings, and shortest time, before the reference is used."""
+MAX_OFFSET_STD_S = 0.01
+"""Largest standard deviation of the time offset with which the reference is used; it needs a turn."""
+LEARN_INTERVAL_S = 5.0
+"""Interval between changes of the noise and of the time offset in use."""
+
+
+class ReferenceLearner:
+    """Compares the headings of a reference with the turns of the nominal gyro, step by step.
+
+    Args:
+        gyro: noise of the gyro.
+    """
+
+    def __init__(self, gyro: GyroConfig) -> None:
+        white, walk = (
+            np.linspace(math.log(low), math.log(high), POINTS)
+            for low, high in (np.radians(WHITE_DEG), np.radians(WALK_DEG))
+        )
+        self._bank = ReferenceBank(grid(white, walk, (TAIL_DOF,)), gyro)
+        self._turned_rad = self._difference_rad = 0.0
+        self._since = np.zeros(3)
+        self._time_s = self._learned_s = 0.0
+        self.time_offset_s = 0.0
+        """Stamp minus true time, as far as it is known."""
+        self.time_offset_std_s = math.inf
+        self.noise: ReferenceNoise | None = None
+        """The likeliest noise; None until the reference can be used."""
+
+    def move(self, block: MotionBlock) -> None:
+        """Follow one block of the gyro."""
+        turn_rad = float(block.rate_rad_s[:, 2] @ block.dt_s)
+        self._turned_rad += turn_rad
+        self._since += block.duration_s, turn_rad, block.gap_s
+        self._time_s += block.duration_s
+
+    def add(self, yaw_rad: float, rate_rad_s: float) -> None:
+        """Take the heading at the end of the last block.
+
+        Args:
+            yaw_rad: by the reference.
+            rate_rad_s: nominal rate.
+        """
+        difference = yaw_rad - self._turned_rad
+        turns = round((difference - self._difference_rad) / (2.0 * math.pi)) if self._bank.count else 0
+        self._difference_rad = difference - 2.0 * math.pi * turns
+        dt_s, turn_rad, gap_s = self._since.tolist()
+        self._bank.add(dt_s, turn_rad, gap_s, rate_rad_s, self._difference_rad)
+        self._since[:] = 0.0
+        if self._bank.count >= MIN_HEADINGS and self._time_s >= max(
+            MIN_S, self._learned_s + LEARN_INTERVAL_S
+        ):
+            self._learn()
+
+    def _learn(self) -> None:
+        self._learned_s, fit = self._time_s, self._bank.likeliest()
+        if fit.time_offset_std_s > MAX_OFFSET_STD_S:
+            return
+        self.noise, self.time_offset_std_s = self._bank.mean_noise(), fit.time_offset_std_s
+        self.time_offset_s += fit.time_offset_s
+        self._bank.correct_offset(fit.time_offset_s)

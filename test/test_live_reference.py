@@ -1,0 +1,73 @@
+"""The live calibrator with a heading reference in place of the ceiling camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from live_robot import Robot, robot
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import FeatureObservations, Measurement, TruthSample, WheelSample
+from gyrocal_ros.msgs.topics import BODY_FRAME, IMU_FRAME
+from gyrocal_ros.msgs.transforms import IDENTITY, Transform
+from gyrocal_ros.pipeline.heading_reference import for_reference
+from gyrocal_ros.sim.references import ReferenceSource
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+DURATION_S = 60.0
+
+
+@cache
+def source() -> ReferenceSource:
+    scenario = replace(find_scenario('cleaning'), duration_s=DURATION_S, imu_hz=50)
+    return ReferenceSource(SimSource(scenario, 3), 'lidar')
+
+
+@cache
+def driven(*, with_wheels: bool) -> Robot:
+    new = robot(heading_reference='/pf/pose')
+    new.live.transforms([Transform(BODY_FRAME, IMU_FRAME, IDENTITY)])
+    left_out = (TruthSample, FeatureObservations, *(() if with_wheels else (WheelSample,)))
+    measured: list[Measurement] = [m for m in source().measurements() if not isinstance(m, left_out)]
+    new.run(measured)
+    new.live.close()
+    return new
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('with_wheels', [True, False])
+def test_it_calibrates_without_a_camera(with_wheels: bool) -> None:
+    new, truth, drawn = driven(with_wheels=with_wheels), source().truth, source().reference
+    calibration = new.live.calibration
+    z = np.array(
+        [
+            (calibration.scale_factor - truth.scale_factor) / calibration.scale_factor_std,
+            (calibration.values[0] - truth.bias_rad_s[-1, 2]) / calibration.stds[0],
+        ]
+    )
+    assert np.abs(z).max() < 3.0
+    assert calibration.scale_factor_std < 0.02
+    assert new.live.filter is not None
+    found = new.live.filter.reference_numbers()
+    assert found['reference_time_offset_s'] == pytest.approx(drawn.offset_s, abs=0.01)
+    assert found['reference_noise_deg'] == pytest.approx(math.degrees(drawn.white_rad), rel=0.7)
+
+
+@pytest.mark.slow
+def test_its_health_is_that_of_a_robot_without_a_camera() -> None:
+    new = driven(with_wheels=False)
+    _, status = new.statuses[-1]
+    assert 'camera' not in status.message and 'wheel' not in status.message
+    assert float(str(status.numbers['headings_hz'])) > 1.0 and not new.regions
+
+
+def test_settings_for_a_reference() -> None:
+    config = for_reference(Config())
+    assert config.reference.estimate_noise
+    assert config.convergence.scale_std == Config().convergence.heading_scale_std
+    assert config.gyro == Config().gyro

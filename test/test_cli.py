@@ -323,6 +323,38 @@ sys.exit(main.main(['printer']))
     printer.stderr.close()
 
 
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
+@pytest.mark.parametrize('arguments', [['effects'], ['effects', '--json']])
+def test_a_full_disk_is_an_error_in_one_line(arguments: list[str]) -> None:
+    command = [sys.executable, '-m', 'gyrocal_ros.cli.main', *arguments]
+    with open('/dev/full', 'w', encoding='utf-8') as full:
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr.startswith('gyrocal: error: ') and done.stderr.count('\n') == 1
+    assert 'No space left on device' in done.stderr
+
+
+def test_a_terminal_without_unicode_shows_a_substitute() -> None:
+    code = """
+import sys
+from types import ModuleType
+from gyrocal_ros.cli import main
+printer = ModuleType('gyrocal_ros.cli.printer')
+printer.EXAMPLE, printer.add_arguments = '', lambda parser: None
+printer.run = lambda args: print('1 \u00b1 0.1 \u00b0C')
+sys.modules[printer.__name__] = printer
+main.COMMANDS['printer'] = 'prints'
+sys.exit(main.main(['printer']))
+"""
+    environment = {**os.environ, 'PYTHONIOENCODING': 'ascii', 'PYTHONUTF8': '0'}
+    done = subprocess.run(
+        [sys.executable, '-c', code], env=environment, capture_output=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, b'1 ? 0.1 ?C\n', b'')
+
+
 def test_arguments_reach_the_command(probe: Probe) -> None:
     seen: list[argparse.Namespace] = []
     probe(lambda: None)

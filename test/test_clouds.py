@@ -50,6 +50,8 @@ DAMAGED: dict[str, dict[str, Any]] = {
     'datatype 0': {'fields': with_field(2, datatype=0)},
     'several numbers in a field': {'fields': with_field(1, count=1000)},
     'duplicate field': {'fields': with_field(1, name='u')},
+    'overlapping fields': {'fields': with_field(1, offset=2)},
+    'one id twice': {'data': cloud(1).data * 3},
     'no fields': {'fields': []},
     'point_step 0': {'point_step': 0},
     'point_step huge': {'point_step': 2**32 - 1},

@@ -11,6 +11,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from small_bags import RIG, START_NS, drive
 
+from gyrocal_ros.bag.pacing import Pacing
 from gyrocal_ros.bag.playback import Playback, PlayedTopic, PublishMode
 from gyrocal_ros.bag.selection import TopicOptions, select_topics
 from gyrocal_ros.bag.storage import open_storage, ros_types
@@ -115,3 +116,31 @@ def test_a_recording_of_ros_1_is_sent_as_ros_2_messages(tmp_path: Path) -> None:
     for topic, raw in last.items():
         old, new = (types.deserialize_cdr(item, topic.type_name) for item in (last_old[topic], raw))
         assert repr(old) == repr(new), topic.name
+
+
+def test_a_playback_waits_for_a_listener_that_is_behind() -> None:
+    pacing = Pacing(limit=3, patience_s=2.0)
+    for _ in range(10):
+        assert pacing.may_send(0.0), 'nothing is counted before the first answer'
+        pacing.add_sent()
+    pacing.add_answer(1.0)
+    for _ in range(3):
+        assert pacing.may_send(1.0)
+        pacing.add_sent()
+    assert not pacing.may_send(1.1)
+    pacing.add_answer(1.2)
+    assert pacing.may_send(1.2)
+    for _ in range(2):
+        pacing.add_answer(1.3)
+    pacing.finish()
+    assert (pacing.sent, pacing.lost) == (3, 0)
+
+
+def test_messages_without_an_answer_are_counted_and_the_playback_goes_on() -> None:
+    pacing = Pacing(limit=3, patience_s=2.0)
+    pacing.add_answer(0.0)
+    for _ in range(3):
+        pacing.add_sent()
+    assert pacing.is_waiting(1.9) and not pacing.may_send(1.9)
+    assert not pacing.is_waiting(2.1) and pacing.may_send(2.1)
+    assert (pacing.sent, pacing.lost) == (3, 3)

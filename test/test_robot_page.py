@@ -21,6 +21,7 @@ SOURCES = [
     ROOT / 'gyrocal_ros' / 'board' / 'link.py',
     ROOT / 'gyrocal_ros' / 'ekf' / 'camera_watch.py',
     ROOT / 'gyrocal_ros' / 'msgs' / 'mounts.py',
+    ROOT / 'gyrocal_ros' / 'nodes' / 'qos_watch.py',
     ROOT / 'gyrocal_ros' / 'vision' / 'tracker.py',
     ROOT / 'gyrocal_ros' / 'vision' / 'lens_marks.py',
 ]

@@ -201,10 +201,21 @@ def test_camera_info_without_a_usable_calibration() -> None:
         topics.camera_intrinsics(message)
 
 
+@pytest.mark.parametrize('factor', [0.01, 1000.0])
+def test_a_focal_length_of_other_images_is_refused(factor: float) -> None:
+    message = to_ros.camera_info(MAKERS['live'], CAMERA, T_NS)
+    message.k = message.k * np.array([factor, 1, 1, 1, 1, 1, 1, 1, 1])
+    with pytest.raises(RecordingError, match='focal length'):
+        topics.camera_intrinsics(message)
+
+
 def test_camera_info_with_missing_or_zero_coefficients() -> None:
     message = to_ros.camera_info(MAKERS['live'], CAMERA, T_NS)
-    message.distortion_model, message.d = 'equidistant', np.array([0.1])
-    assert topics.camera_intrinsics(message).distortion == (0.1, 0.0, 0.0, 0.0)
+    message.distortion_model, message.d = 'plumb_bob', np.array([0.1, 0.0, 0.0, 0.0])
+    assert topics.camera_intrinsics(message).distortion == (0.1, 0.0, 0.0, 0.0, 0.0)
+    message.d = np.array([0.01, 0.01, 0.01])
+    with pytest.raises(RecordingError, match='3 coefficients'):
+        topics.camera_intrinsics(message)
     message.distortion_model, message.d = 'none', np.zeros(14)
     assert topics.camera_intrinsics(message).lens == 'plumb_bob'
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,8 @@ def search_regions(message: Any) -> SearchRegions:
 
 def _ids(points: NDArray[Any]) -> NDArray[np.int64]:
     ids = points['id']
+    if len(np.unique(ids)) < len(ids):
+        raise MessageError('a point cloud has two points with one id', todo=REMEDY)
     if ids.dtype.kind == 'f' and not (np.abs(ids) < 2.0**53).all():
         raise MessageError('an id of a point cloud is not a whole number', todo=REMEDY)
     return ids.astype(np.int64)
@@ -111,7 +114,8 @@ def _point_type(layout: tuple[tuple[str, int, int, int], ...], size: int, big_en
     """Return the type of one point.
 
     Raises:
-        MessageError: a field appears twice, is not one number of a known type, or exceeds the point.
+        MessageError: a field appears twice, overlaps another one, is not one number of a known type, or
+            exceeds the point.
     """
     order = '>' if big_endian else '<'
     names = [name for name, _, _, _ in layout]
@@ -126,6 +130,11 @@ def _point_type(layout: tuple[tuple[str, int, int, int], ...], size: int, big_en
         if offset + np.dtype(SCALARS[datatype]).itemsize > size:
             what = f'the field {name} of a point cloud lies beyond its points of {size} bytes'
             raise MessageError(what, todo=REMEDY)
+    ends = sorted(
+        (offset, offset + np.dtype(SCALARS[datatype]).itemsize) for _, offset, datatype, _ in layout
+    )
+    if any(end > offset for (_, end), (offset, _) in pairwise(ends)):
+        raise MessageError('fields of a point cloud overlap', todo=REMEDY)
     formats = [order + SCALARS[datatype] for _, _, datatype, _ in layout]
     offsets = [offset for _, offset, _, _ in layout]
     return np.dtype({'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': size})

@@ -8,7 +8,7 @@ ROS installation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import StrEnum
 from operator import attrgetter
@@ -59,8 +59,10 @@ POSES = {
 
 MAX_INTRINSIC = 1e6
 """Largest plausible number in camera_info, pixels or distortion."""
-MIN_NORM = 1e-3
-"""Smallest norm of a quaternion; its inverse is the largest."""
+FOCAL_LENGTHS = (0.05, 50.0)
+"""Bounds of a focal length, in widths or heights of the image, the larger one: fisheye to telescope."""
+MAX_NORM_ERROR = 0.01
+"""Largest error of the norm of a quaternion; tf2 has the same bound."""
 
 
 class Role(StrEnum):
@@ -183,10 +185,14 @@ def camera_intrinsics(message: Any) -> CameraIntrinsics:
         raise MessageError('camera_info has impossible numbers', todo='calibrate the camera')
     if k[0] <= 0.0 or k[4] <= 0.0:
         raise MessageError('the camera is not calibrated (focal length 0)', todo='calibrate the camera')
+    side, reach = max(message.width, message.height), FOCAL_LENGTHS
+    if side and not all(reach[0] * side < focal_px < reach[1] * side for focal_px in (k[0], k[4])):
+        what = f'a focal length of {k[0]:g} and {k[4]:g} px does not belong to images of {side} px'
+        raise MessageError(what, todo='calibrate the camera at the resolution in use')
     lens = message.distortion_model
     if not lens or (lens not in COEFFICIENT_COUNTS and not any(d)):
         lens = 'plumb_bob'
-    if lens not in COEFFICIENT_COUNTS or any(d[COEFFICIENT_COUNTS[lens] :]):
+    if lens not in COEFFICIENT_COUNTS or any(d[COEFFICIENT_COUNTS[lens] :]) or _lacks_coefficients(lens, d):
         raise MessageError(
             f'the lens model is {lens!r} with {len(d)} coefficients',
             todo=f'calibrate the camera with {", ".join(COEFFICIENT_COUNTS)}',
@@ -194,6 +200,11 @@ def camera_intrinsics(message: Any) -> CameraIntrinsics:
     count = COEFFICIENT_COUNTS[lens]
     distortion = (*d, *[0.0] * count)[:count]
     return CameraIntrinsics(message.width, message.height, k[0], k[4], k[2], k[5], distortion, lens)
+
+
+def _lacks_coefficients(lens: str, d: Sequence[float]) -> bool:
+    """Return True if coefficients are missing, other than k3 of `plumb_bob` or all of them."""
+    return any(d) and len(d) < COEFFICIENT_COUNTS[lens] - (lens == 'plumb_bob')
 
 
 def transforms(message: Any) -> list[Transform]:
@@ -220,14 +231,15 @@ def body_pose(message: Any) -> Mount:
 
 
 def _mount(p: Any, q: Any, what: str) -> Mount:
-    """Return position and rotation; the quaternion need not be normalised.
+    """Return position and rotation.
 
     Raises:
-        MessageError: a number is not finite or far too large, or the quaternion is almost zero.
+        MessageError: a number is not finite or far too large, or the quaternion is not normalised.
     """
     norm = math.hypot(q.x, q.y, q.z, q.w)
-    if not (all(abs(value) < MAX_DISTANCE_M for value in (p.x, p.y, p.z)) and MIN_NORM < norm < 1 / MIN_NORM):
-        raise MessageError(f'{what} has impossible numbers (NaN, or no rotation)', todo='check its publisher')
+    if not (all(abs(value) < MAX_DISTANCE_M for value in (p.x, p.y, p.z)) and abs(norm - 1) < MAX_NORM_ERROR):
+        problem = f'{what} has impossible numbers (NaN, or a quaternion that is not normalised)'
+        raise MessageError(problem, todo='check its publisher')
     rotation = rotation_from_quaternion(q.x / norm, q.y / norm, q.z / norm, q.w / norm)
     return Mount(rotation, np.array([p.x, p.y, p.z]))
 

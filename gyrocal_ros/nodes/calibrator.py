@@ -74,7 +74,7 @@ class CalibratorNode:
         self._signals = Signals(node, followers, lambda: self._live.newest_ns, self._on_signal, guard)
         named, take = live.heading_reference, self._live.heading
         self._reference = ReferenceSubscription(node, sensors, named, take, guard)
-        CalibratorServices(node, self._live)
+        CalibratorServices(node, self._live, guard)
         # By the steady clock: the calibration is also published and saved while simulated time is paused.
         every_second = guard('the timer', self._every_second)
         node.create_timer(1.0, every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))

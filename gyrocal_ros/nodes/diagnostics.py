@@ -9,10 +9,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from gyrocal_ros.robot.health import Level, Status
+from gyrocal_ros.nodes.guard import Guard
+from gyrocal_ros.nodes.qos_watch import incompatible_endpoints
+from gyrocal_ros.robot.health import Level, Problem, Status, as_warnings, status
 from gyrocal_ros.robot.problem_log import ProblemLog
 
 PERIOD_S = 1.0
+QOS_PERIOD_S = 5.0
+"""Period at which the QoS of the endpoints of other nodes is compared."""
 
 
 class Diagnostics:
@@ -27,20 +31,35 @@ class Diagnostics:
         self._node, self._status, self._log = node, status, ProblemLog()
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # By the steady clock: the status is published also while the clock of the stamps does not advance.
-        self._timer = node.create_timer(PERIOD_S, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        publish = Guard(node, self._report_failure)('/diagnostics', self.publish)
+        self._timer = node.create_timer(PERIOD_S, publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._incompatible: list[str] = []
+        self._checked_s = time.monotonic()
 
     def publish(self) -> None:
         """Publish the status now."""
-        health = self._status()
+        health, now_s = self._status(), time.monotonic()
+        if now_s - self._checked_s >= QOS_PERIOD_S:
+            self._incompatible, self._checked_s = list(incompatible_endpoints(self._node)), now_s
+        if self._incompatible:
+            problems = [*health.problems, *as_warnings(self._incompatible)]
+            health = status(health.message, problems, health.numbers)
+        self._send(health)
+
+    def _report_failure(self, _: str, why: str) -> None:
+        """Publish that the status could not be determined."""
+        self._send(status('', [Problem(Level.ERROR, f'the status is unknown: {why}')], {}))
+
+    def _send(self, health: Status) -> None:
         values = [KeyValue(key=key, value=str(value)) for key, value in health.numbers.items()]
-        status = DiagnosticStatus(
+        described = DiagnosticStatus(
             level=bytes([health.level]),
             name=self._node.get_fully_qualified_name().lstrip('/'),
             message=health.message,
             hardware_id='',
             values=values,
         )
-        array = DiagnosticArray(status=[status])
+        array = DiagnosticArray(status=[described])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._log_problems(health)
         self._publisher.publish(array)

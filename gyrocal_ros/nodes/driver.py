@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -17,6 +19,7 @@ from gyrocal_ros.data import ImuSample, TemperatureSample
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.msgs import to_ros
 from gyrocal_ros.nodes.diagnostics import Diagnostics
+from gyrocal_ros.nodes.guard import Guard
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.qos import SENSOR_OUT
 from gyrocal_ros.robot.board_driver import BoardDriver
@@ -45,8 +48,10 @@ class DriverNode:
             else None
         )
         self._board = BoardDriver(board, driver, self._now_ns, self._publish, settings.config.board_limits)
+        guard = Guard(self.node, self._board.add_unpublished)
+        self._guarded_send = guard('the readings of the board', self._send)
         self._diagnostics = Diagnostics(self.node, self._board.status)
-        self.node.create_service(Trigger, '~/zero', self._zero)
+        self.node.create_service(Trigger, '~/zero', guard.service('~/zero', self._zero))
         self._board.start()
 
     def close(self) -> None:
@@ -60,11 +65,8 @@ class DriverNode:
         self._board.set_rates(config.driver)
 
     def _publish(self, reading: Reading) -> None:
-        try:
-            self._send(reading)
-        except Exception:
-            if self.node.context.ok():  # otherwise the node was shut down while it published
-                raise
+        with suppress(Exception):  # only raised where the node was shut down while it published
+            self._guarded_send(reading)
 
     def _send(self, reading: Reading) -> None:
         if isinstance(reading, ImuSample):

@@ -5,11 +5,13 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable
 from functools import wraps
-from typing import Any
+from typing import Any, TypeVar
 
 from rclpy.node import Node
 
 from gyrocal_ros.errors import GyrocalError
+
+T = TypeVar('T', bound=Any)
 
 LOG_PERIOD_S = 10.0
 """Shortest time between two logged errors."""
@@ -46,5 +48,31 @@ class Guard:
                 self._count(topic, f'internal error: {error!r}')
                 text = f'{topic}: internal error, the message is left out\n{traceback.format_exc()}'
                 self._node.get_logger().error(text, throttle_duration_sec=LOG_PERIOD_S)
+
+        return guarded
+
+    def service(self, name: str, callback: Callable[[Any, T], T]) -> Callable[[Any, T], T]:
+        """Return a callback of a service that raises no error: the caller is told of it.
+
+        Args:
+            name: name under which errors are counted.
+            callback: callback of a service whose response has `success` and `message`.
+        """
+
+        @wraps(callback)
+        def guarded(request: Any, response: T) -> T:
+            problems: list[str] = []
+
+            def answer() -> None:
+                callback(request, response)
+
+            def count(topic: str, why: str) -> None:
+                self._count(topic, why)
+                problems.append(why)
+
+            Guard(self._node, count)(name, answer)()
+            if problems:
+                response.success, response.message = False, problems[0]
+            return response
 
         return guarded

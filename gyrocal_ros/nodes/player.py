@@ -23,6 +23,7 @@ from gyrocal_ros.data import NS_PER_S, nanoseconds, seconds
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.msgs import to_ros
 from gyrocal_ros.msgs.issues import raise_first_error
+from gyrocal_ros.nodes.back_pressure import BackPressure
 from gyrocal_ros.nodes.params import Settings
 from gyrocal_ros.nodes.player_settings import PlayerSections
 from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
@@ -31,8 +32,8 @@ CLOCK_NS = NS_PER_S // 50
 """Period of /clock."""
 REPEAT_NS = NS_PER_S
 """Period at which messages that were recorded once are repeated."""
-POLL_S, LOG_S = 0.1, 5.0
-"""Periods at which the listeners are checked, and missing ones are logged."""
+HOLD_S, POLL_S, LOG_S = 0.005, 0.1, 5.0
+"""Periods at which held messages are tried again, listeners are checked, and missing ones are logged."""
 SETTLE_S = 1.0
 """Pause before the first message, for discovery, and after the last, so that it is processed."""
 QOS = {PublishMode.STREAM: SENSOR_OUT, PublishMode.IMAGE: QoSProfile(depth=10), PublishMode.LATCHED: STATIC}
@@ -59,6 +60,7 @@ class PlayerNode:
             self._add(topic)
         for topic, raw in playback.latched_messages():
             self._add(topic).publish(raw)
+        self._pressure = BackPressure(node, self._publishers)
         self._clock = node.create_publisher(ClockMessage, '/clock', 10)
         self._make = to_ros.live_maker(get_message)
         self._messages = playback.messages()
@@ -107,11 +109,13 @@ class PlayerNode:
             due_s = seconds(recorded_ns - self._first_ns) / self._settings.rate
             ahead_s = due_s - seconds(time.monotonic_ns() - self._start_ns)
             if ahead_s > 0.0:
-                self._wake_in(ahead_s)
-                return
+                return self._wake_in(ahead_s)
+            if not self._pressure.may_send(topic.name):
+                return self._wake_in(HOLD_S)
             if recorded_ns >= self._clock_ns:
                 self._tick(recorded_ns)
             self._publishers[topic.name].publish(raw)
+            self._pressure.add_sent(topic.name)
             if topic.repeats:
                 self._repeated[topic.name] = recorded_ns, raw
             self._next = next(self._messages, None)
@@ -128,9 +132,14 @@ class PlayerNode:
                 self._repeated[name] = now_ns, raw
 
     def _end(self) -> None:
+        if self._pressure.is_waiting:
+            return self._wake_in(POLL_S)
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=SETTLE_S))
         self.node.get_logger().info('end of the recording')
+        if losses := self._pressure.losses():
+            self.node.get_logger().error(f'{losses} were lost: the computer is too slow; lower player.rate')
+            raise SystemExit(1)
         self.node.context.try_shutdown()
 
     def _wake_in(self, wait_s: float) -> None:

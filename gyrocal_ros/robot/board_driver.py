@@ -82,6 +82,7 @@ class BoardDriver:
         self._port = PortState(is_open=False, since_s=time.monotonic(), why='not tried yet')
         self._data_s = 0.0
         self._health = BoardHealth(self._counts(), time.monotonic())
+        self._unpublished, self._why_unpublished = 0, ''
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name='board', daemon=True)
 
@@ -130,7 +131,15 @@ class BoardDriver:
             )
             drift_ppm = round(1e6 * self._reader.clock.drift, 1)
         numbers = {'port': self._driver.port, **health.numbers, 'clock_drift_ppm': drift_ppm}
+        if self._unpublished:
+            numbers['unpublished'] = self._unpublished
+            text = f'{self._unpublished} readings could not be published: {self._why_unpublished}'
+            return status(health.message, [*health.problems, Problem(Level.ERROR, text)], numbers)
         return replace(health, numbers=numbers)
+
+    def add_unpublished(self, _: str, why: str) -> None:
+        """Count a reading that could not be published."""
+        self._unpublished, self._why_unpublished = self._unpublished + 1, why
 
     def _counts(self) -> Counter[str]:
         """Return all counts since the start, by the names that /diagnostics gives them."""

@@ -16,10 +16,11 @@ from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
 from small_bags import RIG, START_NS, drive
 from tf2_msgs.msg import TFMessage
 
+from gyrocal_ros.bag.pacing import MAX_UNANSWERED
 from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.data import FeatureObservations, ImuSample
 from gyrocal_ros.msgs import topics
-from gyrocal_ros.nodes.qos import STATIC
+from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
 
 LENGTH_S = 3.0
 
@@ -99,3 +100,37 @@ def test_a_bag_that_cannot_be_played_is_reported(graph: Graph, tmp_path: Path) -
         graph.wait(lambda player=player: player.status is not None, 'the end of the node')  # type: ignore[misc]
         assert player.status == 2
         assert reason in player.output
+
+
+def test_the_player_waits_for_a_slow_calibrator(graph: Graph, bag: Path) -> None:
+    """The test answers as the calibrator does, but late."""
+    answers = graph.node.create_publisher(Imu, 'imu/data', SENSOR_OUT)
+    received, answered, behind = graph.listen(Imu, 'imu/data_raw'), 0, 0
+    parameters = {'player.bag': str(bag), 'player.wait_for': 'test', 'player.rate': 100.0}
+    player = graph.start('player', parameters=parameters)
+    player.may_end = True
+
+    def ended() -> bool:
+        nonlocal answered, behind
+        for _ in received[answered : answered + 2]:
+            answers.publish(Imu())
+            answered += 1
+        behind = max(behind, len(received) - answered if answered else 0)
+        return player.status is not None
+
+    graph.wait(ended, 'the end of the node', 60.0)
+    count = sum(isinstance(sample, ImuSample) for sample in drive(LENGTH_S))
+    assert player.status == 0 and len(received) == count
+    assert behind <= MAX_UNANSWERED + 2
+
+
+def test_lost_messages_are_counted_and_the_player_fails(graph: Graph, bag: Path) -> None:
+    answers = graph.node.create_publisher(Imu, 'imu/data', SENSOR_OUT)
+    received = graph.listen(Imu, 'imu/data_raw')
+    player = graph.start('player', parameters={'player.bag': str(bag), 'player.wait_for': 'test'})
+    player.may_end = True
+    graph.wait(lambda: received, 'the first sample')
+    answers.publish(Imu())
+    graph.wait(lambda: player.status is not None, 'the end of the node', 60.0)
+    assert player.status == 1
+    assert 'messages of imu/data_raw were lost' in player.output

@@ -87,6 +87,7 @@ class FakeFilter:
             columns=np.hstack([history.columns, np.zeros((steps, len(values) - 1))]),
             change=np.zeros((steps, 1 + len(values))),
             change_variance=np.zeros((steps, 1 + len(values))),
+            suspected_std=np.zeros((steps, 1 + len(values))),
             log_likelihood=sum(gains.get(name, 0.0) for name in names) / steps * uneven,
         )
         state = replace(self.made.run.state, mean=changed.mean[-1], coefficient_count=len(values))

@@ -85,7 +85,9 @@ def test_a_gap_of_the_reference_in_which_the_robot_turns_is_no_misfit() -> None:
 
 
 def test_a_pause_of_the_gyro_hides_only_the_turn_within() -> None:
-    found = fitted(turning, imu=outside(31.0, 57.0))
+    """Nor is the unknown turn within a misfit of the reference."""
+    found = fitted(turning, imu=outside(31.0, 57.0), reference=outside(31.0, 57.0))
+    assert math.degrees(found.residual_rms_rad) < 1.0
     assert found.scale_factor == pytest.approx(SCALE_FACTOR, rel=2e-3)
     assert found.bias_rad_s == pytest.approx(BIAS_RAD_S, abs=2e-3)
 

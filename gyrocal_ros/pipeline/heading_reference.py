@@ -299,10 +299,14 @@ def _by_turns(readings: _Readings, offset_s: float) -> _TurnFit:
 
 
 def _misfit_rad(track: HeadingTrack, jumps_s: tuple[float, ...]) -> float:
-    """Return the rms of the headings about their best fit by scale factor, bias, heading and known jumps."""
+    """Return the rms of the headings about their best fit by scale factor, bias, heading and known breaks.
+
+    Breaks are the jumps of the reference, and the pauses in which nobody measured the turn.
+    """
     since_s = track.time_s - track.time_s[0]
-    jumps = [(since_s >= at_s).astype(float) for at_s in jumps_s]
-    columns = np.stack([track.turned_rad, track.time_s, np.ones(len(since_s)), *jumps], axis=1)
+    pauses_s = since_s[track.gap_s > PAUSE_NS / NS_PER_S].tolist()
+    breaks = [(since_s >= at_s).astype(float) for at_s in (*jumps_s, *pauses_s)]
+    columns = np.stack([track.turned_rad, track.time_s, np.ones(len(since_s)), *breaks], axis=1)
     solution = np.linalg.lstsq(columns, track.yaw_rad, rcond=None)[0]
     return float(np.sqrt(np.mean((track.yaw_rad - columns @ solution) ** 2)))
 

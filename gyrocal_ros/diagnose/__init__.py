@@ -13,7 +13,7 @@ shapes           unexplained structure          drift            blind drift of 
 hypotheses       unknown laws, as columns       comparison       several models on one recording
 closed_forms     from a curve to its law        predictive_gain  predictive log-likelihood
 model_fit        whether a model fits at all    learning         run the likeliest, keep what helps
-                                                learned_laws     what was learned, for people
+timing           faults of the time stamps      learned_laws     what was learned, for people
 
 Numbers for reports and pages: run_series, search_series, model_series, error_curves, wander, json_summary.
 No module knows an effect by name: effects declare their properties (`effects.traits`).

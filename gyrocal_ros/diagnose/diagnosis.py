@@ -17,6 +17,7 @@ from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.summarise import coarse_step
+from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import is_estimated, is_noise, shows_in_any_turns, why_unobservable
 from gyrocal_ros.model.recording import RecordingSummary
@@ -53,7 +54,7 @@ class Diagnosis:
     """The conclusion from one recording: effects that the model lacks, and what is left over."""
 
     verdict: str
-    """`nothing_missing`, `effect_found`, `noise`, `cannot_tell` or `unexplained`."""
+    """`nothing_missing`, `effect_found`, `noise`, `timing`, `cannot_tell` or `unexplained`."""
     missing: tuple[MissingEffect, ...]
     """Missing effects, the one that explains most first."""
     ranked: tuple[RankedEffect, ...]
@@ -68,6 +69,8 @@ class Diagnosis:
     """Whether the model with the effects found fits."""
     drift_reference: str
     """The reference of the drift."""
+    timing: TimingFault | None = None
+    """The fault of the stamps; None without."""
     coarse_step_rad_s: float | None = None
     """Quantisation step of the gyro where it exceeds the noise: what is found may be its steps."""
 
@@ -78,9 +81,10 @@ def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:
     missing = sorted(_missing(searched), key=lambda item: item.gain, reverse=True)
     not_judged = dict(_not_judged(last, recording))
     coarse_step_rad_s = coarse_step(recording.readings)
-    structure, fit = last.unexplained_structure, model_fit(last.run)
+    structure, fit, timing = last.unexplained_structure, model_fit(last.run), timing_fault(last)
+    verdict = _verdict(missing, structure, not_judged, coarse_step_rad_s is not None, fit, last.settings)
     return Diagnosis(
-        verdict=_verdict(missing, structure, not_judged, coarse_step_rad_s is not None, fit, last.settings),
+        verdict='timing' if timing is not None else verdict,
         missing=tuple(missing),
         ranked=first.ranked,
         not_judged=not_judged,
@@ -88,6 +92,7 @@ def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:
         fails_where=tuple(failures(first.run, first.seen, first.settings)),
         fit=fit,
         drift_reference=reference_path(last.run)[1],
+        timing=timing,
         coarse_step_rad_s=coarse_step_rad_s,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 from gyrocal_ros import statistics
@@ -24,6 +25,7 @@ from gyrocal_ros.diagnose.status import (
     diagnosis_status,
     improvement_status,
 )
+from gyrocal_ros.diagnose.timing import TimingFault
 from gyrocal_ros.effects import SCALE_FACTOR
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
@@ -76,6 +78,7 @@ def summarise_diagnosis(searched: Search, diagnosis: Diagnosis) -> dict[str, Any
         'verdict': diagnosis.verdict,
         'missing': [_missing(item) for item in diagnosis.missing],
         'fails_where': [_failure(failure) for failure in diagnosis.fails_where],
+        'timing': _timing(diagnosis.timing),
         'unexplained': _structure(diagnosis.unexplained),
         'model_fits': diagnosis.fit.fits,
         'misfits': list(diagnosis.fit.misfits),
@@ -183,6 +186,10 @@ def _failure(failure: Failure) -> dict[str, Any]:
     in_time = {'from_s': failure.from_s, 'to_s': failure.to_s}
     place = in_time if failure.regime is None else {'regime': failure.regime}
     return {'what': failure.what, **place, 'sigma': failure.sigma}
+
+
+def _timing(fault: TimingFault | None) -> dict[str, Any] | None:
+    return None if fault is None else {'what': str(fault), **asdict(fault)}
 
 
 def _structure(structure: UnexplainedStructure | None) -> dict[str, Any] | None:

@@ -20,6 +20,7 @@ from gyrocal_ros.diagnose.hypotheses import (
 )
 from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
@@ -79,8 +80,9 @@ def learn(
 
 
 def is_missing_something(present: ExaminedModel) -> bool:
-    """Return True if the recording contradicts a model, whatever it lacks."""
-    return present.unexplained_structure is not None or model_fit(present.run).fits is False
+    """Return True if the recording contradicts a model, whatever it lacks; not where stamps are at fault."""
+    contradicts = present.unexplained_structure is not None or model_fit(present.run).fits is False
+    return contradicts and timing_fault(present) is None
 
 
 def _is_better(alone: Search, found: Search) -> bool:

@@ -28,6 +28,7 @@ from gyrocal_ros.diagnose.ranking import (
     indistinguishable,
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
+from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import is_estimated, is_limit, may_break_the_filter, strengths
 from gyrocal_ros.errors import FilterDivergedError
@@ -50,6 +51,8 @@ def search(
 ) -> Search:
     """Find what a model lacks.
 
+    Where the stamps are at fault no effect is tried: several would gain, and none would be right.
+
     Args:
         model: the present sensor model.
         recording: summary of the recording.
@@ -70,6 +73,8 @@ def search(
             raise
         additions.append(recovered)
         first = present = recovered.after
+    if timing_fault(present) is not None:
+        return Search(first, tuple(additions))
     additions = continued(additions, present, recording, calibrate, most)
     last = next((item for item in reversed(additions) if item.is_kept), None)
     if last is not None:

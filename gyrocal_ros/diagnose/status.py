@@ -18,6 +18,7 @@ from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
+from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.pipeline.calibration import Calibration
 
@@ -36,6 +37,10 @@ DOES_NOT_FIT = 'the model does not fit this recording: run gyrocal diagnose'
 DIAGNOSE = 'Run `gyrocal diagnose` on this recording.'
 LEARN = 'Run `gyrocal learn` on this recording: it learns what no effect of the library explains.'
 MORE_TURNS = 'Record more turns, both ways, with the ceiling or the heading reference in view.'
+MEND_STAMPS = (
+    'Stamp images and IMU with one clock, when they are taken, not when they arrive; look at the '
+    'synchronisation of the IMU board.'
+)
 RECORD = (
     'Record five minutes with turns to both sides at several speeds, straight lanes and short rests, '
     'with the ceiling or the heading reference in view.'
@@ -94,6 +99,8 @@ def turned_deg(run: Run) -> tuple[float, float]:
 
 def diagnosis_status(diagnosis: Diagnosis) -> Status:
     """Return the verdict of a diagnosis."""
+    if diagnosis.timing is not None:
+        return _timing_status(diagnosis.timing)
     sentence = _diagnosis_sentence(diagnosis)
     if diagnosis.verdict == 'nothing_missing':
         return Status('green', sentence)
@@ -104,6 +111,10 @@ def diagnosis_status(diagnosis: Diagnosis) -> Status:
         add = f'Add it with `gyrocal add {name}`, or let `gyrocal improve` add it and show the gain.'
         return Status('yellow', sentence, add)
     return Status('yellow', sentence, RECORD)
+
+
+def _timing_status(fault: TimingFault) -> Status:
+    return Status('red', f'The time stamps are at fault: {fault}. No effect is sought before.', MEND_STAMPS)
 
 
 def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
@@ -149,6 +160,9 @@ def improvement_status(improved: Improvement) -> Status:
     """Return what was added to a model, and whether the error fell by more than chance."""
     names = [revision.effect.name for revision in improved.kept if revision.effect is not None]
     added = f'Added {join(names)}' if names else 'Nothing was added'
+    timing = timing_fault(improved.final.examined)
+    if timing is not None and not names:
+        return _timing_status(timing)
     if model_fit(improved.final.examined.run).fits is False:
         return Status('red', f'{added}, and the model still does not fit.', LEARN)
     if not names:

@@ -1,0 +1,113 @@
+"""Timing faults: the offset between the stamps of camera and IMU changes, or jitters, within a recording.
+
+An error of dt in a stamp moves the heading that an image shows by rate times dt, and by nothing at rest. A
+constant offset is an effect of the library, and a gyro lag looks the same. An offset that changes is neither:
+no physics of the gyro changes it, but a clock that drifts and is set again does.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gyrocal_ros.data import IntArray
+from gyrocal_ros.diagnose.candidates import columns_of
+from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.ranking import explained_together
+from gyrocal_ros.ekf.score_statistics import BLOCK_S
+
+TURNING_RAD_S, STRAIGHT_RAD_S = math.radians(20.0), math.radians(3.0)
+"""Rates above and below which the innovations of turns and of straight lanes are compared."""
+MIN_NIS_RATIO = 3.0
+"""NIS in turns, relative to that on straight lanes, from which stamps may be at fault."""
+MIN_CHANGE_S = 0.005
+"""Range of the offsets of the blocks below which nothing has changed."""
+MIN_STD = 0.3
+"""Standard deviation of the offset, relative to that range, above which a block is not counted."""
+CHANGES_PART, JITTERS_PART = 0.5, 0.2
+"""Part of the excess of the NIS that an offset for each block explains if it changes slowly; and that
+anything else may explain if it jitters from image to image."""
+MARGIN = 1.05
+"""Factor over the gain of all effects together that offsets of the blocks have to gain."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimingFault:
+    """An offset between the stamps of camera and IMU that is not constant."""
+
+    kind: Literal['changes', 'jitters']
+    low_s: float
+    high_s: float
+    """Lowest and highest offset over some seconds, stamps of the camera less those of the IMU."""
+    std_s: float
+    """Standard deviation from image to image, where it jitters; otherwise that between the blocks."""
+    gain: float
+    """Log-likelihood that knowing the offset of every block would gain; for jitter, the excess of the NIS."""
+
+    def __str__(self) -> str:
+        if self.kind == 'jitters':
+            return f'the stamps of the images, or of the IMU, jitter by about {1e3 * self.std_s:.0f} ms'
+        return (
+            'the offset between the stamps of camera and IMU changes within the recording, from '
+            f'{1e3 * self.low_s:.0f} to {1e3 * self.high_s:.0f} ms'
+        )
+
+
+def timing_fault(examined: ExaminedModel) -> TimingFault | None:
+    """Return the timing fault that explains a recording better than all effects do; None without.
+
+    To first order an image that is late by dt has the innovation `G dt`, with the sensitivity G to the time
+    offset. So `E[NIS - dof] = dt^2 G^T S^-1 G`, and the score statistics give dt for each block.
+    """
+    columns = _time_columns(examined)
+    if len(columns) != 1 or not _shows_in_turns(examined):
+        return None
+    scores, history = examined.scores, examined.run.history
+    score = scores.score[:, columns[0]]
+    information = scores.information[:, columns[0], columns[0]]
+    excited = information > np.finfo(float).tiny
+    score, information = score[excited], information[excited]
+    if len(score) < 2:
+        return None
+    excess = float((history.nis - history.dof).sum())
+    offsets_s, stds_s = score / information, 1.0 / np.sqrt(information)
+    sharp = offsets_s[stds_s < MIN_STD * np.ptp(offsets_s)]
+    gain = 0.5 * float(np.sum(score**2 / information))
+    known = explained_together(examined.ranked, scores, examined.settings)
+    spread = (float(sharp.min()), float(sharp.max())) if len(sharp) else (0.0, 0.0)
+    if 2.0 * max(gain, known) < JITTERS_PART * excess:
+        std_s = math.sqrt(excess / float(information.sum()))
+        return TimingFault('jitters', *spread, std_s, 0.5 * excess) if std_s > MIN_CHANGE_S else None
+    price = examined.settings.coefficient_price * len(score)
+    explains = gain - price > MARGIN * known and 2.0 * gain > CHANGES_PART * excess
+    if not explains or spread[1] - spread[0] < MIN_CHANGE_S:
+        return None
+    return TimingFault('changes', *spread, float(np.std(sharp)), gain)
+
+
+def _time_columns(examined: ExaminedModel) -> IntArray:
+    """Return the columns of the candidate effects that act on the time of an image."""
+    effects = examined.scores.candidates
+    found = [
+        places
+        for effect, places in zip(effects, columns_of(effects), strict=True)
+        if effect.acts_on == 'time'
+    ]
+    return np.concatenate(found) if found else np.empty(0, np.int64)
+
+
+def _shows_in_turns(examined: ExaminedModel) -> bool:
+    """Return True if the innovations are too large in turns, but not on straight lanes."""
+    history = examined.run.history
+    rate = np.abs(history.turn_rad / history.dt_s)
+    parts = []
+    for chosen in (rate > TURNING_RAD_S, rate < STRAIGHT_RAD_S):
+        dof = float(history.dof[chosen].sum())
+        if dof <= 0.0 or history.time_s[-1] < 2.0 * BLOCK_S:
+            return False
+        parts.append(float(history.nis[chosen].sum()) / dof)
+    turning, straight = parts
+    return turning > MIN_NIS_RATIO * max(straight, 1.0)

@@ -1,0 +1,100 @@
+"""Faults of the time stamps, told from effects that look like them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import drive, turning_rad_s
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.heading_filter import headings
+from gyrocal_ros.diagnose.ranking import rank
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
+from gyrocal_ros.diagnose.timing import TURNING_RAD_S, TimingFault, timing_fault
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
+
+DURATION_S, INFORMATION = 200.0, 1e8
+BLOCKS = round(DURATION_S / BLOCK_S)
+LIKE_AN_OFFSET = 0.99
+"""Correlation of lag and offset."""
+
+
+def examined_with(offsets_s: Array, jitter_s: float, effects: tuple[str, ...]) -> ExaminedModel:
+    """Return a model on a recording with an offset in each block and one from image to image.
+
+    Args:
+        offsets_s: (B,) offset in each block.
+        jitter_s: standard deviation of the offset from image to image.
+        effects: candidate effects; all look like an offset.
+    """
+    made = drive(duration_s=DURATION_S)
+    history = made.run.history
+    rng = np.random.default_rng(7)
+    alike = np.full((len(effects), len(effects)), LIKE_AN_OFFSET)
+    np.fill_diagonal(alike, 1.0)
+    size = np.linspace(0.5, 1.5, BLOCKS) * INFORMATION
+    noise = rng.normal(size=(BLOCKS, 1)) * np.sqrt(size)[:, None]
+    score = (size * offsets_s)[:, None] * alike[:, :1].T + noise
+    scores = ScoreStatistics(
+        tuple(find_effect(name) for name in effects),
+        BLOCK_S * np.arange(BLOCKS),
+        size[:, None, None] * alike,
+        score,
+    )
+    turning = np.abs(history.turn_rad / history.dt_s) > TURNING_RAD_S
+    excess = float(np.sum(size * (offsets_s**2 + jitter_s**2)))
+    dof = np.full(len(turning), 20)
+    nis = dof + np.where(turning, excess / turning.sum(), 0.0)
+    run = replace(made.run, history=replace(history, nis=nis, dof=dof))
+    return ExaminedModel(
+        model=default_model(),
+        run=run,
+        scores=scores,
+        ranked=tuple(rank(scores, DEFAULT_SETTINGS)),
+        seen=headings(run, DEFAULT_SETTINGS),
+        unexplained_structure=None,
+        settings=DEFAULT_SETTINGS,
+    )
+
+
+BOTH = ('camera_time_offset', 'gyro_lag')
+SAWTOOTH_S = 0.08 * (np.arange(BLOCKS) / 4.0 % 1.0)
+CONSTANT_S = np.full(BLOCKS, 0.04)
+
+
+def test_the_synthetic_robot_turns() -> None:
+    assert np.mean(np.abs(turning_rad_s(DURATION_S)) > TURNING_RAD_S) > 0.1
+
+
+def test_a_clock_that_drifts_and_is_set_again_is_a_changing_offset() -> None:
+    fault = timing_fault(examined_with(SAWTOOTH_S, 0.0, BOTH))
+    assert isinstance(fault, TimingFault) and fault.kind == 'changes'
+    assert fault.low_s == pytest.approx(0.0, abs=0.002) and fault.high_s == pytest.approx(0.06, abs=0.002)
+    assert '0 to 60 ms' in str(fault).replace('-0', '0')
+
+
+def test_stamps_that_jitter() -> None:
+    fault = timing_fault(examined_with(np.zeros(BLOCKS), 0.02, BOTH))
+    assert fault is not None and fault.kind == 'jitters'
+    assert fault.std_s == pytest.approx(0.02, rel=0.1) and 'jitter by about 20 ms' in str(fault)
+
+
+@pytest.mark.parametrize('offsets_s', [CONSTANT_S, np.zeros(BLOCKS)])
+def test_a_constant_offset_or_lag_is_an_effect_and_nothing_is_nothing(offsets_s: Array) -> None:
+    assert timing_fault(examined_with(offsets_s, 0.0, BOTH)) is None
+
+
+def test_without_an_effect_on_the_time_there_is_no_answer() -> None:
+    """As in a model that has the offset already."""
+    assert timing_fault(examined_with(SAWTOOTH_S, 0.0, BOTH[1:])) is None
+
+
+def test_innovations_that_are_large_everywhere_are_no_fault_of_the_stamps() -> None:
+    examined = examined_with(SAWTOOTH_S, 0.0, BOTH)
+    history = examined.run.history
+    everywhere = replace(history, nis=np.full(len(history.nis), history.nis.mean()))
+    assert timing_fault(replace(examined, run=replace(examined.run, history=everywhere))) is None

@@ -55,6 +55,14 @@ def uneven_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bag(tmp_path_factory.mktemp('bags'))
 
 
+@pytest.fixture(scope='session')
+def strange_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of a gyro with a law that the library lacks, see `studio_parts`."""
+    from studio_parts import write_strange_bag
+
+    return write_strange_bag(tmp_path_factory.mktemp('bags'))
+
+
 @pytest.fixture
 def library() -> Iterator[None]:
     """Restore the table of effects afterwards."""

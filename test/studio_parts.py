@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,29 +13,32 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.hidden import DrawnEffect, hide
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sealed import answer_of, seal
 from gyrocal_ros.sim.world import SimSource
+from gyrocal_ros.studio.executor import TaskExecutor
 from gyrocal_ros.studio.recordings import Bag
 from gyrocal_ros.studio.session import Session
-from gyrocal_ros.studio.worker import (
-    OpenRecording,
-    Ready,
-    Stopped,
-    Task,
-    TaskMessage,
-    _execute,
-    _TaskExecutor,
-)
+from gyrocal_ros.studio.tasks import OpenRecording, Ready, Stopped, Task, TaskMessage
 
 HIDDEN, SIZE = 'scale_asymmetry', 0.02
 
 
 def write_bag(folder: Path) -> Path:
     """Write a bag with many turns of a gyro with a scale asymmetry, and the sealed answer beside it."""
+    return _written(folder / 'uneven', HiddenEffect(find_effect(HIDDEN), (SIZE,)))
+
+
+def write_strange_bag(folder: Path) -> Path:
+    """Write a bag of a gyro whose bias follows the heading, which no effect of the library describes."""
+    (law,) = hide([DrawnEffect('stranger_heading', (math.radians(0.5), 0.7))], find_effect)
+    return _written(folder / 'strange', law)
+
+
+def _written(path: Path, hidden: HiddenEffect) -> Path:
     scenario = replace(find_scenario('demo'), duration_s=100.0, camera_hz=8)
-    source = SimSource(scenario, 3, hidden=(HiddenEffect(find_effect(HIDDEN), (SIZE,)),))
-    path = folder / 'uneven'
+    source = SimSource(scenario, 3, hidden=(hidden,))
     with new_bag(path, 'mcap') as bag:
         bag.write_rig(source.rig, source.span.start_ns, R_bi=np.eye(3))
         for measurement in source.measurements():
@@ -52,6 +56,7 @@ class InProcessWorker:
         self.sent: list[TaskMessage] = []
         self._queue: list[tuple[int, Task]] = []
         self._count = self._cancelled = 0
+        self._recording = ''
 
     def submit(self, task: Task) -> int:
         self._count += 1
@@ -70,24 +75,27 @@ class InProcessWorker:
                 self.session.receive(number, Stopped())
                 continue
             self.executed.append(task)
-            messages, result = _messages(task)
+            if isinstance(task, OpenRecording):
+                self._recording = str(task.recording)
+            messages, result = _messages(self._recording, task)
             for message in (*messages, result):
                 self.sent.append(message)
                 self.session.receive(number, message)
 
 
-_executors: list[_TaskExecutor] = []
+_executors: dict[str, TaskExecutor] = {}
 _stored: dict[str, tuple[list[TaskMessage], TaskMessage]] = {}
 
 
-def _messages(task: Task) -> tuple[list[TaskMessage], TaskMessage]:
-    key = str(task.recording) if isinstance(task, OpenRecording) else model_to_yaml(task.model)
+def _messages(recording: str, task: Task) -> tuple[list[TaskMessage], TaskMessage]:
+    subject = '' if isinstance(task, OpenRecording) else model_to_yaml(task.model)
+    key = f'{recording} {type(task).__name__} {subject}'
     if key not in _stored:
         messages: list[TaskMessage] = []
-        executor = _TaskExecutor() if isinstance(task, OpenRecording) else _executors[-1]
-        _stored[key] = messages, _execute(executor, task, messages.append)
+        executor = TaskExecutor() if isinstance(task, OpenRecording) else _executors[recording]
+        _stored[key] = messages, executor.execute(task, messages.append)
         if isinstance(_stored[key][1], Ready):
-            _executors.append(executor)
+            _executors[recording] = executor
     return _stored[key]
 
 

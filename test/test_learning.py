@@ -195,6 +195,24 @@ class TestClosedForms:
         assert cube.library == 'scale_cubic'
         assert cube.values[0] == pytest.approx(0.3, abs=4.0 * cube.stds[0])
 
+    def test_a_smooth_curve_has_no_fast_form(self) -> None:
+        """Its prior leaves the fast functions at zero, so the data say nothing about them."""
+        smooth = self.curve_of(lambda x: 0.3 * np.sin(x + 0.7), 'heading', -math.pi, math.pi)
+        stds = prior_stds('heading', 1.0, 0.6)
+        items = tuple(
+            replace(item, prior_std=std)
+            for item, std in zip(smooth.effect.coefficients, stds.tolist(), strict=True)
+        )
+        weights = np.diag(stds**-2.0)
+        covariance = np.linalg.inv(np.linalg.inv(smooth.covariance) - np.eye(12) + weights)
+        values = covariance @ np.linalg.solve(smooth.covariance, smooth.values)
+        effect = replace(smooth.effect, coefficients=items)
+        found = closed_forms(replace(smooth, effect=effect, values=values, covariance=covariance), 4000)
+        assert [item.form.name for item in found] == ['sine of the heading']
+        assert found[0].explained == pytest.approx(1.0, abs=1e-3)
+        expected = [0.3 * math.cos(0.7), 0.3 * math.sin(0.7)]
+        assert found[0].values == pytest.approx(expected, abs=4.0 * found[0].stds.max())
+
     def test_a_law_without_a_form_fits_none(self) -> None:
         odd = self.curve_of(lambda x: np.sin(5.0 * x) + np.cos(9.0 * x**2), 'force_x', -1.5, 1.5)
         assert not closed_forms(odd, 4000)[0].fits

@@ -18,7 +18,7 @@ from gyrocal_ros.pipeline.calibration import load_calibration
 from gyrocal_ros.studio.export import export
 from gyrocal_ros.studio.recordings import RecordingContents
 from gyrocal_ros.studio.session import Session
-from gyrocal_ros.studio.worker import Examine, Failed, RunPreview, TaskProgress
+from gyrocal_ros.studio.tasks import Examine, Failed, RunPreview, TaskProgress
 
 FIRST, SECOND = '0_default', f'1_{HIDDEN}'
 

@@ -14,15 +14,8 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask, RecordingContents
-from gyrocal_ros.studio.worker import (
-    Failed,
-    OpenRecording,
-    Ready,
-    Stopped,
-    TaskMessage,
-    TaskProgress,
-    Worker,
-)
+from gyrocal_ros.studio.tasks import Failed, OpenRecording, Ready, Stopped, TaskMessage, TaskProgress
+from gyrocal_ros.studio.worker import Worker
 
 TIMEOUT_S = 60.0
 

@@ -12,7 +12,7 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask
 from gyrocal_ros.studio.store import locked
-from gyrocal_ros.studio.worker import Failed, OpenRecording, Task, TaskMessage
+from gyrocal_ros.studio.tasks import Failed, OpenRecording, Task, TaskMessage
 from gyrocal_ros.studio.workspace import Workspace
 
 

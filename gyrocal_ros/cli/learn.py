@@ -31,7 +31,7 @@ from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.files import write_text_atomic
-from gyrocal_ros.report.laws import law_in_words
+from gyrocal_ros.report.laws import law_in_words, nothing_learned
 
 EXAMPLE = """gyrocal learn my_bag -o learned
 gyrocal learn my_bag --follows heading
@@ -145,12 +145,7 @@ def requested(args: argparse.Namespace, names: Sequence[str]) -> tuple[str, ...]
 def _laws_as_text(learned: Learned, laws: list[LearnedLaw]) -> Iterator[str]:
     yield ''
     if not laws:
-        contradicts = is_missing_something(learned.searched.last)
-        yield (
-            'Nothing was learned: no law predicts the recording better without more drift.'
-            if contradicts
-            else 'Nothing was learned: the recording does not contradict the model.'
-        )
+        yield nothing_learned(is_missing_something(learned.searched.last))
     if learned.given_up:
         yield f'Not needed any more: {", ".join(learned.given_up)}, which the library had added.'
     for law in laws:

@@ -25,6 +25,8 @@ NEGLIGIBLE = 0.003
 SINGULAR = 1e-9
 UNSEEN = 1e-3
 """Information of the data, relative to that of the prior, below which they do not determine a direction."""
+MAX_LOST = 0.5
+"""Part of a form, in mean square, that the directions which the data determine may lack."""
 REFINED, REFINEMENTS = 11, 3
 """Number of values between two neighbours of a scanned parameter, and how often."""
 
@@ -89,6 +91,12 @@ def without_present(curve: LearnedCurve, functions: Array) -> Array:
     present = curve.effect.present(curve.x)
     left: Array = functions - present @ np.linalg.lstsq(present, functions, rcond=None)[0]
     return left
+
+
+def form_over(curve: LearnedCurve, found: ClosedForm) -> Array:
+    """Return a form (n,) over the range, less what constant bias and scale factor explain, as the curve."""
+    drawn: Array = without_present(curve, found.form.columns(curve.x, found.parameter)) @ found.values
+    return drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,13 +191,19 @@ def _best_parameter(curve: LearnedCurve, form: Form, seen: _Seen) -> tuple[float
 def _fitted(
     curve: LearnedCurve, form: Form, p: float, seen: _Seen
 ) -> tuple[float, float, Array, Array] | None:
-    """Return gain, parameter, values and deviations; None where bias and scale factor explain the form."""
+    """Return gain, parameter, values and deviations.
+
+    None where bias and scale factor explain the form, or where the curve is too smooth to have it.
+    """
     columns = form.columns(curve.x, p)
     new = without_present(curve, columns)
     sizes = np.sqrt(np.mean(columns**2, axis=0))
     if np.any(np.sqrt(np.mean(new**2, axis=0)) < 1e-6 * sizes):
         return None
     mixing = seen.directions(new)
+    lost = new - seen.basis @ (seen.axes @ mixing)
+    if np.any(np.mean(lost**2, axis=0) > MAX_LOST * np.mean(new**2, axis=0)):
+        return None
     normal = mixing.T @ (seen.information[:, None] * mixing)
     scale = np.sqrt(np.diagonal(normal))
     if not np.all(scale > 0.0) or np.linalg.cond(normal / np.outer(scale, scale)) > 1.0 / SINGULAR:

@@ -39,7 +39,8 @@ class ErrorBySignal:
     by_effects: ErrorCurve | None = None
     """Curve of the effects that were added, which should go through `before`; None where not computed."""
     proposed: Mapping[str, ErrorCurve] = field(default_factory=dict)
-    """Curves of effects that may be added, by name: the chosen one, then its closest rival."""
+    """Curves by their labels: of the effect that may be added and its closest rival, or of a learned law and
+    its closed forms."""
 
 
 def errors_by_signal(searched: Search) -> list[ErrorBySignal]:

@@ -56,6 +56,7 @@ def learn(
     recording: RecordingSummary,
     calibrate: Calibrate,
     only: Sequence[str] = (),
+    most: int = MAX_LEARNED,
 ) -> Learned:
     """Learn what the library leaves unexplained.
 
@@ -67,13 +68,14 @@ def learn(
         recording: summary of the recording.
         calibrate: runs the filter.
         only: names of laws; with any, they are tried even where nothing is missing.
+        most: number of laws that are learned at most.
     """
-    last, ranked = _learned_beside(searched.last, recording, calibrate, only)
+    last, ranked = _learned_beside(searched.last, recording, calibrate, only, most)
     wider = replace(searched, additions=(*searched.additions, *last))
     found = Learned(eliminate(wider, recording, calibrate), tuple(ranked))
     if not searched.kept or searched.kept[0].before is None or only:
         return found
-    first, ranked = _learned_beside(searched.first, recording, calibrate, only)
+    first, ranked = _learned_beside(searched.first, recording, calibrate, only, most)
     given_up = tuple(item.effect.name for item in searched.kept)
     alone = Learned(Search(searched.first, tuple(first)), tuple(ranked), given_up)
     return alone if _is_better(alone.searched, found.searched) else found
@@ -99,11 +101,12 @@ def _learned_beside(
     recording: RecordingSummary,
     calibrate: Calibrate,
     only: Sequence[str],
+    most: int,
 ) -> tuple[list[Addition], list[RankedLaw]]:
     """Learn one law after the other; return them with the ranking that the first was taken from."""
     found: list[Addition] = []
     first: list[RankedLaw] = []
-    while len(found) < MAX_LEARNED and (only or is_missing_something(present)):
+    while len(found) < most and (only or is_missing_something(present)):
         tried = laws(present.run, recording.ranges, only)
         if not tried:
             break

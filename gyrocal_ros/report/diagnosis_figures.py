@@ -48,6 +48,8 @@ STRETCHES = ' Shaded: the stretches of time with the largest errors, the largest
 MIN_GAIN = 0.3
 """Log-likelihood gain at which the axis begins."""
 SHADE, DARKNESS = 'rgba(213,94,0,0.13)', 'rgba(128,128,128,0.3)'
+PROPOSED = ((PURPLE, 'solid'), (GREY, 'dash'), (GREY, 'dot'))
+"""Colour and dash of the curves of what may be added."""
 ROLES = {
     'best': ('explains most', GREEN, GREEN, ''),
     'found': ('missing, by this diagnosis', GREEN, GREEN, ''),
@@ -128,8 +130,9 @@ def where_it_fails(
         _note(figure, middle_s, f'<b>{rank}</b>', VERMILLION, y=1.0, yanchor='top')
     if jump_s is not None:
         figure.add_vline(jump_s, row='all', col=1, line={'color': PURPLE, 'width': 2, 'dash': 'dash'})
-        text = f'the bias jumped at {jump_s:.0f} s '
-        _note(figure, jump_s, text, PURPLE, y=0.0, yanchor='bottom', xanchor='right')
+        side = 'right' if jump_s > 0.5 * float(time_s[-1]) else 'left'  # on the side with more room
+        text = f' the bias jumped at {jump_s:.0f} s '
+        _note(figure, jump_s, text, PURPLE, y=0.0, yanchor='bottom', xanchor=side)
     figure.update_xaxes(range=[0.0, float(time_s[-1])])
     return figure
 
@@ -246,9 +249,10 @@ def error_by_signal(error: ErrorBySignal, names: tuple[str, str]) -> go.Figure:
         value = size * error.by_effects.values
         line(figure, error.by_effects.knots, value, 'by the effects added', '.3g', FIRST, BLUE, 'dash')
         ranges.append(value)
-    looks = ((PURPLE, 'solid'), (GREY, 'dash'))
-    for (name, curve), (colour, dash) in zip(error.proposed.items(), looks, strict=False):
-        line(figure, curve.knots, size * curve.values, f'by {name}, if added', '.3g', FIRST, colour, dash)
+    for (name, curve), (colour, dash) in zip(error.proposed.items(), PROPOSED, strict=False):
+        if np.any(curve.stds):
+            band(figure, curve.knots, size * curve.values, SIGMAS * size * curve.stds)
+        line(figure, curve.knots, size * curve.values, name, '.3g', FIRST, colour, dash)
         ranges.append(size * curve.values)
     figure.add_hline(0.0, line={'color': GREY, 'width': 1})
     figure.update_xaxes(title_text=error.signal, hoverformat='.4g')

@@ -42,6 +42,17 @@ def law_in_words(law: LearnedLaw) -> Iterator[str]:
         yield f'  what usually causes that: {law.forms[0].means}'
 
 
+def nothing_learned(contradicts: bool) -> str:
+    """Return why nothing was learned.
+
+    Args:
+        contradicts: True if the recording contradicts the model.
+    """
+    if contradicts:
+        return 'Nothing was learned: no law predicts the recording better without more drift.'
+    return 'Nothing was learned: the recording does not contradict the model.'
+
+
 def form_in_words(found: ClosedForm) -> str:
     """Return a closed form with its parameters in one line."""
     values = ', '.join(

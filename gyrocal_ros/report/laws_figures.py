@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, without_present
+from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, form_over
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, unit_of
 from gyrocal_ros.report.html import Section
 from gyrocal_ros.report.laws import form_in_words
@@ -37,13 +36,7 @@ def curve_figure(curve: LearnedCurve, best: ClosedForm | None) -> Any:
     band(figure, curve.x, factor * curve.y, SIGMAS * factor * curve.std)
     line(figure, curve.x, factor * curve.y, 'learned', '.4g')
     if best is not None:
-        drawn = factor * _drawn(curve, best)
+        drawn = factor * form_over(curve, best)
         line(figure, curve.x, drawn, best.form.name, '.4g', colour=VERMILLION, dash='dash')
     figure.update_xaxes(title_text=f'{follows} ({unit_of(follows)})', hoverformat='.4g')
     return figure
-
-
-def _drawn(curve: LearnedCurve, found: ClosedForm) -> Array:
-    """Return the form (n,) less what constant bias and scale factor explain, as the curve has it."""
-    drawn: Array = without_present(curve, found.form.columns(curve.x, found.parameter)) @ found.values
-    return drawn

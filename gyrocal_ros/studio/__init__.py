@@ -1,7 +1,9 @@
 """The studio: a web page for the diagnosis of a recording, and the state machine behind it.
 
 recordings    what a session works on: a bag or a hidden-effect task
-worker        long work, in a process of its own
+tasks         long work as values: tasks and messages
+executor      execution of the tasks
+worker        the process that executes them
 session       the actions of a user on one recording; `state` is its state as a value
 revisions     the models that were tried
 store         the folder of a session

@@ -18,7 +18,7 @@ from gyrocal_ros.studio.lesson import NOTHING, UNKNOWN
 from gyrocal_ros.studio.state import StudioState
 from gyrocal_ros.studio.workspace import Workspace
 
-BUTTONS = ('add', 'undo', 'write', 'export', 'go-to', 'cancel', 'resume', 'riddle', 'reveal')
+BUTTONS = ('add', 'learn', 'undo', 'write', 'export', 'go-to', 'cancel', 'resume', 'riddle', 'reveal')
 WAIT = 'The first run is in progress.'
 FORECAST_STEP = 10
 """Step in which the progress of a run in advance is shown, %."""
@@ -52,7 +52,7 @@ def marks(state: StudioState) -> dict[str, str]:
         'session': state.title,
         'bag': f'{state.title} {state.contents is not None}',
         'model': model if ran else model + preview,
-        'missing': model,
+        'missing': f'{model} {sorted(state.learned)}',
         'forecast': f'{model} {forecasts}',
         'lesson': f'{state.title} {state.has_answer} {state.revealed}',
     }
@@ -70,6 +70,7 @@ def _connect_status(app: Dash, workspace: Workspace) -> None:
         Output('cancel', 'hidden'),
         Output('resume', 'hidden'),
         Output('undo', 'disabled'),
+        Output('learn', 'disabled'),
         *(Output(name, 'disabled') for name in ('write', 'export', 'reveal')),
         *(Output(f'mark-{name}', 'data') for name in MARKS),
         Input('poll', 'n_intervals'),
@@ -94,6 +95,7 @@ def _connect_status(app: Dash, workspace: Workspace) -> None:
             running is None,
             running is not None or (has_run and state.tree.next_to_run is None),
             state.is_busy or present is None or present.builds_on is None,
+            state.is_busy or not state.can_learn,
             *[not has_run] * 2,
             not (has_run and state.has_answer),
             *changed,
@@ -116,6 +118,7 @@ def _connect_actions(app: Dash, workspace: Workspace) -> None:
         session = workspace.session
         actions: dict[str, Callable[[], object]] = {
             'add': lambda: session.add(str(chosen)),
+            'learn': session.learn,
             'undo': session.undo,
             'write': session.write,
             'export': lambda: _export(workspace),
@@ -146,15 +149,18 @@ def _connect_actions(app: Dash, workspace: Workspace) -> None:
         State('chosen', 'data'),
     )
     def choose(_clicks: list[Any], point: Any, _mark: Any, chosen: str | None) -> str | None:
-        examination = workspace.state.examination
+        state = workspace.state
+        examination, proposal = state.examination, state.proposal
         if examination is None:
             return None
-        names = [choice.effect.name for choice in panels.choices(examination)]
+        names = [choice.effect.name for choice in panels.choices(state)]
         for name in _triggered():
             if isinstance(name, dict):
                 chosen = str(name['effect'])
             elif name == 'evidence-figure':
                 chosen = str(point['points'][0]['y']).replace('<br>', '')
+            elif name == 'mark-missing' and proposal is not None:
+                chosen = proposal.name
         if chosen not in names:
             chosen = None if examination.best is None else examination.best.effect.name
         if chosen is not None:

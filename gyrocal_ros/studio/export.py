@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.diagnosis import diagnose
+from gyrocal_ros.diagnose.learned_laws import learned_laws
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.report.pdf import save_pdf
@@ -34,7 +35,8 @@ def export(state: StudioState, folder: Path) -> str:
         raise GyrocalError('the model has not run yet', where='report', todo='wait a moment')
     remark = ''
     with new_folder(folder / NAME, overwrite=True) as part:
-        fill_improvement(part, improved, contents.issues)
+        laws = list(learned_laws(improved.final.examined))
+        fill_improvement(part, improved, contents.issues, laws)
         searched = Search(improved.final.examined, ())
         (part / 'present').mkdir()
         fill_diagnosis(part / 'present', searched, diagnose(searched, recorded), contents.issues)

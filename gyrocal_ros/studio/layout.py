@@ -12,6 +12,7 @@ from gyrocal_ros.studio.pictures import COMPARED, KINDS
 
 POLL_MS = 400
 """Period at which the page asks for changes."""
+LEARN_HINT = 'Learn the law behind the error left over, as `gyrocal learn` does; nothing is added yet.'
 STEPS = (
     ('bag', '1', 'The recording'),
     ('model', '2', 'Model against measurement'),
@@ -104,6 +105,7 @@ def _residual() -> html.Section:
                 [
                     html.Label('Error left over, as a function of', htmlFor='signal', id='signal-label'),
                     dcc.Dropdown(id='signal', clearable=False),
+                    html.Button('Learn this', id='learn', disabled=True, title=LEARN_HINT),
                 ],
                 className='row',
             ),

@@ -14,7 +14,7 @@ from gyrocal_ros.diagnose.advice import join
 from gyrocal_ros.diagnose.candidate_fit import held_out_gain
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.separability import how_to_tell_apart
-from gyrocal_ros.diagnose.status import LEARN, NOTHING_MISSING, RECORD, Status, missing_sentence
+from gyrocal_ros.diagnose.status import NOTHING_MISSING, RECORD, Status, missing_sentence
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Effect
@@ -26,15 +26,17 @@ from gyrocal_ros.report.describe import (
     sigma_in_words,
     with_gain,
 )
+from gyrocal_ros.report.laws import form_in_words, law_in_words, nothing_learned
 from gyrocal_ros.studio.lesson import error_text
 from gyrocal_ros.studio.pictures import drift_deg
-from gyrocal_ros.studio.state import StudioState
-from gyrocal_ros.studio.worker import Examination
+from gyrocal_ros.studio.state import Proposal, StudioState
+from gyrocal_ros.studio.tasks import Examination
 
 MAX_LISTED = 8
 """Number of effects up to which the significant ones are complemented by others."""
 MAX_FAILURES = 8
 """Maximum number of failures in the table."""
+LEARN = 'Press Learn this: it learns what no effect of the library explains.'
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,16 +45,23 @@ class EffectChoice:
 
     effect: Effect
     ranked: RankedEffect | None
-    """None for a limit, which only a run can score."""
+    """None for a limit, which only a run can score, and for a learned law."""
+    proposal: Proposal | None = None
+    """A law that was learned."""
 
 
-def choices(examination: Examination) -> list[EffectChoice]:
-    """Return the effects that may be added: the significant ones, best first, then limits and others."""
+def choices(state: StudioState) -> list[EffectChoice]:
+    """Return what may be added: a learned law, the significant effects, best first, limits, and others."""
+    examination, proposal = state.examination, state.proposal
+    if examination is None:
+        return []
     candidates = [EffectChoice(ranked.effect, ranked) for ranked in examination.examined.ranked]
     candidates.sort(key=lambda one: one.ranked is not examination.best)
     significant = sum(one.ranked is not None and one.ranked.is_significant for one in candidates)
     limits = [EffectChoice(effect, None) for effect in examination.limits]
-    return [*candidates[:significant], *limits, *candidates[significant : max(significant, MAX_LISTED)]]
+    law = [] if proposal is None else [EffectChoice(proposal.law.effect, None, proposal)]
+    others = candidates[significant : max(significant, MAX_LISTED)]
+    return [*law, *candidates[:significant], *limits, *others]
 
 
 def recording(state: StudioState) -> list[Any]:
@@ -111,6 +120,10 @@ def status(state: StudioState) -> Status | None:
     if examination is None:
         return None
     best, structure, fit = examination.best, examination.examined.unexplained_structure, examination.fit
+    if state.proposal is not None:
+        what = next(law_in_words(state.proposal.law))
+        return Status('yellow', what, f'Add {state.proposal.name}, and compare the drift.')
+    learn = LEARN if state.can_learn else f'{nothing_learned(examination.is_contradicted)} {RECORD}'
     if best is not None:
         sentence = missing_sentence({best.effect.name: examination.indistinguishable})
         explains = f'It explains most of the error left over ({sigma_in_words(best.fit.sigma)} sigma).'
@@ -119,11 +132,11 @@ def status(state: StudioState) -> Status | None:
         limits = join([one.name for one in examination.limits], 'or')
         return Status('yellow', f'The readings suggest a limit: {limits}.', 'Add it, and compare the drift.')
     if structure is not None:
-        return Status('red', missing_sentence({}, structure), LEARN)
+        return Status('red', missing_sentence({}, structure), learn)
     if fit.misfits:
         why = '; '.join(fit.misfits)
         return Status(
-            'red', f'The model does not fit, and no effect of the library explains it: {why}.', LEARN
+            'red', f'The model does not fit, and no effect of the library explains it: {why}.', learn
         )
     if fit.fits is None:
         return Status('yellow', 'The recording is too short to judge the model.', RECORD)
@@ -135,7 +148,7 @@ def candidate_list(state: StudioState) -> list[Any]:
     examination = state.examination
     if examination is None:
         return []
-    offered = choices(examination)
+    offered = choices(state)
     longest = max([_log_gain(one) for one in offered] + [1.0])
     return [
         html.Button(
@@ -160,10 +173,13 @@ def _breakable(name: str) -> list[Any]:
 
 
 def _log_gain(choice: EffectChoice) -> float:
-    return 0.0 if choice.ranked is None else math.log10(1.0 + max(choice.ranked.fit.gain, 0.0))
+    scored = choice.proposal if choice.ranked is None else choice.ranked.fit
+    return 0.0 if scored is None else math.log10(1.0 + max(scored.gain, 0.0))
 
 
 def _strength(choice: EffectChoice) -> str:
+    if choice.proposal is not None:
+        return f'learned, +{choice.proposal.gain:.0f}'
     if choice.ranked is None:
         return 'from the readings'
     fit = choice.ranked.fit
@@ -175,7 +191,7 @@ def candidate_card(state: StudioState, chosen: str | None) -> list[Any]:
     examination = state.examination
     if examination is None:
         return []
-    choice = next((one for one in choices(examination) if one.effect.name == chosen), None)
+    choice = next((one for one in choices(state) if one.effect.name == chosen), None)
     if choice is None:
         return [html.P('Choose an effect to see its description and its scores.')]
     about: Explanation = find_effect(choice.effect.name).about
@@ -183,6 +199,8 @@ def candidate_card(state: StudioState, chosen: str | None) -> list[Any]:
     rows: list[tuple[str, Any]] = [('held-out drift', drift), ('equation', html.Code(about.equation))]
     if choice.ranked is not None:
         rows += _scores(choice.ranked, examination, chosen)
+    if choice.proposal is not None:
+        rows += _learned(choice.proposal)
     return [
         html.H3(choice.effect.name, id='candidate-name'),
         html.Dl([part for term, value in rows for part in (html.Dt(term), html.Dd(value))]),
@@ -203,6 +221,19 @@ def _scores(ranked: RankedEffect, examination: Examination, chosen: str | None) 
     if examination.best is not None and chosen == examination.best.effect.name and others:
         advice = ' '.join(how_to_tell_apart(ranked.effect.name, others))
         rows.append(('indistinguishable from', f'{join([*others], "or")}. {advice}'))
+    return rows
+
+
+def _learned(proposal: Proposal) -> list[tuple[str, Any]]:
+    """Return what was learned, and the closed forms of a curve."""
+    law = proposal.law
+    rows: list[tuple[str, Any]] = [
+        ('learned', next(law_in_words(law))),
+        ('log-likelihood', with_gain(proposal.gain, proposal.sigma)),
+    ]
+    if law.forms:
+        forms = html.Ul([html.Li(form_in_words(found)) for found in law.forms], className='forms')
+        rows += [('closed forms', forms), ('usual causes', law.forms[0].means)]
     return rows
 
 

@@ -12,6 +12,7 @@ from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out
 from gyrocal_ros.diagnose.effect_axis import curve_before_adding, effect_axis
 from gyrocal_ros.diagnose.error_curves import ErrorBySignal, ErrorCurve, curve_by_effects
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
+from gyrocal_ros.diagnose.law_axis import curves_of_law, law_axis
 from gyrocal_ros.diagnose.model_series import coefficients
 from gyrocal_ros.diagnose.ranking import estimate
 from gyrocal_ros.diagnose.run_series import camera_off, windows
@@ -23,7 +24,7 @@ from gyrocal_ros.report import diagnosis_figures as figures
 from gyrocal_ros.report.improvement import drift_marks
 from gyrocal_ros.studio.revisions import TriedModel
 from gyrocal_ros.studio.state import StudioState
-from gyrocal_ros.studio.worker import Examination
+from gyrocal_ros.studio.tasks import Examination
 
 MAX_STRETCHES = 5
 """Maximum number of stretches of time that are marked as failures."""
@@ -146,7 +147,11 @@ def error_by_signal(state: StudioState, signal: str, of_scale: bool, chosen: str
         after = present.error_curves.get(key)
         added = curve_by_effects(present.examined.run, len(chain) - 1, signal, before, of_scale)
     left = before if after is None else after
-    proposed = dict(_proposed(present, chosen, (signal, of_scale), left))
+    if state.proposal is not None and state.proposal.name == chosen:
+        run = state.proposal.examination.examined.run
+        proposed = dict(curves_of_law(state.proposal.law, run, signal, of_scale, left))
+    else:
+        proposed = dict(_proposed(present, chosen, key, left))
     error = ErrorBySignal(signal, of_scale, before, after, added, proposed)
     return figures.error_by_signal(error, (FIRST, PRESENT))
 
@@ -155,7 +160,9 @@ def axis_of(state: StudioState, chosen: str | None) -> tuple[str, bool] | None:
     """Return the key of the error curve that shows an effect which may be added; None without one."""
     if state.examination is None or chosen is None:
         return None
-    axis = effect_axis(find_effect(chosen))
+    proposal = state.proposal
+    is_law = proposal is not None and proposal.name == chosen
+    axis = law_axis(proposal.law) if proposal is not None and is_law else effect_axis(find_effect(chosen))
     return axis if axis in state.examination.error_curves else None
 
 
@@ -169,7 +176,7 @@ def _proposed(
             continue
         curve = curve_before_adding(item.effect, estimate(item), like)  # type: ignore[arg-type]
         if curve is not None:
-            yield item.effect.name, curve
+            yield f'by {item.effect.name}, if added', curve
 
 
 def signals(state: StudioState) -> list[tuple[str, bool]]:

@@ -104,6 +104,16 @@ def inspect_recording(recording: Bag | HiddenEffectTask) -> RecordingContents:
     return RecordingContents(report.duration_s, report)
 
 
+def identity(recording: Bag | HiddenEffectTask, contents: RecordingContents) -> dict[str, Any]:
+    """Return properties that distinguish a recording from others."""
+    if isinstance(recording, HiddenEffectTask):
+        return {'seed': recording.seed, 'duration_s': contents.duration_s}
+    assert contents.check is not None
+    topics = {topic.name: topic.count for topic in contents.check.topics}
+    options = {name: value for name, value in recording.options.items() if value}
+    return {'duration_s': contents.duration_s, 'messages': topics, **options}
+
+
 def load_recording(
     recording: Bag | HiddenEffectTask,
     contents: RecordingContents,

@@ -14,7 +14,7 @@ from gyrocal_ros.diagnose.improvement import (
     revision_label,
 )
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.studio.worker import Examination
+from gyrocal_ros.studio.tasks import Examination
 
 
 @dataclass(frozen=True, slots=True, eq=False)

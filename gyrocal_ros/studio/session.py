@@ -15,20 +15,22 @@ from typing import Any, Protocol
 
 from gyrocal_ros.diagnose.examined import wider_model, with_effect
 from gyrocal_ros.diagnose.improvement import Improvement
-from gyrocal_ros.effects import EFFECTS, find_effect
+from gyrocal_ros.effects import EFFECTS, LEARNED_EFFECTS, find_effect
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.sim.sealed import sealed_path, unseal
 from gyrocal_ros.studio import store
 from gyrocal_ros.studio.lesson import reveal
-from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask, RecordingContents
+from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask, RecordingContents, identity
 from gyrocal_ros.studio.revisions import ModelTree
-from gyrocal_ros.studio.state import RunningTask, StudioState
-from gyrocal_ros.studio.worker import (
+from gyrocal_ros.studio.state import Proposal, RunningTask, StudioState
+from gyrocal_ros.studio.tasks import (
     Examination,
     Examine,
     Failed,
+    LearnedResult,
+    LearnLaw,
     OpenRecording,
     Ready,
     RunPreview,
@@ -139,6 +141,19 @@ class Session:
             is_running = running is not None and running.subject == effect
             if not state.is_busy and not is_running and state.forecast(effect) is None:
                 self._start_task('forecast', effect, Examine(self._model_with(effect)))
+
+    def learn(self) -> None:
+        """Learn a law that no effect of the library has, from what the present model leaves unexplained.
+
+        Raises:
+            GyrocalError: the recording does not contradict the model, or another task is running.
+        """
+        with self._changed:
+            self._refuse_while_busy()
+            present = self._state.tree.present
+            if present is None or not self._state.can_learn:
+                raise GyrocalError('the recording does not contradict the model', where='nothing to learn')
+            self._start_task('learn', present.label, LearnLaw(present.model))
 
     def go_to(self, label: str) -> None:
         """Make another tried model the present one.
@@ -266,13 +281,15 @@ class Session:
         elif running.kind != 'forecast':
             self.show_message(message.why, is_error=True)
 
-    def _finish_task(self, running: RunningTask, message: Ready | Examination) -> None:
+    def _finish_task(self, running: RunningTask, message: Ready | Examination | LearnedResult) -> None:
         self._publish(running=None, preview=None)
         tree = self._state.tree
         if isinstance(message, Ready):
             self._answer = message.answer
             self._publish(recorded=message.recorded, tree=store.load(self._folder, self._identity()))
             self._run_next()
+        elif isinstance(message, LearnedResult):
+            self._propose(running.subject, message)
         elif running.kind == 'begin':
             self._commit(tree.with_first(message), '')
         elif running.kind == 'add':
@@ -311,6 +328,12 @@ class Session:
         drift = f'{before.held_out.rms_deg:.2f} to {after.held_out.rms_deg:.2f} deg'
         self.show_message(f'{effect} is in the model: held-out drift from {drift}.')
 
+    def _propose(self, label: str, learned: LearnedResult) -> None:
+        """Offer what was learned beside a model."""
+        found = learned.examination
+        proposal = None if found is None else Proposal(found, learned.gain, learned.sigma)
+        self._publish(learned={**self._state.learned, label: proposal})
+
     def _set_present(self, label: str, message: str) -> None:
         self._commit(replace(self._state.tree, present_label=label), message)
 
@@ -328,12 +351,7 @@ class Session:
         """Return properties that distinguish the recording from others."""
         contents = self._state.contents
         assert contents is not None
-        if isinstance(self._recording, HiddenEffectTask):
-            return {'seed': self._recording.seed, 'duration_s': contents.duration_s}
-        assert contents.check is not None
-        topics = {topic.name: topic.count for topic in contents.check.topics}
-        options = {name: value for name, value in self._recording.options.items() if value}
-        return {'duration_s': contents.duration_s, 'messages': topics, **options}
+        return identity(self._recording, contents)
 
     def _model_with(self, effect: str) -> SensorModel:
         examination = self._state.examination
@@ -342,6 +360,8 @@ class Session:
         examined = examination.examined
         if any(one.name == effect for one in examined.model.effects):
             raise GyrocalError('is in the model already', where=effect)
+        if effect.partition(':')[0] in LEARNED_EFFECTS:
+            raise GyrocalError('has not been learned yet', where=effect, todo='press "Learn this"')
         limit = next((one for one in examination.limits if one.name == effect), None)
         if limit is not None:
             return with_effect(examined.model, limit)
@@ -361,5 +381,6 @@ _TASK_TEXT = {
     'begin': 'the first run',
     'add': 'adding {}',
     'forecast': 'running {} in advance',
+    'learn': 'learning beside {}',
     'replay': 'running {} again',
 }

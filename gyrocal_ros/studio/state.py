@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from gyrocal_ros.diagnose.improvement import Improvement
+from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.studio.lesson import Reveal
 from gyrocal_ros.studio.recordings import RecordingContents
 from gyrocal_ros.studio.revisions import ModelTree
-from gyrocal_ros.studio.worker import Examination, RunPreview, TaskProgress
+from gyrocal_ros.studio.tasks import Examination, RunPreview, TaskProgress
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +22,33 @@ class RunningTask:
     number: int
     """Number of the task."""
     kind: str
-    """`open`, `begin`, `add`, `forecast` or `replay`."""
+    """`open`, `begin`, `add`, `forecast`, `learn` or `replay`."""
     subject: str
     """Name of the effect, label of the model, or title of the recording."""
     parent: str | None
     """Label of the model that was the present one when the task began."""
     progress: TaskProgress
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A law that was learned beside a model, and may be added to it."""
+
+    examination: Examination
+    """Examination of the model with the law."""
+    gain: float
+    """Marginal log-likelihood that the law gains."""
+    sigma: float
+
+    @property
+    def name(self) -> str:
+        """Name of the law as an effect."""
+        return self.examination.examined.model.effects[-1].name
+
+    @cached_property
+    def law(self) -> LearnedLaw:
+        """The law with its curve and its closed forms."""
+        return list(learned_laws(self.examination.examined))[-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +65,8 @@ class StudioState:
     tree: ModelTree = field(default_factory=ModelTree)
     forecasts: Mapping[tuple[str, str], Examination] = field(default_factory=dict)
     """Runs in advance of models with one more effect, by label of the model and name of the effect."""
+    learned: Mapping[str, Proposal | None] = field(default_factory=dict)
+    """Laws that were learned, by label of the model; None where no law predicts the recording better."""
     message: str = ''
     """Last message to the user."""
     is_error: bool = False
@@ -68,8 +92,21 @@ class StudioState:
         """The tried models as revisions with their figures of merit."""
         return self.tree.improvement()
 
+    @property
+    def proposal(self) -> Proposal | None:
+        """The law that was learned beside the present model; None without one."""
+        return self.learned.get(self.tree.present_label or '')
+
+    @property
+    def can_learn(self) -> bool:
+        """True if the recording contradicts the present model, and nothing was learned beside it yet."""
+        contradicts = self.examination is not None and self.examination.is_contradicted
+        return contradicts and self.tree.present_label not in self.learned
+
     def forecast(self, effect: str) -> Examination | None:
         """Return the examination of the present model with one more effect, if it has run."""
+        if self.proposal is not None and self.proposal.name == effect:
+            return self.proposal.examination
         tried = self.tree.find_addition(effect)
         if tried is not None and tried.examination is not None:
             return tried.examination

@@ -14,7 +14,7 @@ from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask
 from gyrocal_ros.studio.session import Session, TaskRunner
 from gyrocal_ros.studio.state import StudioState
-from gyrocal_ros.studio.worker import Listener, TaskMessage
+from gyrocal_ros.studio.tasks import Listener, TaskMessage
 
 SEEDS = 10_000
 """Number of seeds from which hidden-effect tasks are drawn."""

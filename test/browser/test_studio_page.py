@@ -215,6 +215,33 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     assert not errors
 
 
+def test_an_unknown_law_is_learned_shown_added_and_removed(
+    browser: Browser, strange_bag: Path, tmp_path: Path
+) -> None:
+    law, studio = 'bias_curve:heading', Studio(strange_bag, tmp_path)
+    page = browser.new_page(viewport=LAPTOP)
+    page.set_default_timeout(TIMEOUT_MS)
+    page.goto(studio.address)
+    expect(page.locator('#learn')).to_be_enabled()
+    page.locator('#learn').click()
+    expect(page.locator('#verdict')).to_contain_text(f'Learned {law}')
+    expect(page.locator('#residual-figure')).to_contain_text(f'by {law}, if added')
+    expect(page.locator('#residual-figure')).to_contain_text('closed form that fits')
+    expect(page.locator('#card')).to_contain_text('sine of the heading')
+    expect(page.locator('#learn')).to_be_disabled()
+    assert not parts_below_the_screen(page)
+    page.wait_for_timeout(500)
+    assert page.evaluate(OVERLAPS) == []
+    screenshot(page, 'learned')
+    page.locator('#add').click()
+    expect(page.locator('#revisions')).to_contain_text('1_bias_curve_heading')
+    assert drift_deg(page, '1_bias_curve_heading') < 0.1 * drift_deg(page, '0_default')
+    page.locator('#undo').click()
+    expect(page.locator('#revisions tr', has_text='1_bias_curve_heading')).to_contain_text('left out')
+    page.close()
+    studio.end()
+
+
 def test_the_error_left_over_is_shown_against_any_signal(page: Page, studio: Studio) -> None:
     page.goto(studio.address)
     expect(page.locator('#residual-figure')).to_contain_text('error of the')

@@ -11,8 +11,9 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.pipeline.calibration import calibration_to_yaml, conclude
 from gyrocal_ros.report.html import table
 
-FOR_THE_ROBOT = """If the verdict above allows it: save this as calibration.yaml, and give it to
-    robot.launch.py with calibration:=FILE. It has no settings, because the robot has its own."""
+FOR_THE_ROBOT = """With a green status above, save this as calibration.yaml and give it to
+    robot.launch.py with calibration:=FILE. With a yellow one, follow the next step first; with a red one, do
+    not use it. It has no settings, because the robot has its own."""
 
 
 def first_page(run: Run) -> str:

@@ -5,7 +5,8 @@ change of the scale factor at some moment and go on with the filter: nu(delta) =
 innovation, had the scale factor changed by delta at that moment. Sums of G^T S^-1 G and G^T S^-1 nu give the
 change, its standard deviation and its significance. Where it is significant, the state and the covariance
 follow in closed form, as if the scale factor had been unknown at that moment. The last column is a ramp: the
-scale factor changes at a constant rate since the beginning of its window.
+scale factor changes at a constant rate since the beginning of its window. It shows slow drifts earlier, and
+adds to the standard deviation; the state follows the steps only.
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ DRIFT_MEMORY_S = 600.0
 """Time constant by which a random walk that was learned from repeated changes decays."""
 
 TINY = float(np.finfo(float).tiny)
+NOT_SEPARABLE = 1e-9
+"""Smallest share of the information on a change that is left beside other errors, against rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,23 +168,25 @@ class ScaleWatch:
         if others is not None and others.explained > explained.max():
             # The Schur complement: change and other errors are estimated together.
             by_others = np.linalg.solve(others.information, self._cross.T).T
-            information = np.maximum(information - np.sum(by_others * self._cross, axis=1), TINY)
+            left = information - np.sum(by_others * self._cross, axis=1)
+            information = np.maximum(left, NOT_SEPARABLE * information)
             score = score - by_others @ others.score
             explained = score**2 / information
         unexplained = (self._nis - explained) / np.maximum(self._dof, 1.0)
         sigmas = np.sqrt(explained / np.maximum(unexplained, 1.0))
-        grown = self._grown()
-        sigmas[information < (grown / MAX_STD) ** 2] = 0.0
+        in_columns = np.ones(COLUMNS)
+        in_columns[RAMP] = self._ages_s[RAMP] / RAMP_S  # change so far, in units of the column
+        sigmas[information < (in_columns / MAX_STD) ** 2] = 0.0
         self._ramp_sigma, self._ramp = float(sigmas[RAMP]), float(score[RAMP] / information[RAMP])
-        best = int(sigmas.argmax())
+        best = int(sigmas[:RAMP].argmax())
         if sigmas[best] < CHANGE_SIGMA:
             self._significant_s = 0.0
             return None
         self._significant_s = self._significant_s or duration_s
         return ScaleChange(
             column=self._first + best,
-            value=float(grown[best] * score[best] / information[best]),
-            std=float(grown[best] * math.sqrt(max(unexplained[best], 1.0) / information[best])),
+            value=float(score[best] / information[best]),
+            std=float(math.sqrt(max(unexplained[best], 1.0) / information[best])),
             sigma=float(sigmas[best]),
         )
 
@@ -223,19 +228,11 @@ class ScaleWatch:
         walk then covers. One since the start is a calibration that was wrong.
         """
         window_s = float(self._ages_s[change.column - self._first])
-        is_ramp = change.column == self._first + COLUMNS - 1
-        is_drift = is_ramp or JUMP_S < window_s < self._running_s
+        is_drift = JUMP_S < window_s < self._running_s
         drifting_s = min(self._unchanged_s, window_s if is_drift else math.inf)
         self._walk = max(self._walk, abs(change.value) / math.sqrt(max(drifting_s, SETTLE_S)))
         self._unchanged_s = self._significant_s = 0.0
-        unit = float(self._grown()[change.column - self._first])
-        return self.begin(add_lacking(state, change.column, change.value / unit, change.std / unit))
-
-    def _grown(self) -> Array:
-        """Return the change of the scale factor so far in units of each column."""
-        grown = np.ones(COLUMNS)
-        grown[RAMP] = self._ages_s[RAMP] / RAMP_S
-        return grown
+        return self.begin(add_lacking(state, change.column, change.value, change.std))
 
     def _restarted(self, state: State, chosen: np.ndarray) -> State:
         columns = self._first + np.flatnonzero(chosen)

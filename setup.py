@@ -76,6 +76,7 @@ setup(
             *TEST,
             *PNG,
             'mypy>=1.10',
+            'axe-playwright-python>=0.1.4',
             'playwright>=1.40',
             'ruff>=0.8',
             'types-PyYAML',

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,6 +11,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+
+# The commands do the same: threads of the linear algebra wait in a loop, and take the processor from each other.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 ROS_TESTS = Path(__file__).parent / 'ros'
 HAS_ROS = find_spec('rclpy') is not None

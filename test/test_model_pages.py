@@ -339,7 +339,7 @@ class TestFigures:
             jump_s=33.0,
         )
         words = [note.text for note in figure.layout.annotations]
-        assert words == ['<b>1</b>', '<b>2</b>', 'the bias jumped at 33 s ']
+        assert words == ['<b>1</b>', '<b>2</b>', ' the bias jumped at 33 s ']
         assert {shape.x0 for shape in figure.layout.shapes} == {10.0, 40.0, 33.0}
 
 

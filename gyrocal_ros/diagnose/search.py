@@ -51,7 +51,7 @@ def search(
 ) -> Search:
     """Find what a model lacks.
 
-    Where the stamps are at fault no effect is tried: several would gain, and none would be right.
+    Where the stamps are at fault only limits are tried: other effects would gain, and none would be right.
 
     Args:
         model: the present sensor model.
@@ -74,7 +74,11 @@ def search(
         additions.append(recovered)
         first = present = recovered.after
     if timing_fault(present) is not None:
-        return Search(first, tuple(additions))
+        limited = _limit_instead_of_timing(present, recording, calibrate)
+        if limited is None:
+            return Search(first, tuple(additions))
+        additions.append(limited)
+        present = limited.after
     additions = continued(additions, present, recording, calibrate, most)
     last = next((item for item in reversed(additions) if item.is_kept), None)
     if last is not None:
@@ -267,6 +271,21 @@ def _limited(
         return None
     p_value = chi_square_tail(2.0 * gain / settings.min_inflation, 1)
     return Addition(limit, present, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
+
+
+def _limit_instead_of_timing(
+    present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate
+) -> Addition | None:
+    """Return a limit that the readings show and with which the stamps look right, or None.
+
+    A missing limit spoils the turns, as wrong stamps do, and nothing depends smoothly on it.
+    """
+    for limit in detected_limits(present.model, recording.readings):
+        least_gain = present.settings.min_predictive_gain
+        limited = _limited(present, limit, recording, calibrate, least_gain)
+        if limited is not None and limited.is_kept and timing_fault(limited.after) is None:
+            return limited
+    return None
 
 
 def _contested(

@@ -196,9 +196,11 @@ PAGE = """<!doctype html>
 <script>{library}</script>
 </head>
 <body>
+<main>
 <h1>{title}</h1>
 <p class="about">{about}</p>
 {body}
+</main>
 <script>
 addEventListener('beforeprint', () => document.querySelectorAll('details').forEach(part => part.open = true));
 </script>

@@ -82,6 +82,7 @@ def _app(token: str | None, names: frozenset[str] | None) -> Dash:
         suppress_callback_exceptions=True,  # the buttons of the effects are created at run time
         meta_tags=[{'name': 'viewport', 'content': 'width=device-width, initial-scale=1'}],
     )
+    app.index_string = app.index_string.replace('<html>', '<html lang="en">')
     app.server.config['MAX_CONTENT_LENGTH'] = MAX_REQUEST_BYTES
     _control_access(app.server, token, names)
     return app

@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 from zipfile import ZipFile
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from conftest import CHROMIUM
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from studio_parts import HIDDEN, SIZE
@@ -131,6 +132,17 @@ OVERLAPS = """
 """Texts of the figures that overlap or are clipped, and tables that are cut off."""
 
 
+def barriers(page: Page) -> list[str]:
+    """Return what serious obstacles to people with disabilities axe-core finds on the page.
+
+    Left out is the hidden field of a menu of Dash: it hands the focus on to the button of the menu.
+    """
+    found = Axe().run(page, context={'exclude': ['.dash-dropdown-focus-target']}).response['violations']
+    return [
+        f'{one["id"]}: {one["nodes"][0]["html"]}' for one in found if one['impact'] in ('serious', 'critical')
+    ]
+
+
 def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> None:
     hosts: set[str] = set()
     errors: list[str] = []
@@ -213,6 +225,13 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     expect(page.locator('#truth-words table')).to_contain_text(f'{SIZE:g}')
     assert hosts <= {urlsplit(studio.address).netloc, ''}, 'the page needs no other server'
     assert not errors
+
+    # for everybody: the page and its report
+    for scheme in ('light', 'dark'):
+        page.emulate_media(color_scheme=scheme)
+        assert not barriers(page), scheme
+    page.goto((folder / 'report' / 'report.html').as_uri())
+    assert not barriers(page)
 
 
 def test_an_unknown_law_is_learned_shown_added_and_removed(

@@ -11,6 +11,17 @@ window.dash_clientside = Object.assign({}, window.dash_clientside, {
   },
 });
 
+// Dash gives radio buttons the roles of a list, too: a screen reader would announce each twice.
+(function () {
+  function simplify() {
+    for (const part of document.querySelectorAll('.choice[role], .choice [role=option]')) part.removeAttribute('role');
+    for (const part of document.querySelectorAll('.choice [aria-selected]')) part.removeAttribute('aria-selected');
+  }
+  new MutationObserver(simplify).observe(document.documentElement, {
+    subtree: true, childList: true, attributes: true, attributeFilter: ['role', 'aria-selected'],
+  });
+})();
+
 // Shows a message if the server does not answer: without it the page would look as before.
 (function () {
   const originalFetch = window.fetch;

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-# The commands do the same: threads of the linear algebra wait in a loop, and take the processor from each other.
+# The commands do the same: idle threads of the linear algebra loop, and take the processor from the tests.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 ROS_TESTS = Path(__file__).parent / 'ros'

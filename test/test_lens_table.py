@@ -1,4 +1,4 @@
-"""The table from which Newton's method starts to undo a lens."""
+"""The table of undistorted pixels."""
 
 from __future__ import annotations
 
@@ -6,30 +6,29 @@ import numpy as np
 import pytest
 
 from gyrocal_ros.data import CameraIntrinsics
-from gyrocal_ros.model.camera import bearing, project
+from gyrocal_ros.model.camera import bearing
 from gyrocal_ros.sim.image_scenes import BARREL, FISHEYE, PINHOLE, RATIONAL
 from gyrocal_ros.vision.lens_table import approximate_bearing
 
 
-@pytest.mark.parametrize('camera', [BARREL, RATIONAL], ids=['barrel', 'rational'])
-def test_the_table_is_close_and_the_result_exact(camera: CameraIntrinsics) -> None:
-    pixels = np.random.default_rng(0).uniform([0.0, 0.0], [639.0, 479.0], (500, 2))
-    start = approximate_bearing(camera, pixels)
-    assert start is not None
-    found = bearing(camera, pixels, start)
-    assert np.abs(start - found).max() < 0.02
-    assert np.median(np.abs(start - found)) < 1e-3
-    back = project(camera, np.column_stack([found, np.ones(500)]))
-    assert back == pytest.approx(pixels, abs=1e-6)
-    assert found == pytest.approx(bearing(camera, pixels), abs=1e-8)
+@pytest.mark.parametrize(
+    ('camera', 'typical_px', 'worst_px'),
+    [(BARREL, 0.02, 0.05), (RATIONAL, 0.03, 1.0)],
+    ids=['barrel', 'rational'],
+)
+def test_the_table_is_close(camera: CameraIntrinsics, typical_px: float, worst_px: float) -> None:
+    pixels = np.random.default_rng(0).uniform([0.0, 0.0], [639.0, 479.0], (2000, 2))
+    approximate = approximate_bearing(camera, pixels)
+    assert approximate is not None
+    error_px = camera.fx_px * np.linalg.norm(approximate - bearing(camera, pixels), axis=1)
+    assert np.median(error_px) < typical_px and error_px.max() < worst_px
 
 
-def test_outside_the_image_the_result_is_exact_too() -> None:
-    pixels = np.array([[-30.0, -20.0], [660.0, 240.0]])
-    found = bearing(BARREL, pixels, approximate_bearing(BARREL, pixels))
-    assert found == pytest.approx(bearing(BARREL, pixels), abs=1e-8)
+def test_outside_the_image_it_is_extrapolated() -> None:
+    pixels = np.array([[-10.0, 200.0], [650.0, 240.0]])
+    assert approximate_bearing(BARREL, pixels) == pytest.approx(bearing(BARREL, pixels), abs=0.02)
 
 
 @pytest.mark.parametrize('camera', [PINHOLE, FISHEYE], ids=['pinhole', 'fisheye'])
-def test_a_lens_that_needs_no_start_has_no_table(camera: CameraIntrinsics) -> None:
+def test_a_lens_that_is_undone_as_fast_has_no_table(camera: CameraIntrinsics) -> None:
     assert approximate_bearing(camera, np.array([[100.0, 200.0]])) is None

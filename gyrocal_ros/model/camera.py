@@ -49,17 +49,16 @@ def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Ar
     return _pixels(camera, distorted), jacobian
 
 
-def bearing(camera: CameraIntrinsics, pixels: Array, start: Array | None = None) -> Array:
+def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:
     """Undo the lens: return the normalised coordinates (x/z, y/z) of raw pixels.
 
     Args:
         pixels: (n, 2) u, v.
-        start: (n, 2) approximate result, if known, which saves time.
 
     Returns:
         (n, 2); errors below 1e-8 where the distortion can be inverted.
     """
-    return undistort(camera, (pixels - [camera.cx_px, camera.cy_px]) / [camera.fx_px, camera.fy_px], start)
+    return undistort(camera, (pixels - [camera.cx_px, camera.cy_px]) / [camera.fx_px, camera.fy_px])
 
 
 def bearing_jacobian(camera: CameraIntrinsics, normalised: Array) -> Array:

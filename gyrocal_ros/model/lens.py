@@ -42,7 +42,7 @@ def distort(camera: CameraIntrinsics, normalised: Array) -> tuple[Array, Array]:
     return _distort_brown(camera.distortion, normalised)
 
 
-def undistort(camera: CameraIntrinsics, distorted: Array, start: Array | None = None) -> Array:
+def undistort(camera: CameraIntrinsics, distorted: Array) -> Array:
     """Return the normalised coordinates (n, 2) of distorted ones: the inverse of `distort`.
 
     Newton's method; the error is below 1e-8 where the distortion can be inverted. An equidistant lens also
@@ -51,13 +51,12 @@ def undistort(camera: CameraIntrinsics, distorted: Array, start: Array | None = 
     Args:
         camera: intrinsics.
         distorted: (n, 2).
-        start: (n, 2) approximate result, if known.
     """
     if is_undistorted(camera):
         return distorted
     if camera.lens == 'equidistant':
         return _undistort_equidistant(camera.distortion, distorted)
-    normalised = distorted if start is None else start
+    normalised = distorted
     for _ in range(MAX_NEWTON_STEPS):
         reached, slope = distort(camera, normalised)
         step = _solve_symmetric(slope, reached - distorted)

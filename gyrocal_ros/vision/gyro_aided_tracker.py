@@ -24,7 +24,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.gyro_attitude import GyroAttitude
-from gyrocal_ros.vision.search_region import ceiling_coordinates, ceiling_pixels
+from gyrocal_ros.vision.search_region import approximate_ceiling, ceiling_pixels
 from gyrocal_ros.vision.tracker import Tracker
 
 TURN_GAIN_STD, TURN_BIAS_STD_RAD_S = 0.1, 0.02
@@ -132,7 +132,7 @@ class GyroAidedTracker:
         self._gain_and_bias = self._gain_and_bias - np.linalg.solve(self._information, turn * residual)
 
     def _to_ceiling(self, image: _TrackedImage, rows: NDArray[np.intp]) -> Array:
-        return ceiling_coordinates(self._camera, image.seen.pixels[rows], image.R_wc)
+        return approximate_ceiling(self._camera, image.seen.pixels[rows], image.R_wc)
 
     def _propagated_regions(
         self, t_ns: int, R_wc: Array, yaw_rad: float, nominal_yaw_rad: float
@@ -145,7 +145,7 @@ class GyroAidedTracker:
         dt_s = seconds(t_ns - regions.t_ns)
         turn = np.array([nominal_yaw_rad - euler[2], dt_s])
         then = np.array([euler[0], euler[1], yaw_rad - float(turn @ self._gain_and_bias)])
-        ceiling = ceiling_coordinates(self._camera, regions.pixels, rotation_from_euler(then) @ self._R_bc)
+        ceiling = approximate_ceiling(self._camera, regions.pixels, rotation_from_euler(then) @ self._R_bc)
         pixels = ceiling_pixels(self._camera, ceiling + dt_s * self._flow_1_s, R_wc)
         centre = np.array([self._camera.cx_px, self._camera.cy_px])
         turn_variance = float(turn @ np.linalg.solve(self._information, turn))

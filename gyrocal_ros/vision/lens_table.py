@@ -1,4 +1,4 @@
-"""A table of undistorted pixels: the start from which two steps of Newton's method undo a lens."""
+"""A table of undistorted pixels, which predicts where a feature is searched for."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from gyrocal_ros.data import Array, CameraIntrinsics
 from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.model.lens import is_undistorted
 
-CELL_PX = 8
+CELL_PX = 4
 """Distance of the nodes of the table."""
 MAX_ERROR_PX = 0.01
 """Error of a node above which the lens cannot be inverted there."""
 
 
 def approximate_bearing(camera: CameraIntrinsics, pixels: Array) -> Array | None:
-    """Return the normalised coordinates (n, 2) of pixels (n, 2), to some 1e-4.
+    """Return the normalised coordinates (n, 2) of pixels (n, 2).
 
-    Between the nodes they are interpolated bilinearly, outside the image extrapolated. None for a lens that
-    is undone without a start: a pinhole, or a fisheye lens, whose angle alone is solved for.
+    Between the nodes they are interpolated bilinearly, to some hundredths of a pixel, at the edge of a very
+    wide lens to one; outside the image they are extrapolated. None for a lens that is undone as fast without
+    a table: a pinhole, or a fisheye lens, whose angle alone is solved for.
     """
     if camera.lens == 'equidistant' or is_undistorted(camera):
         return None
@@ -32,8 +33,8 @@ def approximate_bearing(camera: CameraIntrinsics, pixels: Array) -> Array | None
     flat, index = table.reshape(-1, 2), corner[:, 1] * columns + corner[:, 0]
     upper = (1.0 - right) * flat[index] + right * flat[index + 1]
     lower = (1.0 - right) * flat[index + columns] + right * flat[index + columns + 1]
-    start: Array = (1.0 - down) * upper + down * lower
-    return start
+    between: Array = (1.0 - down) * upper + down * lower
+    return between
 
 
 @lru_cache(maxsize=4)

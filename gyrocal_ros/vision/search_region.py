@@ -31,8 +31,16 @@ def ceiling_coordinates(camera: CameraIntrinsics, pixels: Array, R_wc: Array) ->
         moves and turns below it at constant height.
     """
     pixels_2d = pixels.reshape(-1, 2)
-    rays_w = _homogeneous(bearing(camera, pixels_2d, approximate_bearing(camera, pixels_2d))) @ R_wc.T
-    return (rays_w[:, :2] / np.maximum(rays_w[:, 2:], MIN_RAY_Z)).reshape(pixels.shape)
+    return _on_ceiling(bearing(camera, pixels_2d), R_wc).reshape(pixels.shape)
+
+
+def approximate_ceiling(camera: CameraIntrinsics, pixels: Array, R_wc: Array) -> Array:
+    """Return `ceiling_coordinates` (n, 2) of pixels (n, 2) but faster, to some tenths of a pixel.
+
+    That is enough to predict where a feature is searched for.
+    """
+    approximate = approximate_bearing(camera, pixels)
+    return _on_ceiling(bearing(camera, pixels) if approximate is None else approximate, R_wc)
 
 
 def ceiling_pixels(camera: CameraIntrinsics, ceiling: Array, R_wc: Array) -> Array:
@@ -83,6 +91,12 @@ def best_match(image: NDArray[np.uint8], template: Array, nodes: Array, covarian
     offsets = grid(2 * radius + 1) @ basis
     allowed = in_region(offsets, covariance[None]) & np.isfinite(scores)
     return offsets[np.argmax(np.where(allowed, scores, -2.0))]
+
+
+def _on_ceiling(normalised: Array, R_wc: Array) -> Array:
+    rays_w = _homogeneous(normalised) @ R_wc.T
+    on_ceiling: Array = rays_w[:, :2] / np.maximum(rays_w[:, 2:], MIN_RAY_Z)
+    return on_ceiling
 
 
 def _homogeneous(coordinates: Array) -> Array:

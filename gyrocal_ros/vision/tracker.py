@@ -30,8 +30,9 @@ from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
 from gyrocal_ros.vision.lens_marks import MIN_CHANGES, STAYED_PX, LensMarks, ViewChange, correlation_at
-from gyrocal_ros.vision.patches import MATCHING_PX, Patches, align, extract_patches, node_offsets
+from gyrocal_ros.vision.patches import MATCHING_PX, NODE_CENTRE, Patches, align, extract_patches, node_offsets
 from gyrocal_ros.vision.search_region import (
+    approximate_ceiling,
     best_match,
     ceiling_coordinates,
     ceiling_pixels,
@@ -203,7 +204,7 @@ class Tracker:
         return rotation_from_euler(np.array([0.0, 0.0, -self._yaw_error_rad])) @ R_wc
 
     def _to_ceiling(self, pixels: Array, R_wc: Array) -> Array:
-        return ceiling_coordinates(self._camera, pixels, self._attitude(R_wc))
+        return approximate_ceiling(self._camera, pixels, self._attitude(R_wc))
 
     def _to_pixels(self, ceiling: Array, R_wc: Array) -> Array:
         return ceiling_pixels(self._camera, ceiling, self._attitude(R_wc))
@@ -317,12 +318,13 @@ class Tracker:
         return corners.astype(float)
 
     def _new_features(self, frame: Frame, R_wc: Array, corners: NDArray[np.intp]) -> _Features:
-        ceiling = self._to_ceiling(corners.astype(float), R_wc)
-        outline = self._to_ceiling(corners[:, None] + node_offsets(self._size_px), R_wc) - ceiling[:, None]
+        nodes = corners[:, None] + node_offsets(self._size_px)
+        outline = ceiling_coordinates(self._camera, nodes, self._attitude(R_wc))
+        ceiling = outline[:, NODE_CENTRE]
         ids = (self._next_id + np.arange(len(corners))) % ID_COUNT
         patches = extract_patches(frame.image, corners, self._size_px)
         seen_ns, view = np.full(len(ids), frame.t_ns), np.full(len(ids), self._view.number)
-        return _Features(ids, seen_ns, ceiling, outline, corners, view, patches)
+        return _Features(ids, seen_ns, ceiling, outline - ceiling[:, None], corners, view, patches)
 
 
 def _reject_duplicates(pixels: Array, score: Array, distance_px: float) -> None:

@@ -42,6 +42,6 @@ class AdaptiveNoise:
             return
         self._count += len(distances)
         gain = min(MAX_GAIN, max(MIN_GAIN, 1.0 / self._count)) * len(distances)
-        below = float(np.mean(distances < chi_square_quantile(0.5, dof)))
+        below = np.count_nonzero(distances < chi_square_quantile(0.5, dof)) / len(distances)
         log_variance_step = min(gain, MAX_STEP) * (0.5 - below) / DENSITY_AT_MEDIAN
         self.std = min(self._high, max(self._low, self.std * math.exp(0.5 * log_variance_step)))

@@ -20,7 +20,7 @@ from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
 from gyrocal_ros.ekf.repeated_errors import motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
-from gyrocal_ros.ekf.state import YAW, Landmarks, State
+from gyrocal_ros.ekf.state import YAW, FeatureNoise, State
 from gyrocal_ros.ekf.update import (
     Innovation,
     MeasurementUpdate,
@@ -89,16 +89,19 @@ def update_from_image(
     """
     known, rows = _known(state, observations)
     prediction = model.predict(state, state.features[rows], state.landmarks.anchors[rows])
-    directions, last = _directions(prediction), state.landmarks[rows]
-    moved = motion(directions, observations.pixels[known], last, model.view.camera.fx_px)
+    directions, pixels = _directions(prediction), observations.pixels[known]
+    moved = motion(directions, pixels, state.landmarks, rows, model.view.camera.fx_px)
     new = ~moved.unmoved if model.errors_repeat else np.ones(len(rows), bool)
     state = mark_seen(state, rows[~new])
     seen = MeasurementUpdate(unmoved=int((~new).sum()), changes_px2=moved.changes_px2[moved.unmoved])
     if not new.any():
         return state, seen
-    each = np.flatnonzero(new)
-    rows, prediction, directions, observed = rows[each], prediction[each], directions[each], known[each]
-    found = _consensus(_innovation(state, model, rows, prediction, observations[observed]), model)
+    unmoved = moved.unmoved
+    if not new.all():
+        each = np.flatnonzero(new)
+        rows, known, prediction, directions = rows[each], known[each], prediction[each], directions[each]
+        pixels, unmoved = pixels[each], unmoved[each]
+    found = _consensus(_innovation(state, model, rows, prediction, observations[known]), model)
     judged, good = found.judged, found.good & (prediction.points_c[:, 2] > MIN_DEPTH)
     if model.form.is_robust and model.config.camera.estimate_pixel_noise:
         state = learn_noise(state, rows, judged, DOF_PER_FEATURE)
@@ -111,7 +114,7 @@ def update_from_image(
         stats = replace(stats, dof=DOF_PER_FEATURE * len(used.rows))
     kept = state
     if not found.rejects_image:
-        pixels, drop_after = observations.pixels[observed], model.config.features.drop_after_rejections
+        drop_after = model.config.features.drop_after_rejections
         kept = count_matches(state, rows, good, pixels, directions, drop_after)
     is_in_pixels = model.form.rows == 2
     return kept, replace(
@@ -122,7 +125,7 @@ def update_from_image(
         stats=stats,
         heading_rad=heading_rad,
         heading_std_rad=heading_std_rad,
-        noise_distances=_noise_dominated(judged, moved.unmoved[each]) if is_in_pixels else np.empty(0),
+        noise_distances=_noise_dominated(judged, unmoved) if is_in_pixels else np.empty(0),
     )
 
 
@@ -139,19 +142,19 @@ def _innovation(
 ) -> Innovation:
     measured, noise = model.form.measure(model.view, observed.pixels, model.noise_px, model.config.features)
     if model.form.is_robust:
-        noise = _own_noise(noise, model, state.landmarks[rows], observed)
+        noise = _own_noise(noise, model, state.landmarks.noise[rows], observed)
     by_values = model.by_values(prediction, state.coefficients)
     by_candidates = model.by_candidates(prediction)
     return innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
 
 
 def _own_noise(
-    typical: Array, model: ImageModel, landmarks: Landmarks, observed: FeatureObservations
+    typical: Array, model: ImageModel, learned: FeatureNoise, observed: FeatureObservations
 ) -> Array:
     """Return the noise (m, 2, 2) of each feature; see `ekf.feature_noise`."""
     if observed.covariances_px2 is not None:
         typical = (model.noise_px / model.match_px) ** 2 * observed.covariances_px2
-    return typical * variance_factors(landmarks.noise)[:, None, None]
+    return typical * variance_factors(learned)[:, None, None]
 
 
 def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:

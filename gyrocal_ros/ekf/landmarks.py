@@ -114,6 +114,8 @@ def count_matches(
 
 def mark_seen(state: State, rows: IntArray) -> State:
     """Note that features of the given indices are in view."""
+    if len(rows) == 0:
+        return state
     last_seen_ns = state.landmarks.last_seen_ns.copy()
     last_seen_ns[rows] = state.t_ns
     return replace(state, landmarks=replace(state.landmarks, last_seen_ns=last_seen_ns))

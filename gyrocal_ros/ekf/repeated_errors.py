@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.state import Landmarks
 
@@ -32,19 +32,20 @@ class Motion:
     errors has twice the variance of one."""
 
 
-def motion(directions: Array, pixels: Array, last: Landmarks, focal_px: float) -> Motion:
+def motion(directions: Array, pixels: Array, landmarks: Landmarks, rows: IntArray, focal_px: float) -> Motion:
     """Return the motion of features since their last use.
 
     Args:
         directions: (m, 2) expected x/z, y/z in the optical frame.
         pixels: (m, 2) their observations.
-        last: the features.
+        landmarks: the map.
+        rows: (m,) indices of the features.
         focal_px: focal length of the camera.
     """
-    expected_px = focal_px * (directions - last.last_directions)
-    changes_px = pixels - last.last_pixels - expected_px
-    unmoved = np.linalg.norm(expected_px, axis=1) < MIN_MOTION_PX
-    return Motion(unmoved, 0.5 * np.sum(changes_px**2, axis=1))
+    expected_px = focal_px * (directions - landmarks.last_directions[rows])
+    changes_px = pixels - landmarks.last_pixels[rows] - expected_px
+    unmoved = np.hypot(expected_px[:, 0], expected_px[:, 1]) < MIN_MOTION_PX
+    return Motion(unmoved, 0.5 * (changes_px**2).sum(axis=1))
 
 
 class RepeatedErrors:

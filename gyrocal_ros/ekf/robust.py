@@ -72,14 +72,16 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
     """
     m, r = innovation.residual.shape
     each = np.arange(m)
-    extra = (inflation - 1.0)[:, None, None] * innovation.noise
     try:
         precision = inverse(_inflated(innovation, inflation).reshape(m * r, m * r))
         own = np.linalg.inv(precision.reshape(m, r, m, r)[each, :, each, :])
         weighted = (precision @ innovation.residual.ravel()).reshape(m, r)
         difference = (own @ weighted[:, :, None])[:, :, 0]
-        variance = own - extra
-        distances = mahalanobis(difference, np.linalg.inv(variance))
+        if (inflation == 1.0).all():  # variance^-1 difference is y itself
+            variance, distances = own, (difference * weighted).sum(axis=1)
+        else:
+            variance = own - (inflation - 1.0)[:, None, None] * innovation.noise
+            distances = mahalanobis(difference, np.linalg.inv(variance))
     except np.linalg.LinAlgError as error:
         raise not_a_covariance() from error
     if not (distances >= 0.0).all():
@@ -159,6 +161,8 @@ def _weights(innovation: Innovation) -> tuple[Array, Judged, float]:
 
 def _with_noise(innovation: Innovation, inflation: Array) -> Innovation:
     """Return the innovation with inflated noise in its covariance."""
+    if (inflation == 1.0).all():
+        return innovation
     return replace(innovation, covariance=_inflated(innovation, inflation))
 
 

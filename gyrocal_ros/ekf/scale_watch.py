@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -28,7 +29,9 @@ WINDOWS_S = (3.0, 8.0, 20.0, 50.0, 120.0)
 """Lengths of the windows, one column each: a jump shows in a short one, a slow drift in a long one."""
 RAMP_S = 300.0
 """Length of the window of the ramp; its unit is the change over this time."""
-COLUMNS, RAMP = len(WINDOWS_S) + 1, -1
+LENGTHS_S = np.array([*WINDOWS_S, RAMP_S])
+"""Lengths of the windows of all columns."""
+COLUMNS, RAMP = len(LENGTHS_S), -1
 """Number of columns, and the place of the ramp."""
 SUSPECTED_SIGMA = 2.0
 """Significance from which a drift that is not yet sure adds to the standard deviation of the scale factor."""
@@ -51,7 +54,7 @@ NOT_SEPARABLE = 1e-9
 """Smallest share of the information on a change that is left beside other errors, against rounding."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class NormalEquations:
     """Sums over a run for q errors that are estimated together."""
 
@@ -60,12 +63,12 @@ class NormalEquations:
     score: Array
     """(q,)"""
 
-    @property
+    @cached_property
     def values(self) -> Array:
         """(q,) estimates."""
         return np.linalg.solve(self.information, self.score)
 
-    @property
+    @cached_property
     def explained(self) -> float:
         """Part of the NIS that they explain."""
         return float(self.score @ self.values)
@@ -153,7 +156,7 @@ class ScaleWatch:
         """
         for stats in updates:
             if stats.information is not None and stats.score is not None:
-                self._information += np.diagonal(stats.information)[self._first :]
+                self._information += stats.information.diagonal()[self._first :]
                 self._score += stats.score[self._first :]
                 self._cross += stats.information[self._first :, self._others]
                 self._nis += stats.nis
@@ -215,11 +218,12 @@ class ScaleWatch:
         if not state.coefficient_count:  # a model without a scale factor
             return state
         remaining = state.sensitivity[COEFFICIENTS_START, self._first :]
-        ended = self._ages_s >= (*WINDOWS_S, RAMP_S)
+        ended = self._ages_s >= LENGTHS_S
         ended[:RAMP] |= remaining[:RAMP] < ABSORBED
         state = self._restarted(state, ended)
-        state.sensitivity[COEFFICIENTS_START, RAMP] += duration_s / RAMP_S
-        return state
+        sensitivity = state.sensitivity.copy()
+        sensitivity[COEFFICIENTS_START, RAMP] += duration_s / RAMP_S
+        return replace(state, sensitivity=sensitivity)
 
     def follow(self, state: State, change: ScaleChange) -> State:
         """Return the state as if the scale factor had been unknown at the beginning of the window.
@@ -235,6 +239,8 @@ class ScaleWatch:
         return self.begin(add_lacking(state, change.column, change.value, change.std))
 
     def _restarted(self, state: State, chosen: np.ndarray) -> State:
+        if not chosen.any():
+            return state
         columns = self._first + np.flatnonzero(chosen)
         sensitivity = state.sensitivity.copy()
         sensitivity[:, columns] = 0.0

@@ -13,8 +13,6 @@ import statistics
 from collections import deque
 from dataclasses import replace
 
-import numpy as np
-
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import MotionBlock
 
@@ -43,9 +41,10 @@ class SteadyRate:
         Second differences of the readings show it: they contain neither the rate nor its steady change.
         """
         if len(block.dt_s) > 2:
-            bends = np.diff(block.rate_rad_s[:, 2], 2)
+            steps = block.rate_rad_s[1:, 2] - block.rate_rad_s[:-1, 2]
+            bends = steps[1:] - steps[:-1]
             # An interval's rate is the mean of two readings r: its bend is (r3 - r2 - r1 + r0) / 2.
-            self._seen_rad2_s.append(float(np.mean(bends**2) * block.dt_s.mean()))
+            self._seen_rad2_s.append(float(bends @ bends) / len(bends) * float(block.dt_s.mean()))
         if len(self._seen_rad2_s) < NOISE_BLOCKS:
             return gyro
         seen = math.degrees(math.sqrt(statistics.median(self._seen_rad2_s)))
@@ -73,8 +72,8 @@ class SteadyRate:
         """
         by_settings = math.radians(gyro.rate_noise_deg_s) ** 2
         if len(block.dt_s) > 1:
-            steps = np.diff(block.rate_rad_s[:, 2])
-            seen = 0.5 * float(np.mean(steps**2) * block.dt_s.mean())
+            steps = block.rate_rad_s[1:, 2] - block.rate_rad_s[:-1, 2]
+            seen = 0.5 * float(steps @ steps) / len(steps) * float(block.dt_s.mean())
             known = self._noise_rad2_s
             self._noise_rad2_s = seen if known is None else known + (seen - known) / MEMORY
         return max(by_settings, self._noise_rad2_s or 0.0)

@@ -68,9 +68,10 @@ class UpdateStats:
     def of_first(self, count: int) -> UpdateStats:
         """Return the statistics of the first candidates alone."""
         if self.information is None or self.score is None or count == 0:
-            return replace(self, information=None, score=None)
+            return UpdateStats(self.nis, self.dof, self.log_determinant)
         kept = slice(count)
-        return replace(self, information=self.information[kept, kept], score=self.score[kept])
+        information, score = self.information[kept, kept], self.score[kept]
+        return UpdateStats(self.nis, self.dof, self.log_determinant, information, score)
 
     @property
     def log_likelihood(self) -> float:
@@ -301,10 +302,17 @@ def _correct(
     mean = state.mean + gain.T @ score
     if not np.isfinite(mean).all():
         raise FilterDivergedError('the estimate is no longer finite', todo=CHECK_THE_SENSORS)
-    after = replace(state, mean=mean, covariance=state.covariance - gain.T @ gain)
-    log_determinant = 2.0 * float(np.log(np.diagonal(factor)).sum())
-    stats = UpdateStats(float(score @ score), len(residual), log_determinant)
-    if sensitivities.shape[1] == 0:
-        return after, stats
-    after = replace(after, sensitivity=state.sensitivity - gain.T @ sensitivities)
-    return after, replace(stats, information=sensitivities.T @ sensitivities, score=sensitivities.T @ score)
+    after = replace(
+        state,
+        mean=mean,
+        covariance=state.covariance - gain.T @ gain,
+        sensitivity=state.sensitivity - gain.T @ sensitivities,
+    )
+    stats = UpdateStats(
+        nis=float(score @ score),
+        dof=len(residual),
+        log_determinant=2.0 * float(np.log(factor.diagonal()).sum()),
+        information=sensitivities.T @ sensitivities,
+        score=sensitivities.T @ score,
+    )
+    return after, stats if sensitivities.shape[1] else stats.of_first(0)

@@ -68,26 +68,25 @@ def integrate(
     turns = rate_rad_s.T * dt_s
     guess = _nearly_level(euler_rad, turns)
     increments = _euler_increments(guess, turns)
-    ends = np.cumsum(increments, axis=1)
+    ends = increments.cumsum(axis=1)
     mid = euler_rad[:, None] + ends - 0.5 * increments
     trig = _Trig(*np.sin(mid), *np.cos(mid))
 
-    drift = _increment_derivatives(trig, turns)
-    drift_before = np.cumsum(drift, axis=2) - 0.5 * drift
-    drift_total = drift.sum(axis=2)
-    squared = drift_total @ drift_total
-    step_by_euler = _forward_derivatives(trig) * distance_m
+    # Derivatives of the steps (rows 0 to 2) and of the Euler increments (rows 3 to 5) by the Euler angles.
+    by_euler = np.empty((6, 3, len(dt_s)))
+    by_euler[:3] = _forward_derivatives(trig) * distance_m
+    by_euler[3:] = _increment_derivatives(trig, turns)
+    before = by_euler.cumsum(axis=2) - 0.5 * by_euler
+    total = by_euler.sum(axis=2)
+    drift = total[3:]
+    squared = drift @ drift
     transition = np.eye(6)
-    transition[3:, 3:] += drift_total + squared / 2.0 + squared @ drift_total / 6.0
-    transition[:3, 3:] = np.einsum('ijn,jkn->ik', step_by_euler, drift_before) + step_by_euler.sum(axis=2)
+    transition[3:, 3:] += drift + squared / 2.0 + squared @ drift / 6.0
+    transition[:3, 3:] = np.einsum('ijn,jkn->ik', by_euler[:3], before[3:]) + total[:3]
 
-    euler_gain = euler_rate_matrices(mid) * dt_s
-    drift_after = drift_total[:, :, None] - drift_before
-    steps_total = step_by_euler.sum(axis=2)
-    steps_after = steps_total[:, :, None] - np.cumsum(step_by_euler, axis=2) + 0.5 * step_by_euler
-    rate_gain = np.empty((6, 3, len(dt_s)))
-    rate_gain[3:] = euler_gain + np.einsum('ijn,jkn->ikn', drift_after, euler_gain)
-    rate_gain[:3] = np.einsum('ijn,jkn->ikn', steps_after, euler_gain)
+    after = total[:, :, None] - before
+    after[3:] += np.eye(3)[:, :, None]
+    rate_gain = np.einsum('ijn,jkn->ikn', after, euler_rate_matrices(mid) * dt_s)
     forward = _forward(trig)
     last_step = np.concatenate([forward[:, -1] * distance_m[-1], increments[:, -1]])
     return PoseStep(
@@ -107,10 +106,10 @@ def _nearly_level(euler_rad: Array, turns: Array) -> Array:
     With z = roll + i pitch and psi the change of heading since the start, `z exp(i psi)` changes only by the
     body rates about x and y.
     """
-    heading = np.cumsum(turns[2]) - 0.5 * turns[2]
+    heading = turns[2].cumsum() - 0.5 * turns[2]
     spun = np.exp(1j * heading)
     tilting = (turns[0] + 1j * turns[1]) * spun
-    tilt = (complex(euler_rad[0], euler_rad[1]) + np.cumsum(tilting) - 0.5 * tilting) * spun.conj()
+    tilt = (complex(euler_rad[0], euler_rad[1]) + tilting.cumsum() - 0.5 * tilting) * spun.conj()
     return np.array([tilt.real, tilt.imag, euler_rad[2] + heading])
 
 

@@ -74,8 +74,10 @@ def by_radial_coefficients(camera: CameraIntrinsics, normalised: Array) -> Array
         angle = np.arctan(r)
         first, second = angle**3 / r, angle**5 / r
     else:
-        denominator = _rational_denominator(camera.distortion, r2)[0]
-        first, second = r2 / denominator, r2**2 / denominator
+        first, second = r2, r2 * r2
+        if any(camera.distortion[5:]):
+            denominator, _ = _rational_denominator(camera.distortion, r2)
+            first, second = first / denominator, second / denominator
     return normalised[:, :, None] * np.stack([first, second], axis=1)[:, None]
 
 

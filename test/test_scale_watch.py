@@ -12,7 +12,16 @@ from recordings import ModifiedSource, recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ImuSample, Measurement, Source, seconds
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.scale_watch import CHANGE_SIGMA, COLUMNS, RAMP, RAMP_S, WINDOWS_S, ScaleWatch
+from gyrocal_ros.ekf.scale_watch import (
+    CHANGE_SIGMA,
+    COLUMNS,
+    DRIFT_STD,
+    NOT_LINEAR,
+    RAMP,
+    RAMP_S,
+    WINDOWS_S,
+    ScaleWatch,
+)
 from gyrocal_ros.ekf.start import Start, initial_state
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import UpdateStats
@@ -88,6 +97,26 @@ def test_a_scale_factor_that_changes_is_followed_or_reported(
         assert found.converged
 
 
+@pytest.mark.slow
+def test_a_jump_within_a_turn_is_followed() -> None:
+    """The shortest window ends before the change has settled, and the others have seen turns before it."""
+    source = recording('cleaning', 0, 60.0)
+    changed = with_gain(source, lambda s: 1.05 if s > 30.0 else 1.0)
+    found = conclude(calibrate(changed, Config(), default_model(), follows_changes=True))
+    true = source.truth.scale_factor / 1.05
+    assert abs(found.scale_factor - true) < 3.0 * found.scale_factor_std
+    assert found.scale_factor == pytest.approx(true, rel=3e-3)
+
+
+@pytest.mark.slow
+def test_a_drift_goes_on_after_it_was_followed() -> None:
+    source = recording('lanes', 0, 60.0)
+    changed = with_gain(source, lambda s: 1.0 / (1.0 + 5e-5 * s))
+    run = calibrate(changed, Config(), default_model(), follows_changes=True)
+    assert run.history.scale_followed.any()
+    assert is_right(conclude(run), 1.003 * source.truth.scale_factor)
+
+
 def some_watch() -> tuple[ScaleWatch, State]:
     state = initial_state(default_model(), Config(), None, COLUMNS)
     watch = ScaleWatch(state)
@@ -117,14 +146,14 @@ def test_innovations_that_no_change_explains_are_noise() -> None:
 
 
 def test_the_state_follows_as_if_the_scale_factor_had_been_unknown() -> None:
-    """At once, this is the update of an unknown number by its measurement."""
+    """At once, this is the update of an unknown number by its measurement, which is linear in part."""
     watch, state = some_watch()
     found = watch.add(1.0, (stats(1e6, 0.02),))
     assert found is not None
     after = watch.follow(state, found)
     scale, before = COEFFICIENTS_START, state.covariance[COEFFICIENTS_START, COEFFICIENTS_START]
     assert after.mean[scale] == pytest.approx(state.mean[scale] + 0.02)
-    assert after.covariance[scale, scale] == pytest.approx(before + 1e-6)
+    assert after.covariance[scale, scale] == pytest.approx(before + 1e-6 + (NOT_LINEAR * 0.02) ** 2)
     assert watch.add(1.0, ()) is None, 'all windows begin anew'
 
 
@@ -162,18 +191,56 @@ def test_the_ramp_grows_at_a_constant_rate() -> None:
     assert state.sensitivity[COEFFICIENTS_START, RAMP] == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize(('sigma', 'expected'), [(1.9, 0.0), (-4.0, 0.01 * np.sqrt(0.75))])
-def test_a_drift_that_is_not_sure_adds_to_the_standard_deviation(sigma: float, expected: float) -> None:
+def suspected_std(ramp: float, std: float) -> float:
+    """Return what a ramp adds at its end, where the filter has corrected nothing of it."""
     watch, state = some_watch()
-    watch.add(30.0, ())
-    state = watch.renew(state, 30.0)
-    change = 0.1 / state.sensitivity[COEFFICIENTS_START, RAMP] * 0.1
-    state.sensitivity[COEFFICIENTS_START, RAMP] *= 1.0
+    watch.add(RAMP_S - 2.0, ())
+    state = watch.renew(state, RAMP_S)
     alone = np.zeros(COLUMNS)
-    alone[RAMP] = (sigma / change) ** 2
-    score = alone * np.copysign(change, sigma)
-    watch.add(1.0, (UpdateStats(sigma**2, 1, information=np.diag(alone), score=score),))
-    assert watch.suspected_std(state) == pytest.approx(expected)
+    alone[RAMP] = std**-2.0
+    watch.add(1.0, (UpdateStats((ramp / std) ** 2, 1, information=np.diag(alone), score=alone * ramp),))
+    return watch.suspected_std(state)
+
+
+def test_a_drift_that_is_not_sure_adds_its_square_less_its_variance() -> None:
+    """The square of the ramp exceeds that of the drift by the variance, on average."""
+    assert suspected_std(9e-5, 1e-4) == 0.0
+    assert suspected_std(-4e-4, 1e-4) == pytest.approx(1e-4 * np.sqrt(15.0))
+    drifts = 2e-4 + 1e-4 * np.random.default_rng(5).normal(size=400)
+    assert np.mean([suspected_std(ramp, 1e-4) ** 2 for ramp in drifts]) == pytest.approx(4e-8, rel=0.2)
+
+
+def test_a_ramp_that_is_hardly_known_adds_no_more_than_a_gyro_drifts() -> None:
+    assert suspected_std(0.04, 0.01) <= 2.0 * DRIFT_STD
+    assert suspected_std(0.04, 0.001) == pytest.approx(0.04, rel=0.05), 'a sure one adds all of it'
+
+
+@pytest.mark.parametrize('is_ramp', [False, True])
+def test_a_change_that_a_ramp_explains_may_go_on(is_ramp: bool) -> None:
+    """At the rate of the ramp, until turns show a constant scale factor."""
+    watch, state = some_watch()
+    ramp, information, step = 0.015, np.full(COLUMNS, 1e7), np.full(COLUMNS, 0.002)
+    step[RAMP], information[RAMP] = ramp, 1e7 * (0.002 / ramp) ** 2 * (0.9 if is_ramp else 0.1)
+    update = UpdateStats(100.0, 100, information=np.diag(information), score=information * step)
+    found = watch.add(40.0, (update,))
+    assert found is not None
+    state = watch.follow(state, found)
+    watch.add(5.0, ())
+    state = watch.renew(state, 5.0)
+    assert watch.suspected_std(state) == pytest.approx(ramp * 5.0 / RAMP_S if is_ramp else 0.0)
+    watch.add(5.0, (stats(1e8, 0.0),))
+    assert watch.suspected_std(state) <= 1e-4 * 5.0 / RAMP_S
+
+
+def test_no_window_ends_while_a_change_settles() -> None:
+    """One that began within the change would show a part of it only."""
+    watch, state = some_watch()
+    for moment in range(8):
+        turns = moment >= 4
+        found = watch.add(0.5, (stats(1e6, 0.02),) if turns else ())
+        assert (found is not None) == turns
+        state = watch.renew(replace(state, sensitivity=0.9 * state.sensitivity), 0.5)
+    np.testing.assert_allclose(state.sensitivity[COEFFICIENTS_START, :RAMP], 0.9**8)
 
 
 def test_candidates_keep_their_statistics() -> None:

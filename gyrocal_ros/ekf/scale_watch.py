@@ -33,17 +33,24 @@ LENGTHS_S = np.array([*WINDOWS_S, RAMP_S])
 """Lengths of the windows of all columns."""
 COLUMNS, RAMP = len(LENGTHS_S), -1
 """Number of columns, and the place of the ramp."""
-SUSPECTED_SIGMA = 2.0
-"""Significance from which a drift that is not yet sure adds to the standard deviation of the scale factor."""
+DRIFT_STD = 0.005
+"""Largest standard deviation of the drift of a scale factor over `RAMP_S` while the ramp is hardly known."""
+FASTEST_DRIFT = 0.02
+"""Drift over `RAMP_S` beyond which a change was not one: within a single turn, steps look like ramps."""
 ABSORBED = 0.2
 """Part of a change that is left when the filter has corrected the rest by itself, as in the first turn."""
 MAX_STD = 0.005
 """Standard deviation of a change from which its window holds part of a turn; without, it holds noise."""
 CHANGE_SIGMA = 4.5
 """Significance from which a change is real."""
+CHANCE_SIGMA = 3.0
+"""Significance by which a step has to explain more than a ramp, so that it is no ramp."""
 SETTLE_S = 3.0
 """Time for which a change has to be significant before it is followed. Windows that began before a jump
 contradict it in part; in this time one that began after it, or just before, explains more than they do."""
+NOT_LINEAR = 0.1
+"""Part of a change that may be wrong because the sensitivity is linear, and because features were rejected
+and weighted as if nothing had changed."""
 JUMP_S = 20.0
 """Time in which a jump shows; what takes longer is a drift."""
 DRIFT_MEMORY_S = 600.0
@@ -128,7 +135,8 @@ class ScaleWatch:
         self._ages_s = np.zeros(COLUMNS)
         self._information, self._score = np.zeros(COLUMNS), np.zeros(COLUMNS)
         self._nis, self._dof = np.zeros(COLUMNS), np.zeros(COLUMNS)
-        self._ramp, self._ramp_sigma = 0.0, 0.0
+        self._ramp, self._ramp_variance, self._ramp_sigma = 0.0, math.inf, 0.0
+        self._drift = 0.0
         self._running_s = self._significant_s = 0.0
         self._unchanged_s, self._walk = math.inf, 0.0
 
@@ -180,7 +188,8 @@ class ScaleWatch:
         in_columns = np.ones(COLUMNS)
         in_columns[RAMP] = self._ages_s[RAMP] / RAMP_S  # change so far, in units of the column
         sigmas[information < (in_columns / MAX_STD) ** 2] = 0.0
-        self._ramp_sigma, self._ramp = float(sigmas[RAMP]), float(score[RAMP] / information[RAMP])
+        self._ramp, self._ramp_sigma = float(score[RAMP] / information[RAMP]), float(sigmas[RAMP])
+        self._ramp_variance = max(float(unexplained[RAMP]), 1.0) / float(information[RAMP])
         best = int(sigmas[:RAMP].argmax())
         if sigmas[best] < CHANGE_SIGMA:
             self._significant_s = 0.0
@@ -199,14 +208,20 @@ class ScaleWatch:
         return self._significant_s >= SETTLE_S
 
     def suspected_std(self, state: State) -> float:
-        """Return what a drift that is not yet sure adds to the standard deviation of the scale factor.
+        """Return what a drift that is not sure adds to the standard deviation of the scale factor.
 
-        It is the shift by the ramp, without what is probable by chance.
+        The variance p of the drift is that which makes the ramp most likely, but at most that of a gyro
+        (empirical Bayes, Morris 1983). It is zero for a ramp that is smaller than its standard deviation, but
+        not after a change that was a ramp, which may go on.
         """
-        if self._ramp_sigma <= SUSPECTED_SIGMA or self._ages_s[RAMP] < JUMP_S:
+        r, v = self._ramp, self._ramp_variance
+        is_measured = self._ramp_sigma > 1.0 and self._ages_s[RAMP] >= JUMP_S
+        p = min(r**2 - v, DRIFT_STD**2) if is_measured else 0.0
+        p = max(p, self._drift**2)
+        if p == 0.0:
             return 0.0
-        shift = state.sensitivity[COEFFICIENTS_START, RAMP] * self._ramp
-        return abs(float(shift)) * math.sqrt(1.0 - (SUSPECTED_SIGMA / self._ramp_sigma) ** 2)
+        drift = math.hypot(r / (1.0 + v / p), math.sqrt(p / (1.0 + p / v)))
+        return drift * abs(float(state.sensitivity[COEFFICIENTS_START, RAMP]))
 
     def renew(self, state: State, duration_s: float) -> State:
         """Return the state where windows begin again that have ended, or say no more about the present.
@@ -220,6 +235,10 @@ class ScaleWatch:
         remaining = state.sensitivity[COEFFICIENTS_START, self._first :]
         ended = self._ages_s >= LENGTHS_S
         ended[:RAMP] |= remaining[:RAMP] < ABSORBED
+        if 0.0 < self._significant_s < SETTLE_S:
+            ended[:] = False  # the window that explains a change has to last until it is followed
+        if ended[RAMP]:
+            self._drift = 0.0
         state = self._restarted(state, ended)
         sensitivity = state.sensitivity.copy()
         sensitivity[COEFFICIENTS_START, RAMP] += duration_s / RAMP_S
@@ -229,14 +248,18 @@ class ScaleWatch:
         """Return the state as if the scale factor had been unknown at the beginning of the window.
 
         A change soon after another one, or one that shows only in a long window, is a drift, which the random
-        walk then covers. One since the start is a calibration that was wrong.
+        walk then covers. One since the start is a calibration that was wrong. One that a ramp explains
+        as well may go on, until a new ramp shows that it does not.
         """
         window_s = float(self._ages_s[change.column - self._first])
         is_drift = JUMP_S < window_s < self._running_s
         drifting_s = min(self._unchanged_s, window_s if is_drift else math.inf)
         self._walk = max(self._walk, abs(change.value) / math.sqrt(max(drifting_s, SETTLE_S)))
+        is_ramp = self._ramp_sigma**2 > change.sigma**2 - CHANCE_SIGMA**2
+        self._drift = abs(self._ramp) if is_ramp and abs(self._ramp) < FASTEST_DRIFT else 0.0
         self._unchanged_s = self._significant_s = 0.0
-        return self.begin(add_lacking(state, change.column, change.value, change.std))
+        std = math.hypot(change.std, NOT_LINEAR * change.value)
+        return self.begin(add_lacking(state, change.column, change.value, std))
 
     def _restarted(self, state: State, chosen: np.ndarray) -> State:
         if not chosen.any():

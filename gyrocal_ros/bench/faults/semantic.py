@@ -44,7 +44,7 @@ class Moment:
 
 
 RateChange: TypeAlias = Callable[[Array, Moment], Array]
-"""Function from the true readings (3,) of the gyro to the wrong ones."""
+"""Function from the true readings (3,) of gyro or accelerometer to the wrong ones."""
 PixelChange: TypeAlias = Callable[[Array, Moment], Array]
 """Function from pixels (n, 2), relative to the principal point, to wrong ones."""
 
@@ -55,6 +55,7 @@ class SemanticFault:
 
     sizes: tuple[float, ...]
     rates: RateChange = lambda rate, at: rate
+    forces: RateChange = lambda force, at: force
     pixels: PixelChange = lambda pixels, at: pixels
     ids: Callable[[IntArray, Moment], IntArray] = lambda ids, at: ids
     wheels: Callable[[float, float, Moment], tuple[float, float]] = lambda speed, turn, at: (speed, turn)
@@ -136,6 +137,16 @@ FAULTS: dict[str, SemanticFault] = {
     'gyro depends on the sign': SemanticFault(
         (0.002, 0.01, 0.03), rates=lambda rate, at: np.where(rate > 0.0, rate * (1.0 + at.size), rate)
     ),
+    'gyro reads in steps': SemanticFault(
+        (0.0005, 0.005, 0.03), rates=lambda rate, at: at.size * np.round(rate / at.size)
+    ),
+    'two gyros on one topic': SemanticFault(
+        (0.002, 0.02, 0.2),
+        rates=lambda rate, at: rate * (1.0 + at.size * (at.random.random() < 0.5)),
+        scale=lambda size: 1.0 / (1.0 + 0.5 * size),
+    ),
+    'specific force in g': SemanticFault((9.81,), forces=lambda force, at: force / at.size),
+    'specific force turned': SemanticFault((1.0, 2.0), forces=lambda force, at: np.roll(force, int(at.size))),
     # --- times
     'imu late': SemanticFault((0.01, 0.05, 0.2), imu_delay_s=lambda at: at.size),
     'imu stamps jitter': SemanticFault(
@@ -145,7 +156,7 @@ FAULTS: dict[str, SemanticFault] = {
         (0.02, 0.06, 0.12), imu_delay_s=lambda at: at.size * (at.time_s / 3.0 % 1.0)
     ),
     'imu clock runs fast': SemanticFault((0.0005, 0.002, 0.01), imu_delay_s=lambda at: at.size * at.time_s),
-    'images late': SemanticFault((0.01, 0.05, 0.2), image_delay_s=lambda at: at.size),
+    'images late': SemanticFault((-0.2, -0.03, 0.01, 0.05, 0.2), image_delay_s=lambda at: at.size),
     'image stamps jitter': SemanticFault(
         (0.005, 0.02, 0.05), image_delay_s=lambda at: at.random.normal(0.0, at.size)
     ),
@@ -173,6 +184,10 @@ FAULTS: dict[str, SemanticFault] = {
     ),
     'image still': SemanticFault(
         (1.0,), pixels=lambda pixels, at: np.zeros_like(pixels) + np.arange(len(pixels))[:, None]
+    ),
+    'features without numbers': SemanticFault(
+        (0.02, 0.5),
+        pixels=lambda pixels, at: np.where(at.random.random((len(pixels), 1)) < at.size, math.nan, pixels),
     ),
     'ids exchanged': SemanticFault(
         (0.02, 0.1, 1.0),
@@ -202,6 +217,9 @@ FAULTS: dict[str, SemanticFault] = {
     # --- wheels
     'wheels scaled': SemanticFault((1.05, 1.3, 3.0), wheels=lambda speed, turn, at: (speed * at.size, turn)),
     'wheels inverted': SemanticFault((1.0,), wheels=lambda speed, turn, at: (-speed, -turn)),
+    'one wheel inverted': SemanticFault(
+        (0.25,), wheels=lambda speed, turn, at: (0.5 * at.size * turn, 2.0 * speed / at.size)
+    ),
     'wheels stand': SemanticFault(
         (0.2, 0.5, 1.0),
         wheels=lambda speed, turn, at: (0.0, 0.0) if at.time_s % 10.0 < 10.0 * at.size else (speed, turn),
@@ -255,7 +273,8 @@ def _changed(
             if not fault.lost_imu(at):
                 rates = fault.rates(np.array(sample.rate_rad_s), at)
                 t_ns = sample.t_ns + nanoseconds(fault.imu_delay_s(at))
-                yield ImuSample(t_ns, (rates[0], rates[1], rates[2]), sample.specific_force_m_s2)
+                force = fault.forces(np.array(sample.specific_force_m_s2), at)
+                yield ImuSample(t_ns, (rates[0], rates[1], rates[2]), (force[0], force[1], force[2]))
         elif isinstance(sample, FeatureObservations):
             if not fault.lost_image(at):
                 pixels = center + fault.pixels(sample.pixels - center, at)

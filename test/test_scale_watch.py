@@ -19,6 +19,7 @@ from gyrocal_ros.ekf.scale_watch import (
     NOT_LINEAR,
     RAMP,
     RAMP_S,
+    SCALE_CHANGED,
     WINDOWS_S,
     ScaleWatch,
 )
@@ -143,6 +144,13 @@ def test_a_change_is_significant_by_its_standard_deviation() -> None:
 def test_innovations_that_no_change_explains_are_noise() -> None:
     watch, _ = some_watch()
     assert watch.add(1.0, (stats(1e6, 5e-3 * CHANGE_SIGMA, nis=100.0, dof=1),)) is None
+
+
+@pytest.mark.parametrize(('change', 'cause'), [(0.02, 'another gyro'), (-0.4, 'stamps may be wrong')])
+def test_the_event_names_causes_that_are_possible(change: float, cause: str) -> None:
+    watch, _ = some_watch()
+    text = str(watch.add(1.0, (stats(1e6, change),)))
+    assert cause in text and SCALE_CHANGED in text and 'gyrocal diagnose' in text
 
 
 def test_the_state_follows_as_if_the_scale_factor_had_been_unknown() -> None:

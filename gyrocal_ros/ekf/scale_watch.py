@@ -39,6 +39,8 @@ FASTEST_DRIFT = 0.02
 """Drift over `RAMP_S` beyond which a change was not one: within a single turn, steps look like ramps."""
 ABSORBED = 0.2
 """Part of a change that is left when the filter has corrected the rest by itself, as in the first turn."""
+LARGEST_CHANGE = 0.1
+"""Change of the scale factor that a gyro may have, by age, temperature and exchange for another."""
 MAX_STD = 0.005
 """Standard deviation of a change from which its window holds part of a turn; without, it holds noise."""
 CHANGE_SIGMA = 4.5
@@ -113,10 +115,13 @@ class ScaleChange:
     """Significance."""
 
     def __str__(self) -> str:
+        """Return the event; other effects may look like a change of the scale factor."""
+        causes = 'another gyro, one that has changed, or an effect that the model lacks'
+        if abs(self.value) > LARGEST_CHANGE:
+            causes = 'no gyro changes so much, so stamps may be wrong, or the model lacks an effect'
         return (
-            f'the scale factor is {100.0 * self.value:+.2g} % {SCALE_CHANGED} '
-            f'({self.sigma:.0f} sigma), so that was dropped: another gyro, one that has changed, or an '
-            'effect that the model lacks'
+            f'the scale factor is {100.0 * self.value:+.2g} % {SCALE_CHANGED} ({self.sigma:.0f} sigma), so '
+            f'that was dropped: {causes}; `gyrocal diagnose` of a recording tells which'
         )
 
 

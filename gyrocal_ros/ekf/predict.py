@@ -56,9 +56,9 @@ def with_pose(block: MotionBlock, state: State) -> MotionBlock:
     They are those of the state, continued by the nominal rate and the wheels.
     """
     turn_rad = block.rate_rad_s[:, 2] * block.dt_s
-    heading_rad = state.mean[YAW] + np.cumsum(turn_rad) - 0.5 * turn_rad
-    ahead = np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=1) * block.distance_m[:, None]
-    position_m = state.mean[POSITION][:2] + np.cumsum(ahead, axis=0) - 0.5 * ahead
+    heading_rad = state.mean[YAW] + turn_rad.cumsum() - 0.5 * turn_rad
+    ahead = np.array([np.cos(heading_rad), np.sin(heading_rad)]).T * block.distance_m[:, None]
+    position_m = state.mean[POSITION][:2] + ahead.cumsum(axis=0) - 0.5 * ahead
     return replace(block, heading_rad=heading_rad, position_m=position_m)
 
 
@@ -103,7 +103,7 @@ def predict(
     covariance = np.empty_like(state.covariance)
     covariance[:r, :r] = matrix @ state.covariance[:r, :r] @ matrix.T
     covariance[:r, :r] += _process_noise(block, motion, model)
-    covariance[YAW, YAW] += float(np.sum(correction.noise_rad_s * block.dt_s)) ** 2
+    covariance[YAW, YAW] += float((correction.noise_rad_s * block.dt_s).sum()) ** 2
     covariance[:r, r:] = matrix @ state.covariance[:r, r:]
     covariance[r:, :r] = covariance[:r, r:].T
     covariance[r:, r:] = state.covariance[r:, r:]

@@ -60,10 +60,12 @@ class Case:
     duration_s: float = 60.0
     dead_rad_s: float = 0.0
     """Width of a dead band behind the noise."""
+    camera_hz: int = 5
+    """Half the usual images, where they show the effect as well."""
 
     def source(self) -> Source:
         hidden = (HiddenEffect(find_effect(self.name), self.values),) if self.values else ()
-        made = recording('cleaning', self.seed, self.duration_s, hidden)
+        made = recording('cleaning', self.seed, self.duration_s, hidden, camera_hz=self.camera_hz)
         return ModifiedSource(made, each(ImuSample, self._dead)) if self.dead_rad_s else made
 
     def _dead(self, sample: ImuSample) -> Measurement:
@@ -73,8 +75,8 @@ class Case:
 
 CASES = {
     'with a time constant': Case('bias_warmup', (1.5 * DEG, 60.0)),
-    'with forms and a memory': Case('turn_hysteresis', (0.8 * DEG, 8.0)),
-    'a limit that a run confirms': Case('rate_saturation', (0.4,)),
+    'with forms and a memory': Case('turn_hysteresis', (0.8 * DEG, 8.0), camera_hz=10),
+    'a limit that a run confirms': Case('rate_saturation', (0.4,), camera_hz=10),
     'a limit that the readings prove': Case('rate_deadband', (), dead_rad_s=DEAD_RAD_S),
     'with a required signal': Case('bias_temperature', (0.05 * DEG,)),
     'of the images': Case('camera_time_offset', (0.03,)),

@@ -98,7 +98,7 @@ def _measured(size: Size) -> dict[str, Any]:
         'recorded_s': size.scenario.duration_s,
         'features_used': used,
         'filter_s': filter_s,
-        'replay_s': process.wall_s,
+        'replay_s': process.cpu_s,
         'replay_cpu_s': process.cpu_s,
         'peak_mb': process.peak_mb,
     }

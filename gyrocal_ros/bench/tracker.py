@@ -148,9 +148,9 @@ def _track(drive: _Drive, renderer: CeilingRenderer, rng: np.random.Generator) -
         frame = Frame(nanoseconds(t_s), drive.image(renderer, t_s, rng))
         R_wc = _attitude((1.0 - drive.conditions.attitude_error) * drive.yaw(t_s))
         regions = drive.regions(t_s)
-        start = time.perf_counter()
+        start_s = time.process_time()
         drive.seen.append(tracker.track(frame, R_wc, regions))
-        drive.spent_s += time.perf_counter() - start
+        drive.spent_s += time.process_time() - start_s
         points_w = drive.on_ceiling(t_s, drive.seen[-1].pixels)
         for id_, point_w in zip(drive.seen[-1].ids.tolist(), points_w, strict=True):
             drive.points_w.setdefault(id_, point_w)

@@ -25,7 +25,7 @@ from gyrocal_ros.diagnose.json_summary import (
     summarise_diagnosis,
     summarise_improvement,
 )
-from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.model_series import (
     MAX_PLACES,
     coefficients,
@@ -418,10 +418,28 @@ class TestConclusions:
             ('cannot_tell', (), None, 'yellow'),
             ('unexplained', (), structure, 'red'),
         ):
-            case = replace(diagnosis, verdict=verdict, missing=missing, unexplained=left)
+            case = replace(diagnosis, verdict=verdict, missing=missing, unexplained=left, fails_where=())
             words = diagnosis_report.conclusion(case)
             assert words.status.level == kind
             assert bool(words.steps) == (verdict != 'nothing_missing')
+
+    def test_places_that_are_off_are_part_of_the_verdict(self, diagnosis: Diagnosis) -> None:
+        place = Failure('the scale needs -0.041 %', 5.0, from_s=1.0, to_s=2.0)
+        for places, level, sentence in (
+            ((), 'green', 'Nothing is missing: all measurements agree with the model within chance.'),
+            ((place,), 'yellow', 'Nothing is missing; one place, listed below, is off by more than chance.'),
+            (
+                (place,) * 3,
+                'yellow',
+                'Nothing is missing; 3 places, listed below, are off by more than chance.',
+            ),
+        ):
+            case = replace(diagnosis, verdict='nothing_missing', missing=(), fails_where=places)
+            status = diagnosis_status(case)
+            assert (status.level, status.sentence) == (level, sentence)
+            assert bool(status.next_step) == bool(places)
+        unjudged = replace(case, fit=ModelFit((), is_judged=False))
+        assert diagnosis_status(unjudged).level == 'yellow', 'too short to judge'
 
     def test_certain_and_uncertain_effects_are_named_apart(self, diagnosis: Diagnosis) -> None:
         sure = diagnosis.missing[0]

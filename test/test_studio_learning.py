@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from studio_parts import HIDDEN, InProcessWorker, open_session
 
+from gyrocal_ros.diagnose.diagnosis import diagnose_before_adding
+from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio import panels, pictures
@@ -110,8 +112,18 @@ def test_learning_without_a_result_and_a_cancelled_one(uneven_bag: Path, tmp_pat
     assert examination is not None
     present = session.state.tree.present
     assert present is not None
-    unexplained = replace(examination, best=None, limits=())
+    recorded = session.state.recorded
+    assert recorded is not None
+    status = panels.status(session.state)
+    assert status is not None and status.next_step == f'Add {HIDDEN}, and compare the drift.'
+    assert status.level == 'yellow' and status.sentence.startswith(f'Missing: {HIDDEN}')
+    nothing_known = diagnose_before_adding(examination.examined, None, (), recorded)
+    unexplained = replace(examination, best=None, limits=(), diagnosis=nothing_known)
     tree = session.state.tree.with_examination(present.label, unexplained)
     status = panels.status(replace(session.state, tree=tree))
     assert status is not None and status.level == 'red' and 'Nothing was learned' in status.next_step
+    assert status.sentence == diagnosis_status(nothing_known).sentence
+    limited = diagnose_before_adding(examination.examined, None, ['rate_saturation'], recorded)
+    limit = diagnosis_status(limited)
+    assert (limit.level, limit.sentence) == ('yellow', 'The readings suggest a limit: rate_saturation.')
     session.close()

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.additions import NONE, Search
 from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
-from gyrocal_ros.diagnose.ranking import RankedEffect, indistinguishable
+from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds, indistinguishable
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
@@ -73,12 +73,49 @@ class Diagnosis:
     """The fault of the stamps; None without."""
     coarse_step_rad_s: float | None = None
     """Quantisation step of the gyro where it exceeds the noise: what is found may be its steps."""
+    limits: tuple[str, ...] = ()
+    """Limits that the readings suggest, not yet confirmed by a run."""
+    is_open: bool = False
+    """True where no missing effect has been added yet: fit and structure are those of the model without."""
 
 
 def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:
     """Draw the conclusions from a search."""
-    first, last = searched.first, searched.last
     missing = sorted(_missing(searched), key=lambda item: item.gain, reverse=True)
+    return _conclude(searched.first, searched.last, missing, recording)
+
+
+def diagnose_before_adding(
+    examined: ExaminedModel, best: RankedEffect | None, limits: Sequence[str], recording: RecordingSummary
+) -> Diagnosis:
+    """Draw the conclusions from one model to which nothing has been added yet.
+
+    Structure that no effect explains is judged when `best` and the limits are in the model.
+
+    Args:
+        examined: the model.
+        best: the effect that explains most; None without.
+        limits: names of the limits that the readings suggest.
+        recording: what the recording contains.
+    """
+    missing = [] if best is None else [_not_added(best, examined)]
+    is_open = best is not None or len(limits) > 0
+    found = _conclude(examined, examined, missing, recording)
+    if not is_open:
+        return found
+    return replace(
+        found,
+        verdict='cannot_tell' if limits or found.timing is None else 'timing',
+        unexplained=None,
+        timing=None if limits else found.timing,
+        limits=tuple(limits),
+        is_open=True,
+    )
+
+
+def _conclude(
+    first: ExaminedModel, last: ExaminedModel, missing: list[MissingEffect], recording: RecordingSummary
+) -> Diagnosis:
     not_judged = dict(_not_judged(last, recording))
     coarse_step_rad_s = coarse_step(recording.readings)
     structure, fit, timing = last.unexplained_structure, model_fit(last.run), timing_fault(last)
@@ -119,6 +156,24 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
             drift_after_deg=drift_deg(item.after),
             confused_with=confused.get(item.effect.name, ()),
         )
+
+
+def _not_added(best: RankedEffect, examined: ExaminedModel) -> MissingEffect:
+    """Return an effect by its score statistics alone; the drift with it is not known."""
+    others = [item for item in examined.ranked if item is not best]
+    confused = indistinguishable(best, others, examined.scores, NONE, examined.settings)
+    values = estimate(best)
+    return MissingEffect(
+        effect=with_means(best.effect, values.tolist()),
+        values=values,
+        stds=estimate_stds(best),
+        gain=best.fit.gain,
+        sigma=best.fit.sigma,
+        p_value=best.fit.p_value,
+        drift_before_deg=float('nan'),
+        drift_after_deg=float('nan'),
+        confused_with=tuple(confused),
+    )
 
 
 def _confused(searched: Search) -> dict[str, tuple[str, ...]]:

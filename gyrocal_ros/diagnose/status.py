@@ -34,6 +34,8 @@ CANNOT_TELL = (
 )
 DOES_NOT_FIT = 'the model does not fit this recording: run gyrocal diagnose'
 """The last words on a calibration that its own recording contradicts."""
+TOO_SHORT = 'The recording is too short to judge the model.'
+REPEAT = 'Diagnose a second recording: what is off there, too, is not chance.'
 DIAGNOSE = 'Run `gyrocal diagnose` on this recording.'
 LEARN = 'Run `gyrocal learn` on this recording: it learns what no effect of the library explains.'
 MORE_TURNS = 'Record more turns, both ways, with the ceiling or the heading reference in view.'
@@ -56,6 +58,23 @@ class Status:
     sentence: str
     next_step: str = ''
     """Empty where nothing is left to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class NextSteps:
+    """What a user can do after a diagnosis, in the words of a command or of the studio."""
+
+    add: str
+    """Adds the effect `{name}`."""
+    learn: str
+    add_limit: str
+
+
+COMMANDS = NextSteps(
+    add='Add it with `gyrocal add {name}`, or let `gyrocal improve` add it and show the gain.',
+    learn=LEARN,
+    add_limit='Try it with `gyrocal improve`.',
+)
 
 
 def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Status:
@@ -97,19 +116,21 @@ def turned_deg(run: Run) -> tuple[float, float]:
     return left, right
 
 
-def diagnosis_status(diagnosis: Diagnosis) -> Status:
-    """Return the verdict of a diagnosis."""
+def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Status:
+    """Return the verdict of a diagnosis, and the next step in the words of those who ask."""
     if diagnosis.timing is not None:
         return _timing_status(diagnosis.timing)
     sentence = _diagnosis_sentence(diagnosis)
     if diagnosis.verdict == 'nothing_missing':
-        return Status('green', sentence)
-    if diagnosis.verdict == 'unexplained' or diagnosis.fit.fits is False:
-        return Status('red', sentence, LEARN)
+        if diagnosis.fit.fits is None:
+            return Status('yellow', TOO_SHORT, RECORD)
+        return Status('yellow', sentence, REPEAT) if diagnosis.fails_where else Status('green', sentence)
+    if not diagnosis.is_open and (diagnosis.verdict == 'unexplained' or diagnosis.fit.fits is False):
+        return Status('red', sentence, steps.learn)
     if diagnosis.missing:
-        name = diagnosis.missing[0].effect.name
-        add = f'Add it with `gyrocal add {name}`, or let `gyrocal improve` add it and show the gain.'
-        return Status('yellow', sentence, add)
+        return Status('yellow', sentence, steps.add.format(name=diagnosis.missing[0].effect.name))
+    if diagnosis.limits:
+        return Status('yellow', sentence, steps.add_limit)
     return Status('yellow', sentence, RECORD)
 
 
@@ -126,12 +147,24 @@ def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
         return f'The gyro reads in {step}, wider than its noise; {causes} cause the errors.'
     if diagnosis.verdict == 'noise':
         return f'Only noise: the gyro is noisier than the settings say ({join([*missing])}); no law is left.'
-    otherwise = NOTHING_MISSING if diagnosis.verdict == 'nothing_missing' else CANNOT_TELL
-    if diagnosis.fit.misfits:
+    otherwise = CANNOT_TELL
+    if diagnosis.verdict == 'nothing_missing':
+        otherwise = _nothing_missing(len(diagnosis.fails_where))
+    elif diagnosis.limits:
+        otherwise = f'The readings suggest a limit: {join([*diagnosis.limits], "or")}.'
+    elif diagnosis.fit.misfits:
         otherwise = f'The model does not fit, for a reason not found: {"; ".join(diagnosis.fit.misfits)}.'
     sentence = missing_sentence(missing, diagnosis.unexplained if is_unexplained else None, otherwise)
-    still = missing and not is_unexplained and diagnosis.fit.fits is False
+    still = missing and not is_unexplained and not diagnosis.is_open and diagnosis.fit.fits is False
     return f'{sentence} The model still does not fit with it: see the next steps.' if still else sentence
+
+
+def _nothing_missing(count: int) -> str:
+    """Return the sentence for a model that lacks nothing but is off in some places by more than chance."""
+    if count == 0:
+        return NOTHING_MISSING
+    places = 'one place, listed below, is' if count == 1 else f'{count} places, listed below, are'
+    return f'Nothing is missing; {places} off by more than chance.'
 
 
 def missing_sentence(

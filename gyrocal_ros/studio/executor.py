@@ -9,14 +9,13 @@ from itertools import count
 
 import numpy as np
 
-from gyrocal_ros.diagnose.additions import NONE, Search
+from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.diagnosis import diagnose_before_adding
 from gyrocal_ros.diagnose.error_curves import centred
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine
 from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
-from gyrocal_ros.diagnose.model_fit import model_fit
-from gyrocal_ros.diagnose.ranking import best_explanation, indistinguishable
-from gyrocal_ros.diagnose.regimes import failures
+from gyrocal_ros.diagnose.ranking import best_explanation
 from gyrocal_ros.diagnose.run_series import rows_to_draw
 from gyrocal_ros.diagnose.search import limits_to_check, recover
 from gyrocal_ros.diagnose.shapes import shapes
@@ -161,16 +160,13 @@ def _numbered_runs(loaded: LoadedRecording, send: Send) -> Calibrate:
 
 def _examination(examined: ExaminedModel, recorded: RecordingSummary) -> Examination:
     best = best_explanation(examined.ranked, examined.scores, (), examined.settings)
-    others = [ranked for ranked in examined.ranked if ranked is not best]
+    limits = tuple(limit.effect for limit in limits_to_check(examined, recorded, best))
+    names = [limit.name for limit in limits]
     return Examination(
         examined=examined,
         best=best,
-        limits=tuple(limit.effect for limit in limits_to_check(examined, recorded, best)),
-        indistinguishable=()
-        if best is None
-        else tuple(indistinguishable(best, others, examined.scores, NONE, examined.settings)),
-        failures=tuple(failures(examined.run, examined.seen)),
-        fit=model_fit(examined.run),
+        limits=limits,
+        diagnosis=diagnose_before_adding(examined, best, names, recorded),
         wander=wander(examined.seen),
         error_curves={
             (item.signal, item.of_scale): centred(item) for item in shapes(examined.run, examined.seen)

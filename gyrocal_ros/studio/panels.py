@@ -14,7 +14,7 @@ from gyrocal_ros.diagnose.advice import join
 from gyrocal_ros.diagnose.candidate_fit import held_out_gain
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.separability import how_to_tell_apart
-from gyrocal_ros.diagnose.status import NOTHING_MISSING, RECORD, Status, missing_sentence
+from gyrocal_ros.diagnose.status import RECORD, NextSteps, Status, diagnosis_status, missing_sentence
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Effect
@@ -36,6 +36,8 @@ MAX_LISTED = 8
 """Number of effects up to which the significant ones are complemented by others."""
 MAX_FAILURES = 8
 """Maximum number of failures in the table."""
+ADD = 'Add {name}, and compare the drift.'
+ADD_LIMIT = 'Add it, and compare the drift.'
 LEARN = 'Press Learn this: it learns what no effect of the library explains.'
 
 
@@ -98,7 +100,7 @@ def failures(state: StudioState) -> list[Any]:
     examination = state.examination
     if examination is None:
         return []
-    found = examination.failures
+    found = examination.diagnosis.fails_where
     if not found:
         return [html.P(NO_FAILURE)]
     rows = [(item.what, f'{item.sigma:.0f}') for item in found[:MAX_FAILURES]]
@@ -119,28 +121,11 @@ def status(state: StudioState) -> Status | None:
     examination = state.examination
     if examination is None:
         return None
-    best, structure, fit = examination.best, examination.examined.unexplained_structure, examination.fit
     if state.proposal is not None:
         what = next(law_in_words(state.proposal.law))
-        return Status('yellow', what, f'Add {state.proposal.name}, and compare the drift.')
+        return Status('yellow', what, ADD.format(name=state.proposal.name))
     learn = LEARN if state.can_learn else f'{nothing_learned(examination.is_contradicted)} {RECORD}'
-    if best is not None:
-        sentence = missing_sentence({best.effect.name: examination.indistinguishable})
-        explains = f'It explains most of the error left over ({sigma_in_words(best.fit.sigma)} sigma).'
-        return Status('yellow', f'{sentence} {explains}', f'Add {best.effect.name}, and compare the drift.')
-    if examination.limits:
-        limits = join([one.name for one in examination.limits], 'or')
-        return Status('yellow', f'The readings suggest a limit: {limits}.', 'Add it, and compare the drift.')
-    if structure is not None:
-        return Status('red', missing_sentence({}, structure), learn)
-    if fit.misfits:
-        why = '; '.join(fit.misfits)
-        return Status(
-            'red', f'The model does not fit, and no effect of the library explains it: {why}.', learn
-        )
-    if fit.fits is None:
-        return Status('yellow', 'The recording is too short to judge the model.', RECORD)
-    return Status('green', NOTHING_MISSING)
+    return diagnosis_status(examination.diagnosis, NextSteps(ADD, learn, ADD_LIMIT))
 
 
 def candidate_list(state: StudioState) -> list[Any]:

@@ -102,7 +102,7 @@ def _model_figure(kind: str, models: Mapping[str, TriedModel], improved: Improve
 
 def _heading(wanders: Mapping[str, Wander], examination: Examination, drift: BlindDrift) -> Any:
     history, structure = examination.examined.run.history, examination.examined.unexplained_structure
-    stretches = [failure for failure in examination.failures if failure.from_s is not None]
+    stretches = [failure for failure in examination.diagnosis.fails_where if failure.from_s is not None]
     return figures.where_it_fails(
         'Heading by the gyro alone, less the observed heading',
         wanders,

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.error_curves import ErrorCurve
 from gyrocal_ros.diagnose.examined import ExaminedModel
-from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.ranking import RankedEffect
-from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.wander import Wander
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
@@ -73,15 +72,18 @@ class Examination:
     """The effect that explains most of the remaining error; None if that is no more than chance."""
     limits: tuple[Effect, ...]
     """Limits that the readings suggest; only a run can score them."""
-    indistinguishable: tuple[str, ...]
-    """Effects that this recording cannot distinguish from the best."""
-    failures: tuple[Failure, ...]
-    fit: ModelFit
+    diagnosis: Diagnosis
+    """The conclusions, before anything is added."""
     wander: Wander
     error_curves: Mapping[tuple[str, bool], ErrorCurve]
     """Remaining error of the bias (False) or the scale (True) by signal, the most significant first."""
     is_contradicted: bool
     """True if the recording contradicts the model, whatever the model lacks."""
+
+    @property
+    def indistinguishable(self) -> tuple[str, ...]:
+        """Effects that this recording cannot distinguish from the best."""
+        return self.diagnosis.missing[0].confused_with if self.diagnosis.missing else ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -101,7 +101,7 @@ def test_sizes_observe_enough_features() -> None:
 def test_growth_has_an_exponent_and_a_plot(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = [replace(size, scenario=replace(size.scenario, duration_s=2.0)) for size in growth.sizes()[:2]]
     monkeypatch.setattr(growth, 'sizes', lambda: sizes)
-    costs = iter((Process(2.0, 1.0, 100.0), Process(3.0, 2.0, 110.0)))
+    costs = iter((Process(1.0, 100.0), Process(2.0, 110.0)))
     monkeypatch.setattr(growth, 'gyrocal_process', lambda *words: next(costs))
     first, second = growth.growth()
     assert first['replay_exponent'] is None

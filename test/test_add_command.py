@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import recording
 
 from gyrocal_ros.cli.add import model_entry
 from gyrocal_ros.cli.main import main
-from gyrocal_ros.effects import EFFECTS, find_effect
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.base import LibraryEffect
-from gyrocal_ros.effects.model_file import load_model
+from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
+from gyrocal_ros.effects.library import SCALE_FACTOR
+from gyrocal_ros.effects.model_file import load_model, options_of
+from gyrocal_ros.effects.quantities import add_words
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW
+from gyrocal_ros.model.sensor import Effect, with_means
+from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.report.describe import coefficients_in_words
 
 Output = pytest.CaptureFixture[str]
@@ -106,6 +115,70 @@ def test_values_may_be_set_as_they_are_displayed(effect: LibraryEffect, tmp_path
     entry = model_entry(effect.name, shown.split(', '))
     assert isinstance(entry, dict)
     assert list(entry['prior_mean'].values()) == pytest.approx(values.tolist(), rel=1e-3)
+    stds = np.abs(0.1 * values) + 1e-6
+    shown = coefficients_in_words(effect, values, stds)
+    entry = model_entry(effect.name, shown.split(', '))
+    assert isinstance(entry, dict)
+    assert list(entry['prior_std'].values()) == pytest.approx(stds.tolist(), rel=0.05)
+
+
+def with_examples(effect: LibraryEffect) -> Effect:
+    """Return an effect with the priors of a diagnosis: the estimates, narrower than usual."""
+    items = zip(effect.coefficients, effect.about.example, strict=True)
+    return replace(  # type: ignore[type-var,return-value]
+        effect,
+        coefficients=tuple(
+            replace(item, prior_mean=1.2345678 * example, prior_std=0.31 * item.prior_std)
+            for item, example in items
+        ),
+    )
+
+
+VARIANTS = (
+    *(effect for name, effect in EFFECTS.items() if name != SCALE_FACTOR),
+    replace(EFFECTS['turn_hysteresis'], driven_by='side'),  # type: ignore[type-var]
+    covariate_bias('battery.current', reference=101325.25, spread=0.123),
+    covariate_scale('battery.current', reference=-1.61605, spread=2.5),
+)
+
+
+@pytest.mark.parametrize('usual', VARIANTS, ids=str)
+def test_the_recommended_command_adds_the_effect_as_it_was_found(
+    usual: LibraryEffect, tmp_path: Path
+) -> None:
+    path, found = tmp_path / 'model.yaml', with_examples(usual)
+    path.write_text('effects: [scale_factor]', encoding='utf-8')
+    assert main([*add_words(found)[1:], '--model', str(path)]) == 0
+    added = load_model(path).effects[-1]
+    assert options_of(added) == pytest.approx(options_of(found))
+    for item, wanted in zip(added.coefficients, found.coefficients, strict=True):
+        assert item.prior_mean == pytest.approx(wanted.prior_mean, rel=1e-7 if not wanted.prior_std else 1e-3)
+        assert item.prior_std == pytest.approx(wanted.prior_std, rel=0.06)
+        assert item.walk == wanted.walk
+
+
+def test_an_effect_that_is_as_usual_needs_no_settings() -> None:
+    assert add_words(EFFECTS['gyro_lag']) == ['gyrocal', 'add', 'gyro_lag']
+
+
+def test_a_value_that_alone_differs_is_part_of_the_command() -> None:
+    effect = with_means(EFFECTS['gyro_lag'], (0.02,))
+    assert add_words(effect)[3:] == ['--set', 'tau=0.02+-0.03s']
+
+
+def test_the_model_that_was_added_runs_as_the_one_that_was_found(tmp_path: Path) -> None:
+    path, source = tmp_path / 'model.yaml', recording('cleaning', 3, 40.0)
+    names = ('scale_asymmetry', 'bias_warmup', 'turn_hysteresis', 'camera_time_offset')
+    found = [with_examples(EFFECTS[name]) for name in names]
+    model = default_model()
+    wanted = calibrate(source, Config(), replace(model, effects=(*model.effects, *found)))
+    path.write_text('effects: [scale_factor]', encoding='utf-8')
+    for effect in found:
+        assert main([*add_words(effect)[1:], '--model', str(path)]) == 0
+    run = calibrate(source, Config(), load_model(path))
+    reached = run.history.std[-1, COEFFICIENTS_START:]
+    assert np.all(np.abs(run.state.coefficients - wanted.state.coefficients) < 0.05 * reached)
+    assert np.allclose(run.history.mean[:, YAW], wanted.history.mean[:, YAW], rtol=0.0, atol=1e-5)
 
 
 def test_another_file_is_written_and_none_is_overwritten(tmp_path: Path, capsys: Output) -> None:
@@ -132,6 +205,8 @@ def test_another_file_is_written_and_none_is_overwritten(tmp_path: Path, capsys:
         (TEXTS['block'], ['gyro_lag', '--set', 'tau=long'], "tau is 'long'"),
         (TEXTS['block'], ['gyro_lag', '--set', 'tau=1e999'], 'tau is inf'),
         (TEXTS['block'], ['gyro_lag', '--set', 'tau=20ms'], 'give it in s'),
+        (TEXTS['block'], ['gyro_lag', '--set', 'tau=0.02+-0s'], 'one above zero'),
+        (TEXTS['block'], ['gyro_lag', '--set', 'tau=0.02+-1e999'], 'prior_std'),
         (TEXTS['block'], ['gyro_lag', '--set', 'prior_std=1'], "no coefficient or option 'prior_std'"),
         (TEXTS['block'], ['turn_hysteresis', '--set', 'driven_by=sides'], 'choose from rate, side'),
         ('effects: [gyro_lag]', ['scale_cubic'], 'the first effect must be scale_factor'),

@@ -351,7 +351,7 @@ class TestPages:
         names += [f'left_over_{number}' for number in range(1, 7)]
         check_page(page, names)
         assert 'gaps in the &lt;imu&gt;' in page
-        assert '<code>gyrocal add scale_asymmetry</code>' in page
+        assert '<code>gyrocal add scale_asymmetry --set c=0.0' in page
         assert diagnosis.fails_where[0].what in page
         assert page == diagnosis_page(searched, diagnosis, [('warning', 'gaps in the <imu>')])
 

@@ -16,7 +16,7 @@ from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effec
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.effects.model_file import load_model, options_of, with_entry
-from gyrocal_ros.effects.quantities import coefficient_value
+from gyrocal_ros.effects.quantities import coefficient_prior
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.files import shipped, write_text_atomic
 
@@ -43,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='NAME=VALUE',
-        help='prior mean of a coefficient, or an option of the effect, as in k=-0.57deg/s; may be repeated',
+        help='prior of a coefficient, as in k=-0.57deg/s or k=-0.57+-0.02deg/s, or an option of the effect; '
+        'may be repeated',
     )
     add_own_effects_option(parser)
     parser.add_argument('-o', '--out', type=Path, metavar='FILE', help='file to write (the model itself)')
@@ -75,8 +76,9 @@ def model_entry(name: str, settings: Sequence[str]) -> str | Mapping[str, Any]:
 
     Args:
         name: name of the effect.
-        settings: NAME=VALUE, where NAME is a coefficient or an option of the effect. A value without a
-            unit is in the unit of the coefficient.
+        settings: NAME=VALUE, where NAME is a coefficient or an option of the effect. The value of a
+            coefficient may have a standard deviation, that of its prior. Without a unit it is in the unit
+            of the coefficient.
 
     Raises:
         ConfigError: the effect does not exist, or a setting is not known or has an impossible value.
@@ -85,13 +87,16 @@ def model_entry(name: str, settings: Sequence[str]) -> str | Mapping[str, Any]:
     coefficients = {item.name: item for item in effect.coefficients}
     known = options_of(effect)
     means: dict[str, float] = {}
+    stds: dict[str, float] = {}
     options: dict[str, float | str] = {}
     for setting in settings:
         key, equals, text = (part.strip() for part in setting.partition('='))
         if not equals:
             raise ConfigError(f'is {setting!r}', where='--set', todo='write it as NAME=VALUE')
         if key in coefficients:
-            means[key] = coefficient_value(coefficients[key], text, '--set')
+            means[key], std = coefficient_prior(coefficients[key], text, '--set')
+            if std is not None:
+                stds[key] = std
         elif key in known:
             options[key] = _number_or_text(text)
         else:
@@ -99,7 +104,8 @@ def model_entry(name: str, settings: Sequence[str]) -> str | Mapping[str, Any]:
             raise ConfigError(f'{name} has no coefficient or option {key!r}', where='--set', todo=todo)
     if not settings:
         return name
-    return {'name': name} | ({'prior_mean': means} if means else {}) | options
+    priors = {'prior_mean': means, 'prior_std': stds}
+    return {'name': name} | {field: given for field, given in priors.items() if given} | options
 
 
 def _number_or_text(value: str) -> float | str:

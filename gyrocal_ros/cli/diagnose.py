@@ -24,8 +24,7 @@ from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
-from gyrocal_ros.effects import find_effect
-from gyrocal_ros.effects.model_file import options_of
+from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.report.describe import (
     coefficients_in_words,
@@ -149,20 +148,8 @@ def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
 
 def add_command(effect: Effect, args: argparse.Namespace) -> str:
     """Return the command that adds an effect, with the values that were found."""
-    usual = find_effect(effect.name)
-    before = options_of(usual)
-    settings = {name: value for name, value in options_of(effect).items() if value != before[name]}
-    for item, known in zip(effect.coefficients, usual.coefficients, strict=True):
-        if item.prior_std == 0.0 or item.prior_std != known.prior_std:
-            settings[item.name] = item.prior_mean
-    texts = [
-        f'{name}={value:.4g}' if isinstance(value, float) else f'{name}={value}'
-        for name, value in settings.items()
-    ]
     model = _model_arguments(args) if args.model else ['--model', 'model.yaml', *_model_arguments(args)]
-    return shlex.join(
-        ['gyrocal', 'add', effect.name, *(word for text in texts for word in ('--set', text)), *model]
-    )
+    return shlex.join([*add_words(effect), *model])
 
 
 def _model_arguments(args: argparse.Namespace) -> list[str]:

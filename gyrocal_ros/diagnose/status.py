@@ -6,6 +6,7 @@ Command line, JSON, pages and studio show the same status. It is never green whe
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -19,6 +20,7 @@ from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
+from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.pipeline.calibration import Calibration
 
@@ -65,13 +67,13 @@ class NextSteps:
     """What a user can do after a diagnosis, in the words of a command or of the studio."""
 
     add: str
-    """Adds the effect `{name}`."""
+    """Adds the effect `{name}`; on the command line with `{command}`."""
     learn: str
     add_limit: str
 
 
 COMMANDS = NextSteps(
-    add='Add it with `gyrocal add {name}`, or let `gyrocal improve` add it and show the gain.',
+    add='Add it with `{command}`, or let `gyrocal improve` add it and show the gain.',
     learn=LEARN,
     add_limit='Try it with `gyrocal improve`.',
 )
@@ -128,7 +130,9 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
     if not diagnosis.is_open and (diagnosis.verdict == 'unexplained' or diagnosis.fit.fits is False):
         return Status('red', sentence, steps.learn)
     if diagnosis.missing:
-        return Status('yellow', sentence, steps.add.format(name=diagnosis.missing[0].effect.name))
+        effect = diagnosis.missing[0].effect
+        add = steps.add.format(name=effect.name, command=shlex.join(add_words(effect)))
+        return Status('yellow', sentence, add)
     if diagnosis.limits:
         return Status('yellow', sentence, steps.add_limit)
     return Status('yellow', sentence, RECORD)

@@ -92,8 +92,11 @@ def recorded(signal: Array) -> Array:
 
 
 def with_unit(value: float, unit: str, digits: int = 4) -> str:
-    """Format a number for people: without the unit 1, and angles also in degrees."""
-    text = f'{value:.{digits}g} {unit}'.removesuffix(' 1')
-    if unit.startswith('rad'):
-        text += f' ({math.degrees(value):.{digits}g} {unit.replace("rad", "deg", 1)})'
-    return text
+    """Format a number for people: without the unit 1, and angles in degrees."""
+    shown, factor = shown_in(unit)
+    return f'{factor * value:.{digits}g} {shown}'.removesuffix(' 1')
+
+
+def shown_in(unit: str) -> tuple[str, float]:
+    """Return the unit in which results show a coefficient, and the factor to it: degrees in place of rad."""
+    return (unit.replace('rad', 'deg', 1), math.degrees(1.0)) if unit.startswith('rad') else (unit, 1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gyrocal_ros.effects.base import LibraryEffect, with_unit
+from gyrocal_ros.effects.base import LibraryEffect, shown_in, with_unit
 from gyrocal_ros.effects.traits import required_signals
 from gyrocal_ros.model.sensor import CameraEffectOnOdometry, Coefficient, Effect, Place
 
@@ -59,4 +59,5 @@ def prior_in_words(item: Coefficient) -> str:
     """Describe the prior of a coefficient."""
     if item.prior_std == 0.0:
         return NOT_ESTIMATED
-    return f'{item.prior_mean:g} ± {with_unit(item.prior_std, item.unit)} before any measurement'
+    mean = shown_in(item.unit)[1] * item.prior_mean
+    return f'{mean:g} ± {with_unit(item.prior_std, item.unit)} before any measurement'

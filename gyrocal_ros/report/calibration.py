@@ -22,6 +22,7 @@ from gyrocal_ros.diagnose.drift import (
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.run_series import CONFIDENCE, distances_m, uncorrected, windows
 from gyrocal_ros.diagnose.status import calibration_status
+from gyrocal_ros.effects.base import shown_in
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.ekf.run import History, Run
@@ -70,10 +71,10 @@ class CoefficientRow(NamedTuple):
     name: str
     value: str
     unit: str
-    """Value with its standard deviation, in the unit of the effect library."""
+    """Unit of the value and of the prior, each with its standard deviation; degrees in place of rad."""
     prior: str
     meaning: str
-    """The value in a customary unit."""
+    """What the value means; empty where that is plain."""
 
 
 def calibration_page(run: Run, calibration: Calibration, findings: Sequence[tuple[str, str]] = ()) -> str:
@@ -134,10 +135,12 @@ def coefficient_rows(calibration: Calibration, history: History) -> list[Coeffic
     """Return bias and coefficients, each with its prior."""
     priors = zip(history.mean[0, YAW_BIAS:], history.std[0, YAW_BIAS:], strict=True)
     found = zip(calibration.names, calibration.values, calibration.stds, calibration.units, strict=True)
-    return [
-        CoefficientRow(name, with_std(value, std), unit, with_std(*prior), meaning(name, value, std, unit))
-        for (name, value, std, unit), prior in zip(found, priors, strict=True)
-    ]
+    rows = []
+    for (name, value, std, unit), (mean, prior_std) in zip(found, priors, strict=True):
+        shown, factor = shown_in(unit)
+        now, prior = with_std(factor * value, factor * std), with_std(factor * mean, factor * prior_std)
+        rows.append(CoefficientRow(name, now, shown, prior, meaning(name, value, std)))
+    return rows
 
 
 def calibration_sections(run: Run, calibration: Calibration) -> Iterator[Section]:

@@ -10,6 +10,7 @@ from gyrocal_ros.data import NS_PER_S, Array
 from gyrocal_ros.diagnose.drift import BlindDrift
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.status import Status
+from gyrocal_ros.effects.base import shown_in
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
 
@@ -66,19 +67,17 @@ def coefficients_in_words(effect: Effect, values: Array, stds: Array) -> str:
     return ', '.join(f'{item.name} = {quantity(value, std, item.unit)}' for item, value, std in items)
 
 
-def meaning(name: str, value: float, std: float, unit: str) -> str:
-    """Return a coefficient in a customary unit; empty where its own unit is customary."""
-    if name == 'scale_factor':
-        return f'true rate = ({with_std(1.0 + value, std)}) times the nominal rate'
-    if unit.startswith('rad'):
-        return f'{with_std(math.degrees(value), math.degrees(std))} deg{unit.removeprefix("rad")}'
-    return ''
+def meaning(name: str, value: float, std: float) -> str:
+    """Return what the scale factor does; empty for every other coefficient."""
+    return (
+        f'true rate = ({with_std(1.0 + value, std)}) times the nominal rate' if name == 'scale_factor' else ''
+    )
 
 
 def quantity(value: float, std: float, unit: str) -> str:
     """Return `0.0101 ± 0.0002 1/K`, angles in degrees; without the deviation where it is zero."""
-    if unit.startswith('rad'):
-        value, std, unit = math.degrees(value), math.degrees(std), unit.replace('rad', 'deg', 1)
+    unit, factor = shown_in(unit)
+    value, std = factor * value, factor * std
     text = with_std(value, std) if std > 0.0 else f'{value:.4g}'
     return f'{text} {unit}'.removesuffix(' 1')
 

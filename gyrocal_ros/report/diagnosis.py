@@ -22,7 +22,7 @@ from gyrocal_ros.diagnose.search_series import (
 )
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.effects import find_effect
-from gyrocal_ros.effects.base import with_unit
+from gyrocal_ros.effects.base import shown_in
 from gyrocal_ros.effects.describe import NOT_ESTIMATED
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.report import diagnosis_figures as figures
@@ -135,12 +135,13 @@ def estimate_rows(found: MissingEffect) -> Iterator[tuple[str, str, str, str]]:
     """Yield name, value, unit and meaning of each coefficient of an effect that was found."""
     items = zip(found.effect.coefficients, found.names, found.values, found.stds, strict=True)
     for item, name, value, std in items:
+        unit, factor = shown_in(item.unit)
         if std == 0.0:
-            yield name, f'{value:.4g}', item.unit, f'{with_unit(float(value), item.unit)}, {NOT_ESTIMATED}'
-        elif item.unit == '1' and found.effect.acts_on == 'gyro':
+            yield name, f'{factor * value:.4g}', unit, NOT_ESTIMATED
+        elif unit == '1' and found.effect.acts_on == 'gyro':
             yield name, with_std(value, std), '1', f'{with_std(100.0 * value, 100.0 * std)} % of the rate'
         else:
-            yield name, with_std(value, std), item.unit, meaning(name, value, std, item.unit)
+            yield name, with_std(factor * value, factor * std), unit, meaning(name, value, std)
 
 
 def _card(found: MissingEffect) -> str:

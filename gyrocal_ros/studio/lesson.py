@@ -105,7 +105,7 @@ def error_text(item: ComparedCoefficient) -> str:
     if item.estimate is None:
         return 'not in the model'
     error = item.estimate - item.truth
-    text = f'{100.0 * error / item.truth:+.2f} %' if item.truth else f'{error:+.3g}'
+    text = f'{100.0 * error / item.truth:+.2f} %' if item.truth else with_unit(error, item.unit, 3)
     return (
         f'{text} ({item.sigma:+.1f} sigma)' if item.sigma is not None and math.isfinite(item.sigma) else text
     )

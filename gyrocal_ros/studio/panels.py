@@ -16,7 +16,7 @@ from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.separability import how_to_tell_apart
 from gyrocal_ros.diagnose.status import RECORD, NextSteps, Status, diagnosis_status, missing_sentence
 from gyrocal_ros.effects import find_effect
-from gyrocal_ros.effects.base import Explanation
+from gyrocal_ros.effects.base import Explanation, with_unit
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.report.describe import (
     FAILURE_HEADS,
@@ -267,8 +267,8 @@ def lesson(state: StudioState) -> list[Any]:
     rows = [
         (
             item.name,
-            f'{item.truth:.6g} {item.unit}'.removesuffix(' 1'),
-            '' if item.estimate is None else f'{item.estimate:.6g}',
+            with_unit(item.truth, item.unit, 6),
+            '' if item.estimate is None else with_unit(item.estimate, item.unit, 6),
             error_text(item),
         )
         for item in revealed.coefficients

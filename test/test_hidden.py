@@ -129,7 +129,7 @@ def test_effects_are_simulated_with_the_values_given(
     options = ['--effect', 'bias_warmup=time_constant:100,amplitude:0.01', '--effect', 'gyro_lag']
     assert simulate(tmp_path / 'bag', *options) == 0
     shown = capsys.readouterr().out
-    assert 'with bias_warmup: amplitude = 0.01 rad/s (0.573 deg/s), time_constant = 100 s' in shown
+    assert 'with bias_warmup: amplitude = 0.573 deg/s, time_constant = 100 s' in shown
     assert f'with gyro_lag: tau = {EFFECTS["gyro_lag"].about.example[0]:g} s' in shown
 
 

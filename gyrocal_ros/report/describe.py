@@ -69,9 +69,9 @@ def coefficients_in_words(effect: Effect, values: Array, stds: Array) -> str:
 
 def meaning(name: str, value: float, std: float) -> str:
     """Return what the scale factor does; empty for every other coefficient."""
-    return (
-        f'true rate = ({with_std(1.0 + value, std)}) times the nominal rate' if name == 'scale_factor' else ''
-    )
+    if name != 'scale_factor':
+        return ''
+    return f'true rate = ({with_std(1.0 + value, std)}) times the nominal rate'
 
 
 def quantity(value: float, std: float, unit: str) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from gyrocal_ros.effects.base import with_unit
 from gyrocal_ros.model.sensor import coefficient_names
 from gyrocal_ros.pipeline.calibration import Calibration
 

@@ -370,7 +370,7 @@ class TestPages:
         rejected = replace(improved.final, label='2_gyro_lag', is_kept=False, effect=find_effect('gyro_lag'))
         tried = replace(improved, revisions=(*improved.revisions, rejected))
         page = improvement_page(tried)
-        check_page(page, ['drift', 'heading', 'drift_by_span', 'coefficients'])
+        check_page(page, ['drift', 'heading', 'drift_by_span', 'coefficients', 'over_time'])
         assert '2_gyro_lag' in page
         assert 'gyro_lag was tried and' in page
 

@@ -36,7 +36,7 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
 from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.ekf.run import Run, RunEvent
-from gyrocal_ros.ekf.state import EULER, no_landmarks
+from gyrocal_ros.ekf.state import EULER, YAW_BIAS, no_landmarks
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.rotation import rotation_from_euler
@@ -46,6 +46,7 @@ from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibra
 from gyrocal_ros.report import calibration_figures as figures
 from gyrocal_ros.report import plot, write
 from gyrocal_ros.report.calibration import (
+    OTHERS,
     calibration_page,
     calibration_sections,
     coefficient_rows,
@@ -244,8 +245,16 @@ class TestSections:
         run = calibrate(SimSource(replace(SCENARIO, duration_s=25.0), 0), Config(), model)
         calibration = conclude(run)
         assert figure_names(run)[1] == 'coefficients'
-        names = {trace.name for trace in figures.coefficients(run.history, calibration).data}
-        assert names == {'3 sigma', *model.coefficient_names[1:]}
+        figure = figures.coefficients(run, OTHERS)
+        drawn = {trace.name: trace for trace in figure.data}
+        assert set(drawn) == {'3 sigma', *model.coefficient_names[1:]}
+        amplitude = drawn['bias_warmup.amplitude']
+        place = calibration.names.index('bias_warmup.amplitude')
+        assert amplitude.y[-1] == pytest.approx(math.degrees(calibration.values[place]), rel=1e-5)
+        assert amplitude.customdata[-1] >= 0.99 * 3.0 * math.degrees(run.history.std[-1, YAW_BIAS + place])
+        assert any(axis.title.text == 'bias_warmup<br>amplitude<br>(deg/s)' for axis in figure.select_yaxes())
+        with_bias = {trace.name for trace in figures.coefficients(run).data}
+        assert with_bias == {'3 sigma', 'bias', *model.coefficient_names}
         rows = coefficient_rows(calibration, run.history)
         assert [row.name for row in rows] == ['bias', *model.coefficient_names]
         last = model.coefficients[-1]

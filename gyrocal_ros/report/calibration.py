@@ -77,6 +77,10 @@ class CoefficientRow(NamedTuple):
     """What the value means; empty where that is plain."""
 
 
+OTHERS = 2
+"""First coefficient without a figure of its own: after bias and scale factor."""
+
+
 def calibration_page(run: Run, calibration: Calibration, findings: Sequence[tuple[str, str]] = ()) -> str:
     """Return the page as HTML text.
 
@@ -148,7 +152,7 @@ def calibration_sections(run: Run, calibration: Calibration) -> Iterator[Section
     history = run.history
     yield _section('scale_factor', figures.scale_factor(history, calibration))
     if run.state.coefficient_count > 1:
-        yield _section('coefficients', figures.coefficients(history, calibration))
+        yield _section('coefficients', figures.coefficients(run, OTHERS))
 
     truth, tracks = truth_path(run), _paths(run)
     compared = tracks if truth is None else {'ground truth': truth, **tracks}

@@ -11,8 +11,10 @@ from plotly.subplots import make_subplots
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.drift import HeadingError, Trajectory2D
 from gyrocal_ros.diagnose.run_series import CONFIDENCE, Windows
+from gyrocal_ros.effects.base import shown_in
 from gyrocal_ros.ekf.map import CeilingMap
-from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.run import History, Run
+from gyrocal_ros.ekf.scatter import scatter_of
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.report.plot import (
@@ -105,14 +107,25 @@ def live(time_s: Array, value: Array, std: Array, nis_time_s: Array, nis: Array)
     return figure
 
 
-def coefficients(history: History, calibration: Calibration) -> go.Figure:
-    """Draw the other coefficients of the sensor model over time, one panel each."""
-    names, units = calibration.names[2:], calibration.units[2:]
-    titles = [f'{name.replace(".", "<br>")}<br>({unit})' for name, unit in zip(names, units, strict=True)]
-    figure = panels('Other coefficients', titles)
-    for i, name in enumerate(names, start=1):
-        value, reach = history.coefficients[:, i], SIGMAS * history.std[:, COEFFICIENTS_START + i]
-        _estimate(figure, history.time_s, value, reach, name, '.4g', (i, 1))
+def coefficients(run: Run, start: int = 0) -> go.Figure:
+    """Draw bias and coefficients over time, one panel each, with three standard deviations.
+
+    The standard deviations are those that the scatter up to each moment supports, as in every result.
+
+    Args:
+        run: the run.
+        start: first one to draw, in the order bias, scale factor, all others.
+    """
+    history = run.history
+    reaches = SIGMAS * history.std[:, YAW_BIAS:] * scatter_of(history)[1]
+    names = ('bias', *run.model.coefficient_names)
+    units = ('rad/s', *(item.unit for item in run.model.coefficients))
+    shown = [(i, names[i], *shown_in(units[i])) for i in range(start, len(names))]
+    titles = [f'{name.replace(".", "<br>")}<br>({unit})' for _, name, unit, _ in shown]
+    figure = panels('Coefficients over time', titles)
+    for row, (i, name, _, factor) in enumerate(shown, start=1):
+        value, reach = factor * history.mean[:, YAW_BIAS + i], factor * reaches[:, i]
+        _estimate(figure, history.time_s, value, reach, name, '.4g', (row, 1))
     figure.update_layout(showlegend=False)
     return figure
 

@@ -11,6 +11,7 @@ from gyrocal_ros.diagnose.learned_laws import LearnedLaw
 from gyrocal_ros.diagnose.model_series import coefficients
 from gyrocal_ros.diagnose.status import improvement_status
 from gyrocal_ros.effects.model_file import model_to_yaml
+from gyrocal_ros.report.calibration_figures import coefficients as over_time
 from gyrocal_ros.report.comparison_figures import (
     Mark,
     coefficients_by_model,
@@ -34,6 +35,8 @@ FITTED = """Fitted: the same spans with the final coefficients; where that is mu
 DRIFT_BY_SPAN = 'The held-out spans one by one; the lines are the rms.'
 COEFFICIENTS = """With three standard deviations. A coefficient that moves by more than that when an effect is
     added was biased before: it had absorbed a part of the missing effect."""
+OVER_TIME = """With the model {label}, and three standard deviations. A constant coefficient stays within the
+    band that it had before; a band that has not narrowed means that this recording does not observe it."""
 HEADS = ('revision', '', 'held-out drift (deg)', 'fitted drift (deg)', 'predictive gain', 'reason')
 NOTE = (
     f'Drift: rms after {SPAN_S:.0f} s without the camera, with its 90 % interval. Predictive gain: '
@@ -121,6 +124,7 @@ def improvement_sections(improved: Improvement, laws: Sequence[LearnedLaw] = ())
     )
     labels = [revision.label for revision in revisions]
     yield Section('coefficients', coefficients_by_model(estimates, labels), COEFFICIENTS)
+    yield Section('over_time', over_time(final.examined.run), OVER_TIME.format(label=final.label))
 
 
 def drift_marks(improved: Improvement) -> list[Mark]:

@@ -139,7 +139,11 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
 
 
 def _timing_status(fault: TimingFault) -> Status:
-    return Status('red', f'The time stamps are at fault: {fault}. No effect is sought before.', MEND_STAMPS)
+    return Status(
+        'red',
+        f'The time stamps are at fault: {fault}. Effects cannot be judged until that is mended.',
+        MEND_STAMPS,
+    )
 
 
 def _diagnosis_sentence(diagnosis: Diagnosis) -> str:

@@ -158,6 +158,7 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     expect(figure).to_contain_text('worst without camera')
     expect(figure.locator('.annotation-text', has_text=re.compile('^1$'))).to_have_count(1)
     expect(page.locator('#failures')).to_contain_text('turning')
+    expect(page.locator('#residual-figure')).to_be_visible()
     assert not parts_below_the_screen(page)
     screenshot(page, 'fails')
 

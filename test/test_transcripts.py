@@ -54,3 +54,9 @@ def test_a_transcript_is_renewed() -> None:
         'drift  0.5 deg, held out',
         '...',
     ]
+
+
+def test_the_beginning_and_the_end_are_renewed_whatever_they_say() -> None:
+    printed = ['[red] The model does not fit.', 'scale 1.0', 'bias 0.1', 'Report: report.html']
+    assert renewed(['scale 1.0', '...', 'The end'], printed) == [printed[0], '...', printed[-1]]
+    assert renewed(['scale 1.0'], printed) == printed, 'nothing was omitted'

@@ -77,19 +77,30 @@ def run(step: Step, folder: Path) -> list[str]:
     done = subprocess.run(
         f'{sys.executable} -c "{code}" {words}', shell=True, cwd=folder, capture_output=True, text=True
     )
-    return done.stdout.rstrip().splitlines() if done.returncode == 0 else [done.stderr]
+    if done.returncode:
+        return [done.stderr]
+    return done.stdout.replace(str(folder.resolve()), OMITTED).rstrip().splitlines()
 
 
 def renewed(expected: Sequence[str], printed: Sequence[str]) -> list[str]:
-    """Return the lines of a transcript as the command prints them now, omitting what was omitted."""
-    lines, start = [], 0
-    for line in expected:
-        close = difflib.get_close_matches(blank(line), map(blank, printed[start:]), n=1, cutoff=CLOSE)
+    """Return the lines of a transcript as the command prints them now, omitting what was omitted.
+
+    As many lines as before stand at the beginning and at the end; in between, lines with the same words.
+    """
+    if OMITTED not in expected:
+        return list(printed)
+    first = expected.index(OMITTED)
+    last = len(expected) - 1 - expected[::-1].index(OMITTED)
+    after = len(expected) - 1 - last
+    lines, rest = list(printed[:first]), printed[first : len(printed) - after]
+    start = 0
+    for line in expected[first : last + 1]:
+        close = difflib.get_close_matches(blank(line), map(blank, rest[start:]), n=1, cutoff=CLOSE)
         if line != OMITTED and line and close:
-            place = next(i for i in range(start, len(printed)) if blank(printed[i]) == close[0])
-            line, start = printed[place], place + 1
+            place = next(i for i in range(start, len(rest)) if blank(rest[i]) == close[0])
+            line, start = rest[place], place + 1
         lines.append(line)
-    return lines
+    return lines + list(printed[len(printed) - after :])
 
 
 def blank(line: str) -> str:

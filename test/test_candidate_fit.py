@@ -39,7 +39,8 @@ def fitted(scores: ScoreStatistics, *columns: int, given: tuple[int, ...] | None
 
 
 def made(values: list[float], covariance: Array, block_gains: Array) -> Fit:
-    return Fit(np.arange(len(values)), np.array(values), covariance, float(block_gains.sum()), block_gains)
+    gain, blocks = float(block_gains.sum()), len(block_gains)
+    return Fit(np.arange(len(values)), np.array(values), covariance, gain, block_gains, blocks)
 
 
 class TestFit:

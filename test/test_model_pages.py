@@ -135,7 +135,7 @@ def noisy(seed: int, bias_rad_s: float = 0.0) -> Headings:
 def shape(like: Shape, signal: str, values: list[float], stds: list[float]) -> Shape:
     """Make a shape with knots at -50, 0, 50 and so on."""
     covariance = np.diag(np.square(stds[1:]))
-    fitted = Fit(np.arange(len(values) - 1), np.array(values[1:]), covariance, 10.0, np.ones(9))
+    fitted = Fit(np.arange(len(values) - 1), np.array(values[1:]), covariance, 10.0, np.ones(9), 9)
     knots = 50.0 * np.arange(-1, len(values) - 1)
     made = replace(like, knots=knots, values=np.array(values), stds=np.array(stds), fit=fitted)
     return replace(made, signal=signal, of_scale=False)

@@ -273,7 +273,7 @@ class TestProfile:
 
     def fits(self, gains: list[float], amplitudes: list[float] | None = None) -> list[Fit]:
         return [
-            Fit(np.array([0]), np.array([amplitude]), np.array([[0.25]]), gain, np.array([gain]))
+            Fit(np.array([0]), np.array([amplitude]), np.array([[0.25]]), gain, np.array([gain]), 1)
             for gain, amplitude in zip(gains, amplitudes or [5.0] * len(gains), strict=True)
         ]
 
@@ -326,7 +326,7 @@ class TestProfile:
         fits = []
         for value, gain in zip(self.VALUES, self.parabola(45.0, 30.0), strict=True):
             values = np.array([5.0, 1.0]) + slopes * math.log(value / 40.0)
-            fits.append(Fit(np.arange(2), values, covariance, gain, np.array([gain])))
+            fits.append(Fit(np.arange(2), values, covariance, gain, np.array([gain]), 1))
         found = profile(self.VALUES, fits)
         assert found.value == pytest.approx(45.0)
         np.testing.assert_allclose(found.linear, np.array([5.0, 1.0]) + slopes * math.log(45.0 / 40.0))

@@ -6,7 +6,7 @@ Everything follows from Lambda and b of the blocks (`ekf.score_statistics`), wit
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,11 +35,14 @@ class Fit:
     values: Array
     """(q,) estimates."""
     covariance: Array
-    """(q, q) covariance by the scatter of the blocks, independent of the filter's noise settings."""
+    """(q, q) covariance by the scatter of the blocks, independent of the filter's noise settings, or by that
+    of the features, where it makes the estimate less significant."""
     gain: float
     """Log-likelihood gained, by the filter's own S."""
     block_gains: Array
     """(B,) contribution of each block to the gain."""
+    clusters: int
+    """Number of blocks, or of features, by whose scatter the covariance is known."""
 
     @property
     def wald(self) -> float:
@@ -53,13 +56,18 @@ class Fit:
 
     @property
     def p_value(self) -> float:
-        """Probability of so large an estimate where the effect is absent.
+        """Probability of so large an estimate where the effect is absent."""
+        return chi_square_tail(self.statistic, len(self.values))
 
-        The covariance of few blocks is itself uncertain, so one coefficient has Student's t distribution.
-        The logarithm approximates that; for two coefficients it is Hotelling's test exactly.
+    @property
+    def statistic(self) -> float:
+        """Chi-square of an estimate whose covariance is uncertain itself, because the clusters are few.
+
+        One coefficient has Student's t distribution. The logarithm approximates that; for two coefficients
+        it is Hotelling's test exactly.
         """
-        dof = max(len(self.block_gains) - len(self.values), 1)
-        return chi_square_tail(dof * math.log1p(self.wald / dof), len(self.values))
+        dof = max(self.clusters - len(self.values), 1)
+        return dof * math.log1p(self.wald / dof)
 
 
 def fit(scores: ScoreStatistics, columns: IntArray, given: IntArray | None = None) -> Fit | None:
@@ -86,19 +94,37 @@ def fit(scores: ScoreStatistics, columns: IntArray, given: IntArray | None = Non
         return None
     inverse = np.linalg.inv(total)
     values = inverse @ score.sum(axis=0)
+    wanted = np.flatnonzero(kept < len(columns))
+    unscaled = 1.0 / scale[kept[wanted]]
     covariance = _covariance(information, score, values, inverse)
     block_gains = score @ values - 0.5 * np.einsum('i,bij,j->b', values, information, values)
     if len(others):
         block_gains = block_gains - _gains_of(information, score, kept >= len(columns))
-    wanted = np.flatnonzero(kept < len(columns))
-    unscaled = 1.0 / scale[kept[wanted]]
-    return Fit(
+    chosen, by_unit = np.ix_(wanted, wanted), unscaled[:, None] * unscaled
+    by_blocks = Fit(
         columns=every[kept[wanted]],
         values=values[wanted] * unscaled,
-        covariance=covariance[np.ix_(wanted, wanted)] * unscaled[:, None] * unscaled,
+        covariance=covariance[chosen] * by_unit,
         gain=float(block_gains.sum()),
         block_gains=block_gains,
+        clusters=len(block_gains),
     )
+    by_features = _judged_by_features(by_blocks, inverse[chosen] * by_unit, scores)
+    return min(by_blocks, by_features, key=lambda item: item.statistic)
+
+
+def _judged_by_features(fitted: Fit, covariance: Array, scores: ScoreStatistics) -> Fit:
+    """Return a fit with the covariance by the scatter of the features; unchanged where there is none.
+
+    Args:
+        fitted: the fit.
+        covariance: (q, q) by the filter's own S.
+        scores: score statistics that it was fitted to.
+    """
+    if scores.features is None:
+        return fitted
+    root = np.sqrt(scores.excess_of_features(fitted.columns, fitted.values))
+    return replace(fitted, covariance=root[:, None] * covariance * root, clusters=scores.features.count)
 
 
 def held_out_gain(scores: ScoreStatistics, columns: IntArray) -> float | None:

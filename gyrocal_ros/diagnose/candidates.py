@@ -63,7 +63,8 @@ class CandidateSet:
         for item, columns in zip(self.candidates, columns_of(effects), strict=True):
             mixing[np.ix_(places[id(item.carried)], columns)] = item.weights
         information = mixing.T @ scores.information @ mixing
-        return ScoreStatistics(effects, scores.start_s, information, scores.score @ mixing)
+        features = None if scores.features is None else scores.features.mixed(mixing)
+        return ScoreStatistics(effects, scores.start_s, information, scores.score @ mixing, features)
 
 
 @dataclass(frozen=True)

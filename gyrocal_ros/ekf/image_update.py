@@ -16,6 +16,7 @@ from gyrocal_ros.ekf.effects_by_place import (
     measurement_by_values,
 )
 from gyrocal_ros.ekf.feature_noise import learn_noise, variance_factors
+from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
 from gyrocal_ros.ekf.repeated_errors import motion
@@ -56,6 +57,8 @@ class ImageModel:
     """Effects of the model."""
     candidates: EffectsByPlace
     """Effects that the model lacks."""
+    scored: int
+    """Number of their coefficients, the first ones, whose scores by feature are wanted."""
     pose_rate: Array
     """(6,) rate of the robot's pose."""
     interval_s: float
@@ -108,8 +111,11 @@ def update_from_image(
 
     used = found.innovation if good.all() else found.innovation[np.flatnonzero(good)]
     heading_rad, heading_std_rad = _as_heading(used)
-    stats = UpdateStats()
+    stats, by_feature = UpdateStats(), None
     if good.any():
+        if model.scored:
+            ids, scored = state.landmarks.ids[used.rows], used.sensitivity[:, :, : model.scored]
+            by_feature = feature_scores(ids, used.residual, used.covariance, scored)
         state, stats = update(state, used)
         stats = replace(stats, dof=DOF_PER_FEATURE * len(used.rows))
     kept = state
@@ -123,6 +129,7 @@ def update_from_image(
         rejected=int((~good).sum()),
         dropped=len(state.landmarks.ids) - len(kept.landmarks.ids),
         stats=stats,
+        by_feature=by_feature,
         heading_rad=heading_rad,
         heading_std_rad=heading_std_rad,
         noise_distances=_noise_dominated(judged, unmoved) if is_in_pixels else np.empty(0),

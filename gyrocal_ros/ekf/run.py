@@ -220,7 +220,8 @@ class Recorder:
         if record.event:
             self._events.append(RunEvent(record.t_ns, record.event))
         if self._scores:
-            self._scores.add(self._times_ns[-1] - self._times_ns[0], (record.resting, record.update.stats))
+            time_ns, update = self._times_ns[-1] - self._times_ns[0], record.update
+            self._scores.add(time_ns, (record.resting, update.stats), update.by_feature)
 
     def add_truth(self, sample: TruthSample) -> None:
         """Add one pose of the ground truth."""

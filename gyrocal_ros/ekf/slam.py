@@ -240,6 +240,7 @@ class EkfSlam:
             match_px=self._typical_match.std_px,
             effects=self._effects,
             candidates=self._candidates,
+            scored=self._own_candidates,
             pose_rate=self._pose_rate,
             interval_s=seconds(self.state.t_ns - int(self.state.landmarks.last_seen_ns.max(initial=0))),
             errors_repeat=self._errors_repeat(),

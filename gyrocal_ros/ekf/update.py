@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.ekf.feature_scores import FeatureScores
 from gyrocal_ros.ekf.positive_definite import CHECK_THE_SENSORS, cholesky, not_a_covariance, whiten
 from gyrocal_ros.ekf.state import EULER, YAW, State
 from gyrocal_ros.errors import FilterDivergedError
@@ -93,6 +94,8 @@ class MeasurementUpdate:
     (points that are not fixed in space), not used because unmoved, added to the map, and dropped by the
     tracker because they stay in the image."""
     stats: UpdateStats = UpdateStats()
+    by_feature: FeatureScores | None = None
+    """Scores of the candidates by feature, where there are candidates."""
     heading_rad: float = 0.0
     """The innovation as a heading: the rotation about the vertical that fits it best."""
     heading_std_rad: float = float('nan')

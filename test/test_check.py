@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 from collections.abc import Callable, Iterable
@@ -15,6 +16,7 @@ import pytest
 from small_bags import CAMERA, RIG, START_NS, drive, turned_imu, write
 
 from gyrocal_ros.bag.check import CheckReport, check_bag
+from gyrocal_ros.bag.rewrite import RawMessage, decode, encode, rewrite_bag
 from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
@@ -28,6 +30,7 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
+from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.issues import BagIssue, Severity, worst_per_kind
 
 SHARED = Path(__file__).resolve().parent.parent.parent / 'shared' / 'data' / 'robot-localization-bags'
@@ -225,7 +228,11 @@ def is_imu(sample: Measurement, from_s: float = 0.0, to_s: float = 99.0) -> bool
         (lambda s, t: (t + 60.0 if is_imu(s, 5.0) else t, t), {'clock_jump'}),
         (lambda s, t: (t - 60.0 if is_imu(s, 5.0, 5.005) else t, t), {'clock_jump'}),
         (lambda s, t: (t, t + 2.0 if isinstance(s, FeatureObservations) and t > 5.0 else t), {'late'}),
-        (lambda s, t: (t - 2.0 if is_imu(s) else t, t), {'other_clock', 'clocks_differ'}),
+        (lambda s, t: (t - 0.8 if is_imu(s) else t, t), {'clocks_differ'}),
+        (
+            lambda s, t: (t + 3.0 if is_imu(s, 5.0, 5.5) else t, t),
+            {'backward_stamps', 'clocks_differ', 'gap', 'late', 'other_clock'},
+        ),
         (lambda s, t: (t, t + 1000.0), {'other_clock'}),
     ],
 )
@@ -237,8 +244,10 @@ def test_stamps(
     assert report.usable
 
 
-def test_clocks_too_far_apart_to_be_used_together(tmp_path: Path) -> None:
-    report = check_restamped(tmp_path, lambda s, t: (t - 100.0 if is_imu(s) else t, t))
+@pytest.mark.parametrize('offset_s', [2.0, -2.0, 100.0])
+def test_clocks_too_far_apart_to_be_used_together(tmp_path: Path, offset_s: float) -> None:
+    """Within two seconds the messages of one topic would already be too late to be sorted in."""
+    report = check_restamped(tmp_path, lambda s, t: (t - offset_s if is_imu(s) else t, t))
     errors = {issue.kind for issue in report.issues if issue.severity is Severity.ERROR}
     assert errors == {'clocks_differ'}
 
@@ -253,6 +262,67 @@ def test_a_topic_that_covers_only_a_part_of_the_time(tmp_path: Path) -> None:
     assert list(issues_by_kind(check(tmp_path, late))) == ['begins_late']
     early = with_changed(WheelSample, lambda s: s if time_s(s) < 6.0 else None)
     assert list(issues_by_kind(check(tmp_path / 'early', early))) == ['ends_early']
+
+
+def test_an_imu_that_covers_only_a_part_of_the_time(tmp_path: Path) -> None:
+    short = with_changed(ImuSample, lambda s: s if 3.0 < time_s(s) < 6.0 else None)
+    issues = check(tmp_path, short).issues
+    texts = [issue.text for issue in issues if issue.topic == '/imu/data_raw']
+    assert any('ends' in text and 'before /ceiling_camera/features' in text for text in texts)
+    assert any('begins' in text and 'after /wheel/odometry' in text for text in texts)
+
+
+def test_messages_that_are_sent_again_are_neither_gaps_nor_turns(tmp_path: Path) -> None:
+    """A broker that repeats each message a second later."""
+    with new_bag(tmp_path / 'bag') as bag:
+        bag.write_rig(RIG, START_NS)
+        for sample in drive():
+            bag.write(sample)
+            if isinstance(sample, WheelSample) and time_s(sample) > 1.0:
+                again = replace(sample, t_ns=sample.t_ns - NS_PER_S)
+                bag.write(again, recorded_ns=sample.t_ns)
+    report = check_bag(tmp_path / 'bag', Config())
+    assert {issue.kind for issue in report.issues} == {'backward_stamps'}
+
+
+def test_the_speed_of_the_wheels_in_another_unit(tmp_path: Path) -> None:
+    fast = with_changed(WheelSample, lambda s: replace(s, speed_m_s=1000.0 * s.speed_m_s))
+    issue = issues_by_kind(check(tmp_path, fast))['not_finite']
+    assert issue.severity is Severity.ERROR and 'unit' in issue.todo
+
+
+def changed_copy(path: Path, kind: str, change: Callable[[Any], list[Any]]) -> CheckReport:
+    """Check a copy of the drive with other messages in place of each message of a type."""
+
+    def rewritten(message: RawMessage) -> list[RawMessage]:
+        if message.type_name != kind:
+            return [message]
+        contents = change(decode(message))
+        return [replace(message, content=encode(content, kind)) for content in contents]
+
+    rewrite_bag(write(path / 'drive'), path / 'changed', rewritten)
+    return check_bag(path / 'changed', Config())
+
+
+def test_a_calibration_of_the_camera_that_changes(tmp_path: Path) -> None:
+    def with_another(info: Any) -> list[Any]:
+        other = copy.deepcopy(info)
+        other.k = np.full(9, 40.0)
+        return [info, info, other]
+
+    issue = issues_by_kind(changed_copy(tmp_path, topics.CAMERA_INFO, with_another))['camera_changes']
+    assert issue.severity is Severity.WARNING
+
+
+def test_a_frame_of_the_imu_that_no_transform_leads_to(tmp_path: Path) -> None:
+    def with_imu_link(message: Any) -> list[Any]:
+        link = copy.deepcopy(message.transforms[0])
+        link.child_frame_id = 'imu_board'
+        message.transforms.append(link)
+        return [message]
+
+    issue = issues_by_kind(changed_copy(tmp_path, topics.TRANSFORMS, with_imu_link))['imu_frame']
+    assert "'imu_link', but one to 'imu_board'" in issue.text
 
 
 def test_a_slow_imu(tmp_path: Path) -> None:

@@ -254,3 +254,17 @@ def test_a_message_of_a_punctual_stream_out_of_order_is_dropped() -> None:
     out, reorderer = arrive([*fast, *images, (502, 0, 80)])
     assert 502 not in [t for t, _ in out]
     assert reorderer.drops == {(Drop.LATE, 0): 1}
+
+
+@pytest.mark.parametrize('ahead_ms', [-90_000, -2_000, 2_000, 90_000])
+def test_a_follower_with_a_wrong_clock_makes_no_other_message_late(ahead_ms: int) -> None:
+    """A ground truth two seconds ahead must not empty the stream of the gyro."""
+    leading = steady(10_000, 14_000)
+    reorderer = Reorderer[int](WINDOW, STEP, followers=[3])
+    out: list[int | ClockStep] = []
+    for t_ns, stream in leading:
+        out += reorderer.push(t_ns + ahead_ms * MS, 3, 0)
+        out += reorderer.push(t_ns, stream, t_ns)
+    out += reorderer.finish()
+    assert [item for item in out if item] == [t_ns for t_ns, _ in leading]
+    assert {stream for _, stream in reorderer.drops} <= {3}

@@ -25,7 +25,7 @@ from gyrocal_ros.data import (
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.motion import WHEEL_TIMEOUT_NS
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import POSITION, YAW
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION, YAW
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.ekf.stream import MAX_BLOCK_NS, SlamStream, Synchroniser
 from gyrocal_ros.model.bias import BiasModel
@@ -277,3 +277,40 @@ def test_a_clock_step_aligns_a_heading_reference_again() -> None:
     after = [record for record in headings(3.0, 5.0, 2.5, nanoseconds(9.0)) if record.update.stats.dof]
     assert len(before) > 20 and len(after) > 20
     assert max(abs(record.update.heading_rad) for record in (*before, *after)) < 0.05
+
+
+# --- pauses -------------------------------------------------------------------------------------
+
+
+def test_a_pause_of_all_sensors_keeps_the_calibration_and_drops_the_map() -> None:
+    """As when the recording is paused: a prediction over it would be worth nothing."""
+    consumer = stream()
+    run(consumer, 0.0, 30.0)
+    before = consumer.slam.state
+    after = run(consumer, 40.0, 60.0)
+    events = [record.event for record in after if record.event]
+    assert events == ['neither gyro nor images for 10 s; a new map was started']
+    assert sum(record.block.gap_s for record in after) < 0.3, 'one block may reach into the pause'
+    assert consumer.slam.state.coefficients[0] == pytest.approx(before.coefficients[0], abs=1e-3)
+    error = abs(1.0 + consumer.slam.state.coefficients[0] - recording().truth.scale_factor)
+    assert error < 5.0 * after[-1].std[COEFFICIENTS_START]
+
+
+def test_a_pause_of_the_gyro_with_images_is_predicted() -> None:
+    sync = synchroniser(1.5, 3.0, 4.5, until_s=0.0)
+    sync.add(imu(0.0), 0)
+    sync.add(imu(5.0), 0)
+    assert sync.blind_until_ns(0, 0.0) is None
+    assert synchroniser(2.5, until_s=0.0).blind_until_ns(0, 0.0) is None, 'the gyro may come back'
+    sync = synchroniser(2.5, until_s=0.0)
+    sync.add(imu(5.0), 0)
+    assert sync.blind_until_ns(0, 0.0) == nanoseconds(2.5)
+
+
+def test_images_long_after_the_gyro_are_not_used() -> None:
+    """With its last rate, which lasts, it would look as if it were stuck."""
+    consumer = stream()
+    for item in recording().measurements():
+        if not isinstance(item, ImuSample) or item.t_ns < at(10.0):
+            consumer.step(item)
+    assert all(record.block.end_ns < at(10.3) for record in consumer.finish())

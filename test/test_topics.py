@@ -220,6 +220,19 @@ def test_camera_info_with_missing_or_zero_coefficients() -> None:
     assert topics.camera_intrinsics(message).lens == 'plumb_bob'
 
 
+def test_camera_info_of_a_part_of_the_sensor(make: MessageMaker) -> None:
+    """Calibration and size are those of the whole sensor (sensor_msgs/CameraInfo)."""
+    message = to_ros.camera_info(make, CameraIntrinsics(640, 480, 250.0, 260.0, 319.5, 239.5), T_NS)
+    message.roi.x_offset, message.roi.y_offset, message.roi.width, message.roi.height = 100, 40, 400, 300
+    assert topics.camera_intrinsics(message) == CameraIntrinsics(400, 300, 250.0, 260.0, 219.5, 199.5)
+    message.binning_x = message.binning_y = 2
+    halved = topics.camera_intrinsics(message)
+    assert halved == CameraIntrinsics(200, 150, 125.0, 130.0, 109.5, 99.5)
+    message.roi.width = 541
+    with pytest.raises(RecordingError, match='region of interest'):
+        topics.camera_intrinsics(message)
+
+
 def test_static_transforms(make: MessageMaker) -> None:
     mount = Mount(rotation_from_quaternion(0.1, 0.2, -0.3, 0.9), np.array([0.1, 0.2, 0.3]))
     (link,) = topics.transforms(to_ros.static_transforms(make, {'camera': mount}, T_NS))

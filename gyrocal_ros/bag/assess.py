@@ -19,7 +19,7 @@ MIN_RATE_HZ = {Role.IMU: 15.0, Role.WHEELS: 8.0, Role.FEATURES: 4.0, Role.IMAGE:
 MAX_NAN_SHARE = 0.1
 """Share of messages with NaN above which a topic cannot be used."""
 MAX_UNCOVERED_S = 2.0
-"""Limit of the time at the start or the end of the IMU's recording that another topic does not cover."""
+"""Limit of the time at the start or the end that the IMU, or another topic, does not cover."""
 MAX_CLOCK_OFFSET_S = 0.5
 """Limit of the offset between the stamps of two topics that use the same clock."""
 MAX_UNEVEN_SHARE = 0.02
@@ -46,13 +46,12 @@ AXES_ADVICE = 'publish its mounting on /tf_static, or correct the order of the a
 TURN_ADVICE = 'turn on the spot, a few full turns to each side, some slow and some fast'
 
 
-def assess(bag: BagScan, *, reorder_window_s: float, clock_step_s: float) -> Iterator[BagIssue]:
+def assess(bag: BagScan, *, reorder_window_s: float) -> Iterator[BagIssue]:
     """Yield the issues of a recording.
 
     Args:
         bag: statistics of the recording.
         reorder_window_s: delay up to which a message is still sorted in.
-        clock_step_s: clock offset above which topics cannot be used together.
     """
     stamped = [scan for scan in bag.topics if scan.stamps.unset < scan.stamps.count]
     for scan in bag.topics:
@@ -65,7 +64,7 @@ def assess(bag: BagScan, *, reorder_window_s: float, clock_step_s: float) -> Ite
         yield from _stamp_issues(scan, reorder_window_s)
         yield from _nan_issues(scan)
         if imus and scan.role in NEEDED_ROLES and scan.role is not Role.IMU:
-            yield from _synchronisation_issues(scan, imus[0], clock_step_s)
+            yield from _synchronisation_issues(scan, imus[0], reorder_window_s)
     for imu in imus:
         yield from _imu_issues(imu, bag, _compare_with_imu(imu, stamped, bag))
     features = bag.of_role(Role.FEATURES)
@@ -146,27 +145,31 @@ def _nan_issues(scan: TopicScan) -> Iterator[BagIssue]:
     if scan.invalid:
         share = scan.invalid / scan.topic.count
         severity = ERROR if share > MAX_NAN_SHARE else WARNING
-        text = f'{scan.invalid} of {scan.topic.count} messages are damaged or not finite (NaN)'
-        yield _issue(scan, severity, 'not_finite', text, 'they are left out; check the driver')
+        text = f'{scan.invalid} of {scan.topic.count} messages are damaged, not finite or far too large'
+        yield _issue(scan, severity, 'not_finite', text, 'they are left out; check the driver and its unit')
 
 
-def _synchronisation_issues(scan: TopicScan, imu: TopicScan, clock_step_s: float) -> Iterator[BagIssue]:
+def _synchronisation_issues(scan: TopicScan, imu: TopicScan, reorder_window_s: float) -> Iterator[BagIssue]:
     """Yield the issues of a topic that uses another clock than the IMU or does not cover its time."""
     if scan.stamps.jumped.count or imu.stamps.jumped.count:
         return
     offset_s = _clock_offset_s(scan, imu)
     if abs(offset_s) > MAX_CLOCK_OFFSET_S:
-        severity = ERROR if abs(offset_s) > clock_step_s else WARNING
+        usual_s = abs(scan.stamps.mean_delay_s - imu.stamps.mean_delay_s)
+        # All messages of the later topic would then come too late to be sorted in.
+        severity = ERROR if min(abs(offset_s), usual_s) > reorder_window_s else WARNING
         side = 'behind' if offset_s > 0.0 else 'ahead of'
         text = f'its stamps are {abs(offset_s):.6g} s {side} those of {imu.topic.name}'
         yield _issue(scan, severity, 'clocks_differ', text, 'use one clock for the stamps of all topics')
         return
     late_s = seconds(scan.stamps.first_ns - imu.stamps.first_ns)
     early_s = seconds(imu.stamps.last_ns - scan.stamps.last_ns)
-    if late_s > MAX_UNCOVERED_S:
-        yield _issue(scan, WARNING, 'begins_late', f'begins {late_s:.1f} s after the IMU')
-    if early_s > MAX_UNCOVERED_S:
-        yield _issue(scan, WARNING, 'ends_early', f'ends {early_s:.1f} s before the IMU')
+    if abs(late_s) > MAX_UNCOVERED_S:
+        topic, other = (scan, 'the IMU') if late_s > 0.0 else (imu, scan.topic.name)
+        yield _issue(topic, WARNING, 'begins_late', f'begins {abs(late_s):.1f} s after {other}')
+    if abs(early_s) > MAX_UNCOVERED_S:
+        topic, other = (scan, 'the IMU') if early_s > 0.0 else (imu, scan.topic.name)
+        yield _issue(topic, WARNING, 'ends_early', f'ends {abs(early_s):.1f} s before {other}')
 
 
 def _imu_issues(

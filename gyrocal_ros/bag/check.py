@@ -79,9 +79,7 @@ def check_bag(
         links = read_static_transforms(storage, selection)
         issues += _camera_issues(storage, selection, links, config)
         scan = scan_bag(storage, selection, links, nanoseconds(recording.clock_step_s), issues)
-        issues += assess(
-            scan, reorder_window_s=recording.reorder_window_s, clock_step_s=recording.clock_step_s
-        )
+        issues += assess(scan, reorder_window_s=recording.reorder_window_s)
         return CheckReport(
             name=str(path),
             duration_s=seconds(storage.end_ns - storage.start_ns),

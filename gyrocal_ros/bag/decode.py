@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import islice, repeat
 from typing import TypeAlias
 
 import numpy as np
@@ -19,7 +20,7 @@ from gyrocal_ros.msgs import clouds, images, topics
 from gyrocal_ros.msgs.headings import FrameHeading, heading_conversion
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.mounts import into_body_axes
-from gyrocal_ros.msgs.plausible import MAX_DISTANCE_M, MAX_NUMBER, MAX_READING, plausible
+from gyrocal_ros.msgs.plausible import MAX_NUMBER, plausible
 from gyrocal_ros.msgs.topics import STAMP_FIELDS, FieldConversion, Role
 
 MAX_INVALID_SHARE, MAX_INVALID = 0.1, 10
@@ -76,6 +77,11 @@ class MessageDecoder:
                     BagIssue(Severity.WARNING, 'unknown_type', topic.name, f'is left out: {error.what}')
                 )
 
+    @property
+    def followers(self) -> list[int]:
+        """Numbers of the streams that no calibration needs: their stamps are no sign of time."""
+        return [number for number, (topic, _) in enumerate(self.streams) if topic.name not in self._needed]
+
     def _checked(self, topic: Topic, decode: Decode) -> Decode:
         """Return a decoder that leaves out and counts messages that cannot be used."""
 
@@ -101,17 +107,17 @@ class MessageDecoder:
             conversion = FieldConversion(
                 conversion.fields, lambda *values: rotate(topics.imu_sample(*values))
             )
-        bound = MAX_DISTANCE_M if role in (Role.TRUTH, Role.HEADING) else MAX_READING
-        return self._field_decoder(topic, conversion, bound)
+        return self._field_decoder(topic, conversion, role)
 
-    def _field_decoder(self, topic: Topic, conversion: FieldConversion[Measurement], bound: float) -> Decode:
+    def _field_decoder(self, topic: Topic, conversion: FieldConversion[Measurement], role: Role) -> Decode:
         read, build = self._storage.reader_of(topic, conversion.fields), conversion.build
+        bounds = (*repeat(math.inf, len(STAMP_FIELDS)), *islice(topics.bounds(role), len(conversion.fields)))
 
         def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
             values = read(raw)
-            if not plausible(values, bound):
+            if not plausible(values, bounds):
                 what = 'the numbers are not finite (NaN), or impossibly large'
-                raise MessageError(what, todo='check the driver of this sensor')
+                raise MessageError(what, todo='check the driver of this sensor and its unit')
             return (build(*values),)
 
         return decode
@@ -123,7 +129,7 @@ class MessageDecoder:
             return self._set_headings(
                 topic,
                 self._field_decoder(
-                    topic, FieldConversion(conversion.fields, conversion.build), MAX_DISTANCE_M
+                    topic, FieldConversion(conversion.fields, conversion.build), Role.HEADING
                 ),
             )
         frames = FrameHeading(*self._heading.frames)

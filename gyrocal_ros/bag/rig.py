@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import TypeVar
 
 import numpy as np
@@ -16,7 +17,7 @@ from gyrocal_ros.config.sections import CameraConfig
 from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, HeadingSample, Mount, Rig
 from gyrocal_ros.errors import MessageError, RecordingError
 from gyrocal_ros.msgs.headings import FrameHeading, HeadingName, heading_conversion
-from gyrocal_ros.msgs.issues import BagIssue
+from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.mounts import (
     REST_NS,
     imu_rotation,
@@ -24,9 +25,11 @@ from gyrocal_ros.msgs.mounts import (
     mount_from_settings,
     mount_from_transforms,
 )
-from gyrocal_ros.msgs.plausible import plausible
+from gyrocal_ros.msgs.plausible import MAX_READING, plausible
 from gyrocal_ros.msgs.topics import (
+    BODY_FRAME,
     IMU_SAMPLE,
+    STAMP_FIELDS,
     FieldConversion,
     Role,
     camera_intrinsics,
@@ -38,6 +41,9 @@ TURN_COMPARISON_NS = 300 * NS_PER_S
 """Time at the start over which the turns of gyro and heading reference are compared."""
 MIN_OPPOSITE_CORRELATION = 0.8
 """Minimum size of a negative correlation of their turns for them to count as opposite."""
+
+STAMP_END = 12
+"""Length of a serialised message up to the end of its stamp, in ROS 1 and ROS 2."""
 
 T = TypeVar('T')
 
@@ -97,7 +103,7 @@ def read_rig(
     if camera_topic:
         mount = _camera_mount(storage, camera_topic, links, mount, issues)
         if Role.CAMERA_INFO in selection.topics:
-            camera = _intrinsics(storage, selection.topics[Role.CAMERA_INFO])
+            camera = _intrinsics(storage, selection.topics[Role.CAMERA_INFO], issues)
     return Rig(camera, mount)
 
 
@@ -149,16 +155,43 @@ def read_imu_rotation(
 
     force = _initial_force(storage, topic)
     R_bi, imu_issues = imu_rotation(topic.name, frame, links, force, opposite_topic)
-    issues += imu_issues
+    issues += imu_issues or _other_imu_frame(topic.name, frame, links)
     return R_bi
 
 
-def _intrinsics(storage: Storage, topic: Topic) -> CameraIntrinsics:
-    try:
-        return camera_intrinsics(storage.first_message(topic))
-    except RecordingError as error:
-        place = error.where or f'{storage.path}, {topic.name}'
-        raise RecordingError(error.what, where=place, todo=error.todo) from error
+def _other_imu_frame(topic: str, frame: str, links: Sequence[Transform]) -> list[BagIssue]:
+    """Return an issue if no transform leads to the frame of an IMU, but one to another IMU's."""
+    others = [link.child for link in links if 'imu' in link.child.lower()]
+    if not others or frame.endswith(BODY_FRAME) or mount_from_transforms(links, frame) is not None:
+        return []
+    text = f"no transform to its frame {frame!r}, but one to {others[0]!r}; its axes are taken as the robot's"
+    todo = 'correct frame_id, or the transform'
+    return [BagIssue(Severity.WARNING, 'imu_frame', topic, text, todo)]
+
+
+def _intrinsics(storage: Storage, topic: Topic, issues: list[BagIssue]) -> CameraIntrinsics:
+    """Return the first valid calibration of the camera; an issue is appended if another one follows."""
+    found: list[CameraIntrinsics] = []
+    problem: RecordingError | None = None
+    last = b''
+    for _, _, raw in storage.raw_messages([topic]):
+        if raw[STAMP_END:] == last:
+            continue
+        last = raw[STAMP_END:]
+        try:
+            found.append(camera_intrinsics(storage.message(topic, raw)))
+        except MessageError as error:
+            place = error.where or f'{storage.path}, {topic.name}'
+            problem = problem or RecordingError(error.what, where=place, todo=error.todo)
+    if not found:
+        raise problem or RecordingError(
+            'has no readable messages', where=f'{storage.path}, {topic.name}', todo='record it again'
+        )
+    if problem or any(camera != found[0] for camera in found):
+        text = 'changes during the recording; its first valid calibration is used throughout'
+        todo = 'record one camera at one resolution, and calibrate it before'
+        issues.append(BagIssue(Severity.WARNING, 'camera_changes', topic.name, text, todo))
+    return found[0]
 
 
 def _camera_mount(
@@ -218,6 +251,6 @@ def _first_samples(storage: Storage, topic: Topic, conversion: FieldConversion[T
             values = read(raw)
         except MessageError:
             continue
-        if plausible(values):
+        if plausible(values[len(STAMP_FIELDS) :], repeat(MAX_READING)):
             samples.append(conversion.build(*values))
     return samples

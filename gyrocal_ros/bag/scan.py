@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import TypeAlias
 
 import numpy as np
@@ -18,7 +19,6 @@ from gyrocal_ros.data import NS_PER_S, Array, HeadingSample, IntArray
 from gyrocal_ros.errors import MessageError
 from gyrocal_ros.msgs.headings import heading_conversion
 from gyrocal_ros.msgs.issues import BagIssue
-from gyrocal_ros.msgs.plausible import MAX_READING
 from gyrocal_ros.msgs.topics import (
     IMU_SAMPLE,
     STAMP_FIELDS,
@@ -26,6 +26,7 @@ from gyrocal_ros.msgs.topics import (
     WHEEL_SAMPLE,
     FieldConversion,
     Role,
+    bounds,
 )
 from gyrocal_ros.msgs.transforms import Transform
 
@@ -69,10 +70,11 @@ class TopicScan:
         self._rows, self._recorded_ns = [], []
         stamps_ns = rows[:, 0].astype(np.int64) * NS_PER_S + rows[:, 1].astype(np.int64)
         self.stamps.add(stamps_ns, recorded_ns)
-        valid = (np.abs(rows[:, 2:]) < MAX_READING).all(axis=1)
+        numbers = rows[:, len(STAMP_FIELDS) :]
+        valid = (np.abs(numbers) < list(islice(bounds(self.role), numbers.shape[1]))).all(axis=1)
         self.invalid += int(np.count_nonzero(~valid))
         if valid.any():
-            self.handle(stamps_ns[valid], rows[valid, 2:])
+            self.handle(stamps_ns[valid], numbers[valid])
 
 
 @dataclass(slots=True)

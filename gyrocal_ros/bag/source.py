@@ -73,8 +73,9 @@ class BagSource:
             RecordingError: the recording is damaged, an image has the wrong size, or too many messages
                 of a needed topic are invalid (NaN).
         """
-        step_ns = nanoseconds(self._recording.clock_step_s)
-        reorderer = Reorderer[Sequence[Measurement]](nanoseconds(self._recording.reorder_window_s), step_ns)
+        step_ns, window_ns = (
+            nanoseconds(time_s) for time_s in (self._recording.clock_step_s, self._recording.reorder_window_s)
+        )
         with open_storage(self._path) as storage:
             decoder = MessageDecoder(
                 storage,
@@ -83,6 +84,7 @@ class BagSource:
                 other_clock_ns=step_ns,
                 with_covariates=self._with_covariates,
             )
+            reorderer = Reorderer[Sequence[Measurement]](window_ns, step_ns, followers=decoder.followers)
             for samples in _read_sorted(storage, decoder, reorderer):
                 if isinstance(samples, ClockStep):
                     yield samples

@@ -18,6 +18,8 @@ EVEN_PERIODS = (0.5, 1.5)
 """Interval between two messages, in typical periods, that counts as regular."""
 MAX_STEP_S = 0.3
 """Longest interval over which a rate is integrated."""
+MAX_DELAY_NS = 5 * NS_PER_S
+"""Longest delay of a message that is left out; an earlier stamp is a step of the clock."""
 BIN_NS = NS_PER_S // 2
 """Length of the bins in which turns are compared: longer than latencies, shorter than turns."""
 MIN_BIN_TURN_RAD = math.radians(3.0) * BIN_NS / NS_PER_S
@@ -77,6 +79,8 @@ class StampStats:
     """Smallest time of recording minus stamp."""
     max_delay_s: float = -math.inf
     """Largest time of recording minus stamp."""
+    mean_delay_s: float = 0.0
+    """Mean time of recording minus stamp."""
     _last_recorded_ns: int = 0
 
     def add(self, stamps_ns: IntArray, recorded_ns: IntArray) -> None:
@@ -87,7 +91,7 @@ class StampStats:
             recorded_ns: (n,) times of recording.
         """
         if self.count == 0:
-            self.first_ns, self.period_ns = int(stamps_ns[0]), _typical_interval_ns(np.diff(stamps_ns))
+            self.first_ns, self.period_ns = int(stamps_ns[0]), _typical_interval_ns(stamps_ns)
             before, recorded_before = stamps_ns, recorded_ns
         else:
             before = np.concatenate([[self.last_ns], stamps_ns])
@@ -97,6 +101,7 @@ class StampStats:
         jumped = np.abs(steps - recorded_steps) > self.step_ns
         backward = (steps < 0) & ~jumped
         gap = (steps > max(GAP_PERIODS * self.period_ns, GAP_NS)) & ~jumped
+        gap[1:] &= ~backward[:-1]  # a return to the newest stamps is no gap
         for events, where in (
             (self.repeated, steps == 0),
             (self.backward, backward),
@@ -104,13 +109,16 @@ class StampStats:
             (self.gap, gap),
         ):
             events.add(steps[where], before[where])
+        resent = backward.copy()
+        resent[1:] |= backward[:-1]
         is_even = (steps > EVEN_PERIODS[0] * self.period_ns) & (steps < EVEN_PERIODS[1] * self.period_ns)
-        self.uneven += int(np.count_nonzero(~is_even & (steps > 0) & ~jumped & ~gap))
+        self.uneven += int(np.count_nonzero(~is_even & (steps > 0) & ~jumped & ~gap & ~resent))
         delays = recorded_ns - stamps_ns
         self.min_delay_s = min(self.min_delay_s, seconds(int(delays.min())))
         self.max_delay_s = max(self.max_delay_s, seconds(int(delays.max())))
         self.unset += int(np.count_nonzero(stamps_ns == 0))
         self.count += len(stamps_ns)
+        self.mean_delay_s += (delays.mean() / NS_PER_S - self.mean_delay_s) * len(stamps_ns) / self.count
         self.last_ns, self._last_recorded_ns = int(stamps_ns[-1]), int(recorded_ns[-1])
 
     @property
@@ -119,9 +127,9 @@ class StampStats:
         return NS_PER_S / self.period_ns if self.period_ns > 0.0 else math.nan
 
 
-def _typical_interval_ns(steps_ns: IntArray) -> float:
+def _typical_interval_ns(stamps_ns: IntArray) -> float:
     """Return the mean of the intervals below twice their median, which excludes gaps."""
-    steps = steps_ns[steps_ns > 0]
+    steps = np.diff(np.unique(stamps_ns))
     if not len(steps):
         return math.nan
     typical = steps[steps < 2.0 * np.median(steps)]
@@ -138,7 +146,16 @@ class TurnStats:
     _last_yaw_rad: float = 0.0
 
     def add(self, stamps_ns: IntArray, yaw_rates_rad_s: Array) -> None:
-        """Add a block of yaw rates (n,), each constant over the interval that ends at its stamp (n,)."""
+        """Add a block of yaw rates (n,), each constant over the interval that ends at its stamp (n,).
+
+        Messages that come late or again are sorted in within the block, and left out if they are of the time
+        of the block before.
+        """
+        if self._last_ns is not None:
+            is_new = np.abs(stamps_ns - self._last_ns + MAX_DELAY_NS // 2) > MAX_DELAY_NS // 2
+            stamps_ns, yaw_rates_rad_s = stamps_ns[is_new], yaw_rates_rad_s[is_new]
+        stamps_ns, order = np.unique(stamps_ns, return_index=True)
+        yaw_rates_rad_s = yaw_rates_rad_s[order]
         if len(stamps_ns):
             steps_s = np.diff(stamps_ns, prepend=self._last_ns or stamps_ns[0]) / NS_PER_S
             self._add_turns(stamps_ns, yaw_rates_rad_s * np.where(abs(steps_s) < MAX_STEP_S, steps_s, 0.0))

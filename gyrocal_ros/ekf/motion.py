@@ -126,6 +126,14 @@ class MotionBuffer:
         wheels_ns = self._travelled.t_ns[-1]
         return min(imu_ns, max(wheels_ns, imu_ns - WHEEL_TIMEOUT_NS))
 
+    def pause_end_ns(self, t_ns: int) -> int | None:
+        """Return the next IMU sample, if it follows on a pause that includes a time; None without a pause."""
+        after = bisect_right(self._imu_ns, t_ns)
+        if not 0 < after < len(self._imu_ns):
+            return None
+        end_ns = self._imu_ns[after]
+        return end_ns if end_ns - self._imu_ns[after - 1] > PAUSE_NS else None
+
     def cut(self, start_ns: int, end_ns: int) -> MotionBlock:
         """Cut the block from `start_ns` to `end_ns` and drop the samples before its end."""
         block = self.look(start_ns, end_ns)

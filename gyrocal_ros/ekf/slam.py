@@ -25,6 +25,7 @@ from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
 from gyrocal_ros.ekf.effects_by_place import sort_effects, true_camera
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
+from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
 from gyrocal_ros.ekf.heading import HeadingReference
 from gyrocal_ros.ekf.image_update import (
@@ -41,7 +42,7 @@ from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, w
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector
 from gyrocal_ros.ekf.scale_watch import ScaleChanges, ScaleWatch
-from gyrocal_ros.ekf.start import Start, aged, inflate_after_gap, initial_state, restarted_at, warmed
+from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
 from gyrocal_ros.ekf.state import SCALE, State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
 from gyrocal_ros.ekf.step_record import StepRecord, step_record
@@ -99,6 +100,8 @@ class EkfSlam:
         self._scale_watch = ScaleWatch(self.state, CameraWatch.count if tests_camera else 0)
         self._follows_changes = follows_changes
         self.state = self._scale_watch.begin(self.state)
+        self._pause = ''
+        """Event of a time without measurements, for the next step."""
         self._has_told_of_camera, self.camera_finding = False, ''
         """What is wrong with the calibration or the mounting of the camera; empty where nothing is."""
         self.memories = self._effects.no_memories()
@@ -106,7 +109,7 @@ class EkfSlam:
         self._candidate_memories = self._candidates.no_memories()
         self._pose_rate: Array = np.zeros(6)
         self._rest, self._map_watch, self._motion_gate = RestDetector(), MapWatch(), MotionGate()
-        self._steady = SteadyRate()
+        self._steady, self._frozen = SteadyRate(), FrozenCamera()
         self._heading = HeadingReference(config.reference, config.gyro)
         self._levelling: Levelling | None = None
         if rig.camera is None:
@@ -122,6 +125,7 @@ class EkfSlam:
         before, update, event = self._warmed(block), MeasurementUpdate(), ''
 
         self._heading.move(block)
+        self._frozen.move(block)
 
         # Prediction: eq. (10) for the robot, eq. (11) for the features; sensitivities of the candidates.
         block = with_pose(block, before)
@@ -161,6 +165,8 @@ class EkfSlam:
                 self.state, seen, self._effects, self._candidates, self._pose_rate
             )
             event = update.event
+        elif seen is not None and self._frozen.repeats(seen):
+            event = self._frozen.event()
         elif seen is not None:
             update = self._update_from_image(seen)
             if self._map_watch.is_lost(update, self.pixel_noise):
@@ -179,6 +185,7 @@ class EkfSlam:
             event = '; '.join(filter(None, (event, str(change))))
         # Errors that are suspected, of the camera and of the scale factor, add to the standard deviations.
         suspected_std, finding = self._suspect(block.duration_s)
+        pause, self._pause = self._pause, ''
         self.state = self._scale_watch.renew(self.state, block.duration_s)
 
         return step_record(
@@ -190,7 +197,7 @@ class EkfSlam:
             replace(update, stats=update.stats.of_first(self._own_candidates)),
             resting.of_first(self._own_candidates),
             self.pixel_noise.std,
-            '; '.join(filter(None, (event, finding))),
+            '; '.join(filter(None, (pause, event, finding))),
             change,
             follows,
             suspected_std,
@@ -289,6 +296,13 @@ class EkfSlam:
     def restart_at(self, state: State) -> None:
         """Move the initial estimate to about the pose of another state."""
         self.state = restarted_at(self.state, state)
+
+    def skip_to(self, t_ns: int) -> None:
+        """Skip a time without gyro and without images: keep the calibration and drop the map."""
+        pause_s = seconds(t_ns - self.state.t_ns)
+        self.start_new_time_base(t_ns)
+        self.state = drifted(self.state, self.model, pause_s, self.config.gyro)
+        self._pause = f'neither gyro nor images for {pause_s:.0f} s; a new map was started'
 
     def start_new_time_base(self, t_ns: int) -> None:
         """Keep the calibration and drop the map: the motion during the step of the clock is unknown."""

@@ -94,6 +94,15 @@ def inflate_after_gap(state: State, t_ns: int) -> State:
     return replace(state, t_ns=t_ns, covariance=covariance)
 
 
+def drifted(state: State, model: SensorModel, time_s: float, gyro: GyroConfig) -> State:
+    """Add the random walks of bias and coefficients over a time that is not predicted."""
+    covariance = state.covariance.copy()
+    walks = np.array([math.radians(gyro.bias_walk_deg_s), *(item.walk for item in model.coefficients)])
+    places = np.arange(YAW_BIAS, state.robot_size)
+    covariance[places, places] += walks**2 * time_s
+    return replace(state, covariance=covariance)
+
+
 def restarted_at(start: State, state: State) -> State:
     """Return an initial state near the pose of another one, so that the robot does not jump to the origin.
 

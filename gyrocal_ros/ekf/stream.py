@@ -24,6 +24,8 @@ from gyrocal_ros.ekf.step_record import StepRecord
 
 MAX_BLOCK_NS = 250_000_000
 """Maximum length of a block that is predicted at once, where the camera is slow or covered."""
+BLIND_NS = 2_000_000_000
+"""Time without gyro and without images that is not predicted over: the robot may be anywhere after it."""
 
 
 class Synchroniser:
@@ -65,6 +67,20 @@ class Synchroniser:
     def last_seen_ns(self, offset_s: float) -> int | None:
         """Return the true time of the last image in the queue; None without one."""
         return _true_time_ns(self._waiting[-1], offset_s) if self._waiting else None
+
+    def blind_until_ns(self, start_ns: int, offset_s: float) -> int | None:
+        """Return the end of a time without gyro and images that begins at a time; None where it is short.
+
+        Args:
+            start_ns: time of the filter.
+            offset_s: stamp minus true time of the images.
+        """
+        end_ns = self.buffer.pause_end_ns(start_ns)
+        if end_ns is None:
+            return None
+        if self._waiting:
+            end_ns = min(end_ns, _true_time_ns(self._waiting[0], offset_s))
+        return end_ns if end_ns - start_ns > BLIND_NS else None
 
     def next_block(
         self, start_ns: int, until_ns: int, offset_s: float
@@ -129,8 +145,11 @@ class SlamStream:
         return self._run(self._sync.covered_ns())
 
     def finish(self) -> list[StepRecord]:
-        """Use the images that are still in the queue, at the end of the stream."""
-        return self._run(self._sync.last_seen_ns(self.slam.time_offset_s()))
+        """Use the images in the queue at the end of the stream, but none long after the gyro."""
+        covered_ns, last_ns = self._sync.covered_ns(), self._sync.last_seen_ns(self.slam.time_offset_s())
+        if covered_ns is None or last_ns is None:
+            return []
+        return self._run(min(last_ns, covered_ns + MAX_BLOCK_NS))
 
     def _run(self, until_ns: int | None) -> list[StepRecord]:
         records: list[StepRecord] = []
@@ -140,9 +159,14 @@ class SlamStream:
         if not self.has_started:
             self.slam.start_at(start_ns)
             self.has_started = True
-        while item := self._sync.next_block(self.slam.state.t_ns, until_ns, self.slam.time_offset_s()):
-            records.append(self.slam.step(*item))
-        return records
+        while True:
+            now_ns, offset_s = self.slam.state.t_ns, self.slam.time_offset_s()
+            if blind_until_ns := self._sync.blind_until_ns(now_ns, offset_s):
+                self.slam.skip_to(blind_until_ns)
+            elif item := self._sync.next_block(now_ns, until_ns, offset_s):
+                records.append(self.slam.step(*item))
+            else:
+                return records
 
     def _start_new_time_base(self, step: ClockStep) -> list[StepRecord]:
         records = self.finish()

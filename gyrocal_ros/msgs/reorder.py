@@ -60,8 +60,8 @@ class _TimeBase(Generic[T]):
         self._buffer: list[tuple[int, int, int, T]] = []
         self._arrivals = 0
 
-    def add(self, t_ns: int, stream: int, item: T, arrival_ns: int) -> Sequence[T]:
-        """Add one message and return those that are due."""
+    def add(self, t_ns: int, stream: int, item: T, arrival_ns: int, *, leads: bool = True) -> Sequence[T]:
+        """Add one message and return those that are due; one that does not lead is no sign of time."""
         self._arrivals += 1
         is_before_released = self.released_ns is not None and t_ns < self.released_ns
         if is_before_released and self._punctual and stream not in self._punctual:
@@ -70,7 +70,7 @@ class _TimeBase(Generic[T]):
             self._drops[Drop.OUTLIER, stream] += 1
             return ()
         self._buffer.append((t_ns, stream, self._arrivals, item))
-        if t_ns > self.newest_ns:
+        if leads and t_ns > self.newest_ns:
             self.newest_ns, self.newest_arrival_ns = t_ns, arrival_ns
         complete_ns = self._advance_completeness(t_ns, stream) if stream in self._punctual else None
         if complete_ns is None and self.newest_ns < self._next_release_ns:
@@ -100,10 +100,12 @@ class _TimeBase(Generic[T]):
         self._all_complete_ns = complete_ns
         return complete_ns
 
-    def release(self, until_ns: int) -> Sequence[T]:
-        """Return all messages up to a time, sorted."""
+    def release(self, until_ns: int | None = None) -> Sequence[T]:
+        """Return all messages up to a time, or all, sorted."""
         self._buffer.sort()
-        end = bisect_right(self._buffer, until_ns, key=lambda buffered: buffered[0])
+        end = len(self._buffer)
+        if until_ns is not None:
+            end = bisect_right(self._buffer, until_ns, key=lambda buffered: buffered[0])
         due, self._buffer = self._buffer[:end], self._buffer[end:]
         items = []
         for t_ns, stream, _, item in due:
@@ -147,16 +149,21 @@ class Reorderer(Generic[T]):
     no step, and a jump much shorter than such a pause is detected.
     """
 
-    def __init__(self, window_ns: int, step_ns: int, punctual: Collection[int] = ()) -> None:
+    def __init__(
+        self, window_ns: int, step_ns: int, punctual: Collection[int] = (), followers: Collection[int] = ()
+    ) -> None:
         """Start with an empty buffer.
 
         Args:
             window_ns: maximum delay of a message.
             step_ns: threshold above which a jump of the stamps is a step of the clock.
             punctual: streams whose messages arrive in the order of their stamps.
+            followers: streams whose stamps are no sign of time, so that a wrong clock of theirs cannot make
+                the messages of the others late.
         """
         self.drops: Drops = Counter()
         self._window_ns, self._step_ns, self._punctual = window_ns, step_ns, frozenset(punctual)
+        self._followers = frozenset(followers)
         self._base: _TimeBase[T] | None = None
         self._outliers: list[tuple[int, int, T, int]] = []
         self._newest_at_outlier_ns = 0
@@ -175,7 +182,10 @@ class Reorderer(Generic[T]):
             self.drops[Drop.DUPLICATE, stream] += 1
             return ()
         self._last_pushed[stream] = t_ns
+        leads = stream not in self._followers
         if self._base is None:
+            if not leads:
+                return ()
             self._base = self._new_base(t_ns, arrival_ns)
         if self._outliers and self._base.newest_ns - self._newest_at_outlier_ns > CONFIRMATION_NS // 2:
             self._drop_outliers()
@@ -183,13 +193,16 @@ class Reorderer(Generic[T]):
         ahead_ns = t_ns - self._base.newest_ns
         is_in_range = -self._step_ns <= ahead_ns <= self._step_ns + elapsed_ns
         if is_in_range and not self._continues_outliers(t_ns, ahead_ns):
-            return self._base.add(t_ns, stream, item, arrival_ns)
+            return self._base.add(t_ns, stream, item, arrival_ns, leads=leads)
+        if not leads and not self._outliers:
+            self.drops[Drop.OUTLIER, stream] += 1
+            return ()
         return self._add_outlier(self._base, t_ns, stream, item, arrival_ns)
 
     def finish(self) -> Sequence[T | ClockStep]:
         """Return the messages that are still buffered, after the last message."""
         self._drop_outliers()
-        return self._base.release(self._base.newest_ns) if self._base else ()
+        return self._base.release() if self._base else ()
 
     def _continues_outliers(self, t_ns: int, ahead_ns: int) -> bool:
         """Return True if a stamp is nearer to the last outlier than to the newest stamp.
@@ -228,7 +241,8 @@ class Reorderer(Generic[T]):
         outliers, self._outliers = self._outliers, []
         self._base = self._new_base(first_ns, arrival_ns)
         for t_ns, stream, item, arrival_ns in outliers:
-            items += self._base.add(t_ns, stream, item, arrival_ns)
+            leads = stream not in self._followers
+            items += self._base.add(t_ns, stream, item, arrival_ns, leads=leads)
         return items
 
     def _new_base(self, first_ns: int, arrival_ns: int) -> _TimeBase[T]:

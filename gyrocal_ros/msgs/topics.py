@@ -8,9 +8,10 @@ ROS installation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import StrEnum
+from itertools import repeat
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
@@ -27,7 +28,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.errors import MessageError
 from gyrocal_ros.model.lens import COEFFICIENT_COUNTS
-from gyrocal_ros.msgs.plausible import MAX_DISTANCE_M
+from gyrocal_ros.msgs.plausible import IMU_BOUNDS, MAX_DISTANCE_M, MAX_READING, WHEEL_BOUNDS
 from gyrocal_ros.msgs.transforms import (
     Transform,
     rotation_from_quaternion,
@@ -166,6 +167,18 @@ def field_conversion(role: Role, type_name: str) -> FieldConversion[Any]:
     raise ValueError(f'{role} is not read field by field')
 
 
+def bounds(role: Role) -> Iterable[float]:
+    """Return the bounds of the numbers of a role, in the order of its fields after the stamp."""
+    match role:
+        case Role.IMU:
+            return IMU_BOUNDS
+        case Role.WHEELS:
+            return WHEEL_BOUNDS
+        case Role.TRUTH | Role.HEADING:
+            return repeat(MAX_DISTANCE_M)
+    return repeat(MAX_READING)
+
+
 def stamp_ns(message: Any) -> int:
     """Return the time of measurement of a message with a header."""
     stamp = message.header.stamp
@@ -173,7 +186,7 @@ def stamp_ns(message: Any) -> int:
 
 
 def camera_intrinsics(message: Any) -> CameraIntrinsics:
-    """Convert a CameraInfo.
+    """Convert a CameraInfo to the intrinsics of its images: region of interest and binning are applied.
 
     Raises:
         MessageError: the message holds no calibration, one with impossible numbers, or a lens model other
@@ -199,7 +212,32 @@ def camera_intrinsics(message: Any) -> CameraIntrinsics:
         )
     count = COEFFICIENT_COUNTS[lens]
     distortion = (*d, *[0.0] * count)[:count]
-    return CameraIntrinsics(message.width, message.height, k[0], k[4], k[2], k[5], distortion, lens)
+    roi = message.roi
+    width_px, fx_px, cx_px = _as_read_out(
+        message.width, roi.x_offset, roi.width, message.binning_x, k[0], k[2]
+    )
+    height_px, fy_px, cy_px = _as_read_out(
+        message.height, roi.y_offset, roi.height, message.binning_y, k[4], k[5]
+    )
+    return CameraIntrinsics(width_px, height_px, fx_px, fy_px, cx_px, cy_px, distortion, lens)
+
+
+def _as_read_out(
+    size: int, offset: int, part: int, binning: int, f_px: float, c_px: float
+) -> tuple[int, float, float]:
+    """Return size, focal length and principal point along one axis of the image as it is read out.
+
+    Size and calibration in a CameraInfo are those of the whole sensor; zeros stand for all of it, and for no
+    binning.
+
+    Raises:
+        MessageError: the region is not inside the image.
+    """
+    part, binning = part or size - offset, binning or 1
+    if size and not 0 < part <= size - offset or binning > max(part, 1):
+        what = f'camera_info has an impossible region of interest or binning ({offset}, {part}, {binning})'
+        raise MessageError(what, todo='check the driver of the camera')
+    return part // binning, f_px / binning, (c_px - offset + 0.5) / binning - 0.5
 
 
 def _lacks_coefficients(lens: str, d: Sequence[float]) -> bool:

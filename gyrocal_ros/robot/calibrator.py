@@ -31,8 +31,8 @@ from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.mounts import into_body_axes
-from gyrocal_ros.msgs.plausible import IMPLAUSIBLE, MAX_READING
-from gyrocal_ros.msgs.topics import Role
+from gyrocal_ros.msgs.plausible import IMPLAUSIBLE, plausible
+from gyrocal_ros.msgs.topics import Role, bounds
 from gyrocal_ros.msgs.transforms import Transform
 from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.pipeline.heading_reference import for_reference
@@ -288,11 +288,11 @@ class LiveCalibrator:
 
     # --- internals --------------------------------------------------------------------------------
 
-    def _is_plausible(self, topic: str, *values: float) -> bool:
+    def _is_plausible(self, role: Role, *values: float) -> bool:
         """Return True if all values are finite and within bounds; count the message otherwise."""
-        is_plausible = all(abs(value) < MAX_READING for value in values)
+        is_plausible = plausible(values, bounds(role))
         if not is_plausible:
-            self._log.add_unusable(topic, IMPLAUSIBLE)
+            self._log.add_unusable(role, IMPLAUSIBLE)
         return is_plausible
 
     def _take(self, topic: str, samples: Sequence[Measurement], now_s: float) -> None:

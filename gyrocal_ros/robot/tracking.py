@@ -22,7 +22,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs.mounts import into_body_axes, mount_from_settings
-from gyrocal_ros.msgs.plausible import IMPLAUSIBLE, MAX_READING
+from gyrocal_ros.msgs.plausible import IMPLAUSIBLE, IMU_BOUNDS, plausible
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
 from gyrocal_ros.robot.health import Status, TrackingHealth
@@ -115,7 +115,7 @@ class LiveTracker:
 
     def imu(self, sample: ImuSample, frame_id: str, now_s: float) -> None:
         """Take in a sample in the IMU's own axes."""
-        if not all(abs(value) < MAX_READING for value in (*sample.rate_rad_s, *sample.specific_force_m_s2)):
+        if not plausible((*sample.rate_rad_s, *sample.specific_force_m_s2), IMU_BOUNDS):
             self.health.log.add_unusable(Role.IMU, IMPLAUSIBLE)
             return
         self._imu_s = now_s

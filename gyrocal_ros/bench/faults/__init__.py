@@ -3,6 +3,7 @@
 isolated     runs one case in a process of its own, with limits on time and memory
 bag_bytes    bytes of the files of a bag
 contents     serialised messages, and numbers in them
+streams      whole topics: clocks, frames, repetitions, gaps
 clouds       point clouds, camera_info, transforms and images
 documents    YAML files: models, settings, calibrations, metadata
 serial_line  bytes of the board

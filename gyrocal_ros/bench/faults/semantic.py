@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -36,11 +36,15 @@ NO_SCALE = math.nan
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Arguments of a change: time since the start, size of the fault, and random numbers."""
+    """Arguments of a change."""
 
     time_s: float
+    """Time since the start."""
     size: float
+    """Size of the fault."""
     random: np.random.Generator
+    memory: dict[str, Any] = field(default_factory=dict)
+    """Values that a change keeps from one sample to the next."""
 
 
 RateChange: TypeAlias = Callable[[Array, Moment], Array]
@@ -62,6 +66,7 @@ class SemanticFault:
     imu_delay_s: Callable[[Moment], float] = lambda at: 0.0
     image_delay_s: Callable[[Moment], float] = lambda at: 0.0
     lost_imu: Callable[[Moment], bool] = lambda at: False
+    lost_wheels: Callable[[Moment], bool] = lambda at: False
     lost_image: Callable[[Moment], bool] = lambda at: False
     rig: Callable[[Rig, float], Rig] = lambda rig, size: rig
     scale: Callable[[float], float] = lambda size: 1.0
@@ -95,6 +100,26 @@ def _since_half(at: Moment) -> float:
 
 def _dead(rate: Array, at: Moment) -> Array:
     return np.where(np.abs(rate) < at.size, 0.0, rate)
+
+
+def _low_passed(rate: Array, at: Moment) -> Array:
+    """Return the rates (3,) behind a filter of first order with time constant `size`, at 200 Hz."""
+    before: Array = at.memory.setdefault('rate', rate)
+    passed = before + (rate - before) * (1.0 - math.exp(-0.005 / at.size))
+    at.memory['rate'] = passed
+    return passed
+
+
+def _frozen(name: str, value: Any, at: Moment) -> Any:
+    """Return the last value before the middle of the recording, from there on for `size` seconds."""
+    if not 0.0 <= at.time_s - DURATION_S / 2.0 < at.size:
+        at.memory[name] = value
+    return at.memory[name]
+
+
+def _is_paused(at: Moment) -> bool:
+    """Return True for `size` seconds after a third of the recording."""
+    return 0.0 <= at.time_s - DURATION_S / 3.0 < at.size
 
 
 FAULTS: dict[str, SemanticFault] = {
@@ -145,6 +170,7 @@ FAULTS: dict[str, SemanticFault] = {
         rates=lambda rate, at: rate * (1.0 + at.size * (at.random.random() < 0.5)),
         scale=lambda size: 1.0 / (1.0 + 0.5 * size),
     ),
+    'gyro low pass': SemanticFault((0.02, 0.1, 1.0), rates=_low_passed),
     'specific force in g': SemanticFault((9.81,), forces=lambda force, at: force / at.size),
     'specific force turned': SemanticFault((1.0, 2.0), forces=lambda force, at: np.roll(force, int(at.size))),
     # --- times
@@ -163,6 +189,10 @@ FAULTS: dict[str, SemanticFault] = {
     'imu lost': SemanticFault((0.1, 0.3, 0.7), lost_imu=lambda at: at.random.random() < at.size),
     'imu gaps': SemanticFault((0.3, 1.0, 3.0), lost_imu=lambda at: at.time_s % 10.0 < at.size),
     'images lost': SemanticFault((0.3, 0.7, 0.95), lost_image=lambda at: at.random.random() < at.size),
+    'all sensors pause': SemanticFault(
+        (1.5, 5.0, 20.0), lost_imu=_is_paused, lost_wheels=_is_paused, lost_image=_is_paused
+    ),
+    'imu pauses': SemanticFault((1.5, 5.0, 20.0), lost_imu=_is_paused),
     'camera dark': SemanticFault((3.0, 7.0, 9.0), lost_image=lambda at: at.time_s % 10.0 < at.size),
     # --- images
     'image mirrored': SemanticFault(
@@ -184,6 +214,11 @@ FAULTS: dict[str, SemanticFault] = {
     ),
     'image still': SemanticFault(
         (1.0,), pixels=lambda pixels, at: np.zeros_like(pixels) + np.arange(len(pixels))[:, None]
+    ),
+    'camera frozen': SemanticFault(
+        (2.0, 20.0, 90.0),
+        pixels=lambda pixels, at: _frozen('pixels', pixels, at),
+        ids=lambda ids, at: _frozen('ids', ids, at),
     ),
     'features without numbers': SemanticFault(
         (0.02, 0.5),
@@ -219,6 +254,16 @@ FAULTS: dict[str, SemanticFault] = {
     'wheels inverted': SemanticFault((1.0,), wheels=lambda speed, turn, at: (-speed, -turn)),
     'one wheel inverted': SemanticFault(
         (0.25,), wheels=lambda speed, turn, at: (0.5 * at.size * turn, 2.0 * speed / at.size)
+    ),
+    'one wheel dead': SemanticFault(
+        (0.25,),
+        wheels=lambda speed, turn, at: (0.5 * speed + 0.25 * at.size * turn, speed / at.size + 0.5 * turn),
+    ),
+    'encoder overflows': SemanticFault(
+        (30.0, 600.0),
+        wheels=lambda speed, turn, at: (
+            (speed - at.size, turn + 8.0 * at.size) if at.time_s % 7.0 < 0.02 else (speed, turn)
+        ),
     ),
     'wheels stand': SemanticFault(
         (0.2, 0.5, 1.0),
@@ -266,9 +311,9 @@ def _changed(
 ) -> Iterator[Measurement]:
     camera = source.rig.camera
     assert camera is not None
-    center = np.array([camera.cx_px, camera.cy_px])
+    center, memory = np.array([camera.cx_px, camera.cy_px]), dict[str, Any]()
     for sample in source.measurements():
-        at = Moment((sample.t_ns - source.span.start_ns) / NS_PER_S, size, random)
+        at = Moment((sample.t_ns - source.span.start_ns) / NS_PER_S, size, random, memory)
         if isinstance(sample, ImuSample):
             if not fault.lost_imu(at):
                 rates = fault.rates(np.array(sample.rate_rad_s), at)
@@ -281,6 +326,7 @@ def _changed(
                 t_ns = sample.t_ns + nanoseconds(fault.image_delay_s(at))
                 yield replace(sample, t_ns=t_ns, ids=fault.ids(sample.ids, at), pixels=pixels)
         elif isinstance(sample, WheelSample):
-            yield WheelSample(sample.t_ns, *fault.wheels(sample.speed_m_s, sample.yaw_rate_rad_s, at))
+            if not fault.lost_wheels(at):
+                yield WheelSample(sample.t_ns, *fault.wheels(sample.speed_m_s, sample.yaw_rate_rad_s, at))
         else:
             yield sample

@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gyrocal_ros.bag.write import new_bag
-from gyrocal_ros.bench.faults import bag_bytes, clouds, contents, documents
+from gyrocal_ros.bench.faults import bag_bytes, clouds, contents, documents, streams
 from gyrocal_ros.bench.faults.isolated import Outcome, run_isolated
 from gyrocal_ros.bench.faults.kills import kill_while_writing
 from gyrocal_ros.bench.faults.semantic import semantic_cases, write_faulty_recording
@@ -161,6 +161,7 @@ KINDS: dict[str, Judge] = {
     'message bytes': partial(_bag_case, contents.damage_cdr),
     'numbers': partial(_bag_case, contents.damage_numbers),
     'stamps': partial(_bag_case, contents.damage_stamps),
+    'streams': partial(_bag_case, streams.damage_streams),
     'clouds': partial(_bag_case, clouds.damage_clouds),
     'camera_info': partial(_bag_case, clouds.damage_camera_info),
     'transforms': partial(_bag_case, clouds.damage_transforms),

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Source
+from gyrocal_ros.data import Array, MotionBlock, Source
+from gyrocal_ros.diagnose.additions import addition
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
-from gyrocal_ros.diagnose.examined import examine
+from gyrocal_ros.diagnose.examined import examine, with_effect
 from gyrocal_ros.diagnose.noise import find_missing, fit_noises
 from gyrocal_ros.diagnose.status import diagnosis_status
-from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, Place, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
+from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import DrawnEffect, hide
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
@@ -29,9 +32,32 @@ DEG = math.radians(1.0)
 SIZES = {'gyro_noise': 0.06 * DEG, 'rate_noise': 0.003, 'bias_instability': 0.01 * DEG}
 
 
-def recording(name: str, *values: float, seconds: float = 100.0, seed: int = 2) -> Source:
+@dataclass(frozen=True)
+class TwoLevels:
+    """Popcorn noise: the bias jumps to and fro between two levels, at random."""
+
+    acts_on: ClassVar[Place] = 'gyro'
+    name: str = 'two_levels'
+    coefficients: tuple[Coefficient, ...] = (Coefficient('apart', 'rad/s', prior_std=0.0),)
+    mean_s: float = 8.0
+    """Mean time at one level."""
+
+    def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
+        """Return nothing: it cannot be corrected."""
+        return GyroTerm(np.zeros(len(block.dt_s)), np.zeros((len(block.dt_s), 1)))
+
+    def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
+        """Add the level of each moment."""
+        jumps = np.random.default_rng(4).random(len(dt_s)) < dt_s / self.mean_s
+        read: Array = nominal_rad_s + values[0] * (np.cumsum(jumps) % 2 - 0.5)
+        return read
+
+
+def recording(
+    name: str, *values: float, seconds: float = 100.0, seed: int = 2, also: tuple[HiddenEffect, ...] = ()
+) -> Source:
     scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=5)
-    hidden = hide((DrawnEffect(name, values),), find_effect) if name else ()
+    hidden = (*(hide((DrawnEffect(name, values),), find_effect) if name else ()), *also)
     source, _ = preload(SimSource(scenario, seed, hidden=hidden), Config(), default_model())
     return source
 
@@ -73,7 +99,36 @@ def test_noise_is_a_verdict_of_its_own() -> None:
 
 
 @pytest.mark.slow
+def test_a_bias_that_jumps_to_and_fro_is_noise() -> None:
+    """It drifts more with the noise, for the bias is followed faster, but no more than the noise explains."""
+    source = recording('', seconds=60.0, also=(HiddenEffect(TwoLevels(), (0.6 * DEG,)),))
+    found = diagnosed(source)
+    assert found.verdict == 'noise' and [item.effect.name for item in found.missing] == ['bias_instability']
+
+
+@pytest.mark.slow
+def test_noise_that_the_readings_show_is_a_verdict_though_the_filter_takes_it_over() -> None:
+    density = 0.1 * DEG
+    source = recording('gyro_noise', density, seconds=60.0)
+    assert white_noise(summarise_recording(source).readings) == pytest.approx(density, rel=0.03)
+    found = diagnosed(source)
+    assert found.verdict == 'noise' and [item.effect.name for item in found.missing] == ['gyro_noise']
+    assert abs(found.missing[0].values[0] - density) < 4.0 * found.missing[0].stds[0]
+
+
+def test_noise_raises_the_drift_only_beyond_what_it_explains(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = recording('', seconds=60.0)
+    recorded = summarise_recording(source)
+    first = examine(default_model(), recorded, runner(source))
+    for name, raises in (('bias_instability', False), ('gyro_lag', True)):
+        after = replace(first, model=with_effect(first.model, find_effect(name)))
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (1.0, 4.0))
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 3.0)
+        assert addition(first, after).raises_drift == raises
+
+
+@pytest.mark.slow
 def test_an_unknown_law_is_not_taken_for_noise() -> None:
-    found = diagnosed(recording('stranger_heading', 0.3 * DEG, 0.7))
+    found = diagnosed(recording('stranger_heading', 0.3 * DEG, 0.7, seconds=60.0))
     assert found.verdict in ('unexplained', 'cannot_tell')
     assert not any(item.effect.acts_on == 'noise' for item in found.missing)

@@ -9,9 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.drift import drift_of_both_deg
+from gyrocal_ros.diagnose.drift import blind_drift, drift_of_both_deg, held_out_from_s
 from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.effects.traits import is_noise
 from gyrocal_ros.model.sensor import Effect
 
 NONE: IntArray = np.empty(0, np.int64)
@@ -59,10 +61,18 @@ class Addition:
 
     @property
     def raises_drift(self) -> bool:
-        """True if the held-out drift rises with the effect by more than chance does where it is harmless."""
+        """True if the held-out drift rises with the effect by more than chance does where it is harmless.
+
+        A noise corrects nothing. With it the filter follows the bias faster and expects more drift, so only
+        drift that the noise does not explain counts against it.
+        """
         if self.before is None:
             return False
         before_deg, after_deg = drift_of_both_deg(self.before.run, self.after.run)
+        if is_noise(self.effect):
+            run = self.after.run
+            expected_deg = drift_by_noise_deg(run, blind_drift(run, from_s=held_out_from_s(run)))
+            before_deg = max(before_deg, expected_deg)
         return after_deg > self.after.settings.max_drift_rise * before_deg
 
     def distance_from_zero(self, examined: ExaminedModel) -> float:

@@ -87,6 +87,14 @@ def is_missing_something(present: ExaminedModel) -> bool:
     return contradicts and timing_fault(present) is None
 
 
+def likeliest_law(
+    present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate
+) -> Addition | None:
+    """Run the filter with the likeliest laws; return the one that predicts best, kept or not."""
+    tried = laws(present.run, recording.ranges)
+    return _best(present, _rank(present, tried, calibrate), recording, calibrate) if tried else None
+
+
 def _is_better(alone: Search, found: Search) -> bool:
     if not alone.kept:
         return False

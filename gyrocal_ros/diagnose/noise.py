@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -14,18 +14,19 @@ from gyrocal_ros.diagnose.additions import Addition, Search
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.heading_filter import Headings, heading_log_likelihood
-from gyrocal_ros.diagnose.hypotheses import carried_by, laws, rank_laws
-from gyrocal_ros.diagnose.learning import is_missing_something
+from gyrocal_ros.diagnose.learning import is_missing_something, likeliest_law
+from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
+from gyrocal_ros.diagnose.summarise import white_noise
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import is_noise
 from gyrocal_ros.ekf.process_noise import YawNoise, yaw_noise_of
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
-from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
+from gyrocal_ros.statistics import chi_square_tail, sigma_of
 
 MIN_GAIN = 25.0
 """Log-likelihood that a noise, or a law beside it, has to gain: many are tried."""
@@ -33,8 +34,10 @@ JUMP_PART = 0.7
 """Part of the gain of a noise above which a single jump of the bias is preferred to it."""
 RIVAL_PART = 0.85
 """Part of the best gain above which another noise is tried, where the robot drifts more with the best."""
-MIN_SIGMA = 2.0
-"""Significance of the predictive gain of a noise over what was found without it."""
+SHOWN_NOISE = 3.0
+"""Noise of the readings, relative to the settings, from which they show it; twice is common among parts."""
+STRIDES = (8, 4, 2, 1)
+"""Distances between sizes of a scan that are tried, one after the other: the likelihood has one maximum."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,9 +76,10 @@ def or_noise(
 ) -> Search:
     """Return a search in which noise takes the place of what was found, where noise predicts better.
 
-    Wrong effects and process noise may imitate noise, and an unknown law looks like noise as long as it is
-    not known. So a noise has to predict better than everything that was found, and beside it no law may be
-    left over; then the search goes on beside the noise.
+    Noise that the readings themselves show needs no other proof. All other noise may be imitated by wrong
+    effects and by process noise, and an unknown law looks like noise as long as it is not known. So it has to
+    predict better than everything that was found, and not in one block of time alone, as for a jump; with it
+    the model has to fit, and no unknown law may predict better. Then the search goes on beside the noise.
 
     Args:
         searched: a finished search.
@@ -84,22 +88,32 @@ def or_noise(
         most: number of effects to try.
     """
     first = searched.first
-    if not is_missing_something(first) or (searched.additions and searched.additions[0].before is None):
+    is_shown = _reads_noisily(first, recording)
+    is_recovered = bool(searched.additions) and searched.additions[0].before is None
+    if is_recovered or not (is_shown or is_missing_something(first)):
         return searched
-    explained = sum(item.gain for item in searched.kept)
+    explained = heading_log_likelihood(searched.last.seen) - heading_log_likelihood(first.seen)
     noises, structure = fit_noises(first), first.unexplained_structure
-    if not noises or noises[0].gain < max(MIN_GAIN, explained):
+    if not noises or noises[0].gain < max(MIN_GAIN, 0.0 if is_shown else explained):
         return searched
-    if structure is not None and structure.at_s is not None and structure.gain > JUMP_PART * noises[0].gain:
+    jump_gain = structure.gain if structure is not None and structure.at_s is not None else 0.0
+    if not is_shown and jump_gain > JUMP_PART * noises[0].gain:
         return searched
     found = _first_kept(first, noises, recording, calibrate)
-    if found is None:
+    if found is None or found.predictive_gain < MIN_GAIN:
         return searched
-    gain = predictive_gain(searched.last.run, found.after.run)
-    is_better = float(gain.sum()) > MIN_GAIN and vuong_sigma(gain) > MIN_SIGMA
-    if not is_better or _follows_a_law(found.after, recording, calibrate):
+    if not is_shown and not _is_proven(found, searched, recording, calibrate):
         return searched
     return Search(first, tuple(continued([found], found.after, recording, calibrate, most)))
+
+
+def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> bool:
+    """Return True if neither what was found, nor an unknown law, predicts as well as a noise."""
+    gain = predictive_gain(searched.last.run, found.after.run)
+    if float(gain.sum() - gain.max()) < MIN_GAIN or model_fit(found.after.run).fits is False:
+        return False
+    law = likeliest_law(searched.first, recording, calibrate)
+    return law is None or float(predictive_gain(found.after.run, law.after.run).sum()) < MIN_GAIN
 
 
 def _first_kept(
@@ -116,14 +130,34 @@ def _first_kept(
     return None
 
 
+def _reads_noisily(present: ExaminedModel, recording: RecordingSummary) -> bool:
+    """Return True if the readings themselves are far noisier than the settings say.
+
+    The filter takes such noise over, so nothing may contradict the model.
+    """
+    expected_rad_s = math.radians(present.run.config.gyro.rate_noise_deg_s)
+    return white_noise(recording.readings) > SHOWN_NOISE * expected_rad_s
+
+
 def _fits(present: ExaminedModel) -> Iterator[NoiseFit]:
     have = {effect.name for effect in present.model.effects}
     without = heading_log_likelihood(present.seen)
     for effect in EFFECTS.values():
         if is_noise(effect) and effect.name not in have:
-            sizes = np.array(effect.coefficients[0].scan)
-            gains = np.array([_gain(present, effect, size) for size in sizes.tolist()]) - without
-            yield _at_maximum(effect, sizes, gains)
+            yield _fitted(present, effect, without)
+
+
+def _fitted(present: ExaminedModel, effect: Effect, without: float) -> NoiseFit:
+    """Climb to the likeliest size of the scan in ever smaller strides, from the best of a coarse grid."""
+    sizes = effect.coefficients[0].scan
+    gains: dict[int, float] = {}
+    places = [*range(0, len(sizes), STRIDES[0])]
+    for finer in (*STRIDES[1:], 0):
+        gains |= {place: _gain(present, effect, sizes[place]) - without for place in places}
+        best = max(gains, key=lambda place: gains[place])
+        near = (best - finer, best + finer)
+        places = [place for place in near if 0 <= place < len(sizes) and place not in gains]
+    return _at_maximum(effect, np.array(sizes), gains)
 
 
 def _gain(present: ExaminedModel, effect: Effect, size: float) -> float:
@@ -143,15 +177,16 @@ def _noise(seen: Headings, model: SensorModel, present: ExaminedModel) -> YawNoi
     return yaw_noise_of(model, present.run.config.gyro, seen.turn_rad / seen.dt_s)
 
 
-def _at_maximum(effect: Effect, sizes: Array, gains: Array) -> NoiseFit:
+def _at_maximum(effect: Effect, sizes: Array, gains: Mapping[int, float]) -> NoiseFit:
     """Return the maximum of the parabola through the best size and its neighbours, on a logarithmic scale."""
-    place = int(np.clip(gains.argmax(), 1, len(gains) - 2))
-    below, middle, above = gains[place - 1 : place + 2].tolist()
+    best = max(gains, key=lambda place: gains[place])
+    place = min(max(best, 1), len(sizes) - 2)
+    below, middle, above = (gains.get(near, -math.inf) for near in (place - 1, place, place + 1))
     step = math.log(sizes[place + 1] / sizes[place])
     curvature = max(2.0 * middle - below - above, 1e-9)
     shift = float(np.clip(0.5 * (above - below) / curvature, -1.0, 1.0))
     size = float(sizes[place]) * math.exp(shift * step)
-    return NoiseFit(with_means(effect, (size,)), float(gains.max()), size * step / math.sqrt(curvature))  # type: ignore[type-var]
+    return NoiseFit(with_means(effect, (size,)), gains[best], size * step / math.sqrt(curvature))  # type: ignore[type-var]
 
 
 def _with_noise(
@@ -164,11 +199,3 @@ def _with_noise(
     return Addition(
         noise.effect, first, after, noise.gain, sigma_of(p_value), p_value, np.array([noise.std]), none
     )
-
-
-def _follows_a_law(present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate) -> bool:
-    """Return True if a law that the library lacks explains some of what a model counts as noise."""
-    tried = laws(present.run, recording.ranges)
-    run = calibrate(present.model, carried_by(tried))
-    assert run.scores is not None
-    return rank_laws(tried, run.scores)[0].gain > MIN_GAIN

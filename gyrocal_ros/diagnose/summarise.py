@@ -7,10 +7,11 @@ from collections import defaultdict
 
 import numpy as np
 
-from gyrocal_ros.data import CovariateSample, ImuSample, Source, TemperatureSample, WheelSample
+from gyrocal_ros.data import NS_PER_S, CovariateSample, ImuSample, Source, TemperatureSample, WheelSample
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.model.recording import TEMPERATURE, GyroReadings, RecordingSummary, Signal
+from gyrocal_ros.statistics import robust_std
 
 MAX_SIGNALS = 24
 """Maximum number of recorded signals to try; those that vary most relative to their mean are taken."""
@@ -45,6 +46,19 @@ def coarse_step(readings: GyroReadings) -> float | None:
     is_even = np.abs(gaps / step - np.round(gaps / step)) < UNEVEN
     repeats = float(np.mean(steps < 0.5 * step))
     return step if is_even.mean() > EVEN_PART and repeats > REPEATED else None
+
+
+def white_noise(readings: GyroReadings) -> float:
+    """Return the density of the white noise of the readings, rad/s/sqrt(Hz); NaN for a few readings.
+
+    Second differences contain neither the rate nor its steady change; their median leaves out the jerks.
+    """
+    rate = readings.rate_rad_s
+    if len(rate) < MIN_SLOW:
+        return math.nan
+    bends = rate[2:] - 2.0 * rate[1:-1] + rate[:-2]
+    interval_s = float(np.median(np.diff(readings.t_ns))) / NS_PER_S
+    return robust_std(bends) * math.sqrt(interval_s / 6.0)
 
 
 def summarise_recording(source: Source) -> RecordingSummary:

@@ -107,6 +107,7 @@ def test_a_misspelt_name_gets_a_suggestion(
         (['studio', '--lesson', '-1'], 'a whole number, at least 0'),
         (['simulate', 'bag', '--duration', 'nan'], '1 to 7200 s'),
         (['simulate', 'bag', '--seed', '-1'], 'at least 0'),
+        (['simulate', 'bag', '--seed', '9' * 400], 'at least 0'),
         (['bench', '--seeds', '0'], 'at least 1'),
         (['reproduce', '--seeds', 'many'], 'at least 1'),
     ],
@@ -321,6 +322,23 @@ sys.exit(main.main(['printer']))
     assert printer.stderr.read() == ''
     assert printer.wait(timeout=60) == 141
     printer.stderr.close()
+
+
+@pytest.mark.skipif(sys.platform == 'win32', reason='needs a shell')
+@pytest.mark.parametrize('closed', ['>&-', '2>&-', '<&- >&- 2>&-', '2>/dev/full'])
+def test_closed_or_full_streams_change_neither_work_nor_status(closed: str) -> None:
+    """What would go to standard error must not appear among the results either."""
+    command = f'{sys.executable} -m gyrocal_ros.cli.main check no_such_bag {closed}'
+    done = subprocess.run(command, shell=True, capture_output=True, timeout=60, check=False)
+    assert done.returncode == 2 and done.stdout == b''
+    version = f'{sys.executable} -m gyrocal_ros.cli.main effects {closed}'
+    assert subprocess.run(version, shell=True, capture_output=True, timeout=60, check=False).returncode == 0
+
+
+@pytest.mark.parametrize('arguments', [['simulate', '/', '--duration', '2'], ['reveal', '/']])
+def test_the_root_is_no_name_of_a_bag(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    assert '/' in one_error_line(capsys)
 
 
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')

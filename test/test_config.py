@@ -176,6 +176,7 @@ def test_a_file_may_serve_several_nodes(tmp_path: Path) -> None:
         ('a: [', 'is not valid YAML'),
         ('camera: {pixel_noise_px: 0.3}', 'no ros__parameters'),
         ('/**: 3', 'no ros__parameters'),
+        ('/**: {ros__parameters: {camera: {}, camera: {}}}', "'camera' is given twice"),
         ('/**: {ros__parameters: {camera: {pixel_noise: 0.3}}}', "did you mean 'pixel_noise_px'"),
         ('/**: {ros__parameters: {camera.pixel_noise: 0.3}}', "did you mean 'pixel_noise_px'"),
         ('/**: {ros__parameters: {camera: {pixel_noise_px: 300.0}}}', '0.005 to 20.0 px'),

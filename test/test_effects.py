@@ -308,6 +308,15 @@ def test_corrections_of_all_effects_add_up() -> None:
         ({'effects': [{'name': 'scale_factor', 'prior_std': {'a2': 0.1}}]}, "did you mean 'a1'"),
         ({'effects': [{'name': 'scale_factor', 'prior_mean': math.nan}]}, 'a1 is nan'),
         ({'effects': ['scale_factor', {'name': 'bias_warmup', 'walk': 0.1}]}, 'several coefficients'),
+        ({'effects': [{'name': 'scale_factor', 'prior_std': 1e300}]}, 'a1 is 1e.300'),
+        (
+            {'effects': ['scale_factor', {'name': 'bias_warmup', 'prior_mean': {'time_constant': -5.0}}]},
+            'time_constant is -5.0',
+        ),
+        (
+            {'effects': ['scale_factor', {'name': 'camera_time_offset', 'prior_mean': 1e9}]},
+            'offset is 1000000000.0',
+        ),
         ({'effects': ['scale_factor'], 'bias': 'drift'}, 'bias holds no settings'),
         ({'effects': ['scale_factor'], 'bias': {'form': 'drfit'}}, "did you mean 'drift'"),
         (

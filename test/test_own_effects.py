@@ -112,6 +112,7 @@ def changed(old: str, new: str) -> str:
 WRONG = {
     'empty': ('', 'defines no effect'),
     'syntax': ('def', 'SyntaxError'),
+    'exit': ('raise SystemExit(7)', 'SystemExit: 7'),
     'import': ('import not_there_at_all', 'ModuleNotFoundError'),
     'taken': (changed("'mine'", "'gyro_lag'"), "there is an effect 'gyro_lag' already"),
     'name': (changed("'mine'", "'My Effect'"), 'name is'),

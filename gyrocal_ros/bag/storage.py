@@ -6,6 +6,7 @@ All access to the files goes through this module, which converts every failure o
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -250,8 +251,10 @@ def open_storage(path: Path) -> Iterator[Storage]:
     try:
         _require_recording(path)
         require_bounded(path)
-    except OSError as error:  # for example a name that is too long
-        what = f'cannot be read ({error.strerror})'
+    except OSError as error:
+        if error.errno == errno.EINVAL:  # by a length in the file that is impossible
+            raise _damaged(path, error) from error
+        what = f'cannot be read ({error.strerror})'  # for example a name that is too long
         raise RecordingError(what, where=str(path), todo='check the path') from error
     with _damage_as_recording_error(path):
         reader = rosbag1.Reader(path) if path.suffix == '.bag' else rosbag2.Reader(path)
@@ -291,7 +294,7 @@ def _require_recording(path: Path) -> None:
             raise RecordingError(
                 'the recording was not closed properly, metadata.yaml is missing',
                 where=str(path),
-                todo=f'run: ros2 bag reindex {path}',
+                todo=f'give a file in it if there is only one, or run: ros2 bag reindex {path}',
             )
         raise RecordingError(
             'is not a bag, there is no metadata.yaml in it', where=str(path), todo='check the path'
@@ -306,11 +309,15 @@ def _damage_as_recording_error(path: Path) -> Iterator[None]:
     except GyrocalError:
         raise
     except Exception as error:  # a damaged file can make the reader raise any exception
-        raise RecordingError(
-            f'the bag is damaged or cut short ({_one_line(error)})',
-            where=str(path),
-            todo='copy it again, or repair it with: ros2 bag reindex',
-        ) from error
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> RecordingError:
+    files = [path] if path.is_file() else sorted(path.glob('*.mcap'))
+    is_mcap = bool(files) and files[0].suffix == '.mcap'
+    repair = f'mcap recover {files[0].name} -o recovered.mcap' if is_mcap else f'ros2 bag reindex {path}'
+    what = f'the bag is damaged or cut short ({_one_line(error)})'
+    return RecordingError(what, where=str(path), todo=f'copy it again, or repair it with: {repair}')
 
 
 def _one_line(error: Exception) -> str:

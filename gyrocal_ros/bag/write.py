@@ -37,7 +37,7 @@ from gyrocal_ros.data import (
     WheelSample,
     seconds,
 )
-from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.errors import GyrocalError, RecordingError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.msgs import images, to_ros, topics
 from gyrocal_ros.msgs.topics import Role
@@ -244,6 +244,8 @@ def new_bag(
         GyrocalError: the folder cannot be written.
     """
     path = path.resolve()
+    if not path.name:
+        raise GyrocalError('is no name for a bag', where=str(path), todo='choose another name')
     with new_folder(path, overwrite=overwrite) as folder:
         inner = folder / path.name  # rosbags creates the folder itself and names the file after it
         plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3

@@ -85,6 +85,9 @@ def run_program(program: str, work: Callable[[], None]) -> int:
         Exit status: 0 done, 2 an error that the user can fix, 130 interrupted, 141 the reader of the
         output has ended.
     """
+    for name in ('stdout', 'stderr'):
+        if getattr(sys, name) is None:  # it is closed
+            setattr(sys, name, open(os.devnull, 'w', encoding='utf-8'))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors='replace')  # a terminal without UTF-8 must not end the work
@@ -94,31 +97,34 @@ def run_program(program: str, work: Callable[[], None]) -> int:
         work()
         sys.stdout.flush()
     except GyrocalError as error:
-        print(f'{program}: error: {error}', file=sys.stderr)
+        _print_error(program, f'error: {error}')
         return 2
     except KeyboardInterrupt:
-        print(f'{program}: interrupted', file=sys.stderr)
+        _print_error(program, 'interrupted')
         return 130
     except BrokenPipeError:  # the reader, for example `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:
         place = f'{error.filename}: ' if error.filename else ''
-        _print_error(program, f'{place}{error.strerror or error}; check paths, permissions and free space')
+        _print_error(
+            program, f'error: {place}{error.strerror or error}; check paths, permissions and free space'
+        )
         return 2
     except MemoryError:
-        _print_error(program, 'not enough memory; use a shorter recording, or close other programs')
+        _print_error(program, 'error: not enough memory; use a shorter recording, or close other programs')
         return 2
     return 0
 
 
 def _print_error(program: str, text: str) -> None:
-    """Print an error after which the standard output may be unusable."""
-    print(f'{program}: error: {text}', file=sys.stderr)
-    try:
-        sys.stdout.flush()
-    except OSError:  # it is full: let the interpreter flush into nothing at its end
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Print an error, after which standard output or standard error may be unusable."""
+    for stream, message in ((sys.stderr, f'{program}: {text}\n'), (sys.stdout, '')):
+        try:
+            stream.write(message)
+            stream.flush()
+        except OSError:  # it is full: let the interpreter flush into nothing at its end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def command_parser(name: str) -> ArgumentParser:

@@ -20,9 +20,10 @@ def number(low: float, high: float = math.inf, unit: str = '') -> Callable[[str]
 def _checked(text: str, kind: type[float], low: float, high: float, unit: str) -> float:
     try:
         value = kind(text)
-    except ValueError:
-        value = math.nan
-    if not (low <= value <= high and math.isfinite(value)):
+        is_possible = low <= value <= high and math.isfinite(value)
+    except (ValueError, OverflowError):
+        is_possible = False
+    if not is_possible:
         bounds = f'at least {low:.10g}' if math.isinf(high) else f'{low:.10g} to {high:.10g}'
         what = 'a whole number, ' if kind is int else ''
         raise argparse.ArgumentTypeError(f'{text!r} is not possible, give {what}{bounds} {unit}'.rstrip())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from tqdm import tqdm
@@ -37,7 +38,8 @@ def progress(
 
 def warn(message: str) -> None:
     """Print a warning on standard error."""
-    print(f'gyrocal: warning: {message}', file=sys.stderr)
+    with suppress(OSError):  # a full disk behind it must not end the work
+        print(f'gyrocal: warning: {message}', file=sys.stderr, flush=True)
 
 
 def print_json(values: Mapping[str, Any]) -> None:
@@ -68,7 +70,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]
 
 def print_message(message: str) -> None:
     """Print a message on the state of the work on standard error."""
-    print(f'gyrocal: {message}', file=sys.stderr, flush=True)
+    with suppress(OSError):
+        print(f'gyrocal: {message}', file=sys.stderr, flush=True)
 
 
 def _cell(value: Any) -> str:

@@ -17,7 +17,20 @@ MAX_DEPTH = 50
 
 
 class YamlLoader(yaml.SafeLoader):
-    """Loads `1e-3` as a number, as ROS does; PyYAML requires `1.0e-3`."""
+    """Loads `1e-3` as a number, as ROS does, where PyYAML requires `1.0e-3`; refuses a key given twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Return a mapping.
+
+        Raises:
+            yaml.YAMLError: a key is given twice; the file might be read otherwise than it was meant.
+        """
+        mapping = super().construct_mapping(node, deep)
+        if len(mapping) < len(node.value):
+            keys = [self.construct_object(key, deep) for key, _ in node.value]
+            twice = next(key for key in keys if keys.count(key) > 1)
+            raise yaml.YAMLError(f'{twice!r} is given twice, line {node.start_mark.line + 1} on')
+        return mapping
 
 
 YamlLoader.add_implicit_resolver(

@@ -24,7 +24,7 @@ from gyrocal_ros.effects.library import SCALE_FACTOR
 from gyrocal_ros.effects.registry import default_model, find_effect, load_file, load_installed
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.model.bias import BiasModel
-from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.model.sensor import MAX_VALUE, Effect, SensorModel, is_possible
 
 BIAS_FORMS = ('drift', 'settling')
 
@@ -168,6 +168,9 @@ def _effect(entry: Any, where: str) -> Effect:
         place = f'{where}, {effect.name}.{field}'
         for name, value in _per_coefficient(effect, entry.get(field, {}), place).items():
             number = _number(name, value, place, low)
+            item = coefficients[name]
+            if not is_possible(item, number) and (field == 'prior_mean' or number > MAX_VALUE):
+                raise ConfigError(f'{name} is {value!r}', where=place, todo='give a number that makes sense')
             coefficients[name] = replace(coefficients[name], **{field: number})  # type: ignore[arg-type]
     given = {
         name: _option(effect, name, entry[name], default, where)

@@ -8,7 +8,7 @@ from gyrocal_ros.effects.base import shown_in
 from gyrocal_ros.effects.model_file import options_of
 from gyrocal_ros.effects.registry import find_effect
 from gyrocal_ros.errors import ConfigError
-from gyrocal_ros.model.sensor import Coefficient, Effect
+from gyrocal_ros.model.sensor import Coefficient, Effect, is_possible
 
 NUMBER = r'(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
 QUANTITY = re.compile(rf'([-+]?{NUMBER})(?:\s*(?:±|\+-|\+/-)\s*({NUMBER}))?\s*(.*)')
@@ -29,6 +29,8 @@ def coefficient_value(item: Coefficient, text: str, where: str) -> float:
         ConfigError: it is not a number, has another unit, or a standard deviation.
     """
     value, std = coefficient_prior(item, text, where)
+    if not is_possible(item, value):
+        raise ConfigError(f'{item.name} is {text!r}', where=where, todo='give a number that makes sense')
     if std is not None:
         raise ConfigError(f'{item.name} is {text!r}', where=where, todo='give the value alone, without ±')
     return value

@@ -119,7 +119,7 @@ def _imported(name: str, path: Path) -> ModuleType:
     sys.modules[name] = module  # dataclasses look up their own module there
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
         what = f'{type(error).__name__}: {error}'
         raise ConfigError(what, where=str(path), todo='fix the file') from error

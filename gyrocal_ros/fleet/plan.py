@@ -81,11 +81,11 @@ def _of_table(place: str) -> Iterator[PlannedBag]:
             names = csv.ConvertOptions(column_types={'bag': string(), 'robot': string()})
             is_text = path.endswith('.csv')
             table = csv.read_csv(file, convert_options=names) if is_text else parquet.read_table(file)
-    except (OSError, ArrowException) as error:
+        missing = {'bag', 'robot'} - set(table.column_names)
+    except (OSError, UnicodeDecodeError, ArrowException) as error:
         raise GyrocalError(
             f'cannot be read ({error})', where=place, todo='give a CSV or Parquet file'
         ) from error
-    missing = {'bag', 'robot'} - set(table.column_names)
     if missing:
         raise GyrocalError(
             f'has no column {" and ".join(sorted(missing))}', where=place, todo='a row needs bag and robot'

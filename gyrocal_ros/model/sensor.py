@@ -62,6 +62,17 @@ class Coefficient:
     """Values that occur; None keeps the effect out of recordings with randomly hidden effects."""
 
 
+MAX_VALUE, MAX_TIME_S = 1e9, 1e4
+"""Largest value of a coefficient, in its unit, and of one that is a time."""
+
+
+def is_possible(item: Coefficient, value: float) -> bool:
+    """Return True if a coefficient can have a value: no time constant and no density is negative."""
+    if item.scan and value < 0.0:
+        return False
+    return abs(value) <= (MAX_TIME_S if item.unit == 's' else MAX_VALUE)
+
+
 class Effect(Protocol):
     """A physical effect."""
 

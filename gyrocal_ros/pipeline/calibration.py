@@ -28,6 +28,10 @@ from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import write_text_atomic
 from gyrocal_ros.model.sensor import SensorModel
 
+BIAS_UNIT = 'rad/s'
+MAX_TEMPERATURE_C = 1e3
+"""Bound of the temperature of a gyro."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
@@ -133,7 +137,7 @@ def calibration_of(
     return Calibration(
         model=model,
         names=('bias', *model.coefficient_names),
-        units=('rad/s', *(item.unit for item in model.coefficients)),
+        units=(BIAS_UNIT, *(item.unit for item in model.coefficients)),
         values=state.mean[places],
         covariance=state.covariance[np.ix_(places, places)] * np.outer(inflation, inflation),
         nominal_scale_factor_volt=config.gyro.nominal_scale_factor_volt,
@@ -187,12 +191,17 @@ def load_calibration(path: Path) -> Calibration:
             raise ValueError(f'no gyro has a scale factor of {scale_factor:g}')
         if not math.isclose(float(tree['scale_factor']), scale_factor, abs_tol=1e-9):
             raise ValueError(f'scale_factor {tree["scale_factor"]} contradicts its coefficient')
+        units = tuple(str(tree['coefficients'][name]['unit']) for name in names)
+        if units != (BIAS_UNIT, *(item.unit for item in model.coefficients)):
+            raise ValueError(f'the units {", ".join(units)} are not those of the model')
+        if not isinstance(tree['converged'], bool):
+            raise ValueError(f'converged is {tree["converged"]!r}, not true or false')
         provenance: Mapping[str, Any] = tree['provenance']
         time_s, temperature_c = tree['convergence_time_s'], provenance.get('temperature_c')
         return Calibration(
             model=model,
             names=names,
-            units=tuple(str(tree['coefficients'][name]['unit']) for name in names),
+            units=units,
             values=values,
             covariance=covariance,
             nominal_scale_factor_volt=float(tree['nominal_scale_factor_volt']),
@@ -201,14 +210,25 @@ def load_calibration(path: Path) -> Calibration:
             duration_s=float(provenance['duration_s']),
             source=str(provenance['source']),
             end_ns=int(provenance['end_ns']),
-            temperature_c=math.nan if temperature_c is None else float(temperature_c),
+            temperature_c=math.nan if temperature_c is None else _temperature(float(temperature_c)),
         )
     except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise ConfigError(
-            f'is not a calibration ({type(error).__name__}: {error})',
+            f'is not a calibration ({_reason(error)})',
             where=str(path),
             todo='give a calibration.yaml that `gyrocal replay -o` wrote',
         ) from error
+
+
+def _temperature(value_c: float) -> float:
+    if abs(value_c) > MAX_TEMPERATURE_C:
+        raise ValueError(f'the temperature is {value_c:g} deg C')
+    return value_c
+
+
+def _reason(error: Exception) -> str:
+    """Return what is wrong with a file in words: the message of a KeyError is the name alone."""
+    return f'there is no {error}' if isinstance(error, KeyError) else str(error)
 
 
 def _is_covariance(matrix: Array) -> bool:

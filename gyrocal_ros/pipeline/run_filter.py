@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import numpy as np
+
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, ClockStep, Measurement, Source, TruthSample, seconds
 from gyrocal_ros.ekf.run import Recorder, Run
@@ -89,6 +91,9 @@ def run_filter(
                 report(Progress(seconds(reported_ns - span.start_ns), span.duration_s, so_far))
         for record in visual.finish():
             recorder.add(record)
+    except np.linalg.LinAlgError as error:
+        todo = 'check the priors of the model and the settings'
+        raise FilterDivergedError(f'the numbers overflow ({error})', where=source.name, todo=todo) from error
     except FilterDivergedError as error:
         fault, _, remedy = mounting_fault(so_far()).partition('; ')
         what = f'{error.what}: {fault}' if fault else error.what

@@ -23,7 +23,7 @@ HEADER = 'The sealed answer of a simulated bag. Open it with `gyrocal reveal BAG
 def sealed_path(bag: Path) -> Path:
     """Return the path of the answer of a bag, given its folder or a file in it."""
     folder = bag.parent if bag.is_file() else bag
-    return folder.resolve().with_name(f'{folder.resolve().name}.sealed')
+    return folder.resolve().parent / f'{folder.resolve().name}.sealed'
 
 
 def answer_of(source: SimSource) -> dict[str, Any]:

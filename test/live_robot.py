@@ -143,7 +143,7 @@ def robot(
 
 def source() -> SimSource:
     """The drive that all these tests use."""
-    return recording(duration_s=DURATION_S, seed=3)
+    return recording(duration_s=DURATION_S, seed=3, camera_hz=10)
 
 
 @cache

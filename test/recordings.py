@@ -28,7 +28,7 @@ def recording(
     **changes: Any,
 ) -> SimSource:
     """Return a short recording of a scenario with slow sensors and some changed fields."""
-    changes = {'duration_s': duration_s, 'imu_hz': 100, 'camera_hz': 10, **changes}
+    changes = {'duration_s': duration_s, 'imu_hz': 100, 'camera_hz': 5, **changes}
     return SimSource(replace(find_scenario(scenario), **changes), seed, hidden=hidden)
 
 

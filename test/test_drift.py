@@ -31,7 +31,7 @@ from gyrocal_ros.pipeline.calibrate import calibrate
 
 @pytest.fixture(scope='module')
 def run() -> Run:
-    return calibrate(recording('rest_and_go'), Config(), default_model())
+    return calibrate(recording('rest_and_go', camera_hz=10), Config(), default_model())
 
 
 @pytest.mark.slow

@@ -317,7 +317,7 @@ def test_every_law_is_offered_by_its_name() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures('library')
+@pytest.mark.usefixtures('library', 'slow_sensors')
 def test_the_command_learns_and_writes(tmp_path: Path, capsys: Output) -> None:
     bag, out, own = tmp_path / 'bag', tmp_path / 'out', tmp_path / 'own.py'
     hidden = '--effect=stranger_heading=0.005,0.7'

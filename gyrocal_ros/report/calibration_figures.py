@@ -107,7 +107,7 @@ def live(time_s: Array, value: Array, std: Array, nis_time_s: Array, nis: Array)
     return figure
 
 
-def coefficients(run: Run, start: int = 0) -> go.Figure:
+def coefficients(run: Run, start: int = 0, truth: Mapping[str, float] = {}) -> go.Figure:
     """Draw bias and coefficients over time, one panel each, with three standard deviations.
 
     The standard deviations are those that the scatter up to each moment supports, as in every result.
@@ -115,6 +115,7 @@ def coefficients(run: Run, start: int = 0) -> go.Figure:
     Args:
         run: the run.
         start: first one to draw, in the order bias, scale factor, all others.
+        truth: true values of coefficients by name, where they are known.
     """
     history = run.history
     reaches = SIGMAS * history.std[:, YAW_BIAS:] * scatter_of(history)[1]
@@ -126,8 +127,19 @@ def coefficients(run: Run, start: int = 0) -> go.Figure:
     for row, (i, name, _, factor) in enumerate(shown, start=1):
         value, reach = factor * history.mean[:, YAW_BIAS + i], factor * reaches[:, i]
         _estimate(figure, history.time_s, value, reach, name, '.4g', (row, 1))
+        if name in truth:
+            _true_value(figure, factor * truth[name], value, reach, (row, 1))
     figure.update_layout(showlegend=False)
     return figure
+
+
+def _true_value(figure: go.Figure, truth: float, value: Array, reach: Array, panel: Panel) -> None:
+    """Add the true value of a coefficient to the panel of its estimate."""
+    dotted = {'color': VERMILLION, 'width': 2, 'dash': 'dot'}
+    note = {'text': f'truth {truth:.4g}', 'font': {'color': VERMILLION}, 'yanchor': 'bottom'}
+    figure.add_hline(truth, row=panel[0], col=panel[1], line=dotted, annotation=note)
+    late = slice(len(value) // 2, None)
+    show_range(figure, panel, np.concatenate([(value - reach)[late], (value + reach)[late], [truth]]), 0.4)
 
 
 def bias(history: History) -> go.Figure:

@@ -9,6 +9,7 @@ from typing import Any
 
 from dash import ALL, ClientsideFunction, Dash, Input, Output, State, ctx, no_update
 
+from gyrocal_ros.diagnose.shapes import TIME
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio import panels, pictures
@@ -37,12 +38,18 @@ def connect(app: Dash, workspace: Workspace) -> None:
         Input('theme-button', 'n_clicks'),
         State('theme', 'data'),
     )
+    app.clientside_callback(
+        ClientsideFunction('studio', 'zoom'),
+        *(Input(f'{name}-figure', 'relayoutData') for name in ('model', 'residual', 'compare')),
+        prevent_initial_call=True,
+    )
 
 
 def marks(state: StudioState) -> dict[str, str]:
     """Return a text for each part of the page, which changes when that part has to be drawn again."""
     ran = [tried.label for tried in state.tree.models if tried.examination is not None]
     model = f'{state.title} {state.tree.present_label} {ran}'
+    truth = ' revealed' if state.revealed is not None else ''
     preview = '' if state.preview is None else f' {state.preview.time_s[-1]:.1f}'
     forecasts = sorted(effect for label, effect in state.forecasts if label == state.tree.present_label)
     running = state.running
@@ -51,7 +58,7 @@ def marks(state: StudioState) -> dict[str, str]:
     return {
         'session': state.title,
         'bag': f'{state.title} {state.contents is not None}',
-        'model': model if ran else model + preview,
+        'model': model + truth if ran else model + preview,
         'missing': f'{model} {sorted(state.learned)}',
         'forecast': f'{model} {forecasts}',
         'lesson': f'{state.title} {state.has_answer} {state.revealed}',
@@ -88,7 +95,7 @@ def _connect_status(app: Dash, workspace: Workspace) -> None:
         progress = None if running is None else running.progress
         return (
             state.message or ('' if status is None else status.sentence),
-            'error-message' if state.is_error else '' if state.message or status is None else status.level,
+            'error-message' if state.is_error else '' if status is None else status.level,
             '' if progress is None else f'{progress.text} {100.0 * progress.fraction:.0f} %',
             '0' if progress is None else f'{100.0 * progress.fraction:.0f}',
             running is None,
@@ -258,7 +265,8 @@ def _connect_figures(app: Dash, workspace: Workspace) -> None:
     def model(mark: str, kind: str) -> Any:
         state = workspace.state
         figure = pictures.against_measurement(state, kind)
-        return _figure_or_text(figure, 'The recording is too short.' if state.tree.models else WAIT, kind)
+        text = 'The recording is too short.' if state.tree.models else WAIT
+        return _figure_or_text(_linked(figure, state, TIME), text, kind)
 
     @app.callback(
         Output('signal', 'options'),
@@ -291,7 +299,9 @@ def _connect_figures(app: Dash, workspace: Workspace) -> None:
         figure = pictures.error_by_signal(state, signal, of_scale, effect) if chosen else None
         if figure is not None:
             figure.update_layout(title_text='')  # the choice above says it, and the legend needs the place
-        return _figure_or_text(figure, 'Not known from this recording.' if chosen else WAIT, chosen)
+            figure = _linked(figure, state, signal)
+        text = 'Not known from this recording.' if chosen else WAIT
+        return _figure_or_text(figure, text, chosen)
 
     @app.callback(*_figure('evidence-figure'), Input('mark-missing', 'data'))
     def scores(_mark: Any) -> Any:
@@ -329,13 +339,22 @@ def _connect_comparison(app: Dash, workspace: Workspace) -> None:
     def compared(left: str | None, right: str | None, kind: str) -> Any:
         if left is None or right is None or left == right:
             return _figure_or_text(None, 'Choose two revisions.')
-        return _figure_or_text(
-            pictures.side_by_side(workspace.state, (left, right), kind), 'One of them has not run yet.'
-        )
+        figure = pictures.side_by_side(workspace.state, (left, right), kind)
+        if kind != 'coefficients':  # they are drawn by model
+            figure = _linked(figure, workspace.state, TIME)
+        return _figure_or_text(figure, 'One of them has not run yet.', kind)
 
 
 def _figure(name: str) -> tuple[Output, Output, Output]:
     return Output(name, 'figure'), Output(f'{name}-box', 'hidden'), Output(f'{name}-words', 'children')
+
+
+def _linked(figure: Any | None, state: StudioState, axis: str) -> Any | None:
+    """Name the horizontal axis, so that the page zooms all figures that share it, and marks places on it."""
+    if figure is not None:
+        figure.update_layout(meta={'axis': axis})
+        figure.update_xaxes(uirevision=f'{state.title} {axis}')
+    return figure
 
 
 def _figure_or_text(figure: Any | None, text: str, zoom_key: str | None = None) -> tuple[Any, bool, str]:

@@ -8,7 +8,7 @@ from typing import Any
 from dash import dcc, html
 
 from gyrocal_ros.report.plot import plot_config
-from gyrocal_ros.studio.pictures import COMPARED, KINDS
+from gyrocal_ros.studio.pictures import KINDS
 
 POLL_MS = 400
 """Period at which the page asks for changes."""
@@ -170,7 +170,7 @@ def _history() -> html.Section:
                         ],
                         className='row',
                     ),
-                    _radio('compare-kind', COMPARED, 'heading', 'Quantity to compare'),
+                    _radio('compare-kind', KINDS, 'heading', 'Quantity to compare'),
                     _graph('compare-figure', 'tall'),
                 ],
                 id='compare',

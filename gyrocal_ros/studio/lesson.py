@@ -25,6 +25,8 @@ class ComparedCoefficient:
     estimate: float | None
     """None if the model has no such coefficient."""
     std: float | None
+    in_model: tuple[str, float] | None = None
+    """Name and true value of the coefficient as the model has it; None if it has none."""
 
     @property
     def sigma(self) -> float | None:
@@ -84,7 +86,8 @@ def _coefficients(answer: Mapping[str, Any], found: Calibration) -> Iterator[Com
         zip(found.names, zip(found.values.tolist(), found.stds.tolist(), strict=True), strict=True)
     )
     truth = answer['scale_factor']
-    yield ComparedCoefficient('scale factor', truth, '1', found.scale_factor, found.scale_factor_std)
+    estimate, std = found.scale_factor, found.scale_factor_std
+    yield ComparedCoefficient('scale factor', truth, '1', estimate, std, (found.names[1], truth - 1.0))
     in_model = {effect.name: effect for effect in found.model.effects}
     for item in answer['effects']:
         name = str(item['effect'])
@@ -96,9 +99,10 @@ def _coefficients(answer: Mapping[str, Any], found: Calibration) -> Iterator[Com
             else {}
         )
         for coefficient, about in item['coefficients'].items():
-            value, std = estimates.get(full_names.get(coefficient, ''), (None, None))
-            label = f'{name}.{coefficient}'
-            yield ComparedCoefficient(label, float(about['value']), str(about['unit']), value, std)
+            full, truth = full_names.get(coefficient, ''), float(about['value'])
+            value, std = estimates.get(full, (None, None))
+            label, known = f'{name}.{coefficient}', None if value is None else (full, truth)
+            yield ComparedCoefficient(label, truth, str(about['unit']), value, std, known)
 
 
 def error_text(item: ComparedCoefficient) -> str:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any
 
 from dash import html
 
 from gyrocal_ros.diagnose.advice import join
 from gyrocal_ros.diagnose.candidate_fit import held_out_gain
+from gyrocal_ros.diagnose.failure_ranges import Ranges, failure_ranges
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.separability import how_to_tell_apart
 from gyrocal_ros.diagnose.status import RECORD, NextSteps, Status, diagnosis_status, missing_sentence
@@ -104,16 +107,22 @@ def failures(state: StudioState) -> list[Any]:
     if not found:
         return [html.P(NO_FAILURE)]
     rows = [(item.what, f'{item.sigma:.0f}') for item in found[:MAX_FAILURES]]
+    places = [_place(ranges) for ranges in failure_ranges(examination.examined.run, found[:MAX_FAILURES])]
     more = f' and {len(found) - MAX_FAILURES} more' if len(found) > MAX_FAILURES else ''
     return [
         html.Details(
             [
-                html.Summary(f'Worst place: {found[0].what}'),
-                _table(FAILURE_HEADS, rows),
+                html.Summary(f'Worst place: {found[0].what}', **places[0]),
+                _table(FAILURE_HEADS, rows, places),
                 html.P(more) if more else None,
             ]
         )
     ]
+
+
+def _place(ranges: Ranges) -> dict[str, Any]:
+    """Return the attributes of an element that marks a place in all figures while the pointer is on it."""
+    return {'data-place': json.dumps(ranges), 'tabIndex': 0}
 
 
 def status(state: StudioState) -> Status | None:
@@ -282,10 +291,12 @@ def lesson(state: StudioState) -> list[Any]:
     return [html.P(' '.join(sentences), id='truth'), _table(heads, rows)]
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> html.Div:
+def _table(
+    heads: Sequence[str], rows: Iterable[Sequence[Any]], attributes: Iterable[Mapping[str, Any]] = repeat({})
+) -> html.Div:
     body = [
-        html.Tr([html.Th(row[0], scope='row'), *(html.Td(cell) for cell in row[1:])], key=str(row[0]))
-        for row in rows
+        html.Tr([html.Th(row[0], scope='row'), *(html.Td(cell) for cell in row[1:])], key=str(row[0]), **more)
+        for row, more in zip(rows, attributes, strict=False)
     ]
     top = html.Tr([html.Th(head, scope='col') for head in heads])
     return html.Div(html.Table([html.Thead(top), html.Tbody(body)]), className='wide')

@@ -40,8 +40,6 @@ KINDS = {
     'coefficients': 'Coefficients',
 }
 """Quantities that can be shown, with their labels."""
-COMPARED = {'heading': 'Heading error', 'drift': 'Blind drift', 'innovations': 'Innovations'}
-"""Quantities that can be compared between two revisions, with their labels."""
 
 
 def against_measurement(state: StudioState, kind: str) -> Any | None:
@@ -56,6 +54,10 @@ def against_measurement(state: StudioState, kind: str) -> Any | None:
         return _preview(state)
     shown = [chain[0], chain[-1]] if len(chain) > 1 else list(chain)
     names = [FIRST, PRESENT] if len(chain) > 1 else [PRESENT]
+    if kind == 'coefficients':
+        known = () if state.revealed is None else state.revealed.coefficients
+        truth = dict(item.in_model for item in known if item.in_model is not None)
+        return calibration_figures.coefficients(_examination(chain[-1]).examined.run, truth=truth)
     return _model_figure(kind, dict(zip(names, shown, strict=True)), improved)
 
 
@@ -65,7 +67,7 @@ def side_by_side(state: StudioState, labels: tuple[str, str], kind: str) -> Any 
     Args:
         state: the state.
         labels: labels of the revisions.
-        kind: a key of `COMPARED`.
+        kind: a key of `KINDS`.
     """
     found = {label: state.tree.find(label) for label in labels}
     chosen = {label: one for label, one in found.items() if one is not None and one.examination is not None}

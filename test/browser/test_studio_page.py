@@ -132,6 +132,21 @@ OVERLAPS = """
 """Texts of the figures that overlap or are clipped, and tables that are cut off."""
 
 
+PLACES_MARKED = """
+() => ['model-figure', 'residual-figure'].every((name) =>
+  document.querySelector(`#${name} .js-plotly-plot`).layout.shapes.some((shape) => shape.name === 'place'))
+"""
+"""True if a place is marked in both figures."""
+SAME_ZOOM = """
+() => {
+  const [[from, to], other] = ['model-figure', 'compare-figure'].map(
+    (name) => document.querySelector(`#${name} .js-plotly-plot`).layout.xaxis.range);
+  return from > 10 && to < 70 && Math.abs(from - other[0]) < 0.01 && Math.abs(to - other[1]) < 0.01;
+}
+"""
+"""True if the figures of the model and of the comparison show the same part of the recording."""
+
+
 def barriers(page: Page) -> list[str]:
     """Return what serious obstacles to people with disabilities axe-core finds on the page.
 
@@ -161,6 +176,12 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     expect(page.locator('#residual-figure')).to_be_visible()
     assert not parts_below_the_screen(page)
     screenshot(page, 'fails')
+
+    # the worst place is marked in all figures while the pointer is on it
+    page.locator('#failures summary').hover()
+    page.wait_for_function(PLACES_MARKED)
+    page.mouse.move(0, 0)
+    page.wait_for_function(f'() => !({PLACES_MARKED})()')
 
     # description of a candidate
     candidate = page.locator('.candidate', has_text=HIDDEN)
@@ -197,6 +218,15 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     # comparison of the two revisions
     page.locator('#compare summary').click()
     expect(page.locator('#compare-figure')).to_contain_text('0_default')
+    page.locator('#compare-figure').scroll_into_view_if_needed()
+    box = page.locator('#compare-figure .nsewdrag').first.bounding_box()
+    assert box is not None
+    middle = box['y'] + 0.5 * box['height']
+    page.mouse.move(box['x'] + 0.2 * box['width'], middle)
+    page.mouse.down()
+    page.mouse.move(box['x'] + 0.6 * box['width'], middle, steps=3)
+    page.mouse.up()
+    page.wait_for_function(SAME_ZOOM)
     page.locator('#compare-kind input[value=drift]').check()
     expect(page.locator('#compare-figure')).to_contain_text('Drift span by span')
 

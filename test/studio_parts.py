@@ -20,7 +20,7 @@ from gyrocal_ros.sim.world import SimSource
 from gyrocal_ros.studio.executor import TaskExecutor
 from gyrocal_ros.studio.recordings import Bag
 from gyrocal_ros.studio.session import Session
-from gyrocal_ros.studio.tasks import OpenRecording, Ready, Stopped, Task, TaskMessage
+from gyrocal_ros.studio.tasks import OpenRecording, Ready, Stopped, Task, TaskMessage, ValidateModels
 
 HIDDEN, SIZE = 'scale_asymmetry', 0.02
 
@@ -88,7 +88,7 @@ _stored: dict[str, tuple[list[TaskMessage], TaskMessage]] = {}
 
 
 def _messages(recording: str, task: Task) -> tuple[list[TaskMessage], TaskMessage]:
-    subject = '' if isinstance(task, OpenRecording) else model_to_yaml(task.model)
+    subject = str(task) if isinstance(task, OpenRecording | ValidateModels) else model_to_yaml(task.model)
     key = f'{recording} {type(task).__name__} {subject}'
     if key not in _stored:
         messages: list[TaskMessage] = []

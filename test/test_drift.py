@@ -153,14 +153,17 @@ def test_the_significance_of_a_smaller_drift() -> None:
 
 
 def test_the_final_coefficients_fit_best(run: Run) -> None:
-    held_out, fitted = (blind_drift(run, from_s=3.0, span_s=20.0, fitted=final) for final in (False, True))
+    final = run.history.coefficients[-1]
+    held_out, fitted = (
+        blind_drift(run, from_s=3.0, span_s=20.0, coefficients=known) for known in (None, final)
+    )
     np.testing.assert_array_equal(held_out.start_s, fitted.start_s)
     assert fitted.rms_deg < held_out.rms_deg
     known = replace(run.history, mean=run.history.mean.copy())
     known.mean[:, YAW_BIAS + 1 :] = known.mean[-1, YAW_BIAS + 1 :]
     np.testing.assert_array_equal(
         blind_drift(replace(run, history=known), from_s=3.0, span_s=20.0).error_rad,
-        blind_drift(replace(run, history=known), from_s=3.0, span_s=20.0, fitted=True).error_rad,
+        blind_drift(replace(run, history=known), from_s=3.0, span_s=20.0, coefficients=final).error_rad,
     )
 
 

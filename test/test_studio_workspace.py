@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from gyrocal_ros.cli.studio import named_apart
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import GyrocalError
@@ -54,6 +55,24 @@ def opened_recording(worker: IdleWorker) -> Bag | HiddenEffectTask:
     task = worker.tasks[-1]
     assert isinstance(task, OpenRecording)
     return task.recording
+
+
+def test_models_are_tested_on_recordings_of_the_studio_only(workspace: Workspace, worker: IdleWorker) -> None:
+    with pytest.raises(GyrocalError, match='no such recording'):
+        workspace.validate_on(2)
+    worker.send(1, Failed('no'))  # nothing is running any more
+    with pytest.raises(GyrocalError, match='used to fit'):
+        workspace.validate_on(0)
+    with pytest.raises(GyrocalError, match='has not run'):
+        workspace.validate_on(1)
+
+
+def test_bags_of_the_same_name_are_named_by_their_folders(tmp_path: Path) -> None:
+    bags = [tmp_path / day / 'kitchen' for day in ('monday', 'tuesday')] + [tmp_path / 'hall']
+    found = named_apart([('', bag) for bag in (*bags, bags[0])])
+    assert found == list(zip(('monday_kitchen', 'tuesday_kitchen', 'hall'), bags, strict=True))
+    with pytest.raises(GyrocalError, match='name of several bags'):
+        named_apart([('', tmp_path / disk / 'monday' / 'kitchen') for disk in 'ab'])
 
 
 def test_the_first_is_opened_and_another_can_be_chosen(workspace: Workspace, worker: IdleWorker) -> None:

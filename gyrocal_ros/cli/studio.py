@@ -1,9 +1,10 @@
 """Find missing effects on a web page: see where the model fails, add an effect, see the error fall.
 
-Give a bag, a folder of bags to choose from, or a folder of `gyrocal fleet run`, whose bags are then listed
-with those of the most unusual robot first; the default is the bags of the package. No other file is
-read. Every model that you try is saved in a folder OUT/BAG, in the format of `gyrocal improve`, so a
-reload or a killed server loses nothing; run the same command again to continue.
+Give bags, folders of bags, or folders of `gyrocal fleet run`, whose bags are listed with those of the most
+unusual robot first; the default is the bags of the package. The first bag is opened, the page can open the
+others, and a model that was fitted on one bag can be tested on another: another day, or another robot. No
+other file is read. Every model that you try is saved in a folder OUT/BAG, in the format of `gyrocal improve`,
+so a reload or a killed server loses nothing; run the same command again to continue.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import sys
 import webbrowser
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
@@ -30,6 +32,7 @@ from gyrocal_ros.studio.recordings import Bag
 from gyrocal_ros.studio.worker import Worker
 
 EXAMPLE = """gyrocal studio my_bag
+gyrocal studio monday tuesday
 gyrocal studio my_bags --model model.yaml -o results
 gyrocal studio my_fleet
 gyrocal studio --lesson 7
@@ -43,7 +46,7 @@ BROWSER_DELAY_S = 0.5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        'bag', type=Path, nargs='?', metavar='BAG', help='bag, folder of bags, or folder of a fleet'
+        'bags', type=Path, nargs='*', metavar='BAG', help='bags, folders of bags, or folders of fleets'
     )
     add_topic_options(parser)
     add_images_option(parser)
@@ -81,7 +84,8 @@ def run(args: argparse.Namespace) -> None:
         return
     model, config, options = read_model(args), read_config(args), bag_options(args)
     worker = Worker()  # it forks, so it comes before any thread is started, those of Arrow included
-    bags = [Bag(path, config, options, name) for name, path in _bags(args)]
+    found = named_apart([item for given in args.bags or [shipped('bags')] for item in _bags(given)])
+    bags = [Bag(path, config, options, name) for name, path in found]
     from gyrocal_ros.studio.server import make_app
     from gyrocal_ros.studio.workspace import Workspace  # imported while the worker starts
 
@@ -124,16 +128,35 @@ def _serve(args: argparse.Namespace, make: Callable[..., Any], remark: str) -> N
     server.serve_forever()
 
 
-def _bags(args: argparse.Namespace) -> list[tuple[str, Path]]:
-    """Return names and paths of the recordings that may be opened; a name may be empty."""
-    if args.bag is not None and is_bag(args.bag):
-        return [('', args.bag)]
-    if args.bag is not None and (args.bag / 'calibrations.parquet').is_file():
-        return _bags_of_fleet(args.bag)
-    folder = shipped('bags') if args.bag is None else args.bag
-    found = bags_in(folder)
+def named_apart(bags: list[tuple[str, Path]]) -> list[tuple[str, Path]]:
+    """Return names and paths, each path once; where titles are the same, the folder before it is in the name.
+
+    Raises:
+        GyrocalError: titles are the same with the folder, too.
+    """
+    unique = {path.resolve(): (name or path.resolve().name, path) for name, path in bags}
+    counts = Counter(name for name, _ in unique.values())
+    found = [
+        (f'{whole.parent.name}_{name}' if counts[name] > 1 else name, path)
+        for whole, (name, path) in unique.items()
+    ]
+    twice = [name for name, count in Counter(name for name, _ in found).items() if count > 1]
+    if twice:
+        raise RecordingError(
+            'is the name of several bags', where=twice[0], todo='rename one of their folders'
+        )
+    return found
+
+
+def _bags(given: Path) -> list[tuple[str, Path]]:
+    """Return names and paths of the recordings in what the user has given; a name may be empty."""
+    if is_bag(given):
+        return [('', given)]
+    if (given / 'calibrations.parquet').is_file():
+        return _bags_of_fleet(given)
+    found = bags_in(given)
     if not found:
-        raise RecordingError('contains no bag', where=str(folder), todo='give a bag, or a folder of bags')
+        raise RecordingError('contains no bag', where=str(given), todo='give a bag, or a folder of bags')
     return [('', path) for path in found]
 
 

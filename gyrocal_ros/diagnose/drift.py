@@ -168,7 +168,7 @@ def blind_drift(
     reference: tuple[Trajectory2D, str] | None = None,
     from_s: float = SETTLING_S,
     span_s: float = SPAN_S,
-    fitted: bool = False,
+    coefficients: Array | None = None,
 ) -> BlindDrift:
     """Compute the heading errors at the ends of spans without the camera, all over the run.
 
@@ -181,7 +181,8 @@ def blind_drift(
         reference: trajectory to compare with, and its name; None for the run's own.
         from_s: earliest beginning of a span.
         span_s: length of a span.
-        fitted: start each span with the final coefficients instead, which were fitted on it, too.
+        coefficients: (k,) coefficients in place of those that were known at the beginning of each span: the
+            final ones, which were fitted on the spans, too, or those of another recording.
     """
     history = run.history
     time_s, moving = history.time_s, history.resting == 0
@@ -198,9 +199,9 @@ def blind_drift(
     gap_s = np.cumsum(history.gap_s)
     whole = gap_s[last] == gap_s[first]
     start_s, first, last = start_s[whole], first[whole], last[whole]
-    known = history.coefficients[np.full_like(first, -1) if fitted else first]
+    known = history.coefficients[first] if coefficients is None else coefficients
     by_gyro = turned[last] - turned[first]
-    by_gyro += np.einsum('nk,nk->n', columns[last] - columns[first], known)
+    by_gyro += np.sum((columns[last] - columns[first]) * known, axis=1)
     by_gyro += history.mean[first, YAW_BIAS] * (gyro_valid_s[last] - gyro_valid_s[first])
     heading = np.interp(time_s, path.time_s, path.yaw_rad)
     return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name)

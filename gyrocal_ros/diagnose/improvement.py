@@ -212,5 +212,8 @@ def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:
 def _drifts(examined: ExaminedModel, reference: tuple[Trajectory2D, str]) -> tuple[BlindDrift, BlindDrift]:
     """Compute the held-out and the fitted drift of the same spans."""
     from_s = held_out_from_s(examined.run)
-    held_out, fitted = (blind_drift(examined.run, reference, from_s, fitted=end) for end in (False, True))
+    final = examined.run.history.coefficients[-1]
+    held_out, fitted = (
+        blind_drift(examined.run, reference, from_s, coefficients=known) for known in (None, final)
+    )
     return held_out, fitted

@@ -19,7 +19,10 @@ from gyrocal_ros.studio.lesson import NOTHING, UNKNOWN
 from gyrocal_ros.studio.state import StudioState
 from gyrocal_ros.studio.workspace import Workspace
 
-BUTTONS = ('add', 'learn', 'undo', 'write', 'export', 'go-to', 'cancel', 'resume', 'riddle', 'reveal')
+BUTTONS = (
+    *('add', 'learn', 'undo', 'write', 'export', 'validate', 'go-to', 'cancel', 'resume', 'riddle'),
+    'reveal',
+)
 WAIT = 'The first run is in progress.'
 FORECAST_STEP = 10
 """Step in which the progress of a run in advance is shown, %."""
@@ -52,6 +55,7 @@ def marks(state: StudioState) -> dict[str, str]:
     truth = ' revealed' if state.revealed is not None else ''
     preview = '' if state.preview is None else f' {state.preview.time_s[-1]:.1f}'
     forecasts = sorted(effect for label, effect in state.forecasts if label == state.tree.present_label)
+    validated = [(recording, *models) for recording, models in state.validated.items()]
     running = state.running
     if running is not None and running.kind == 'forecast':
         forecasts.append(f'{running.subject} {int(100.0 * running.progress.fraction) // FORECAST_STEP}')
@@ -61,6 +65,7 @@ def marks(state: StudioState) -> dict[str, str]:
         'model': model + truth if ran else model + preview,
         'missing': f'{model} {sorted(state.learned)}',
         'forecast': f'{model} {forecasts}',
+        'validation': f'{state.title} {validated}',
         'lesson': f'{state.title} {state.has_answer} {state.revealed}',
     }
 
@@ -118,10 +123,11 @@ def _connect_actions(app: Dash, workspace: Workspace) -> None:
         Input('recording', 'value'),
         State('chosen', 'data'),
         State('right', 'value'),
+        State('other', 'value'),
         prevent_initial_call=True,
     )
     def act(*given: Any) -> float:
-        number, chosen, right = given[len(BUTTONS) :]
+        number, chosen, right, other = given[len(BUTTONS) :]
         session = workspace.session
         actions: dict[str, Callable[[], object]] = {
             'add': lambda: session.add(str(chosen)),
@@ -129,6 +135,7 @@ def _connect_actions(app: Dash, workspace: Workspace) -> None:
             'undo': session.undo,
             'write': session.write,
             'export': lambda: _export(workspace),
+            'validate': lambda: workspace.validate_on(-1 if other is None else int(other)),
             'go-to': lambda: session.go_to(str(right)),
             'cancel': session.cancel,
             'resume': session.resume,
@@ -241,6 +248,10 @@ def _connect_texts(app: Dash, workspace: Workspace) -> None:
         state = workspace.state
         label = 'Add to the model' if chosen is None else f'Add {chosen}'
         return panels.candidate_card(state, chosen), chosen is None or state.is_busy, label
+
+    @app.callback(Output('validation', 'children'), Input('mark-validation', 'data'))
+    def validation(_mark: Any) -> Any:
+        return panels.validations(workspace.state)
 
     @app.callback(Output('guess', 'value'), Input('mark-session', 'data'))
     def stored_guess(_mark: Any) -> str | None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.diagnosis import diagnose_before_adding
+from gyrocal_ros.diagnose.drift import reference_path
 from gyrocal_ros.diagnose.error_curves import centred
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine
 from gyrocal_ros.diagnose.heading_filter import headings
@@ -19,6 +20,7 @@ from gyrocal_ros.diagnose.ranking import best_explanation
 from gyrocal_ros.diagnose.run_series import rows_to_draw
 from gyrocal_ros.diagnose.search import limits_to_check, recover
 from gyrocal_ros.diagnose.shapes import shapes
+from gyrocal_ros.diagnose.validation import validate
 from gyrocal_ros.diagnose.wander import wander
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError, GyrocalError
@@ -40,6 +42,8 @@ from gyrocal_ros.studio.tasks import (
     Task,
     TaskMessage,
     TaskProgress,
+    ValidateModels,
+    ValidationResult,
 )
 
 Send = Callable[[TaskMessage], None]
@@ -73,6 +77,8 @@ class TaskExecutor:
             send(TaskProgress(0.0, 'starting'))
             if isinstance(task, OpenRecording):
                 return self._open(task, send)
+            if isinstance(task, ValidateModels):
+                return _validate(task, send)
             return self._learn(task, send) if isinstance(task, LearnLaw) else self._examine(task, send)
         except Cancelled:
             return Stopped()
@@ -89,11 +95,7 @@ class TaskExecutor:
         send(TaskProgress(0.0, 'checking the recording'))
         contents = inspect_recording(task.recording)
         send(contents)
-
-        def report(progress: Progress) -> None:
-            send(TaskProgress(progress.done_s / max(progress.total_s, 1.0), 'reading'))
-
-        self._loaded = load_recording(task.recording, contents, task.model, report)
+        self._loaded = load_recording(task.recording, contents, task.model, _reporter(send, 'reading'))
         return Ready(self._loaded.recorded, self._loaded.answer)
 
     def _examine(self, task: Examine, send: Send) -> Examination:
@@ -148,14 +150,35 @@ def _numbered_runs(loaded: LoadedRecording, send: Send) -> Calibrate:
     numbers = count(1)
 
     def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
-        text = f'learning, run {next(numbers)}'
-
-        def report(progress: Progress) -> None:
-            send(TaskProgress(progress.done_s / max(progress.total_s, 1.0), text))
-
+        report = _reporter(send, f'learning, run {next(numbers)}')
         return calibrate(loaded.source, loaded.config, model, report=report, candidates=candidates)
 
     return run
+
+
+def _validate(task: ValidateModels, send: Send) -> ValidationResult:
+    """Run trained models over another recording, which is in memory for as long as this takes."""
+    title, present = task.recording.title, list(task.trained.values())[-1]
+    contents = inspect_recording(task.recording)
+    loaded = load_recording(task.recording, contents, present.model, _reporter(send, f'reading {title}'))
+    runs = {
+        label: calibrate(
+            loaded.source, loaded.config, known.model, report=_reporter(send, f'running {label} on {title}')
+        )
+        for label, known in task.trained.items()
+    }
+    reference = reference_path(list(runs.values())[-1])
+    found = {label: validate(task.trained[label], run, reference) for label, run in runs.items()}
+    return ValidationResult(title, found)
+
+
+def _reporter(send: Send, text: str) -> Callable[[Progress], None]:
+    """Return a function that sends the progress of one step."""
+
+    def report(progress: Progress) -> None:
+        send(TaskProgress(progress.done_s / max(progress.total_s, 1.0), text))
+
+    return report
 
 
 def _examination(examined: ExaminedModel, recorded: RecordingSummary) -> Examination:

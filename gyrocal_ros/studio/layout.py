@@ -13,6 +13,9 @@ from gyrocal_ros.studio.pictures import KINDS
 POLL_MS = 400
 """Period at which the page asks for changes."""
 LEARN_HINT = 'Learn the law behind the error left over, as `gyrocal learn` does; nothing is added yet.'
+VALIDATE_HINT = (
+    'Run the first model and the present one over another recording, with the coefficients of this one.'
+)
 STEPS = (
     ('bag', '1', 'The recording'),
     ('model', '2', 'Model against measurement'),
@@ -39,14 +42,14 @@ def layout(titles: Sequence[str]) -> html.Div:
             dcc.Store(id='theme', storage_type='local'),
             _header(titles),
             html.Main(
-                [_bag(), _model(), _residual(), _missing(), _history(), _lesson()],
+                [_bag(), _model(), _residual(), _missing(), _history(titles), _lesson()],
                 id='main',
             ),
         ]
     )
 
 
-MARKS = ('session', 'bag', 'model', 'missing', 'forecast', 'lesson')
+MARKS = ('session', 'bag', 'model', 'missing', 'forecast', 'validation', 'lesson')
 """Parts of the state. The page stores a mark of each, which changes with that part."""
 
 
@@ -59,7 +62,7 @@ def _header(titles: Sequence[str]) -> html.Header:
                     html.H1(['gyrocal studio ', html.Span(id='title')]),
                     dcc.Dropdown(
                         id='recording',
-                        options=[{'label': title, 'value': number} for number, title in enumerate(titles)],
+                        options=_numbered(titles),
                         placeholder='open another recording',
                         clearable=False,
                         style={'display': 'block' if len(titles) > 1 else 'none'},
@@ -142,7 +145,7 @@ def _missing() -> html.Section:
     )
 
 
-def _history() -> html.Section:
+def _history(titles: Sequence[str]) -> html.Section:
     return _part(
         'history',
         [
@@ -156,6 +159,22 @@ def _history() -> html.Section:
                     html.Span(id='downloads', className='row'),
                 ],
                 className='row',
+            ),
+            html.Details(
+                [
+                    html.Summary('Test on another recording'),
+                    html.Div(
+                        [
+                            html.Label('test recording', htmlFor='other'),
+                            dcc.Dropdown(id='other', options=_numbered(titles), clearable=False),
+                            html.Button('Test', id='validate', title=VALIDATE_HINT),
+                        ],
+                        className='row',
+                    ),
+                    html.Div(id='validation'),
+                ],
+                id='test',
+                hidden=len(titles) < 2,
             ),
             html.Details(
                 [
@@ -205,6 +224,11 @@ def _part(name: str, content: list[Any]) -> html.Section:
     _, number, title = next(step for step in STEPS if step[0] == name)
     heading = html.H2([html.Span(number, className='number'), title], id=f'{name}-title')
     return html.Section([heading, *content], id=name, **{'aria-labelledby': f'{name}-title'})
+
+
+def _numbered(titles: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the options of a menu of recordings: the browser knows them by number only."""
+    return [{'label': title, 'value': number} for number, title in enumerate(titles)]
 
 
 def _radio(name: str, options: dict[str, str], value: str, description: str) -> html.Div:

@@ -18,6 +18,7 @@ from gyrocal_ros.diagnose.failure_ranges import Ranges, failure_ranges
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.separability import how_to_tell_apart
 from gyrocal_ros.diagnose.status import RECORD, NextSteps, Status, diagnosis_status, missing_sentence
+from gyrocal_ros.diagnose.validation import coefficient_pairs
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation, with_unit
 from gyrocal_ros.model.sensor import Effect
@@ -26,6 +27,7 @@ from gyrocal_ros.report.describe import (
     NO_FAILURE,
     coefficients_in_words,
     drift_in_words,
+    quantity,
     sigma_in_words,
     with_gain,
 )
@@ -264,6 +266,33 @@ def revision_table(state: StudioState) -> list[Any]:
         _table(('revision', '', 'held out (deg)', 'fitted (deg)', 'gain'), rows),
         html.P(improved.final.why[:1].upper() + improved.final.why[1:] + '.', className='note'),
     ]
+
+
+def validations(state: StudioState) -> list[Any]:
+    """Return the models on other recordings: the drift with the coefficients of this one, and both fits."""
+    parts: list[Any] = []
+    for recording, models in state.validated.items():
+        drifts = [
+            (label, drift_in_words(one.drift), drift_in_words(one.fitted)) for label, one in models.items()
+        ]
+        label, last = list(models.items())[-1]
+        coefficients = [
+            (
+                pair.name,
+                quantity(pair.training, pair.training_std, pair.unit),
+                quantity(pair.test, pair.test_std, pair.unit),
+                f'{pair.sigma:+.1f} sigma' if math.isfinite(pair.sigma) else '',
+            )
+            for pair in coefficient_pairs(last)
+        ]
+        training = f'training: {state.title}'
+        parts += [
+            html.H3(f'Drift on {recording} (deg)'),
+            _table(('revision', f'{training}; test: {recording}', f'fitted on {recording}'), drifts),
+            html.H3(f'Coefficients of {label}'),
+            _table(('coefficient', training, f'fitted on {recording}', 'difference'), coefficients),
+        ]
+    return parts
 
 
 def lesson(state: StudioState) -> list[Any]:

@@ -24,7 +24,7 @@ from gyrocal_ros.studio import store
 from gyrocal_ros.studio.lesson import reveal
 from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask, RecordingContents, identity
 from gyrocal_ros.studio.revisions import ModelTree
-from gyrocal_ros.studio.state import Proposal, RunningTask, StudioState
+from gyrocal_ros.studio.state import TASK_TEXT, Proposal, RunningTask, StudioState
 from gyrocal_ros.studio.tasks import (
     Examination,
     Examine,
@@ -38,6 +38,8 @@ from gyrocal_ros.studio.tasks import (
     Task,
     TaskMessage,
     TaskProgress,
+    ValidateModels,
+    ValidationResult,
 )
 
 MAX_EARLIER_FORECASTS = 5
@@ -154,6 +156,21 @@ class Session:
             if present is None or not self._state.can_learn:
                 raise GyrocalError('the recording does not contradict the model', where='nothing to learn')
             self._start_task('learn', present.label, LearnLaw(present.model))
+
+    def validate_on(self, recording: Bag) -> None:
+        """Test the first model and the present one on another recording, with the coefficients of this one.
+
+        Raises:
+            GyrocalError: it is the same recording, the model has not run, or another task is running.
+        """
+        with self._changed:
+            self._refuse_while_busy()
+            if recording.title == self._recording.title:
+                todo = 'choose another one'
+                raise GyrocalError('was used to fit the models', where=recording.title, todo=todo)
+            kept = self.improvement().kept
+            trained = {one.label: conclude(one.examined.run) for one in (kept[0], kept[-1])}
+            self._start_task('validate', recording.title, ValidateModels(recording, trained))
 
     def go_to(self, label: str) -> None:
         """Make another tried model the present one.
@@ -277,11 +294,13 @@ class Session:
     def _end_task(self, running: RunningTask, message: Failed | Stopped) -> None:
         self._publish(running=None, preview=None)
         if isinstance(message, Stopped):
-            self.show_message(f'Cancelled: {_TASK_TEXT[running.kind].format(running.subject)}.')
+            self.show_message(f'Cancelled: {TASK_TEXT[running.kind].format(running.subject)}.')
         elif running.kind != 'forecast':
             self.show_message(message.why, is_error=True)
 
-    def _finish_task(self, running: RunningTask, message: Ready | Examination | LearnedResult) -> None:
+    def _finish_task(
+        self, running: RunningTask, message: Ready | Examination | LearnedResult | ValidationResult
+    ) -> None:
         self._publish(running=None, preview=None)
         tree = self._state.tree
         if isinstance(message, Ready):
@@ -290,6 +309,8 @@ class Session:
             self._run_next()
         elif isinstance(message, LearnedResult):
             self._propose(running.subject, message)
+        elif isinstance(message, ValidationResult):
+            self._publish(validated={**self._state.validated, message.recording: message.models})
         elif running.kind == 'begin':
             self._commit(tree.with_first(message), '')
         elif running.kind == 'add':
@@ -316,7 +337,7 @@ class Session:
         if self._state.running is not None:
             self._worker.cancel()
         number = self._worker.submit(task)
-        progress = TaskProgress(0.0, _TASK_TEXT[kind].format(subject))
+        progress = TaskProgress(0.0, TASK_TEXT[kind].format(subject))
         running = RunningTask(number, kind, subject, self._state.tree.present_label, progress)
         self._publish(running=running, message='', is_error=False)
 
@@ -374,13 +395,3 @@ class Session:
     def _publish(self, **changes: Any) -> None:
         self._state = replace(self._state, **changes, version=self._state.version + 1)
         self._changed.notify_all()
-
-
-_TASK_TEXT = {
-    'open': 'opening {}',
-    'begin': 'the first run',
-    'add': 'adding {}',
-    'forecast': 'running {} in advance',
-    'learn': 'learning beside {}',
-    'replay': 'running {} again',
-}

@@ -8,11 +8,23 @@ from functools import cached_property
 
 from gyrocal_ros.diagnose.improvement import Improvement
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws
+from gyrocal_ros.diagnose.validation import Validation
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.studio.lesson import Reveal
 from gyrocal_ros.studio.recordings import RecordingContents
 from gyrocal_ros.studio.revisions import ModelTree
 from gyrocal_ros.studio.tasks import Examination, RunPreview, TaskProgress
+
+TASK_TEXT = {
+    'open': 'opening {}',
+    'begin': 'the first run',
+    'add': 'adding {}',
+    'forecast': 'running {} in advance',
+    'learn': 'learning beside {}',
+    'replay': 'running {} again',
+    'validate': 'testing on {}',
+}
+"""Text of a task by its kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +34,7 @@ class RunningTask:
     number: int
     """Number of the task."""
     kind: str
-    """`open`, `begin`, `add`, `forecast`, `learn` or `replay`."""
+    """A key of `TASK_TEXT`."""
     subject: str
     """Name of the effect, label of the model, or title of the recording."""
     parent: str | None
@@ -67,6 +79,8 @@ class StudioState:
     """Runs in advance of models with one more effect, by label of the model and name of the effect."""
     learned: Mapping[str, Proposal | None] = field(default_factory=dict)
     """Laws that were learned, by label of the model; None where no law predicts the recording better."""
+    validated: Mapping[str, Mapping[str, Validation]] = field(default_factory=dict)
+    """Models on other recordings, by title of the recording and label of the model."""
     message: str = ''
     """Last message to the user."""
     is_error: bool = False

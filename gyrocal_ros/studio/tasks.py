@@ -11,9 +11,11 @@ from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.error_curves import ErrorCurve
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.ranking import RankedEffect
+from gyrocal_ros.diagnose.validation import Validation
 from gyrocal_ros.diagnose.wander import Wander
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask, RecordingContents
 
 
@@ -41,7 +43,16 @@ class LearnLaw:
     model: SensorModel
 
 
-Task: TypeAlias = OpenRecording | Examine | LearnLaw
+@dataclass(frozen=True, slots=True)
+class ValidateModels:
+    """Task: run models that were fitted on the open recording over another one."""
+
+    recording: Bag
+    trained: Mapping[str, Calibration]
+    """Calibrations by the open recording, by label of the model; the last is that of the present model."""
+
+
+Task: TypeAlias = OpenRecording | Examine | LearnLaw | ValidateModels
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +108,16 @@ class LearnedResult:
     sigma: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ValidationResult:
+    """Result: models on another recording."""
+
+    recording: str
+    """Title of the other recording."""
+    models: Mapping[str, Validation]
+    """By label of the model."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ready:
     """Result: a recording that was loaded."""
@@ -118,7 +139,15 @@ class Stopped:
 
 
 TaskMessage: TypeAlias = (
-    TaskProgress | RecordingContents | Ready | RunPreview | Examination | LearnedResult | Failed | Stopped
+    TaskProgress
+    | RecordingContents
+    | Ready
+    | RunPreview
+    | Examination
+    | LearnedResult
+    | ValidationResult
+    | Failed
+    | Stopped
 )
 Listener: TypeAlias = Callable[[int, TaskMessage], None]
 """Called with the number of a task and a message about it."""

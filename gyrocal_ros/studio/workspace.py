@@ -80,9 +80,15 @@ class Workspace:
         Raises:
             GyrocalError: there is no such recording, or another studio uses its folder.
         """
-        if not 0 <= number < len(self._bags):
-            raise GyrocalError('there is no such recording', where=str(number))
-        self._change(self._bags[number])
+        self._change(self._bag(number))
+
+    def validate_on(self, number: int) -> None:
+        """Test the models of the open session on another recording.
+
+        Raises:
+            GyrocalError: there is no such recording, or no model to test on it.
+        """
+        self._session.validate_on(self._bag(number))
 
     def draw_task(self, seed: int | None = None) -> None:
         """Open a simulated recording with hidden effects.
@@ -100,6 +106,11 @@ class Workspace:
         self._worker.cancel()
         self._session.close()
         self._worker.close()
+
+    def _bag(self, number: int) -> Bag:
+        if not 0 <= number < len(self._bags):
+            raise GyrocalError('there is no such recording', where=str(number))
+        return self._bags[number]
 
     def _task(self, seed: int | None = None) -> HiddenEffectTask:
         return HiddenEffectTask(secrets.randbelow(SEEDS) if seed is None else seed, self._config)

@@ -30,6 +30,7 @@ FLAGS = (
 )
 LAPTOP, TABLET = {'width': 1440, 'height': 900}, {'width': 820, 'height': 1180}
 TIMEOUT_MS = 60_000
+GYROCAL = (sys.executable, '-m', 'gyrocal_ros.cli.main')
 SCREENSHOTS = os.environ.get('GYROCAL_SCREENSHOTS')
 """Folder for the screenshots of the documentation, if they are to be taken."""
 expect.set_options(timeout=TIMEOUT_MS)
@@ -46,17 +47,15 @@ def browser() -> Iterator[Browser]:
 class Studio:
     """A studio, started by the command."""
 
-    def __init__(self, bag: Path, out: Path, port: int = 0) -> None:
+    def __init__(self, *bags: Path, out: Path) -> None:
         self.out = out
-        command = [sys.executable, '-m', 'gyrocal_ros.cli.main', 'studio', str(bag), '-o', str(out)]
-        self._process = subprocess.Popen(
-            [*command, '--port', str(port), '--no-browser'], stderr=subprocess.PIPE, text=True
-        )
+        command = [*GYROCAL, 'studio', *map(str, bags), '-o', str(out), '--port', '0', '--no-browser']
+        self._process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         assert self._process.stderr is not None
         printed = self._process.stderr.readline()
-        found = re.search(r'http://127\.0\.0\.1:(\d+)/', printed)
+        found = re.search(r'http://127\.0\.0\.1:\d+/', printed)
         assert found, printed
-        self.address, self.port = found[0], int(found[1])
+        self.address = found[0]
 
     def kill(self) -> None:
         self._process.send_signal(signal.SIGKILL)
@@ -69,7 +68,7 @@ class Studio:
 
 @pytest.fixture(scope='module')
 def studio(uneven_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
-    studio = Studio(uneven_bag, tmp_path_factory.mktemp('studio'))
+    studio = Studio(uneven_bag, out=tmp_path_factory.mktemp('studio'))
     yield studio
     studio.end()
 
@@ -163,6 +162,8 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     errors: list[str] = []
     page.on('request', lambda request: hosts.add(urlsplit(request.url).netloc))
     page.on('console', lambda entry: errors.append(entry.text) if entry.type == 'error' else None)
+    command = [*GYROCAL, 'improve', str(uneven_bag), '--effect', HIDDEN, '--json']
+    by_command = subprocess.Popen(command, stdout=subprocess.PIPE)  # it ends while the page works
     page.goto(studio.address)
 
     # contents of the bag, and the worst stretch
@@ -196,9 +197,8 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     # adding it reduces the held-out error as on the command line
     page.locator('#add').click()
     expect(page.locator('#revisions')).to_contain_text(f'1_{HIDDEN}')
-    command = [sys.executable, '-m', 'gyrocal_ros.cli.main', 'improve', str(uneven_bag)]
-    done = subprocess.run([*command, '--effect', HIDDEN, '--json'], capture_output=True, check=True)
-    expected = [one['held_out_drift_deg']['rms'] for one in json.loads(done.stdout)['revisions']]
+    improved, _ = by_command.communicate()
+    expected = [one['held_out_drift_deg']['rms'] for one in json.loads(improved)['revisions']]
     shown = [drift_deg(page, '0_default'), drift_deg(page, f'1_{HIDDEN}')]
     assert shown == [pytest.approx(one, abs=0.0051) for one in expected]
     assert forecast == f'from {shown[0]:.2f} to {shown[1]:.2f} deg' and shown[1] < 0.1 * shown[0]
@@ -266,9 +266,9 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
 
 
 def test_an_unknown_law_is_learned_shown_added_and_removed(
-    browser: Browser, strange_bag: Path, tmp_path: Path
+    browser: Browser, strange_bag: Path, uneven_bag: Path, tmp_path: Path
 ) -> None:
-    law, studio = 'bias_curve:heading', Studio(strange_bag, tmp_path)
+    law, studio = 'bias_curve:heading', Studio(strange_bag, uneven_bag, out=tmp_path)
     page = browser.new_page(viewport=LAPTOP)
     page.set_default_timeout(TIMEOUT_MS)
     page.goto(studio.address)
@@ -286,6 +286,16 @@ def test_an_unknown_law_is_learned_shown_added_and_removed(
     page.locator('#add').click()
     expect(page.locator('#revisions')).to_contain_text('1_bias_curve_heading')
     assert drift_deg(page, '1_bias_curve_heading') < 0.1 * drift_deg(page, '0_default')
+
+    # on the recording of another robot
+    page.locator('#test summary').click()
+    page.locator('#other').click()
+    page.get_by_role('option', name='uneven', exact=True).click()
+    page.locator('#validate').click()
+    expect(page.locator('#validation')).to_contain_text('training: strange; test: uneven')
+    expect(page.locator('#validation')).to_contain_text('1_bias_curve_heading')
+    assert page.evaluate(OVERLAPS) == [] and not barriers(page)
+    screenshot(page, 'validated', '#history')
     page.locator('#undo').click()
     expect(page.locator('#revisions tr', has_text='1_bias_curve_heading')).to_contain_text('left out')
     page.close()
@@ -370,7 +380,7 @@ def test_a_killed_studio_is_reported_and_a_new_one_continues_its_session(
     expect(page.locator('#gone')).to_be_empty()
     studio.kill()
     expect(page.locator('#gone')).to_contain_text('does not answer')
-    again = Studio(uneven_bag, studio.out)
+    again = Studio(uneven_bag, out=studio.out)
     page.goto(again.address)
     expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text('present')
     expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')

@@ -139,6 +139,7 @@ class TestPage:
             'state': [
                 {'id': 'chosen', 'property': 'data', 'value': None},
                 {'id': 'right', 'property': 'value', 'value': None},
+                {'id': 'other', 'property': 'value', 'value': None},
             ],
             'changedPropIds': ['undo.n_clicks', 'write.n_clicks'],
         }

@@ -45,6 +45,7 @@ def test_another_robot_shows_that_it_has_other_coefficients(session: Session) ->
     pair = next(one for one in coefficient_pairs(found) if one.name == HIDDEN)
     assert pair.training == pytest.approx(SIZE, rel=0.02) and abs(pair.sigma) > 5.0
     assert found.drift.rms_deg > found.fitted.rms_deg
+    assert not pair.is_zero and replace(pair, training=0.0, test=0.0).is_zero
 
 
 def test_the_tables_name_training_and_test(session: Session) -> None:

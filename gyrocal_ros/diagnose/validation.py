@@ -42,6 +42,11 @@ class CoefficientPair:
         std = math.hypot(self.training_std, self.test_std)
         return (self.test - self.training) / std if std > 0.0 else math.nan
 
+    @property
+    def is_zero(self) -> bool:
+        """True if both recordings leave it within one standard deviation of zero."""
+        return abs(self.training) <= self.training_std and abs(self.test) <= self.test_std
+
 
 def validate(training: Calibration, run: Run, reference: tuple[Trajectory2D, str]) -> Validation:
     """Compare the coefficients of a training recording with a run over a test recording.

@@ -284,6 +284,7 @@ def validations(state: StudioState) -> list[Any]:
                 f'{pair.sigma:+.1f} sigma' if math.isfinite(pair.sigma) else '',
             )
             for pair in coefficient_pairs(last)
+            if not pair.is_zero
         ]
         training = f'training: {state.title}'
         parts += [
@@ -291,6 +292,7 @@ def validations(state: StudioState) -> list[Any]:
             _table(('revision', f'{training}; test: {recording}', f'fitted on {recording}'), drifts),
             html.H3(f'Coefficients of {label}'),
             _table(('coefficient', training, f'fitted on {recording}', 'difference'), coefficients),
+            html.P('Without those within one standard deviation of zero on both.', className='note'),
         ]
     return parts
 

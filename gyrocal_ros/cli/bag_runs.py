@@ -12,7 +12,7 @@ from gyrocal_ros.bag.check import check_bag
 from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.cli.figures import add_picture_options, check_pictures
 from gyrocal_ros.cli.options import add_bag_options, add_images_option, bag_options, read_config
-from gyrocal_ros.cli.output import progress, warn
+from gyrocal_ros.cli.output import print_message, progress
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
 from gyrocal_ros.ekf.run import Run
@@ -95,7 +95,7 @@ def open_bag_runs(args: argparse.Namespace, model: SensorModel) -> BagRuns:
     issues = check_bag(args.bag, config, **options).issues
     raise_first_error(issues, str(args.bag))
     for issue in worst_per_kind(issues):
-        warn(str(issue))
+        print_message(f'{issue.severity}: {issue}')
     source = open_bag(args.bag, config, with_covariates=True, **options)
     with _progress_bar('reading', source) as report:
         preloaded, config = preload(source, config, model, report)

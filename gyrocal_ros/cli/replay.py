@@ -21,10 +21,10 @@ from gyrocal_ros.cli.options import (
     bag_options,
     read_config,
 )
-from gyrocal_ros.cli.output import print_json, progress, warn
+from gyrocal_ros.cli.output import print_json, print_message, progress, warn
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.json_summary import summarise
-from gyrocal_ros.diagnose.status import DOES_NOT_FIT, Status
+from gyrocal_ros.diagnose.status import Status
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.effects.traits import followers_by_signal
 from gyrocal_ros.ekf.run import Run
@@ -105,7 +105,7 @@ def replay(
         issues = check_bag(bag, config, **options).issues
         raise_first_error(issues, str(bag))
         for issue in worst_per_kind(issues):
-            warn(str(issue))
+            print_message(f'{issue.severity}: {issue}')
         try:
             finished = _calibrate(bag, config, model, options, start)
         except FilterDivergedError as error:
@@ -152,9 +152,8 @@ def as_text(summary: dict[str, Any]) -> str:
     width = max(len(label) for label, _ in rows)
     lines = [f'{label:{width}}  {text}' for label, text in rows]
     status = Status(**summary['status'])
-    steps = [f'Next: {status.next_step}'] if status.next_step else []
-    ending = [DOES_NOT_FIT[0].upper() + DOES_NOT_FIT[1:]] if summary['misfits'] else steps
-    return '\n'.join([status_line(status), '', *lines, *(['', *ending] if ending else [])])
+    ending = ['', f'Next: {status.next_step}'] if status.next_step else []
+    return '\n'.join([status_line(status), '', *lines, *ending])
 
 
 def _convergence(summary: dict[str, Any]) -> str:

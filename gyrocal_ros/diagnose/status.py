@@ -34,7 +34,7 @@ CANNOT_TELL = (
     'This recording cannot tell whether an effect is missing: '
     'too few effects of the library would show in it.'
 )
-DOES_NOT_FIT = 'the model does not fit this recording: run gyrocal diagnose'
+DOES_NOT_FIT = 'the model does not fit this recording.'
 """The last words on a calibration that its own recording contradicts."""
 TOO_SHORT = 'The recording is too short to judge the model.'
 REPEAT = 'Diagnose a second recording: what is off there, too, is not chance.'

@@ -54,7 +54,7 @@ MARKS = ('session', 'bag', 'model', 'missing', 'forecast', 'validation', 'lesson
 
 
 def _header(titles: Sequence[str]) -> html.Header:
-    jumps = [html.A(f'{number} {title}', href=f'#{name}') for name, number, title in STEPS]
+    jumps = [html.A(f'{number} {title.partition(":")[0]}', href=f'#{name}') for name, number, title in STEPS]
     return html.Header(
         [
             html.Div(
@@ -63,7 +63,7 @@ def _header(titles: Sequence[str]) -> html.Header:
                     dcc.Dropdown(
                         id='recording',
                         options=_numbered(titles),
-                        placeholder='open another recording',
+                        placeholder='open another',
                         clearable=False,
                         style={'display': 'block' if len(titles) > 1 else 'none'},
                     ),

@@ -70,7 +70,10 @@ def still(t_s: float) -> ImuSample:
 
 
 def image(t_s: float, source: Frame | None = None) -> Frame:
-    return Frame(START_NS + nanoseconds(t_s), (source or frames()[0]).image)
+    """Return an image of a time; as on a camera, no two are equal in every pixel."""
+    picture = (source or frames()[0]).image.copy()
+    picture[0, 0] = round(100 * t_s) % 256
+    return Frame(START_NS + nanoseconds(t_s), picture)
 
 
 def show(live: LiveTracker, t_s: float, now_s: float | None = None) -> Tracked | None:

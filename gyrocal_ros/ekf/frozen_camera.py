@@ -10,8 +10,8 @@ from gyrocal_ros.data import FeatureObservations, MotionBlock
 
 MIN_FEATURES = 3
 """Smallest number of features that are not at the same places by chance."""
-MIN_TURN_RAD, MIN_TRAVEL_M = math.radians(0.5), 0.03
-"""Motion since an image after which another one shows its features elsewhere."""
+MIN_TURN_RAD, MIN_TRAVEL_M = math.radians(0.1), 0.005
+"""Motion since an image after which another one shows its features elsewhere, by about half a pixel."""
 FROZEN = 'images repeat the one before while the robot moves, so they are left out: is the camera frozen?'
 """Event of a run."""
 

@@ -7,7 +7,6 @@ previous image. Recordings are processed in exactly the same way.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,8 +33,6 @@ TWIST_STD_RAD = 1e-3
 """Standard deviation of the measured turn between two images."""
 FLOW_STD_PX_S = 10.0
 """Standard deviation of the change of the image motion since the last two images."""
-MIN_TURN_RAD = math.radians(0.5)
-"""Turn after which an image differs from the one before, unless the camera is frozen."""
 MIN_COMMON = 3
 """Minimum number of common features of two images for estimating the motion of the robot."""
 
@@ -52,15 +49,6 @@ class _TrackedImage:
     """Yaw by the uncorrected gyro."""
     yaw_error_rad: float
     """Corrected yaw minus the yaw of the images, since the start."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _NewImage:
-    """The last image that did not repeat the one before."""
-
-    image: NDArray[np.uint8]
-    yaw_rad: float
-    """Predicted yaw of the camera."""
 
 
 class GyroAidedTracker:
@@ -86,14 +74,14 @@ class GyroAidedTracker:
         self._camera, self._R_bc = camera, R_bc
         self._tracker = Tracker(camera, config, first_id)
         self._last: _TrackedImage | None = None
-        self._new: _NewImage | None = None
+        self._image: NDArray[np.uint8] | None = None
         self._flow_1_s: Array = np.zeros(2)
         self._gain_and_bias: Array = np.array([1.0, 0.0])
         self._information = np.diag([TURN_GAIN_STD**-2.0, TURN_BIAS_STD_RAD_S**-2.0])
 
     def restart(self) -> None:
         """Discard attitudes and regions after a step of the clock of the stamps."""
-        self.attitude, self.regions, self._last, self._new = GyroAttitude(), None, None, None
+        self.attitude, self.regions, self._last, self._image = GyroAttitude(), None, None, None
 
     def configure(self, config: TrackerConfig) -> None:
         """Apply other settings of the tracker."""
@@ -106,24 +94,22 @@ class GyroAidedTracker:
     def track(self, frame: Frame) -> FeatureObservations:
         """Find the features in the next image.
 
-        An image that repeats the one before although the camera turned repeats its features: the camera is
+        An image that repeats the one before repeats its features: either nothing moved, or the camera is
         frozen, and a search for them would follow the gyro.
 
         Raises:
             RecordingError: the size of the image differs from that of the camera.
         """
         last = self._last
+        if last and self._image is not None and np.array_equal(frame.image, self._image):
+            return replace(last.seen, t_ns=frame.t_ns)
+        self._image = frame.image
         before, yaw_rad = (last.nominal_yaw_rad, last.yaw_rad) if last else (0.0, 0.0)
         euler = self.attitude.at(frame.t_ns)
         roll, pitch, nominal_yaw_rad = (0.0, 0.0, before) if euler is None else euler
         if last and euler is not None:
             turn = np.array([nominal_yaw_rad - before, seconds(frame.t_ns - last.seen.t_ns)])
             yaw_rad += float(turn @ self._gain_and_bias)
-        if last and self._new is not None and np.array_equal(frame.image, self._new.image):
-            if abs(yaw_rad - self._new.yaw_rad) > MIN_TURN_RAD:
-                return replace(last.seen, t_ns=frame.t_ns)
-        else:
-            self._new = _NewImage(frame.image, yaw_rad)
         R_wc = rotation_from_euler(np.array([roll, pitch, yaw_rad])) @ self._R_bc
         self.expected = (
             None if euler is None else self._propagated_regions(frame.t_ns, R_wc, yaw_rad, nominal_yaw_rad)

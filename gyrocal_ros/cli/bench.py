@@ -19,6 +19,7 @@ from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
 from gyrocal_ros.bench.eyes import eyes
+from gyrocal_ros.bench.faults.soak import soak
 from gyrocal_ros.bench.faults.suite import KINDS, SEMANTIC, SOUND, faults
 from gyrocal_ros.bench.gate import BASELINE, Outcome, baseline_to_dict, gate, load_baseline, measure_baseline
 from gyrocal_ros.bench.growth import growth
@@ -38,9 +39,13 @@ from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, print_row, progress
 from gyrocal_ros.cli.provenance import provenance
 from gyrocal_ros.cli.scenario_options import MAX_DURATION_S
+from gyrocal_ros.config.robot_sections import LiveConfig
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.settings import DiagnosisSettings, differing, with_thresholds
+from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import GyrocalError, did_you_mean
 from gyrocal_ros.files import json_text, write_text_atomic
+from gyrocal_ros.robot.calibrator import LiveCalibrator
 from gyrocal_ros.sim.image_scenes import SCENES, find_scene
 
 EXAMPLE = """gyrocal bench
@@ -52,6 +57,7 @@ gyrocal bench blind --strangers --seeds 2
 gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
 gyrocal bench faults --seeds 2 --only clouds images
+gyrocal bench soak --seeds 6
 gyrocal bench fleet --only coverage effects
 gyrocal bench references --seeds 6 --only lidar effects
 gyrocal bench tracker --bag drive_with_images
@@ -70,6 +76,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'image_speed': lambda args: image_speed(args.bag),
     'growth': lambda args: growth(args.quick),
     'faults': lambda args: faults(args.seeds, args.only, main, quick=args.quick, report=print_message),
+    'soak': lambda args: soak(args.seeds, _start_calibrator),
     'fleet': lambda args: _fleet(args),
     'references': lambda args: references(args.seeds, args.only),
 }
@@ -96,7 +103,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     complete_with(what, BENCHES)
     parser.add_argument(
-        '--seeds', type=whole_number(1), default=20, help='number of recordings per case (default 20)'
+        '--seeds',
+        type=whole_number(1),
+        default=20,
+        help='number of recordings per case; for soak: of sessions of 5 minutes (default 20)',
     )
     parser.add_argument(
         '--quick', action='store_true', help='compare with the kept figures; with a name, its first case only'
@@ -208,6 +218,11 @@ def _refuse_wrong_scenes(args: argparse.Namespace) -> None:
 def _scenes(args: argparse.Namespace) -> tuple[str, ...]:
     """Return the scenes of the blind trials; none for trials without images."""
     return tuple(args.scenes or SCENES) if args.images else ()
+
+
+def _start_calibrator(file: Path, now_s: float) -> LiveCalibrator:
+    live = LiveConfig(calibration=str(file))
+    return LiveCalibrator(default_model(), Config(), live, name='bench', steady=True, now_s=now_s)
 
 
 def _blind(args: argparse.Namespace) -> Iterator[dict[str, Any]]:

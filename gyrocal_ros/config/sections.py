@@ -81,6 +81,24 @@ class WheelConfig:
         high=0.5,
         live=True,
     )
+    scale_std: float = setting(
+        0.005,
+        '1',
+        'standard deviation of the error of all distances, from which the map has its scale; only for the '
+        'published covariances of pose and map',
+        low=0.0,
+        high=0.5,
+        live=True,
+    )
+    floor_tilt_deg: float = setting(
+        0.1,
+        'deg',
+        'standard deviation of the slope of the floor at the start, about each axis; a usual tolerance is '
+        '4 mm over 1 m, 0.2 deg; only for the published covariances of pose and map',
+        low=0.0,
+        high=10.0,
+        live=True,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.effects.traits import followers_by_signal
 from gyrocal_ros.ekf.map import CeilingMap, ceiling_map
+from gyrocal_ros.ekf.map_frame import point_covariances
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.model.sensor import SensorModel
@@ -208,7 +210,11 @@ class LiveCalibrator:
     def ceiling_map(self) -> CeilingMap | None:
         """Return the mapped features as points; None while the filter is stopped."""
         slam = self._estimator.slam
-        return None if slam is None else ceiling_map(slam.state, slam.config.features.parametrisation)
+        if slam is None:
+            return None
+        ceiling = ceiling_map(slam.state, slam.config.features.parametrisation)
+        by_frame = point_covariances(ceiling.points_m, slam.config.wheels)
+        return replace(ceiling, covariances_m2=ceiling.covariances_m2 + by_frame)
 
     @property
     def has_work(self) -> bool:

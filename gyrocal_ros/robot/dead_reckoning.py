@@ -28,6 +28,7 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.ekf.effects_by_place import sort_effects
+from gyrocal_ros.ekf.map_frame import pose_covariance
 from gyrocal_ros.ekf.motion import GAP_NS, SPEED_SIGNAL, MotionBuffer
 from gyrocal_ros.ekf.predict import FilterModel, predict, with_pose
 from gyrocal_ros.ekf.start import inflate_after_gap
@@ -126,7 +127,8 @@ class DeadReckoning:
             t_ns=sample.t_ns,
             position_m=pose[:3],
             euler_rad=pose[3:],
-            pose_covariance=self.predicted.covariance[POSE, POSE],
+            pose_covariance=self.predicted.covariance[POSE, POSE]
+            + pose_covariance(np.array(pose[:3]), pose[5], self.config.wheels),
             speed_m_s=sample.speed_m_s,
             speed_variances=self._speed_variances(min(max(interval_s, 1e-3), 1.0)),
             rate_rad_s=self._rate,

@@ -9,5 +9,6 @@ documents    YAML files: models, settings, calibrations, metadata
 serial_line  bytes of the board
 semantic     sensors that are wrong while every message is valid
 kills        processes killed at random moments while they write
+soak         hours through the live calibrator, with a fault every minute
 suite        the cases, their outcomes and the table
 """

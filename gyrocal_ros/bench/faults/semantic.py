@@ -114,7 +114,7 @@ def _frozen(name: str, value: Any, at: Moment) -> Any:
     """Return the last value before the middle of the recording, from there on for `size` seconds."""
     if not 0.0 <= at.time_s - DURATION_S / 2.0 < at.size:
         at.memory[name] = value
-    return at.memory[name]
+    return at.memory.setdefault(name, value)
 
 
 def _is_paused(at: Moment) -> bool:
@@ -309,24 +309,33 @@ def write_faulty_recording(name: str, size: float, seed: int, folder: Path) -> t
 def _changed(
     source: SimSource, fault: SemanticFault, size: float, random: np.random.Generator
 ) -> Iterator[Measurement]:
-    camera = source.rig.camera
-    assert camera is not None
-    center, memory = np.array([camera.cx_px, camera.cy_px]), dict[str, Any]()
+    memory: dict[str, Any] = {}
     for sample in source.measurements():
-        at = Moment((sample.t_ns - source.span.start_ns) / NS_PER_S, size, random, memory)
-        if isinstance(sample, ImuSample):
-            if not fault.lost_imu(at):
-                rates = fault.rates(np.array(sample.rate_rad_s), at)
-                t_ns = sample.t_ns + nanoseconds(fault.imu_delay_s(at))
-                force = fault.forces(np.array(sample.specific_force_m_s2), at)
-                yield ImuSample(t_ns, (rates[0], rates[1], rates[2]), (force[0], force[1], force[2]))
-        elif isinstance(sample, FeatureObservations):
-            if not fault.lost_image(at):
-                pixels = center + fault.pixels(sample.pixels - center, at)
-                t_ns = sample.t_ns + nanoseconds(fault.image_delay_s(at))
-                yield replace(sample, t_ns=t_ns, ids=fault.ids(sample.ids, at), pixels=pixels)
-        elif isinstance(sample, WheelSample):
-            if not fault.lost_wheels(at):
-                yield WheelSample(sample.t_ns, *fault.wheels(sample.speed_m_s, sample.yaw_rate_rad_s, at))
-        else:
-            yield sample
+        time_s = (sample.t_ns - source.span.start_ns) / NS_PER_S
+        changed = faulty(sample, fault, Moment(time_s, size, random, memory), source.rig)
+        if changed is not None:
+            yield changed
+
+
+def faulty(sample: Measurement, fault: SemanticFault, at: Moment, rig: Rig) -> Measurement | None:
+    """Return what a faulty sensor measures in place of a sample; None where it is lost."""
+    assert rig.camera is not None
+    if isinstance(sample, ImuSample):
+        if fault.lost_imu(at):
+            return None
+        rates = fault.rates(np.array(sample.rate_rad_s), at)
+        t_ns = sample.t_ns + nanoseconds(fault.imu_delay_s(at))
+        force = fault.forces(np.array(sample.specific_force_m_s2), at)
+        return ImuSample(t_ns, (rates[0], rates[1], rates[2]), (force[0], force[1], force[2]))
+    if isinstance(sample, FeatureObservations):
+        if fault.lost_image(at):
+            return None
+        center = np.array([rig.camera.cx_px, rig.camera.cy_px])
+        pixels = center + fault.pixels(sample.pixels - center, at)
+        t_ns = sample.t_ns + nanoseconds(fault.image_delay_s(at))
+        return replace(sample, t_ns=t_ns, ids=fault.ids(sample.ids, at), pixels=pixels)
+    if isinstance(sample, WheelSample):
+        if fault.lost_wheels(at):
+            return None
+        return WheelSample(sample.t_ns, *fault.wheels(sample.speed_m_s, sample.yaw_rate_rad_s, at))
+    return sample

@@ -74,9 +74,17 @@ def test_the_fields_exist(type_name: str) -> None:
     field_reader(STORE, type_name, heading_conversion(type_name).fields, cdr=True)
 
 
-@pytest.mark.parametrize(('field', 'value'), [('yaw', YAW_RAD), ('heading_deg', math.degrees(YAW_RAD))])
-def test_a_yaw_field_is_in_degrees_if_its_name_says_so(field: str, value: float) -> None:
-    sample = heading_conversion('my_msgs/msg/State', field).build(0, 0, value)
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('state.yaw', YAW_RAD),
+        ('state.heading_deg', math.degrees(YAW_RAD)),
+        ('robot/yaw_degrees.vector.z', math.degrees(YAW_RAD)),
+        ('degraded.yaw', YAW_RAD),
+    ],
+)
+def test_a_yaw_field_is_in_degrees_if_its_name_says_so(name: str, value: float) -> None:
+    sample = heading_conversion('my_msgs/msg/State', parse_heading_name(name)).build(0, 0, value)
     assert sample.yaw_rad == pytest.approx(YAW_RAD)
 
 

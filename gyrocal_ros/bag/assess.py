@@ -38,8 +38,9 @@ MAX_RATE_RAD_S = 20.0
 """Limit of the turning rate of a robot on a floor; higher readings are probably in degrees."""
 MAX_TURN_RATIO, MIN_CORRELATION = 1.2, 0.85
 """Limits of the ratio and the correlation of the turns of two sensors that agree."""
-MIN_REFERENCE_CORRELATION = 0.7
-"""Correlation of turns below which a heading reference is unfit; below its negative, the sign is reversed."""
+MAX_REFERENCE_RATIO, MIN_REFERENCE_CORRELATION = 2.0, 0.7
+"""Ratio of turns beyond which, and correlation below which, a heading reference is unfit; below the negative
+of the correlation the sign is reversed."""
 MIN_FEATURES = 4.0
 """Minimum of the mean number of features per image."""
 AXES_ADVICE = 'publish its mounting on /tf_static, or correct the order of the axes in its driver or firmware'
@@ -249,7 +250,9 @@ def _turn_issues(scan: TopicScan, imu: TopicScan, compared: TurnComparison) -> I
         if scan.role is not Role.HEADING:
             todo = 'unfit as a heading reference; do the wheels slip?'
             yield _issue(scan, WARNING, 'turns_disagree', text, todo)
-        elif compared.correlation < MIN_REFERENCE_CORRELATION:
+        elif compared.correlation < MIN_REFERENCE_CORRELATION or not (
+            1.0 / MAX_REFERENCE_RATIO < compared.ratio < MAX_REFERENCE_RATIO
+        ):
             yield _issue(scan, ERROR, 'turns_disagree', text, 'unfit as a heading reference')
         else:
             todo = 'a noisy, drifting or late reference takes longer; give a better one if there is one'

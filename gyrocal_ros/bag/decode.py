@@ -125,7 +125,7 @@ class MessageDecoder:
     def _heading_decoder(self, topic: Topic) -> Decode:
         assert self._heading is not None
         if self._heading.frames is None:
-            conversion = heading_conversion(topic.type_name, self._heading.field)
+            conversion = heading_conversion(topic.type_name, self._heading)
             return self._set_headings(
                 topic,
                 self._field_decoder(

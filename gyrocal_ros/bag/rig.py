@@ -225,7 +225,7 @@ def _turn_opposite(storage: Storage, imu: Topic, R_bi: Array, poses: list[Headin
 def _first_headings(storage: Storage, topic: Topic, name: HeadingName) -> list[HeadingSample]:
     """Return the headings of a reference over the first `TURN_COMPARISON_NS`."""
     if name.frames is None:
-        conversion = heading_conversion(topic.type_name, name.field)
+        conversion = heading_conversion(topic.type_name, name)
         found = _first_samples(storage, topic, conversion, TURN_COMPARISON_NS)
         return [sample for sample in found if math.isfinite(sample.yaw_rad)]
     frames, samples = FrameHeading(*name.frames), list[HeadingSample]()

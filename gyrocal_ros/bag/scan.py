@@ -129,7 +129,7 @@ def scan_bag(
         elif role is Role.HEADING:
             if selection.heading is None or selection.heading.frames:
                 continue  # transforms have no stamp of their own
-            conversion = heading_conversion(topic.type_name, selection.heading.field)
+            conversion = heading_conversion(topic.type_name, selection.heading)
             fields, handle = conversion.fields, _heading_handler(scan, conversion)
         elif role is Role.FEATURES:
             fields, handle = (*STAMP_FIELDS, 'width'), _feature_handler(scan)

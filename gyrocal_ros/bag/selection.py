@@ -306,10 +306,9 @@ def _missing_topics(
 
     if Role.IMU not in selected:
         yield missing(Role.IMU, 'there is no IMU')
-    if Role.WHEELS not in selected:
-        severity = Severity.NOTE if options.heading_reference else Severity.ERROR
-        yield missing(Role.WHEELS, 'there is no wheel odometry', severity=severity)
     if options.heading_reference:
+        if Role.WHEELS not in selected:
+            yield missing(Role.WHEELS, 'there is no wheel odometry', severity=Severity.NOTE)
         if Role.HEADING in selected and selected[Role.HEADING] == selected.get(Role.TRUTH):
             yield BagIssue(
                 Severity.ERROR,
@@ -326,6 +325,8 @@ def _missing_topics(
         yield missing(Role.IMAGE, 'there is no ceiling camera', todo)
     elif Role.CAMERA_INFO not in selected:
         yield missing(Role.CAMERA_INFO, 'the camera has no calibration')
+    if Role.WHEELS not in selected:
+        yield missing(Role.WHEELS, 'there is no wheel odometry')
 
 
 def _suggest_topic(topics: Mapping[str, Topic], selected: Mapping[Role, Topic], role: Role) -> str:

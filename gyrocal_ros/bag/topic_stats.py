@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,6 +27,10 @@ MIN_BIN_TURN_RAD = math.radians(3.0) * BIN_NS / NS_PER_S
 """Threshold above which a bin counts as turning: above what gyro drift and an uneven floor cause."""
 MIN_COMMON_BINS = 10
 """Minimum number of common bins for comparing two sensors."""
+AGREEING_CORRELATION = 0.95
+"""Correlation from which two sensors are not compared in other ways."""
+JOINED_BINS, MAX_LAG_BINS = (1, 4, 8), 2
+"""Numbers of bins that are joined, and by how many a sensor is moved, where they do not agree."""
 MIN_RMS_TURN_RAD = math.radians(0.5)
 """Standard deviation of the turn in a bin that one of two sensors must reach for comparing them."""
 MIN_AXIS_CORRELATION = 0.9
@@ -252,13 +257,34 @@ class TurnComparison:
 def compare_turns(this: TurnStats, other: TurnStats) -> TurnComparison | None:
     """Compare two sensors over their common time.
 
+    A rare one is compared over longer bins. Where they do not agree, other bins and delays of up to a second
+    are tried: a late sensor is no wrong one.
+
     Returns:
-        The comparison; None if the common time is too short, if neither sensor turned enough, or if the
-        turn of one of them is the same in all bins.
+        The comparison with the largest correlation; None if the common time is too short, if neither sensor
+        turned enough, or if the turn of one of them is the same in all bins.
     """
-    common = sorted(this.bins_rad.keys() & other.bins_rad.keys())
-    a = np.array([this.bins_rad[number] for number in common])
-    b = np.array([other.bins_rad[number] for number in common])
+    spacing = max(_spacing(this), _spacing(other))
+    widths = [joined for joined in JOINED_BINS if spacing == 1 or joined >= 4 * spacing] or JOINED_BINS[-1:]
+    best = _compare(this, other, widths[0], 0)
+    if best is None or abs(best.correlation) > AGREEING_CORRELATION:
+        return best
+    lags = range(-MAX_LAG_BINS, MAX_LAG_BINS + 1)
+    moved = (_compare(this, other, joined, lag) for joined in widths for lag in lags)
+    return max(filter(None, (best, *moved)), key=lambda item: abs(item.correlation))
+
+
+def _spacing(turns: TurnStats) -> int:
+    """Return the distance of bins with samples: more than 1 where samples are rare, some gaps aside."""
+    steps = np.diff(sorted(turns.bins_rad))
+    return int(np.quantile(steps, 0.9)) if len(steps) else 1
+
+
+def _compare(this: TurnStats, other: TurnStats, joined: int, lag: int) -> TurnComparison | None:
+    """Compare two sensors over bins of which some are joined, the other one moved by a number of bins."""
+    first, second = _joined(this.bins_rad, joined, 0), _joined(other.bins_rad, joined, lag)
+    common = sorted(first.keys() & second.keys())
+    a, b = np.array([first[number] for number in common]), np.array([second[number] for number in common])
     if len(common) < MIN_COMMON_BINS:
         return None
     a, b = a - a.mean(), b - b.mean()
@@ -272,3 +298,12 @@ def compare_turns(this: TurnStats, other: TurnStats) -> TurnComparison | None:
         this_deg=math.degrees(sum(this.left_right_rad)),
         other_deg=math.degrees(sum(other.left_right_rad)),
     )
+
+
+def _joined(bins_rad: Mapping[int, float], joined: int, lag: int) -> dict[int, float]:
+    """Return the turns in bins of several, those that are at least half complete."""
+    turns, counts = defaultdict[int, float](float), defaultdict[int, int](int)
+    for number, turn in bins_rad.items():
+        turns[(number + lag) // joined] += turn
+        counts[(number + lag) // joined] += 1
+    return {number: turn for number, turn in turns.items() if 2 * counts[number] >= joined}

@@ -7,6 +7,7 @@ in degrees if the name of the field says so; or by `tf:PARENT:CHILD` for the hea
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
@@ -45,6 +46,9 @@ class HeadingName:
     """Parent and child for the heading of a frame on `/tf`."""
 
 
+UNNAMED = HeadingName('')
+
+
 def parse_heading_name(text: str) -> HeadingName:
     """Parse `TOPIC`, `TOPIC.field` or `tf:PARENT:CHILD`.
 
@@ -62,10 +66,11 @@ def parse_heading_name(text: str) -> HeadingName:
     return HeadingName(topic, field)
 
 
-def heading_conversion(type_name: str, field: str = '') -> FieldConversion[HeadingSample]:
+def heading_conversion(type_name: str, name: HeadingName = UNNAMED) -> FieldConversion[HeadingSample]:
     """Return the conversion of messages of a type, one of `HEADING_TYPES`, or of any with a yaw field."""
-    if field:
-        return FieldConversion((*STAMP_FIELDS, field), _by_yaw(math.radians(1.0) if _is_deg(field) else 1.0))
+    if name.field:
+        unit_rad = math.radians(1.0) if _is_in_degrees(name) else 1.0
+        return FieldConversion((*STAMP_FIELDS, name.field), _by_yaw(unit_rad))
     if type_name == MAGNETIC_FIELD:
         return FieldConversion((*STAMP_FIELDS, 'magnetic_field.x', 'magnetic_field.y'), _by_field)
     orientation = ORIENTATIONS[type_name]
@@ -76,8 +81,9 @@ def _by_yaw(unit_rad: float) -> Callable[[int, int, float], HeadingSample]:
     return lambda sec, nanosec, yaw: HeadingSample(sec * NS_PER_S + nanosec, yaw * unit_rad)
 
 
-def _is_deg(field: str) -> bool:
-    return any(word in ('deg', 'degree', 'degrees') for word in field.lower().replace('.', '_').split('_'))
+def _is_in_degrees(name: HeadingName) -> bool:
+    words = re.split(r'[^a-z]+', f'{name.topic} {name.field}'.lower())
+    return any(word in ('deg', 'degree', 'degrees') for word in words)
 
 
 def _by_field(sec: int, nanosec: int, x: float, y: float) -> HeadingSample:

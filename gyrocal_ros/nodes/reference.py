@@ -61,7 +61,7 @@ class ReferenceSubscription:
             published = f'publishes {types[0]}, which has no heading' if types else 'is not published yet'
             self.problem = f'heading reference {topic} {published}'
             return
-        conversion = heading_conversion(fitting[0], self._name.field)
+        conversion = heading_conversion(fitting[0], self._name)
 
         def take(message: Any) -> None:
             self._take(conversion.value(message), time.monotonic())

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -217,8 +218,15 @@ def test_demo_finds_the_true_scale_factor(
 def test_the_drift_of_a_single_span_is_reported_as_such(worst: float, text: str) -> None:
     names = ('scale_factor', 'scale_factor_std', 'scale_factor_volt', 'bias', 'bias_std', 'heading_rms_deg')
     status = {'level': 'yellow', 'sentence': 'Not calibrated yet.', 'next_step': 'Record more turns.'}
-    summary = dict.fromkeys(names, 0.1) | {'coefficients': {}, 'converged': False, 'misfits': []}
-    printed = as_text(summary | {'status': status, 'blind_drift_deg': {'rms': 0.2, 'max': worst}})
+    summary: dict[str, Any] = dict.fromkeys(names, 0.1) | {
+        'coefficients': {},
+        'converged': False,
+        'convergence_time_s': None,
+    }
+    drift = {'rms': 0.2, 'max': worst, 'from_s': 10.0}
+    printed = as_text(summary | {'status': status, 'blind_drift_deg': drift})
+    late = summary | {'status': status, 'blind_drift_deg': drift, 'convergence_time_s': 17.0}
+    assert 'before the gyro was calibrated' in as_text(late) and 'before the' not in printed
     assert text in printed and printed.startswith('[yellow] Not calibrated yet.')
     assert printed.endswith('Next: Record more turns.')
 

@@ -20,7 +20,7 @@ from gyrocal_ros.config.parameter_file import load_config
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import seconds
 from gyrocal_ros.diagnose.comparison import compare
-from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning, heading_error
+from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning, heading_error, held_out_from_s
 from gyrocal_ros.diagnose.json_summary import summarise
 from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.run_series import (
@@ -415,7 +415,11 @@ class TestStatus:
 
 def test_a_calibration_and_a_comparison_have_the_same_drift(run: Run) -> None:
     drift = compare({'default': run}).results[0].drift
-    assert summarise(run, conclude(run))['blind_drift_deg'] == {'rms': drift.rms_deg, 'max': drift.max_deg}
+    assert summarise(run, conclude(run))['blind_drift_deg'] == {
+        'rms': drift.rms_deg,
+        'max': drift.max_deg,
+        'from_s': held_out_from_s(run),
+    }
 
 
 @pytest.mark.parametrize(('sigma', 'text'), [(7.46, '7.5'), (30.0, '30.0'), (37.0, '> 30'), (math.nan, '-')])

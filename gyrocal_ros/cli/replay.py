@@ -149,6 +149,8 @@ def as_text(summary: dict[str, Any]) -> str:
             else:
                 size = f'{drift["rms"]:.2f} deg rms, {drift["max"]:.2f} at worst'
             rows.append(('blind drift', f'{size}, {after}'))
+            if drift['from_s'] < (summary['convergence_time_s'] or 0.0):
+                rows.append(('', f'(spans from {drift["from_s"]:.0f} s on, before the gyro was calibrated)'))
     width = max(len(label) for label, _ in rows)
     lines = [f'{label:{width}}  {text}' for label, text in rows]
     status = Status(**summary['status'])

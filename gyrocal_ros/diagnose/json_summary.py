@@ -63,9 +63,10 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
         summary['mount_tilt_deg'] = {'value': angle_deg, 'std': std_deg}
     heading_rms = heading_rms_deg(run)
     if heading_rms is not None:
-        drift = blind_drift(run, from_s=held_out_from_s(run))
+        from_s = held_out_from_s(run)
+        drift = blind_drift(run, from_s=from_s)
         summary['heading_rms_deg'] = heading_rms
-        summary['blind_drift_deg'] = {'rms': drift.rms_deg, 'max': drift.max_deg}
+        summary['blind_drift_deg'] = {'rms': drift.rms_deg, 'max': drift.max_deg, 'from_s': from_s}
     return summary
 
 

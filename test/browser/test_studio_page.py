@@ -29,6 +29,9 @@ FLAGS = (
     '--no-first-run',
 )
 LAPTOP, TABLET = {'width': 1440, 'height': 900}, {'width': 820, 'height': 1180}
+SIZES = ((1440, 900), (1920, 1080), (800, 1100))
+"""Widths and heights of windows: a laptop, a desk, and a small one."""
+THEMES: tuple[Literal['light', 'dark'], ...] = ('light', 'dark')
 TIMEOUT_MS = 60_000
 GYROCAL = (sys.executable, '-m', 'gyrocal_ros.cli.main')
 SCREENSHOTS = os.environ.get('GYROCAL_SCREENSHOTS')
@@ -258,9 +261,9 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     assert not errors
 
     # for everybody: the page and its report
-    for scheme in ('light', 'dark'):
-        page.emulate_media(color_scheme=scheme)
-        assert not barriers(page), scheme
+    for theme in THEMES:
+        page.emulate_media(color_scheme=theme)
+        assert not barriers(page), theme
     page.goto((folder / 'report' / 'report.html').as_uri())
     assert not barriers(page)
 
@@ -343,21 +346,19 @@ def test_the_theme_can_be_changed_and_the_page_fits_a_tablet(page: Page, studio:
     assert page.evaluate('document.documentElement.scrollWidth') <= TABLET['width']
 
 
-@pytest.mark.parametrize('theme', ['light', 'dark'])
-@pytest.mark.parametrize('width, height', [(1440, 900), (1920, 1080), (800, 1100)])
-def test_nothing_overlaps_or_is_clipped(
-    browser: Browser, studio: Studio, width: int, height: int, theme: Literal['light', 'dark']
-) -> None:
-    page = browser.new_page(viewport={'width': width, 'height': height}, color_scheme=theme)
+def test_nothing_overlaps_or_is_clipped(page: Page, studio: Studio) -> None:
     page.goto(studio.address)
     for name in ('model-figure', 'residual-figure', 'history-figure'):
         expect(page.locator(f'#{name} svg text').first).to_be_visible()
-    page.wait_for_timeout(500)
-    assert page.evaluate(OVERLAPS) == []
-    chart = page.locator('#history-figure').bounding_box()
-    assert chart is not None and chart['height'] >= 200.0
-    screenshot(page, f'studio_{width}_{theme}')
-    page.close()
+    for width, height in SIZES:
+        page.set_viewport_size({'width': width, 'height': height})
+        page.wait_for_timeout(500)  # the figures follow the window
+        for theme in THEMES:
+            page.emulate_media(color_scheme=theme)
+            assert page.evaluate(OVERLAPS) == [], (width, theme)
+            chart = page.locator('#history-figure').bounding_box()
+            assert chart is not None and chart['height'] >= 200.0, (width, theme)
+            screenshot(page, f'{width}_{theme}')
 
 
 def test_all_controls_can_be_reached_by_the_keyboard(page: Page, studio: Studio) -> None:

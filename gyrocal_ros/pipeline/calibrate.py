@@ -97,7 +97,8 @@ def _require_observable(run: Run) -> None:
         raise NotObservableError(
             'no image feature and no reference heading could be used',
             where=run.source,
-            todo='record the ceiling camera uncovered, or name a `--heading-reference`',
+            todo='record the ceiling camera uncovered, with a tracker that keeps the ids of its features, or '
+            'name a `--heading-reference`',
         )
     turns_rad = history.turn_rad + history.mean[:, YAW_BIAS] * history.dt_s
     turned_rad = float(np.abs(turns_rad[history.resting == 0]).sum())

@@ -9,15 +9,24 @@ import numpy as np
 import pytest
 from synthetic import DT_S, TOP_DEG_S, Drive, banded, drive, readings, readings_of, turning_rad_s
 
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
+from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.rate_deadband import RateDeadband
 from gyrocal_ros.effects.rate_saturation import MIN_TOP_S, OUTLIERS, RateSaturation
 from gyrocal_ros.model.recording import GyroReadings
 from gyrocal_ros.model.sensor import LimitEffect, with_means
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import preload
+from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
 
 HZ = 100.0
 TOP = math.radians(85.0)
@@ -31,7 +40,7 @@ def deg(value: float) -> float:
 def proposed(
     made: Drive, structure_gain: float = 0.0, rival_gain: float = 0.0, has_jumped: bool = False
 ) -> list[LimitProposal]:
-    others = Competition(structure_gain, rival_gain, has_jumped)
+    others = Competition(structure_gain, rival_gain, structure_gain > 0.0, has_jumped)
     return list(propose_limits(made.run, made.seen, readings_of(made), others, DEFAULT_SETTINGS))
 
 
@@ -118,14 +127,19 @@ class TestProposals:
         assert proposal.effect.name == 'rate_saturation' and not proposal.is_certain
         assert proposal.effect.coefficients[0].prior_mean == pytest.approx(TOP, rel=1e-3)
 
-    def test_no_limit_where_something_else_explains_far_more(self) -> None:
-        assert proposed(self.saturated(), rival_gain=1e9) == []
-
-    def test_headings_are_no_test_where_the_map_is_spoilt_and_nothing_explains_it(self) -> None:
-        made = drive()
-        assert proposed(made) == []
-        (proposal,) = proposed(made, structure_gain=100.0)
+    def test_a_limit_is_tried_whatever_else_explains(self) -> None:
+        """A run of the filter with each decides."""
+        (proposal,) = proposed(self.saturated(), rival_gain=1e9)
         assert proposal.effect.name == 'rate_saturation' and not proposal.is_certain
+
+    def test_headings_are_no_test_where_the_map_is_spoilt(self) -> None:
+        """They agree with the gyro then, but the wheels turn further."""
+        made = self.saturated()
+        spoilt = replace(made, seen=replace(made.seen, seen_rad=np.cumsum(made.seen.turn_rad)))
+        assert proposed(spoilt) == []
+        (proposal,) = proposed(spoilt, structure_gain=100.0)
+        assert proposal.effect.name == 'rate_saturation' and not proposal.is_certain
+        assert proposed(drive(), structure_gain=100.0) == [], 'the wheels agree with the gyro'
 
     def test_a_robot_with_one_speed_of_turning_is_not_saturated(self) -> None:
         made = drive()
@@ -193,3 +207,18 @@ def test_limits_that_may_break_the_filter_are_detected_without_a_run() -> None:
 def test_a_limit_is_known_not_estimated(name: str) -> None:
     (item,) = with_means(find_effect(name), (1.5,)).coefficients
     assert item.prior_mean == 1.5 and item.prior_std == 0.0
+
+
+@pytest.mark.slow
+def test_a_limit_wins_against_an_effect_that_explains_nearly_as_much() -> None:
+    """A minute at five images a second, with eight steps at the limit."""
+    limit = 1.4825
+    scenario = replace(find_scenario('cleaning'), duration_s=60.0, imu_hz=100, camera_hz=5)
+    hidden = (HiddenEffect(find_effect('rate_saturation'), (limit,)),)
+    source, config = preload(SimSource(scenario, 5, hidden=hidden), Config(), default_model())
+    recorded = summarise_recording(source)
+    searched = find_missing(
+        default_model(), recorded, lambda model, tried: calibrate(source, config, model, candidates=tried)
+    )
+    (found,) = diagnose(searched, recorded).missing
+    assert found.effect.name == 'rate_saturation' and found.values[0] == pytest.approx(limit, rel=1e-3)

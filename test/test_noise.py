@@ -15,7 +15,8 @@ from gyrocal_ros.data import Array, MotionBlock, Source
 from gyrocal_ros.diagnose.additions import addition
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.examined import examine, with_effect
-from gyrocal_ros.diagnose.noise import find_missing, fit_noises
+from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.noise_fit import fit_noises
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
 from gyrocal_ros.effects import default_model, find_effect
@@ -101,7 +102,7 @@ def test_noise_is_a_verdict_of_its_own() -> None:
 @pytest.mark.slow
 def test_a_bias_that_jumps_to_and_fro_is_noise() -> None:
     """It drifts more with the noise, for the bias is followed faster, but no more than the noise explains."""
-    source = recording('', seconds=60.0, also=(HiddenEffect(TwoLevels(), (0.6 * DEG,)),))
+    source = recording('', seconds=80.0, also=(HiddenEffect(TwoLevels(), (0.6 * DEG,)),))
     found = diagnosed(source)
     assert found.verdict == 'noise' and [item.effect.name for item in found.missing] == ['bias_instability']
 
@@ -129,6 +130,6 @@ def test_noise_raises_the_drift_only_beyond_what_it_explains(monkeypatch: pytest
 
 @pytest.mark.slow
 def test_an_unknown_law_is_not_taken_for_noise() -> None:
-    found = diagnosed(recording('stranger_heading', 0.3 * DEG, 0.7, seconds=60.0))
+    found = diagnosed(recording('stranger_heading', 0.3 * DEG, 0.7, seconds=80.0))
     assert found.verdict in ('unexplained', 'cannot_tell')
     assert not any(item.effect.acts_on == 'noise' for item in found.missing)

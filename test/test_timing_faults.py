@@ -50,12 +50,14 @@ def examined_with(offsets_s: Array, jitter_s: float, effects: tuple[str, ...]) -
     dof = np.full(len(turning), 20)
     nis = dof + np.where(turning, excess / turning.sum(), 0.0)
     run = replace(made.run, history=replace(history, nis=nis, dof=dof))
+    seen = headings(run, DEFAULT_SETTINGS)
+    late_rad = jitter_s * rng.normal(size=len(turning)) * history.turn_rad / history.dt_s
     return ExaminedModel(
         model=default_model(),
         run=run,
         scores=scores,
         ranked=tuple(rank(scores, DEFAULT_SETTINGS)),
-        seen=headings(run, DEFAULT_SETTINGS),
+        seen=replace(seen, seen_rad=seen.seen_rad + late_rad),
         unexplained_structure=None,
         settings=DEFAULT_SETTINGS,
     )
@@ -81,6 +83,15 @@ def test_stamps_that_jitter() -> None:
     fault = timing_fault(examined_with(np.zeros(BLOCKS), 0.02, BOTH))
     assert fault is not None and fault.kind == 'jitters'
     assert fault.std_s == pytest.approx(0.02, rel=0.1) and 'jitter by about 20 ms' in str(fault)
+
+
+def test_noise_that_grows_with_the_rate_is_no_jitter() -> None:
+    """It is as large in turns, and as white, but it stays in the heading."""
+    examined = examined_with(np.zeros(BLOCKS), 0.02, BOTH)
+    seen = headings(examined.run, DEFAULT_SETTINGS)
+    noise_rad = 0.02 * np.random.default_rng(3).normal(size=len(seen.dt_s)) * seen.turn_rad / seen.dt_s
+    noisy = replace(seen, seen_rad=seen.seen_rad + np.cumsum(noise_rad))
+    assert timing_fault(replace(examined, seen=noisy)) is None
 
 
 @pytest.mark.parametrize('offsets_s', [CONSTANT_S, np.zeros(BLOCKS)])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidates import candidates_for
 from gyrocal_ros.diagnose.heading_filter import Headings, headings
+from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.ranking import RankedEffect, rank, with_estimate
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, confirmed, unexplained_structure
@@ -66,6 +67,11 @@ def examine(
     most_gained = max((item.fit.gain for item in ranked), default=0.0)
     structure = confirmed(unexplained_structure(run, seen, settings), most_gained, settings)
     return ExaminedModel(model, run, scores, ranked, seen, structure, settings)
+
+
+def contradicts(examined: ExaminedModel) -> bool:
+    """Return True if the recording contradicts a model, whatever it lacks."""
+    return examined.unexplained_structure is not None or model_fit(examined.run).fits is False
 
 
 def wider_model(present: ExaminedModel, effect: Effect) -> SensorModel:

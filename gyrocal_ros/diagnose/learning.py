@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate
-from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, contradicts, examine, with_effect
 from gyrocal_ros.diagnose.hypotheses import (
     Law,
     RankedLaw,
@@ -18,7 +18,6 @@ from gyrocal_ros.diagnose.hypotheses import (
     laws,
     rank_laws,
 )
-from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.learned.step import Step
@@ -83,8 +82,7 @@ def learn(
 
 def is_missing_something(present: ExaminedModel) -> bool:
     """Return True if the recording contradicts a model, whatever it lacks; not where stamps are at fault."""
-    contradicts = present.unexplained_structure is not None or model_fit(present.run).fits is False
-    return contradicts and timing_fault(present) is None
+    return contradicts(present) and timing_fault(present) is None
 
 
 def likeliest_law(

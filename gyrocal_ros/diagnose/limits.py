@@ -40,6 +40,8 @@ class Competition:
     """Log-likelihood gain of the unexplained structure; zero where there is none."""
     rival_gain: float
     """Log-likelihood gain of the best other effect; zero where none is significant."""
+    contradicts: bool = False
+    """True if the recording contradicts the model, whatever it lacks."""
     has_jumped: bool = False
     """True if the unexplained structure is a jump of the bias, which no limit causes."""
 
@@ -87,17 +89,27 @@ def _is_confirmed(
     others: Competition,
     settings: DiagnosisSettings,
 ) -> bool:
-    """Return True if the headings confirm a limit: the turns differed from the readings in its direction.
+    """Return True if the wheels and the headings confirm a limit, so that a run has to decide.
 
-    A limit that may break the filter spoils the map, and the headings with it. Then there is much
-    unexplained structure, nothing else explains it, and the headings are no test.
+    Both have to turn faster than the readings at the limit. A limit that may break the filter spoils the map,
+    and the headings with it: where the recording contradicts the model, the headings are no test.
     """
-    if may_break_the_filter(effect) and others.rival_gain == 0.0 and others.structure_gain > 0.0:
-        return True
-    fitted = _fit_beside_scale(run, seen, _rate_error(effect, limit, run, readings))
-    if fitted is None or float(fitted.values[0]) <= 0.0:
-        return False
-    return fitted.gain > max(settings.limit_heading_gain, settings.limit_rival_part * others.rival_gain)
+    error = _rate_error(effect, limit, run, readings)
+    if may_break_the_filter(effect):
+        if not _wheels_turn_further(run, error, settings.limit_wheel_part * limit):
+            return False
+        if others.contradicts:
+            return True
+    fitted = _fit_beside_scale(run, seen, error)
+    return fitted is not None and float(fitted.values[0]) > 0.0 and fitted.gain > settings.limit_heading_gain
+
+
+def _wheels_turn_further(run: Run, error_rad_s: Array, least_rad_s: float) -> bool:
+    """Return True if the wheels turn faster, relative to the gyro, where an error (s,) is suspected."""
+    history = run.history
+    columns = np.stack([error_rad_s, history.turn_rad / history.dt_s, np.ones_like(error_rad_s)], axis=1)
+    values = np.linalg.lstsq(columns, history.wheel_turn_rad / history.dt_s, rcond=None)[0]
+    return bool(values[0] > least_rad_s)
 
 
 def _hidden_by_noise(

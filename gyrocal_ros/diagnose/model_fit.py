@@ -48,6 +48,11 @@ def model_fit(run: Run) -> ModelFit:
     return ModelFit(tuple(_misfits(run, scatter, drift)), is_judged)
 
 
+def excess_nis(run: Run) -> float:
+    """Return the sum of the NIS over a run less its degrees of freedom; about zero where the model fits."""
+    return float((run.history.nis - run.history.dof).sum())
+
+
 def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
     """Return the rms blind drift that noise explains; NaN where there is no span.
 

@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.additions import Addition, Search
+from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.elimination import eliminate
-from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
-from gyrocal_ros.diagnose.heading_filter import Headings, heading_log_likelihood
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model, with_effect
+from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood
 from gyrocal_ros.diagnose.learning import is_missing_something, likeliest_law
 from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import white_noise
-from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.traits import is_noise
-from gyrocal_ros.ekf.process_noise import YawNoise, yaw_noise_of
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
-from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
+from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.statistics import chi_square_tail, sigma_of
 
 MIN_GAIN = 25.0
@@ -34,21 +30,10 @@ JUMP_PART = 0.7
 """Part of the gain of a noise above which a single jump of the bias is preferred to it."""
 RIVAL_PART = 0.85
 """Part of the best gain above which another noise is tried, where the robot drifts more with the best."""
+EFFECT_PART = 0.5
+"""Part of the gain of a noise from which the best effect, significant or not, gets a run beside it."""
 SHOWN_NOISE = 3.0
 """Noise of the readings, relative to the settings, from which they show it; twice is common among parts."""
-STRIDES = (8, 4, 2, 1)
-"""Distances between sizes of a scan that are tried, one after the other: the likelihood has one maximum."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NoiseFit:
-    """A noise of the size that makes the headings likeliest."""
-
-    effect: Effect
-    gain: float
-    """Log-likelihood of the headings gained."""
-    std: float
-    """Standard deviation of the size, by the curvature of the log-likelihood."""
 
 
 def find_missing(
@@ -61,11 +46,6 @@ def find_missing(
     """Find what a model lacks: effects, or noise where nothing else explains the recording; see `search`."""
     searched = or_noise(search(model, recording, calibrate, most, settings), recording, calibrate, most)
     return eliminate(searched, recording, calibrate)
-
-
-def fit_noises(present: ExaminedModel) -> list[NoiseFit]:
-    """Fit each noise that a model lacks to the headings of its run, the likeliest first."""
-    return sorted(_fits(present), key=lambda item: item.gain, reverse=True)
 
 
 def or_noise(
@@ -108,12 +88,18 @@ def or_noise(
 
 
 def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> bool:
-    """Return True if neither what was found, nor an unknown law, predicts as well as a noise."""
+    """Return True if neither what was found, nor any effect or unknown law, predicts as well as a noise."""
     gain = predictive_gain(searched.last.run, found.after.run)
-    if float(gain.sum() - gain.max()) < MIN_GAIN or model_fit(found.after.run).fits is False:
+    if float(gain.sum() - gain.max()) < MIN_GAIN or model_fit(found.after.run).fits is not True:
         return False
-    law = likeliest_law(searched.first, recording, calibrate)
-    return law is None or float(predictive_gain(found.after.run, law.after.run).sum()) < MIN_GAIN
+    first = searched.first
+    rivals = [likeliest_law(first, recording, calibrate)]
+    best = max(first.ranked, key=lambda item: item.fit.gain, default=None)
+    if best is not None and best.fit.gain > EFFECT_PART * found.predictive_gain:
+        with suppress(FilterDivergedError):
+            wider = examine(wider_model(first, best.effect), recording, calibrate, first.settings)
+            rivals.append(addition(first, wider))
+    return all(rival is None or rival.predictive_gain < found.predictive_gain for rival in rivals)
 
 
 def _first_kept(
@@ -137,56 +123,6 @@ def _reads_noisily(present: ExaminedModel, recording: RecordingSummary) -> bool:
     """
     expected_rad_s = math.radians(present.run.config.gyro.rate_noise_deg_s)
     return white_noise(recording.readings) > SHOWN_NOISE * expected_rad_s
-
-
-def _fits(present: ExaminedModel) -> Iterator[NoiseFit]:
-    have = {effect.name for effect in present.model.effects}
-    without = heading_log_likelihood(present.seen)
-    for effect in EFFECTS.values():
-        if is_noise(effect) and effect.name not in have:
-            yield _fitted(present, effect, without)
-
-
-def _fitted(present: ExaminedModel, effect: Effect, without: float) -> NoiseFit:
-    """Climb to the likeliest size of the scan in ever smaller strides, from the best of a coarse grid."""
-    sizes = effect.coefficients[0].scan
-    gains: dict[int, float] = {}
-    places = [*range(0, len(sizes), STRIDES[0])]
-    for finer in (*STRIDES[1:], 0):
-        gains |= {place: _gain(present, effect, sizes[place]) - without for place in places}
-        best = max(gains, key=lambda place: gains[place])
-        near = (best - finer, best + finer)
-        places = [place for place in near if 0 <= place < len(sizes) and place not in gains]
-    return _at_maximum(effect, np.array(sizes), gains)
-
-
-def _gain(present: ExaminedModel, effect: Effect, size: float) -> float:
-    """Return the log-likelihood of the headings with a noise of a size beside those of the model."""
-    model = with_effect(present.model, with_means(effect, (size,)))  # type: ignore[type-var]
-    noise = _noise(present.seen, model, present)
-    return heading_log_likelihood(
-        replace(
-            present.seen,
-            rate_noise_rad_s=noise.density_rad_s,
-            bias_walk_rad_s=noise.bias_walk_rad_s,
-        )
-    )
-
-
-def _noise(seen: Headings, model: SensorModel, present: ExaminedModel) -> YawNoise:
-    return yaw_noise_of(model, present.run.config.gyro, seen.turn_rad / seen.dt_s)
-
-
-def _at_maximum(effect: Effect, sizes: Array, gains: Mapping[int, float]) -> NoiseFit:
-    """Return the maximum of the parabola through the best size and its neighbours, on a logarithmic scale."""
-    best = max(gains, key=lambda place: gains[place])
-    place = min(max(best, 1), len(sizes) - 2)
-    below, middle, above = (gains.get(near, -math.inf) for near in (place - 1, place, place + 1))
-    step = math.log(sizes[place + 1] / sizes[place])
-    curvature = max(2.0 * middle - below - above, 1e-9)
-    shift = float(np.clip(0.5 * (above - below) / curvature, -1.0, 1.0))
-    size = float(sizes[place]) * math.exp(shift * step)
-    return NoiseFit(with_means(effect, (size,)), gains[best], size * step / math.sqrt(curvature))  # type: ignore[type-var]
 
 
 def _with_noise(

@@ -15,11 +15,13 @@ from gyrocal_ros.diagnose.examined import (
     Calibrate,
     ExaminedModel,
     coefficient_places,
+    contradicts,
     examine,
     wider_model,
     with_effect,
 )
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
+from gyrocal_ros.diagnose.model_fit import excess_nis
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.ranking import (
     RankedEffect,
@@ -116,6 +118,7 @@ def limits_to_check(
     others = Competition(
         structure_gain=structure.gain if structure is not None else 0.0,
         rival_gain=best.fit.gain if best is not None else 0.0,
+        contradicts=contradicts(present),
         has_jumped=structure is not None and structure.at_s is not None,
     )
     return list(propose_limits(present.run, present.seen, recording.readings, others, present.settings))
@@ -243,14 +246,21 @@ def _next_addition(
         with suppress(FilterDivergedError):
             wider = wider_model(present, best.effect)
             rival = addition(present, examine(wider, recording, calibrate, settings))
-    # The process noise of a limit improves any model, so a limit has to beat a run with the best effect.
-    explained = structure_gain if rival is None else rival.predictive_gain
-    at_least = max(settings.limit_margin * explained, settings.min_predictive_gain)
+    # The process noise of a limit improves any model, so it has to beat a run with the best effect. Where
+    # there is none, the limit has to explain most of what is wrong.
+    at_least = settings.limit_margin + (0.0 if rival is None else rival.predictive_gain)
     for limit in (item for item in limits if not item.is_certain):
         limited = _limited(present, limit.effect, recording, calibrate, at_least)
-        if limited is not None:
+        if limited is not None and (rival is not None or _explains_most(limited)):
             return limited
     return rival
+
+
+def _explains_most(added: Addition) -> bool:
+    """Return True if an effect leaves little of the excess of the NIS, or nothing to contradict the model."""
+    assert added.before is not None
+    before, after = (excess_nis(examined.run) for examined in (added.before, added.after))
+    return not contradicts(added.after) or after < added.after.settings.limit_leftover_part * before
 
 
 def _limited(

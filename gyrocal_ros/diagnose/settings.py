@@ -129,18 +129,26 @@ class DiagnosisSettings:
         'part of the unexplained structure that a limit hidden by noise must explain by the headings alone',
         'limits',
     )
-    limit_rival_part: float = threshold(
-        0.5,
+    limit_wheel_part: float = threshold(
+        0.005,
         '1',
-        'part of the gain of the best other effect that a limit must gain by the headings alone',
-        'limits',
+        'part of a limit by which the wheels must turn faster there than the gyro reads; a robot that likes '
+        'one speed of turning shows none',
+        'limits; none',
     )
     limit_margin: float = threshold(
-        1.05,
-        '1',
-        'factor over the gain of every other effect that a limit must gain: its process noise improves any '
-        'model',
+        25.0,
+        'nat',
+        'predictive log-likelihood that a limit must gain beyond a run with the best other effect: its '
+        'process noise improves any model',
         'limits',
+    )
+    limit_leftover_part: float = threshold(
+        0.25,
+        '1',
+        'largest part of the excess of the NIS that may be left with a limit, where nothing else explains it '
+        'and the recording still contradicts the model',
+        'limits; pairs of effects',
     )
     widest_limit_part: float = threshold(
         0.97,

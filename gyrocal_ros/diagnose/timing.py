@@ -8,7 +8,7 @@ no physics of the gyro changes it, but a clock that drifts and is set again does
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,6 +16,9 @@ import numpy as np
 from gyrocal_ros.data import IntArray
 from gyrocal_ros.diagnose.candidates import columns_of
 from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood
+from gyrocal_ros.diagnose.model_fit import excess_nis
+from gyrocal_ros.diagnose.noise_fit import fit_noises
 from gyrocal_ros.diagnose.ranking import explained_together
 from gyrocal_ros.ekf.score_statistics import BLOCK_S
 
@@ -65,14 +68,14 @@ def timing_fault(examined: ExaminedModel) -> TimingFault | None:
     columns = _time_columns(examined)
     if len(columns) != 1 or not _shows_in_turns(examined):
         return None
-    scores, history = examined.scores, examined.run.history
+    scores = examined.scores
     score = scores.score[:, columns[0]]
     information = scores.information[:, columns[0], columns[0]]
     excited = information > np.finfo(float).tiny
     score, information = score[excited], information[excited]
     if len(score) < 2:
         return None
-    excess = float((history.nis - history.dof).sum())
+    excess = excess_nis(examined.run)
     offsets_s, stds_s = score / information, 1.0 / np.sqrt(information)
     sharp = offsets_s[stds_s < MIN_STD * np.ptp(offsets_s)]
     gain = 0.5 * float(np.sum(score**2 / information))
@@ -80,7 +83,8 @@ def timing_fault(examined: ExaminedModel) -> TimingFault | None:
     spread = (float(sharp.min()), float(sharp.max())) if len(sharp) else (0.0, 0.0)
     if 2.0 * max(gain, known) < JITTERS_PART * excess:
         std_s = math.sqrt(excess / float(information.sum()))
-        return TimingFault('jitters', *spread, std_s, 0.5 * excess) if std_s > MIN_CHANGE_S else None
+        is_jitter = std_s > MIN_CHANGE_S and _errs_by_image(examined, std_s)
+        return TimingFault('jitters', *spread, std_s, 0.5 * excess) if is_jitter else None
     price = examined.settings.coefficient_price * len(score)
     explains = gain - price > MARGIN * known and 2.0 * gain > CHANGES_PART * excess
     if not explains or spread[1] - spread[0] < MIN_CHANGE_S:
@@ -97,6 +101,18 @@ def _time_columns(examined: ExaminedModel) -> IntArray:
         if effect.acts_on == 'time'
     ]
     return np.concatenate(found) if found else np.empty(0, np.int64)
+
+
+def _errs_by_image(examined: ExaminedModel, std_s: float) -> bool:
+    """Return True if jitter of the stamps makes the headings likelier than any noise of the gyro.
+
+    An error of a stamp is gone with its image; an error of the gyro stays in the heading, and adds up.
+    """
+    seen = examined.seen
+    jitter_rad = std_s * np.abs(seen.turn_rad / seen.dt_s)
+    jittering = replace(seen, std_rad=np.hypot(seen.std_rad, jitter_rad))
+    gain = heading_log_likelihood(jittering) - heading_log_likelihood(seen)
+    return all(noise.gain < gain for noise in fit_noises(examined))
 
 
 def _shows_in_turns(examined: ExaminedModel) -> bool:

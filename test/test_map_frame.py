@@ -9,11 +9,12 @@ import pytest
 from recordings import recording
 
 from gyrocal_ros.config.sections import Config, WheelConfig
-from gyrocal_ros.data import TruthSample
+from gyrocal_ros.data import NS_PER_S, TruthSample
 from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.ekf.map_frame import point_covariances, pose_covariance
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import EULER, POSITION, YAW
+from gyrocal_ros.ekf.state import POSITION, YAW
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.model.rotation import rotation_from_euler
 
@@ -37,25 +38,36 @@ def test_they_are_those_of_a_frame_of_wrong_scale_that_leans() -> None:
 
 
 @pytest.mark.slow
-def test_the_published_pose_is_within_its_covariance() -> None:
-    """NEES per degree of freedom of x, y and yaw; that of the filter alone is three times as large."""
-    published, alone = list[float](), list[float]()
+def test_the_published_covariances_hold_against_the_room() -> None:
+    """Of the features, 39 % should be inside one standard deviation on the floor plan; NEES of the pose."""
+    alone, published, pose_nees = list[bool](), list[bool](), list[float]()
     for seed in range(4):
         source = recording(seed=seed, duration_s=45.0)
         consumer = SlamStream(EkfSlam(default_model(), Config(), source.rig))
         for item in source.measurements():
             if not isinstance(item, TruthSample):
                 consumer.step(item)
-        state = consumer.slam.state
-        time_s = np.array([0.0, (state.t_ns - source.span.start_ns) / 1e9])
-        motion, places = source.truth.trajectory.motion(time_s), source.truth.position(time_s)
-        start_yaw, yaw = motion.euler_rad[:, 2]
-        moved = rotation_from_euler(np.array([0.0, 0.0, start_yaw])).T @ (places[1] - places[0])
-        error = np.array([*(state.mean[POSITION] - moved)[:2], state.mean[YAW] - (yaw - start_yaw)])
-        error[2] = math.remainder(error[2], 2.0 * math.pi)
-        rows = np.ix_([0, 1, 5], [0, 1, 5])
+        state, wheels = consumer.slam.state, Config().wheels
+        time_s = np.array([0.0, (state.t_ns - source.span.start_ns) / NS_PER_S])
+        start, end = source.truth.position(time_s)
+        start_yaw, end_yaw = source.truth.trajectory.motion(time_s).euler_rad[:, 2]
+        R_mw = rotation_from_euler(np.array([0.0, 0.0, start_yaw])).T
+
+        error = np.append(state.mean[POSITION][:2], state.mean[YAW]) - [*(R_mw @ (end - start))[:2], end_yaw]
+        error[2] = math.remainder(error[2] + start_yaw, 2.0 * math.pi)
         covariance = state.covariance[:6, :6]
-        added = pose_covariance(state.mean[POSITION], state.mean[EULER][2], Config().wheels)
-        for nees, matrix in ((alone, covariance), (published, covariance + added)):
-            nees.append(float(error @ np.linalg.solve(matrix[rows], error)) / 3.0)
-    assert np.mean(published) < 3.0 and np.mean(published) < 0.5 * np.mean(alone)
+        covariance = covariance + pose_covariance(state.mean[POSITION], state.mean[YAW], wheels)
+        pose_nees.append(
+            float(error @ np.linalg.solve(covariance[np.ix_([0, 1, 5], [0, 1, 5])], error)) / 3.0
+        )
+
+        true = (source.truth.scene.points_w - start) @ R_mw.T
+        ceiling = ceiling_map(state, 'inverse_depth')
+        added = point_covariances(ceiling.points_m, wheels)
+        for point, own, more in zip(ceiling.points_m, ceiling.covariances_m2, added, strict=True):
+            off = point - true[np.argmin(np.linalg.norm(true - point, axis=1))]
+            if np.linalg.norm(off) < 0.3:  # else it is of another feature
+                for inside, matrix in ((alone, own), (published, own + more)):
+                    inside.append(off[:2] @ np.linalg.solve(matrix[:2, :2], off[:2]) < 1.0)
+    assert np.mean(pose_nees) < 3.0
+    assert np.mean(alone) < 0.2 and 0.25 < np.mean(published) < 0.7

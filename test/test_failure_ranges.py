@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from studio_parts import HIDDEN, open_session
 
 from gyrocal_ros.diagnose.failure_ranges import MAX_STRETCHES, failure_ranges
-from gyrocal_ros.diagnose.regimes import Failure
+from gyrocal_ros.diagnose.regimes import Failure, regimes
 from gyrocal_ros.diagnose.shapes import RATE, TIME
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.studio import pictures
@@ -46,6 +47,14 @@ def test_turns_to_one_side_are_many_stretches_and_one_range_of_the_rate(run: Run
     for low, high in found[TIME]:
         inside = (run.history.time_s >= low) & (run.history.time_s <= high)
         assert np.mean(turning[inside]) > 0.8
+
+
+def test_a_range_of_a_signal_ends_where_the_next_begins(run: Run) -> None:
+    names = [regime.name for regime in regimes(run) if regime.name.startswith(TIME)]
+    found = failure_ranges(run, [Failure('', 5.0, regime=name) for name in dict.fromkeys(names)])
+    stretches = [one[TIME] for one in found]
+    assert len(stretches) > 2 and all(len(one) == 1 for one in stretches)
+    assert all(earlier[0][1] < later[0][0] for earlier, later in pairwise(stretches))
 
 
 def test_coefficients_are_drawn_over_time_with_the_truth_when_it_is_known(state: StudioState) -> None:

@@ -27,7 +27,9 @@ MAX_PART = 0.8
 
 def failure_ranges(run: Run, failures: Sequence[Failure]) -> list[Ranges]:
     """Return where each failure lies: its stretches of time, and its range of each signal that locates it."""
-    columns = {regime.name: regime.column for regime in regimes(run)}
+    columns: dict[str, Array] = {}
+    for regime in regimes(run):
+        columns.setdefault(regime.name, regime.column)  # the second of a name is of the turns among them
     return [_ranges(run, _steps(run, failure, columns)) for failure in failures]
 
 

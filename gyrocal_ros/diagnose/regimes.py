@@ -115,7 +115,7 @@ def _of_signal(name: str, values: Array, turning_rad_s: Array) -> Iterator[Regim
         return
     edges = np.unique(np.quantile(known, np.linspace(0.0, 1.0, PARTS + 1)))
     for low, high in pairwise(edges.tolist()):
-        inside = (values >= low) & ((values < high) | (values == edges[-1]))
+        inside = (values >= low) & ((values < high) | ((values == high) & (high == edges[-1])))
         yield Regime(f'{name} {low:.4g} to {high:.4g}', inside, is_motion=False)
         yield Regime(f'{name} {low:.4g} to {high:.4g}', inside * turning_rad_s, True, False)
 

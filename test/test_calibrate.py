@@ -452,6 +452,30 @@ def test_a_heading_reference_calibrates(offset_s: float) -> None:
         )
 
 
+@pytest.mark.slow
+def test_a_shaken_gyro_is_not_a_noisy_one_beside_a_heading_reference() -> None:
+    """A hand shakes gyro and reference alike; the readings look noisy, the headings do not."""
+    rate_rad_s, amplitude_rad = 2.0 * math.pi * 3.0, math.radians(1.0)
+
+    def phase(t_ns: int) -> float:
+        return rate_rad_s * (t_ns - at(0.0)) / 1e9
+
+    def shaken(sample: ImuSample) -> ImuSample:
+        wx, wy, wz = sample.rate_rad_s
+        shake_rad_s = amplitude_rad * rate_rad_s * math.cos(phase(sample.t_ns)) / TRUE_SCALE
+        return replace(sample, rate_rad_s=(wx, wy, wz + shake_rad_s))
+
+    def turned(sample: HeadingSample) -> HeadingSample:
+        return replace(sample, yaw_rad=sample.yaw_rad + amplitude_rad * math.sin(phase(sample.t_ns)))
+
+    source = ModifiedSource(by_heading(noise_deg=0.02), without(WheelSample))
+    source = ModifiedSource(source, each(ImuSample, shaken))
+    source = ModifiedSource(source, each(HeadingSample, turned))
+    run = calibrate(source, Config(), default_model())
+    assert_calibrated(run, percent=0.1)
+    assert run.history.nis.sum() / run.history.dof.sum() == pytest.approx(1.0, abs=0.2)
+
+
 @pytest.mark.parametrize('change', [{'scale': 0.3}, {'sign': -1.0}], ids=['slips', 'turns the other way'])
 def test_a_reference_that_does_not_fit_is_refused(change: dict[str, float]) -> None:
     with pytest.raises(NotObservableError, match='times as far as the gyro'):

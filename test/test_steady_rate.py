@@ -49,6 +49,17 @@ def test_noise_has_no_part_in_a_steady_rate(factor: float) -> None:
     assert used.rate_rad_s[0, 2] == pytest.approx(0.2 * DEG, abs=0.02 * factor * DEG)
 
 
+def test_vibration_at_rest_has_no_part_either() -> None:
+    """The blocks of a running motor differ by more than noise; no block of a robot at rest is a turn."""
+    rng, steady = np.random.default_rng(2), SteadyRate()
+    blocks = [noisy(rng, 0.1 * DEG + 0.6 * DEG * math.sin(0.4 * k)) for k in range(200)]
+    used = [steady.without_noise(read, GYRO, is_at_rest=True) for read in blocks]
+    late = [float(item.rate_rad_s[:, 2].mean()) for item in used[100:]]
+    assert late == pytest.approx([0.1 * DEG] * 100, abs=0.06 * DEG)
+    by_hand = noisy(rng, 5.0 * DEG)
+    assert steady.without_noise(by_hand, GYRO, is_at_rest=True) is by_hand
+
+
 def test_a_turn_is_taken_as_it_is_read() -> None:
     rng, steady = np.random.default_rng(1), SteadyRate()
     for _ in range(20):

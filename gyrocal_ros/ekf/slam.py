@@ -129,8 +129,12 @@ class EkfSlam:
 
         # Prediction: eq. (10) for the robot, eq. (11) for the features; sensitivities of the candidates.
         block = with_pose(block, before)
-        gyro = self._scale_watch.walk(self._steady.with_noise(block, self.config.gyro))
-        steady = self._steady.without_noise(block, gyro)
+        gyro = self.config.gyro
+        if self._levelling is None:  # the noise of a heading reference is learned with that of the gyro
+            gyro = self._steady.with_noise(block, gyro)
+        gyro = self._scale_watch.walk(gyro)
+        is_at_rest = self._rest.is_at_rest(block, self.config.rest.settle_s)
+        steady = self._steady.without_noise(block, gyro, is_at_rest=is_at_rest)
         model = FilterModel(self.model, self._effects, gyro, self.config.wheels)
         if self._levelling is not None:
             model = replace(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
@@ -144,7 +148,7 @@ class EkfSlam:
 
         # Zero-rate update: a robot that stands still does not turn.
         resting = UpdateStats()
-        if self._rest.is_at_rest(block, self.config.rest.settle_s):
+        if is_at_rest:
             std = math.radians(self.config.rest.rotation_noise_deg)
             if self._levelling is not None:
                 # Images see the sway between them; that against a heading reference is part of its noise.

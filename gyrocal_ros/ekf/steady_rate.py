@@ -20,6 +20,8 @@ CHANGE_SIGMA = 3.0
 """Change of the mean rate from which it is real."""
 MEMORY = 10
 """Number of blocks over which rate and noise are averaged."""
+VIBRATION_RAD_S = math.radians(2.0)
+"""Change of the mean rate up to which a robot whose wheels stand still vibrates; beyond, a hand turns it."""
 NOISE_BLOCKS = 50
 """Number of last blocks by whose median the noise of the gyro is judged."""
 NOISY = 2.0
@@ -32,6 +34,7 @@ class SteadyRate:
     def __init__(self) -> None:
         self._mean_rad_s: float | None = None
         self._blocks = 0
+        self._was_at_rest = False
         self._noise_rad2_s: float | None = None
         self._seen_rad2_s: deque[float] = deque(maxlen=NOISE_BLOCKS)
 
@@ -50,16 +53,26 @@ class SteadyRate:
         seen = math.degrees(math.sqrt(statistics.median(self._seen_rad2_s)))
         return gyro if seen < NOISY * gyro.rate_noise_deg_s else replace(gyro, rate_noise_deg_s=seen)
 
-    def without_noise(self, block: MotionBlock, gyro: GyroConfig) -> MotionBlock:
-        """Return the block with the yaw rate at which derivatives are taken, and remember the block."""
+    def without_noise(self, block: MotionBlock, gyro: GyroConfig, *, is_at_rest: bool = False) -> MotionBlock:
+        """Return the block with the yaw rate at which derivatives are taken, and remember the block.
+
+        Args:
+            block: the block.
+            gyro: noise of the gyro.
+            is_at_rest: True for a robot that stands still: small changes are vibration then.
+        """
         duration_s = float(block.dt_s.sum())
         mean = float(block.rate_rad_s[:, 2] @ block.dt_s) / duration_s
         std = math.sqrt(self._noise(block, gyro) / duration_s)
         before = self._mean_rad_s
-        if before is None or abs(mean - before) > CHANGE_SIGMA * std * math.sqrt(1.0 + 1.0 / self._blocks):
+        largest = CHANGE_SIGMA * std * math.sqrt(1.0 + 1.0 / max(self._blocks, 1))
+        if is_at_rest and self._was_at_rest:
+            largest = max(largest, VIBRATION_RAD_S)
+        self._was_at_rest = is_at_rest
+        if before is None or abs(mean - before) > largest:
             self._mean_rad_s, self._blocks = mean, 1
             return block
-        self._blocks = min(self._blocks + 1, MEMORY)
+        self._blocks = self._blocks + 1 if is_at_rest else min(self._blocks + 1, MEMORY)
         self._mean_rad_s = before + (mean - before) / self._blocks
         rates = block.rate_rad_s.copy()
         rates[:, 2] = before

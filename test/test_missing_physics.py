@@ -181,6 +181,16 @@ class TestDiagnose:
         assert any('scale_asymmetry' in text and 'scale_quadratic' in text for text in advice(unsure))
 
     @pytest.mark.slow
+    def test_an_effect_is_told_from_zero_whatever_is_suspected_of_the_camera(
+        self, searched: tuple[Search, Diagnosis]
+    ) -> None:
+        kept = searched[0].kept[0]
+        history = kept.after.run.history
+        suspected = replace(history, suspected_std=np.ones_like(history.suspected_std))
+        after = replace(kept.after, run=replace(kept.after.run, history=suspected))
+        assert kept.distance_from_zero(after) == kept.distance_from_zero(kept.after) > 10.0
+
+    @pytest.mark.slow
     def test_a_coarse_converter_makes_the_verdict_uncertain(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched
         source = recording('cleaning', 3, DURATION_S, camera_hz=10)

@@ -44,10 +44,11 @@ class ExaminedModel:
     def estimate_of(self, name: str) -> tuple[Array, Array]:
         """Return the final estimates (k,) of the coefficients of an effect of the model.
 
-        Their standard deviations (k,) are those that the scatter over the recording supports.
+        Their standard deviations (k,) are those that the scatter over the recording supports. What is
+        suspected of the camera does not add to them: an effect in the model is no suspicion any more.
         """
         places = coefficient_places(self.model, name)
-        inflation = scatter_of(self.run.history)[1][-1, 1:]
+        inflation = scatter_of(self.run.history)[0].inflation[1:]
         stds = self.run.history.std[-1, COEFFICIENTS_START:] * inflation
         return self.run.state.coefficients[places], stds[places]
 

@@ -81,7 +81,10 @@ class Robot:
         """Publish the next image, 0.1 s later, and the IMU samples until then; return its stamp."""
         self._step += 1
         t_ns = START_NS + nanoseconds(0.1 * self._step)
-        frame = Frame(t_ns, ceiling() if image is None else image)
+        if image is None:
+            image = ceiling().copy()
+            image[0, 0] = self._step % 256  # no two images of a camera that works are the same
+        frame = Frame(t_ns, image)
         self._infos.publish(to_ros.camera_info(MAKE, CAMERA, t_ns))
         for k in range(10, -1, -1):
             sample = ImuSample(t_ns - nanoseconds(0.01 * k), (0.0, 0.0, 0.0), (0.0, 0.0, 9.8))

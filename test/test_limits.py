@@ -141,6 +141,16 @@ class TestProposals:
         assert proposal.effect.name == 'rate_saturation' and not proposal.is_certain
         assert proposed(drive(), structure_gain=100.0) == [], 'the wheels agree with the gyro'
 
+    def test_beside_a_heading_reference_a_run_decides(self) -> None:
+        """What the gyro loses passes for jumps of the reference, and there may be no wheels."""
+        made = self.saturated()
+        still = np.zeros_like(made.run.history.wheel_turn_rad)
+        history = replace(made.run.history, wheel_turn_rad=still)
+        run = replace(made.run, history=history, rig=replace(made.run.rig, camera=None))
+        agreeing = replace(made.seen, seen_rad=np.cumsum(made.seen.turn_rad))
+        (proposal,) = proposed(replace(made, run=run, seen=agreeing))
+        assert proposal.effect.name == 'rate_saturation' and not proposal.is_certain
+
     def test_a_robot_with_one_speed_of_turning_is_not_saturated(self) -> None:
         made = drive()
         assert top_of(readings_of(made)) is not None

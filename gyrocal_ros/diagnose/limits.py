@@ -91,22 +91,28 @@ def _is_confirmed(
 ) -> bool:
     """Return True if the wheels and the headings confirm a limit, so that a run has to decide.
 
-    Both have to turn faster than the readings at the limit. A limit that may break the filter spoils the map,
-    and the headings with it: where the recording contradicts the model, the headings are no test.
+    Both have to turn faster than the readings at the limit, where there are wheels. A limit that may break
+    the filter spoils the map, and the headings with it: where the recording contradicts the model, the
+    headings are no test. Neither are those of a reference: what the gyro loses passes for a jump of it.
     """
     error = _rate_error(effect, limit, run, readings)
     if may_break_the_filter(effect):
         if not _wheels_turn_further(run, error, settings.limit_wheel_part * limit):
             return False
-        if others.contradicts:
+        if others.contradicts or run.rig.camera is None:
             return True
     fitted = _fit_beside_scale(run, seen, error)
     return fitted is not None and float(fitted.values[0]) > 0.0 and fitted.gain > settings.limit_heading_gain
 
 
 def _wheels_turn_further(run: Run, error_rad_s: Array, least_rad_s: float) -> bool:
-    """Return True if the wheels turn faster, relative to the gyro, where an error (s,) is suspected."""
+    """Return True if the wheels turn faster, relative to the gyro, where an error (s,) is suspected.
+
+    A robot without wheels, or one that is turned by hand, says nothing against it.
+    """
     history = run.history
+    if not history.wheel_turn_rad.any():
+        return True
     columns = np.stack([error_rad_s, history.turn_rad / history.dt_s, np.ones_like(error_rad_s)], axis=1)
     values = np.linalg.lstsq(columns, history.wheel_turn_rad / history.dt_s, rcond=None)[0]
     return bool(values[0] > least_rad_s)

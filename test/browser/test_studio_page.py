@@ -99,12 +99,22 @@ def screenshot(page: Page, name: str, part: str = '') -> None:
         page.locator(part).screenshot(path=path) if part else page.screenshot(path=path)
 
 
+BELOW_THE_SCREEN = """
+([names, height]) => names.filter((name) => {
+  const part = document.querySelector(name);
+  if (!part) return false;
+  const box = part.getBoundingClientRect();
+  return box.height === 0 || box.bottom > height;
+})
+"""
+"""Those of some parts that are not on a screen of this height; read at once, since the page may change."""
+
+
 def parts_below_the_screen(page: Page) -> list[str]:
     """Return what decides about an effect and is not on the screen of a laptop without scrolling."""
-    names = ('#bag', '#model-figure', '#residual-figure', '#verdict', '#add', '#forecast', '#history-figure')
-    shown = [name for name in names if page.locator(name).count()]
-    boxes = {name: page.locator(name).bounding_box() for name in shown}
-    return [name for name, box in boxes.items() if not box or box['y'] + box['height'] > LAPTOP['height']]
+    names = ['#bag', '#model-figure', '#residual-figure', '#verdict', '#add', '#forecast', '#history-figure']
+    found: list[str] = page.evaluate(BELOW_THE_SCREEN, [names, LAPTOP['height']])
+    return found
 
 
 OVERLAPS = """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,15 +37,42 @@ def write_strange_bag(folder: Path) -> Path:
     return _written(folder / 'strange', law)
 
 
-def _written(path: Path, hidden: HiddenEffect) -> Path:
-    scenario = replace(find_scenario('demo'), duration_s=100.0, camera_hz=8)
-    source = SimSource(scenario, 3, hidden=(hidden,))
+def write_image_bag(folder: Path) -> Path:
+    """Write a bag like that of `write_bag`, with images in place of features."""
+    hidden = HiddenEffect(find_effect(HIDDEN), (SIZE,))
+    return _written(folder / 'pictures', hidden, images=True, camera_hz=3)
+
+
+def _written(path: Path, hidden: HiddenEffect, *, images: bool = False, camera_hz: int = 8) -> Path:
+    scenario = replace(find_scenario('demo'), duration_s=100.0, camera_hz=camera_hz)
+    source = SimSource(scenario, 3, images=images, hidden=(hidden,))
     with new_bag(path, 'mcap') as bag:
         bag.write_rig(source.rig, source.span.start_ns, R_bi=np.eye(3))
         for measurement in source.measurements():
             bag.write(measurement)
     seal(path, answer_of(source))
     return path
+
+
+class IdleWorker:
+    """Accepts tasks and executes none."""
+
+    def __init__(self) -> None:
+        self.tasks: list[Task] = []
+        self.cancelled = self.closed = 0
+
+    def listen(self, listener: Callable[[int, TaskMessage], None]) -> None:
+        self.send = listener
+
+    def submit(self, task: Task) -> int:
+        self.tasks.append(task)
+        return len(self.tasks)
+
+    def cancel(self) -> None:
+        self.cancelled += 1
+
+    def close(self) -> None:
+        self.closed += 1
 
 
 class InProcessWorker:

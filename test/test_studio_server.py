@@ -27,6 +27,7 @@ class OneSession:
 
     def __init__(self, session: Any) -> None:
         self.session = session
+        self.out = session.folder.parent
 
     @property
     def state(self) -> Any:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from studio_parts import IdleWorker
 
 from gyrocal_ros.cli.studio import named_apart
 from gyrocal_ros.config.sections import Config
@@ -13,29 +14,8 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask
 from gyrocal_ros.studio.store import locked
-from gyrocal_ros.studio.tasks import Failed, OpenRecording, Task, TaskMessage
+from gyrocal_ros.studio.tasks import Failed, OpenRecording
 from gyrocal_ros.studio.workspace import Workspace
-
-
-class IdleWorker:
-    """Accepts tasks and executes none."""
-
-    def __init__(self) -> None:
-        self.tasks: list[Task] = []
-        self.cancelled = self.closed = 0
-
-    def listen(self, listener: Callable[[int, TaskMessage], None]) -> None:
-        self.send = listener
-
-    def submit(self, task: Task) -> int:
-        self.tasks.append(task)
-        return len(self.tasks)
-
-    def cancel(self) -> None:
-        self.cancelled += 1
-
-    def close(self) -> None:
-        self.closed += 1
 
 
 @pytest.fixture

@@ -21,18 +21,16 @@ import numpy as np
 
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.bench.fleet_engine import engine
+from gyrocal_ros.bench.fleet_prior import priors
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidates import candidates_for
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import SCALE_FACTOR, default_model
 from gyrocal_ros.effects.model_file import model_to_dict
-from gyrocal_ros.ekf.start import Start
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.fleet.findings import AGE, find
 from gyrocal_ros.fleet.plan import PlannedBag
 from gyrocal_ros.fleet.pooling import Pooled, pool
-from gyrocal_ros.fleet.prior import prior_of
 from gyrocal_ros.fleet.result import CALIBRATED, BagResult, BagScores
 from gyrocal_ros.fleet.store import FleetStore
 from gyrocal_ros.fleet.table import ScoreTable, read_fleet
@@ -51,8 +49,6 @@ PER_BAG_SIGMA = 1.5
 """Size of a hidden effect of the fleet in standard deviations of one bag."""
 ROWS, ROWS_PER_ROBOT = 100_000, 4
 BAGS_PER_SEED = 10
-TIGHT = 1e-3
-"""Standard deviation of the scale factor to which the time is measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +62,6 @@ class Measured:
     converged: bool
     temperature_c: float
     scores: BagScores
-    time_to_tight_s: float
-    """Time until the standard deviation of the scale factor is below `TIGHT`; infinite if it never is."""
 
 
 def fleet(fleets: int, only: Collection[str] = ()) -> Iterator[dict[str, Any]]:
@@ -80,7 +74,7 @@ def fleet(fleets: int, only: Collection[str] = ()) -> Iterator[dict[str, Any]]:
     figures: dict[str, Callable[[], Iterable[dict[str, Any]]]] = {
         'coverage': lambda: [coverage(fleets)],
         'effects': lambda: effects(fleets),
-        'prior': lambda: [priors()],
+        'prior': priors,
         'size': lambda: [large(ROWS)],
         'engine': lambda: engine(BAGS_PER_SEED * fleets),
     }
@@ -88,15 +82,14 @@ def fleet(fleets: int, only: Collection[str] = ()) -> Iterator[dict[str, Any]]:
         yield from figures[name]()
 
 
-def measure(bag: FleetBag, start: Start | None = None) -> Measured:
+def measure(bag: FleetBag) -> Measured:
     """Run the filter over one simulated bag, with all candidates."""
     config, model = Config(), default_model()
     source, config = preload(bag.source(), config, model)
     carried = candidates_for(model, summarise_recording(source)).carried
-    run = calibrate(source, config, model, start, candidates=carried)
+    run = calibrate(source, config, model, candidates=carried)
     calibration, scores = conclude(run), bag_scores(run)
     assert scores is not None
-    tight = np.flatnonzero(run.history.std[:, COEFFICIENTS_START] < TIGHT)
     return Measured(
         scale_error=calibration.scale_factor - bag.scale_factor,
         scale_std=calibration.scale_factor_std,
@@ -105,7 +98,6 @@ def measure(bag: FleetBag, start: Start | None = None) -> Measured:
         converged=calibration.converged,
         temperature_c=float(np.nanmean(run.history.temperature_c)),
         scores=scores,
-        time_to_tight_s=float(run.history.time_s[tight[0]]) if len(tight) else math.inf,
     )
 
 
@@ -184,45 +176,6 @@ def effects(fleets: int) -> Iterator[dict[str, Any]]:
     }
 
 
-def priors() -> dict[str, Any]:
-    """Return how much faster and how consistent the filter is from a prior of the other robots."""
-    drawn, measured = _fleet_to_measure(), _measured()
-    starts = []
-    with tempfile.TemporaryDirectory() as folder:
-        for left_out in drawn.parts[:MEASURED]:
-            kept = [
-                (bag, item)
-                for bag, item in zip(drawn.bags, measured, strict=True)
-                if bag.robot != left_out.robot
-            ]
-            store = FleetStore(Path(folder) / left_out.robot)
-            planned = [PlannedBag(bag.name, bag.robot, {'age_h': bag.age_h}) for bag, _ in kept]
-            results = [_result(bag, item) for bag, item in kept]
-            store.write_tables(planned, results, {'model': model_to_dict(default_model())})
-            starts.append(prior_of(find(read_fleet([store.folder])), Config()).start())
-    tasks = list(zip(drawn.bags, starts, strict=True))
-    after = list(in_parallel(_measure_from, tasks))
-    truth = np.array([bag.scale_factor - 1.0 for bag in drawn.bags])
-    healthy = np.array([not part.is_faulty for part in drawn.parts])
-    prior_z = np.array(
-        [
-            (value - start.values[1]) / math.sqrt(start.covariance[1, 1])
-            for value, start in zip(truth, starts, strict=True)
-        ]
-    )
-    z = np.array([item.scale_error / item.scale_std for item in after])
-    before_s, after_s = (np.array([item.time_to_tight_s for item in items]) for items in (measured, after))
-    return {
-        'figure': f'prior without the robot, {len(starts)} robots',
-        'in_full': 2 * len(starts),
-        'prior_z_rms': float(np.sqrt(np.mean(prior_z[healthy] ** 2))),
-        'z_rms': float(np.sqrt(np.mean(z[healthy] ** 2))),
-        'z_faulty_max': float(np.abs(z[~healthy]).max()) if (~healthy).any() else None,
-        'to_0.1_percent_s': float(np.median(before_s)),
-        'with_prior_s': float(np.median(after_s)),
-    }
-
-
 def large(rows: int) -> dict[str, Any]:
     """Return the time of all statistics on a large fleet, and its size."""
     measured, robots = _measured(), rows // ROWS_PER_ROBOT
@@ -253,10 +206,6 @@ def _measured() -> tuple[Measured, ...]:
 def _fleet_to_measure() -> SimFleet:
     scenario = find_scenario(SCENARIO)
     return draw_fleet(draw_law(1, DURATION_S, []), 1, MEASURED, 1, scenario, DURATION_S)
-
-
-def _measure_from(task: tuple[FleetBag, Start]) -> Measured:
-    return measure(*task)
 
 
 def _write(drawn: SimFleet, measured: tuple[Measured, ...], seed: int, folder: Path) -> Path:

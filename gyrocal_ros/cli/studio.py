@@ -2,9 +2,10 @@
 
 Give bags, folders of bags, or folders of `gyrocal fleet run`, whose bags are listed with those of the most
 unusual robot first; the default is the bags of the package. The first bag is opened, the page can open the
-others, and a model that was fitted on one bag can be tested on another: another day, or another robot. No
-other file is read. Every model that you try is saved in a folder OUT/BAG, in the format of `gyrocal improve`,
-so a reload or a killed server loses nothing; run the same command again to continue.
+others, and a model that was fitted on one bag can be tested on another: another day, or another robot. A bag
+that is dropped on the page is copied to OUT/uploads and opened. No other file is read. Every model that you
+try is saved in a folder OUT/BAG, in the format of `gyrocal improve`, so a reload or a killed server loses
+nothing; run the same command again to continue.
 """
 
 from __future__ import annotations
@@ -84,7 +85,8 @@ def run(args: argparse.Namespace) -> None:
         return
     model, config, options = read_model(args), read_config(args), bag_options(args)
     worker = Worker()  # it forks, so it comes before any thread is started, those of Arrow included
-    found = named_apart([item for given in args.bags or [shipped('bags')] for item in _bags(given)])
+    given = [*(args.bags or [shipped('bags')]), *_received(args.out)]
+    found = named_apart([item for path in given for item in _bags(path)])
     bags = [Bag(path, config, options, name) for name, path in found]
     from gyrocal_ros.studio.server import make_app
     from gyrocal_ros.studio.workspace import Workspace  # imported while the worker starts
@@ -146,6 +148,13 @@ def named_apart(bags: list[tuple[str, Path]]) -> list[tuple[str, Path]]:
             'is the name of several bags', where=twice[0], todo='rename one of their folders'
         )
     return found
+
+
+def _received(out: Path) -> list[Path]:
+    """Return the recordings that the page has received earlier."""
+    from gyrocal_ros.studio.uploads import FOLDER
+
+    return bags_in(out / FOLDER) if (out / FOLDER).is_dir() else []
 
 
 def _bags(given: Path) -> list[tuple[str, Path]]:

@@ -124,7 +124,7 @@ def draw_law(
     ageing = rng.choice([-1.0, 1.0]) * rng.uniform(*AGEING_PER_1000_H) / 1000.0
     chance, drawn_size = rng.uniform(size=2)
     names = sorted(LIBRARY_RANGES) if effects is None else sorted(effects)
-    usable = [name for name in names if effects is not None or _is_gentle(name)]
+    usable = [name for name in names if effects is not None or is_gentle(name)]
     effect = None
     if usable and (effects is not None or chance < P_EFFECT):
         name = str(rng.choice(usable))
@@ -190,7 +190,7 @@ def _draw_bags(
         age_h += rng.uniform(*BETWEEN_BAGS_H)
 
 
-def _is_gentle(name: str) -> bool:
+def is_gentle(name: str) -> bool:
     """Return True if the filter runs without the effect, and can estimate it."""
     effect = find_effect(name)
     return not is_limit(effect) and not may_break_the_filter(effect)

@@ -16,6 +16,7 @@ LEARN_HINT = 'Learn the law behind the error left over, as `gyrocal learn` does;
 VALIDATE_HINT = (
     'Run the first model and the present one over another recording, with the coefficients of this one.'
 )
+UPLOAD_HINT = 'An .mcap, .db3 or .bag, or drop a file or a folder of rosbag2 on the page.'
 STEPS = (
     ('bag', '1', 'The recording'),
     ('model', '2', 'Model against measurement'),
@@ -27,11 +28,12 @@ STEPS = (
 """Name, number and title of each part of the page, in its order."""
 
 
-def layout(titles: Sequence[str]) -> html.Div:
+def layout(titles: Sequence[str], *, may_upload: bool = False) -> html.Div:
     """Return the page.
 
     Args:
         titles: titles of the recordings that may be opened.
+        may_upload: True if the page receives recordings that are dropped on it.
     """
     return html.Div(
         [
@@ -40,7 +42,7 @@ def layout(titles: Sequence[str]) -> html.Div:
             dcc.Store(id='acted'),
             dcc.Store(id='chosen'),
             dcc.Store(id='theme', storage_type='local'),
-            _header(titles),
+            _header(titles, may_upload),
             html.Main(
                 [_bag(), _model(), _residual(), _missing(), _history(titles), _lesson()],
                 id='main',
@@ -53,7 +55,7 @@ MARKS = ('session', 'bag', 'model', 'missing', 'forecast', 'validation', 'lesson
 """Parts of the state. The page stores a mark of each, which changes with that part."""
 
 
-def _header(titles: Sequence[str]) -> html.Header:
+def _header(titles: Sequence[str], may_upload: bool) -> html.Header:
     jumps = [html.A(f'{number} {title.partition(":")[0]}', href=f'#{name}') for name, number, title in STEPS]
     return html.Header(
         [
@@ -67,6 +69,7 @@ def _header(titles: Sequence[str]) -> html.Header:
                         clearable=False,
                         style={'display': 'block' if len(titles) > 1 else 'none'},
                     ),
+                    *([_upload()] if may_upload else []),
                     html.Nav(jumps, **{'aria-label': 'Parts of the page'}),
                     html.Button('Light / dark', id='theme-button', className='quiet'),
                 ],
@@ -84,6 +87,12 @@ def _header(titles: Sequence[str]) -> html.Header:
             ),
         ]
     )
+
+
+def _upload() -> html.Span:
+    """Return the button for a recording of the user's, which the script of the page serves."""
+    button = html.Button('Open a file', id='upload', className='quiet', title=UPLOAD_HINT)
+    return html.Span([button, html.Span(id='upload-state', role='status')])
 
 
 def _bag() -> html.Section:

@@ -92,7 +92,7 @@ def recording(state: StudioState) -> list[Any]:
         for issue in check.issues
     ]
     return [
-        html.P([html.B(summary), ' - ' if issues else '; no issues.']),
+        html.P([html.B(summary), ': ' if issues else '; no issues.']),
         html.Ul(issues, className='issues') if issues else None,
         html.Details(
             [html.Summary('Topics'), _table(('topic', 'used as', 'messages', 'Hz'), rows)], id='topics'

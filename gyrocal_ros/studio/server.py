@@ -1,8 +1,8 @@
 """Serves the page, to this machine only or to browsers that have the token.
 
 The page needs no other server: all scripts are in installed packages, and the browser may load from this
-server only. A browser cannot name files: it chooses recordings by number, revisions by known labels and
-effects by names of the library.
+server only. A browser cannot name files of this machine: it chooses recordings by number, revisions by known
+labels and effects by names of the library; it can send recordings to a folder of their own (`uploads`).
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from gyrocal_ros.studio import live_page
 from gyrocal_ros.studio.callbacks import connect
 from gyrocal_ros.studio.downloads import connect_downloads
 from gyrocal_ros.studio.layout import layout
+from gyrocal_ros.studio.uploads import connect_uploads
 from gyrocal_ros.studio.workspace import Workspace
 
 COOKIE = 'gyrocal_studio'
@@ -50,9 +51,12 @@ def make_app(workspace: Workspace, token: str | None = None, names: frozenset[st
             name resolves to this machine (DNS rebinding).
     """
     app = _app(token, names)
-    app.layout = lambda: layout(workspace.titles)
+    may_upload = token is None  # a browser on another machine does not fill this disk
+    app.layout = lambda: layout(workspace.titles, may_upload=may_upload)
     connect(app, workspace)
     connect_downloads(app, workspace)
+    if may_upload:
+        connect_uploads(app, workspace)
     return app
 
 

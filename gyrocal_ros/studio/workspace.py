@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from threading import RLock
 from typing import Protocol
 
+from gyrocal_ros.bag.check import check_bag
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.msgs.issues import raise_first_error
 from gyrocal_ros.studio.recordings import Bag, HiddenEffectTask
 from gyrocal_ros.studio.session import Session, TaskRunner
 from gyrocal_ros.studio.state import StudioState
@@ -53,7 +56,9 @@ class Workspace:
         Raises:
             GyrocalError: another studio uses the folder.
         """
-        self._bags, self._model, self._config, self._out = tuple(bags), model, config, out
+        self.out = out
+        """Folder of the folders of the sessions."""
+        self._bags, self._model, self._config = tuple(bags), model, config
         self._worker = worker
         self._lock = RLock()
         self._session = self._open(self._bags[0] if task_seed is None else self._task(task_seed))
@@ -81,6 +86,26 @@ class Workspace:
             GyrocalError: there is no such recording, or another studio uses its folder.
         """
         self._change(self._bag(number))
+
+    def require_usable(self, path: Path) -> None:
+        """Check a recording that is not among those of the workspace.
+
+        Raises:
+            GyrocalError: it cannot be used for a calibration.
+        """
+        bag = self._bag_at(path)
+        raise_first_error(check_bag(path, bag.config, **bag.options).issues, path.name)
+
+    def open_new(self, path: Path) -> None:
+        """Add a recording, and open it.
+
+        Raises:
+            GyrocalError: another studio uses its folder.
+        """
+        bag = self._bag_at(path)
+        with self._lock:
+            self._bags = (*self._bags, bag)
+        self._change(bag)
 
     def validate_on(self, number: int) -> None:
         """Test the models of the open session on another recording.
@@ -112,6 +137,10 @@ class Workspace:
             raise GyrocalError('there is no such recording', where=str(number))
         return self._bags[number]
 
+    def _bag_at(self, path: Path) -> Bag:
+        """Return a recording that is read with the options of the others."""
+        return replace(self._bags[0], path=path, name='')
+
     def _task(self, seed: int | None = None) -> HiddenEffectTask:
         return HiddenEffectTask(secrets.randbelow(SEEDS) if seed is None else seed, self._config)
 
@@ -124,7 +153,7 @@ class Workspace:
                 self._session = session
 
     def _open(self, recording: Bag | HiddenEffectTask) -> Session:
-        return Session(recording, self._model, self._out / recording.title, self._worker)
+        return Session(recording, self._model, self.out / recording.title, self._worker)
 
     def _receive(self, number: int, message: TaskMessage) -> None:
         self._session.receive(number, message)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import re
@@ -19,7 +20,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from conftest import CHROMIUM
 from playwright.sync_api import Browser, Page, expect, sync_playwright
-from studio_parts import HIDDEN, SIZE
+from studio_parts import HIDDEN, SIZE, write_image_bag
 
 FLAGS = (
     '--no-sandbox',
@@ -84,6 +85,22 @@ def page(browser: Browser, studio: Studio) -> Iterator[Page]:
     page.close()
 
 
+def open_with_effect(page: Page, studio: Studio, *, present: bool) -> None:
+    """Open the page with the hidden effect in the present model, or in a revision that was left."""
+    row = page.locator('#revisions tr', has_text=f'1_{HIDDEN}')
+    page.goto(studio.address)
+    expect(page.locator('#revisions')).to_contain_text('0_default')
+    if row.count() and present == ('present' in row.inner_text()):
+        return
+    if not row.count() or present:
+        expect(page.locator('#add')).to_have_text(f'Add {HIDDEN}')
+        page.locator('#add').click()
+        expect(row).to_contain_text('present')
+    if not present:
+        page.locator('#undo').click()
+        expect(row).to_contain_text('left out')
+
+
 def drift_deg(page: Page, label: str) -> float:
     """Return the held-out drift of a revision on the page."""
     row = page.locator('#revisions tr', has_text=label)
@@ -144,6 +161,28 @@ OVERLAPS = """
 """Texts of the figures that overlap or are clipped, and tables that are cut off."""
 
 
+def assert_nothing_overlaps(page: Page, name: str) -> None:
+    """Look at the page in windows of all sizes, light and dark."""
+    for width, height in SIZES:
+        page.set_viewport_size({'width': width, 'height': height})
+        page.wait_for_timeout(500)  # the figures follow the window
+        for theme in THEMES:
+            page.emulate_media(color_scheme=theme)
+            assert page.evaluate(OVERLAPS) == [], (width, theme)
+            chart = page.locator('#history-figure').bounding_box()
+            assert chart is not None and chart['height'] >= 200.0, (width, theme)
+            screenshot(page, f'{name}_{width}_{theme}')
+
+
+DROP = """
+([name, content]) => {
+  const bytes = Uint8Array.from(atob(content), (one) => one.charCodeAt(0));
+  const dropped = new DataTransfer();
+  dropped.items.add(new File([bytes], name));
+  document.body.dispatchEvent(new DragEvent('drop', { dataTransfer: dropped, bubbles: true }));
+}
+"""
+"""Drops a file on the page."""
 PLACES_MARKED = """
 () => ['model-figure', 'residual-figure'].every((name) =>
   document.querySelector(`#${name} .js-plotly-plot`).layout.shapes.some((shape) => shape.name === 'place'))
@@ -293,8 +332,6 @@ def test_an_unknown_law_is_learned_shown_added_and_removed(
     expect(page.locator('#card')).to_contain_text('sine of the heading')
     expect(page.locator('#learn')).to_be_disabled()
     assert not parts_below_the_screen(page)
-    page.wait_for_timeout(500)
-    assert page.evaluate(OVERLAPS) == []
     screenshot(page, 'learned')
     page.locator('#add').click()
     expect(page.locator('#revisions')).to_contain_text('1_bias_curve_heading')
@@ -307,10 +344,36 @@ def test_an_unknown_law_is_learned_shown_added_and_removed(
     page.locator('#validate').click()
     expect(page.locator('#validation')).to_contain_text('training: strange; test: uneven')
     expect(page.locator('#validation')).to_contain_text('1_bias_curve_heading')
-    assert page.evaluate(OVERLAPS) == [] and not barriers(page)
+    assert_nothing_overlaps(page, 'learned')
+    assert not barriers(page)
     screenshot(page, 'validated', '#history')
     page.locator('#undo').click()
     expect(page.locator('#revisions tr', has_text='1_bias_curve_heading')).to_contain_text('left out')
+    page.close()
+    studio.end()
+
+
+def test_a_bag_with_images_is_dropped_on_the_page_and_diagnosed(
+    browser: Browser, strange_bag: Path, tmp_path: Path
+) -> None:
+    (file,) = write_image_bag(tmp_path).glob('*.mcap')
+    studio = Studio(strange_bag, out=tmp_path / 'out')
+    page = browser.new_page(viewport=LAPTOP)
+    page.set_default_timeout(TIMEOUT_MS)
+    page.goto(studio.address)
+    expect(page.locator('#title')).to_have_text('strange')
+    with page.expect_file_chooser() as chooser:
+        page.locator('#upload').click()
+    chooser.value.set_files({'name': 'notes.mcap', 'mimeType': '', 'buffer': b'no bag'})
+    expect(page.locator('#upload-state')).to_contain_text('notes.mcap')
+    page.evaluate(DROP, [file.name, base64.b64encode(file.read_bytes()).decode()])
+    expect(page.locator('#title')).to_have_text(file.name)
+    expect(page.locator('#bag-words')).to_contain_text('image_raw')
+    expect(page.locator('#verdict')).to_contain_text(f'Missing: {HIDDEN}')
+    page.locator('#add').click()
+    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('present')
+    assert drift_deg(page, f'1_{HIDDEN}') < 0.2 * drift_deg(page, '0_default')
+    assert_nothing_overlaps(page, 'images')
     page.close()
     studio.end()
 
@@ -331,8 +394,7 @@ def test_the_error_left_over_is_shown_against_any_signal(page: Page, studio: Stu
 
 
 def test_second_tabs_and_reloads_show_the_same_session(browser: Browser, page: Page, studio: Studio) -> None:
-    page.goto(studio.address)
-    expect(page.locator('#revisions')).to_contain_text(f'1_{HIDDEN}')
+    open_with_effect(page, studio, present=True)
     second = browser.new_page(viewport=TABLET, color_scheme='dark')
     second.goto(studio.address)
     expect(second.locator('#revisions')).to_contain_text(f'1_{HIDDEN}')
@@ -360,15 +422,7 @@ def test_nothing_overlaps_or_is_clipped(page: Page, studio: Studio) -> None:
     page.goto(studio.address)
     for name in ('model-figure', 'residual-figure', 'history-figure'):
         expect(page.locator(f'#{name} svg text').first).to_be_visible()
-    for width, height in SIZES:
-        page.set_viewport_size({'width': width, 'height': height})
-        page.wait_for_timeout(500)  # the figures follow the window
-        for theme in THEMES:
-            page.emulate_media(color_scheme=theme)
-            assert page.evaluate(OVERLAPS) == [], (width, theme)
-            chart = page.locator('#history-figure').bounding_box()
-            assert chart is not None and chart['height'] >= 200.0, (width, theme)
-            screenshot(page, f'{width}_{theme}')
+    assert_nothing_overlaps(page, 'feature')
 
 
 def test_all_controls_can_be_reached_by_the_keyboard(page: Page, studio: Studio) -> None:
@@ -383,15 +437,15 @@ def test_all_controls_can_be_reached_by_the_keyboard(page: Page, studio: Studio)
 
 
 def test_a_killed_studio_is_reported_and_a_new_one_continues_its_session(
-    browser: Browser, studio: Studio, uneven_bag: Path
+    browser: Browser, uneven_bag: Path, tmp_path: Path
 ) -> None:
-    page = browser.new_page()
-    page.goto(studio.address)
-    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')
+    studio, page = Studio(uneven_bag, out=tmp_path), browser.new_page()
+    page.set_default_timeout(TIMEOUT_MS)
+    open_with_effect(page, studio, present=False)
     expect(page.locator('#gone')).to_be_empty()
     studio.kill()
     expect(page.locator('#gone')).to_contain_text('does not answer')
-    again = Studio(uneven_bag, out=studio.out)
+    again = Studio(uneven_bag, out=tmp_path)
     page.goto(again.address)
     expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text('present')
     expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')

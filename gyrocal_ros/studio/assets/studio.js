@@ -83,3 +83,70 @@ window.dash_clientside = Object.assign({}, window.dash_clientside, {
       if (row) mark(kind === 'mouseover' || kind === 'focusin' ? JSON.parse(row.dataset.place) : {});
     });
 })();
+
+// Recordings that are dropped on the page, or chosen with its button, are sent in pieces, checked and opened.
+(function () {
+  const PIECE = 2 ** 19;
+  const chooser = Object.assign(document.createElement('input'), { type: 'file', multiple: true });
+
+  function show(text, isError) {
+    const state = document.getElementById('upload-state');
+    state.textContent = text;
+    state.className = isError ? 'error-message' : '';
+  }
+
+  async function send(address, method, body) {
+    const answer = await fetch(address, { method, body });
+    if (!answer.ok) throw new Error(await answer.text());
+  }
+
+  async function open(bag, files) {
+    const address = `/upload/${encodeURIComponent(bag)}`;
+    const whole = files.reduce((sum, file) => sum + file.size, 0);
+    let sent = 0;
+    try {
+      for (const file of files) {
+        for (let at = 0; at === 0 || at < file.size; at += PIECE) {
+          const piece = file.slice(at, at + PIECE);
+          const place = `${encodeURIComponent(file.name)}?at=${at}&whole=${whole}`;
+          await send(`${address}/${place}`, 'PUT', piece);
+          sent += piece.size;
+          show(`Receiving ${bag}: ${Math.floor((100 * sent) / Math.max(whole, 1))} %`);
+        }
+      }
+      show(`Checking ${bag}`);
+      await send(address, 'POST');
+      location.reload();
+    } catch (error) {
+      show(error.message, true);
+    }
+  }
+
+  // A file is a bag of its own; several, or those of a folder, are one bag.
+  function openFiles(files) {
+    const stem = files.find((file) => !file.name.endsWith('.yaml'))?.name.replace(/\.[^.]*$/, '');
+    if (files.length) open(stem || files[0].name, files);
+  }
+
+  function openFolder(folder) {
+    folder.createReader().readEntries(async (entries) => {
+      const inside = entries.filter((entry) => entry.isFile && /\.(yaml|mcap|db3|bag)$/.test(entry.name));
+      open(folder.name, await Promise.all(inside.map((entry) => new Promise((take) => entry.file(take)))));
+    });
+  }
+
+  const isHere = () => document.getElementById('upload') !== null;
+  document.addEventListener('click', (event) => event.target.id === 'upload' && chooser.click());
+  chooser.addEventListener('change', () => {
+    openFiles([...chooser.files]);
+    chooser.value = '';
+  });
+  document.addEventListener('dragover', (event) => isHere() && event.preventDefault());
+  document.addEventListener('drop', (event) => {
+    if (!isHere()) return;
+    event.preventDefault();
+    const entry = event.dataTransfer.items[0]?.webkitGetAsEntry?.();
+    if (entry?.isDirectory) openFolder(entry);
+    else openFiles([...event.dataTransfer.files]);
+  });
+})();

@@ -14,7 +14,8 @@ import pytest
 from gyrocal_ros.cli import fleet as command
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.effects import default_model
+from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.model_file import model_to_dict
 from gyrocal_ros.fleet.examine import bags_to_examine
 from gyrocal_ros.fleet.plan import PlannedBag
@@ -29,15 +30,25 @@ from gyrocal_ros.sim.scenarios import find_scenario
 MEAN, TAU, BIAS_TAU = 1.02, 0.005, 0.002
 
 
-def drawn_fleet(folder: Path, seed: int = 0, robots: int = 12, mean: float = MEAN) -> Path:
-    """Write the tables of a fleet whose results are drawn; one bag has failed."""
+def drawn_fleet(
+    folder: Path, seed: int = 0, robots: int = 12, mean: float = MEAN, unseen: str | None = None
+) -> Path:
+    """Write the tables of a fleet whose results are drawn; one bag has failed.
+
+    The model may have an effect that no bag shows, so that every bag returns its prior.
+    """
+    model, prior_row = default_model(), {}
+    if unseen is not None:
+        model = with_effect(model, find_effect(unseen))
+        (item,) = model.effects[-1].coefficients
+        prior_row = {unseen: item.prior_mean, f'{unseen}_std': item.prior_std}
     rng = np.random.default_rng(seed)
     planned, results = [], []
     for robot in range(robots):
         scale = mean + TAU * rng.standard_normal()
         for bag in range(2):
             planned.append(PlannedBag(f'/bags/{robot:02d}_{bag}', f'r{robot:02d}', {'age_h': 200.0 * bag}))
-            row = {
+            row = prior_row | {
                 'status': 'calibrated',
                 'reason': '',
                 'scale_factor': scale + 1e-4 * rng.standard_normal(),
@@ -54,7 +65,7 @@ def drawn_fleet(folder: Path, seed: int = 0, robots: int = 12, mean: float = MEA
             results.append(BagResult(row, scores))
     planned.append(PlannedBag('/bags/broken', 'r00', {}))
     results.append(failed('is damaged <here>'))
-    FleetStore(folder).write_tables(planned, results, {'model': model_to_dict(default_model())})
+    FleetStore(folder).write_tables(planned, results, {'model': model_to_dict(model)})
     return folder
 
 
@@ -135,6 +146,17 @@ def test_the_report_has_the_failed_bags_and_a_page(
     assert main(['fleet', 'report', str(folder)]) == 0
     text = capsys.readouterr().out
     assert '24 of 25 bags of 12 robots are calibrated.' in text and 'report.html' in text
+
+
+def test_an_effect_that_no_bag_shows_stays_as_unknown_as_before(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = drawn_fleet(tmp_path / 'fleet', unseen='scale_cubic'), tmp_path / 'prior.yaml'
+    assert main(['fleet', 'report', str(folder)]) == 0
+    assert 'No bag tells scale_cubic' in capsys.readouterr().out
+    assert main(['fleet', 'prior', str(folder), '-o', str(out)]) == 0
+    prior, (item,) = load_calibration(out), find_effect('scale_cubic').coefficients
+    assert prior.stds[2] == pytest.approx(item.prior_std) and prior.values[2] == item.prior_mean
 
 
 def test_the_prior_starts_a_replay_and_leaves_a_robot_out(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.fleet.comparison import compare
-from gyrocal_ros.fleet.findings import AGE, Findings
+from gyrocal_ros.fleet.findings import AGE, Findings, by_data_alone
 from gyrocal_ros.fleet.hierarchy import FleetEstimate, Observations, fit_fleet
 from gyrocal_ros.fleet.pooling import Pooled, pool
 from gyrocal_ros.fleet.table import FleetTable, ScoreTable
@@ -169,3 +171,27 @@ def test_a_difference_of_means_has_its_interval() -> None:
         inside += item.mean.low < 0.002 < item.mean.high
         assert item.spread_ratio.low < item.spread_ratio.value < item.spread_ratio.high
     assert inside >= 16
+
+
+def test_the_prior_of_the_model_does_not_pass_for_knowledge_of_many_bags() -> None:
+    """The filter's estimates contain the prior; an effect that no bag shows stays unknown."""
+    rng = np.random.default_rng(0)
+    bags, truth, std, prior_std = 60, 0.01, 0.004, 0.003
+    measured = truth + std * rng.standard_normal(bags)
+    posterior_std = (std**-2 + prior_std**-2) ** -0.5
+    posterior = measured * (posterior_std / std) ** 2
+    columns = {
+        'robot': [f'r{bag // 2}' for bag in range(bags)],
+        'k': list(posterior),
+        'k_std': [posterior_std] * bags,
+        'unseen': [0.0] * bags,
+        'unseen_std': [prior_std] * bags,
+    }
+    priors = [
+        {'name': name, 'prior_mean': {'c': 0.0}, 'prior_std': {'c': prior_std}} for name in ('k', 'unseen')
+    ]
+    table = FleetTable((), columns | {'bag': list(range(bags))}, {'effects': priors})
+    value, alone_std = by_data_alone(table, 'k')
+    assert value == pytest.approx(measured) and alone_std == pytest.approx([std] * bags)
+    assert abs(value.mean() - truth) < 3.0 * std / math.sqrt(bags) < abs(posterior.mean() - truth)
+    assert np.isnan(by_data_alone(table, 'unseen')[0]).all()

@@ -18,6 +18,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.effects import EFFECTS, SCALE_FACTOR, default_model, find_effect
 from gyrocal_ros.effects.model_file import model_to_dict
+from gyrocal_ros.effects.traits import scanned_coefficient
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.fleet.findings import find
@@ -63,7 +64,10 @@ def priors() -> Iterator[dict[str, Any]]:
 
 
 def _can_be_common(name: str) -> bool:
-    return name in LIBRARY_RANGES and is_gentle(name) and find_effect(name).acts_on == 'gyro'
+    """Return True for an effect of the gyro that the filter estimates without a first guess from a scan."""
+    effect = find_effect(name)
+    is_drawn = name in LIBRARY_RANGES and is_gentle(name)
+    return is_drawn and effect.acts_on == 'gyro' and scanned_coefficient(effect) is None
 
 
 def _prior_figures(law: FleetLaw) -> dict[str, Any]:

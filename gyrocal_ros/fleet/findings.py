@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.fleet.hierarchy import FleetEstimate, Observations, fit_fleet, indexed
+from gyrocal_ros.fleet.hierarchy import MIN_ROBOTS, FleetEstimate, Observations, fit_fleet, indexed
 from gyrocal_ros.fleet.pooling import (
     MIN_BAGS,
     Pooled,
@@ -32,6 +32,8 @@ MIN_SPREAD_H, MIN_SPREAD_K = 24.0, 1.0
 """Least standard deviation of age and temperature over the bags from which a drift is estimated."""
 FEW_ALPHA = 0.01
 """Probability of any false robot among those with an effect of their own."""
+LEAST_INFORMATION = 1e-3
+"""Least information of a bag on a coefficient, relative to that of its prior."""
 LEAST_CONVERGED = 0.5
 """Share of the calibrated bags that must have converged for the others to be left out."""
 
@@ -87,13 +89,8 @@ def find(table: FleetTable) -> Findings:
     regressors, names = _regressors(table, counted)
     coefficients = {}
     for name in table.coefficients:
-        observed = Observations(
-            table.numbers(name)[counted],
-            table.numbers(f'{name}_std')[counted],
-            index[counted],
-            regressors[counted],
-            names,
-        )
+        value, std = by_data_alone(table, name)
+        observed = Observations(value[counted], std[counted], index[counted], regressors[counted], names)
         fitted = fit_fleet(observed, looks=len(table.coefficients))
         if fitted is not None:
             coefficients[name] = fitted
@@ -119,6 +116,22 @@ def find(table: FleetTable) -> Findings:
     )
 
 
+def by_data_alone(table: FleetTable, name: str) -> tuple[Array, Array]:
+    """Return value and standard deviation (n,) of a coefficient by the data of each bag alone.
+
+    The estimate x +- s of a bag combines its data with the prior m0 +- s0 of the model, which is the same in
+    every bag: over many bags it would pass for knowledge. The data alone have the information
+    1 / s^2 - 1 / s0^2 (Gelman et al. 2013, section 2.5). Bags whose data tell next to nothing are NaN.
+    """
+    value, std = table.numbers(name), table.numbers(f'{name}_std')
+    mean, prior_std = table.priors.get(name, (0.0, math.inf))
+    with np.errstate(divide='ignore', invalid='ignore'):
+        information = std**-2.0 - prior_std**-2.0
+        information[information < LEAST_INFORMATION * prior_std**-2.0] = math.nan
+        alone = (value * std**-2.0 - mean * prior_std**-2.0) / information
+        return alone, information**-0.5
+
+
 def advice(found: Findings) -> list[str]:
     """Return what to do next, and on which robots."""
     steps = []
@@ -136,6 +149,10 @@ def advice(found: Findings) -> list[str]:
             steps.append(
                 f'Add {item.effect} to the model of all robots, then run the fleet again with --model.'
             )
+    if len(found.robots) >= MIN_ROBOTS:
+        for name in found.table.coefficients:
+            if name not in found.coefficients:
+                steps.append(f'No bag tells {name}: record other motions, or take it out of the model.')
     if found.pooled.bags < MIN_BAGS:
         steps.append(f'Record more: effects of the fleet are judged from {MIN_BAGS} bags on.')
     single = [name for name, estimate in found.coefficients.items() if estimate.bags == estimate.robots]

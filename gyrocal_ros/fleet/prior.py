@@ -24,24 +24,31 @@ def prior_of(found: Findings, config: Config) -> Calibration:
     A new part is a draw from the fleet: its mean is that of the fleet at zero running hours, its variance
     the predictive one, tau^2 + omega^2 + var(mean) + slope^2 var(temperature). The number of robots is small,
     so the variances are multiplied by (m - 1) / (m - 3), the variance of Student's t with m - 1 degrees of
-    freedom (Gelman et al. 2013, section 3.2).
+    freedom (Gelman et al. 2013, section 3.2). It is multiplied with the prior of the model, which is all
+    there is for a coefficient that no bag tells.
 
     Raises:
-        GyrocalError: the fleet has too few robots, or lacks a coefficient of its model.
+        GyrocalError: bias or scale factor are known of too few robots.
     """
     model = model_from_dict(found.table.model, 'model of the fleet')
     names = ('bias', *model.coefficient_names)
     values, variances = [], []
     temperatures = found.table.numbers('temperature_c')
     for name in names:
+        mean, std = found.table.priors.get(name, (0.0, math.inf))
         fitted = found.coefficients.get(name)
-        if fitted is None or fitted.robots < MIN_ROBOTS:
+        offset = 1.0 if name == SCALE_FACTOR else 0.0  # the model estimates what is beyond 1
+        if fitted is not None and fitted.robots >= MIN_ROBOTS:
+            information = np.array([1.0 / _predictive_variance(fitted, temperatures), std**-2.0])
+            values.append(float(np.average([fitted.mean.value, mean], weights=information)) - offset)
+            variances.append(1.0 / float(information.sum()))
+        elif name in ('bias', SCALE_FACTOR):
             what = f'{name} is known of too few robots'
             todo = f'a prior needs {MIN_ROBOTS} robots, record more'
             raise GyrocalError(what, where=', '.join(map(str, found.table.folders)), todo=todo)
-        offset = 1.0 if name == SCALE_FACTOR else 0.0  # the model estimates what is beyond 1
-        values.append(fitted.mean.value - offset)
-        variances.append(_predictive_variance(fitted, temperatures))
+        else:
+            values.append(mean)
+            variances.append(std**2)
     robots = max(estimate.robots for estimate in found.coefficients.values())
     return Calibration(
         model=model,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.effects import SCALE_FACTOR
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.fleet.result import CALIBRATED
 from gyrocal_ros.fleet.store import ABOUT, CALIBRATIONS, SCORES
@@ -51,6 +52,20 @@ class FleetTable:
     def coefficients(self) -> list[str]:
         """Names of the columns that have a standard deviation beside them."""
         return [name for name in self.columns if f'{name}_std' in self.columns]
+
+    @property
+    def priors(self) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation of the prior of each coefficient, by its column; the bias has none."""
+        found = {}
+        for effect in self.model.get('effects', ()):
+            name, stds = effect['name'], effect['prior_std']
+            offset = (
+                1.0 if name == SCALE_FACTOR else 0.0
+            )  # the column is the factor, the model has what is beyond 1
+            for item, std in stds.items():
+                column = name if len(stds) == 1 else f'{name}.{item}'
+                found[column] = (offset + effect['prior_mean'][item], std)
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

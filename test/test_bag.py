@@ -653,6 +653,17 @@ def test_damaged_metadata(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_file_that_the_metadata_list_twice(tmp_path: Path, storage: Storage) -> None:
+    path = write(tmp_path / 'bag', storage=storage)
+    name, metadata = data_file(path).name, path / 'metadata.yaml'
+    once, twice = f'- {name}\n', f'- {name}\n  - {name}\n'
+    text = metadata.read_text()
+    assert text.count(once) == 1
+    metadata.write_text(text.replace(once, twice))
+    assert 'lists a file twice' in refused(path)
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 @pytest.mark.parametrize('kept', [0.02, 0.5, 0.99])
 def test_a_truncated_file(tmp_path: Path, storage: Storage, kept: float) -> None:
     path = write(tmp_path / 'bag', storage=storage)

@@ -263,6 +263,7 @@ def open_storage(path: Path) -> Iterator[Storage]:
         storage = Storage(path, reader)
         with _damage_as_recording_error(path):
             _require_contents(storage)
+            _require_each_file_once(reader)
         yield storage
     finally:
         reader.close()
@@ -279,6 +280,14 @@ def _require_contents(storage: Storage) -> None:
         raise ValueError('a number or a name in its metadata has the wrong type')
     if storage.end_ns - storage.start_ns > MAX_DURATION_NS:
         raise ValueError('it lasts longer than a year')
+
+
+def _require_each_file_once(reader: rosbag1.Reader | rosbag2.Reader) -> None:
+    """Raise an error if the metadata of a folder list a file twice: its messages would count twice."""
+    parts = getattr(getattr(reader, 'storage', None), 'storages', ())  # a folder has them, a file is one
+    files = [str(part.path) for part in parts]
+    if len(set(files)) < len(files):
+        raise ValueError('metadata.yaml lists a file twice')
 
 
 def _require_recording(path: Path) -> None:

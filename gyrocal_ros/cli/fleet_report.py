@@ -137,7 +137,10 @@ def _missing(found: Findings) -> Iterator[str]:
             yield f'  distinguished from {others} by all bags together, not by one'
     if found.pooled.strongest is not None:
         best = found.pooled.strongest
-        yield f'No effect is missing in the fleet; the strongest is {best.effect}, {best.sigma:.1f} sigma.'
+        yield (
+            f'No effect is missing in the fleet; the strongest is {best.effect}, {best.sigma:.1f} sigma in '
+            f'{found.pooled.bags} bags, {best.per_bag_sigma:.1f} in one.'
+        )
 
 
 def _prior(args: argparse.Namespace) -> None:

@@ -90,13 +90,16 @@ def fit(scores: ScoreStatistics, columns: IntArray, given: IntArray | None = Non
     kept = np.flatnonzero(excited)
     information = (information / (scale[:, None] * scale))[:, kept[:, None], kept]
     score, total = (score / scale)[:, kept], (total / (scale[:, None] * scale))[np.ix_(kept, kept)]
-    if np.linalg.cond(total) > MAX_CONDITION:
+    spread, axes = np.linalg.eigh(total)
+    if spread[0] * MAX_CONDITION < spread[-1]:
         return None
-    inverse = np.linalg.inv(total)
-    values = inverse @ score.sum(axis=0)
+    root = axes / np.sqrt(spread)
+    inverse = root @ root.T
+    values = root @ (root.T @ score.sum(axis=0))
     wanted = np.flatnonzero(kept < len(columns))
     unscaled = 1.0 / scale[kept[wanted]]
-    covariance = _covariance(information, score, values, inverse)
+    covariance = root @ _covariance_of_whitened(root.T @ information @ root, score @ root) @ root.T
+    covariance = 0.5 * (covariance + covariance.T)
     block_gains = score @ values - 0.5 * np.einsum('i,bij,j->b', values, information, values)
     if len(others):
         block_gains = block_gains - _gains_of(information, score, kept >= len(columns))
@@ -150,38 +153,38 @@ def _gains_of(information: Array, score: Array, chosen: np.ndarray) -> Array:
     return gains
 
 
-def _covariance(information: Array, score: Array, values: Array, inverse: Array) -> Array:
-    """Return the covariance of the estimate: of three estimates, the one that makes it least significant.
+def _covariance_of_whitened(information: Array, score: Array) -> Array:
+    """Return the covariance (q, q) of the estimate: of three, the one that makes it least significant.
 
     The filter's own S may be wrong, so the scatter of the blocks' scores counts (a sandwich,
     heteroscedasticity-consistent with the small-sample correction HC3 of MacKinnon and White 1985).
     Neighbouring blocks may be correlated (Bartlett weights, Newey and West 1987). An effect that shows in
     one block alone has no scatter, so the covariance by the filter's own S is a lower bound.
+
+    Args:
+        information: (B, q, q) of each block, in coordinates in which their sum is the unit matrix. In others
+            the sandwich of coefficients that are much alike is nothing but rounding.
+        score: (B, q) of each block, in the same coordinates.
     """
+    values, unit = score.sum(axis=0), np.eye(score.shape[1])
     left = score - information @ values
-    leverage = MAX_LEVERAGE * (information @ inverse)
-    corrected = np.linalg.solve(np.eye(len(values)) - leverage, left[:, :, None])[:, :, 0]
+    corrected = np.linalg.solve(unit - MAX_LEVERAGE * information, left[:, :, None])[:, :, 0]
     alone = corrected.T @ corrected
     neighbours = alone.copy()
     for lag in range(1, min(LAGS, len(left) - 1) + 1):
         cross = corrected[lag:].T @ corrected[:-lag]
         neighbours += (1.0 - lag / (LAGS + 1.0)) * (cross + cross.T)
-    estimates = [inverse, inverse @ alone @ inverse, inverse @ neighbours @ inverse]
-    largest = float(np.linalg.eigvalsh(inverse)[-1])
-    sound = [estimate for estimate in estimates if _is_sound(estimate, largest)]
+    sound = [estimate for estimate in (unit, alone, neighbours) if _is_sound(estimate)]
     return min(sound, key=lambda estimate: float(values @ np.linalg.solve(estimate, values)))
 
 
-def _is_sound(covariance: Array, largest: float) -> bool:
-    """Return True if a covariance is positive definite by more than rounding.
+def _is_sound(covariance: Array) -> bool:
+    """Return True if a covariance is positive definite by more than rounding, beside the unit matrix.
 
-    Args:
-        covariance: of the estimate.
-        largest: largest eigenvalue of the covariance by the filter. As many blocks as coefficients leave no
-            scatter but rounding.
+    As many blocks as coefficients leave no scatter but rounding.
     """
     spread = np.linalg.eigvalsh(covariance)
-    return bool(spread[0] > SINGULAR * max(spread[-1], largest))
+    return bool(spread[0] > SINGULAR * max(spread[-1], 1.0))
 
 
 def correlation(scores: ScoreStatistics, first: IntArray, second: IntArray) -> float:

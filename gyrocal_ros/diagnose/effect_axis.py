@@ -71,7 +71,7 @@ def _vanishes_at_rest(effect: Any) -> bool:
     block = motion_of_sketch(effect)
     at_rest = replace(block, rate_rad_s=np.zeros_like(block.rate_rad_s))
     term = effect.contribute(at_rest, np.array(effect.about.example), None)
-    return not np.any(term.rate_rad_s)
+    return not np.any(term.rate_rad_s) and not np.any(term.by_values)
 
 
 def _extended(x: Array, y: Array, where: Array) -> Array:

@@ -42,6 +42,7 @@ from gyrocal_ros.sim.image_scenes import find_scene
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sensors import stream
+from gyrocal_ros.sim.varied import varied_scenario
 from gyrocal_ros.sim.world import SimSource
 
 COSTLY_DRIFT_DEG = 0.5
@@ -119,6 +120,7 @@ def blind(
     only: Sequence[str] = (),
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
     scenes: Sequence[str] = (),
+    varied: bool = False,
 ) -> Iterator[dict[str, Any]]:
     """Yield one row per case as they become ready, and one for all cases together.
 
@@ -127,9 +129,12 @@ def blind(
         only: labels of cases; empty for all.
         settings: thresholds of the diagnosis.
         scenes: scenes of images, of which each seed has one; empty for tracked features.
+        varied: True to draw robot, room, drive and sensors by the seed as well.
     """
     scene_of = [scenes[seed % len(scenes)] if scenes else None for seed in range(seeds)]
-    tasks = [(case, seed, settings, scene_of[seed]) for case in cases(only) for seed in range(seeds)]
+    tasks = [
+        (case, seed, settings, scene_of[seed], varied) for case in cases(only) for seed in range(seeds)
+    ]
     every = []
     for _, group in groupby(in_parallel(_run_task, tasks), key=lambda result: result.case):
         results = list(group)
@@ -160,7 +165,11 @@ def row(label: str, results: Sequence[BlindResult]) -> dict[str, Any]:
 
 
 def run_blind(
-    case: Case, seed: int, settings: DiagnosisSettings = DEFAULT_SETTINGS, scene: str | None = None
+    case: Case,
+    seed: int,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
+    scene: str | None = None,
+    varied: bool = False,
 ) -> BlindResult:
     """Hide effects in a simulated recording, diagnose it and compare with the truth.
 
@@ -169,8 +178,10 @@ def run_blind(
         seed: seed of the recording.
         settings: thresholds of the diagnosis.
         scene: scene of the images; None for tracked features.
+        varied: True to draw robot, room, drive and sensors by the seed as well.
     """
-    scenario, config = find_scenario('cleaning'), _with_noise(Config(), case.noise)
+    scenario = varied_scenario(seed) if varied else find_scenario('cleaning')
+    config = _with_noise(Config(), case.noise)
     if scene is not None:
         scenario = find_scene(scene).applied_to(scenario)
     drawn = draw_hidden(seed, scenario.duration_s, case.names)
@@ -334,5 +345,5 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(known.mean()) if len(known) else None
 
 
-def _run_task(task: tuple[Case, int, DiagnosisSettings, str | None]) -> BlindResult:
+def _run_task(task: tuple[Case, int, DiagnosisSettings, str | None, bool]) -> BlindResult:
     return run_blind(*task)

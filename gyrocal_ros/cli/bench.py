@@ -53,6 +53,7 @@ gyrocal bench accuracy comparison --seeds 20
 gyrocal bench blind --seeds 10 --only none scale_cubic
 gyrocal bench blind --only none --set significant_sigma=3.5 --set min_predictive_gain=2
 gyrocal bench blind --images --seeds 2 --only none gyro_lag
+gyrocal bench blind --varied --seeds 5 --only none rate_deadband
 gyrocal bench blind --strangers --seeds 2
 gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
@@ -137,6 +138,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--images', action='store_true', help='for blind: recordings with images, of a scene by the seed'
     )
     parser.add_argument(
+        '--varied',
+        action='store_true',
+        help='for blind: another robot, room, drive and set of sensors for every seed',
+    )
+    parser.add_argument(
         '--strangers',
         action='store_true',
         help='for blind: laws that no effect of the library has, and what `gyrocal learn` makes of them',
@@ -179,6 +185,9 @@ def run(args: argparse.Namespace) -> None:
     if args.strangers and (set(args.what) != {'blind'} or args.images or args.set):
         raise GyrocalError('is for the bench blind alone', where='--strangers', todo='name only blind')
     _refuse_wrong_scenes(args)
+    if args.varied and (set(args.what) != {'blind'} or args.images or args.strangers):
+        todo = 'name blind, without --images and --strangers'
+        raise GyrocalError('is only for the bench blind on features', where='--varied', todo=todo)
     if args.keep and (args.what or not args.quick):
         raise GyrocalError('is for `gyrocal bench --quick` only', where='--keep')
     if args.quick and not args.what:
@@ -228,7 +237,7 @@ def _start_calibrator(file: Path, now_s: float) -> LiveCalibrator:
 def _blind(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     if args.strangers:
         return strangers(args.seeds, args.only)
-    return blind(args.seeds, args.only, _settings(args), _scenes(args))
+    return blind(args.seeds, args.only, _settings(args), _scenes(args), args.varied)
 
 
 def _fleet(args: argparse.Namespace) -> Iterator[dict[str, Any]]:

@@ -1,0 +1,79 @@
+"""Scenarios drawn at random: another robot, room, drive and set of sensors for every seed.
+
+The shipped scenarios share most of their numbers, so that what is tuned to one of them looks right in all.
+The ranges are those of data sheets of consumer gyros, and of cleaning robots on the market.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gyrocal_ros.sim.manoeuvres import DrivingStyle
+from gyrocal_ros.sim.scenarios import Scenario, find_scenario
+from gyrocal_ros.sim.sensors import SensorErrors, stream
+
+PLANS = ('cleaning', 'lanes', 'rest_and_go', 'spins')
+DURATION_S = (90.0, 400.0)
+IMU_HZ, WHEEL_HZ, CAMERA_HZ = (50, 100, 200, 400), (20, 50, 100), (5, 8, 10, 15, 30)
+FEATURES = (8, 40)
+AREA_M = (1.5, 5.0)
+"""Range of the sides of the cleaned area; the walls are a metre further."""
+SLOWEST_DEG_S, FASTEST_DEG_S = (15.0, 60.0), (60.0, 170.0)
+"""Ranges of the slowest and the fastest turn of a robot."""
+
+
+def varied_scenario(seed: int) -> Scenario:
+    """Return the scenario of a seed; its scale factor and hidden effects are left to the caller."""
+    rng = stream(seed, 'varied scenario')
+    duration_s = _log_uniform(rng, *DURATION_S)
+    changes_s = np.sort(rng.uniform(0.2, 0.8, 2)) * duration_s
+    area_m = tuple(rng.uniform(*AREA_M, 2))
+    return replace(
+        find_scenario('cleaning'),
+        name='varied',
+        about='a robot, a room and a drive drawn at random',
+        stages=tuple(zip(rng.choice(PLANS, 3).tolist(), [*changes_s.tolist(), 0.0], strict=True)),
+        duration_s=duration_s,
+        standing_s=float(rng.choice([0.5, 3.0, 10.0])),
+        imu_hz=int(rng.choice(IMU_HZ)),
+        wheel_hz=int(rng.choice(WHEEL_HZ)),
+        camera_hz=int(rng.choice(CAMERA_HZ)),
+        features=round(_log_uniform(rng, *FEATURES)),
+        track_loss=_log_uniform(rng, 5e-4, 2e-2),
+        driving_style=DrivingStyle(
+            speed_m_s=float(rng.uniform(0.15, 0.45)),
+            turn_rates_deg_s=(float(rng.uniform(*SLOWEST_DEG_S)), float(rng.uniform(*FASTEST_DEG_S))),
+            area_m=(float(area_m[0]), float(area_m[1])),
+            lane_width_m=float(rng.uniform(0.15, 0.4)),
+        ),
+        errors=_errors(rng),
+        room_m=(float(area_m[0]) + 2.0, float(area_m[1]) + 2.0),
+        corners=int(rng.integers(40, 160)),
+        floor_tilt_deg=_log_uniform(rng, 0.05, 0.4),
+        bumps=int(rng.integers(0, 10)),
+        mount_xyz_m=(float(rng.uniform(-0.12, 0.12)), float(rng.uniform(-0.05, 0.05)), 0.1),
+        mount_yaw_deg=float(rng.uniform(-180.0, 180.0)),
+    )
+
+
+def _errors(rng: np.random.Generator) -> SensorErrors:
+    """Draw the errors of the sensors."""
+    return SensorErrors(
+        turn_on_bias_deg_s=_log_uniform(rng, 0.05, 1.0),
+        bias_wander_deg_h=_log_uniform(rng, 2.0, 30.0),
+        bias_wander_time_s=_log_uniform(rng, 100.0, 600.0),
+        rate_noise_deg_s=_log_uniform(rng, 0.003, 0.03),
+        rate_step_deg_s=_log_uniform(rng, 0.002, 0.06),
+        vibration_m_s2=_log_uniform(rng, 0.05, 0.5),
+        wheel_noise_m=_log_uniform(rng, 0.002, 0.015),
+        tick_m=_log_uniform(rng, 1e-4, 1e-3),
+        track_error=float(rng.uniform(-0.03, 0.03)),
+        pixel_noise_px=_log_uniform(rng, 0.1, 1.0),
+        outliers=float(rng.choice([0.0, 0.0, 0.01, 0.03])),
+    )
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(low * (high / low) ** rng.uniform())

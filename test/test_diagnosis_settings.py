@@ -115,12 +115,14 @@ class TestSweep:
             run_blind(Case('none'), 0, DiagnosisSettings(significant_sigma=3.5))
 
     @pytest.fixture
-    def trials(self, monkeypatch: pytest.MonkeyPatch) -> list[tuple[Case, int, DiagnosisSettings, object]]:
+    def trials(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> list[tuple[Case, int, DiagnosisSettings, object, bool]]:
         """Record the trials of the command instead of running them."""
-        tasks: list[tuple[Case, int, DiagnosisSettings, object]] = []
+        tasks: list[tuple[Case, int, DiagnosisSettings, object, bool]] = []
 
         def in_order(
-            function: object, given: list[tuple[Case, int, DiagnosisSettings, object]]
+            function: object, given: list[tuple[Case, int, DiagnosisSettings, object, bool]]
         ) -> Iterator[Any]:
             tasks.extend(given)
             for case, seed, *_ in given:
@@ -131,25 +133,33 @@ class TestSweep:
         return tasks
 
     def test_the_command_passes_thresholds(
-        self, trials: list[tuple[Case, int, DiagnosisSettings, object]], capsys: Output
+        self, trials: list[tuple[Case, int, DiagnosisSettings, object, bool]], capsys: Output
     ) -> None:
         args = ['bench', 'blind', '--seeds', '2', '--only', 'none', '--set', 'significant_sigma=3.5']
         assert main([*args, '--set', 'max_rivals=1', '--json']) == 0
         expected = DiagnosisSettings(significant_sigma=3.5, max_rivals=1)
-        assert trials == [(cases(['none'])[0], seed, expected, None) for seed in (0, 1)]
+        assert trials == [(cases(['none'])[0], seed, expected, None, False) for seed in (0, 1)]
         printed = json.loads(capsys.readouterr().out)
         assert printed['settings'] == {'significant_sigma': 3.5, 'max_rivals': 1}
         assert [row['hidden'] for row in printed['benches']['blind']] == ['none', 'all']
 
     def test_without_thresholds_the_default_holds(
-        self, trials: list[tuple[Case, int, DiagnosisSettings, object]], capsys: Output
+        self, trials: list[tuple[Case, int, DiagnosisSettings, object, bool]], capsys: Output
     ) -> None:
         assert main(['bench', 'blind', '--seeds', '1', '--only', 'none', '--json']) == 0
-        assert [settings for _, _, settings, _ in trials] == [DEFAULT_SETTINGS]
+        assert [settings for _, _, settings, *_ in trials] == [DEFAULT_SETTINGS]
         assert json.loads(capsys.readouterr().out)['settings'] == {}
 
+    def test_the_command_passes_that_every_seed_draws_another_robot(
+        self, trials: list[tuple[Case, int, DiagnosisSettings, object, bool]]
+    ) -> None:
+        args = ['bench', 'blind', '--seeds', '1', '--only', 'none', '--json']
+        assert main([*args, '--varied']) == 0 and main(args) == 0
+        assert [varied for *_, varied in trials] == [True, False]
+        assert main([*args, '--varied', '--images']) == 2
+
     def test_the_table_is_headed_by_the_thresholds(
-        self, trials: list[tuple[Case, int, DiagnosisSettings, object]], capsys: Output
+        self, trials: list[tuple[Case, int, DiagnosisSettings, object, bool]], capsys: Output
     ) -> None:
         assert main(['bench', 'blind', '--seeds', '1', '--only', 'none', '--set', 'nonzero_sigma=2']) == 0
         assert capsys.readouterr().out.startswith('blind: gyrocal 0, m, nonzero_sigma = 2\n')

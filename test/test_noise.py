@@ -12,16 +12,17 @@ import pytest
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock, Source
-from gyrocal_ros.diagnose.additions import addition
+from gyrocal_ros.diagnose import noise
+from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.examined import examine, with_effect
-from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.noise_fit import fit_noises
+from gyrocal_ros.diagnose.noise import find_missing, or_noise
+from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, Place, SensorModel
+from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, Place, SensorModel, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.forward import HiddenEffect
@@ -126,6 +127,35 @@ def test_noise_raises_the_drift_only_beyond_what_it_explains(monkeypatch: pytest
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (1.0, 4.0))
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 3.0)
         assert addition(first, after).raises_drift == raises
+
+
+@pytest.mark.parametrize(
+    ('name', 'is_white'), [('gyro_noise', True), ('rate_noise', True), ('bias_instability', False)]
+)
+def test_noisy_readings_prove_white_noise_alone(
+    name: str, is_white: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A wandering bias does not make the readings scatter: it has to predict better than what was found."""
+    source = recording('', seconds=60.0)
+    recorded = summarise_recording(source)
+    first = examine(default_model(), recorded, runner(source))
+    searched, asked = Search(first, ()), []
+    fitted = NoiseFit(with_means(find_effect(name), (SIZES[name],)), 1e3, 1e-6)
+    kept = replace(addition(first, first), effect=fitted.effect, gain=1e3)
+
+    def is_proven(*about: object) -> bool:
+        asked.append(about)
+        return False
+
+    monkeypatch.setattr(noise, '_reads_noisily', lambda *about: True)
+    monkeypatch.setattr(noise, 'fit_noises', lambda *about: [fitted])
+    monkeypatch.setattr(noise, '_first_kept', lambda *about: kept)
+    monkeypatch.setattr(noise, '_is_proven', is_proven)
+    monkeypatch.setattr(noise, 'continued', lambda additions, *about: additions)
+    monkeypatch.setattr(Addition, 'predictive_gain', 1e3)
+    found = or_noise(searched, recorded, runner(source), most=1)
+    assert bool(asked) != is_white
+    assert [item.effect.name for item in found.additions] == ([name] if is_white else [])
 
 
 @pytest.mark.slow

@@ -66,6 +66,8 @@ class FakeFilter:
     """Final estimate of an effect that is the only one added."""
     beside: dict[str, float] = field(default_factory=dict)
     """Predictive log-likelihood that an effect gains where it is not the only one added."""
+    unbent_by: str = ''
+    """Effect with which the headings show no structure."""
     models: list[tuple[str, ...]] = field(default_factory=list)
 
     def __call__(self, model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
@@ -74,7 +76,8 @@ class FakeFilter:
         if self.diverges_without and self.diverges_without not in names:
             raise FilterDivergedError('lost the measurements')
         gains = {**self.predictive_gains, **(self.beside if len(names) > 2 else {})}
-        history = self.made.run.history
+        made = drive(duration_s=DURATION_S) if self.unbent_by in names else self.made
+        history = made.run.history
         steps, values = len(history.time_s), self.estimates(model)
         exact = {effect.name for effect in model.effects if self.starts_exactly(effect)}
         gone = {name for name, of in self.leftover_of.items() if of in exact}
@@ -90,8 +93,8 @@ class FakeFilter:
             suspected_std=np.zeros((steps, 1 + len(values))),
             log_likelihood=sum(gains.get(name, 0.0) for name in names) / steps * uneven,
         )
-        state = replace(self.made.run.state, mean=changed.mean[-1], coefficient_count=len(values))
-        return replace(self.made.run, model=model, history=changed, state=state, scores=scores)
+        state = replace(made.run.state, mean=changed.mean[-1], coefficient_count=len(values))
+        return replace(made.run, model=model, history=changed, state=state, scores=scores)
 
     def estimates(self, model: SensorModel) -> Array:
         """Return the hidden size of each effect as its first coefficient."""
@@ -241,6 +244,16 @@ class TestSearch:
         structure = found.first.unexplained_structure
         assert structure is not None and structure.at_s is not None
         assert found.first.ranked[0].effect.name == 'gyro_lag' and found.first.ranked[0].is_significant
+
+    @pytest.mark.parametrize('unbent_by', ['gyro_lag', 'scale_cubic'])
+    def test_the_effect_whose_run_leaves_no_structure_is_added(self, unbent_by: str) -> None:
+        """However much more the structure gains than all effects, and whichever of them seems best."""
+        sizes, gains = {'gyro_lag': 0.8, 'scale_cubic': 0.7}, {'gyro_lag': 60.0, 'scale_cubic': 50.0}
+        fake = FakeFilter(sizes, gains, knocked(), unbent_by=unbent_by)
+        found = search(default_model(), AT_REST, fake)
+        assert found.first.ranked[0].effect.name == 'gyro_lag'
+        assert found.additions[0].effect.name == unbent_by and found.additions[0].is_kept
+        assert found.first.unexplained_structure is not None and found.last.unexplained_structure is None
 
     def test_structure_that_the_headings_alone_show_is_ignored(self) -> None:
         found = search(default_model(), AT_REST, FakeFilter({}, {}, knocked()))

@@ -132,9 +132,7 @@ def blind(
         varied: True to draw robot, room, drive and sensors by the seed as well.
     """
     scene_of = [scenes[seed % len(scenes)] if scenes else None for seed in range(seeds)]
-    tasks = [
-        (case, seed, settings, scene_of[seed], varied) for case in cases(only) for seed in range(seeds)
-    ]
+    tasks = [(case, seed, settings, scene_of[seed], varied) for case in cases(only) for seed in range(seeds)]
     every = []
     for _, group in groupby(in_parallel(_run_task, tasks), key=lambda result: result.case):
         results = list(group)

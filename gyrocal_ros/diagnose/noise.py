@@ -19,6 +19,7 @@ from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import white_noise
+from gyrocal_ros.effects.traits import is_white_noise
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel
@@ -56,7 +57,7 @@ def or_noise(
 ) -> Search:
     """Return a search in which noise takes the place of what was found, where noise predicts better.
 
-    Noise that the readings themselves show needs no other proof. All other noise may be imitated by wrong
+    White noise that the readings themselves show needs no other proof. Other noise may be imitated by wrong
     effects and by process noise, and an unknown law looks like noise as long as it is not known. So it has to
     predict better than everything that was found, and not in one block of time alone, as for a jump; with it
     the model has to fit, and no unknown law may predict better. Then the search goes on beside the noise.
@@ -68,13 +69,16 @@ def or_noise(
         most: number of effects to try.
     """
     first = searched.first
-    is_shown = _reads_noisily(first, recording)
+    reads_noisily = _reads_noisily(first, recording)
     is_recovered = bool(searched.additions) and searched.additions[0].before is None
-    if is_recovered or not (is_shown or is_missing_something(first)):
+    if is_recovered or not (reads_noisily or is_missing_something(first)):
         return searched
     explained = heading_log_likelihood(searched.last.seen) - heading_log_likelihood(first.seen)
     noises, structure = fit_noises(first), first.unexplained_structure
-    if not noises or noises[0].gain < max(MIN_GAIN, 0.0 if is_shown else explained):
+    if not noises:
+        return searched
+    is_shown = reads_noisily and is_white_noise(noises[0].effect)
+    if noises[0].gain < max(MIN_GAIN, 0.0 if is_shown else explained):
         return searched
     jump_gain = structure.gain if structure is not None and structure.at_s is not None else 0.0
     if not is_shown and jump_gain > JUMP_PART * noises[0].gain:
@@ -82,6 +86,7 @@ def or_noise(
     found = _first_kept(first, noises, recording, calibrate)
     if found is None or found.predictive_gain < MIN_GAIN:
         return searched
+    is_shown = reads_noisily and is_white_noise(found.effect)
     if not is_shown and not _is_proven(found, searched, recording, calibrate):
         return searched
     return Search(first, tuple(continued([found], found.after, recording, calibrate, most)))

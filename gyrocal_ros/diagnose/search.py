@@ -30,6 +30,7 @@ from gyrocal_ros.diagnose.ranking import (
     indistinguishable,
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
+from gyrocal_ros.diagnose.shapes import unexplained_structure
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import is_estimated, is_limit, may_break_the_filter, strengths
@@ -241,11 +242,8 @@ def _next_addition(
         if limited is not None:
             return limited
     known_gain = explained_together(present.ranked, present.scores, settings)
-    rival = None
-    if best is not None and structure_gain <= settings.structure_margin * known_gain:
-        with suppress(FilterDivergedError):
-            wider = wider_model(present, best.effect)
-            rival = addition(present, examine(wider, recording, calibrate, settings))
+    is_strange = structure_gain > settings.structure_margin * known_gain
+    rival = None if best is None else _with_best(present, best, recording, calibrate, excluded, is_strange)
     # The process noise of a limit improves any model, so it has to beat a run with the best effect. Where
     # there is none, the limit has to explain most of what is wrong.
     at_least = settings.limit_margin + (0.0 if rival is None else rival.predictive_gain)
@@ -254,6 +252,52 @@ def _next_addition(
         if limited is not None and (rival is not None or _explains_most(limited)):
             return limited
     return rival
+
+
+def _with_best(
+    present: ExaminedModel,
+    best: RankedEffect,
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    excluded: set[str],
+    is_strange: bool,
+) -> Addition | None:
+    """Add the best explanation.
+
+    Structure that gains more than all effects together may still be one of them, for the headings alone and
+    the full filter weigh it differently. Then the first effect that leaves little of it in a run is added.
+    """
+    if not is_strange:
+        with suppress(FilterDivergedError):
+            return _added(present, best, recording, calibrate)
+        return None
+    others = [item for item in present.ranked if item.is_significant and item.effect.name not in excluded]
+    for item in [best, *(item for item in others if item is not best)][: 1 + present.settings.max_rivals]:
+        with suppress(FilterDivergedError):
+            added = _added(present, item, recording, calibrate)
+            if _explains_structure(added):
+                return added
+    return None
+
+
+def _added(
+    present: ExaminedModel, ranked: RankedEffect, recording: RecordingSummary, calibrate: Calibrate
+) -> Addition:
+    """Run the filter with one more effect.
+
+    Raises:
+        FilterDivergedError: the filter cannot run with it.
+    """
+    wider = wider_model(present, ranked.effect)
+    return addition(present, examine(wider, recording, calibrate, present.settings))
+
+
+def _explains_structure(added: Addition) -> bool:
+    """Return True if a run with an effect leaves little of the unexplained structure."""
+    assert added.before is not None and added.before.unexplained_structure is not None
+    after, settings = added.after, added.after.settings
+    left = unexplained_structure(after.run, after.seen, settings)
+    return left is None or left.gain <= settings.leftover_part * added.before.unexplained_structure.gain
 
 
 def _explains_most(added: Addition) -> bool:
@@ -311,8 +355,7 @@ def _contested(
     additions = [last]
     for rival in _rivals(last.before, last.effect.name, tried):
         with suppress(FilterDivergedError):
-            wider = wider_model(last.before, rival.effect)
-            additions.append(addition(last.before, examine(wider, recording, calibrate, settings)))
+            additions.append(_added(last.before, rival, recording, calibrate))
     best = max((item for item in additions if item.is_kept), key=lambda item: item.predictive_gain)
     if best.predictive_gain <= last.predictive_gain + settings.min_predictive_gain:
         best = last

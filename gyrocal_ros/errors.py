@@ -45,6 +45,10 @@ class NotObservableError(GyrocalError):
     """The recording does not contain the motion that the result requires."""
 
 
+CANNOT_RUN = (FilterDivergedError, NotObservableError)
+"""Errors of a run with an effect that may be wrong; a wrong time offset, say, leaves no image to use."""
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return the known name nearest to `name`, or all known names, as text for an error message."""
     near = nearest(name, known)

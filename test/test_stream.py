@@ -16,6 +16,7 @@ from gyrocal_ros.data import (
     HeadingSample,
     ImuSample,
     Measurement,
+    MotionBlock,
     TemperatureSample,
     TruthSample,
     WheelSample,
@@ -123,6 +124,31 @@ def test_stamps_are_corrected_by_the_time_offset(offset_s: float) -> None:
     sync = synchroniser(0.1)
     assert sync.last_seen_ns(offset_s) == nanoseconds(0.1) - nanoseconds(offset_s)
     assert cuts(sync, 0.1 - offset_s - 0.001, offset_s=offset_s) == []
+
+
+@pytest.mark.parametrize(
+    ('every_s', 'offset_s'), [(0.2, 0.1), (0.2, 0.3), (0.5, 0.2), (0.1, 0.6), (0.2, -0.1)]
+)
+def test_images_that_are_stamped_late_are_all_used(every_s: float, offset_s: float) -> None:
+    """The filter waits for them, however slow the camera is, instead of predicting beyond them."""
+    stamps = [round(1.0 + every_s * number, 3) for number in range(10)]
+    slam = EkfSlam(default_model(), Config(), recording().rig)
+    stream, seen_at = SlamStream(slam), []
+    slam.time_offset_s = lambda: offset_s  # type: ignore[method-assign]
+    slam.step = lambda block, seen=None: seen_at.append((block.end_ns, seen)) or moved(slam, block)  # type: ignore
+    for tick in range(round((stamps[-1] + 1.0) * 100)):
+        for stamp_s in stamps:
+            if round(stamp_s * 100) == tick:
+                stream.step(image(stamp_s))
+        stream.step(imu(tick / 100))
+    stream.finish()
+    used = [(seconds(end_ns), seconds(seen.t_ns)) for end_ns, seen in seen_at if seen is not None]
+    assert used == [pytest.approx((stamp_s - offset_s, stamp_s)) for stamp_s in stamps]
+
+
+def moved(slam: EkfSlam, block: MotionBlock) -> None:
+    """Advance the time of a filter that only counts."""
+    slam.state = replace(slam.state, t_ns=block.end_ns)
 
 
 def test_the_moment_of_an_image_is_fixed_once_it_is_reached() -> None:

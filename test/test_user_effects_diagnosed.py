@@ -57,7 +57,7 @@ class Case:
     name: str
     values: tuple[float, ...]
     seed: int = 3
-    duration_s: float = 60.0
+    duration_s: float = 45.0
     dead_rad_s: float = 0.0
     """Width of a dead band behind the noise."""
     camera_hz: int = 5
@@ -78,9 +78,9 @@ CASES = {
     'with forms and a memory': Case('turn_hysteresis', (0.8 * DEG, 8.0), camera_hz=10),
     'a limit that a run confirms': Case('rate_saturation', (0.4,), camera_hz=10),
     'a limit that the readings prove': Case('rate_deadband', (), dead_rad_s=DEAD_RAD_S),
-    'with a required signal': Case('bias_temperature', (0.05 * DEG,)),
+    'with a required signal': Case('bias_temperature', (0.05 * DEG,), duration_s=60.0),
     'of the images': Case('camera_time_offset', (0.03,)),
-    'that breaks the filter': Case('camera_time_offset', (0.25,), seed=4),
+    'that breaks the filter': Case('camera_time_offset', (0.25,), seed=4, duration_s=60.0),
     'observable with a lever only': Case('wheel_scale', (0.2,), seed=4),
 }
 

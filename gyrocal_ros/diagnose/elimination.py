@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from gyrocal_ros.diagnose.additions import Addition, Removal, Search
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, without_effect
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 
 
@@ -62,7 +62,7 @@ def _removal(
     model, distance = without_effect(last.model, weakest.effect.name), weakest.distance_from_zero(last)
     try:
         after = examine(model, recording, calibrate, last.settings)
-    except FilterDivergedError:
+    except CANNOT_RUN:
         return None
     removal = Removal(weakest.effect, last, after, distance)
     is_needed = -removal.predictive_gain > last.settings.min_predictive_gain

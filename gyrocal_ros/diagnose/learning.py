@@ -21,7 +21,7 @@ from gyrocal_ros.diagnose.hypotheses import (
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.learned.step import Step
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
 
@@ -146,7 +146,7 @@ def _best(
     close = [item for item in ranked if item.gain > RIVAL_PART * ranked[0].gain][:MAX_RIVALS]
     additions = []
     for law in close:
-        with suppress(FilterDivergedError):
+        with suppress(*CANNOT_RUN):
             finest = _at_the_moment(present, law, calibrate)
             after = examine(with_effect(present.model, finest.effect), recording, calibrate, present.settings)
             additions.append(_judged(replace(addition(present, after), gain=finest.gain)))

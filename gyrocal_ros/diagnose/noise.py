@@ -20,7 +20,7 @@ from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import white_noise
 from gyrocal_ros.effects.traits import is_white_noise
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.statistics import chi_square_tail, sigma_of
@@ -101,7 +101,7 @@ def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, c
     rivals = [likeliest_law(first, recording, calibrate)]
     best = max(first.ranked, key=lambda item: item.fit.gain, default=None)
     if best is not None and best.fit.gain > EFFECT_PART * found.predictive_gain:
-        with suppress(FilterDivergedError):
+        with suppress(*CANNOT_RUN):
             wider = examine(wider_model(first, best.effect), recording, calibrate, first.settings)
             rivals.append(addition(first, wider))
     return all(rival is None or rival.predictive_gain < found.predictive_gain for rival in rivals)
@@ -114,7 +114,7 @@ def _first_kept(
     for noise in noises:
         if noise.gain < RIVAL_PART * noises[0].gain:
             break
-        with suppress(FilterDivergedError):
+        with suppress(*CANNOT_RUN):
             found = _with_noise(first, noise, recording, calibrate)
             if found.is_kept:
                 return found

@@ -34,7 +34,7 @@ from gyrocal_ros.diagnose.shapes import unexplained_structure
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import is_estimated, is_limit, may_break_the_filter, strengths
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.errors import CANNOT_RUN, FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
@@ -138,7 +138,7 @@ def recover(
     for effect in [*detected_limits(model, recording.readings), *others]:
         if effect.name in present:
             continue
-        with suppress(FilterDivergedError):
+        with suppress(*CANNOT_RUN):
             history = calibrate(with_effect(model, effect), ()).history
             likelihoods[float(history.log_likelihood.sum() / history.dof.sum())] = effect
     if not likelihoods:
@@ -209,7 +209,7 @@ def _relinearised(
         else effect
         for effect in present.model.effects
     )
-    with suppress(FilterDivergedError):
+    with suppress(*CANNOT_RUN):
         return examine(replace(present.model, effects=effects), recording, calibrate, present.settings)
     return present
 
@@ -268,12 +268,12 @@ def _with_best(
     the full filter weigh it differently. Then the first effect that leaves little of it in a run is added.
     """
     if not is_strange:
-        with suppress(FilterDivergedError):
+        with suppress(*CANNOT_RUN):
             return _added(present, best, recording, calibrate)
         return None
     others = [item for item in present.ranked if item.is_significant and item.effect.name not in excluded]
     for item in [best, *(item for item in others if item is not best)][: 1 + present.settings.max_rivals]:
-        with suppress(FilterDivergedError):
+        with suppress(*CANNOT_RUN):
             added = _added(present, item, recording, calibrate)
             if _explains_structure(added):
                 return added
@@ -321,7 +321,7 @@ def _limited(
         if gain < least_gain:
             return None
         after = examine(model, recording, calibrate, settings)
-    except FilterDivergedError:
+    except CANNOT_RUN:
         return None
     p_value = chi_square_tail(2.0 * gain / settings.min_inflation, 1)
     return Addition(limit, present, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
@@ -354,7 +354,7 @@ def _contested(
     settings = last.before.settings
     additions = [last]
     for rival in _rivals(last.before, last.effect.name, tried):
-        with suppress(FilterDivergedError):
+        with suppress(*CANNOT_RUN):
             additions.append(_added(last.before, rival, recording, calibrate))
     best = max((item for item in additions if item.is_kept), key=lambda item: item.predictive_gain)
     if best.predictive_gain <= last.predictive_gain + settings.min_predictive_gain:

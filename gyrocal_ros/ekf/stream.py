@@ -97,7 +97,8 @@ class Synchroniser:
                 moment_ns = _true_time_ns(self._waiting[0], offset_s)
                 if moment_ns <= until_ns:
                     self._next = moment_ns, self._waiting.popleft()
-            end_ns = until_ns if self._next is None else self._next[0]
+            # An image that is stamped late may still come from before the latest sample.
+            end_ns = until_ns - max(nanoseconds(offset_s), 0) if self._next is None else self._next[0]
             if end_ns - start_ns > MAX_BLOCK_NS:
                 return self.buffer.cut(start_ns, start_ns + MAX_BLOCK_NS), None
             if self._next is None:

@@ -216,9 +216,9 @@ class TestRow:
         scenes = []
 
         def in_order(
-            function: object, tasks: list[tuple[Case, int, DiagnosisSettings, str | None]]
+            function: object, tasks: list[tuple[Case, int, DiagnosisSettings, str | None, bool]]
         ) -> Iterator[BlindResult]:
-            for case, seed, _, scene in tasks:
+            for case, seed, _, scene, _ in tasks:
                 scenes.append(scene)
                 yield replace(trials[case.label], case=case, seed=seed)
 
@@ -233,6 +233,25 @@ class TestRow:
         scenes.clear()
         list(blind(3, ['none'], scenes=['tiles', 'fisheye']))
         assert scenes == ['tiles', 'fisheye', 'tiles'], 'one scene for each seed'
+
+
+@pytest.mark.parametrize(
+    ('drift_deg', 'scale_error', 'known_deg', 'is_worse'),
+    [
+        (1.0, 0.0, 0.1, True),
+        (0.4, 1e-4, 0.1, False),
+        (0.1, 3e-4, 0.1, True),
+        (math.nan, math.nan, 0.1, True),
+        (math.nan, 1e-4, math.nan, False),
+        (math.nan, 3e-4, math.nan, True),
+    ],
+)
+def test_an_omission_costs_drift_or_scale(
+    drift_deg: float, scale_error: float, known_deg: float, is_worse: bool
+) -> None:
+    """A run that diverges costs, but not a recording that is too short for a blind minute."""
+    known = bench._ModelError(known_deg, 0.0)
+    assert bench._ModelError(drift_deg, scale_error).is_much_worse_than(known) == is_worse
 
 
 @pytest.fixture(scope='module')
@@ -257,7 +276,7 @@ def test_a_trial_holds_what_was_hidden_and_what_was_found(short: BlindResult) ->
 
 @pytest.mark.slow
 def test_a_trial_with_images_finds_the_effect_from_tracked_features() -> None:
-    scenario = replace(find_scenario('cleaning'), duration_s=84.0, imu_hz=100)
+    scenario = replace(find_scenario('cleaning'), duration_s=60.0, imu_hz=100)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, 'find_scenario', lambda name: scenario)
         found = run_blind(LAG, 2, scene='slow')

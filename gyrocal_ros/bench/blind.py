@@ -227,8 +227,12 @@ class _ModelError:
     scale_error: float
 
     def is_much_worse_than(self, other: _ModelError) -> bool:
-        """Return True if the model is worse by more than the thresholds; NaN (divergence) is."""
-        cost_deg = math.sqrt(max(self.drift_deg**2 - other.drift_deg**2, 0.0))
+        """Return True if the model is worse by more than the thresholds; NaN (divergence) is.
+
+        Where the recording is too short for a blind minute, only the scale error counts.
+        """
+        is_short = math.isnan(other.drift_deg) and math.isfinite(other.scale_error)
+        cost_deg = 0.0 if is_short else math.sqrt(max(self.drift_deg**2 - other.drift_deg**2, 0.0))
         return not (cost_deg <= COSTLY_DRIFT_DEG and self.scale_error <= COSTLY_SCALE)
 
 

@@ -255,6 +255,17 @@ class TestWithEstimate:
         assert ranked.is_significant
         assert with_estimate(ranked, scores, SETTINGS) == ONES[0]
 
+    def test_an_effect_that_the_first_half_hardly_shows_starts_at_its_prior(self) -> None:
+        """Chance in the half may have the wrong sign, and be many standard deviations of the prior away."""
+        columns, noise = independent(1)
+        columns[: BLOCKS // 2] *= 1e-3
+        scores = score_statistics_of(columns, columns[:, :, 0] + noise, ONES[:1])
+        (ranked,) = rank(scores, SETTINGS)
+        half = fit(scores.first_half(), np.array([0]))
+        assert ranked.is_significant and half is not None and abs(half.values[0]) > 3.0
+        (item,) = with_estimate(ranked, scores, SETTINGS).coefficients
+        assert item.prior_mean == 0.0 and item.prior_std == ONES[0].coefficients[0].prior_std
+
     def test_a_time_constant_is_estimated_from_the_whole(self) -> None:
         columns, noise = independent(4)
         columns[:, :, 1::2] = 0.0

@@ -66,6 +66,8 @@ class FakeFilter:
     """Final estimate of an effect that is the only one added."""
     beside: dict[str, float] = field(default_factory=dict)
     """Predictive log-likelihood that an effect gains where it is not the only one added."""
+    known_from_s: float = 0.0
+    """Time before which the coefficients are as uncertain as large."""
     unbent_by: str = ''
     """Effect with which the headings show no structure."""
     models: list[tuple[str, ...]] = field(default_factory=list)
@@ -86,7 +88,8 @@ class FakeFilter:
         changed = replace(
             history,
             mean=np.hstack([history.mean[:, :COEFFICIENTS_START], coefficients]),
-            std=np.full((steps, COEFFICIENTS_START + len(values)), STD),
+            std=np.where(history.time_s < self.known_from_s, 9.0, STD)[:, None]
+            * np.ones(COEFFICIENTS_START + len(values)),
             columns=np.hstack([history.columns, np.zeros((steps, len(values) - 1))]),
             change=np.zeros((steps, 1 + len(values))),
             change_variance=np.zeros((steps, 1 + len(values))),
@@ -153,6 +156,21 @@ class TestSearch:
         (added,) = found.additions
         assert added.is_kept == is_kept and added.raises_drift != is_kept
         assert found.last is (added.after if is_kept else found.first)
+
+    @pytest.mark.parametrize(('known_from', 'is_kept'), [(0.2, False), (0.9, True)])
+    def test_drift_before_an_effect_is_known_does_not_count(
+        self, known_from: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """An effect whose signal changes late makes every span drift that begins before."""
+        known_s = known_from * DURATION_S
+
+        def drifts(before: Run, after: Run, from_s: float) -> tuple[float, float]:
+            return (math.nan, math.nan) if from_s > 0.5 * DURATION_S else (1.0, 9.0)
+
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', drifts)
+        fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}, known_from_s=known_s)
+        (added,) = search(default_model(), AT_REST, fake).additions
+        assert added.known_from_s == pytest.approx(known_s, abs=1.0) and added.is_kept == is_kept
 
     def test_noise_adds_nothing(self) -> None:
         found = search(default_model(), AT_REST, FakeFilter({}, {}))
@@ -348,6 +366,16 @@ class TestLimits:
         assert [item.effect.name for item in found.kept] == ['rate_saturation'] * is_found
         if is_found:
             assert found.additions[0].gain == pytest.approx(gained)
+
+    @pytest.mark.parametrize(('part', 'is_alike'), [(0.9, True), (0.7, False)])
+    def test_a_limit_that_predicts_nearly_as_well_is_listed(self, part: float, is_alike: bool) -> None:
+        made = saturated()
+        gains = {'rate_saturation': part * 400.0, 'gyro_lag': 400.0}
+        fake = FakeFilter({'gyro_lag': 2.0}, gains, made, beside={'rate_saturation': 0.0})
+        found = search(default_model(), summary_of(made), fake)
+        assert [item.effect.name for item in found.kept] == ['gyro_lag']
+        (confused,) = (item.confused_with for item in diagnose(found, AT_REST).missing[:1])
+        assert ('rate_saturation' in confused) == is_alike
 
 
 class TestElimination:

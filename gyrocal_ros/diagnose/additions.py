@@ -10,13 +10,16 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.drift import blind_drift, drift_of_both_deg, held_out_from_s
-from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.effects.traits import is_noise
+from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.model.sensor import Effect
 
 NONE: IntArray = np.empty(0, np.int64)
+KNOWN_PART = 0.5
+"""Standard deviation of an effect, as a part of its size, from which the filter has learned what it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,8 @@ class Addition:
     """(q,) indices of the coefficients that say how strong it is; not a limit or a time constant."""
     outperformed: tuple[str, ...] = ()
     """Effects that looked like it, until a run with each predicted the recording clearly worse."""
+    alike: tuple[str, ...] = ()
+    """Limits with which a run predicts the recording nearly as well; no score statistics tell of them."""
     is_rejected: bool = False
     """True for a learned effect with which the recording is not predicted better, or drifts more."""
 
@@ -64,16 +69,28 @@ class Addition:
         """True if the held-out drift rises with the effect by more than chance does where it is harmless.
 
         A noise corrects nothing. With it the filter follows the bias faster and expects more drift, so only
-        drift that the noise does not explain counts against it.
+        drift that the noise does not explain counts against it. Of an effect only spans count that begin when
+        it is known: a coefficient that nothing has shown yet makes any heading drift.
         """
         if self.before is None:
             return False
-        before_deg, after_deg = drift_of_both_deg(self.before.run, self.after.run)
+        before_deg, after_deg = drift_of_both_deg(self.before.run, self.after.run, self.known_from_s)
         if is_noise(self.effect):
             run = self.after.run
             expected_deg = drift_by_noise_deg(run, blind_drift(run, from_s=held_out_from_s(run)))
             before_deg = max(before_deg, expected_deg)
         return after_deg > self.after.settings.max_drift_rise * before_deg
+
+    @property
+    def known_from_s(self) -> float:
+        """Time at which the strengths are known to `KNOWN_PART` of their size; 0 without any."""
+        if not len(self.strengths):
+            return 0.0
+        history = self.after.run.history
+        places = coefficient_places(self.after.model, self.effect.name).start + self.strengths
+        size = float(np.linalg.norm(self.after.run.state.coefficients[places]))
+        is_known = np.linalg.norm(history.std[:, COEFFICIENTS_START + places], axis=1) <= KNOWN_PART * size
+        return float(history.time_s[np.argmax(is_known)]) if is_known.any() else float(history.time_s[-1])
 
     def distance_from_zero(self, examined: ExaminedModel) -> float:
         """Return how far its strongest coefficient is from zero in a model with it, in standard deviations.

@@ -39,7 +39,8 @@ class MissingEffect:
     p_value: float
     drift_before_deg: float
     drift_after_deg: float
-    """Held-out blind drift: each span starts with what was known by then."""
+    """Held-out blind drift, in spans that begin when the effect is known, and with what was known by then;
+    NaN where no such span is left."""
     confused_with: tuple[str, ...]
     """Effects that this recording cannot distinguish from it."""
 
@@ -139,8 +140,8 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
     reference = reference_path(run)
     from_s = held_out_from_s(run)
 
-    def drift_deg(examined: ExaminedModel) -> float:
-        return blind_drift(examined.run, reference, from_s).rms_deg
+    def drift_deg(examined: ExaminedModel, known_from_s: float) -> float:
+        return blind_drift(examined.run, reference, max(from_s, known_from_s)).rms_deg
 
     confused = _confused(searched)
     for item in searched.kept:
@@ -152,8 +153,10 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
             gain=item.gain,
             sigma=item.sigma,
             p_value=item.p_value,
-            drift_before_deg=drift_deg(item.before) if item.before is not None else float('nan'),
-            drift_after_deg=drift_deg(item.after),
+            drift_before_deg=drift_deg(item.before, item.known_from_s)
+            if item.before is not None
+            else float('nan'),
+            drift_after_deg=drift_deg(item.after, item.known_from_s),
             confused_with=confused.get(item.effect.name, ()),
         )
 
@@ -179,11 +182,12 @@ def _not_added(best: RankedEffect, examined: ExaminedModel) -> MissingEffect:
 def _confused(searched: Search) -> dict[str, tuple[str, ...]]:
     """Return the effects that each effect found may be confused with, beside the others found.
 
-    The score statistics are those of the first model; a limit has none. Effects that a run of their own has
-    told apart are not confused.
+    The score statistics are those of the first model; a limit has none, and was tried in a run. Effects that
+    a run of their own has told apart are not confused.
     """
     first = searched.first
     outperformed = {item.effect.name: item.outperformed for item in searched.kept}
+    alike = {item.effect.name: item.alike for item in searched.kept}
     found = {item.effect.name: item for item in first.ranked if item.effect.name in outperformed}
     confused = {}
     for name, effect in found.items():
@@ -191,7 +195,8 @@ def _confused(searched: Search) -> dict[str, tuple[str, ...]]:
         beside = np.concatenate(rest) if rest else np.empty(0, np.int64)
         excluded = {*outperformed, *outperformed[name]}
         others = [item for item in first.ranked if item.effect.name not in excluded]
-        confused[name] = tuple(indistinguishable(effect, others, first.scores, beside, first.settings))
+        like = indistinguishable(effect, others, first.scores, beside, first.settings)
+        confused[name] = (*like, *(limit for limit in alike[name] if limit not in outperformed))
     return confused
 
 

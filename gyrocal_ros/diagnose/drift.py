@@ -213,9 +213,15 @@ def held_out_from_s(run: Run) -> float:
     return max(SETTLING_S, min(0.5 * end_s, end_s - SPAN_S - 3.0 * STRIDE_S))
 
 
-def drift_of_both_deg(before: Run, after: Run) -> tuple[float, float]:
-    """Return the held-out blind drift of two runs against one reference, that of the second; NaN without."""
-    reference, start_s = reference_path(after), held_out_from_s(after)
+def drift_of_both_deg(before: Run, after: Run, from_s: float = 0.0) -> tuple[float, float]:
+    """Return the held-out blind drift of two runs against one reference, that of the second; NaN without.
+
+    Args:
+        before: a finished run.
+        after: another one of the same recording.
+        from_s: earliest beginning of a span, where it is later than that of all held-out spans.
+    """
+    reference, start_s = reference_path(after), max(held_out_from_s(after), from_s)
     earlier, later = (blind_drift(run, reference, start_s).rms_deg for run in (before, after))
     return earlier, later
 

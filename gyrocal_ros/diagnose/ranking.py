@@ -184,10 +184,12 @@ def with_estimate(ranked: RankedEffect, scores: ScoreStatistics, settings: Diagn
     values = np.array([item.prior_mean for item in ranked.effect.coefficients], float)
     half, whole, places = fit(scores.first_half(), ranked.fit.columns), ranked.fit, ranked.places
     if half is not None and len(half.values) == len(whole.values):
-        values[places] += half.values
+        # The estimate of a half that does not show the effect is chance: the prior is the better start.
+        start = half.values if half.sigma >= settings.nonzero_sigma else np.zeros(len(whole.values))
+        values[places] += start
         at_least = [
             settings.start_sigma * np.sqrt(np.diagonal(half.covariance)),
-            np.abs(half.values - whole.values),
+            np.abs(start - whole.values),
             settings.start_part * np.abs(whole.values),
         ]
         stds[places] = np.minimum(stds[places], np.max(at_least, axis=0))

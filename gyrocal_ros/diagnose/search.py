@@ -238,20 +238,27 @@ def _next_addition(
     structure_gain = structure.gain if structure is not None else 0.0
     limits = [item for item in limits_to_check(present, recording, best) if item.effect.name not in excluded]
     for limit in (item for item in limits if item.is_certain):
-        limited = _limited(present, limit.effect, recording, calibrate, settings.min_predictive_gain)
-        if limited is not None:
-            return limited
+        gain = _gain_of(present, limit.effect, calibrate)
+        if gain >= settings.min_predictive_gain:
+            limited = _limited(present, limit.effect, gain, recording, calibrate)
+            if limited is not None:
+                return limited
     known_gain = explained_together(present.ranked, present.scores, settings)
     is_strange = structure_gain > settings.structure_margin * known_gain
     rival = None if best is None else _with_best(present, best, recording, calibrate, excluded, is_strange)
     # The process noise of a limit improves any model, so it has to beat a run with the best effect. Where
     # there is none, the limit has to explain most of what is wrong.
-    at_least = settings.limit_margin + (0.0 if rival is None else rival.predictive_gain)
-    for limit in (item for item in limits if not item.is_certain):
-        limited = _limited(present, limit.effect, recording, calibrate, at_least)
-        if limited is not None and (rival is not None or _explains_most(limited)):
-            return limited
-    return rival
+    rival_gain = 0.0 if rival is None else rival.predictive_gain
+    alike = []
+    for effect in (item.effect for item in limits if not item.is_certain):
+        gain = _gain_of(present, effect, calibrate)
+        if gain >= rival_gain + settings.limit_margin:
+            limited = _limited(present, effect, gain, recording, calibrate)
+            if limited is not None and (rival is not None or _explains_most(limited)):
+                return limited
+        elif gain >= settings.limit_alike_part * rival_gain:
+            alike.append(effect.name)
+    return None if rival is None else replace(rival, alike=tuple(alike))
 
 
 def _with_best(
@@ -307,24 +314,23 @@ def _explains_most(added: Addition) -> bool:
     return not contradicts(added.after) or after < added.after.settings.limit_leftover_part * before
 
 
+def _gain_of(present: ExaminedModel, limit: Effect, calibrate: Calibrate) -> float:
+    """Return the predictive log-likelihood that a limit gains; minus infinity where the filter cannot run."""
+    with suppress(*CANNOT_RUN):
+        return float(predictive_gain(present.run, calibrate(with_effect(present.model, limit), ())).sum())
+    return -math.inf
+
+
 def _limited(
-    present: ExaminedModel,
-    limit: Effect,
-    recording: RecordingSummary,
-    calibrate: Calibrate,
-    least_gain: float,
+    present: ExaminedModel, limit: Effect, gain: float, recording: RecordingSummary, calibrate: Calibrate
 ) -> Addition | None:
-    """Add a limit, if a run with it gains enough predictive log-likelihood."""
-    model, settings = with_effect(present.model, limit), present.settings
-    try:
-        gain = float(predictive_gain(present.run, calibrate(model, ())).sum())
-        if gain < least_gain:
-            return None
-        after = examine(model, recording, calibrate, settings)
-    except CANNOT_RUN:
-        return None
-    p_value = chi_square_tail(2.0 * gain / settings.min_inflation, 1)
-    return Addition(limit, present, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
+    """Add a limit with which a run gains predictive log-likelihood; None where that run is not possible."""
+    settings = present.settings
+    with suppress(*CANNOT_RUN):
+        after = examine(with_effect(present.model, limit), recording, calibrate, settings)
+        p_value = chi_square_tail(2.0 * gain / settings.min_inflation, 1)
+        return Addition(limit, present, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
+    return None
 
 
 def _limit_instead_of_timing(
@@ -335,8 +341,10 @@ def _limit_instead_of_timing(
     A missing limit spoils the turns, as wrong stamps do, and nothing depends smoothly on it.
     """
     for limit in detected_limits(present.model, recording.readings):
-        least_gain = present.settings.min_predictive_gain
-        limited = _limited(present, limit, recording, calibrate, least_gain)
+        gain = _gain_of(present, limit, calibrate)
+        if gain < present.settings.min_predictive_gain:
+            continue
+        limited = _limited(present, limit, gain, recording, calibrate)
         if limited is not None and limited.is_kept and timing_fault(limited.after) is None:
             return limited
     return None

@@ -143,6 +143,13 @@ class DiagnosisSettings:
         'process noise improves any model',
         'limits',
     )
+    limit_alike_part: float = threshold(
+        0.8,
+        '1',
+        'part of the predictive log-likelihood gained with the best other effect from which a limit is '
+        'listed as indistinguishable from it',
+        'limits',
+    )
     limit_leftover_part: float = threshold(
         0.25,
         '1',

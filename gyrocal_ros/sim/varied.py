@@ -64,7 +64,7 @@ def _errors(rng: np.random.Generator) -> SensorErrors:
         turn_on_bias_deg_s=_log_uniform(rng, 0.05, 1.0),
         bias_wander_deg_h=_log_uniform(rng, 2.0, 30.0),
         bias_wander_time_s=_log_uniform(rng, 100.0, 600.0),
-        rate_noise_deg_s=_log_uniform(rng, 0.003, 0.03),
+        rate_noise_deg_s=_log_uniform(rng, 0.003, 0.015),  # more than twice the settings is a finding itself
         rate_step_deg_s=_log_uniform(rng, 0.002, 0.06),
         vibration_m_s2=_log_uniform(rng, 0.05, 0.5),
         wheel_noise_m=_log_uniform(rng, 0.002, 0.015),

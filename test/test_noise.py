@@ -123,7 +123,7 @@ def test_noise_raises_the_drift_only_beyond_what_it_explains(monkeypatch: pytest
     recorded = summarise_recording(source)
     first = examine(default_model(), recorded, runner(source))
     for name, raises in (('bias_instability', False), ('gyro_lag', True)):
-        after = replace(first, model=with_effect(first.model, find_effect(name)))
+        after = examine(with_effect(first.model, find_effect(name)), recorded, runner(source))
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (1.0, 4.0))
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 3.0)
         assert addition(first, after).raises_drift == raises

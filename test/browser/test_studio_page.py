@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
@@ -20,6 +21,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from conftest import CHROMIUM
 from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
 from studio_parts import HIDDEN, SIZE, write_image_bag
 
 FLAGS = (
@@ -209,6 +211,17 @@ def barriers(page: Page) -> list[str]:
     ]
 
 
+def hover_until(page: Page, selector: str, condition: str) -> None:
+    """Point at an element until a condition holds: while a page loads it is drawn anew under the pointer."""
+    for _ in range(5):
+        page.mouse.move(0, 0)
+        page.locator(selector).hover()
+        with suppress(PlaywrightTimeoutError):
+            page.wait_for_function(condition, timeout=10_000)
+            return
+    raise AssertionError(f'nothing happens where the pointer is on {selector}')
+
+
 def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> None:
     hosts: set[str] = set()
     errors: list[str] = []
@@ -231,8 +244,7 @@ def test_all_parts_of_the_page(page: Page, studio: Studio, uneven_bag: Path) -> 
     screenshot(page, 'fails')
 
     # the worst place is marked in all figures while the pointer is on it
-    page.locator('#failures summary').hover()
-    page.wait_for_function(PLACES_MARKED)
+    hover_until(page, '#failures summary', PLACES_MARKED)
     page.mouse.move(0, 0)
     page.wait_for_function(f'() => !({PLACES_MARKED})()')
 

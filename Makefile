@@ -40,11 +40,12 @@ venv: $(READY)
 demo: $(READY)
 	$(BIN)/gyrocal demo
 
+# Files in their order: the reordering by number of tests leaves the few long tests of the browser to the end.
 test: $(READY)
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 quick: $(READY)
-	$(BIN)/python -m pytest -n auto --dist loadfile -m 'not slow'
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 audit: $(READY)
 	$(BIN)/python -m pip install --quiet pip-audit

@@ -10,7 +10,7 @@ SHARE = Path('share') / NAME
 # Bokeh draws the dashboard of Dask.
 FLEET = ['bokeh>=3.1', 'dask>=2024.1', 'distributed>=2024.1', 'fsspec>=2023.10', 'pyarrow>=14.0']
 PNG = ['kaleido>=1.0']  # draws figures by a Chromium that is there
-TEST = ['pytest>=7.4', 'pytest-xdist>=3.3']
+TEST = ['pytest>=7.4', 'pytest-xdist>=3.7']
 
 
 def data_files(*folders: str) -> list[tuple[str, list[str]]]:

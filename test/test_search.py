@@ -32,7 +32,7 @@ from gyrocal_ros.effects.traits import is_limit, may_break_the_filter
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.errors import FilterDivergedError, NotObservableError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.sim.scenarios import CAMERA
@@ -68,6 +68,8 @@ class FakeFilter:
     """Predictive log-likelihood that an effect gains where it is not the only one added."""
     known_from_s: float = 0.0
     """Time before which the coefficients are as uncertain as large."""
+    unusable_with: str = ''
+    """Effect with which no image can be used."""
     unbent_by: str = ''
     """Effect with which the headings show no structure."""
     models: list[tuple[str, ...]] = field(default_factory=list)
@@ -77,6 +79,8 @@ class FakeFilter:
         self.models.append(names)
         if self.diverges_without and self.diverges_without not in names:
             raise FilterDivergedError('lost the measurements')
+        if self.unusable_with in names:
+            raise NotObservableError('no image feature could be used')
         gains = {**self.predictive_gains, **(self.beside if len(names) > 2 else {})}
         made = drive(duration_s=DURATION_S) if self.unbent_by in names else self.made
         history = made.run.history
@@ -171,6 +175,15 @@ class TestSearch:
         fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}, known_from_s=known_s)
         (added,) = search(default_model(), AT_REST, fake).additions
         assert added.known_from_s == pytest.approx(known_s, abs=1.0) and added.is_kept == is_kept
+
+    def test_a_trial_that_can_use_nothing_ends_the_trial_alone(self) -> None:
+        """An effect may be estimated so wrongly that no image fits any more."""
+        sizes, gains = {'gyro_lag': 2.0}, {'gyro_lag': 400.0}
+        fake = FakeFilter(sizes, gains, unusable_with='gyro_lag')
+        found = search(default_model(), AT_REST, fake)
+        assert ('scale_factor', 'gyro_lag') in fake.models and found.additions == ()
+        with pytest.raises(NotObservableError):
+            search(default_model(), AT_REST, FakeFilter(sizes, gains, unusable_with='scale_factor'))
 
     def test_noise_adds_nothing(self) -> None:
         found = search(default_model(), AT_REST, FakeFilter({}, {}))

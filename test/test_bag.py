@@ -441,6 +441,19 @@ def test_types_that_only_the_bag_defines(tmp_path: Path) -> None:
     assert not of(read(path), CovariateSample)
 
 
+def test_recordings_may_define_a_type_differently(tmp_path: Path) -> None:
+    for folder, definition, row in (
+        ('one', 'float64 current', [1.5]),
+        ('two', 'int16 speed\nfloat64 current', [3, 2.5]),
+        ('three', 'float64 current', [3.5]),
+    ):
+        (tmp_path / folder).mkdir()
+        path = bag_with_own_type(tmp_path / folder / 'bag', MOTOR, definition, [row])
+        samples = of(read(path, with_covariates=True), CovariateSample)
+        currents = [item.value for item in samples if item.name == 'base.motor.current']
+        assert currents == [row[-1]]
+
+
 def test_an_unknown_type_is_left_out_with_a_warning(tmp_path: Path) -> None:
     path = bag_with_own_type(tmp_path / 'bag', MOTOR, 'float64 current', [[1.0], [2.0]])
     (file,) = path.glob('*.db3')

@@ -5,8 +5,9 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS := $(VENV)/.docs
 
-# The first interpreter that is new enough and can make virtual environments.
-PYTHON ?= $(firstword $(shell for python in python3.12 python3.11 python3 python3.13 python3.14; do \
+# The first interpreter that is new enough and can make virtual environments. That of the distribution comes first:
+# it is built with optimisation, and on Ubuntu it is that of ROS.
+PYTHON ?= $(firstword $(shell for python in /usr/bin/python3 python3.12 python3.11 python3 python3.13 python3.14; do \
 	$$python -c 'import ensurepip, sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$python; done; true))
 
 # A sourced ROS would put its own packages and pytest plugins before those of .venv.

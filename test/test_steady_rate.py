@@ -105,3 +105,18 @@ def test_the_noise_of_the_readings_replaces_a_setting_that_is_far_too_small(fact
         assert used is GYRO
     else:
         assert used.rate_noise_deg_s == pytest.approx(factor * 0.0075, rel=0.15)
+
+
+def test_samples_out_of_place_are_noise_while_the_rate_changes() -> None:
+    """Wrong stamps put the samples of a turn that begins in a wrong order; a steady rate hides that."""
+    rng, steady = np.random.default_rng(3), SteadyRate()
+    for _ in range(100):
+        steady.with_noise(noisy(rng, 0.0, factor=0.3), GYRO)
+    in_order = block(300.0 * DEG * STEP_S * np.arange(COUNT))
+    wrong_order = block(300.0 * DEG * STEP_S * rng.permutation(COUNT))
+    irregular_s = STEP_S * rng.exponential(size=COUNT)
+    assert steady.with_noise(in_order, GYRO) is GYRO
+    assert steady.with_noise(wrong_order, GYRO) is GYRO
+    assert steady.with_noise(replace(in_order, dt_s=irregular_s), GYRO) is GYRO
+    used = steady.with_noise(replace(wrong_order, dt_s=irregular_s), GYRO)
+    assert used.rate_noise_deg_s > 20.0 * GYRO.rate_noise_deg_s

@@ -26,6 +26,8 @@ NOISE_BLOCKS = 50
 """Number of last blocks by whose median the noise of the gyro is judged."""
 NOISY = 2.0
 """Noise of the gyro, relative to that of the settings, from which its own noise is used."""
+IRREGULAR = 0.5
+"""Standard deviation of the intervals between samples, relative to their mean, from which stamps err."""
 
 
 class SteadyRate:
@@ -41,7 +43,8 @@ class SteadyRate:
     def with_noise(self, block: MotionBlock, gyro: GyroConfig) -> GyroConfig:
         """Return the settings, with the noise of the readings where that is far above the one set.
 
-        Second differences of the readings show it: they contain neither the rate nor its steady change.
+        Second differences of the readings show it: they contain neither the rate nor its steady change. Where
+        stamps are irregular, samples are out of place while the rate changes, and those of this block count.
         """
         if len(block.dt_s) > 2:
             steps = block.rate_rad_s[1:, 2] - block.rate_rad_s[:-1, 2]
@@ -50,7 +53,10 @@ class SteadyRate:
             self._seen_rad2_s.append(float(bends @ bends) / len(bends) * float(block.dt_s.mean()))
         if len(self._seen_rad2_s) < NOISE_BLOCKS:
             return gyro
-        seen = math.degrees(math.sqrt(statistics.median(self._seen_rad2_s)))
+        seen_rad2_s = statistics.median(self._seen_rad2_s)
+        if _is_irregular(block):
+            seen_rad2_s = max(seen_rad2_s, self._seen_rad2_s[-1])
+        seen = math.degrees(math.sqrt(seen_rad2_s))
         return gyro if seen < NOISY * gyro.rate_noise_deg_s else replace(gyro, rate_noise_deg_s=seen)
 
     def without_noise(self, block: MotionBlock, gyro: GyroConfig, *, is_at_rest: bool = False) -> MotionBlock:
@@ -90,3 +96,9 @@ class SteadyRate:
             known = self._noise_rad2_s
             self._noise_rad2_s = seen if known is None else known + (seen - known) / MEMORY
         return max(by_settings, self._noise_rad2_s or 0.0)
+
+
+def _is_irregular(block: MotionBlock) -> bool:
+    """Return True if the intervals between the samples inside a block differ widely."""
+    inside_s = block.dt_s[1:-1]
+    return len(inside_s) > 2 and float(inside_s.std()) > IRREGULAR * float(inside_s.mean())

@@ -32,6 +32,11 @@ def swinging(time_s: Array) -> Array:
     return math.radians(17.0) * math.pi * np.cos(math.pi * time_s)
 
 
+def seldom_turning(time_s: Array) -> Array:
+    """Turn like that for one second of ten."""
+    return np.where(time_s % 5.0 < 0.5, turning(time_s), 0.0)
+
+
 def everywhere(time_s: Array) -> NDArray[np.bool_]:
     return np.ones(len(time_s), bool)
 
@@ -40,7 +45,9 @@ def outside(start_s: float, end_s: float) -> Present:
     return lambda time_s: (time_s < start_s) | (time_s >= end_s)
 
 
-def recorded(rate: Rate, imu: Present = everywhere, reference: Present = everywhere) -> list[Measurement]:
+def recorded(
+    rate: Rate, imu: Present = everywhere, reference: Present = everywhere, noise_rad: float = NOISE_RAD
+) -> list[Measurement]:
     """Return a recording: nominal rates with a scale error and a bias, and noisy wrapped headings."""
     rng = np.random.default_rng(5)
     time_s = np.arange(0.0, DURATION_S, 1.0 / IMU_HZ)
@@ -48,7 +55,7 @@ def recorded(rate: Rate, imu: Present = everywhere, reference: Present = everywh
     yaw = np.cumsum(true) / IMU_HZ
     nominal = (true - BIAS_RAD_S) / SCALE_FACTOR + 1e-3 * rng.standard_normal(len(time_s))
     heading_s = np.arange(0.05, DURATION_S, 1.0 / REFERENCE_HZ)
-    headings = np.interp(heading_s, time_s, yaw) + NOISE_RAD * rng.standard_normal(len(heading_s))
+    headings = np.interp(heading_s, time_s, yaw) + noise_rad * rng.standard_normal(len(heading_s))
     wrapped = np.angle(np.exp(1j * headings))
     samples: list[Measurement] = [
         ImuSample(round(t * 1e9), (0.0, 0.0, r), (0.0, 0.0, 9.8))
@@ -69,6 +76,23 @@ def test_swings_that_add_up_are_turns() -> None:
     found = fitted(swinging)
     assert found.scale_factor == pytest.approx(SCALE_FACTOR, rel=3e-3)
     assert found.bias_rad_s == pytest.approx(BIAS_RAD_S, abs=1e-3)
+
+
+def test_a_reference_may_err_only_while_the_robot_turns() -> None:
+    """Encoders: exact at rest, where the robot spends most of its time."""
+    samples, rng, slip_rad = recorded(seldom_turning, noise_rad=0.0), np.random.default_rng(2), 0.0
+    yaw_before: float | None = None
+    changed: list[Measurement] = []
+    for sample in samples:
+        if isinstance(sample, HeadingSample):
+            turned = 0.0 if yaw_before is None else math.remainder(sample.yaw_rad - yaw_before, 2.0 * math.pi)
+            yaw_before = sample.yaw_rad
+            slip_rad += 0.02 * math.sqrt(abs(turned)) * rng.standard_normal()
+            changed.append(replace(sample, yaw_rad=sample.yaw_rad + slip_rad))
+        else:
+            changed.append(sample)
+    found = fit_reference(changed, 'a recording')
+    assert found.scale_factor == pytest.approx(SCALE_FACTOR, rel=0.02)
 
 
 def test_a_bias_and_noise_are_no_turns() -> None:

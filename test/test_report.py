@@ -52,7 +52,7 @@ from gyrocal_ros.report.calibration import (
     coefficient_rows,
     conclusion,
 )
-from gyrocal_ros.report.describe import sigma_in_words, with_std
+from gyrocal_ros.report.describe import sigma_in_words, summarised, with_std
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -420,6 +420,14 @@ def test_a_calibration_and_a_comparison_have_the_same_drift(run: Run) -> None:
         'max': drift.max_deg,
         'from_s': held_out_from_s(run),
     }
+
+
+def test_of_many_events_of_one_kind_the_first_is_told() -> None:
+    jumps = [RunEvent(k, f'the heading reference jumped by {0.1 * k:+.1f} deg') for k in range(5)]
+    others = [RunEvent(9, 'neither gyro nor images for 3 s'), RunEvent(11, 'neither gyro nor images for 4 s')]
+    told = list(summarised([*jumps[:3], *others, *jumps[3:]]))
+    assert told[1:] == others and told[0].t_ns == 0
+    assert told[0].text == 'the heading reference jumped by +0.0 deg; 4 more like this'
 
 
 @pytest.mark.parametrize(('sigma', 'text'), [(7.46, '7.5'), (30.0, '30.0'), (37.0, '> 30'), (math.nan, '-')])

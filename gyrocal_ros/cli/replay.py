@@ -36,7 +36,7 @@ from gyrocal_ros.msgs.issues import BagIssue, raise_first_error, worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.pipeline.run_filter import Progress
-from gyrocal_ros.report.describe import quantity, status_line, with_std
+from gyrocal_ros.report.describe import quantity, status_line, summarised, with_std
 
 EXAMPLE = """gyrocal replay my_bag -o result
 gyrocal replay my_bag --json
@@ -114,7 +114,7 @@ def replay(
             todo = 'try without --start-from: it may be the calibration of another gyro'
             raise FilterDivergedError(error.what, where=error.where, todo=todo) from error
         calibration = conclude(finished)
-        for event in finished.events:
+        for event in summarised(finished.events):
             warn(event.text)
         if folder is not None:
             _write(folder, finished, calibration, issues, png)

@@ -12,8 +12,15 @@ from gyrocal_ros.data import Array, HeadingSample, MotionBlock
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace
 from gyrocal_ros.ekf.reference_learner import ReferenceLearner
 from gyrocal_ros.ekf.reference_noise import OUTLIER_SIGMA, JumpDetector, ReferenceNoise
+from gyrocal_ros.ekf.shared_noise import SharedNoise
 from gyrocal_ros.ekf.state import YAW, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, heading_innovation, heading_update
+
+CONTAINS_GYRO = (
+    'the heading reference follows the noise of the gyro, so it is computed from this gyro and cannot '
+    'calibrate it; name a reference that does not use the gyro'
+)
+"""Finding, where it does."""
 
 
 class HeadingReference:
@@ -32,6 +39,9 @@ class HeadingReference:
         self._gyro_walk = math.radians(gyro.rate_noise_deg_s)
         self._offset_rad: float | None = None
         self._jumps = JumpDetector()
+        self._shared = SharedNoise()
+        self.contains_gyro = False
+        """True if the reference repeats the noise of the gyro: it cannot calibrate it."""
 
     def wander(self, state: State, duration_s: float) -> State:
         """Add the random walk of the reference over a time; none before its first sample."""
@@ -52,6 +62,7 @@ class HeadingReference:
 
     def move(self, block: MotionBlock) -> None:
         """Follow one block of the gyro."""
+        self._shared.move(block)
         if self._learner is not None:
             self._learner.move(block)
 
@@ -86,6 +97,8 @@ class HeadingReference:
             candidates: effects that the model lacks.
             pose_rate: (6,) rate of the pose.
         """
+        self._shared.add(sample.yaw_rad)
+        self.contains_gyro |= self._shared.is_shared
         if self._learner is not None:
             self._learner.add(sample.yaw_rad, float(pose_rate[YAW]))
             if self._learner.noise is None:

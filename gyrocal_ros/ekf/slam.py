@@ -27,7 +27,7 @@ from gyrocal_ros.ekf.effects_by_place import sort_effects, true_camera
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
-from gyrocal_ros.ekf.heading import HeadingReference
+from gyrocal_ros.ekf.heading import CONTAINS_GYRO, HeadingReference
 from gyrocal_ros.ekf.image_update import (
     ImageModel,
     add_landmarks,
@@ -43,7 +43,7 @@ from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector
 from gyrocal_ros.ekf.scale_watch import ScaleChanges, ScaleWatch
 from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
-from gyrocal_ros.ekf.state import SCALE, State
+from gyrocal_ros.ekf.state import SCALE, YAW_BIAS, State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
 from gyrocal_ros.ekf.step_record import StepRecord, step_record
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, zero_rate_update
@@ -95,6 +95,7 @@ class EkfSlam:
                 todo='use inverse_depth',
             )
         self.state: State = initial_state(model, config, start, self._candidates.count)
+        self._unknown_std = np.sqrt(initial_state(model, config, None, 0).covariance.diagonal()[YAW_BIAS:])
         self._to_age = self._to_warm = start
         self._camera_watch = CameraWatch(self._own_candidates) if tests_camera else None
         self._scale_watch = ScaleWatch(self.state, CameraWatch.count if tests_camera else 0)
@@ -102,8 +103,8 @@ class EkfSlam:
         self.state = self._scale_watch.begin(self.state)
         self._pause = ''
         """Event of a time without measurements, for the next step."""
-        self._has_told_of_camera, self.camera_finding = False, ''
-        """What is wrong with the calibration or the mounting of the camera; empty where nothing is."""
+        self._has_told, self.finding = False, ''
+        """What is wrong with the camera or the heading reference; empty where nothing is."""
         self.memories = self._effects.no_memories()
         """Memories of the gyro effects at the present state."""
         self._candidate_memories = self._candidates.no_memories()
@@ -211,13 +212,15 @@ class EkfSlam:
         """Return stds (1 + k,) of yaw bias and coefficients by suspected errors, and an event."""
         std = np.zeros(1 + self.state.coefficient_count)
         std[SCALE : SCALE + 1] = self._scale_watch.suspected_std(self.state)
-        if self._camera_watch is None:
-            return std, ''
-        shift = self._camera_watch.shift(self.state)
-        self.camera_finding = self._camera_watch.finding(duration_s, self.state, shift)
-        event = '' if self._has_told_of_camera else self.camera_finding
-        self._has_told_of_camera |= bool(event)
-        return np.hypot(std, shift), event
+        if self._camera_watch is not None:
+            shift = self._camera_watch.shift(self.state)
+            self.finding = self._camera_watch.finding(duration_s, self.state, shift)
+            std = np.hypot(std, shift)
+        elif self._heading.contains_gyro:
+            self.finding, std = CONTAINS_GYRO, np.hypot(std, self._unknown_std)
+        event = '' if self._has_told else self.finding
+        self._has_told |= bool(event)
+        return std, event
 
     def _update_from_image(self, observations: FeatureObservations) -> MeasurementUpdate:
         features = self.config.features

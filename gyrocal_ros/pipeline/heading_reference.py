@@ -289,13 +289,23 @@ def _by_turns(readings: _Readings, offset_s: float) -> _TurnFit:
         for column in (track.turned_rad, track.yaw_rad, track.time_s, np.cumsum(track.gap_s))
     )
     is_short = (length_s < 2.0 * step * float(np.median(np.diff(track.time_s)))) & (in_gaps_s == 0.0)
+    # Encoders err while the robot turns, and not at all at rest: turns are outliers among turns only.
+    rate = by_gyro / length_s
+    turns = is_short & (np.abs(rate - np.median(rate)) > MIN_RATE_RAD_S)
+    groups = [group for group in (turns, is_short & ~turns) if group.any()]
     columns, left = np.stack([by_gyro, length_s], axis=1), is_short
     for _ in range(TRIMMED_FITS):
         solution = np.linalg.lstsq(columns[left], by_reference[left], rcond=None)[0]
         residual = by_reference - columns @ solution
-        deviation = robust_std(residual[is_short])
-        left = is_short & (np.abs(residual) <= TRIM_SIGMA * deviation)
-    return _TurnFit(float(solution[0]), float(solution[1]), deviation)
+        deviations = [robust_std(residual[group]) for group in groups]
+        left = np.any(
+            [
+                group & (np.abs(residual) <= TRIM_SIGMA * deviation)
+                for group, deviation in zip(groups, deviations, strict=True)
+            ],
+            axis=0,
+        )
+    return _TurnFit(float(solution[0]), float(solution[1]), deviations[0])
 
 
 def _misfit_rad(track: HeadingTrack, jumps_s: tuple[float, ...]) -> float:

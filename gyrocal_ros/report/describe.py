@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gyrocal_ros.data import NS_PER_S, Array
 from gyrocal_ros.diagnose.drift import BlindDrift
 from gyrocal_ros.diagnose.regimes import Failure
 from gyrocal_ros.diagnose.status import Status
 from gyrocal_ros.effects.base import shown_in
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.model.sensor import Effect
 
 MAX_SIGMA = 30.0
 """Significance above which the exact number does not matter."""
+MOST_ALIKE = 3
+"""Number of events of one kind that are listed; of more, the first is."""
 NO_FAILURE = 'Nowhere: chance and a slowly wandering bias explain all differences.'
 FAILURE_HEADS = ('place, and the correction needed there', 'sigma')
 
@@ -45,9 +49,21 @@ def status_line(status: Status) -> str:
     return f'[{status.level}] {status.sentence}'
 
 
+def summarised(events: Sequence[RunEvent]) -> Iterator[RunEvent]:
+    """Yield the events; of many that differ in their numbers alone, the first, with how many there are."""
+    kinds = [re.sub(r'[-+]?\d+(\.\d+)?', '#', event.text) for event in events]
+    counts, told = Counter(kinds), set()
+    for event, kind in zip(events, kinds, strict=True):
+        if counts[kind] <= MOST_ALIKE:
+            yield event
+        elif kind not in told:
+            told.add(kind)
+            yield replace(event, text=f'{event.text}; {counts[kind] - 1} more like this')
+
+
 def events_in_words(run: Run) -> Iterator[tuple[str, str]]:
     """Yield the events of a run as warnings with their times."""
-    for event in run.events:
+    for event in summarised(run.events):
         yield 'warning', f'{(event.t_ns - run.span.start_ns) / NS_PER_S:.1f} s after the start: {event.text}'
 
 

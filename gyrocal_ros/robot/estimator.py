@@ -223,8 +223,8 @@ class Estimator:
                 f'the images are less noisy than the filter assumes (NIS {nis:.1f}, from {limits.nis_low:g} '
                 'on is consistent): it adapts to that, or lower camera.pixel_noise_px'
             )
-        if self.slam is not None and self.slam.camera_finding:
-            yield self.slam.camera_finding
+        if self.slam is not None and self.slam.finding:
+            yield self.slam.finding
         if self._scatter.contradicts:
             yield (
                 'the model does not fit: the estimates change by far more than the filter expects; record a '

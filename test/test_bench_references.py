@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gyrocal_ros.bench import references as bench
 from gyrocal_ros.bench.reference_bound import reference_bound, white_information
 from gyrocal_ros.bench.references import (
     ReferenceResult,
@@ -18,14 +19,16 @@ from gyrocal_ros.bench.references import (
     run_reference,
 )
 from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import HeadingSample
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.sim.forward import HiddenEffect
-from gyrocal_ros.sim.references import OUTLIER_FACTOR, DrawnReference, ReferenceSource
-from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.references import OUTLIER_FACTOR, DrawnReference, ReferenceSource, is_at_rest
+from gyrocal_ros.sim.scenarios import Scenario, find_scenario
+from gyrocal_ros.sim.varied import varied_scenario
 from gyrocal_ros.sim.world import SimSource
 
 SHORT = replace(find_scenario('cleaning'), duration_s=40.0, imu_hz=50)
-NORMAL = DrawnReference(10.0, 0.01, 0.001, 0.0, 0.0, (), ())
+NORMAL = DrawnReference(10.0, 0.01, 0.001, 0.0, 0.0, (), (), holds_at_rest=False)
 
 
 def test_the_information_of_normal_noise_is_the_inverse_of_its_variance() -> None:
@@ -49,6 +52,34 @@ def test_the_bound_follows_the_noise() -> None:
     assert walking[0] > usual[0] and coarse[0] > usual[0]
     assert walking[1] > usual[1], 'the rest at the start is short'
     assert walking[1] < math.radians(0.0075) / math.sqrt(2.5) * 1.5, 'at rest the gyro reads its bias'
+
+
+def test_encoders_hold_their_heading_at_rest() -> None:
+    source = ReferenceSource(SimSource(SHORT, 3), 'encoders')
+    headings = [sample for sample in source.measurements() if isinstance(sample, HeadingSample)]
+    true_s = np.array([sample.t_ns - source.span.start_ns for sample in headings]) * 1e-9
+    rests = is_at_rest(source.truth.trajectory.motion(true_s - source.reference.offset_s))
+    changes = np.diff([sample.yaw_rad for sample in headings])
+    at_rest = rests[1:] & rests[:-1]
+    assert at_rest.sum() > 20 and np.abs(changes[at_rest]).max() < 1e-5 < np.median(np.abs(changes[~at_rest]))
+    held = reference_bound(source, Config())
+    source.reference = replace(source.reference, holds_at_rest=False)
+    walking = reference_bound(source, Config())
+    assert held.scale_std < walking.scale_std
+
+
+def test_a_varied_reference_is_that_of_the_robot_of_the_seed(monkeypatch: pytest.MonkeyPatch) -> None:
+    robots: list[Scenario] = []
+
+    def calibrated(source: ReferenceSource, result: ReferenceResult) -> ReferenceResult:
+        robots.append(source.robot.scenario)
+        return result
+
+    monkeypatch.setattr(bench, '_calibrated', calibrated)
+    for varied in (False, True):
+        run_reference('lidar', 5, 30.0, varied=varied)
+    assert robots[1] == replace(varied_scenario(5), duration_s=30.0, errors=robots[1].errors)
+    assert robots[0].imu_hz == find_scenario('cleaning').imu_hz != robots[1].imu_hz
 
 
 def test_a_hidden_effect_drifts_in_proportion_to_its_size() -> None:

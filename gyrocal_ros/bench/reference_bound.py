@@ -10,14 +10,12 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, HeadingSample
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.sim.references import OUTLIER_FACTOR, DrawnReference, ReferenceSource
+from gyrocal_ros.sim.references import OUTLIER_FACTOR, DrawnReference, ReferenceSource, is_at_rest
 from gyrocal_ros.sim.world import START_NS
 
 HEADING, BIAS, SCALE, OFFSET = range(4)
 PRIOR_HEADING_RAD, PRIOR_OFFSET_S = math.pi, 0.5
 """Prior standard deviations of the heading, which a jump restores, and of the time offset."""
-REST_M_S, REST_RAD_S = 1e-3, 1e-4
-"""Speed and yaw rate below which the robot is at rest."""
 DENSITY_POINTS = 2001
 
 
@@ -43,8 +41,7 @@ def reference_bound(source: ReferenceSource, config: Config) -> Bound:
     time_s = _true_times(source)
     nodes_s = truth.bias_time_s
     motion = truth.trajectory.motion(nodes_s)
-    rate = motion.rate_rad_s[:, 2]
-    is_rest = (np.abs(motion.speed_m_s) < REST_M_S) & (np.abs(rate) < REST_RAD_S)
+    rate, is_rest = motion.rate_rad_s[:, 2], is_at_rest(motion)
     dt_s = np.diff(nodes_s, prepend=nodes_s[0])
     turned = np.cumsum(rate * dt_s) / truth.scale_factor
     rested_s = np.cumsum(is_rest * dt_s)
@@ -64,7 +61,8 @@ def reference_bound(source: ReferenceSource, config: Config) -> Bound:
         F = np.eye(4)
         F[HEADING, BIAS], F[HEADING, SCALE] = moving_s, turn
         P = F @ P @ F.T
-        P[HEADING, HEADING] += drawn.walk_rad**2 * interval_s + q_gyro * moving_s
+        walked_s = moving_s if drawn.holds_at_rest else interval_s
+        P[HEADING, HEADING] += drawn.walk_rad**2 * walked_s + q_gyro * moving_s
         P[BIAS, BIAS] += q_bias * interval_s
         if number in jumps:
             P[HEADING, HEADING] += PRIOR_HEADING_RAD**2

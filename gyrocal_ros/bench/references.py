@@ -34,6 +34,7 @@ from gyrocal_ros.sim.hidden import DRAWN, DrawnEffect, draw_scale_factor, draw_v
 from gyrocal_ros.sim.references import KINDS, ReferenceSource
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.sensors import stream
+from gyrocal_ros.sim.varied import varied_scenario
 from gyrocal_ros.sim.world import SimSource
 
 DURATION_S = 180.0
@@ -81,17 +82,18 @@ def cases() -> list[str]:
     return [*KINDS, EFFECTS_CASE]
 
 
-def references(seeds: int, only: Collection[str] = ()) -> Iterator[dict[str, Any]]:
+def references(seeds: int, only: Collection[str] = (), *, varied: bool = False) -> Iterator[dict[str, Any]]:
     """Yield one row per case as they become ready, and one for all recordings that hide nothing.
 
     Args:
         seeds: number of recordings of each case; hidden effects have each kind of reference in turn.
         only: labels of cases; empty for all.
+        varied: True to draw robot, room and drive by the seed as well.
     """
     chosen = [case for case in cases() if not only or case in only]
-    tasks = [(case, seed) for case in chosen for seed in range(seeds)]
+    tasks = [(case, seed, varied) for case in chosen for seed in range(seeds)]
     clean: list[ReferenceResult] = []
-    for (case, _), group in groupby(
+    for (case, *_), group in groupby(
         zip(tasks, in_parallel(_run_task, tasks), strict=True), key=lambda pair: (pair[0][0], None)
     ):
         results = [result for _, result in group]
@@ -154,9 +156,19 @@ def effects_row(results: Sequence[ReferenceResult]) -> dict[str, Any]:
     }
 
 
-def run_reference(case: str, seed: int, duration_s: float = DURATION_S) -> ReferenceResult:
-    """Simulate a recording with a reference, calibrate and diagnose it, and compare with the truth."""
-    scenario = replace(find_scenario('cleaning'), duration_s=duration_s)
+def run_reference(
+    case: str, seed: int, duration_s: float = DURATION_S, *, varied: bool = False
+) -> ReferenceResult:
+    """Simulate a recording with a reference, calibrate and diagnose it, and compare with the truth.
+
+    Args:
+        case: kind of reference, or `EFFECTS_CASE`.
+        seed: draws the scale factor, the reference and the hidden effect.
+        duration_s: length of the recording.
+        varied: True to draw robot, room and drive by the seed as well.
+    """
+    scenario = varied_scenario(seed) if varied else find_scenario('cleaning')
+    scenario = replace(scenario, duration_s=duration_s)
     errors = replace(scenario.errors, scale_factor=draw_scale_factor(seed))
     robot = SimSource(replace(scenario, errors=errors), seed)
     if case != EFFECTS_CASE:
@@ -229,8 +241,9 @@ def _compared(
     )
 
 
-def _run_task(task: tuple[str, int]) -> ReferenceResult:
-    return run_reference(*task)
+def _run_task(task: tuple[str, int, bool]) -> ReferenceResult:
+    case, seed, varied = task
+    return run_reference(case, seed, varied=varied)
 
 
 def _answer(result: ReferenceResult) -> str:

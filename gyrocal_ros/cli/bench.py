@@ -79,7 +79,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'faults': lambda args: faults(args.seeds, args.only, main, quick=args.quick, report=print_message),
     'soak': lambda args: soak(args.seeds, _start_calibrator),
     'fleet': lambda args: _fleet(args),
-    'references': lambda args: references(args.seeds, args.only),
+    'references': lambda args: references(args.seeds, args.only, varied=args.varied),
 }
 
 CASES: dict[str, Callable[[], list[str]]] = {
@@ -140,7 +140,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--varied',
         action='store_true',
-        help='for blind: another robot, room, drive and set of sensors for every seed',
+        help='for blind and references: another robot, room, drive and set of sensors for every seed',
     )
     parser.add_argument(
         '--strangers',
@@ -185,9 +185,12 @@ def run(args: argparse.Namespace) -> None:
     if args.strangers and (set(args.what) != {'blind'} or args.images or args.set):
         raise GyrocalError('is for the bench blind alone', where='--strangers', todo='name only blind')
     _refuse_wrong_scenes(args)
-    if args.varied and (set(args.what) != {'blind'} or args.images or args.strangers):
-        todo = 'name blind, without --images and --strangers'
-        raise GyrocalError('is only for the bench blind on features', where='--varied', todo=todo)
+    is_for_varied = args.what and set(args.what) <= {'blind', 'references'}
+    if args.varied and (not is_for_varied or args.images or args.strangers):
+        todo = 'name blind or references, without --images and --strangers'
+        raise GyrocalError(
+            'is for the benches blind, on features, and references', where='--varied', todo=todo
+        )
     if args.keep and (args.what or not args.quick):
         raise GyrocalError('is for `gyrocal bench --quick` only', where='--keep')
     if args.quick and not args.what:

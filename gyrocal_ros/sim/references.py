@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrocal_ros.data import NS_PER_S, Array, HeadingSample, Measurement, Rig, Span
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.sim.sensors import stream
+from gyrocal_ros.sim.trajectory import TrueMotion
 from gyrocal_ros.sim.world import START_NS, SimSource, SimTruth
 
 Bounds = tuple[float, float]
@@ -36,8 +38,12 @@ class ReferenceKind:
     jumps_per_min: float
     jump_deg: float = 0.0
     """Standard deviation of a jump."""
+    holds_at_rest: bool = False
+    """True if the heading of a robot at rest does not change at all."""
 
 
+REST_M_S, REST_RAD_S = 1e-3, 1e-4
+"""Speed and yaw rate below which the robot is at rest."""
 OUTLIER_FACTOR = 6.0
 """Standard deviation of the outliers, in white noises."""
 GAP_S = (0.5, 15.0)
@@ -57,7 +63,15 @@ KINDS = {
         'calibrated compass', (5, 50), (0.5, 2.0), (0.05, 0.5), (0.0, 0.1), (-0.02, 0.05), 0.1, 0.0
     ),
     'encoders': ReferenceKind(
-        'wheel encoders without slip', (20, 50), (0.01, 0.1), (0.1, 0.6), (0.0, 0.02), (0.0, 0.03), 0.1, 0.0
+        'wheel encoders without slip',
+        (20, 50),
+        (0.01, 0.1),
+        (0.1, 0.6),
+        (0.0, 0.02),
+        (0.0, 0.03),
+        0.1,
+        0.0,
+        holds_at_rest=True,
     ),
 }
 
@@ -75,6 +89,8 @@ class DrawnReference:
     """Beginning and end of each gap."""
     jumps: tuple[Bounds, ...]
     """Time (s) and size (rad) of each jump."""
+    holds_at_rest: bool
+    """True if neither noise nor walk goes on at rest."""
 
 
 def find_kind(name: str) -> ReferenceKind:
@@ -105,6 +121,7 @@ def draw_reference(kind: ReferenceKind, duration_s: float, rng: np.random.Genera
         jumps=tuple(
             (time_s, math.radians(kind.jump_deg) * rng.normal()) for time_s in sorted(jumps.tolist())
         ),
+        holds_at_rest=kind.holds_at_rest,
     )
 
 
@@ -153,7 +170,9 @@ class ReferenceSource:
     def _headings(self) -> Iterator[HeadingSample]:
         drawn, rng = self.reference, stream(self.robot.seed, f'headings {self._kind}')
         time_s = np.arange(0.004, self.robot.scenario.duration_s, 1.0 / drawn.rate_hz)
-        yaw_rad = self.truth.trajectory.motion(time_s).euler_rad[:, 2] + _errors(time_s, drawn, rng)
+        motion = self.truth.trajectory.motion(time_s)
+        errors = _errors(time_s, is_at_rest(motion) if drawn.holds_at_rest else None, drawn, rng)
+        yaw_rad = motion.euler_rad[:, 2] + errors
         present = np.ones(len(time_s), bool)
         for start_s, end_s in drawn.gaps_s:
             present &= (time_s < start_s) | (time_s >= end_s)
@@ -162,12 +181,32 @@ class ReferenceSource:
         yield from map(HeadingSample, stamps[present].tolist(), wrapped[present].tolist())
 
 
-def _errors(time_s: Array, drawn: DrawnReference, rng: np.random.Generator) -> Array:
-    """Draw the errors (n,) of headings at times (n,): random walk, white noise with outliers, and jumps."""
-    steps = drawn.walk_rad * np.sqrt(np.diff(time_s, prepend=time_s[0]))
+def is_at_rest(motion: TrueMotion) -> NDArray[np.bool_]:
+    """Return (n,) True where the robot neither drives nor turns."""
+    return (np.abs(motion.speed_m_s) < REST_M_S) & (np.abs(motion.rate_rad_s[:, 2]) < REST_RAD_S)
+
+
+def _errors(
+    time_s: Array, held: NDArray[np.bool_] | None, drawn: DrawnReference, rng: np.random.Generator
+) -> Array:
+    """Draw the errors (n,) of headings: random walk, white noise with outliers, and jumps.
+
+    Args:
+        time_s: (n,) times.
+        held: (n,) True where the heading stays as it is; None for nowhere.
+        drawn: properties of the reference.
+        rng: source of the noise.
+    """
+    moved_s = np.diff(time_s, prepend=time_s[0])
+    if held is not None:
+        moved_s[held] = 0.0
+    steps = drawn.walk_rad * np.sqrt(moved_s)
     wide = np.where(rng.random(len(time_s)) < drawn.outliers, OUTLIER_FACTOR, 1.0)
     errors: Array = np.cumsum(steps * rng.standard_normal(len(time_s)))
-    errors += drawn.white_rad * wide * rng.standard_normal(len(time_s))
+    white = wide * rng.standard_normal(len(time_s))
+    if held is not None:
+        white = white[np.maximum.accumulate(np.where(held, 0, np.arange(len(time_s))))]
+    errors += drawn.white_rad * white
     for at_s, size_rad in drawn.jumps:
         errors[time_s >= at_s] += size_rad
     return errors

@@ -7,15 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from contracts import eventful_block
 from filter_states import CANDIDATES, EFFECTS, some_state
 from scipy.stats import t as student_t
 
 from gyrocal_ros.config.sections import GyroConfig, ReferenceConfig
-from gyrocal_ros.data import HeadingSample
+from gyrocal_ros.data import HeadingSample, nanoseconds
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.effects_by_place import sort_effects
 from gyrocal_ros.ekf.heading import HeadingReference
-from gyrocal_ros.ekf.reference_noise import JUMP_HEADINGS
+from gyrocal_ros.ekf.reference_noise import JUMP_HEADINGS, JUMP_S, JumpsWithTurns
 from gyrocal_ros.ekf.state import YAW, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, heading_innovation, heading_update
 
@@ -31,6 +32,11 @@ def updated(reference: HeadingReference, state: State, error_rad: float) -> tupl
     """Give a heading in the frame of the reference that differs by `error_rad` from the state."""
     sample = HeadingSample(state.t_ns, float(state.mean[YAW]) + OFFSET_RAD + error_rad)
     return reference.update(state, sample, MODEL_EFFECTS, OTHERS, POSE_RATE)
+
+
+def at(state: State, late_s: float) -> State:
+    """Return the state at a later time."""
+    return replace(state, t_ns=state.t_ns + nanoseconds(late_s))
 
 
 def aligned() -> HeadingReference:
@@ -126,12 +132,51 @@ def test_outliers_to_both_sides_are_no_jump() -> None:
 
 def test_after_a_jump_the_reference_is_aligned_again() -> None:
     reference, state, jump_rad = aligned(), certain(), 20.0 * STD
-    for _ in range(JUMP_HEADINGS - 1):
-        assert updated(reference, state, jump_rad)[1].rejected == 1
+    for late_s in np.arange(0.0, JUMP_S, 0.1).tolist():
+        assert updated(reference, at(state, late_s), jump_rad + 1e-6 * late_s)[1].rejected == 1
+    state = at(state, JUMP_S + 0.1)
     after, update = updated(reference, state, jump_rad)
     assert 'jumped by +10.0 deg' in update.event and update.rejected == 0
     np.testing.assert_array_equal(after.mean, state.mean)
-    assert updated(reference, after, jump_rad)[1].heading_rad == pytest.approx(0.0, abs=1e-12)
+    assert updated(reference, after, jump_rad + 1e-9)[1].heading_rad == pytest.approx(0.0, abs=1e-6)
+
+
+def test_while_the_reference_may_have_jumped_its_headings_are_not_used() -> None:
+    """One that smooths lies apart while a turn begins or ends, and comes back: that is no jump."""
+    reference, state, apart_rad = aligned(), certain(), 20.0 * STD
+    for k in range(JUMP_HEADINGS + 3):
+        after, update = updated(reference, at(state, 0.1 * k), apart_rad + 1e-6 * k)
+        assert update.rejected == 1
+        assert (after.mean[YAW] == state.mean[YAW]) == (k >= JUMP_HEADINGS - 1)
+    update = updated(reference, at(state, 1.5), 0.5 * STD)[1]
+    assert not update.event and update.rejected == 0 and update.stats.dof == 1
+
+
+def test_a_repetition_is_no_measurement() -> None:
+    reference, state = aligned(), some_state()
+    sample = HeadingSample(state.t_ns, float(state.mean[YAW]) + OFFSET_RAD + 0.1 * STD)
+    used, repeated = (reference.update(state, sample, MODEL_EFFECTS, OTHERS, POSE_RATE)[1] for _ in range(2))
+    assert used.stats.dof == 1 and repeated.stats.dof == 0
+
+
+def jumps_in(turn_deg_s: float, jumps_deg: list[float]) -> JumpsWithTurns:
+    """Turn to and fro; the reference jumps in each turn."""
+    found, block = JumpsWithTurns(), eventful_block()
+    for number, jump_deg in enumerate(jumps_deg):
+        rates = np.zeros_like(block.rate_rad_s)
+        rates[:, 2] = math.radians(turn_deg_s) * (-1.0) ** number
+        for _ in range(100):
+            found.move(replace(block, rate_rad_s=rates))
+        found.add(math.radians(jump_deg))
+    return found
+
+
+def test_jumps_that_go_with_the_turns_are_an_error_of_the_scale_factor() -> None:
+    turned_deg = 8 * 100 * 30.0 * eventful_block().duration_s
+    smooth = jumps_in(30.0, [2.0, -2.0] * 4)
+    assert smooth.scale_error == pytest.approx(16.0 / turned_deg, rel=1e-2)
+    assert jumps_in(30.0, [2.0, -2.0]).scale_error == 0.0
+    assert jumps_in(30.0, [2.0, 3.0, -1.0, -2.0, 5.0, 2.0, -4.0, -1.0]).scale_error == 0.0
 
 
 def test_the_log_likelihood_is_that_of_a_student_t_variable() -> None:

@@ -22,6 +22,7 @@ def track(
     hz: float = 10.0,
     outliers: float = 0.0,
     late_s: float = 0.0,
+    stamp_s: float = 0.0,
     jump_deg: float = 0.0,
     gap: tuple[float, float] = (0.0, 0.0),
 ) -> HeadingTrack:
@@ -33,6 +34,7 @@ def track(
     errors = np.cumsum(math.radians(walk_deg) / math.sqrt(hz) * rng.standard_normal(len(time_s)))
     wide = np.where(rng.random(len(time_s)) < outliers, 6.0, 1.0)
     errors += math.radians(white_deg) * wide * rng.standard_normal(len(time_s))
+    errors -= stamp_s * rate * rng.standard_normal(len(time_s))
     errors += math.radians(jump_deg) * (time_s > 0.5 * DURATION_S)
     yaw = SCALE_FACTOR * turned + BIAS_RAD_S * time_s - late_s * rate + errors
     present = (time_s < gap[0]) | (time_s >= gap[1])
@@ -48,6 +50,15 @@ def test_white_noise_and_walk_are_found(white_deg: float, walk_deg: float, outli
     assert math.degrees(float(found.noise.white_rad)) == pytest.approx(white_deg, rel=0.35)
     assert math.degrees(float(found.noise.walk_rad)) == pytest.approx(walk_deg, rel=0.6)
     assert (float(found.noise.tail_dof) < 6.0) == (outliers > 0.0)
+
+
+@pytest.mark.parametrize('stamp_s', [0.0, 0.005, 0.03])
+def test_the_noise_of_the_stamps_is_found(stamp_s: float) -> None:
+    fits = [fit_noise(track(seed, white_deg=0.03, stamp_s=stamp_s), Config().gyro) for seed in range(3)]
+    for fit in fits:
+        assert float(fit.noise.stamp_s) == pytest.approx(stamp_s, rel=0.3, abs=3e-4)
+        assert abs(fit.scale_factor - SCALE_FACTOR) < 3.5 * math.sqrt(fit.covariance[2, 2])
+        assert not fit.jumps_s
 
 
 def test_the_states_are_honest() -> None:

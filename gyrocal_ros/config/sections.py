@@ -213,6 +213,9 @@ class ReferenceConfig:
     tail_dof: float = setting(
         6.0, '', 'Student t degrees of freedom of heading errors; few for many outliers', low=1.0, high=1e3
     )
+    stamp_noise_s: float = setting(
+        0.0, 's', 'standard deviation of the stamps of the reference headings', low=0.0, high=1.0
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,19 +8,22 @@ from dataclasses import replace
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig, ReferenceConfig
-from gyrocal_ros.data import Array, HeadingSample, MotionBlock
+from gyrocal_ros.data import Array, HeadingSample, MotionBlock, seconds
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace
 from gyrocal_ros.ekf.reference_learner import ReferenceLearner
-from gyrocal_ros.ekf.reference_noise import OUTLIER_SIGMA, JumpDetector, ReferenceNoise
+from gyrocal_ros.ekf.reference_noise import OUTLIER_SIGMA, JumpDetector, JumpsWithTurns, ReferenceNoise
 from gyrocal_ros.ekf.shared_noise import SharedNoise
-from gyrocal_ros.ekf.state import YAW, State
+from gyrocal_ros.ekf.state import SCALE, YAW, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, heading_innovation, heading_update
 
 CONTAINS_GYRO = (
     'the heading reference follows the noise of the gyro, so it is computed from this gyro and cannot '
     'calibrate it; name a reference that does not use the gyro'
 )
-"""Finding, where it does."""
+JUMPS_WITH_TURNS = (
+    'the heading reference jumps with every turn, so it smooths the heading, or its stamps are not those of '
+    'its headings; name another one, or let it publish the heading as measured'
+)
 
 
 class HeadingReference:
@@ -38,10 +41,9 @@ class HeadingReference:
         self._learner = ReferenceLearner(gyro) if config.estimate_noise else None
         self._gyro_walk = math.radians(gyro.rate_noise_deg_s)
         self._offset_rad: float | None = None
-        self._jumps = JumpDetector()
-        self._shared = SharedNoise()
-        self.contains_gyro = False
-        """True if the reference repeats the noise of the gyro: it cannot calibrate it."""
+        self._jumps, self._jumps_with_turns = JumpDetector(), JumpsWithTurns()
+        self._last: HeadingSample | None = None
+        self._shared, self._contains_gyro = SharedNoise(), False
 
     def wander(self, state: State, duration_s: float) -> State:
         """Add the random walk of the reference over a time; none before its first sample."""
@@ -63,6 +65,7 @@ class HeadingReference:
     def move(self, block: MotionBlock) -> None:
         """Follow one block of the gyro."""
         self._shared.move(block)
+        self._jumps_with_turns.move(block)
         if self._learner is not None:
             self._learner.move(block)
 
@@ -73,8 +76,28 @@ class HeadingReference:
         return {
             'reference_noise_deg': round(math.degrees(float(self.noise.white_rad)), 4),
             'reference_walk_deg': round(math.degrees(float(self.noise.walk_rad)), 4),
+            'reference_stamp_noise_s': round(float(self.noise.stamp_s), 4),
             'reference_time_offset_s': round(self.time_offset_s, 4),
         }
+
+    @property
+    def finding(self) -> str:
+        """What is wrong with the reference; empty where nothing is."""
+        if self._contains_gyro:
+            return CONTAINS_GYRO
+        return JUMPS_WITH_TURNS if self._jumps_with_turns.scale_error else ''
+
+    def suspected_std(self, unknown_std: Array) -> Array:
+        """Return the standard deviations (1 + k,) of yaw bias and coefficients by what is wrong.
+
+        Args:
+            unknown_std: (1 + k,) standard deviations of all of them where nothing is known.
+        """
+        if self._contains_gyro:
+            return unknown_std
+        std = np.zeros_like(unknown_std)
+        std[SCALE : SCALE + 1] = self._jumps_with_turns.scale_error
+        return std
 
     def forget_alignment(self) -> None:
         """Align again at the next sample."""
@@ -97,14 +120,19 @@ class HeadingReference:
             candidates: effects that the model lacks.
             pose_rate: (6,) rate of the pose.
         """
+        if self._last is not None and sample.yaw_rad == self._last.yaw_rad:
+            return state, MeasurementUpdate()  # at rest, frozen, or within one step of the digits
+        dt_s = 0.0 if self._last is None else seconds(sample.t_ns - self._last.t_ns)
+        self._last = sample
         self._shared.add(sample.yaw_rad)
-        self.contains_gyro |= self._shared.is_shared
+        self._contains_gyro |= self._shared.is_shared
         if self._learner is not None:
             self._learner.add(sample.yaw_rad, float(pose_rate[YAW]))
             if self._learner.noise is None:
                 return state, MeasurementUpdate()
             self.noise = self._without_gyro(self._learner.noise)
-        white_rad = math.hypot(float(self.noise.white_rad), self._offset_std_s * float(pose_rate[YAW]))
+        stamp_s = math.hypot(self._offset_std_s, float(self.noise.stamp_s))
+        white_rad = math.hypot(float(self.noise.white_rad), stamp_s * float(pose_rate[YAW]))
         if self._offset_rad is None:
             return self._align(state, sample, white_rad), MeasurementUpdate()
         by_values, by_candidates = np.zeros(effects.count), np.zeros(candidates.count)
@@ -114,9 +142,13 @@ class HeadingReference:
         yaw_rad = sample.yaw_rad - self._offset_rad
         residual, known = heading_innovation(state, yaw_rad, by_values)
         variance = known + white_rad**2
-        if self._jumps.update(np.array([residual / math.sqrt(variance)]))[0]:
+        may_have_jumped, has_jumped = self._jumps.update(np.array([residual / math.sqrt(variance)]), dt_s)
+        if has_jumped[0]:
+            self._jumps_with_turns.add(residual)
             event = f'the heading reference jumped by {math.degrees(residual):+.1f} deg'
             return self._align(state, sample, white_rad), MeasurementUpdate(event=event)
+        if may_have_jumped[0]:
+            return state, MeasurementUpdate(rejected=1)
         distance = residual**2 / variance
         std = math.sqrt(variance / float(self.noise.weight(distance)) - known)
         state, stats, residual = heading_update(state, yaw_rad, std, by_values, by_candidates)
@@ -131,7 +163,7 @@ class HeadingReference:
     def _without_gyro(self, noise: ReferenceNoise) -> ReferenceNoise:
         """Return the noise of the reference alone, given its random walk together with that of the gyro."""
         walk_rad = math.sqrt(max(float(noise.walk_rad) ** 2 - self._gyro_walk**2, 0.0))
-        return ReferenceNoise(noise.white_rad, walk_rad, noise.tail_dof)
+        return ReferenceNoise(noise.white_rad, walk_rad, noise.tail_dof, noise.stamp_s)
 
     def _align(self, state: State, sample: HeadingSample, white_rad: float) -> State:
         """Align the frame of the reference to the map, so that the heading in it is that of the sample.
@@ -148,7 +180,10 @@ class HeadingReference:
 def reference_noise(config: ReferenceConfig) -> ReferenceNoise:
     """Return the noise of the settings."""
     return ReferenceNoise(
-        math.radians(config.heading_noise_deg), math.radians(config.heading_walk_deg), config.tail_dof
+        math.radians(config.heading_noise_deg),
+        math.radians(config.heading_walk_deg),
+        config.tail_dof,
+        config.stamp_noise_s,
     )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.reference_noise import JUMP_LOG_PRIOR, JumpDetector, ReferenceNoise
+from gyrocal_ros.ekf.reference_noise import JUMP_LOG_PRIOR, OUTLIER_SIGMA, JumpDetector, ReferenceNoise
 
 PRIOR_STDS = (math.pi, math.radians(5.0), 0.2, 0.05)
 """Prior standard deviations: heading (rad), bias (rad/s), scale factor, time offset (s)."""
@@ -68,11 +68,13 @@ class ReferenceBank:
     def __init__(self, noise: ReferenceNoise, gyro: GyroConfig) -> None:
         self._noise = noise
         self._variances, self._walks = np.square(noise.white_rad), np.square(noise.walk_rad)
+        self._stamps = np.square(noise.stamp_s)
         self._bias_walk = math.radians(gyro.bias_walk_deg_s) ** 2
         self._gap_rate = math.radians(gyro.gap_rate_std_deg_s)
         count = len(self._variances)
         self._mean, self._P = np.zeros((count, 4)), np.tile(np.diag(np.square(PRIOR_STDS)), (count, 1, 1))
-        self._log_likelihood, self._jumps = np.zeros(count), JumpDetector(count)
+        self._log_likelihood, self._outlying = np.zeros(count), np.zeros(count)
+        self._jumps = JumpDetector(count)
         self._elapsed_s, self._seen_jumps = 0.0, list[tuple[float, NDArray[np.bool_]]]()
         self.count = 0
         """Number of headings so far."""
@@ -101,19 +103,25 @@ class ReferenceBank:
 
         numerator = P[:, HEADING] - rate_rad_s * P[:, OFFSET]
         variance = numerator[:, HEADING] - rate_rad_s * numerator[:, OFFSET] + self._variances
+        variance += self._stamps * rate_rad_s**2
         residual = difference_rad - mean[:, HEADING] + rate_rad_s * mean[:, OFFSET]
-        has_jumped = self._jumps.update(residual / np.sqrt(variance))
+        may_have_jumped, has_jumped = self._jumps.update(residual / np.sqrt(variance), dt_s)
         if has_jumped.any():
             added = np.where(has_jumped, residual**2, 0.0)
             P[:, HEADING, HEADING] += added
             numerator[:, HEADING] += added
             variance = variance + added
-            self._log_likelihood += JUMP_LOG_PRIOR * has_jumped
+            self._outlying[has_jumped] = JUMP_LOG_PRIOR  # what was an outlier was right in the new frame
             self._seen_jumps.append((self._elapsed_s, has_jumped))
         distance = residual**2 / variance
-        self._log_likelihood += self._noise.log_likelihood(variance, distance)
+        # Outliers count when it is known that they were no jump.
+        self._outlying += self._noise.log_likelihood(variance, distance)
+        is_known = (distance <= OUTLIER_SIGMA**2) | has_jumped
+        self._log_likelihood[is_known] += self._outlying[is_known]
+        self._outlying[is_known] = 0.0
 
-        gain = numerator * (self._noise.weight(distance) / variance)[:, None]
+        weight = np.where(may_have_jumped, 0.0, self._noise.weight(distance))
+        gain = numerator * (weight / variance)[:, None]
         mean += gain * residual[:, None]
         P -= gain[:, :, None] * numerator[:, None, :]
         self.count += 1
@@ -133,10 +141,10 @@ class ReferenceBank:
         log_weight = self._log_likelihood + np.log(walk)
         weight = np.exp(log_weight - log_weight.max())
         weight /= weight.sum()
-        white_rad, walk_rad = (
-            math.sqrt(float(weight @ variances)) for variances in (self._variances, self._walks)
+        white_rad, walk_rad, stamp_s = (
+            math.sqrt(float(weight @ variances)) for variances in (self._variances, self._walks, self._stamps)
         )
-        return ReferenceNoise(white_rad, walk_rad, self.likeliest().noise.tail_dof)
+        return ReferenceNoise(white_rad, walk_rad, self.likeliest().noise.tail_dof, stamp_s)
 
     def likeliest(self) -> NoiseFit:
         """Return the likeliest alternative so far."""
@@ -148,7 +156,9 @@ class ReferenceBank:
         )
 
 
-def grid(log_white: Array, log_walk: Array, dofs: Sequence[float]) -> ReferenceNoise:
-    """Return all combinations of white noise, random walk and degrees of freedom."""
-    white, walk, dof = (axis.ravel() for axis in np.meshgrid(np.exp(log_white), np.exp(log_walk), dofs))
-    return ReferenceNoise(white, walk, dof)
+def grid(
+    log_white: Array, log_walk: Array, dofs: Sequence[float], stamps_s: Sequence[float]
+) -> ReferenceNoise:
+    """Return all combinations of white noise, random walk, degrees of freedom and noise of the stamps."""
+    axes = np.meshgrid(np.exp(log_white), np.exp(log_walk), dofs, stamps_s)
+    return ReferenceNoise(*(axis.ravel() for axis in axes))

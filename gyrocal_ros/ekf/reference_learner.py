@@ -15,6 +15,8 @@ WHITE_DEG, WALK_DEG, TAIL_DOF = (0.003, 5.0), (0.005, 3.0), 5.0
 """Ranges of the white noise (deg) and the random walk (deg/sqrt(s)), and degrees of freedom of the tails."""
 POINTS = 14
 """Points of the grid in each: neighbours differ by a factor of 1.8 and 1.6."""
+STAMPS_S = (0.0, 0.01, 0.03)
+"""Standard deviations of the stamps that are tried."""
 MIN_HEADINGS, MIN_S = 50, 20.0
 """Fewest headings, and shortest time, before the reference is used."""
 MAX_OFFSET_STD_S = 0.01
@@ -35,7 +37,7 @@ class ReferenceLearner:
             np.linspace(math.log(low), math.log(high), POINTS)
             for low, high in (np.radians(WHITE_DEG), np.radians(WALK_DEG))
         )
-        self._bank = ReferenceBank(grid(white, walk, (TAIL_DOF,)), gyro)
+        self._bank = ReferenceBank(grid(white, walk, (TAIL_DOF,), STAMPS_S), gyro)
         self._turned_rad = self._difference_rad = 0.0
         self._since = np.zeros(3)
         self._time_s = self._learned_s = 0.0

@@ -1,7 +1,8 @@
-"""Noise of a heading reference: white noise with heavy tails, a random walk, and jumps.
+"""Noise of a heading reference: white noise with heavy tails, a random walk, stamps that scatter, and jumps.
 
 An outlier lies far from the prediction once. A reference that has jumped, as a localisation does that
-corrects itself, stays away: then the alignment of its frame to the map is unknown again.
+corrects itself, stays away: then the alignment of its frame to the map is unknown again. One that smooths its
+headings lies apart while the robot begins or ends a turn, and comes back.
 """
 
 from __future__ import annotations
@@ -13,14 +14,21 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, MotionBlock
 
 OUTLIER_SIGMA = 5.0
 """Innovation beyond which a heading is an outlier, or the reference has jumped."""
 JUMP_HEADINGS = 4
-"""Number of consecutive outliers to one side that make a jump."""
+"""Number of consecutive outliers to one side from which the reference may have jumped."""
+JUMP_S = 1.0
+"""Time for which they go on if it has."""
 JUMP_LOG_PRIOR = -7.0
 """Logarithm of the prior probability of a jump at a heading."""
+TURN_MEMORY_S = 3.0
+"""Time over which the turn before a jump is remembered."""
+MIN_JUMPS, JUMPS_SIGMA = 6, 2.4
+"""Fewest jumps, and significance of their sum in the direction of the turns, from which they are part of the
+turns: six of one size in that direction."""
 
 _log_gamma = np.vectorize(math.lgamma, otypes=[float])
 
@@ -35,11 +43,13 @@ class ReferenceNoise:
     """Random walk, rad/sqrt(s)."""
     tail_dof: Array | float
     """Degrees of freedom of the Student t distribution of the innovations; large for normal ones."""
+    stamp_s: Array | float = 0.0
+    """Standard deviation of the stamps: noise in proportion to the rate."""
 
     def alternative(self, place: int) -> ReferenceNoise:
         """Return one of the alternatives."""
-        columns = (np.atleast_1d(column) for column in (self.white_rad, self.walk_rad, self.tail_dof))
-        return ReferenceNoise(*(float(column[place]) for column in columns))
+        columns = (self.white_rad, self.walk_rad, self.tail_dof, self.stamp_s)
+        return ReferenceNoise(*(float(np.atleast_1d(column)[place]) for column in columns))
 
     def weight(self, distance: Array | float) -> Array | float:
         """Return the weight, at most 1, of a heading whose innovation squared is `distance` variances.
@@ -67,13 +77,53 @@ class JumpDetector:
 
     def __init__(self, count: int = 1) -> None:
         self._outliers = np.zeros(count, np.int64)
-        self._side = np.zeros(count)
+        self._side, self._since_s = np.zeros(count), np.zeros(count)
 
-    def update(self, deviation: Array) -> NDArray[np.bool_]:
-        """Take the innovations (m,) of a heading, in sigma; return where (m,) the reference has jumped."""
+    def update(self, deviation: Array, dt_s: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Take the innovations of a heading.
+
+        Args:
+            deviation: (m,) innovations in sigma.
+            dt_s: time since the heading before.
+
+        Returns:
+            Where (m,) the reference may have jumped, so that the heading tells nothing, and where it has.
+        """
         side = np.sign(deviation) * (np.abs(deviation) > OUTLIER_SIGMA)
-        self._outliers = np.where((side != 0.0) & (side == self._side), self._outliers + 1, side != 0.0)
+        goes_on = (side != 0.0) & (side == self._side)
+        self._outliers = np.where(goes_on, self._outliers + 1, side != 0.0)
+        self._since_s = np.where(goes_on, self._since_s + dt_s, 0.0)
         self._side = side
-        has_jumped: NDArray[np.bool_] = self._outliers >= JUMP_HEADINGS
+        may_have: NDArray[np.bool_] = self._outliers >= JUMP_HEADINGS
+        has_jumped = may_have & (self._since_s >= JUMP_S)
         self._outliers[has_jumped] = 0
-        return has_jumped
+        return may_have & ~has_jumped, has_jumped
+
+
+class JumpsWithTurns:
+    """Compares the jumps of a reference with the turns before them.
+
+    Jumps of a localisation go either way. A reference that smooths its headings stays behind in every turn.
+    """
+
+    def __init__(self) -> None:
+        self._recent_rad = self._turned_rad = 0.0
+        self._jumps_rad: list[float] = []
+
+    def move(self, block: MotionBlock) -> None:
+        """Follow one block of the gyro."""
+        turn_rad = float(block.rate_rad_s[:, 2] @ block.dt_s)
+        self._recent_rad = self._recent_rad * math.exp(-block.duration_s / TURN_MEMORY_S) + turn_rad
+        self._turned_rad += abs(turn_rad)
+
+    def add(self, jump_rad: float) -> None:
+        """Take a jump."""
+        self._jumps_rad.append(math.copysign(jump_rad, jump_rad * self._recent_rad))
+
+    @property
+    def scale_error(self) -> float:
+        """Error of the scale factor if the jumps were part of the turns; 0 where chance explains them."""
+        together, size = math.fsum(self._jumps_rad), math.hypot(*self._jumps_rad)
+        if len(self._jumps_rad) < MIN_JUMPS or abs(together) < JUMPS_SIGMA * size:
+            return 0.0
+        return abs(together) / self._turned_rad

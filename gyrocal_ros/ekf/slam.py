@@ -27,7 +27,7 @@ from gyrocal_ros.ekf.effects_by_place import sort_effects, true_camera
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
-from gyrocal_ros.ekf.heading import CONTAINS_GYRO, HeadingReference
+from gyrocal_ros.ekf.heading import HeadingReference
 from gyrocal_ros.ekf.image_update import (
     ImageModel,
     add_landmarks,
@@ -216,8 +216,9 @@ class EkfSlam:
             shift = self._camera_watch.shift(self.state)
             self.finding = self._camera_watch.finding(duration_s, self.state, shift)
             std = np.hypot(std, shift)
-        elif self._heading.contains_gyro:
-            self.finding, std = CONTAINS_GYRO, np.hypot(std, self._unknown_std)
+        else:
+            self.finding = self._heading.finding
+            std = np.hypot(std, self._heading.suspected_std(self._unknown_std))
         event = '' if self._has_told else self.finding
         self._has_told |= bool(event)
         return std, event

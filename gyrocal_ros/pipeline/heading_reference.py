@@ -76,6 +76,8 @@ class ReferenceFit:
     """Random walk of the reference and the gyro together, rad/sqrt(s)."""
     tail_dof: float
     """Degrees of freedom of the Student t distribution of its errors."""
+    stamp_noise_s: float
+    """Standard deviation of its stamps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +139,7 @@ def with_noise(config: Config, fitted: ReferenceFit) -> Config:
         heading_noise_deg=math.degrees(fitted.white_rad),
         heading_walk_deg=math.sqrt(walk_deg**2 - gyro_deg**2),
         tail_dof=fitted.tail_dof,
+        stamp_noise_s=fitted.stamp_noise_s,
     )
     gyro = replace(config.gyro, rate_noise_deg_s=gyro_deg)
     return replace(for_reference(config), gyro=gyro, reference=reference)
@@ -171,9 +174,9 @@ def fit_reference(
             where=where,
             todo='give a reference that does not slip',
         )
-    gyro = (config or Config()).gyro
+    gyro, measured = (config or Config()).gyro, _without_repetitions(readings)
     for _ in range(OFFSET_PASSES):
-        fitted = fit_noise(_track(readings, offset_s, (scale_factor, bias_rad_s)), gyro)
+        fitted = fit_noise(_track(measured, offset_s, (scale_factor, bias_rad_s)), gyro)
         offset_s += fitted.time_offset_s
         scale_factor, bias_rad_s = fitted.scale_factor, fitted.bias_rad_s
     track = _track(readings, offset_s, (scale_factor, bias_rad_s))
@@ -226,6 +229,12 @@ def _read(measurements: Iterable[Measurement], where: str) -> _Readings:
             'no turns, so the scale factor cannot be known', where=where, todo='record two turns each way'
         )
     return _Readings(imu_s, rate, turned, heading_s, yaw)
+
+
+def _without_repetitions(readings: _Readings) -> _Readings:
+    """Return the readings without headings that repeat the one before exactly, which are no measurements."""
+    is_new = np.diff(readings.yaw_rad, prepend=math.nan) != 0.0
+    return replace(readings, heading_s=readings.heading_s[is_new], yaw_rad=readings.yaw_rad[is_new])
 
 
 def _turned_to_and_fro_rad(imu_s: Array, turned_rad: Array) -> float:
@@ -331,6 +340,7 @@ def _as_fit(fitted: NoiseFit, offset_s: float, residual_rms_rad: float) -> Refer
         white_rad=float(fitted.noise.white_rad),
         walk_rad=float(fitted.noise.walk_rad),
         tail_dof=float(fitted.noise.tail_dof),
+        stamp_noise_s=float(fitted.noise.stamp_s),
     )
 
 

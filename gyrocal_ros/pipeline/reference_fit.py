@@ -19,9 +19,11 @@ WALK_DEG = (1e-3, 5.0)
 """Ranges of the white noise (deg) and of the random walk (deg/sqrt(s))."""
 TAIL_DOFS = (3.0, 5.0, 10.0, 30.0)
 """Degrees of freedom of the tails that are tried; 30 is close to a normal distribution."""
-COARSE_POINTS, FINE_POINTS = 15, 5
+STAMPS_S = (0.0, 0.004, 0.016, 0.064)
+"""Standard deviations of the stamps that are tried; a fine grid has three."""
+COARSE_POINTS, FINE_POINTS = 9, 5
 """Points of a grid in white noise and in random walk; a fine one spans two steps of the one before."""
-REFINEMENTS = 3
+REFINEMENTS = 4
 WALK_POINTS = 40
 """Points at which the likelihood of the random walk is averaged."""
 
@@ -55,13 +57,14 @@ class HeadingTrack:
 
 
 def fit_noise(track: HeadingTrack, gyro: GyroConfig) -> NoiseFit:
-    """Find the likeliest noise on grids in white noise, random walk and tails, each finer than the last."""
+    """Find the likeliest noise on grids in its parameters, each finer than the last."""
     track = track.thinned(MAX_HEADINGS)
     white, walk = (
         np.linspace(math.log(low), math.log(high), COARSE_POINTS)
         for low, high in (np.radians(WHITE_DEG), np.radians(WALK_DEG))
     )
-    best = _likeliest(track, grid(white, walk, TAIL_DOFS[:1]), gyro)
+    best = _likeliest(track, grid(white, walk, TAIL_DOFS[:1], STAMPS_S), gyro)
+    ratio = 2.0
     for _ in range(REFINEMENTS):
         white, walk = (
             np.linspace(math.log(value) - step, math.log(value) + step, FINE_POINTS)
@@ -70,7 +73,9 @@ def fit_noise(track: HeadingTrack, gyro: GyroConfig) -> NoiseFit:
                 (best.noise.walk_rad, walk[1] - walk[0]),
             )
         )
-        best = _likeliest(track, grid(white, walk, TAIL_DOFS), gyro)
+        stamp_s = float(best.noise.stamp_s)
+        stamps_s = np.unique([stamp_s / ratio, stamp_s, stamp_s * ratio]).tolist()
+        best, ratio = _likeliest(track, grid(white, walk, TAIL_DOFS, stamps_s), gyro), math.sqrt(ratio)
     return replace(best, noise=_mean_noise(track, best.noise, gyro))
 
 
@@ -79,7 +84,7 @@ def _mean_noise(track: HeadingTrack, likeliest: ReferenceNoise, gyro: GyroConfig
     low_deg, high_deg = WALK_DEG
     walk = np.linspace(math.log(math.radians(low_deg)), math.log(math.radians(high_deg)), WALK_POINTS)
     white = np.log([float(likeliest.white_rad)])
-    noise = grid(white, walk, (float(likeliest.tail_dof),))
+    noise = grid(white, walk, (float(likeliest.tail_dof),), (float(likeliest.stamp_s),))
     return _filtered(track, noise, gyro).mean_noise()
 
 

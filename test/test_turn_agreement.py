@@ -55,10 +55,20 @@ def test_the_ratio_is_without_biases() -> None:
 
 def test_a_gyro_that_gets_stuck_is_named_by_its_reading() -> None:
     agreement = turned(1.0)
-    for _ in range(12):
-        assert not agreement.fault(1.0, 1e-4)
+    for step in range(25):
+        if step < 15:
+            assert not agreement.fault(1.0, 1e-4)
         agreement.add(5.2 * STEP_S, 1.0 * STEP_S, STEP_S)
     assert agreement.fault(1.0, 1e-4).startswith('the gyro reads 297.9 deg/s whatever the robot does')
+
+
+def test_noisy_wheels_on_a_straight_lane_hide_no_turn() -> None:
+    """In the time of an image their noise is larger than a turn; it adds up to no turn."""
+    agreement, rng = turned(1.0), np.random.default_rng(1)
+    for _ in range(6000):
+        agreement.add(1e-4 * rng.standard_normal(), 0.005 * rng.standard_normal(), 0.02)
+    assert agreement.fault(1.0, 1e-4) == ''
+    assert agreement.ratio == pytest.approx(1.0, abs=0.3)
 
 
 def test_nothing_is_said_before_the_wheels_have_turned_or_the_scale_factor_is_known() -> None:

@@ -20,7 +20,7 @@ from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
 from gyrocal_ros.bench.eyes import eyes
 from gyrocal_ros.bench.faults.soak import soak
-from gyrocal_ros.bench.faults.suite import KINDS, SEMANTIC, SOUND, faults
+from gyrocal_ros.bench.faults.suite import KINDS, REFERENCES, SEMANTIC, SOUND, faults
 from gyrocal_ros.bench.gate import BASELINE, Outcome, baseline_to_dict, gate, load_baseline, measure_baseline
 from gyrocal_ros.bench.growth import growth
 from gyrocal_ros.bench.image_speed import image_speed
@@ -85,7 +85,7 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
 CASES: dict[str, Callable[[], list[str]]] = {
     'accuracy': lambda: [case[0] for case in accuracy_cases(quick=False)],
     'blind': lambda: [*(case.label for case in blind_cases()), *stranger_labels()],
-    'faults': lambda: [*KINDS, SEMANTIC, SOUND],
+    'faults': lambda: [*KINDS, SEMANTIC, REFERENCES, SOUND],
     'fleet': lambda: ['coverage', 'effects', 'prior', 'size', 'engine'],
     'references': reference_cases,
 }

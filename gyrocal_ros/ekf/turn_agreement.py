@@ -12,6 +12,10 @@ from gyrocal_ros.ekf.convergence import is_plausible
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 
+INTERVAL_S = 0.5
+"""Time over which turns are added up: in the time of an image the noise of the wheels is larger than a turn."""
+SLOW_RAD_S = 0.1
+"""Rate of the wheels below which they are not said to turn: a straight lane is no reason to forget a turn."""
 MIN_TURN_RAD = 2.0
 """Turn of the wheels from which turns are compared."""
 MEMORY_RAD = 6.0
@@ -31,10 +35,20 @@ class TurnAgreement:
     def __init__(self) -> None:
         self._turn_rad = self._constant_rad = self._last_rad_s = 0.0
         self._time_s = self._gyro_rad = self._wheels_rad = self._product = self._square = 0.0
+        self._gyro_now_rad = self._wheels_now_rad = self._now_s = 0.0
 
     def add(self, gyro_rad: float, wheels_rad: float, duration_s: float) -> None:
         """Add the turns of one step by the nominal gyro and by the wheels."""
-        turn_rad, rate_rad_s = abs(wheels_rad), gyro_rad / duration_s
+        self._gyro_now_rad += gyro_rad
+        self._wheels_now_rad += wheels_rad
+        self._now_s += duration_s
+        if self._now_s >= INTERVAL_S:
+            self._add_interval(self._gyro_now_rad, self._wheels_now_rad, self._now_s)
+            self._gyro_now_rad = self._wheels_now_rad = self._now_s = 0.0
+
+    def _add_interval(self, gyro_rad: float, wheels_rad: float, duration_s: float) -> None:
+        rate_rad_s = gyro_rad / duration_s
+        turn_rad = abs(wheels_rad) if abs(wheels_rad) > SLOW_RAD_S * duration_s else 0.0
         is_constant = abs(rate_rad_s - self._last_rad_s) < STUCK_RAD_S
         self._constant_rad = self._constant_rad + turn_rad if is_constant else 0.0
         self._last_rad_s = rate_rad_s

@@ -356,7 +356,8 @@ def _reference_events(fitted: ReferenceFit, span: Span, run: Run) -> Iterator[Ru
         )
     outliers = int(run.history.rejected.sum())
     if outliers:
-        yield RunEvent(span.start_ns, f'{outliers} headings of the reference are outliers and count little')
+        text = f'outliers among the headings of the reference, which count little: {outliers}'
+        yield RunEvent(span.start_ns, text)
     walked_deg = math.degrees(fitted.walk_rad) * math.sqrt(span.duration_s)
     misfit_deg = math.degrees(fitted.residual_rms_rad)
     if misfit_deg > math.hypot(MAX_MISFIT_DEG, WALKED_PART * walked_deg):

@@ -7,7 +7,7 @@ import math
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -22,6 +22,7 @@ from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.bench.faults import bag_bytes, clouds, contents, documents, streams
 from gyrocal_ros.bench.faults.isolated import Outcome, run_isolated
 from gyrocal_ros.bench.faults.kills import kill_while_writing
+from gyrocal_ros.bench.faults.references import reference_cases, write_faulty_reference
 from gyrocal_ros.bench.faults.semantic import semantic_cases, write_faulty_recording
 from gyrocal_ros.bench.faults.serial_line import feed_damaged_line
 from gyrocal_ros.effects import SCALE_FACTOR
@@ -173,15 +174,20 @@ KINDS: dict[str, Judge] = {
     'kills': _kill_case,
 }
 """Kinds of damage, each of which takes any number of seeds."""
-SEMANTIC, SOUND = 'semantic', 'sound'
+SEMANTIC, REFERENCES, SOUND = 'semantic', 'references', 'sound'
 
 
-def _semantic_case(name: str, size: float, seed: int, bases: Bases, folder: Path) -> tuple[Verdict, str]:
-    bag, scale_factor = write_faulty_recording(name, size, seed, folder)
+WriteFaulty: TypeAlias = Callable[[str, float, int, Path], tuple[Path, float]]
+"""Function from name, size, seed and folder to a recording of wrong sensors and the true scale factor."""
+
+
+def _semantic_case(
+    write: WriteFaulty, name: str, size: float, seed: int, bases: Bases, folder: Path
+) -> tuple[Verdict, str]:
+    bag, scale_factor = write(name, size, seed, folder)
     outcome = run_isolated(partial(bases.command, ['replay', str(bag), '--json']))
-    verdict, text = judged(outcome, scale_factor)
     # A comparison with NaN is false, so a converged result where no value is right counts as wrong.
-    return verdict, text
+    return judged(outcome, scale_factor)
 
 
 def cases(seeds: int, only: Sequence[str] = (), *, quick: bool = False) -> Iterator[Case]:
@@ -196,7 +202,7 @@ def cases(seeds: int, only: Sequence[str] = (), *, quick: bool = False) -> Itera
     Raises:
         GyrocalError: a kind is not known.
     """
-    known = (*KINDS, SEMANTIC, SOUND)
+    known = (*KINDS, SEMANTIC, REFERENCES, SOUND)
     for name in only:
         if name not in known:
             raise GyrocalError(
@@ -209,15 +215,19 @@ def cases(seeds: int, only: Sequence[str] = (), *, quick: bool = False) -> Itera
                 yield Case(kind, f'seed {seed}', partial(judge, random))
     if quick and not only:
         return
-    if not only or SEMANTIC in only:
-        for name, size in semantic_cases():
+    wrong_sensors: tuple[tuple[str, Iterable[tuple[str, float]], WriteFaulty], ...] = (
+        (SEMANTIC, semantic_cases(), write_faulty_recording),
+        (REFERENCES, reference_cases(), write_faulty_reference),
+    )
+    for kind, faulty, write in wrong_sensors:
+        for name, size in faulty if not only or kind in only else ():
             for seed in range(1 if quick else min(seeds, RECORDINGS)):
                 yield Case(
-                    SEMANTIC, f'{name} {size:g}, seed {seed}', partial(_semantic_case, name, size, seed)
+                    kind, f'{name} {size:g}, seed {seed}', partial(_semantic_case, write, name, size, seed)
                 )
     if not only or SOUND in only:
         for seed in range(seeds):
-            yield Case(SOUND, f'seed {seed}', partial(_semantic_case, '', 0.0, seed))
+            yield Case(SOUND, f'seed {seed}', partial(_semantic_case, write_faulty_recording, '', 0.0, seed))
 
 
 def faults(

@@ -20,6 +20,8 @@ CONTAINS_GYRO = (
     'the heading reference follows the noise of the gyro, so it is computed from this gyro and cannot '
     'calibrate it; name a reference that does not use the gyro'
 )
+SLOW_RAD_S = math.radians(10.0)
+"""Rate up to which a reference that was just learned is aligned."""
 JUMPS_WITH_TURNS = (
     'the heading reference jumps with every turn, so it smooths the heading, or its stamps are not those of '
     'its headings; name another one, or let it publish the heading as measured'
@@ -134,6 +136,8 @@ class HeadingReference:
         stamp_s = math.hypot(self._offset_std_s, float(self.noise.stamp_s))
         white_rad = math.hypot(float(self.noise.white_rad), stamp_s * float(pose_rate[YAW]))
         if self._offset_rad is None:
+            if self._learner is not None and abs(float(pose_rate[YAW])) > SLOW_RAD_S:
+                return state, MeasurementUpdate()  # stamps that were just corrected are not exact yet
             return self._align(state, sample, white_rad), MeasurementUpdate()
         by_values, by_candidates = np.zeros(effects.count), np.zeros(candidates.count)
         for derivative, group in ((by_values, effects), (by_candidates, candidates)):

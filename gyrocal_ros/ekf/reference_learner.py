@@ -76,6 +76,9 @@ class ReferenceLearner:
         self._learned_s, fit = self._time_s, self._bank.likeliest()
         if fit.time_offset_std_s > MAX_OFFSET_STD_S:
             return
-        self.noise, self.time_offset_std_s = self._bank.mean_noise(), fit.time_offset_std_s
         self.time_offset_s += fit.time_offset_s
+        self.time_offset_std_s = fit.time_offset_std_s
         self._bank.correct_offset(fit.time_offset_s)
+        # A large offset is only linear in the rate: it is known when its correction has been corrected.
+        if self.noise is not None or abs(fit.time_offset_s) < MAX_OFFSET_STD_S:
+            self.noise = self._bank.mean_noise()

@@ -13,7 +13,7 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 
 INTERVAL_S = 0.5
-"""Time over which turns are added up: in the time of an image the noise of the wheels is larger than a turn."""
+"""Time over which turns are added up: in that of an image the noise of the wheels is larger than a turn."""
 SLOW_RAD_S = 0.1
 """Rate of the wheels below which they are not said to turn: a straight lane is no reason to forget a turn."""
 MIN_TURN_RAD = 2.0

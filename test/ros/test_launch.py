@@ -69,8 +69,8 @@ class Launched:
         return self._log.read()
 
     def kill(self) -> None:
-        """End the launch and all processes that it started."""
-        self.process.send_signal(signal.SIGINT)
+        """End the launch and all processes that it started, as Ctrl-C in a terminal does."""
+        os.killpg(self.process.pid, signal.SIGINT)
         try:
             self.process.wait(WITHIN_S)
         finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -293,7 +294,9 @@ def test_a_clock_step_aligns_a_heading_reference_again() -> None:
             if not at(from_s) <= item.t_ns < at(to_s) or isinstance(item, FeatureObservations):
                 continue
             if isinstance(item, TruthSample):
-                records += consumer.step(HeadingSample(item.t_ns + step_ns, item.yaw_rad + turned_rad))
+                noise_rad = 1e-6 * math.sin(item.t_ns)  # a heading that is repeated is no measurement
+                yaw_rad = item.yaw_rad + turned_rad + noise_rad
+                records += consumer.step(HeadingSample(item.t_ns + step_ns, yaw_rad))
             else:
                 records += consumer.step(replace(item, t_ns=item.t_ns + step_ns))
         return records

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
@@ -74,6 +75,18 @@ def test_an_independent_reference_is_none(sway_deg_s: float, reference_deg: floa
 
 def test_a_few_seconds_prove_nothing() -> None:
     assert not compared(1.0, seconds=4.0).is_shared
+
+
+def test_without_headings_nothing_is_kept() -> None:
+    """A robot has no reference at all, or loses it for hours."""
+    for shared in (SharedNoise(), compared(0.0, seconds=3.0)):
+        for _ in range(200):
+            shared.move(block(np.zeros(SAMPLES)))
+        before = len(pickle.dumps(shared))
+        for _ in range(2000):
+            shared.move(block(np.zeros(SAMPLES)))
+        assert len(pickle.dumps(shared)) == before
+    assert compared(1.0).is_shared
 
 
 def integrated(samples: Sequence[Measurement], share: float) -> list[Measurement]:

@@ -126,18 +126,11 @@ class HeadingReference:
             return state, MeasurementUpdate()  # at rest, frozen, or within one step of the digits
         dt_s = 0.0 if self._last is None else seconds(sample.t_ns - self._last.t_ns)
         self._last = sample
-        self._shared.add(sample.yaw_rad)
-        self._contains_gyro |= self._shared.is_shared
-        if self._learner is not None:
-            self._learner.add(sample.yaw_rad, float(pose_rate[YAW]))
-            if self._learner.noise is None:
-                return state, MeasurementUpdate()
-            self.noise = self._without_gyro(self._learner.noise)
+        if not self._learn(sample.yaw_rad, float(pose_rate[YAW])):
+            return state, MeasurementUpdate()
         stamp_s = math.hypot(self._offset_std_s, float(self.noise.stamp_s))
         white_rad = math.hypot(float(self.noise.white_rad), stamp_s * float(pose_rate[YAW]))
         if self._offset_rad is None:
-            if self._learner is not None and abs(float(pose_rate[YAW])) > SLOW_RAD_S:
-                return state, MeasurementUpdate()  # stamps that were just corrected are not exact yet
             return self._align(state, sample, white_rad), MeasurementUpdate()
         by_values, by_candidates = np.zeros(effects.count), np.zeros(candidates.count)
         for derivative, group in ((by_values, effects), (by_candidates, candidates)):
@@ -163,6 +156,19 @@ class HeadingReference:
             heading_rad=residual,
             heading_std_rad=std,
         )
+
+    def _learn(self, yaw_rad: float, rate_rad_s: float) -> bool:
+        """Learn from a heading what the reference is like; return True if it may be used."""
+        self._shared.add(yaw_rad)
+        self._contains_gyro |= self._shared.is_shared
+        if self._learner is None:
+            return True
+        self._learner.add(yaw_rad, rate_rad_s)
+        if self._learner.noise is None:
+            return False
+        self.noise = self._without_gyro(self._learner.noise)
+        # Stamps that were just corrected are not exact yet.
+        return self._offset_rad is not None or abs(rate_rad_s) <= SLOW_RAD_S
 
     def _without_gyro(self, noise: ReferenceNoise) -> ReferenceNoise:
         """Return the noise of the reference alone, given its random walk together with that of the gyro."""

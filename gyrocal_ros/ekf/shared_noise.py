@@ -16,6 +16,8 @@ from gyrocal_ros.data import Array, MotionBlock
 
 INTERVAL_S = 0.25
 """Shortest turn that is compared: far longer than the delay of the reference."""
+LOST_S = 5.0
+"""Time without headings after which the comparison begins anew."""
 TURNS = 8
 """Number of turns in a window; each is compared with their mean."""
 QUIET = 4.0
@@ -39,8 +41,10 @@ class SharedNoise:
 
     def move(self, block: MotionBlock) -> None:
         """Follow one block of the gyro."""
-        if block.gap_s > 0.0:
+        if block.gap_s > 0.0 or self._time_s > LOST_S:
             self._begin()
+        if self._before_rad is None:
+            return
         self._rates_rad_s.append(block.rate_rad_s[:, 2])
         self._times_s.append(block.dt_s)
         self._turn_rad += float(block.rate_rad_s[:, 2] @ block.dt_s)

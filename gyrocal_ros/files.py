@@ -136,7 +136,7 @@ def _plain(value: Any) -> Any:
 def _temporary_path(path: Path) -> Path:
     """Return a temporary name beside `path` that no other process uses, in the same file system.
 
-    It holds the process, by which abandoned ones are told, and a random part: after a restart of the
+    It holds the process, by which abandoned ones are recognised, and a random part: after a restart of the
     computer another process may have the same number. A long name is shortened, as a name has 255 bytes.
     """
     return path.parent / f'.{_short(path.name)}.{os.getpid()}.{secrets.token_hex(4)}.part'

@@ -1,4 +1,4 @@
-"""A heading reference that contains the gyro is found out by the noise that both have."""
+"""A heading reference that contains the gyro is detected by the noise that both have."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from gyrocal_ros.msgs.reorder import Drop, Reorderer
 from gyrocal_ros.msgs.topics import Role
 
 MAX_PAUSE_NS = 120 * NS_PER_S
-"""Longest pause of a recording that continues; after a longer one it begins anew, as after a clock step."""
+"""Longest pause of a recording that continues; a longer one is treated like a clock step."""
 DROP_TEXTS = {
     Drop.LATE: 'are too late to be sorted in',
     Drop.DUPLICATE: 'repeat a stamp',

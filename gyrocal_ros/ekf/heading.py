@@ -20,12 +20,13 @@ CONTAINS_GYRO = (
     'the heading reference follows the noise of the gyro, so it is computed from this gyro and cannot '
     'calibrate it; name a reference that does not use the gyro'
 )
-SLOW_RAD_S = math.radians(10.0)
-"""Rate up to which a reference that was just learned is aligned."""
 JUMPS_WITH_TURNS = (
     'the heading reference jumps with every turn, so it smooths the heading, or its stamps are not those of '
     'its headings; name another one, or let it publish the heading as measured'
 )
+"""What may be wrong with a reference."""
+SLOW_RAD_S = math.radians(10.0)
+"""Rate up to which a reference that was just learned is aligned."""
 
 
 class HeadingReference:

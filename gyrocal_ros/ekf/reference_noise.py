@@ -87,7 +87,7 @@ class JumpDetector:
             dt_s: time since the heading before.
 
         Returns:
-            Where (m,) the reference may have jumped, so that the heading tells nothing, and where it has.
+            Where (m,) the reference may have jumped, so that the heading is not used, and where it has.
         """
         side = np.sign(deviation) * (np.abs(deviation) > OUTLIER_SIGMA)
         goes_on = (side != 0.0) & (side == self._side)

@@ -17,7 +17,7 @@ from gyrocal_ros.data import Array, MotionBlock
 INTERVAL_S = 0.25
 """Shortest turn that is compared: far longer than the delay of the reference."""
 LOST_S = 5.0
-"""Time without headings after which the comparison begins anew."""
+"""Time without headings after which the comparison starts again."""
 TURNS = 8
 """Number of turns in a window; each is compared with their mean."""
 QUIET = 4.0

@@ -21,7 +21,7 @@ class Guard:
     """Wraps callbacks so that no message can end the node.
 
     Args:
-        node: the node, whose log tells of defects.
+        node: the node whose log reports defects.
         count: called with the topic and the reason for every message that could not be used.
     """
 
@@ -52,7 +52,7 @@ class Guard:
         return guarded
 
     def service(self, name: str, callback: Callable[[Any, T], T]) -> Callable[[Any, T], T]:
-        """Return a callback of a service that raises no error: the caller is told of it.
+        """Return a callback of a service that raises no error: the response reports it.
 
         Args:
             name: name under which errors are counted.

@@ -26,7 +26,7 @@ SEARCH_S = 0.5
 class ImageSubscription:
     """Subscribes to the published images, with the transport and the reliability of their publishers.
 
-    A camera driver that is restarted with other settings is subscribed to anew.
+    A camera driver that is restarted with other settings is subscribed to again.
 
     Args:
         node: the node.

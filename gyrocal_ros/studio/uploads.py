@@ -56,7 +56,7 @@ def append(folder: Path, bag: str, file: str, piece: bytes, *, at: int, whole: i
         bag: name of the recording.
         file: name of the file in it.
         piece: the next bytes.
-        at: their place in the file; 0 starts it anew.
+        at: their place in the file; 0 starts the file again.
         whole: size of the whole recording.
 
     Raises:

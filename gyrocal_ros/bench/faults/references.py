@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
@@ -49,7 +49,7 @@ class ReferenceFault:
 
     sizes: tuple[float, ...]
     change: Change
-    is_hopeless: bool = False
+    has_no_scale: bool = False
     """True if no scale factor is right."""
 
 
@@ -111,8 +111,8 @@ def _repeated(track: Track, size: float) -> tuple[Array, Array]:
 
 
 def _with_outliers(track: Track, size: float) -> tuple[Array, Array]:
-    wild = track.random.random(len(track.time_s)) < size
-    return track.time_s, track.yaw_rad + wild * track.random.normal(0.0, 0.5, len(wild))
+    is_outlier = track.random.random(len(track.time_s)) < size
+    return track.time_s, track.yaw_rad + is_outlier * track.random.normal(0.0, 0.5, len(is_outlier))
 
 
 def _wandering(track: Track, size: float) -> tuple[Array, Array]:
@@ -174,13 +174,6 @@ REFERENCE_FAULTS: dict[str, ReferenceFault] = {
 """The faults by name."""
 
 
-def reference_cases() -> Iterator[tuple[str, float]]:
-    """Yield name and size of every fault."""
-    for name, fault in REFERENCE_FAULTS.items():
-        for size in fault.sizes:
-            yield name, size
-
-
 def write_faulty_reference(name: str, size: float, seed: int, folder: Path) -> tuple[Path, float]:
     """Simulate a robot with a heading reference, make that wrong, and write the recording.
 
@@ -216,4 +209,4 @@ def write_faulty_reference(name: str, size: float, seed: int, folder: Path) -> t
         bag.write_rig(source.rig, start_ns, R_bi=np.eye(3))
         for sample in heapq.merge(others, headings, key=attrgetter('t_ns')):
             bag.write(sample)
-    return folder / 'bag', NO_SCALE if fault.is_hopeless else source.truth.scale_factor
+    return folder / 'bag', NO_SCALE if fault.has_no_scale else source.truth.scale_factor

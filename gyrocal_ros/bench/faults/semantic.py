@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -276,9 +276,18 @@ FAULTS: dict[str, SemanticFault] = {
 """The faults by name."""
 
 
-def semantic_cases() -> Iterator[tuple[str, float]]:
-    """Yield name and size of every fault."""
-    for name, fault in FAULTS.items():
+class Sized(Protocol):
+    """A fault of several sizes."""
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Sizes that are tried."""
+        ...
+
+
+def sized(faults: Mapping[str, Sized]) -> Iterator[tuple[str, float]]:
+    """Yield name and size of every fault of a table."""
+    for name, fault in faults.items():
         for size in fault.sizes:
             yield name, size
 

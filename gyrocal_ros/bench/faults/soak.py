@@ -41,7 +41,7 @@ SCALE_FACTOR = 0.93
 PERIOD_S, FAULT_S, FREE_S = 60.0, 20.0, 120.0
 """Interval between faults, their length, and the time at the start of a session without any."""
 MIDDLE_S = 30.0
-"""Time that a fault is told at its start: those that begin in the middle of a recording begin then."""
+"""Time that a fault is given at its start: those that begin in the middle of a recording begin then."""
 TRANSIENT = (
     *('gyro noise', 'gyro outliers', 'gyro sticks', 'gyro bias jumps', 'gyro reads in steps'),
     *('imu stamps jitter', 'image stamps jitter', 'imu lost', 'imu gaps', 'images lost', 'camera dark'),

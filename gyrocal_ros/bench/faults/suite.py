@@ -7,7 +7,7 @@ import math
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -22,8 +22,8 @@ from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.bench.faults import bag_bytes, clouds, contents, documents, streams
 from gyrocal_ros.bench.faults.isolated import Outcome, run_isolated
 from gyrocal_ros.bench.faults.kills import kill_while_writing
-from gyrocal_ros.bench.faults.references import reference_cases, write_faulty_reference
-from gyrocal_ros.bench.faults.semantic import semantic_cases, write_faulty_recording
+from gyrocal_ros.bench.faults.references import REFERENCE_FAULTS, write_faulty_reference
+from gyrocal_ros.bench.faults.semantic import FAULTS, Sized, sized, write_faulty_recording
 from gyrocal_ros.bench.faults.serial_line import feed_damaged_line
 from gyrocal_ros.effects import SCALE_FACTOR
 from gyrocal_ros.errors import GyrocalError
@@ -215,12 +215,12 @@ def cases(seeds: int, only: Sequence[str] = (), *, quick: bool = False) -> Itera
                 yield Case(kind, f'seed {seed}', partial(judge, random))
     if quick and not only:
         return
-    wrong_sensors: tuple[tuple[str, Iterable[tuple[str, float]], WriteFaulty], ...] = (
-        (SEMANTIC, semantic_cases(), write_faulty_recording),
-        (REFERENCES, reference_cases(), write_faulty_reference),
+    wrong_sensors: tuple[tuple[str, Mapping[str, Sized], WriteFaulty], ...] = (
+        (SEMANTIC, FAULTS, write_faulty_recording),
+        (REFERENCES, REFERENCE_FAULTS, write_faulty_reference),
     )
-    for kind, faulty, write in wrong_sensors:
-        for name, size in faulty if not only or kind in only else ():
+    for kind, table, write in wrong_sensors:
+        for name, size in sized(table) if not only or kind in only else ():
             for seed in range(1 if quick else min(seeds, RECORDINGS)):
                 yield Case(
                     kind, f'{name} {size:g}, seed {seed}', partial(_semantic_case, write, name, size, seed)

@@ -30,7 +30,8 @@ help:
 	@echo 'make venv    set up .venv alone; its bin/gyrocal is the command'
 	@echo 'make clean   remove .venv and the caches'
 
-$(READY): setup.py pyproject.toml
+# The kernels are compiled where there is a compiler.
+$(READY): setup.py pyproject.toml $(wildcard gyrocal_ros/kernels/*.pyx)
 	@test -n '$(PYTHON)' || { echo 'Python 3.11 or newer with venv is needed (Debian, Ubuntu: apt install python3-venv)' >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'

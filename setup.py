@@ -3,7 +3,12 @@
 from collections import defaultdict
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
+
+try:
+    from Cython.Build import cythonize
+except ImportError:  # the NumPy forms are used
+    cythonize = None
 
 NAME = 'gyrocal_ros'
 SHARE = Path('share') / NAME
@@ -19,6 +24,18 @@ def data_files(*folders: str) -> list[tuple[str, list[str]]]:
     for file in sorted(file for folder in folders for file in Path(folder).rglob('*') if file.is_file()):
         placed[str(SHARE / file.parent)].append(str(file))
     return list(placed.items())
+
+
+def kernels() -> list[Extension]:
+    """Return the compiled twins of NumPy functions; without a compiler they are left out."""
+    if cythonize is None:
+        return []
+    files = sorted(Path(NAME, 'kernels').glob('*.pyx'))
+    twins = [
+        Extension(f'{NAME}.kernels.{file.stem}', [str(file)], extra_compile_args=['-O3'], optional=True)
+        for file in files
+    ]
+    return cythonize(twins, build_dir='build')
 
 
 setup(
@@ -46,8 +63,17 @@ setup(
     ],
     author='gyrocal_ros maintainers',
     python_requires='>=3.11',
+    ext_modules=kernels(),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'bench/kept.json', 'diagnose/separability.json', 'studio/assets/*']},
+    package_data={
+        NAME: [
+            'py.typed',
+            'bench/kept.json',
+            'diagnose/separability.json',
+            'kernels/*.pyx',
+            'studio/assets/*',
+        ]
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (str(SHARE), ['package.xml']),

@@ -9,6 +9,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+CHECK_THE_SENSORS = 'look for outliers, wrong units and exchanged axes of the gyro with `gyrocal check`'
+
 
 class GyrocalError(Exception):
     """An error that the user can fix. The message says what is wrong, where, and what to do.
@@ -39,6 +41,17 @@ class MessageError(RecordingError):
 
 class FilterDivergedError(GyrocalError):
     """The estimate is inconsistent with the measurements; its values would be meaningless."""
+
+
+class IndefiniteCovarianceError(FilterDivergedError):
+    """The covariance of an innovation is singular or indefinite."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            'the readings contradict each other: the covariance of the innovation is no longer positive '
+            'definite',
+            todo=CHECK_THE_SENSORS,
+        )
 
 
 class NotObservableError(GyrocalError):

@@ -19,7 +19,7 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 
 BANDS = {
     'base': ('config', 'data', 'errors', 'files'),
-    'core': ('effects', 'ekf', 'model', 'statistics'),
+    'core': ('effects', 'ekf', 'kernels', 'model', 'statistics'),
     'io': ('bag', 'board', 'msgs', 'vision'),
     'lab': ('bench', 'diagnose', 'emulator', 'fleet', 'pipeline', 'report', 'sim'),
     'robot': ('robot',),

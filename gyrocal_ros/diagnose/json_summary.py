@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from gyrocal_ros import statistics
+from gyrocal_ros import kernels, statistics
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.advice import CAUTION, advice
@@ -41,6 +41,7 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
     fit = model_fit(run)
     summary: dict[str, Any] = {
         'source': run.source,
+        'kernels': kernels.IN_USE,
         'status': _status(calibration_status(calibration, run, fit)),
         SCALE_FACTOR: calibration.scale_factor,
         'scale_factor_std': calibration.scale_factor_std,

@@ -30,6 +30,7 @@ from gyrocal_ros.ekf.update import (
     own_precisions,
     update,
 )
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import bearing, project_with_jacobian
 from gyrocal_ros.model.features.base import Anchors, NewFeatures, Parametrisation, PosedCamera, Prediction
 
@@ -256,10 +257,22 @@ def _as_heading(innovation: Innovation) -> tuple[float, float]:
     """
     if len(innovation.rows) == 0 or innovation.noise.shape[1] != 2:
         return 0.0, float('nan')
-    precisions = own_precisions(innovation)
-    by_yaw = innovation.prediction.by_pose[:, :, YAW]
-    weighted = (precisions @ by_yaw[:, :, None])[:, :, 0]
+    return fit_heading(innovation, YAW)
+
+
+@compiled
+def fit_heading(innovation: Innovation, yaw: int) -> tuple[float, float]:
+    """Return the heading error (rad) that fits innovations in pixels best, and its standard deviation.
+
+    Args:
+        innovation: of the features; each is weighted by its own covariance.
+        yaw: index of the heading in the pose.
+
+    Raises:
+        FilterDivergedError: the covariance of a feature is singular.
+    """
+    by_yaw = innovation.prediction.by_pose[:, :, yaw]
+    weighted = (own_precisions(innovation) @ by_yaw[:, :, None])[:, :, 0]
     information = float(np.vdot(weighted, by_yaw))
-    heading_rad = float(np.vdot(weighted, innovation.residual)) / information
     variance = float(np.vdot(weighted, (innovation.noise @ weighted[:, :, None])[:, :, 0]))
-    return heading_rad, math.sqrt(variance) / information
+    return float(np.vdot(weighted, innovation.residual)) / information, math.sqrt(variance) / information

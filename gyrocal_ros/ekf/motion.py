@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from gyrocal_ros.data import (
     WheelSample,
     seconds,
 )
+from gyrocal_ros.kernels import compiled
 
 GAP_NS = 100_000_000
 """Maximum interval between IMU samples; a longer one is a gap."""
@@ -49,10 +51,8 @@ class _Signal:
             self.values.append(value)
 
     def at(self, t_ns: int, offsets_ns: Array) -> Array:
-        """Interpolate linearly between samples; constant before the first and after the last."""
-        if len(self.t_ns) == 1:
-            return np.full(len(offsets_ns), self.values[0])
-        return np.interp(offsets_ns, np.array([t - t_ns for t in self.t_ns], float), self.values)
+        """Return the values (n,) at times after `t_ns`."""
+        return interpolate(t_ns, offsets_ns, self.t_ns, self.values)
 
     def forget_before(self, t_ns: int) -> None:
         first = max(bisect_right(self.t_ns, t_ns) - 1, 0)
@@ -146,13 +146,10 @@ class MotionBuffer:
         """Return the block from `start_ns` to `end_ns` without dropping samples."""
         assert self.start_ns is not None and end_ns > start_ns
         first, last = bisect_right(self._imu_ns, start_ns), bisect_left(self._imu_ns, end_ns)
-        inside = self._imu_ns[first:last]
-        times_ns = [start_ns, *inside, end_ns]
-        nodes = np.array([self._imu_at(start_ns), *self._imu[first:last], self._imu_at(end_ns)])
-        offsets_ns = np.array([t - start_ns for t in times_ns], float)
-        middle_ns = 0.5 * (offsets_ns[1:] + offsets_ns[:-1])
-        values = 0.5 * (nodes[1:] + nodes[:-1])
-        dt_s = (offsets_ns[1:] - offsets_ns[:-1]) / NS_PER_S
+        nodes = [self._imu_at(start_ns), *self._imu[first:last], self._imu_at(end_ns)]
+        offsets_ns, middle_ns, dt_s, rate_rad_s, acceleration_rad_s2, force_m_s2, scatter_m2_s4 = intervals(
+            [start_ns, *self._imu_ns[first:last], end_ns], nodes
+        )
         distance_m = _increments(self._travelled, start_ns, offsets_ns)
         covariates = {name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()}
         covariates[SPEED_SIGNAL] = distance_m / dt_s
@@ -161,10 +158,10 @@ class MotionBuffer:
             end_ns=end_ns,
             time_s=self.running_s(start_ns) + middle_ns / NS_PER_S,
             dt_s=dt_s,
-            rate_rad_s=values[:, :3],
-            yaw_acceleration_rad_s2=(nodes[1:, 2] - nodes[:-1, 2]) / dt_s,
-            specific_force_m_s2=values[:, 3:],
-            vibration_m2_s4=np.full(len(dt_s), self._vibration(nodes[1:-1, 3:], seconds(end_ns - start_ns))),
+            rate_rad_s=rate_rad_s,
+            yaw_acceleration_rad_s2=acceleration_rad_s2,
+            specific_force_m_s2=force_m_s2,
+            vibration_m2_s4=np.full(len(dt_s), self._vibration(scatter_m2_s4, seconds(end_ns - start_ns))),
             distance_m=distance_m,
             wheel_turn_rad=_increments(self._turned, start_ns, offsets_ns),
             temperature_c=(
@@ -191,14 +188,14 @@ class MotionBuffer:
         part = (t_ns - earlier_ns) / (later_ns - earlier_ns)
         return tuple(a + part * (b - a) for a, b in zip(self._imu[after - 1], self._imu[after], strict=True))
 
-    def _vibration(self, forces: Array, duration_s: float) -> float:
-        """Return half the mean square of differences between samples (n, 3), with exponential forgetting."""
+    def _vibration(self, scatter_m2_s4: float, duration_s: float) -> float:
+        """Return the vibration after a block whose samples scatter by this: with exponential forgetting."""
         kept = self._vibration_m2_s4
-        if len(forces) < 2:
+        if math.isnan(scatter_m2_s4):
             return kept or 0.0
-        steps = forces[1:] - forces[:-1]
-        fresh = 0.5 * float(np.vdot(steps, steps)) / len(steps)
-        return fresh if kept is None else fresh + math.exp(-duration_s / VIBRATION_S) * (kept - fresh)
+        if kept is None:
+            return scatter_m2_s4
+        return scatter_m2_s4 + math.exp(-duration_s / VIBRATION_S) * (kept - scatter_m2_s4)
 
     def _gap_s(self, start_ns: int, end_ns: int) -> float:
         """Return the time without samples: in gaps, before the first and after the last sample.
@@ -250,3 +247,40 @@ def _increments(signal: _Signal, start_ns: int, offsets_ns: Array) -> Array:
         return np.zeros(len(offsets_ns) - 1)
     totals = signal.at(start_ns, offsets_ns)
     return totals[1:] - totals[:-1]
+
+
+@compiled
+def intervals(times_ns: list[int], nodes: list[tuple[float, ...]]) -> tuple[Any, ...]:
+    """Return the columns of the N intervals between samples.
+
+    Args:
+        times_ns: N + 1 times: start of the block, of the samples inside, end of the block.
+        nodes: N + 1 times rates about x, y, z and specific forces along them.
+
+    Returns:
+        (N + 1,) times in ns since the first, (N,) middles of the intervals in ns, (N,) their lengths in s,
+        (N, 3) mean rates, (N,) yaw accelerations, (N, 3) mean specific forces, and half the mean square of
+        the differences of the specific force between successive samples; NaN with fewer than two.
+    """
+    offsets_ns = np.array([t - times_ns[0] for t in times_ns], float)
+    values = np.array(nodes)
+    middle_ns = 0.5 * (offsets_ns[1:] + offsets_ns[:-1])
+    means = 0.5 * (values[1:] + values[:-1])
+    dt_s = (offsets_ns[1:] - offsets_ns[:-1]) / NS_PER_S
+    acceleration_rad_s2 = (values[1:, 2] - values[:-1, 2]) / dt_s
+    steps = values[2:-1, 3:] - values[1:-2, 3:]
+    scatter = 0.5 * float(np.vdot(steps, steps)) / len(steps) if len(steps) else math.nan
+    return offsets_ns, middle_ns, dt_s, means[:, :3], acceleration_rad_s2, means[:, 3:], scatter
+
+
+@compiled
+def interpolate(start_ns: int, offsets_ns: Array, times_ns: list[int], values: list[float]) -> Array:
+    """Interpolate linearly between samples; constant before the first and after the last.
+
+    Args:
+        start_ns: time from which the offsets count.
+        offsets_ns: (n,) times, increasing.
+        times_ns: times of the samples.
+        values: the samples.
+    """
+    return np.interp(offsets_ns, np.array([t - start_ns for t in times_ns], float), values)

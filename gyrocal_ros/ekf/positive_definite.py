@@ -6,9 +6,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.errors import FilterDivergedError
-
-CHECK_THE_SENSORS = 'look for outliers, wrong units and exchanged axes of the gyro with `gyrocal check`'
+from gyrocal_ros.errors import IndefiniteCovarianceError
 
 
 def cholesky(covariance: Array) -> Array:
@@ -23,7 +21,7 @@ def cholesky(covariance: Array) -> Array:
     factor: Array
     factor, failed = lapack.dpotrf(covariance, lower=1)
     if failed:
-        raise not_a_covariance()
+        raise IndefiniteCovarianceError
     return factor
 
 
@@ -46,11 +44,3 @@ def inverse(covariance: Array) -> Array:
     both = lower + lower.T
     np.fill_diagonal(both, lower.diagonal())
     return both
-
-
-def not_a_covariance() -> FilterDivergedError:
-    """Return the error of a singular or indefinite covariance of an innovation."""
-    return FilterDivergedError(
-        'the readings contradict each other: the covariance of the innovation is no longer positive definite',
-        todo=CHECK_THE_SENSORS,
-    )

@@ -11,8 +11,9 @@ import numpy as np
 from gyrocal_ros.config.sections import GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, MotionContribution, contribute, pose_by_values
-from gyrocal_ros.ekf.process_noise import yaw_noise
+from gyrocal_ros.ekf.process_noise import pose_noise, yaw_noise
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.gyro import body_rates, correct
 from gyrocal_ros.model.kinematics import PoseStep, integrate
 from gyrocal_ros.model.rotation import rotation_from_euler
@@ -55,11 +56,31 @@ def with_pose(block: MotionBlock, state: State) -> MotionBlock:
 
     They are those of the state, continued by the nominal rate and the wheels.
     """
-    turn_rad = block.rate_rad_s[:, 2] * block.dt_s
-    heading_rad = state.mean[YAW] + turn_rad.cumsum() - 0.5 * turn_rad
-    ahead = np.array([np.cos(heading_rad), np.sin(heading_rad)]).T * block.distance_m[:, None]
-    position_m = state.mean[POSITION][:2] + ahead.cumsum(axis=0) - 0.5 * ahead
+    x_m, y_m, _ = state.position_m
+    heading_rad, position_m = path_in_block(
+        x_m, y_m, state.mean[YAW], block.rate_rad_s[:, 2], block.dt_s, block.distance_m
+    )
     return replace(block, heading_rad=heading_rad, position_m=position_m)
+
+
+@compiled
+def path_in_block(
+    x_m: float, y_m: float, yaw_rad: float, rate_rad_s: Array, dt_s: Array, distance_m: Array
+) -> tuple[Array, Array]:
+    """Return heading (N,) and position (N, 2) in the middle of N intervals.
+
+    Args:
+        x_m: position at the start.
+        y_m: the same.
+        yaw_rad: heading at the start.
+        rate_rad_s: (N,) yaw rates.
+        dt_s: (N,)
+        distance_m: (N,)
+    """
+    turn_rad = rate_rad_s * dt_s
+    heading_rad = yaw_rad + turn_rad.cumsum() - 0.5 * turn_rad
+    ahead = np.array([np.cos(heading_rad), np.sin(heading_rad)]).T * distance_m[:, None]
+    return heading_rad, np.array([x_m, y_m]) + ahead.cumsum(axis=0) - 0.5 * ahead
 
 
 def predict(
@@ -162,24 +183,20 @@ def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel) -> 
     walks = [coefficient.walk for coefficient in model.sensors.coefficients]
     noise = np.zeros((COEFFICIENTS_START + len(walks),) * 2)
 
-    gap_rad = math.radians(gyro.gap_rate_std_deg_s) * block.gap_s
     yaw = yaw_noise(model.effects.noise, model.effects.prior_means, gyro, block.rate_rad_s[:, 2])
     density = np.full((3, len(block.dt_s)), math.radians(gyro.rate_noise_deg_s))
     if model.tilt_rate_noise_rad_s is not None:
         density[:2] = model.tilt_rate_noise_rad_s[:, None]
     density[2] = yaw.density_rad_s
-    by_rate = (motion.rate_gain * (density / np.sqrt(block.dt_s))).reshape(6, -1)
-    noise[POSE, POSE] = by_rate @ by_rate.T
-    noise[EULER, EULER] += gap_rad**2 * np.eye(3)
+    gap_rad = math.radians(gyro.gap_rate_std_deg_s) * block.gap_s
 
     distance_m = float(np.abs(block.distance_m).sum())
     turn_rad = float(np.abs(block.rate_rad_s[:, 2]) @ block.dt_s)
     turning = wheels.turn_noise_m**2 * turn_rad + (UNMEASURED_SPEED_M_S * block.wheel_gap_s) ** 2
-    steps = distance_m * np.array(
-        [wheels.distance_noise_m**2, wheels.lateral_noise_m**2, wheels.vertical_noise_m**2]
-    ) + np.array([turning, turning, 0.0])
+    along, across, up = wheels.distance_noise_m**2, wheels.lateral_noise_m**2, wheels.vertical_noise_m**2
+    steps = np.array([distance_m * along + turning, distance_m * across + turning, distance_m * up])
     R_wb = rotation_from_euler(motion.mid_euler_rad[:, len(block.dt_s) // 2])
-    noise[POSITION, POSITION] += R_wb * steps @ R_wb.T
+    noise[POSE, POSE] = pose_noise(motion.rate_gain, density, block.dt_s, R_wb, gap_rad, steps)
 
     noise[BIAS, BIAS] = math.radians(gyro.bias_walk_deg_s) ** 2 * duration_s * np.eye(3)
     noise[YAW_BIAS, YAW_BIAS] = yaw.bias_walk_rad_s**2 * duration_s

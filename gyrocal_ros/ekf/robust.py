@@ -13,8 +13,10 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.gating import inliers
-from gyrocal_ros.ekf.positive_definite import cholesky, inverse, not_a_covariance, whiten
+from gyrocal_ros.ekf.positive_definite import cholesky, inverse, whiten
 from gyrocal_ros.ekf.update import Innovation, mahalanobis, own_precisions
+from gyrocal_ros.errors import IndefiniteCovarianceError
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.statistics import chi_square_quantile
 
 HUBER_BOUND = 3.0
@@ -83,9 +85,9 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
             variance = own - (inflation - 1.0)[:, None, None] * innovation.noise
             distances = mahalanobis(difference, np.linalg.inv(variance))
     except np.linalg.LinAlgError as error:
-        raise not_a_covariance() from error
+        raise IndefiniteCovarianceError from error
     if not (distances >= 0.0).all():
-        raise not_a_covariance()
+        raise IndefiniteCovarianceError
     noise_share = np.einsum('mii->m', innovation.noise) / np.einsum('mii->m', variance)
     return Judged(distances, noise_share, float(np.vdot(weighted, innovation.residual)))
 
@@ -126,16 +128,16 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     m, r = innovation.residual.shape
     gate = chi_square_quantile(1.0 - outlier_probability, r)
     pose_gate = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
-    inflation, judged, nis = _weights(innovation)
+    inflation, judged = _weights(innovation)
     good = judged.distances <= gate
     by_pose = Consensus(_with_noise(innovation, inflation), judged, good)
     # Even all features together may be closer to the prediction than a contradicted pose.
-    if m < MIN_FEATURES or nis <= pose_gate:
+    if m < MIN_FEATURES or judged.nis <= pose_gate:
         return by_pose
     loose = _with_looser_pose(innovation, LOOSE_POSE_RATE * interval_s)
-    inflation, judged, _ = _weights(loose)
+    inflation, judged = _weights(loose)
     closest = np.argsort(judged.distances)[: (m + 1) // 2]
-    tight_nis, loose_nis = (_nis(each, inflation, closest) for each in (innovation, loose))
+    tight_nis, loose_nis = (squared_norm(each, inflation, closest) for each in (innovation, loose))
     if 2 * good.sum() >= m and tight_nis - loose_nis <= pose_gate:
         return by_pose
     if loose_nis < BENT * tight_nis:
@@ -147,16 +149,45 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     return Consensus(_with_noise(innovation, inflation), judged, good)
 
 
-def _weights(innovation: Innovation) -> tuple[Array, Judged, float]:
-    """Return the factors (m,) on the noise of features, their comparison with them, and the NIS without."""
+def _weights(innovation: Innovation) -> tuple[Array, Judged]:
+    """Return the factors (m,) on the noise of features, and their comparison with them; its NIS is without.
+
+    Raises:
+        FilterDivergedError: S is not positive definite.
+    """
+    inflation, distances, noise_share, nis = weigh(
+        innovation, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
+    )
+    return inflation, Judged(distances, noise_share, nis)
+
+
+@compiled
+def weigh(
+    innovation: Innovation, bound: float, max_inflation: float, max_iterations: int, converged: float
+) -> tuple[Array, Array, Array, float]:
+    """Inflate the noise of features that the others contradict: Huber's weights, by iteration.
+
+    Args:
+        innovation: of the m features.
+        bound: Mahalanobis distance above which the noise is inflated.
+        max_inflation: largest factor.
+        max_iterations: number of iterations.
+        converged: relative change of the factors at which the iteration ends.
+
+    Returns:
+        (m,) factors on the noise, then the fields of `Judged`; the NIS is that without inflation.
+
+    Raises:
+        FilterDivergedError: S is not positive definite.
+    """
     inflation, judged = np.ones(len(innovation.rows)), []
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(max_iterations):
         judged.append(leave_one_out(innovation, inflation))
         distances = np.sqrt(judged[-1].distances)
-        before, inflation = inflation, np.clip(distances / HUBER_BOUND, 1.0, MAX_INFLATION)
-        if (np.abs(inflation - before) <= CONVERGED * before).all():
+        before, inflation = inflation, np.clip(distances / bound, 1.0, max_inflation)
+        if (np.abs(inflation - before) <= converged * before).all():
             break
-    return inflation, judged[-1], judged[0].nis
+    return inflation, judged[-1].distances, judged[-1].noise_share, judged[0].nis
 
 
 def _with_noise(innovation: Innovation, inflation: Array) -> Innovation:
@@ -184,8 +215,13 @@ def _inflated(innovation: Innovation, inflation: Array) -> Array:
     return covariance
 
 
-def _nis(innovation: Innovation, inflation: Array, chosen: IntArray) -> float:
-    """Return the normalised innovation squared of the features of the given indices."""
+@compiled
+def squared_norm(innovation: Innovation, inflation: Array, chosen: IntArray) -> float:
+    """Return `nu^T S^-1 nu` of the features of the given indices, with inflated noise (factors (m,)).
+
+    Raises:
+        FilterDivergedError: their covariance is not positive definite.
+    """
     residual = innovation.residual[chosen].ravel()
     covariance = _inflated(innovation, inflation)[chosen][:, :, chosen].reshape((len(residual),) * 2)
     whitened = whiten(cholesky(covariance), residual)

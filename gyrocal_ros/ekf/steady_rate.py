@@ -14,7 +14,8 @@ from collections import deque
 from dataclasses import replace
 
 from gyrocal_ros.config.sections import GyroConfig
-from gyrocal_ros.data import MotionBlock
+from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.kernels import compiled
 
 CHANGE_SIGMA = 3.0
 """Change of the mean rate from which it is real."""
@@ -46,15 +47,14 @@ class SteadyRate:
         Second differences of the readings show it: they contain neither the rate nor its steady change. Where
         stamps are irregular, samples are out of place while the rate changes, and those of this block count.
         """
+        _, _, bends_rad2_s, irregularity = rate_scatter(block.rate_rad_s[:, 2], block.dt_s)
         if len(block.dt_s) > 2:
-            steps = block.rate_rad_s[1:, 2] - block.rate_rad_s[:-1, 2]
-            bends = steps[1:] - steps[:-1]
             # An interval's rate is the mean of two readings r: its bend is (r3 - r2 - r1 + r0) / 2.
-            self._seen_rad2_s.append(float(bends @ bends) / len(bends) * float(block.dt_s.mean()))
+            self._seen_rad2_s.append(bends_rad2_s)
         if len(self._seen_rad2_s) < NOISE_BLOCKS:
             return gyro
         seen_rad2_s = statistics.median(self._seen_rad2_s)
-        if _is_irregular(block):
+        if irregularity > IRREGULAR:
             seen_rad2_s = max(seen_rad2_s, self._seen_rad2_s[-1])
         seen = math.degrees(math.sqrt(seen_rad2_s))
         return gyro if seen < NOISY * gyro.rate_noise_deg_s else replace(gyro, rate_noise_deg_s=seen)
@@ -67,9 +67,8 @@ class SteadyRate:
             gyro: noise of the gyro.
             is_at_rest: True for a robot that stands still: small changes are vibration then.
         """
-        duration_s = float(block.dt_s.sum())
-        mean = float(block.rate_rad_s[:, 2] @ block.dt_s) / duration_s
-        std = math.sqrt(self._noise(block, gyro) / duration_s)
+        mean, steps_rad2_s, _, _ = rate_scatter(block.rate_rad_s[:, 2], block.dt_s)
+        std = math.sqrt(self._noise(len(block.dt_s), 0.5 * steps_rad2_s, gyro) / block.duration_s)
         before = self._mean_rad_s
         largest = CHANGE_SIGMA * std * math.sqrt(1.0 + 1.0 / max(self._blocks, 1))
         if is_at_rest and self._was_at_rest:
@@ -84,21 +83,35 @@ class SteadyRate:
         rates[:, 2] = before
         return replace(block, rate_rad_s=rates)
 
-    def _noise(self, block: MotionBlock, gyro: GyroConfig) -> float:
+    def _noise(self, count: int, seen_rad2_s: float, gyro: GyroConfig) -> float:
         """Return the white noise of the rate as a density, (rad/s)^2/Hz: that of the settings or more.
 
         Differences of neighbouring readings show it, and hardly the motion.
         """
-        by_settings = math.radians(gyro.rate_noise_deg_s) ** 2
-        if len(block.dt_s) > 1:
-            steps = block.rate_rad_s[1:, 2] - block.rate_rad_s[:-1, 2]
-            seen = 0.5 * float(steps @ steps) / len(steps) * float(block.dt_s.mean())
+        if count > 1:
             known = self._noise_rad2_s
-            self._noise_rad2_s = seen if known is None else known + (seen - known) / MEMORY
-        return max(by_settings, self._noise_rad2_s or 0.0)
+            self._noise_rad2_s = seen_rad2_s if known is None else known + (seen_rad2_s - known) / MEMORY
+        return max(math.radians(gyro.rate_noise_deg_s) ** 2, self._noise_rad2_s or 0.0)
 
 
-def _is_irregular(block: MotionBlock) -> bool:
-    """Return True if the intervals between the samples inside a block differ widely."""
-    inside_s = block.dt_s[1:-1]
-    return len(inside_s) > 2 and float(inside_s.std()) > IRREGULAR * float(inside_s.mean())
+@compiled
+def rate_scatter(rate_rad_s: Array, dt_s: Array) -> tuple[float, float, float, float]:
+    """Return the mean of rates over N intervals, and how rates and intervals scatter.
+
+    Args:
+        rate_rad_s: (N,)
+        dt_s: (N,)
+
+    Returns:
+        Mean rate (rad/s); mean square of first and of second differences of the rates, times the mean
+        interval ((rad/s)^2/Hz), 0 with too few; standard deviation of the intervals inside the block,
+        relative to their mean, 0 with fewer than three.
+    """
+    steps, inside_s, interval_s = rate_rad_s[1:] - rate_rad_s[:-1], dt_s[1:-1], float(dt_s.mean())
+    bends = steps[1:] - steps[:-1]
+    return (
+        float(rate_rad_s @ dt_s) / float(dt_s.sum()),
+        float(steps @ steps) / len(steps) * interval_s if len(steps) else 0.0,
+        float(bends @ bends) / len(bends) * interval_s if len(bends) else 0.0,
+        float(inside_s.std()) / float(inside_s.mean()) if len(inside_s) > 2 else 0.0,
+    )

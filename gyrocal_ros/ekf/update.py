@@ -9,9 +9,10 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.feature_scores import FeatureScores
-from gyrocal_ros.ekf.positive_definite import CHECK_THE_SENSORS, cholesky, not_a_covariance, whiten
-from gyrocal_ros.ekf.state import EULER, YAW, State
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.ekf.positive_definite import cholesky, whiten
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, EULER, YAW, State
+from gyrocal_ros.errors import CHECK_THE_SENSORS, FilterDivergedError, IndefiniteCovarianceError
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import Prediction
 
 
@@ -129,27 +130,64 @@ def innovate(
         by_candidates: (m, r, c) the same by effects that the model lacks.
     """
     count, width = measured.shape
-    by_pose, by_feature = prediction.by_pose, prediction.by_feature
-    columns, k = state.feature_columns(rows), state.coefficient_columns
-    numerator = by_pose @ state.covariance[:6] + by_feature @ state.covariance[columns]
-    sensitivity = by_pose @ state.sensitivity[:6] + by_feature @ state.sensitivity[columns]
-    if by_values is not None:
-        numerator += by_values @ state.covariance[k]
-        sensitivity += by_values @ state.sensitivity[k]
-    if by_candidates is not None:
-        sensitivity += by_candidates
-    flat = numerator.reshape(count * width, len(state.mean))
-    covariance = flat[:, :6] @ by_pose.reshape(-1, 6).T
-    own = flat[:, columns].reshape(count * width, count, 3).transpose(1, 0, 2)
-    own = (own @ by_feature.transpose(0, 2, 1)).transpose(1, 0, 2)
-    covariance += own.reshape(covariance.shape)
-    if by_values is not None:
-        covariance += flat[:, k] @ by_values.reshape(count * width, state.coefficient_count).T
-    covariance = covariance.reshape(count, width, count, width)
-    each = np.arange(count)
-    covariance[each, :, each, :] += noise
+    none = np.empty((count, width, 0))
+    numerator, covariance, sensitivity = innovation_matrices(
+        state.covariance,
+        state.sensitivity,
+        state.robot_size + 3 * rows,
+        prediction.by_pose,
+        prediction.by_feature,
+        none if by_values is None else by_values,
+        none if by_candidates is None else by_candidates,
+        noise,
+    )
     residual = measured - prediction.expected
     return Innovation(rows, residual, prediction, numerator, covariance, noise, sensitivity)
+
+
+@compiled
+def innovation_matrices(
+    covariance: Array,
+    sensitivity: Array,
+    columns: IntArray,
+    by_pose: Array,
+    by_feature: Array,
+    by_values: Array,
+    by_candidates: Array,
+    noise: Array,
+) -> tuple[Array, Array, Array]:
+    """Return H P (m, r, n), S (m, r, m, r) and G (m, r, c) of `Innovation`.
+
+    Args:
+        covariance: P (n, n).
+        sensitivity: X (n, c).
+        columns: (m,) place of each feature in the state.
+        by_pose: (m, r, 6) derivative of the prediction by the pose.
+        by_feature: (m, r, 3) by the feature.
+        by_values: (m, r, k) by the coefficients; k is 0 for none.
+        by_candidates: (m, r, c) by effects that the model lacks; c is 0 for none.
+        noise: (m, r, r) R of each.
+    """
+    count, width, k = by_values.shape
+    coefficients, each = slice(COEFFICIENTS_START, COEFFICIENTS_START + k), np.arange(count)
+    places = columns[:, None] + np.arange(3)
+    numerator = by_pose @ covariance[:6] + by_feature @ covariance[places]
+    G = by_pose @ sensitivity[:6] + by_feature @ sensitivity[places]
+    if k:
+        numerator += by_values @ covariance[coefficients]
+        G += by_values @ sensitivity[coefficients]
+    if by_candidates.shape[2]:
+        G += by_candidates
+    flat = numerator.reshape(count * width, len(covariance))
+    S = flat[:, :6] @ by_pose.reshape(-1, 6).T
+    own = flat[:, places].reshape(count * width, count, 3).transpose(1, 0, 2)
+    own = (own @ by_feature.transpose(0, 2, 1)).transpose(1, 0, 2)
+    S += own.reshape(S.shape)
+    if k:
+        S += flat[:, coefficients] @ by_values.reshape(count * width, k).T
+    S = S.reshape(count, width, count, width)
+    S[each, :, each, :] += noise
+    return numerator, S, G
 
 
 def own_precisions(innovation: Innovation) -> Array:
@@ -161,7 +199,7 @@ def own_precisions(innovation: Innovation) -> Array:
     try:
         return np.linalg.inv(innovation.own_covariances())
     except np.linalg.LinAlgError as error:
-        raise not_a_covariance() from error
+        raise IndefiniteCovarianceError from error
 
 
 def mahalanobis(residual: Array, precisions: Array) -> Array:

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.lens import distort, undistort
 
 MIN_DEPTH = 1e-6
@@ -30,6 +31,7 @@ def project(camera: CameraIntrinsics, points_c: Array) -> Array:
     return _pixels(camera, distort(camera, normalised)[0])
 
 
+@compiled
 def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Array, Array]:
     """Eq. (14): project points to raw pixels, and differentiate these with respect to the points.
 

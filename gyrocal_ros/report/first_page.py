@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from html import escape
 
-from gyrocal_ros import __version__
+from gyrocal_ros import __version__, kernels
 from gyrocal_ros.data import NS_PER_S
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.pipeline.calibration import calibration_to_yaml, conclude
@@ -37,7 +37,7 @@ def _origin(run: Run) -> list[tuple[str, str]]:
         ('recording', run.source),
         ('recorded', f'{first} to {last} UTC, {run.span.duration_s:.0f} s'),
         ('model', f'{run.model.name} {run.model.version}: {effects}'),
-        ('software', f'gyrocal_ros {__version__}'),
+        ('software', f'gyrocal_ros {__version__}, {kernels.IN_USE} kernels'),
     ]
 
 

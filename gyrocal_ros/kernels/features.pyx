@@ -1,0 +1,226 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""Twins of `model.camera`, `model.features.inverse_depth` and `ekf.update`: their docstrings explain the equations."""
+
+from libc.math cimport atan, sqrt
+
+import numpy as np
+
+TWINS = ('project_with_jacobian', 'predict_inverse_depth', 'innovation_matrices')
+
+cdef enum Lens:
+    PINHOLE
+    BROWN
+    EQUIDISTANT
+
+cdef double MIN_DEPTH = 1e-6
+cdef Py_ssize_t COEFFICIENTS_START = 9
+cdef double SMALL_RADIUS = 1e-4
+
+
+cdef struct Camera:
+    Lens lens
+    double fx, fy, cx, cy
+    double k[8]
+
+
+cdef Camera camera_of(object intrinsics):
+    cdef Camera camera
+    cdef tuple distortion = intrinsics.distortion
+    cdef Py_ssize_t i
+    camera.fx, camera.fy = intrinsics.fx_px, intrinsics.fy_px
+    camera.cx, camera.cy = intrinsics.cx_px, intrinsics.cy_px
+    for i in range(8):
+        camera.k[i] = 0.0
+    for i in range(len(distortion)):
+        camera.k[i] = distortion[i]
+    if intrinsics.lens == 'equidistant':
+        camera.lens = EQUIDISTANT
+    else:
+        camera.lens = BROWN if any(distortion) else PINHOLE
+    return camera
+
+
+cdef void distort(Camera* camera, double x, double y, double* at, double* slopes) noexcept nogil:
+    """Write the distorted coordinates (2) and their derivative (3): by xx, xy = yx and yy."""
+    cdef double* k = camera.k
+    cdef double xx = x * x, yy = y * y, xy = x * y
+    cdef double r2 = xx + yy
+    cdef double radial, slope, denominator, angle, a2, bent, r
+    if camera.lens == PINHOLE:
+        at[0], at[1] = x, y
+        slopes[0], slopes[1], slopes[2] = 1.0, 0.0, 1.0
+        return
+    if camera.lens == BROWN:
+        radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+        slope = 2.0 * (k[0] + r2 * (2.0 * k[1] + r2 * (3.0 * k[4])))
+        if k[5] != 0.0 or k[6] != 0.0 or k[7] != 0.0:
+            denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+            radial = radial / denominator
+            slope = (slope - radial * 2.0 * (k[5] + r2 * (2.0 * k[6] + r2 * (3.0 * k[7])))) / denominator
+        at[0] = x * radial + 2.0 * k[2] * xy + k[3] * (r2 + 2.0 * xx)
+        at[1] = y * radial + k[2] * (r2 + 2.0 * yy) + 2.0 * k[3] * xy
+        slopes[0] = radial + slope * xx + 2.0 * k[2] * y + 6.0 * k[3] * x
+        slopes[1] = slope * xy + 2.0 * (k[2] * x + k[3] * y)
+        slopes[2] = radial + slope * yy + 6.0 * k[2] * y + 2.0 * k[3] * x
+        return
+    if r2 < SMALL_RADIUS * SMALL_RADIUS:
+        slope = 2.0 * (k[0] - 1.0 / 3.0)
+        radial = 1.0 + 0.5 * slope * r2
+    else:
+        r = sqrt(r2)
+        angle = atan(r)
+        a2 = angle * angle
+        bent = angle * (1.0 + a2 * (k[0] + a2 * (k[1] + a2 * (k[2] + a2 * k[3]))))
+        radial = bent / r
+        slope = 1.0 + a2 * (3.0 * k[0] + a2 * (5.0 * k[1] + a2 * (7.0 * k[2] + a2 * 9.0 * k[3])))
+        slope = (slope / (1.0 + r2) - radial) / r2
+    at[0], at[1] = x * radial, y * radial
+    slopes[0], slopes[1], slopes[2] = radial + slope * xx, slope * xy, radial + slope * yy
+
+
+cdef void project(Camera* camera, double* point, double* pixel, double* jacobian) noexcept nogil:
+    """Write the pixel (2) of a point (3) and its derivative (2, 3)."""
+    cdef double inverse_z = 1.0 / max(point[2], MIN_DEPTH)
+    cdef double x = point[0] * inverse_z, y = point[1] * inverse_z
+    cdef double u[2]
+    cdef double slopes[3]
+    distort(camera, x, y, u, slopes)
+    pixel[0], pixel[1] = u[0] * camera.fx + camera.cx, u[1] * camera.fy + camera.cy
+    cdef double by_u = camera.fx * inverse_z, by_v = camera.fy * inverse_z
+    jacobian[0], jacobian[1] = slopes[0] * by_u, slopes[1] * by_u
+    jacobian[2] = -(slopes[0] * x + slopes[1] * y) * by_u
+    jacobian[3], jacobian[4] = slopes[1] * by_v, slopes[2] * by_v
+    jacobian[5] = -(slopes[1] * x + slopes[2] * y) * by_v
+
+
+def project_with_jacobian(camera, const double[:, :] points_c):
+    cdef Py_ssize_t m = points_c.shape[0], i, j
+    cdef Camera lens = camera_of(camera)
+    cdef double point[3]
+    pixels, jacobian = np.empty((m, 2)), np.empty((m, 2, 3))
+    cdef double[:, ::1] pixel = pixels
+    cdef double[:, :, ::1] derivative = jacobian
+    for i in range(m):
+        for j in range(3):
+            point[j] = points_c[i, j]
+        project(&lens, point, &pixel[i, 0], &derivative[i, 0, 0])
+    return pixels, jacobian
+
+
+def predict_inverse_depth(
+    camera,
+    const double[:, :] R_wc,
+    const double[:, :, :] dR_wc,
+    const double[:] p_wb,
+    const double[:] lever_c,
+    const double[:, :] parameters,
+    const double[:, :, :] anchor_R_wc,
+    const double[:, :] anchor_p_wc,
+):
+    cdef Py_ssize_t m = parameters.shape[0], f, i, j, l
+    cdef Camera lens = camera_of(camera)
+    arrays = (
+        np.empty((m, 2)), np.empty((m, 2, 6)), np.empty((m, 2, 3)), np.empty((m, 3)), np.empty((m, 2, 3)), np.empty(m)
+    )
+    cdef double[:, ::1] expected = arrays[0], points_c = arrays[3]
+    cdef double[:, :, ::1] by_pose = arrays[1], by_feature = arrays[2], by_point = arrays[4]
+    cdef double[::1] scale = arrays[5]
+    cdef double to_anchor[3]
+    cdef double from_robot[3]
+    cdef double point_by_pose[3][6]
+    cdef double point_by_feature[3][3]
+    cdef double rho, sum_
+    for f in range(m):
+        rho = parameters[f, 2]
+        scale[f] = rho
+        for i in range(3):
+            to_anchor[i] = anchor_p_wc[f, i] - p_wb[i]
+            from_robot[i] = (
+                anchor_R_wc[f, i, 0] * parameters[f, 0] + anchor_R_wc[f, i, 1] * parameters[f, 1]
+                + anchor_R_wc[f, i, 2] + rho * to_anchor[i]
+            )
+        for i in range(3):
+            points_c[f, i] = -rho * lever_c[i]
+            point_by_feature[i][0] = point_by_feature[i][1] = 0.0
+            point_by_feature[i][2] = -lever_c[i]
+            for l in range(3):
+                points_c[f, i] += from_robot[l] * R_wc[l, i]
+                point_by_feature[i][0] += R_wc[l, i] * anchor_R_wc[f, l, 0]
+                point_by_feature[i][1] += R_wc[l, i] * anchor_R_wc[f, l, 1]
+                point_by_feature[i][2] += to_anchor[l] * R_wc[l, i]
+                point_by_pose[i][l] = -rho * R_wc[l, i]
+            for j in range(3):
+                point_by_pose[i][3 + j] = 0.0
+                for l in range(3):
+                    point_by_pose[i][3 + j] += from_robot[l] * dR_wc[j, l, i]
+        project(&lens, &points_c[f, 0], &expected[f, 0], &by_point[f, 0, 0])
+        for i in range(2):
+            for j in range(6):
+                sum_ = 0.0
+                for l in range(3):
+                    sum_ += by_point[f, i, l] * point_by_pose[l][j]
+                by_pose[f, i, j] = sum_
+            for j in range(3):
+                sum_ = 0.0
+                for l in range(3):
+                    sum_ += by_point[f, i, l] * point_by_feature[l][j]
+                by_feature[f, i, j] = sum_
+    return arrays
+
+
+cdef void add_row(double weight, const double* row, double* total, Py_ssize_t n) noexcept nogil:
+    cdef Py_ssize_t i
+    for i in range(n):
+        total[i] += weight * row[i]
+
+
+def innovation_matrices(
+    const double[:, ::1] covariance,
+    const double[:, ::1] sensitivity,
+    const long[:] columns,
+    const double[:, :, :] by_pose,
+    const double[:, :, :] by_feature,
+    const double[:, :, :] by_values,
+    const double[:, :, :] by_candidates,
+    const double[:, :, :] noise,
+):
+    cdef Py_ssize_t m = by_pose.shape[0], r = by_pose.shape[1], k = by_values.shape[2], c = by_candidates.shape[2]
+    cdef Py_ssize_t n = covariance.shape[0], width = sensitivity.shape[1], f, g, i, j, l
+    cdef double sum_
+    arrays = (np.zeros((m, r, n)), np.empty((m, r, m, r)), np.zeros((m, r, width)))
+    cdef double[:, :, ::1] numerator = arrays[0], G = arrays[2]
+    cdef double[:, :, :, ::1] S = arrays[1]
+    cdef const double* H
+    for f in range(m):
+        for i in range(r):
+            for l in range(6):
+                add_row(by_pose[f, i, l], &covariance[l, 0], &numerator[f, i, 0], n)
+            for l in range(3):
+                add_row(by_feature[f, i, l], &covariance[columns[f] + l, 0], &numerator[f, i, 0], n)
+            for l in range(k):
+                add_row(by_values[f, i, l], &covariance[COEFFICIENTS_START + l, 0], &numerator[f, i, 0], n)
+            if width == 0:
+                continue
+            for l in range(6):
+                add_row(by_pose[f, i, l], &sensitivity[l, 0], &G[f, i, 0], width)
+            for l in range(3):
+                add_row(by_feature[f, i, l], &sensitivity[columns[f] + l, 0], &G[f, i, 0], width)
+            for l in range(k):
+                add_row(by_values[f, i, l], &sensitivity[COEFFICIENTS_START + l, 0], &G[f, i, 0], width)
+            for l in range(c):
+                G[f, i, l] += by_candidates[f, i, l]
+    for f in range(m):
+        for i in range(r):
+            for g in range(m):
+                for j in range(r):
+                    sum_ = 0.0
+                    for l in range(6):
+                        sum_ += numerator[f, i, l] * by_pose[g, j, l]
+                    for l in range(3):
+                        sum_ += numerator[f, i, columns[g] + l] * by_feature[g, j, l]
+                    for l in range(k):
+                        sum_ += numerator[f, i, COEFFICIENTS_START + l] * by_values[g, j, l]
+                    S[f, i, g, j] = sum_
+            for j in range(r):
+                S[f, i, f, j] += noise[f, i, j]
+    return arrays

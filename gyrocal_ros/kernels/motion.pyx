@@ -1,0 +1,268 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""Twins of `model.kinematics`, `ekf.motion`, `ekf.process_noise` and `ekf.steady_rate`, which explain the equations."""
+
+from libc.math cimport cos, fabs, sin, sqrt, tan
+
+import numpy as np
+
+TWINS = ('carry_pose', 'intervals', 'interpolate', 'path_in_block', 'pose_noise', 'rate_scatter')
+
+
+def carry_pose(
+    const double[:] position_m,
+    const double[:] euler_rad,
+    const double[:, :] rate_rad_s,
+    const double[:] dt_s,
+    const double[:] distance_m,
+):
+    cdef Py_ssize_t n = dt_s.shape[0], i, j, k, l
+    arrays = (
+        np.empty(3), np.empty(3), np.eye(6), np.empty((6, 3, n)), np.empty((3, n)), np.empty((3, n)), np.empty(6)
+    )
+    cdef double[::1] position = arrays[0], euler = arrays[1], pose_rate = arrays[6]
+    cdef double[:, ::1] transition = arrays[2], forward = arrays[4], mid = arrays[5]
+    cdef double[:, :, ::1] rate_gain = arrays[3]
+    # Derivatives by the Euler angles, (6, 3) for each interval: rows 0 to 2 of the steps, 3 to 5 of the increments.
+    cdef double[:, :, ::1] by_euler = np.zeros((n, 6, 3))
+    cdef double total[6][3]
+    cdef double before[6][3]
+    cdef double after[6][3]
+    cdef double drift[3][3]
+    cdef double squared[3][3]
+    cdef double increment[3]
+    cdef double end[3]
+    cdef double E[3][3]
+    cdef double turned = 0.0, tilted_re = 0.0, tilted_im = 0.0
+    cdef double tx, ty, tz, heading, c, s, re, im, roll, pitch, sr, cr, sp, cp, sy, cy, tp, secant, level, across, d
+
+    for i in range(6):
+        for j in range(3):
+            total[i][j] = 0.0
+    for i in range(3):
+        end[i] = 0.0
+        position[i] = position_m[i]
+
+    for k in range(n):
+        tx, ty, tz = rate_rad_s[k, 0] * dt_s[k], rate_rad_s[k, 1] * dt_s[k], rate_rad_s[k, 2] * dt_s[k]
+        # First guess of the angles in the middle: z = roll + i pitch turns with the heading.
+        turned += tz
+        heading = turned - 0.5 * tz
+        c, s = cos(heading), sin(heading)
+        re, im = tx * c - ty * s, tx * s + ty * c
+        tilted_re += re
+        tilted_im += im
+        re = euler_rad[0] + tilted_re - 0.5 * re
+        im = euler_rad[1] + tilted_im - 0.5 * im
+        roll, pitch = re * c + im * s, im * c - re * s
+
+        sr, cr, tp = sin(roll), cos(roll), tan(pitch)
+        level = sr * ty + cr * tz
+        increment[0] = tx + tp * level
+        increment[1] = cr * ty - sr * tz
+        increment[2] = level * sqrt(1.0 + tp * tp)
+        for i in range(3):
+            end[i] += increment[i]
+            mid[i, k] = euler_rad[i] + end[i] - 0.5 * increment[i]
+
+        sr, cr = sin(mid[0, k]), cos(mid[0, k])
+        sp, cp = sin(mid[1, k]), cos(mid[1, k])
+        sy, cy = sin(mid[2, k]), cos(mid[2, k])
+        d = distance_m[k]
+        forward[0, k], forward[1, k], forward[2, k] = cy * cp, sy * cp, -sp
+        for i in range(3):
+            position[i] += forward[i, k] * d
+        by_euler[k, 0, 1], by_euler[k, 0, 2] = -cy * sp * d, -sy * cp * d
+        by_euler[k, 1, 1], by_euler[k, 1, 2] = -sy * sp * d, cy * cp * d
+        by_euler[k, 2, 1] = -cp * d
+        secant = 1.0 / cp
+        tp = sp * secant
+        level = sr * ty + cr * tz
+        across = cr * ty - sr * tz
+        by_euler[k, 3, 0], by_euler[k, 3, 1] = tp * across, level * secant * secant
+        by_euler[k, 4, 0] = -level
+        by_euler[k, 5, 0], by_euler[k, 5, 1] = across * secant, level * tp * secant
+        for i in range(6):
+            for j in range(3):
+                total[i][j] += by_euler[k, i, j]
+
+    for i in range(3):
+        euler[i] = euler_rad[i] + end[i]
+        pose_rate[i] = forward[i, n - 1] * distance_m[n - 1] / dt_s[n - 1]
+        pose_rate[3 + i] = increment[i] / dt_s[n - 1]
+        for j in range(3):
+            drift[i][j] = total[3 + i][j]
+    for i in range(3):
+        for j in range(3):
+            squared[i][j] = 0.0
+            for l in range(3):
+                squared[i][j] += drift[i][l] * drift[l][j]
+    for i in range(3):
+        for j in range(3):
+            transition[3 + i, 3 + j] += drift[i][j] + squared[i][j] / 2.0
+            for l in range(3):
+                transition[3 + i, 3 + j] += squared[i][l] * drift[l][j] / 6.0
+            transition[i, 3 + j] = total[i][j]
+
+    for i in range(6):
+        for j in range(3):
+            before[i][j] = 0.0
+    for i in range(3):
+        for j in range(3):
+            E[i][j] = 0.0
+    E[0][0] = 1.0
+    for k in range(n):
+        for i in range(6):
+            for j in range(3):
+                d = before[i][j] + 0.5 * by_euler[k, i, j]  # up to the middle of the interval
+                after[i][j] = total[i][j] - d
+                before[i][j] += by_euler[k, i, j]
+        for i in range(3):
+            for j in range(3):
+                for l in range(3):
+                    transition[i, 3 + j] += by_euler[k, i, l] * (before[3 + l][j] - 0.5 * by_euler[k, 3 + l, j])
+            after[3 + i][i] += 1.0
+        sr, cr, sp, secant = sin(mid[0, k]), cos(mid[0, k]), sin(mid[1, k]), 1.0 / cos(mid[1, k])
+        E[1][1], E[1][2] = cr, -sr
+        E[2][1], E[2][2] = sr * secant, cr * secant
+        E[0][1], E[0][2] = E[2][1] * sp, E[2][2] * sp
+        for i in range(6):
+            for j in range(3):
+                d = 0.0
+                for l in range(3):
+                    d += after[i][l] * E[l][j]
+                rate_gain[i, j, k] = d * dt_s[k]
+    return arrays
+
+
+def pose_noise(
+    const double[:, :, :] rate_gain,
+    const double[:, :] density_rad_s,
+    const double[:] dt_s,
+    const double[:, :] R_wb,
+    double gap_rad,
+    const double[:] step_variance_m2,
+):
+    cdef Py_ssize_t n = dt_s.shape[0], i, j, k, l
+    cdef double weight
+    result = np.zeros((6, 6))
+    cdef double[:, ::1] noise = result
+    for k in range(n):
+        for l in range(3):
+            weight = density_rad_s[l, k] * density_rad_s[l, k] / dt_s[k]
+            for i in range(6):
+                for j in range(i + 1):
+                    noise[i, j] += rate_gain[i, l, k] * rate_gain[j, l, k] * weight
+    for i in range(3):
+        noise[3 + i, 3 + i] += gap_rad * gap_rad
+        for j in range(i + 1):
+            for l in range(3):
+                noise[i, j] += R_wb[i, l] * step_variance_m2[l] * R_wb[j, l]
+    for i in range(6):
+        for j in range(i):
+            noise[j, i] = noise[i, j]
+    return result
+
+
+def intervals(list times_ns, list nodes):
+    cdef Py_ssize_t n = len(times_ns) - 1, k, i
+    cdef tuple node
+    cdef long long start_ns = times_ns[0]
+    cdef double offset_ns, earlier_ns = 0.0, scatter = 0.0, step
+    cdef double here[6]
+    cdef double before[6]
+    for i in range(6):
+        before[i] = 0.0
+    arrays = (np.empty(n + 1), np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty((n, 3)))
+    cdef double[::1] offsets = arrays[0], middle = arrays[1], dt = arrays[2], acceleration = arrays[4]
+    cdef double[:, ::1] rate = arrays[3], force = arrays[5]
+    for k in range(n + 1):
+        offset_ns = <double>(<long long>times_ns[k] - start_ns)
+        offsets[k] = offset_ns
+        node = nodes[k]
+        for i in range(6):
+            here[i] = node[i]
+        if k > 0:
+            middle[k - 1] = 0.5 * (offset_ns + earlier_ns)
+            dt[k - 1] = (offset_ns - earlier_ns) / 1e9
+            acceleration[k - 1] = (here[2] - before[2]) / dt[k - 1]
+            for i in range(3):
+                rate[k - 1, i] = 0.5 * (here[i] + before[i])
+                force[k - 1, i] = 0.5 * (here[3 + i] + before[3 + i])
+                if 1 < k < n:  # between samples, the ends of the block are none
+                    step = here[3 + i] - before[3 + i]
+                    scatter += step * step
+        for i in range(6):
+            before[i] = here[i]
+        earlier_ns = offset_ns
+    return (*arrays, 0.5 * scatter / (n - 2) if n > 2 else float('nan'))
+
+
+def interpolate(long long start_ns, const double[:] offsets_ns, list times_ns, list values):
+    cdef Py_ssize_t n = offsets_ns.shape[0], last = len(times_ns) - 1, k, j = 0
+    cdef double at, low, high, value, end, slope
+    result = np.empty(n)
+    cdef double[::1] out = result
+    low, value = <double>(<long long>times_ns[0] - start_ns), values[0]
+    if last == 0:
+        high, end = low, value
+    else:
+        high, end = <double>(<long long>times_ns[1] - start_ns), values[1]
+    slope = (end - value) / (high - low) if last > 0 else 0.0
+    for k in range(n):
+        at = offsets_ns[k]
+        while at >= high and j + 1 < last:
+            j += 1
+            low, value = high, end
+            high, end = <double>(<long long>times_ns[j + 1] - start_ns), values[j + 1]
+            slope = (end - value) / (high - low)
+        if at <= low:
+            out[k] = value
+        elif at >= high:
+            out[k] = end
+        else:
+            out[k] = slope * (at - low) + value
+    return result
+
+
+def path_in_block(
+    double x_m, double y_m, double yaw_rad, const double[:] rate_rad_s, const double[:] dt_s, const double[:] distance_m
+):
+    cdef Py_ssize_t n = dt_s.shape[0], k
+    cdef double turn, ahead_x, ahead_y
+    heading_rad, position_m = np.empty(n), np.empty((n, 2))
+    cdef double[::1] heading = heading_rad
+    cdef double[:, ::1] position = position_m
+    for k in range(n):
+        turn = rate_rad_s[k] * dt_s[k]
+        yaw_rad += turn
+        heading[k] = yaw_rad - 0.5 * turn
+        ahead_x, ahead_y = cos(heading[k]) * distance_m[k], sin(heading[k]) * distance_m[k]
+        x_m += ahead_x
+        y_m += ahead_y
+        position[k, 0], position[k, 1] = x_m - 0.5 * ahead_x, y_m - 0.5 * ahead_y
+    return heading_rad, position_m
+
+
+def rate_scatter(const double[:] rate_rad_s, const double[:] dt_s):
+    cdef Py_ssize_t n = dt_s.shape[0], k
+    cdef double turned = 0.0, duration = 0.0, steps = 0.0, bends = 0.0, step = 0.0, before, inside = 0.0, square = 0.0
+    for k in range(n):
+        turned += rate_rad_s[k] * dt_s[k]
+        duration += dt_s[k]
+        if k > 0:
+            before, step = step, rate_rad_s[k] - rate_rad_s[k - 1]
+            steps += step * step
+            if k > 1:
+                bends += (step - before) * (step - before)
+        if 0 < k < n - 1:
+            inside += dt_s[k]
+    if n > 2:
+        inside /= n - 2
+        for k in range(1, n - 1):
+            square += (dt_s[k] - inside) * (dt_s[k] - inside)
+    return (
+        turned / duration,
+        steps / (n - 1) * duration / n if n > 1 else 0.0,
+        bends / (n - 2) * duration / n if n > 2 else 0.0,
+        sqrt(square / (n - 2)) / inside if n > 4 else 0.0,
+    )

@@ -1,0 +1,251 @@
+"""Compiled kernels against their NumPy forms, and the choice between them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from contracts import CAMERA, NOISE_PX
+
+from gyrocal_ros import kernels
+from gyrocal_ros.data import Array, CameraIntrinsics
+from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
+from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
+from gyrocal_ros.ekf.update import Innovation
+from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.features.base import Prediction
+from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
+
+Arguments = tuple[Any, ...]
+ROUNDING = 1e-12
+LENSES = {
+    'pinhole': replace(CAMERA, lens='plumb_bob', distortion=(0.0,) * 5),
+    'plumb_bob': replace(CAMERA, lens='plumb_bob', distortion=(-0.2, 0.05, 0.001, -0.002, 0.01)),
+    'rational': replace(
+        CAMERA, lens='rational_polynomial', distortion=(0.1, 0.05, 0.001, -0.002, 0.01, 0.3, 0.02, 0.003)
+    ),
+    'equidistant': replace(CAMERA, lens='equidistant', distortion=(0.02, -0.01, 0.003, -0.001)),
+}
+
+
+def intervals_s(rng: np.random.Generator, count: int) -> Array:
+    return rng.uniform(0.002, 0.012, count)
+
+
+def carry_pose(rng: np.random.Generator, count: int) -> Arguments:
+    euler_rad, rates = rng.normal(0.0, [0.1, 0.1, 2.0]), rng.normal(0.0, [0.1, 0.1, 1.5], (count, 3))
+    return rng.normal(size=3), euler_rad, rates, intervals_s(rng, count), rng.normal(0.002, 0.001, count)
+
+
+def pose_noise(rng: np.random.Generator, count: int) -> Arguments:
+    gain, density = rng.normal(size=(6, 3, count)), rng.uniform(1e-4, 1e-3, (3, count))
+    attitude = rotation_from_euler(rng.normal(size=3))
+    return gain, density, intervals_s(rng, count), attitude, 0.01, rng.uniform(0.0, 1e-4, 3)
+
+
+def path_in_block(rng: np.random.Generator, count: int) -> Arguments:
+    x_m, y_m, yaw_rad = rng.normal(size=3)
+    return x_m, y_m, yaw_rad, rng.normal(size=count), intervals_s(rng, count), rng.normal(0.0, 0.01, count)
+
+
+def rate_scatter(rng: np.random.Generator, count: int) -> Arguments:
+    return rng.normal(size=count), intervals_s(rng, count)
+
+
+def intervals(rng: np.random.Generator, count: int) -> Arguments:
+    times_ns = (10**18 + rng.integers(1, 10**7, count + 1).cumsum()).tolist()
+    return times_ns, [tuple(row) for row in rng.normal(size=(count + 1, 6)).tolist()]
+
+
+def interpolate(rng: np.random.Generator, count: int) -> Arguments:
+    start_ns = 10**18
+    offsets_ns = rng.integers(1, 10**7, count).cumsum().astype(float)
+    times_ns = (start_ns + rng.integers(-(10**7), 8 * 10**7, count)).tolist()
+    return start_ns, offsets_ns, sorted(set(times_ns)), rng.normal(size=len(set(times_ns))).tolist()
+
+
+def points(rng: np.random.Generator, count: int) -> Array:
+    """Return points (count, 3) before the camera, one in its axis and one behind it."""
+    points_c = np.column_stack([rng.uniform(-1.0, 1.0, (count, 2)), rng.uniform(0.5, 3.0, count)])
+    points_c[0, :2] = 0.0
+    points_c[-1, 2] *= -1.0
+    return points_c
+
+
+def project_with_jacobian(
+    rng: np.random.Generator, count: int, camera: CameraIntrinsics = CAMERA
+) -> Arguments:
+    return camera, points(rng, count)
+
+
+def predict_inverse_depth(
+    rng: np.random.Generator, count: int, camera: CameraIntrinsics = CAMERA
+) -> Arguments:
+    euler_rad = rng.normal(0.0, 0.1, 3)
+    parameters = np.column_stack([rng.uniform(-1.0, 1.0, (count, 2)), rng.uniform(0.0, 1.0, count)])
+    anchors_R = np.array([rotation_from_euler(rng.normal(0.0, 0.1, 3)) for _ in range(count)])
+    anchors_p, lever, position = (
+        rng.normal(0.0, 0.1, (count, 3)),
+        rng.normal(0.0, 0.1, 3),
+        rng.normal(0.0, 0.1, 3),
+    )
+    matrices = rotation_from_euler(euler_rad), rotation_derivatives(euler_rad)
+    return camera, *matrices, position, lever, parameters, anchors_R, anchors_p
+
+
+def covariance(rng: np.random.Generator, size: int) -> Array:
+    mixing = rng.normal(size=(size, size))
+    return mixing @ mixing.T / size + 0.1 * np.eye(size)
+
+
+def noises(rng: np.random.Generator, count: int, width: int = 2) -> Array:
+    return NOISE_PX**2 * np.array([covariance(rng, width) for _ in range(count)])
+
+
+def innovation_matrices(
+    rng: np.random.Generator, count: int, widths: tuple[int, int, int] = (3, 4, 4)
+) -> Arguments:
+    k, of_candidates, c = widths
+    n = 9 + k + 3 * count
+    columns = 9 + k + 3 * rng.permutation(count)
+    return (
+        covariance(rng, n),
+        rng.normal(size=(n, c)),
+        columns,
+        rng.normal(size=(count, 2, 6)),
+        rng.normal(size=(count, 2, 3)),
+        rng.normal(size=(count, 2, k)),
+        rng.normal(size=(count, 2, of_candidates)),
+        noises(rng, count),
+    )
+
+
+def innovation(rng: np.random.Generator, count: int, width: int = 2, outliers: int = 1) -> Innovation:
+    noise = noises(rng, count, width)
+    shared = rng.normal(size=(count * width, 3))
+    S = (shared @ shared.T).reshape(count, width, count, width)
+    each = np.arange(count)
+    S[each, :, each, :] += noise
+    residual = rng.normal(0.0, NOISE_PX, (count, width))
+    residual[:outliers] += 20.0 * NOISE_PX
+    nothing = np.empty((count, 0))
+    seen = Prediction(nothing, rng.normal(size=(count, width, 6)), nothing, nothing, nothing, nothing)
+    return Innovation(each, residual, seen, nothing, S, noise, nothing)
+
+
+def weigh(rng: np.random.Generator, count: int, width: int = 2, outliers: int = 1) -> Arguments:
+    return innovation(rng, count, width, outliers), HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
+
+
+def squared_norm(rng: np.random.Generator, count: int) -> Arguments:
+    return innovation(rng, count), rng.uniform(1.0, 3.0, count), rng.permutation(count)[: (count + 1) // 2]
+
+
+def fit_heading(rng: np.random.Generator, count: int) -> Arguments:
+    return innovation(rng, count), 5
+
+
+ARGUMENTS: dict[str, Callable[[np.random.Generator, int], Arguments]] = {
+    make.__name__: make
+    for make in (
+        carry_pose,
+        pose_noise,
+        path_in_block,
+        rate_scatter,
+        intervals,
+        interpolate,
+        project_with_jacobian,
+        predict_inverse_depth,
+        innovation_matrices,
+        weigh,
+        squared_norm,
+        fit_heading,
+    )
+}
+needs_kernels = pytest.mark.skipif(not kernels.TWINS, reason='the compiled kernels were not built')
+
+
+def assert_equal_to_rounding(name: str, arguments: Arguments) -> None:
+    """Compare all results of a twin with those of its NumPy form, relative to the largest of each."""
+    twin, reference = kernels.TWINS[name](*arguments), kernels.REFERENCES[name](*arguments)
+    one = isinstance(reference, tuple)
+    for mine, expected in zip(twin if one else (twin,), reference if one else (reference,), strict=True):
+        size = max(float(np.abs(np.nan_to_num(expected)).max(initial=0.0)), np.finfo(float).tiny)
+        np.testing.assert_allclose(mine, expected, rtol=0.0, atol=ROUNDING * size)
+        assert np.shape(mine) == np.shape(expected)
+
+
+def test_every_kernel_is_compared() -> None:
+    assert set(kernels.REFERENCES) == set(ARGUMENTS)
+    if kernels.TWINS:
+        assert set(kernels.TWINS) == set(ARGUMENTS)
+
+
+@needs_kernels
+@pytest.mark.parametrize('count', [1, 2, 3, 15, 40])
+@pytest.mark.parametrize('name', ARGUMENTS)
+def test_twins_agree_with_numpy(name: str, count: int) -> None:
+    for seed in range(10):
+        assert_equal_to_rounding(name, ARGUMENTS[name](np.random.default_rng(seed), count))
+
+
+@needs_kernels
+@pytest.mark.parametrize('lens', LENSES)
+def test_twins_agree_behind_every_lens(lens: str) -> None:
+    rng = np.random.default_rng(1)
+    assert_equal_to_rounding('project_with_jacobian', (LENSES[lens], points(rng, 20)[:-1]))
+    assert_equal_to_rounding('predict_inverse_depth', predict_inverse_depth(rng, 20, LENSES[lens]))
+
+
+@needs_kernels
+@pytest.mark.parametrize('widths', [(0, 0, 0), (2, 0, 0), (0, 5, 5), (2, 0, 5)])
+def test_innovations_without_coefficients_or_candidates(widths: tuple[int, int, int]) -> None:
+    assert_equal_to_rounding('innovation_matrices', innovation_matrices(np.random.default_rng(2), 7, widths))
+
+
+@needs_kernels
+@pytest.mark.parametrize(('width', 'outliers'), [(2, 0), (2, 4), (3, 0), (3, 2)])
+def test_weights_of_pixels_and_of_points(width: int, outliers: int) -> None:
+    for seed in range(10):
+        assert_equal_to_rounding('weigh', weigh(np.random.default_rng(seed), 9, width, outliers))
+
+
+@pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])
+def test_an_indefinite_covariance_is_an_error(forms: dict[str, Callable[..., Any]]) -> None:
+    if not forms:
+        pytest.skip('the compiled kernels were not built')
+    bad = innovation(np.random.default_rng(3), 5)
+    bad = replace(bad, covariance=-bad.covariance)
+    with pytest.raises(FilterDivergedError):
+        forms['weigh'](bad, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED)
+    with pytest.raises(FilterDivergedError):
+        forms['squared_norm'](bad, np.ones(5), np.arange(5))
+
+
+def test_both_forms_calibrate_alike(tmp_path: Path) -> None:
+    gyrocal = [sys.executable, '-m', 'gyrocal_ros.cli.main']
+    bag = str(tmp_path / 'bag')
+    subprocess.run(
+        [*gyrocal, 'simulate', bag, '--duration', '20', '--seed', '3'], check=True, capture_output=True
+    )
+
+    def replayed(choice: str) -> dict[str, Any]:
+        environment = os.environ | {kernels.CHOICE: choice}
+        done = subprocess.run(
+            [*gyrocal, 'replay', bag, '--json'], env=environment, capture_output=True, check=True
+        )
+        return json.loads(done.stdout)
+
+    by_default, by_numpy = replayed(''), replayed('numpy')
+    assert by_numpy['kernels'] == 'numpy'
+    assert by_default['kernels'] == kernels.IN_USE
+    for key in ('scale_factor', 'scale_factor_std', 'bias', 'bias_std', 'nis_per_dof'):
+        assert by_default[key] == pytest.approx(by_numpy[key], rel=1e-8, abs=1e-12), key

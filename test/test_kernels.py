@@ -153,23 +153,61 @@ def fit_heading(rng: np.random.Generator, count: int) -> Arguments:
     return innovation(rng, count), 5
 
 
-ARGUMENTS: dict[str, Callable[[np.random.Generator, int], Arguments]] = {
-    make.__name__: make
-    for make in (
-        carry_pose,
-        pose_noise,
-        path_in_block,
-        rate_scatter,
-        intervals,
-        interpolate,
-        project_with_jacobian,
-        predict_inverse_depth,
-        innovation_matrices,
-        weigh,
-        squared_norm,
-        fit_heading,
+def carry_covariance(rng: np.random.Generator, count: int) -> Arguments:
+    size = 9 + count % 4
+    return (
+        covariance(rng, size + 3 * count),
+        np.eye(size) + 0.1 * rng.normal(size=(size, size)),
+        covariance(rng, size),
     )
-}
+
+
+def euler_angles(rng: np.random.Generator, count: int) -> Arguments:
+    return (rng.normal(size=3),)
+
+
+def by_radial_coefficients(
+    rng: np.random.Generator, count: int, camera: CameraIntrinsics = CAMERA
+) -> Arguments:
+    return camera, rng.uniform(-1.0, 1.0, (count, 2))
+
+
+def learned_noise(rng: np.random.Generator, count: int) -> Arguments:
+    of_map = rng.uniform(0.0, 100.0, (2, 2 * count))
+    rows = rng.permutation(2 * count)[:count]
+    return (
+        *of_map,
+        rows,
+        rng.uniform(0.0, 50.0, count),
+        rng.uniform(0.1, 1.0, count),
+        20.0,
+        0.3,
+        10.0,
+        0.99,
+        2.0,
+    )
+
+
+Maker = Callable[[np.random.Generator, int], Arguments]
+MAKERS: tuple[Maker, ...] = (
+    by_radial_coefficients,
+    carry_covariance,
+    carry_pose,
+    fit_heading,
+    innovation_matrices,
+    interpolate,
+    intervals,
+    learned_noise,
+    path_in_block,
+    pose_noise,
+    predict_inverse_depth,
+    project_with_jacobian,
+    rate_scatter,
+    squared_norm,
+    weigh,
+)
+ARGUMENTS: dict[str, Maker] = {make.__name__: make for make in MAKERS}
+ARGUMENTS |= {'rotation_from_euler': euler_angles, 'rotation_derivatives': euler_angles}
 needs_kernels = pytest.mark.skipif(not kernels.TWINS, reason='the compiled kernels were not built')
 
 
@@ -203,6 +241,7 @@ def test_twins_agree_behind_every_lens(lens: str) -> None:
     rng = np.random.default_rng(1)
     assert_equal_to_rounding('project_with_jacobian', (LENSES[lens], points(rng, 20)[:-1]))
     assert_equal_to_rounding('predict_inverse_depth', predict_inverse_depth(rng, 20, LENSES[lens]))
+    assert_equal_to_rounding('by_radial_coefficients', by_radial_coefficients(rng, 20, LENSES[lens]))
 
 
 @needs_kernels

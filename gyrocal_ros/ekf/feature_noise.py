@@ -16,6 +16,7 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.robust import Judged
 from gyrocal_ros.ekf.state import FeatureNoise, State
+from gyrocal_ros.kernels import compiled
 
 PRIOR_OBSERVATIONS = 20.0
 """Observations that the prior, the noise of a typical feature, counts for."""
@@ -52,14 +53,56 @@ def learn_noise(state: State, rows: IntArray, judged: Judged, dof: int) -> State
         dof: r.
     """
     old = state.landmarks.noise
-    share, errors = judged.noise_share, np.minimum(judged.distances / dof, MAX_ERROR)
-    errors = share * errors + 1.0 - share
-    expected = variance_factors(old[rows]) * errors / errors.mean()
-    kept = 1.0 - 1.0 / REMEMBERED_OBSERVATIONS
-    weights, sums = old.weights.copy(), old.sums.copy()
+    noise = FeatureNoise(
+        *learned_noise(
+            old.weights,
+            old.sums,
+            rows,
+            judged.distances,
+            judged.noise_share,
+            PRIOR_OBSERVATIONS,
+            MIN_FACTOR,
+            MAX_ERROR,
+            1.0 - 1.0 / REMEMBERED_OBSERVATIONS,
+            dof,
+        )
+    )
+    return replace(state, landmarks=replace(state.landmarks, noise=noise))
+
+
+@compiled
+def learned_noise(
+    weights: Array,
+    sums: Array,
+    rows: IntArray,
+    distances: Array,
+    noise_share: Array,
+    prior: float,
+    min_factor: float,
+    max_error: float,
+    kept: float,
+    dof: float,
+) -> tuple[Array, Array]:
+    """Return the weights and sums of `FeatureNoise` after an image; see `learn_noise`.
+
+    Args:
+        weights: (M,) of all features of the map.
+        sums: (M,)
+        rows: (m,) indices of the features of the image.
+        distances: (m,) squared Mahalanobis distances.
+        noise_share: (m,) share of the noise in their variance.
+        prior: observations that the prior counts for.
+        min_factor: smallest variance relative to a typical feature.
+        max_error: largest squared error that is learned from.
+        kept: factor by which older observations count less.
+        dof: degrees of freedom of a distance.
+    """
+    errors = noise_share * np.minimum(distances / dof, max_error) + 1.0 - noise_share
+    factors = np.maximum((prior + sums[rows]) / (prior + weights[rows]), min_factor)
+    weights, sums = weights.copy(), sums.copy()
     weights[rows] = kept * weights[rows] + 1.0
-    sums[rows] = kept * sums[rows] + expected
-    return replace(state, landmarks=replace(state.landmarks, noise=FeatureNoise(weights, sums)))
+    sums[rows] = kept * sums[rows] + factors * errors / errors.mean()
+    return weights, sums
 
 
 class TypicalMatch:

@@ -44,3 +44,16 @@ def inverse(covariance: Array) -> Array:
     both = lower + lower.T
     np.fill_diagonal(both, lower.diagonal())
     return both
+
+
+def solve(matrix: Array, right: Array) -> Array:
+    """Return `A^-1 b` for a positive definite A (q, q) and b (q,).
+
+    Raises:
+        FilterDivergedError: A is not positive definite.
+    """
+    solution: Array
+    _, solution, failed = lapack.dposv(matrix, right, lower=1)
+    if failed:
+        raise IndefiniteCovarianceError
+    return solution

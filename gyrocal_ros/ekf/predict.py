@@ -120,14 +120,9 @@ def predict(
     mean = state.mean.copy()
     mean[POSITION], mean[EULER], mean[YAW_BIAS] = motion.position_m + added.drift_m, motion.euler_rad, bias
 
-    r = state.robot_size
-    covariance = np.empty_like(state.covariance)
-    covariance[:r, :r] = matrix @ state.covariance[:r, :r] @ matrix.T
-    covariance[:r, :r] += _process_noise(block, motion, model)
-    covariance[YAW, YAW] += float((correction.noise_rad_s * block.dt_s).sum()) ** 2
-    covariance[:r, r:] = matrix @ state.covariance[:r, r:]
-    covariance[r:, :r] = covariance[:r, r:].T
-    covariance[r:, r:] = state.covariance[r:, r:]
+    noise = _process_noise(block, motion, model)
+    noise[YAW, YAW] += float((correction.noise_rad_s * block.dt_s).sum()) ** 2
+    covariance = carry_covariance(state.covariance, matrix, noise)
     after = replace(state, t_ns=block.end_ns, mean=mean, covariance=covariance)
     return after, Transition(matrix, motion, added, rate, yaw_gain)
 
@@ -145,6 +140,24 @@ def _differentiated(
         return added
     at_steady = correct(model.effects.gyro, steady, state.coefficients, memories)
     return replace(added, correction=replace(added.correction, by_values=at_steady.by_values))
+
+
+@compiled
+def carry_covariance(covariance: Array, matrix: Array, noise: Array) -> Array:
+    """Return the covariance P (n, n) after one block: the features do not move.
+
+    Args:
+        covariance: before, (n, n).
+        matrix: (r, r) transition of the robot part.
+        noise: (r, r) covariance that the block adds.
+    """
+    r = len(matrix)
+    after = np.empty_like(covariance)
+    after[:r, :r] = matrix @ covariance[:r, :r] @ matrix.T + noise
+    after[:r, r:] = matrix @ covariance[:r, r:]
+    after[r:, :r] = after[:r, r:].T
+    after[r:, r:] = covariance[r:, r:]
+    return after
 
 
 def predict_sensitivity(

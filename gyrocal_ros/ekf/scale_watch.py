@@ -19,6 +19,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.ekf.positive_definite import solve
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import UpdateStats, add_lacking
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
@@ -75,7 +76,7 @@ class NormalEquations:
     @cached_property
     def values(self) -> Array:
         """(q,) estimates."""
-        return np.linalg.solve(self.information, self.score)
+        return solve(self.information, self.score)
 
     @cached_property
     def explained(self) -> float:

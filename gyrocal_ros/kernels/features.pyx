@@ -1,11 +1,12 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.camera`, `model.features.inverse_depth` and `ekf.update`: their docstrings explain the equations."""
+"""Twins of `model.lens`, `model.camera`, `model.features.inverse_depth`, `ekf.feature_noise` and `ekf.update`, which
+explain the equations."""
 
 from libc.math cimport atan, sqrt
 
 import numpy as np
 
-TWINS = ('project_with_jacobian', 'predict_inverse_depth', 'innovation_matrices')
+TWINS = ('by_radial_coefficients', 'innovation_matrices', 'learned_noise', 'predict_inverse_depth', 'project_with_jacobian')
 
 cdef enum Lens:
     PINHOLE
@@ -224,3 +225,56 @@ def innovation_matrices(
             for j in range(r):
                 S[f, i, f, j] += noise[f, i, j]
     return arrays
+
+
+def by_radial_coefficients(camera, const double[:, :] normalised):
+    cdef Camera lens = camera_of(camera)
+    cdef double* k = lens.k
+    cdef Py_ssize_t m = normalised.shape[0], f
+    cdef double x, y, r2, r, angle, first, second, denominator
+    result = np.empty((m, 2, 2))
+    cdef double[:, :, ::1] out = result
+    cdef bint is_fisheye = lens.lens == EQUIDISTANT
+    for f in range(m):
+        x, y = normalised[f, 0], normalised[f, 1]
+        r2 = x * x + y * y
+        if is_fisheye:
+            r = max(sqrt(r2), SMALL_RADIUS)
+            angle = atan(r)
+            first = angle * angle * angle / r
+            second = first * angle * angle
+        else:
+            denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+            first = r2 / denominator
+            second = r2 * first
+        out[f, 0, 0], out[f, 0, 1] = x * first, x * second
+        out[f, 1, 0], out[f, 1, 1] = y * first, y * second
+    return result
+
+
+def learned_noise(
+    const double[:] weights,
+    const double[:] sums,
+    const long[:] rows,
+    const double[:] distances,
+    const double[:] noise_share,
+    double prior,
+    double min_factor,
+    double max_error,
+    double kept,
+    double dof,
+):
+    cdef Py_ssize_t m = rows.shape[0], f, row
+    cdef double mean = 0.0, factor
+    new_weights, new_sums = np.array(weights), np.array(sums)
+    cdef double[::1] w = new_weights, s = new_sums, errors = np.empty(m)
+    for f in range(m):
+        errors[f] = noise_share[f] * min(distances[f] / dof, max_error) + 1.0 - noise_share[f]
+        mean += errors[f]
+    mean /= m
+    for f in range(m):
+        row = rows[f]
+        factor = max((prior + sums[row]) / (prior + weights[row]), min_factor)
+        w[row] = kept * weights[row] + 1.0
+        s[row] = kept * sums[row] + factor * errors[f] / mean
+    return new_weights, new_sums

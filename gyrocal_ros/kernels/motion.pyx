@@ -1,11 +1,22 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.kinematics`, `ekf.motion`, `ekf.process_noise` and `ekf.steady_rate`, which explain the equations."""
+"""Twins of `model.rotation`, `model.kinematics`, `ekf.motion`, `ekf.predict`, `ekf.process_noise` and
+`ekf.steady_rate`, which explain the equations."""
 
 from libc.math cimport cos, fabs, sin, sqrt, tan
 
 import numpy as np
 
-TWINS = ('carry_pose', 'intervals', 'interpolate', 'path_in_block', 'pose_noise', 'rate_scatter')
+TWINS = (
+    'carry_covariance',
+    'carry_pose',
+    'interpolate',
+    'intervals',
+    'path_in_block',
+    'pose_noise',
+    'rate_scatter',
+    'rotation_derivatives',
+    'rotation_from_euler',
+)
 
 
 def carry_pose(
@@ -266,3 +277,55 @@ def rate_scatter(const double[:] rate_rad_s, const double[:] dt_s):
         bends / (n - 2) * duration / n if n > 2 else 0.0,
         sqrt(square / (n - 2)) / inside if n > 4 else 0.0,
     )
+
+
+def carry_covariance(const double[:, ::1] covariance, const double[:, ::1] matrix, const double[:, ::1] noise):
+    cdef Py_ssize_t n = covariance.shape[0], r = matrix.shape[0], i, j, l
+    cdef double factor
+    result = np.empty((n, n))
+    cdef double[:, ::1] P = result, FP = np.zeros((r, n))
+    for i in range(r):
+        for l in range(r):
+            factor = matrix[i, l]
+            if factor != 0.0:
+                for j in range(n):
+                    FP[i, j] += factor * covariance[l, j]
+    for i in range(r):
+        for j in range(r, n):
+            P[i, j] = P[j, i] = FP[i, j]
+        for j in range(i + 1):
+            factor = noise[i, j]
+            for l in range(r):
+                factor += FP[i, l] * matrix[j, l]
+            P[i, j] = P[j, i] = factor
+    for i in range(r, n):
+        for j in range(r, n):
+            P[i, j] = covariance[i, j]
+    return result
+
+
+def rotation_from_euler(const double[:] euler):
+    cdef double cr = cos(euler[0]), sr = sin(euler[0]), cp = cos(euler[1]), sp = sin(euler[1])
+    cdef double cy = cos(euler[2]), sy = sin(euler[2])
+    matrix = np.empty((3, 3))
+    cdef double[:, ::1] R = matrix
+    R[0, 0], R[0, 1], R[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    R[1, 0], R[1, 1], R[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    R[2, 0], R[2, 1], R[2, 2] = -sp, cp * sr, cp * cr
+    return matrix
+
+
+def rotation_derivatives(const double[:] euler):
+    cdef double cr = cos(euler[0]), sr = sin(euler[0]), cp = cos(euler[1]), sp = sin(euler[1])
+    cdef double cy = cos(euler[2]), sy = sin(euler[2])
+    matrices = np.zeros((3, 3, 3))
+    cdef double[:, :, ::1] dR = matrices
+    dR[0, 0, 1], dR[0, 0, 2] = cy * sp * cr + sy * sr, -cy * sp * sr + sy * cr
+    dR[0, 1, 1], dR[0, 1, 2] = sy * sp * cr - cy * sr, -sy * sp * sr - cy * cr
+    dR[0, 2, 1], dR[0, 2, 2] = cp * cr, -cp * sr
+    dR[1, 0, 0], dR[1, 0, 1], dR[1, 0, 2] = -cy * sp, cy * cp * sr, cy * cp * cr
+    dR[1, 1, 0], dR[1, 1, 1], dR[1, 1, 2] = -sy * sp, sy * cp * sr, sy * cp * cr
+    dR[1, 2, 0], dR[1, 2, 1], dR[1, 2, 2] = -cp, -sp * sr, -sp * cr
+    dR[2, 0, 0], dR[2, 0, 1], dR[2, 0, 2] = -sy * cp, -sy * sp * sr - cy * cr, -sy * sp * cr + cy * sr
+    dR[2, 1, 0], dR[2, 1, 1], dR[2, 1, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    return matrices

@@ -7,8 +7,10 @@ import math
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.kernels import compiled
 
 
+@compiled
 def rotation_from_euler(euler: Array) -> Array:
     """Eq. (3): return the direction cosine matrix `C_wb` of roll, pitch, yaw.
 
@@ -30,6 +32,7 @@ def rotation_from_euler(euler: Array) -> Array:
     )
 
 
+@compiled
 def rotation_derivatives(euler: Array) -> Array:
     """Return the derivatives of `rotation_from_euler` with respect to roll, pitch and yaw.
 

@@ -59,7 +59,9 @@ class AnchoredInverseDepth:
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> tuple[Array, Array]:
         """Return the pixels."""
-        return pixels, np.broadcast_to(noise_px**2 * np.eye(2), (len(pixels), 2, 2))
+        noise = np.zeros((len(pixels), 2, 2))
+        noise[:, 0, 0] = noise[:, 1, 1] = noise_px**2
+        return pixels, noise
 
     def predict(self, view: PosedCamera, parameters: Array, anchors: Anchors) -> Prediction:
         """Predict the pixels of `R_cw (R_a (a, b, 1) + r (p_a - p_c))`, the point scaled by r."""

@@ -35,7 +35,7 @@ def kernels() -> list[Extension]:
         Extension(f'{NAME}.kernels.{file.stem}', [str(file)], extra_compile_args=['-O3'], optional=True)
         for file in files
     ]
-    return cythonize(twins, build_dir='build')
+    return cythonize(twins, build_dir='build', quiet=True)  # colcon reads what is printed
 
 
 setup(

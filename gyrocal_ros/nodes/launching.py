@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -91,5 +93,22 @@ def describe(
         for name, (default, about) in {**arguments, **COMMON}.items()
     ]
     return LaunchDescription(
-        [*declared, OpaqueFunction(function=lambda context: actions(Arguments(context)))]
+        [
+            *declared,
+            OpaqueFunction(function=lambda context: leave_interrupts_to_launch()),
+            OpaqueFunction(function=lambda context: actions(Arguments(context))),
+        ]
     )
+
+
+def leave_interrupts_to_launch() -> None:
+    """Keep Python from raising KeyboardInterrupt in the event loop of launch.
+
+    Launch reads signals from the wakeup descriptor of Python and ends the nodes on SIGINT. The handler of
+    Python raises KeyboardInterrupt besides, wherever launch is at that moment. If that is the start of a
+    process, as when a killed node is restarted, launch never learns of the end of that process and waits for
+    it forever, whatever else it receives. A handler that does nothing leaves the descriptor as it is.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    if is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, lambda number, frame: None)

@@ -20,7 +20,10 @@ ARGUMENTS = {
         '',
         'faults of the board: KIND@FROM+FOR[=SHARE], see board_emulator --help; separated by blanks',
     ),
-    'troubles': ('', 'faults of the camera: cover@, off@ or clock@FROM+FOR; separated by blanks'),
+    'troubles': (
+        '',
+        'faults of the camera: cover@, off@, clock@, freeze@ or lose@FROM+FOR; separated by blanks',
+    ),
     'respawn': ('true', 'restart driver, tracker and calibrator when they end by themselves'),
 }
 READY_S = 12.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -87,6 +88,16 @@ def test_a_clock_fault_shifts_the_stamps() -> None:
     assert late.due_ns(3) == early.due_ns(3)
     frame = late.take(3)
     assert frame is not None and frame.t_ns == late.truth(3).t_ns == late.stamp_ns(3)
+
+
+@pytest.mark.slow
+def test_it_freezes_and_loses_images_for_an_interval() -> None:
+    faulty = camera('freeze@0.15+0.2 lose@0.45+0.3')
+    frames = [faulty.take(number) for number in range(8)]
+    assert [frame is None for frame in frames] == [False, False, False, False, False, True, False, True]
+    images = [frame.image for frame in frames[:5] if frame is not None]
+    repeated = [bool((before == after).all()) for before, after in pairwise(images)]
+    assert repeated == [False, False, True, False]
 
 
 def test_faults_are_parsed() -> None:

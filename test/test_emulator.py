@@ -358,6 +358,16 @@ def test_a_fault_may_be_added_while_running() -> None:
     assert host.reader.decoder.counts.lost == pytest.approx(260, abs=3)
 
 
+def test_a_wrong_gain_scales_the_rates_for_its_time() -> None:
+    right, wrong = Host(emulator(LONG)).read().imu(), Host(emulator(LONG, 'gain@10+20=0.1')).read().imu()
+    first, last = 10 * 200 + 2, 30 * 200 - 2  # without the samples at the edges
+    before, after = (np.array([sample.rate_rad_s for sample in samples]) for samples in (right, wrong))
+    np.testing.assert_allclose(after[first:last], 0.9 * before[first:last], atol=1e-3)
+    np.testing.assert_array_equal(after[: first - 4], before[: first - 4])
+    np.testing.assert_array_equal(after[last + 4 :], before[last + 4 :])
+    assert np.abs(before[first:last, 2]).max() > 0.1
+
+
 def test_faults_are_parsed() -> None:
     assert parse_fault('noise@120+30=0.05') == Fault(FaultKind.NOISE, 120 * NS_PER_S, 150 * NS_PER_S, 0.05)
     assert parse_fault('pause+1.5\n', now_ns=7) == Fault(FaultKind.PAUSE, 7, 7 + 1_500_000_000)

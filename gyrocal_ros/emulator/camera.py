@@ -16,6 +16,7 @@ from gyrocal_ros.sim.world import START_NS, SimSource
 
 COVERED_GREY = 8
 CLOCK_AHEAD_NS = 2 * NS_PER_S
+LOST_OF = 3
 FAULT_PATTERN = re.compile(r'(?P<kind>\w+)@(?P<start>[\d.]+)\+(?P<length>[\d.]+)')
 
 
@@ -28,6 +29,10 @@ class CameraFaultKind(StrEnum):
     """No images are taken."""
     CLOCK = 'clock'
     """The clock that stamps the images is ahead by `CLOCK_AHEAD_NS`."""
+    FREEZE = 'freeze'
+    """The image of the start of the fault is repeated, with new stamps."""
+    LOSE = 'lose'
+    """Of `LOST_OF` images, all but the first are lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +82,7 @@ class EmulatedCamera:
         self._source, self._faults = source, faults
         self._time_s = source.image_times()
         self._images = source.image_sequence()
+        self._frozen: NDArray[np.uint8] | None = None
 
     def __len__(self) -> int:
         return len(self._time_s)
@@ -107,11 +113,15 @@ class EmulatedCamera:
         return number
 
     def take(self, number: int) -> Frame | None:
-        """Take an image; return None while the camera is off."""
+        """Take an image; return None while the camera is off, and for an image that is lost."""
         active = self._active_faults(number)
-        if CameraFaultKind.OFF in active:
+        if CameraFaultKind.OFF in active or (CameraFaultKind.LOSE in active and number % LOST_OF):
             return None
-        image = self._images.render(number)
+        if CameraFaultKind.FREEZE not in active:
+            self._frozen = None
+        image = self._images.render(number) if self._frozen is None else self._frozen
+        if CameraFaultKind.FREEZE in active:
+            self._frozen = image
         return Frame(self.stamp_ns(number), _covered(image) if CameraFaultKind.COVER in active else image)
 
     def truth(self, number: int) -> TruthSample:

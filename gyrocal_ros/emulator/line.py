@@ -26,6 +26,7 @@ class FaultKind(StrEnum):
     PAUSE = 'pause'
     UNPLUG = 'unplug'
     RESTART = 'restart'
+    GAIN = 'gain'
 
 
 FAULT_DESCRIPTIONS = {
@@ -35,9 +36,10 @@ FAULT_DESCRIPTIONS = {
     FaultKind.PAUSE: 'nothing is delivered, then everything delayed at once',
     FaultKind.UNPLUG: 'the port is disconnected',
     FaultKind.RESTART: 'the board has no power',
+    FaultKind.GAIN: 'the gyro reads too little by this share',
 }
-WITH_SHARE = (FaultKind.NOISE, FaultKind.CUT, FaultKind.DROP)
-"""Faults that affect a share of the bytes or frames."""
+WITH_SHARE = (FaultKind.NOISE, FaultKind.CUT, FaultKind.DROP, FaultKind.GAIN)
+"""Faults that affect a share of the bytes, frames or rates."""
 FAULT_PATTERN = re.compile(r'(?P<kind>\w+)(@(?P<from>[\d.]+))?\+(?P<for>[\d.]+)(=(?P<share>[\d.]+))?')
 
 

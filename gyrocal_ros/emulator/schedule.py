@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
-from gyrocal_ros.data import ClockStep, Measurement
+from gyrocal_ros.data import ClockStep, ImuSample, Measurement
 from gyrocal_ros.emulator.board import EmulatedBoard
 from gyrocal_ros.emulator.line import DataEvent, EmulatedLine, Fault, FaultKind
 
@@ -82,8 +82,18 @@ class Emulator:
             return
         if not had_power:
             self._board.restart(t_ns)
+        if isinstance(measurement, ImuSample):
+            measurement = self._with_gain(measurement, t_ns)
         for frame in self._board.measure(measurement, t_ns):
             self._send(frame, t_ns)
+
+    def _with_gain(self, sample: ImuSample, t_ns: int) -> ImuSample:
+        for fault in self._line.faults:
+            if fault.kind is FaultKind.GAIN and fault.is_active(t_ns):
+                x, y, z = sample.rate_rad_s
+                gain = 1.0 - fault.share
+                sample = replace(sample, rate_rad_s=(gain * x, gain * y, gain * z))
+        return sample
 
     def _is_off(self, t_ns: int) -> bool:
         return any(fault.kind is FaultKind.RESTART and fault.is_active(t_ns) for fault in self._line.faults)

@@ -10,6 +10,7 @@ import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import CameraInfo, Image
 from tf2_msgs.msg import TFMessage
@@ -23,7 +24,7 @@ from gyrocal_ros.msgs.transforms import IDENTITY
 from gyrocal_ros.nodes.diagnostics import Diagnostics
 from gyrocal_ros.nodes.endpoints import publish
 from gyrocal_ros.nodes.params import Settings
-from gyrocal_ros.nodes.qos import SENSOR_OUT, STATIC
+from gyrocal_ros.nodes.qos import NO_EVENTS_OUT, SENSOR_OUT, STATIC
 from gyrocal_ros.robot.health import Status, as_warnings, status
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
@@ -47,7 +48,8 @@ class CeilingConfig:
     troubles: str = setting(
         '',
         '',
-        'faults of the camera: cover@, off@ or clock@FROM+FOR, seconds from the start, separated by blanks',
+        'faults of the camera: cover@, off@, clock@, freeze@ or lose@FROM+FOR, seconds from the start, '
+        'separated by blanks',
     )
 
 
@@ -69,7 +71,13 @@ class CeilingEmulatorNode:
         self._camera = EmulatedCamera(SimSource(scenario, config.seed), parse_camera_faults(config.troubles))
         self._camera.start_ns = nanoseconds(config.start_at) if config.start_at else time.time_ns()
         self._make = make = to_ros.live_maker(get_message)
-        self._images = publish(node, Image, Role.IMAGE, QoSProfile(depth=5))
+        self._images = node.create_publisher(
+            Image,
+            Role.IMAGE,
+            QoSProfile(depth=5),
+            event_callbacks=NO_EVENTS_OUT,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
         self._infos = publish(node, CameraInfo, Role.CAMERA_INFO, SENSOR_OUT)
         self._truth = publish(node, Odometry, Role.TRUTH, SENSOR_OUT)
         self._transforms = publish(node, TFMessage, '/tf_static', STATIC)
@@ -90,7 +98,7 @@ class CeilingEmulatorNode:
     def _prepare(self) -> None:
         """Render the next image that is not late yet, ahead of its time, and wait for that time."""
         number = self._camera.next_after(self._number, time.time_ns())
-        if number > self._number + 1:
+        if number > self._number + 1 and self._published:
             self._dropped += number - self._number - 1
             self._dropped_s = time.monotonic()
         self._number = number

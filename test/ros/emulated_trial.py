@@ -23,6 +23,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,7 @@ CAMERA_FAULTS = 'off@160+60'
 CLOCK_FAULT, CLOCK_FROM_S, CLOCK_TO_S = ' clock@300+30', 300.0, 330.0
 KILLED_AT_S = 250.0
 EMULATED_NICENESS = 5
+SAVE_S = 10.0
 FAKETIME = next(Path('/usr/lib').glob('*/faketime/libfaketimeMT.so.1'), None)
 TICK = os.sysconf('SC_CLK_TCK')
 LATENCIES = ((Role.IMU, 'imu/data'), (Role.IMAGE, Role.FEATURES))
@@ -178,6 +180,38 @@ def main() -> None:
         run(args, Path(folder), graph)
 
 
+def start_board(
+    port: Path, start_s: float, duration_s: float, seed: int, faults: Sequence[str] = (), **options: Any
+) -> subprocess.Popen[str]:
+    """Start the board emulator, with 20 ms of jitter."""
+    given = ('--scenario', SCENARIO, '--seed', str(seed), '--duration', str(duration_s), '--jitter', '0.02')
+    board = subprocess.Popen(
+        [sys.executable, '-m', 'gyrocal_ros.cli.board_emulator', '--link', str(port), *given]
+        + ['--start-at', str(start_s), *faults],
+        env={**os.environ, 'PYTHONPATH': f'{PROJECT}{os.pathsep}{os.environ.get("PYTHONPATH", "")}'},
+        text=True,
+        **options,
+    )
+    be_considerate(board.pid)
+    return board
+
+
+def start_camera(
+    graph: Graph, start_s: float, duration_s: float, seed: int, troubles: str, **more: Any
+) -> NodeProcess:
+    """Start the emulated camera of the same robot; further keywords are further parameters."""
+    ceiling = {'scenario': SCENARIO, 'seed': seed, 'duration_s': duration_s, 'start_at': start_s}
+    named = {f'ceiling.{name}': value for name, value in {**ceiling, 'troubles': troubles}.items()}
+    camera = graph.start('ceiling_emulator', parameters={**named, **more})
+    be_considerate(camera.pid)
+    return camera
+
+
+def be_considerate(pid: int) -> None:
+    """Lower the priority of a process: emulated hardware would not load the computer of a robot."""
+    os.setpriority(os.PRIO_PROCESS, pid, EMULATED_NICENESS)
+
+
 def start_driver(graph: Graph, port: Path, clock: Path | None) -> NodeProcess:
     """Start the driver; a file, if one is given, sets the offset of its clock."""
     if clock is None:
@@ -197,33 +231,29 @@ def start_driver(graph: Graph, port: Path, clock: Path | None) -> NodeProcess:
             del os.environ[name]
 
 
+def start_calibrator(graph: Graph, saved: Path) -> NodeProcess:
+    """Start the calibrator; it saves every ten seconds."""
+    parameters = {
+        'live.calibration': str(saved),
+        'live.save_interval_s': SAVE_S,
+        'camera.pixel_noise_px': TrackerConfig().noise_px,  # as in the launch files
+    }
+    return graph.start('calibrator', parameters=parameters)
+
+
 def run(args: argparse.Namespace, folder: Path, graph: Graph) -> None:
     duration_s, port, saved = 60.0 * args.minutes, folder / 'board', folder / 'calibration.yaml'
     start_s = time.time() + READY_S
-    given = ('--scenario', SCENARIO, '--seed', str(args.seed), '--duration', str(duration_s))
-    board = subprocess.Popen(
-        [sys.executable, '-m', 'gyrocal_ros.cli.board_emulator', '--link', str(port), *given]
-        + ['--start-at', str(start_s), '--jitter', '0.02', *(BOARD_FAULTS if args.faults else ())],
-        stdin=subprocess.DEVNULL,
-        env={**os.environ, 'PYTHONPATH': f'{PROJECT}{os.pathsep}{os.environ.get("PYTHONPATH", "")}'},
-    )
-    ceiling = {'scenario': SCENARIO, 'seed': args.seed, 'duration_s': duration_s, 'start_at': start_s}
+    faults = BOARD_FAULTS if args.faults else ()
+    board = start_board(port, start_s, duration_s, args.seed, faults, stdin=subprocess.DEVNULL)
     clock = folder / 'clock'
     has_clock_fault = args.faults and FAKETIME is not None
-    ceiling['troubles'] = CAMERA_FAULTS * args.faults + CLOCK_FAULT * has_clock_fault
-    named = {f'ceiling.{name}': value for name, value in ceiling.items()}
-    camera = graph.start('ceiling_emulator', parameters=named)
-    for hardware in (board, camera):  # emulated hardware would not load the computer of a robot
-        os.setpriority(os.PRIO_PROCESS, hardware.pid, EMULATED_NICENESS)
-    parameters = {
-        'live.calibration': str(saved),
-        'live.save_interval_s': 10.0,
-        'camera.pixel_noise_px': TrackerConfig().noise_px,  # as in the launch files
-    }
+    troubles = CAMERA_FAULTS * args.faults + CLOCK_FAULT * has_clock_fault
+    start_camera(graph, start_s, duration_s, args.seed, troubles)
     nodes: dict[str, NodeProcess] = {
         'driver': start_driver(graph, port, clock if has_clock_fault else None),
         'tracker': graph.start('tracker'),
-        'calibrator': graph.start('calibrator', parameters=parameters),
+        'calibrator': start_calibrator(graph, saved),
     }
     monitor, used, next_s = Monitor(graph, start_s), defaultdict[str, list[Usage]](list), 0.0
     killed_at_s = KILLED_AT_S if args.faults else math.inf
@@ -238,7 +268,7 @@ def run(args: argparse.Namespace, folder: Path, graph: Graph) -> None:
             if at_s > killed_at_s:
                 killed_at_s = math.inf
                 nodes['calibrator'].stop(signal.SIGKILL)
-                nodes['calibrator'] = graph.start('calibrator', parameters=parameters)
+                nodes['calibrator'] = start_calibrator(graph, saved)
         for name, process in nodes.items():
             print(f'{name}: exit status {process.stop()} {process.output[-500:]}')
     finally:

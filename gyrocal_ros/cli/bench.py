@@ -19,7 +19,7 @@ from gyrocal_ros.bench.blind import blind
 from gyrocal_ros.bench.blind import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
 from gyrocal_ros.bench.eyes import eyes
-from gyrocal_ros.bench.faults.soak import soak
+from gyrocal_ros.bench.faults.soak import SESSION_S, soak
 from gyrocal_ros.bench.faults.suite import KINDS, REFERENCES, SEMANTIC, SOUND, faults
 from gyrocal_ros.bench.gate import BASELINE, Outcome, baseline_to_dict, gate, load_baseline, measure_baseline
 from gyrocal_ros.bench.growth import growth
@@ -38,7 +38,6 @@ from gyrocal_ros.cli.numbers import number, whole_number
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, print_row, progress
 from gyrocal_ros.cli.provenance import provenance
-from gyrocal_ros.cli.scenario_options import MAX_DURATION_S
 from gyrocal_ros.config.robot_sections import LiveConfig
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.settings import DiagnosisSettings, differing, with_thresholds
@@ -59,6 +58,7 @@ gyrocal bench eyes --scenes tiles fisheye --seeds 2
 gyrocal bench growth -o growth.html
 gyrocal bench faults --seeds 2 --only clouds images
 gyrocal bench soak --seeds 6
+gyrocal bench soak --seeds 4 --seconds 21600
 gyrocal bench fleet --only coverage effects
 gyrocal bench references --seeds 6 --only lidar effects
 gyrocal bench tracker --bag drive_with_images
@@ -70,14 +70,14 @@ BENCHES: dict[str, Callable[[argparse.Namespace], Iterator[dict[str, Any]]]] = {
     'comparison': lambda args: comparison(args.seeds),
     'camera_off': lambda args: camera_off(args.seeds),
     'blind': lambda args: _blind(args),
-    'eyes': lambda args: eyes(args.seeds, args.scenes or tuple(SCENES), args.seconds),
+    'eyes': lambda args: eyes(args.seeds, args.scenes or tuple(SCENES), args.seconds or EYES_S),
     'tracker': lambda args: bag_rows(args.bag) if args.bag else tracker_accuracy(args.seeds),
     'motions': lambda args: motions(),
     'speed': lambda args: speed(args.quick),
     'image_speed': lambda args: image_speed(args.bag),
     'growth': lambda args: growth(args.quick),
     'faults': lambda args: faults(args.seeds, args.only, main, quick=args.quick, report=print_message),
-    'soak': lambda args: soak(args.seeds, _start_calibrator),
+    'soak': lambda args: soak(args.seeds, _start_calibrator, args.seconds or SESSION_S),
     'fleet': lambda args: _fleet(args),
     'references': lambda args: references(args.seeds, args.only, varied=args.varied),
 }
@@ -93,6 +93,11 @@ CASES: dict[str, Callable[[], list[str]]] = {
 
 DEFAULT_BENCHES = ('accuracy', 'comparison', 'speed', 'blind')
 
+EYES_S = 120.0
+"""Length of a recording for `eyes`."""
+MAX_SECONDS = 12.0 * 3600.0
+"""Bound of `--seconds`."""
+
 T = TypeVar('T')
 R = TypeVar('R')
 
@@ -107,7 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--seeds',
         type=whole_number(1),
         default=20,
-        help='number of recordings per case; for soak: of sessions of 5 minutes (default 20)',
+        help='number of recordings per case; for soak: of sessions (default 20)',
     )
     parser.add_argument(
         '--quick', action='store_true', help='compare with the kept figures; with a name, its first case only'
@@ -156,10 +161,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--seconds',
-        type=number(20.0, MAX_DURATION_S, 's'),
-        default=120.0,
+        type=number(20.0, MAX_SECONDS, 's'),
         metavar='S',
-        help='for eyes: length of a recording (120)',
+        help=f'length of a recording for eyes ({EYES_S:g}), of a session for soak ({SESSION_S:g})',
     )
     parser.add_argument(
         '-o', '--out', type=Path, metavar='FILE', help='for growth: write a page with the plots'

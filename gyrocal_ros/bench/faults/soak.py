@@ -10,7 +10,7 @@ import gc
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
 from typing import Any, Protocol, TypeAlias
@@ -35,7 +35,9 @@ from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
 SESSION_S = 300.0
-"""Length of a session."""
+"""Length of a session, unless another one is given."""
+ROW_S = 600.0
+"""Interval of the rows within a long session."""
 SCALE_FACTOR = 0.93
 """True scale factor of the robot, in all sessions."""
 PERIOD_S, FAULT_S, FREE_S = 60.0, 20.0, 120.0
@@ -81,6 +83,8 @@ class Judgement:
     converged: int = 0
     beyond_3_sigma: int = 0
     worst_sigma: float = 0.0
+    faults: list[str] = field(default_factory=list)
+    """Names and sizes of the faults in the meantime."""
 
     def add(self, calibration: Calibration) -> None:
         """Compare a calibration with the truth."""
@@ -92,43 +96,45 @@ class Judgement:
             self.worst_sigma = max(self.worst_sigma, sigma)
 
 
-def soak(sessions: int, start: Start) -> Iterator[dict[str, Any]]:
-    """Run sessions one after the other and yield a row for each.
+def soak(sessions: int, start: Start, session_s: float = SESSION_S) -> Iterator[dict[str, Any]]:
+    """Run sessions one after the other; yield a row for every ten minutes and for each end of a session.
 
     Args:
         sessions: their number; it is also the seed of the faults.
         start: starts the calibrator.
+        session_s: length of a session.
     """
     random = Random(f'soak {sessions}')
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'calibration.yaml'
         for number in range(sessions):
-            judgement, names = Judgement(), list[str]()
-            begin_s = number * SESSION_S
-            _run_session(start(file, begin_s), number, begin_s, random, judgement, names)
-            gc.collect()  # what is left is kept by somebody
-            if file.exists():
-                judgement.add(load_calibration(file))
-            yield {
-                'hours': (number + 1) * SESSION_S / 3600.0,
-                'faults': len(names),
-                'judged': judgement.judged,
-                'converged': judgement.converged,
-                'beyond 3 sigma': judgement.beyond_3_sigma,
-                'worst sigma': judgement.worst_sigma,
-                'memory MB': _resident_bytes() / 1e6,
-                'threads': threading.active_count(),
-                'files': len(list(Path(folder).iterdir())),
-                'last fault': names[-1] if names else '',
-            }
+            begin_s = number * session_s
+            for now_s, judgement in _drive(start(file, begin_s), number, begin_s, session_s, random):
+                if file.exists():
+                    judgement.add(load_calibration(file))
+                gc.collect()  # what is left is kept by somebody
+                yield {
+                    'hours': now_s / 3600.0,
+                    'faults': len(judgement.faults),
+                    'judged': judgement.judged,
+                    'converged': judgement.converged,
+                    'beyond 3 sigma': judgement.beyond_3_sigma,
+                    'worst sigma': judgement.worst_sigma,
+                    'memory MB': _resident_bytes() / 1e6,
+                    'threads': threading.active_count(),
+                    'files': len(list(Path(folder).iterdir())),
+                    'open files': len(list(Path('/proc/self/fd').iterdir())),
+                    'last fault': judgement.faults[-1] if judgement.faults else '',
+                }
 
 
-def _run_session(
-    calibrator: Calibrator, seed: int, begin_s: float, random: Random, judgement: Judgement, names: list[str]
-) -> None:
+def _drive(
+    calibrator: Calibrator, seed: int, begin_s: float, session_s: float, random: Random
+) -> Iterator[tuple[float, Judgement]]:
+    """Drive one session; yield the time and the judgement of every ten minutes, and at the end."""
     scenario = find_scenario('cleaning')
     errors = replace(scenario.errors, scale_factor=SCALE_FACTOR)
-    scenario = replace(scenario, duration_s=SESSION_S, imu_hz=100, camera_hz=10, errors=errors)
+    scenario = replace(scenario, duration_s=session_s, imu_hz=100, camera_hz=10, errors=errors)
     source = SimSource(scenario, seed)
     assert source.rig.camera is not None
     calibrator.transforms(
@@ -138,14 +144,14 @@ def _run_session(
         ]
     )
     calibrator.camera(source.rig.camera, CAMERA_FRAME, begin_s)
-    numbers, memory = np.random.default_rng(seed), dict[str, Any]()
+    numbers, memory, judgement = np.random.default_rng(seed), dict[str, Any](), Judgement()
     fault, size, next_s, second = SemanticFault(()), 0.0, FREE_S, 0
     for sample in source.measurements():
         time_s = (sample.t_ns - source.span.start_ns) / NS_PER_S
         if time_s >= next_s:
             name = random.choice(TRANSIENT)
             fault, size = FAULTS[name], random.choice(FAULTS[name].sizes)
-            names.append(f'{name} {size:g}')
+            judgement.faults.append(f'{name} {size:g}')
             memory, next_s = {}, next_s + PERIOD_S
         since_s = time_s - (next_s - PERIOD_S)
         at = Moment(MIDDLE_S + since_s, size, numbers, memory)
@@ -156,9 +162,13 @@ def _run_session(
             second = int(time_s)
             calibrator.status(begin_s + time_s)
             calibrator.save_if_due(begin_s + time_s)
-            if second % 60 == 0:
+            if second % PERIOD_S == 0:
                 judgement.add(calibrator.calibration)
+            if second % ROW_S == 0:
+                yield begin_s + time_s, judgement
+                judgement = Judgement()
     calibrator.close()
+    yield begin_s + session_s, judgement
 
 
 def _take(calibrator: Calibrator, sample: Measurement, now_s: float) -> None:

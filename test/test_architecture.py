@@ -62,7 +62,6 @@ LIBRARY_HOMES = {
     **dict.fromkeys(ROS, ('nodes',)),
     'rosbags': ('bag', 'msgs'),
     'scipy': (
-        'ekf/positive_definite.py',
         'statistics.py',
         'fleet/comparison.py',
         'fleet/hierarchy.py',

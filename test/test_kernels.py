@@ -207,7 +207,11 @@ MAKERS: tuple[Maker, ...] = (
     weigh,
 )
 ARGUMENTS: dict[str, Maker] = {make.__name__: make for make in MAKERS}
-ARGUMENTS |= {'rotation_from_euler': euler_angles, 'rotation_derivatives': euler_angles}
+ARGUMENTS |= {
+    'whitener': lambda rng, count: (covariance(rng, 2 * count),),
+    'rotation_from_euler': euler_angles,
+    'rotation_derivatives': euler_angles,
+}
 needs_kernels = pytest.mark.skipif(not kernels.TWINS, reason='the compiled kernels were not built')
 
 

@@ -11,7 +11,8 @@ from gyrocal_ros.config.sections import TrackerConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, FeatureObservations, Frame, nanoseconds
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
-from gyrocal_ros.vision.lens_marks import LIFETIME_S, LensMarks, ViewChange
+from gyrocal_ros.vision.dirty_lens import LIFETIME_S
+from gyrocal_ros.vision.lens_marks import LensMarks, ViewChange
 from gyrocal_ros.vision.tracker import Tracker
 
 CAMERA = CameraIntrinsics(640, 480, 250.0, 250.0, 320.0, 240.0, (0.0,) * 5)

@@ -13,7 +13,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.gating import inliers
-from gyrocal_ros.ekf.positive_definite import cholesky, inverse, whiten
+from gyrocal_ros.ekf.positive_definite import inverse, whitener
 from gyrocal_ros.ekf.update import Innovation, mahalanobis, own_precisions
 from gyrocal_ros.errors import IndefiniteCovarianceError
 from gyrocal_ros.kernels import compiled
@@ -224,5 +224,5 @@ def squared_norm(innovation: Innovation, inflation: Array, chosen: IntArray) -> 
     """
     residual = innovation.residual[chosen].ravel()
     covariance = _inflated(innovation, inflation)[chosen][:, :, chosen].reshape((len(residual),) * 2)
-    whitened = whiten(cholesky(covariance), residual)
+    whitened = whitener(covariance) @ residual
     return float(whitened @ whitened)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ClockStep, IntArray, Rig, Span, TruthSample, seconds
+from gyrocal_ros.ekf.growing import GrowingColumn
 from gyrocal_ros.ekf.score_statistics import ScoreRecorder, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.step_record import StepRecord
@@ -168,28 +170,24 @@ class Run:
 
 
 class Recorder:
-    """Collects the steps of a run in memory that grows by some 350 bytes a step."""
+    """Collects the steps of a run in memory that grows by some 500 bytes a step."""
 
     def __init__(self, coefficient_count: int, candidates: tuple[Effect, ...] = ()) -> None:
         self._scores = ScoreRecorder(candidates) if candidates else None
-        self._t_ns: list[int] = []
-        self._times_ns: list[int] = []
-        size = COEFFICIENTS_START + coefficient_count
-        self._rows = np.empty(
-            1024,
-            [
-                ('mean', float, (size,)),
-                ('std', float, (size,)),
-                ('change', float, (1 + coefficient_count,)),
-                ('change_variance', float, (1 + coefficient_count,)),
-                ('suspected_std', float, (1 + coefficient_count,)),
-                ('columns', float, (coefficient_count,)),
-            ]
-            + [(name, float) for name in SCALARS],
-        )
-        self._signals: dict[str, list[float]] = {}
-        self._truth_ns: list[int] = []
-        self._truth: list[tuple[float, float, float, float]] = []
+        robot, learned = (COEFFICIENTS_START + coefficient_count,), (1 + coefficient_count,)
+        self._t_ns, self._times_ns = GrowingColumn(dtype=np.int64), GrowingColumn(dtype=np.int64)
+        self._vectors = {
+            'mean': GrowingColumn(robot),
+            'std': GrowingColumn(robot),
+            'change': GrowingColumn(learned),
+            'change_variance': GrowingColumn(learned),
+            'suspected_std': GrowingColumn(learned),
+            'columns': GrowingColumn((coefficient_count,)),
+        }
+        self._scalars = {name: GrowingColumn() for name in SCALARS}
+        self._signals: dict[str, GrowingColumn] = {}
+        self._truth_ns, self._truth = GrowingColumn(dtype=np.int64), GrowingColumn((4,))
+        self._last_truth_ns = -math.inf
         self._events: list[RunEvent] = []
         self._stepped_ns = 0
 
@@ -199,36 +197,31 @@ class Recorder:
 
     def add(self, record: StepRecord) -> None:
         """Add one step of the filter."""
-        if len(self._times_ns) == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
-        scalars = (read(record) for read in SCALARS.values())
-        self._rows[len(self._times_ns)] = (
-            record.mean,
-            record.std,
-            record.change,
-            record.change_variance,
-            record.suspected_std,
-            record.columns,
-            *scalars,
-        )
+        for name, vectors in self._vectors.items():
+            vectors.append(getattr(record, name))
+        for name, read in SCALARS.items():
+            self._scalars[name].append(read(record))
         for name, values in record.block.covariates.items():
-            column = self._signals.setdefault(name, [])
-            column.extend([np.nan] * (len(self._t_ns) - len(column)))
+            column = self._signals.setdefault(name, GrowingColumn())
+            column.pad(len(self._t_ns))
             column.append(values[-1])
         self._t_ns.append(record.t_ns)
         self._times_ns.append(self.running_ns(record.t_ns))
         if record.event:
             self._events.append(RunEvent(record.t_ns, record.event))
         if self._scores:
-            time_ns, update = self._times_ns[-1] - self._times_ns[0], record.update
-            self._scores.add(time_ns, (record.resting, update.stats), update.by_feature)
+            times_ns, update = self._times_ns.rows(), record.update
+            self._scores.add(
+                int(times_ns[-1] - times_ns[0]), (record.resting, update.stats), update.by_feature
+            )
 
     def add_truth(self, sample: TruthSample) -> None:
         """Add one pose of the ground truth."""
         t_ns = self.running_ns(sample.t_ns)
-        if not self._truth_ns or t_ns - self._truth_ns[-1] >= TRUTH_INTERVAL_NS:
+        if t_ns - self._last_truth_ns >= TRUTH_INTERVAL_NS:
+            self._last_truth_ns = t_ns
             self._truth_ns.append(t_ns)
-            self._truth.append((*sample.position_m, sample.yaw_rad))
+            self._truth.append(np.array([*sample.position_m, sample.yaw_rad]))
 
     def add_clock_step(self, step: ClockStep) -> None:
         """Add a step of the clock: all later stamps are on the new time base."""
@@ -248,13 +241,15 @@ class Recorder:
 
     def history(self) -> History:
         """Return all steps so far."""
-        rows = self._rows[: len(self._times_ns)]
-        signals = [_filled(column, len(rows)) for column in self._signals.values()]
+        count = len(self._t_ns)
+        for column in self._signals.values():
+            column.pad(count)  # one may have ended early, after a step of the clock
+        columns = self._vectors | self._scalars
         return History(
-            t_ns=np.array(self._t_ns, np.int64),
-            time_s=_since_first(self._times_ns, self._times_ns),
-            signals=np.array(signals).T,
-            **{name: np.ascontiguousarray(rows[name]) for name in self._rows.dtype.names or ()},
+            t_ns=self._t_ns.rows(),
+            time_s=_since_first(self._times_ns.rows(), self._times_ns.rows()),
+            signals=np.array([column.rows() for column in self._signals.values()]).T,
+            **{name: column.rows() for name, column in columns.items()},
         )
 
     def scores(self) -> ScoreStatistics | None:
@@ -263,18 +258,13 @@ class Recorder:
 
     def truth(self) -> GroundTruth | None:
         """Return the ground truth so far; None without any."""
-        if len(self._truth_ns) < 2 or not self._times_ns:
+        if len(self._truth_ns) < 2 or not len(self._times_ns):
             return None
-        poses = np.array(self._truth)
-        time_s = _since_first(self._truth_ns, self._times_ns)
+        poses = self._truth.rows()
+        time_s = _since_first(self._truth_ns.rows(), self._times_ns.rows())
         return GroundTruth(time_s, poses[:, :3], np.unwrap(poses[:, 3]))
 
 
-def _since_first(times_ns: list[int], steps_ns: list[int]) -> Array:
+def _since_first(times_ns: IntArray, steps_ns: IntArray) -> Array:
     """Return times in s since the first step."""
-    return (np.array(times_ns, np.int64) - steps_ns[0]) / NS_PER_S if steps_ns else np.empty(0)
-
-
-def _filled(column: list[float], count: int) -> Array:
-    """Pad a column that may have ended early, after a step of the clock, with NaN."""
-    return np.array(column + [np.nan] * (count - len(column)))
+    return (times_ns - steps_ns[0]) / NS_PER_S if len(steps_ns) else np.empty(0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.feature_scores import FeatureScores
-from gyrocal_ros.ekf.positive_definite import cholesky, whiten
+from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, EULER, YAW, State
 from gyrocal_ros.errors import CHECK_THE_SENSORS, FilterDivergedError, IndefiniteCovarianceError
 from gyrocal_ros.kernels import compiled
@@ -337,8 +337,8 @@ def _correct(
         covariance: S (q, q).
         sensitivity: G (q, c).
     """
-    factor, n = cholesky(covariance), len(state.mean)
-    whitened = whiten(factor, np.concatenate([numerator, residual[:, None], sensitivity], axis=1))
+    whitening, n = whitener(covariance), len(state.mean)
+    whitened = whitening @ np.concatenate([numerator, residual[:, None], sensitivity], axis=1)
     gain, score, sensitivities = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
     mean = state.mean + gain.T @ score
     if not np.isfinite(mean).all():
@@ -352,7 +352,7 @@ def _correct(
     stats = UpdateStats(
         nis=float(score @ score),
         dof=len(residual),
-        log_determinant=2.0 * float(np.log(factor.diagonal()).sum()),
+        log_determinant=-2.0 * float(np.log(whitening.diagonal()).sum()),
         information=sensitivities.T @ sensitivities,
         score=sensitivities.T @ score,
     )

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.robust` and `ekf.image_update`, which explain the equations."""
+"""Twins of `ekf.positive_definite`, `ekf.robust` and `ekf.image_update`, which explain the equations."""
 
 from libc.math cimport fabs, sqrt
 
@@ -7,48 +7,55 @@ import numpy as np
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
 
-TWINS = ('fit_heading', 'weigh', 'squared_norm')
+TWINS = ('fit_heading', 'squared_norm', 'weigh', 'whitener')
 
 
-cdef bint invert(double[:, ::1] A, double[:, ::1] inverse) noexcept nogil:
-    """Overwrite a covariance (q, q) by its Cholesky factor L, and write its inverse; return False where it has none.
+cdef bint whiten(double[:, ::1] S, double[:, ::1] W) noexcept nogil:
+    """Write L^-1 of a covariance (q, q), which is overwritten; return False where it has none.
 
-    The rows of L^-1 build up in place of those of the inverse.
+    Rows of S become rows of L^T from above, and the same steps turn the unit matrix into L^-1.
     """
-    cdef Py_ssize_t q = A.shape[0], i, j, l
+    cdef Py_ssize_t q = S.shape[0], i, j, l
     cdef double pivot, factor
     for i in range(q):
         for j in range(q):
-            inverse[i, j] = 0.0
-        inverse[i, i] = 1.0
-    # L by rows from above, and L^-1 with the same steps on the unit matrix.
+            W[i, j] = 0.0
+        W[i, i] = 1.0
     for j in range(q):
-        pivot = A[j, j]
+        pivot = S[j, j]
         if not pivot > 0.0:
             return False
         pivot = 1.0 / sqrt(pivot)
         for l in range(j, q):
-            A[j, l] *= pivot
+            S[j, l] *= pivot
         for l in range(j + 1):
-            inverse[j, l] *= pivot
+            W[j, l] *= pivot
         for i in range(j + 1, q):
-            factor = A[j, i]
+            factor = S[j, i]
             for l in range(i, q):
-                A[i, l] -= factor * A[j, l]
+                S[i, l] -= factor * S[j, l]
             for l in range(j + 1):
-                inverse[i, l] -= factor * inverse[j, l]
-    # S^-1 = L^-T L^-1, row by row from above: row i needs only rows of L^-1 from i on.
+                W[i, l] -= factor * W[j, l]
+    return True
+
+
+cdef bint invert(double[:, ::1] S, double[:, ::1] inverse) noexcept nogil:
+    """Write the inverse of a covariance (q, q), which is overwritten; return False where it has none."""
+    cdef Py_ssize_t q = S.shape[0], i, j, l
+    cdef double factor
+    if not whiten(S, inverse):
+        return False
     for i in range(q):
         for l in range(i + 1):
-            A[i, l] = 0.0
+            S[i, l] = 0.0
     for j in range(q):
         for i in range(j + 1):
             factor = inverse[j, i]
             for l in range(i + 1):
-                A[i, l] += factor * inverse[j, l]
+                S[i, l] += factor * inverse[j, l]
     for i in range(q):
         for l in range(i + 1):
-            inverse[i, l] = inverse[l, i] = A[i, l]
+            inverse[i, l] = inverse[l, i] = S[i, l]
     return True
 
 
@@ -194,3 +201,10 @@ def fit_heading(innovation, Py_ssize_t yaw):
         score += u * residual[f, 0] + v * residual[f, 1]
         variance += u * (noise[f, 0, 0] * u + noise[f, 0, 1] * v) + v * (noise[f, 1, 0] * u + noise[f, 1, 1] * v)
     return score / information, sqrt(variance) / information
+
+
+def whitener(covariance):
+    whitening = np.empty(covariance.shape)
+    if not whiten(np.array(covariance), whitening):
+        raise IndefiniteCovarianceError
+    return whitening

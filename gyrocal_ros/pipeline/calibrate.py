@@ -19,7 +19,7 @@ from gyrocal_ros.model.recording import TEMPERATURE
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.heading_reference import calibrate_by_heading
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
-from gyrocal_ros.vision.lens_marks import LIFETIME_S, MANY_MARKS, MANY_MARKS_TEXT
+from gyrocal_ros.vision.dirty_lens import LIFETIME_S, MANY_MARKS, MANY_MARKS_TEXT
 
 MIN_TURN_RAD = math.radians(45.0)
 """Minimum total turn from which a scale factor can be estimated."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from gyrocal_ros.data import ClockStep, FeatureObservations, Frame, ImuSample, Measurement
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.ekf.stream import SlamStream
-from gyrocal_ros.vision.gyro_aided_tracker import GyroAidedTracker
+
+if TYPE_CHECKING:
+    from gyrocal_ros.vision.gyro_aided_tracker import GyroAidedTracker
 
 
 class VisualSlam:
@@ -53,6 +56,8 @@ class VisualSlam:
         return [*self._track_all(), *self._stream.finish()]
 
     def _first_tracker(self) -> GyroAidedTracker:
+        from gyrocal_ros.vision.gyro_aided_tracker import GyroAidedTracker  # OpenCV is loaded only for images
+
         rig, config = self._slam.rig, self._slam.config
         assert rig.camera is not None
         self._slam.expect_pixel_noise(config.tracker.noise_px)

@@ -16,7 +16,7 @@ import numpy as np
 
 from gyrocal_ros.data import FeatureObservations, Frame, seconds
 from gyrocal_ros.msgs.topics import Role
-from gyrocal_ros.vision.lens_marks import LIFETIME_S, MANY_MARKS, MANY_MARKS_TEXT
+from gyrocal_ros.vision.dirty_lens import LIFETIME_S, MANY_MARKS, MANY_MARKS_TEXT
 
 RECENT_S = 10.0
 """Length of the window of recent counts and events."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gyrocal_ros.data import Array, IntArray, nanoseconds
 from gyrocal_ros.vision.corners import noise_level
+from gyrocal_ros.vision.dirty_lens import LIFETIME_S
 from gyrocal_ros.vision.patches import Patches, extract_patches
 
 REDUCTION = 4
@@ -34,14 +35,6 @@ MIN_CHANGES = 3
 ceiling: only points within a few pixels of the centre of a turn stay so long."""
 STAYED_PX = 1.5
 """Distance from its first place within which a feature has stayed."""
-LIFETIME_S = 300.0
-"""Time after which a mark is forgotten; dust that is still there is soon found again."""
-MANY_MARKS = 8
-"""Marks within `LIFETIME_S` that are reported; a few points of a ceiling are mistaken for marks."""
-MANY_MARKS_TEXT = (
-    'many features stay in the image while the robot moves; '
-    'clean the lens, and keep parts of the robot out of view'
-)
 
 
 class ViewChange:

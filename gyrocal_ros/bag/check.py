@@ -16,7 +16,7 @@ from gyrocal_ros.bag.storage import Storage, open_storage
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds, seconds
 from gyrocal_ros.errors import RecordingError
-from gyrocal_ros.msgs import images, topics
+from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
@@ -97,6 +97,8 @@ def _camera_issues(
     try:
         rig = read_rig(storage, selection, links, config.camera, assumed)
         if topic and rig.camera:
+            from gyrocal_ros.msgs import images  # OpenCV is loaded only for images
+
             images.require_camera_size(images.frame(storage.first_message(topic)), rig.camera, topic.name)
     except RecordingError as error:
         yield BagIssue(Severity.ERROR, 'camera', topic.name if topic else '', error.what, error.todo)

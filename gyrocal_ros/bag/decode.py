@@ -16,7 +16,7 @@ from gyrocal_ros.bag.selection import NEEDED_ROLES, Selection
 from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.data import NS_PER_S, CovariateSample, HeadingSample, Measurement
 from gyrocal_ros.errors import MessageError, RecordingError
-from gyrocal_ros.msgs import clouds, images, topics
+from gyrocal_ros.msgs import clouds, topics
 from gyrocal_ros.msgs.headings import FrameHeading, heading_conversion
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.mounts import into_body_axes
@@ -158,6 +158,8 @@ class MessageDecoder:
         return decode
 
     def _image_decoder(self, topic: Topic) -> Decode:
+        from gyrocal_ros.msgs import images  # OpenCV is loaded only for images
+
         camera = self._geometry.rig.camera
         assert camera, 'images are not selected without camera_info'
 

@@ -1,4 +1,4 @@
-"""Time and memory of the filter alone, and of whole `gyrocal replay` processes."""
+"""Time and memory of the filter alone, and of whole processes beside reading the same bag with rosbags."""
 
 from __future__ import annotations
 
@@ -29,6 +29,18 @@ print(json.dumps([os.waitstatus_to_exitcode(status), cpu_s, usage.ru_maxrss]))
 """
 """Program that starts the measured process: a process inherits the peak memory of its parent, so the parent
 has to be small."""
+READER = """
+import pathlib, sys
+from rosbags.highlevel import AnyReader
+with AnyReader([pathlib.Path(sys.argv[1])]) as reader:
+    for connection, _, raw in reader.messages():
+        reader.deserialize(raw, connection.msgtype)
+"""
+"""Program that does what no replay can do without: it reads and deserialises all messages of a bag."""
+HIDDEN = ('scale_cubic=0.004', 'bias_temperature=0.0005')
+"""Effects of the recording that is improved."""
+MAX_DIAGNOSED_S = 300.0
+"""Longest recording that is diagnosed."""
 SINGLE_THREAD = {'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1'}
 
 
@@ -59,6 +71,8 @@ def filter_alone(scenario: Scenario, repeats: int = 3) -> dict[str, Any]:
         'case': f'filter alone, {scenario.imu_hz} Hz IMU, {scenario.camera_hz} images/s',
         'cpu_s': min(times_s),
         'times_real_time': scenario.duration_s / min(times_s),
+        'times_reading': None,
+        'times_replay': None,
         'peak_mb': None,
     }
 
@@ -69,7 +83,20 @@ def gyrocal_process(*words: str) -> Process:
     Raises:
         RuntimeError: the command failed.
     """
-    command = [sys.executable, '-m', 'gyrocal_ros.cli.main', *words]
+    return _process('-m', 'gyrocal_ros.cli.main', *words)
+
+
+def reading_process(bag: Path) -> Process:
+    """Read and deserialise all messages of a bag with rosbags alone, in a process of its own.
+
+    Raises:
+        RuntimeError: rosbags cannot read the bag.
+    """
+    return _process('-c', READER, str(bag))
+
+
+def _process(*words: str) -> Process:
+    command = [sys.executable, *words]
     launched = subprocess.run(
         [sys.executable, '-c', LAUNCHER, *command],
         stdout=subprocess.PIPE,
@@ -82,28 +109,57 @@ def gyrocal_process(*words: str) -> Process:
     return Process(cpu_s, peak_kb / 1024.0)
 
 
-def whole_process(folder: Path, duration_s: float, images: bool) -> dict[str, Any]:
-    """Write a bag, replay it and return the row of the table."""
+def whole_process(folder: Path, duration_s: float, images: bool) -> Iterator[dict[str, Any]]:
+    """Write a bag, and yield the rows of its replay and, in the shorter recordings, of its diagnosis."""
     kind = 'images' if images else 'features'
     bag = folder / f'{kind}-{duration_s:.0f}'
     scenario = 'filmed' if images else 'cleaning'
     options = ['--images'] if images else []
     gyrocal_process('simulate', str(bag), '--scenario', scenario, '--duration', str(duration_s), *options)
-    process = gyrocal_process('replay', str(bag), '--json')
+    read = reading_process(bag)
+    replayed = gyrocal_process('replay', str(bag), '--json')
+    what = f'{duration_s:.0f} s of {kind}, whole process'
+    yield _row(f'replay of {what}', duration_s, replayed, times_reading=replayed.cpu_s / read.cpu_s)
+    if not images and duration_s <= MAX_DIAGNOSED_S:
+        diagnosed = gyrocal_process('diagnose', str(bag), '--json')
+        yield _row(
+            f'diagnose of {what}', duration_s, diagnosed, times_replay=diagnosed.cpu_s / replayed.cpu_s
+        )
+
+
+def improvement(folder: Path, duration_s: float) -> dict[str, Any]:
+    """Return the row of `gyrocal improve` on a recording with two hidden effects."""
+    bag = folder / 'hidden'
+    hidden = [word for effect in HIDDEN for word in ('--effect', effect)]
+    gyrocal_process('simulate', str(bag), '--scenario', 'cleaning', '--duration', str(duration_s), *hidden)
+    replayed = gyrocal_process('replay', str(bag), '--json')
+    improved = gyrocal_process('improve', str(bag), '--json')
+    case = f'improve of {duration_s:.0f} s of features, two effects, whole process'
+    return _row(case, duration_s, improved, times_replay=improved.cpu_s / replayed.cpu_s)
+
+
+def _row(case: str, duration_s: float, process: Process, **ratios: float) -> dict[str, Any]:
     return {
-        'case': f'replay of {duration_s:.0f} s of {kind}, whole process',
+        'case': case,
         'cpu_s': process.cpu_s,
         'times_real_time': duration_s / process.cpu_s,
+        'times_reading': ratios.get('times_reading'),
+        'times_replay': ratios.get('times_replay'),
         'peak_mb': process.peak_mb,
     }
 
 
 def speed(quick: bool = False) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table: filter alone, then whole processes on temporary bags."""
+    """Yield the rows of the table: filter alone, then whole processes on temporary bags.
+
+    times_reading: processor time over that of reading and deserialising the bag with rosbags alone.
+    times_replay: the same over that of `gyrocal replay`.
+    """
     yield filter_alone(find_scenario('lanes'))
     if quick:
         return
     with tempfile.TemporaryDirectory() as folder:
         for images, durations_s in ((False, (60.0, 300.0, 1200.0)), (True, (60.0, 300.0))):
             for duration_s in durations_s:
-                yield whole_process(Path(folder), duration_s, images)
+                yield from whole_process(Path(folder), duration_s, images)
+        yield improvement(Path(folder), 300.0)

@@ -20,12 +20,12 @@ The rooms, in six bands. A room imports from its own band and from the bands bel
     core   ekf         the filter; `ekf.slam` is the algorithm on one page
            effects     physical effects that a sensor model can contain, one file each
            model       equations of the paper: kinematics, gyro, camera, features
-           kernels     compiled twins of the filter's inner loops, where they were built
            statistics  tests and distributions
     base   config      all settings, declared once
            data        the values that the rooms exchange, with units and shapes
            errors      errors with place and remedy
            files       files that appear complete or not at all
+           kernels     compiled twins of the filter's inner loops, where they were built
 """
 
 __version__ = '0.1.0'

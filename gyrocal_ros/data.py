@@ -12,10 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gyrocal_ros.kernels import compiled
 
 Array: TypeAlias = NDArray[np.floating[Any]]  # float64; the stubs of numpy.linalg promise no more
 IntArray: TypeAlias = NDArray[np.int64]
@@ -32,6 +34,22 @@ def seconds(t_ns: int) -> float:
 def nanoseconds(t_s: float) -> int:
     """Convert a duration in seconds to nanoseconds, rounded to the nearest."""
     return round(t_s * NS_PER_S)
+
+
+T = TypeVar('T')
+
+
+@compiled
+def changed(item: T, /, **values: Any) -> T:
+    """Return a copy of a frozen dataclass with slots where some fields have other values.
+
+    As `dataclasses.replace`, which it is where the kernels were not built, for the steps of the filter:
+    `__post_init__` does not run.
+
+    Raises:
+        TypeError: one of the names is not that of a field.
+    """
+    return replace(item, **values)  # type: ignore[type-var]
 
 
 # --- measurements -------------------------------------------------------------------------------

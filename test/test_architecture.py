@@ -18,8 +18,8 @@ PACKAGE = PROJECT / 'gyrocal_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 
 BANDS = {
-    'base': ('config', 'data', 'errors', 'files'),
-    'core': ('effects', 'ekf', 'kernels', 'model', 'statistics'),
+    'base': ('config', 'data', 'errors', 'files', 'kernels'),
+    'core': ('effects', 'ekf', 'model', 'statistics'),
     'io': ('bag', 'board', 'msgs', 'vision'),
     'lab': ('bench', 'diagnose', 'emulator', 'fleet', 'pipeline', 'report', 'sim'),
     'robot': ('robot',),

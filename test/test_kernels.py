@@ -16,7 +16,7 @@ import pytest
 from contracts import CAMERA, NOISE_PX
 
 from gyrocal_ros import kernels
-from gyrocal_ros.data import Array, CameraIntrinsics
+from gyrocal_ros.data import Array, CameraIntrinsics, WheelSample, changed
 from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
 from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
 from gyrocal_ros.ekf.update import Innovation
@@ -162,6 +162,10 @@ def carry_covariance(rng: np.random.Generator, count: int) -> Arguments:
     )
 
 
+def significances(rng: np.random.Generator, count: int) -> Arguments:
+    return tuple(rng.uniform(0.0, 100.0, (5, count)))
+
+
 def euler_angles(rng: np.random.Generator, count: int) -> Arguments:
     return (rng.normal(size=3),)
 
@@ -203,6 +207,7 @@ MAKERS: tuple[Maker, ...] = (
     predict_inverse_depth,
     project_with_jacobian,
     rate_scatter,
+    significances,
     squared_norm,
     weigh,
 )
@@ -226,9 +231,10 @@ def assert_equal_to_rounding(name: str, arguments: Arguments) -> None:
 
 
 def test_every_kernel_is_compared() -> None:
-    assert set(kernels.REFERENCES) == set(ARGUMENTS)
+    compared = {*ARGUMENTS, changed.__name__}
+    assert set(kernels.REFERENCES) == compared
     if kernels.TWINS:
-        assert set(kernels.TWINS) == set(ARGUMENTS)
+        assert set(kernels.TWINS) == compared
 
 
 @needs_kernels
@@ -259,6 +265,17 @@ def test_innovations_without_coefficients_or_candidates(widths: tuple[int, int, 
 def test_weights_of_pixels_and_of_points(width: int, outliers: int) -> None:
     for seed in range(10):
         assert_equal_to_rounding('weigh', weigh(np.random.default_rng(seed), 9, width, outliers))
+
+
+@pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])
+def test_a_changed_copy(forms: dict[str, Callable[..., Any]]) -> None:
+    if not forms:
+        pytest.skip('the compiled kernels were not built')
+    sample = WheelSample(5, 0.3, 0.1)
+    assert forms['changed'](sample, speed_m_s=0.4) == WheelSample(5, 0.4, 0.1)
+    assert sample == WheelSample(5, 0.3, 0.1)
+    with pytest.raises(TypeError):
+        forms['changed'](sample, speed=0.4)
 
 
 @pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])

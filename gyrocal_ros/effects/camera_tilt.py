@@ -62,6 +62,12 @@ class CameraTilt:
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the rotation of the points, `dm_c = -t x m_c`; the y axis is itself tilted about x."""
         c, s = math.cos(values[0]), math.sin(values[0])
-        about_x = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-        about_y = np.array([[0.0, s, c], [-s, 0.0, 0.0], [-c, 0.0, 0.0]])
-        return seen.by_point @ np.stack([seen.points_c @ about_x, seen.points_c @ about_y], axis=2)
+        # Rows x, y, z of a point; its derivative (3,) by the rotation about x and about y, interleaved.
+        turns = np.array(
+            [
+                [0.0, 0.0, 0.0, s, 0.0, c],
+                [0.0, -s, 0.0, 0.0, -1.0, 0.0],
+                [0.0, -c, 1.0, 0.0, 0.0, 0.0],
+            ]
+        )
+        return seen.by_point @ (seen.points_c @ turns).reshape(-1, 3, 2)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount
+from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, changed
 from gyrocal_ros.model.features.base import PosedCamera, Prediction
 from gyrocal_ros.model.gyro import Correction
 from gyrocal_ros.model.kinematics import PoseStep
@@ -32,7 +32,8 @@ class EffectsByPlace:
     count: int
     """K"""
     prior_means: Array
-    """(K,)"""
+    walks: Array
+    """(K,) prior means and random walks of the coefficients."""
     gyro: Sequence[tuple[GyroEffect, slice]]
     wheels: Sequence[tuple[WheelEffect, slice]]
     ground: Sequence[tuple[GroundEffect, slice]]
@@ -53,10 +54,11 @@ class EffectsByPlace:
 
 def sort_effects(effects: tuple[Effect, ...]) -> EffectsByPlace:
     """Sort effects by place."""
-    means = [item.prior_mean for effect in effects for item in effect.coefficients]
+    coefficients = [item for effect in effects for item in effect.coefficients]
     return EffectsByPlace(
-        count=len(means),
-        prior_means=np.array(means, float),
+        count=len(coefficients),
+        prior_means=np.array([item.prior_mean for item in coefficients], float),
+        walks=np.array([item.walk for item in coefficients], float),
         gyro=placed(effects, 'gyro'),
         wheels=placed(effects, 'wheels'),
         ground=placed(effects, 'ground'),
@@ -95,7 +97,7 @@ def contribute(
         values: (K,) coefficients.
     """
     if effects.wheels or effects.ground:
-        block = replace(block, rate_rad_s=rate_rad_s)
+        block = changed(block, rate_rad_s=rate_rad_s)
     distance: Array | float = 0.0
     drift: Array | float = 0.0
     distance_by = np.zeros((len(block.dt_s), effects.count)) if effects.wheels else None
@@ -153,7 +155,7 @@ def as_exposed(
     velocity = prediction.by_pose @ pose_rate
     readout_s, pace = _readout(effects, view, velocity, values)
     delay_s = readout_s * _rows(view, prediction.expected) / pace
-    return replace(prediction, expected=prediction.expected + velocity * delay_s[:, None])
+    return changed(prediction, expected=prediction.expected + velocity * delay_s[:, None])
 
 
 def measurement_by_values(

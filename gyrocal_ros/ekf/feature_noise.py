@@ -9,11 +9,10 @@ depths, which slides.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.data import Array, IntArray, changed
 from gyrocal_ros.ekf.robust import Judged
 from gyrocal_ros.ekf.state import FeatureNoise, State
 from gyrocal_ros.kernels import compiled
@@ -67,7 +66,7 @@ def learn_noise(state: State, rows: IntArray, judged: Judged, dof: int) -> State
             dof,
         )
     )
-    return replace(state, landmarks=replace(state.landmarks, noise=noise))
+    return changed(state, landmarks=changed(state.landmarks, noise=noise))
 
 
 @compiled

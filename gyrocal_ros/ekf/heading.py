@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig, ReferenceConfig
-from gyrocal_ros.data import Array, HeadingSample, MotionBlock, seconds
+from gyrocal_ros.data import Array, HeadingSample, MotionBlock, changed, seconds
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace
 from gyrocal_ros.ekf.reference_learner import ReferenceLearner
 from gyrocal_ros.ekf.reference_noise import OUTLIER_SIGMA, JumpDetector, JumpsWithTurns, ReferenceNoise
@@ -54,7 +53,7 @@ class HeadingReference:
             return state
         covariance = state.covariance.copy()
         covariance[YAW, YAW] += float(self.noise.walk_rad) ** 2 * duration_s
-        return replace(state, covariance=covariance)
+        return changed(state, covariance=covariance)
 
     @property
     def time_offset_s(self) -> float:
@@ -185,7 +184,7 @@ class HeadingReference:
         covariance, sensitivity = state.covariance.copy(), state.sensitivity.copy()
         covariance[YAW], covariance[:, YAW], sensitivity[YAW] = 0.0, 0.0, 0.0
         covariance[YAW, YAW] = white_rad**2
-        return replace(state, covariance=covariance, sensitivity=sensitivity)
+        return changed(state, covariance=covariance, sensitivity=sensitivity)
 
 
 def reference_noise(config: ReferenceConfig) -> ReferenceNoise:
@@ -201,4 +200,4 @@ def reference_noise(config: ReferenceConfig) -> ReferenceNoise:
 def with_log_likelihood(stats: UpdateStats, log_likelihood: float) -> UpdateStats:
     """Return the statistics of one number with the log-likelihood by its own distribution."""
     log_determinant = -2.0 * log_likelihood - stats.nis - math.log(2.0 * math.pi)
-    return replace(stats, log_determinant=log_determinant)
+    return changed(stats, log_determinant=log_determinant)

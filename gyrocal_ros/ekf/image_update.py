@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions
+from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
 from gyrocal_ros.ekf.effects_by_place import (
     EffectsByPlace,
     as_exposed,
@@ -97,11 +97,12 @@ def update_from_image(
     moved = motion(directions, pixels, state.landmarks, rows, model.view.camera.fx_px)
     new = ~moved.unmoved if model.errors_repeat else np.ones(len(rows), bool)
     state = mark_seen(state, rows[~new])
-    seen = MeasurementUpdate(unmoved=int((~new).sum()), changes_px2=moved.changes_px2[moved.unmoved])
-    if not new.any():
+    count = int(np.count_nonzero(new))
+    seen = MeasurementUpdate(unmoved=len(new) - count, changes_px2=moved.changes_px2[moved.unmoved])
+    if count == 0:
         return state, seen
     unmoved = moved.unmoved
-    if not new.all():
+    if count < len(new):
         each = np.flatnonzero(new)
         rows, known, prediction, directions = rows[each], known[each], prediction[each], directions[each]
         pixels, unmoved = pixels[each], unmoved[each]
@@ -110,24 +111,25 @@ def update_from_image(
     if model.form.is_robust and model.config.camera.estimate_pixel_noise:
         state = learn_noise(state, rows, judged, DOF_PER_FEATURE)
 
-    used = found.innovation if good.all() else found.innovation[np.flatnonzero(good)]
+    used_count = int(np.count_nonzero(good))
+    used = found.innovation if used_count == len(good) else found.innovation[np.flatnonzero(good)]
     heading_rad, heading_std_rad = _as_heading(used)
     stats, by_feature = UpdateStats(), None
-    if good.any():
+    if used_count:
         if model.scored:
             ids, scored = state.landmarks.ids[used.rows], used.sensitivity[:, :, : model.scored]
             by_feature = feature_scores(ids, used.residual, used.covariance, scored)
         state, stats = update(state, used)
-        stats = replace(stats, dof=DOF_PER_FEATURE * len(used.rows))
+        stats = changed(stats, dof=DOF_PER_FEATURE * len(used.rows))
     kept = state
     if not found.rejects_image:
         drop_after = model.config.features.drop_after_rejections
         kept = count_matches(state, rows, good, pixels, directions, drop_after)
     is_in_pixels = model.form.rows == 2
-    return kept, replace(
+    return kept, changed(
         seen,
-        used=int(good.sum()),
-        rejected=int((~good).sum()),
+        used=used_count,
+        rejected=len(good) - used_count,
         dropped=len(state.landmarks.ids) - len(kept.landmarks.ids),
         stats=stats,
         by_feature=by_feature,
@@ -220,7 +222,7 @@ def search_regions(state: State, model: ImageModel) -> SearchRegions:
     if model.form.rows == 3:
         pixels, by_point = project_with_jacobian(model.view.camera, prediction.points_c)
         by_pose, by_feature = by_point @ prediction.by_pose, by_point @ prediction.by_feature
-        prediction = replace(
+        prediction = changed(
             prediction, expected=pixels, by_pose=by_pose, by_feature=by_feature, by_point=by_point
         )
     visible = np.flatnonzero(prediction.points_c[:, 2] > MIN_DEPTH)

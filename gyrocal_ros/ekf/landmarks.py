@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.data import Array, IntArray, changed
 from gyrocal_ros.ekf.state import POSE, Landmarks, State, unknown_noise
 from gyrocal_ros.model.features.base import NewFeatures
 
@@ -61,15 +59,15 @@ def augment(
     if by_candidates is not None:
         sensitivity += by_candidates.reshape(size, -1)
     sensitivity = np.concatenate([state.sensitivity, sensitivity])
-    return replace(state, mean=mean, covariance=covariance, landmarks=landmarks, sensitivity=sensitivity)
+    return changed(state, mean=mean, covariance=covariance, landmarks=landmarks, sensitivity=sensitivity)
 
 
 def keep(state: State, kept: np.ndarray) -> State:
     """Remove the features that are not kept, (m,) bool, with their rows and columns."""
-    if kept.all():
+    if np.count_nonzero(kept) == len(kept):
         return state
     entries = np.concatenate([np.ones(state.robot_size, bool), np.repeat(kept, 3)])
-    return replace(
+    return changed(
         state,
         mean=state.mean[entries],
         covariance=state.covariance[np.ix_(entries, entries)],
@@ -102,14 +100,14 @@ def count_matches(
     last_seen_ns[rows[accepted]] = state.t_ns
     rejections[rows] = np.where(accepted, 0, rejections[rows] + 1)
     last_pixels[rows], last_directions[rows] = pixels, directions
-    landmarks = replace(
+    landmarks = changed(
         old,
         last_seen_ns=last_seen_ns,
         rejections=rejections,
         last_pixels=last_pixels,
         last_directions=last_directions,
     )
-    return keep(replace(state, landmarks=landmarks), rejections < drop_after)
+    return keep(changed(state, landmarks=landmarks), rejections < drop_after)
 
 
 def mark_seen(state: State, rows: IntArray) -> State:
@@ -118,7 +116,7 @@ def mark_seen(state: State, rows: IntArray) -> State:
         return state
     last_seen_ns = state.landmarks.last_seen_ns.copy()
     last_seen_ns[rows] = state.t_ns
-    return replace(state, landmarks=replace(state.landmarks, last_seen_ns=last_seen_ns))
+    return changed(state, landmarks=changed(state.landmarks, last_seen_ns=last_seen_ns))
 
 
 def evict_oldest(state: State, wanted: int, map_size: int) -> State:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig, WheelConfig
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import Array, MotionBlock, changed
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, MotionContribution, contribute, pose_by_values
 from gyrocal_ros.ekf.process_noise import pose_noise, yaw_noise
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
@@ -60,7 +60,7 @@ def with_pose(block: MotionBlock, state: State) -> MotionBlock:
     heading_rad, position_m = path_in_block(
         x_m, y_m, state.mean[YAW], block.rate_rad_s[:, 2], block.dt_s, block.distance_m
     )
-    return replace(block, heading_rad=heading_rad, position_m=position_m)
+    return changed(block, heading_rad=heading_rad, position_m=position_m)
 
 
 @compiled
@@ -123,7 +123,7 @@ def predict(
     noise = _process_noise(block, motion, model)
     noise[YAW, YAW] += float((correction.noise_rad_s * block.dt_s).sum()) ** 2
     covariance = carry_covariance(state.covariance, matrix, noise)
-    after = replace(state, t_ns=block.end_ns, mean=mean, covariance=covariance)
+    after = changed(state, t_ns=block.end_ns, mean=mean, covariance=covariance)
     return after, Transition(matrix, motion, added, rate, yaw_gain)
 
 
@@ -139,7 +139,7 @@ def _differentiated(
     if steady is None or steady is block:
         return added
     at_steady = correct(model.effects.gyro, steady, state.coefficients, memories)
-    return replace(added, correction=replace(added.correction, by_values=at_steady.by_values))
+    return changed(added, correction=changed(added.correction, by_values=at_steady.by_values))
 
 
 @compiled
@@ -187,14 +187,13 @@ def predict_sensitivity(
     sensitivity = state.sensitivity.copy()
     sensitivity[:r] = transition.matrix @ state.sensitivity[:r]
     sensitivity[POSE] += pose_by_values(transition.motion, transition.yaw_gain, added)
-    return replace(state, sensitivity=sensitivity), correction.memories
+    return changed(state, sensitivity=sensitivity), correction.memories
 
 
 def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel) -> Array:
     """Return the covariance (9 + k, 9 + k) that one block adds."""
     duration_s, gyro, wheels = block.duration_s, model.gyro, model.wheels
-    walks = [coefficient.walk for coefficient in model.sensors.coefficients]
-    noise = np.zeros((COEFFICIENTS_START + len(walks),) * 2)
+    noise = np.zeros((COEFFICIENTS_START + model.effects.count,) * 2)
 
     yaw = yaw_noise(model.effects.noise, model.effects.prior_means, gyro, block.rate_rad_s[:, 2])
     density = np.full((3, len(block.dt_s)), math.radians(gyro.rate_noise_deg_s))
@@ -214,7 +213,7 @@ def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel) -> 
     noise[BIAS, BIAS] = math.radians(gyro.bias_walk_deg_s) ** 2 * duration_s * np.eye(3)
     noise[YAW_BIAS, YAW_BIAS] = yaw.bias_walk_rad_s**2 * duration_s
     coefficients = np.arange(COEFFICIENTS_START, len(noise))
-    noise[coefficients, coefficients] = np.square(walks) * duration_s
-    if walks:  # the first coefficient is the scale factor
+    noise[coefficients, coefficients] = model.effects.walks**2 * duration_s
+    if model.effects.count:  # the first coefficient is the scale factor
         noise[COEFFICIENTS_START, COEFFICIENTS_START] += gyro.scale_walk**2 * duration_s
     return noise

@@ -7,11 +7,11 @@ fixed in space, shows far more clearly than by its own innovation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.data import Array, IntArray, changed
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.positive_definite import inverse, whitener
 from gyrocal_ros.ekf.update import Innovation, mahalanobis, own_precisions
@@ -138,14 +138,14 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     inflation, judged = _weights(loose)
     closest = np.argsort(judged.distances)[: (m + 1) // 2]
     tight_nis, loose_nis = (squared_norm(each, inflation, closest) for each in (innovation, loose))
-    if 2 * good.sum() >= m and tight_nis - loose_nis <= pose_gate:
+    if 2 * np.count_nonzero(good) >= m and tight_nis - loose_nis <= pose_gate:
         return by_pose
     if loose_nis < BENT * tight_nis:
         good = inliers(judged.distances, r, outlier_probability)
         judged = each_alone(innovation)  # the pixel noise grows where this goes on
     else:
         good = judged.distances <= gate
-        good &= 2 * good.sum() >= m
+        good &= 2 * np.count_nonzero(good) >= m
     return Consensus(_with_noise(innovation, inflation), judged, good)
 
 
@@ -192,9 +192,9 @@ def weigh(
 
 def _with_noise(innovation: Innovation, inflation: Array) -> Innovation:
     """Return the innovation with inflated noise in its covariance."""
-    if (inflation == 1.0).all():
+    if not np.count_nonzero(inflation != 1.0):
         return innovation
-    return replace(innovation, covariance=_inflated(innovation, inflation))
+    return changed(innovation, covariance=_inflated(innovation, inflation))
 
 
 def _with_looser_pose(innovation: Innovation, std: Array) -> Innovation:
@@ -202,12 +202,12 @@ def _with_looser_pose(innovation: Innovation, std: Array) -> Innovation:
     m, r = innovation.residual.shape
     by_pose = (innovation.prediction.by_pose * std).reshape(m * r, POSE_DOF)
     covariance = innovation.covariance + (by_pose @ by_pose.T).reshape(m, r, m, r)
-    return replace(innovation, covariance=covariance)
+    return changed(innovation, covariance=covariance)
 
 
 def _inflated(innovation: Innovation, inflation: Array) -> Array:
     """Return the covariance (m, r, m, r) with inflated noise."""
-    if (inflation == 1.0).all():
+    if not np.count_nonzero(inflation != 1.0):
         return innovation.covariance
     each = np.arange(len(inflation))
     covariance = innovation.covariance.copy()

@@ -18,10 +18,11 @@ from functools import cached_property
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import Array, MotionBlock, changed
 from gyrocal_ros.ekf.positive_definite import solve
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import UpdateStats, add_lacking
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
 SCALE_CHANGED = 'off what was calibrated before'
@@ -44,6 +45,8 @@ LARGEST_CHANGE = 0.1
 """Change of the scale factor that a gyro may have, by age, temperature and exchange for another."""
 MAX_STD = 0.005
 """Standard deviation of a change from which its window holds part of a turn; without, it holds noise."""
+LEAST_INFORMATION = np.full(COLUMNS, MAX_STD**-2.0)
+"""The same as information; that of the ramp is for a change over `RAMP_S`."""
 CHANGE_SIGMA = 4.5
 """Significance from which a change is real."""
 CHANCE_SIGMA = 3.0
@@ -189,11 +192,9 @@ class ScaleWatch:
             information = np.maximum(left, NOT_SEPARABLE * information)
             score = score - by_others @ others.score
             explained = score**2 / information
-        unexplained = (self._nis - explained) / np.maximum(self._dof, 1.0)
-        sigmas = np.sqrt(explained / np.maximum(unexplained, 1.0))
-        in_columns = np.ones(COLUMNS)
-        in_columns[RAMP] = self._ages_s[RAMP] / RAMP_S  # change so far, in units of the column
-        sigmas[information < (in_columns / MAX_STD) ** 2] = 0.0
+        least = LEAST_INFORMATION.copy()
+        least[RAMP] *= (self._ages_s[RAMP] / RAMP_S) ** 2  # by the change so far, in units of the column
+        unexplained, sigmas = significances(explained, self._nis, self._dof, information, least)
         self._ramp, self._ramp_sigma = float(score[RAMP] / information[RAMP]), float(sigmas[RAMP])
         self._ramp_variance = max(float(unexplained[RAMP]), 1.0) / float(information[RAMP])
         best = int(sigmas[:RAMP].argmax())
@@ -248,7 +249,7 @@ class ScaleWatch:
         state = self._restarted(state, ended)
         sensitivity = state.sensitivity.copy()
         sensitivity[COEFFICIENTS_START, RAMP] += duration_s / RAMP_S
-        return replace(state, sensitivity=sensitivity)
+        return changed(state, sensitivity=sensitivity)
 
     def follow(self, state: State, change: ScaleChange) -> State:
         """Return the state as if the scale factor had been unknown at the beginning of the window.
@@ -279,4 +280,23 @@ class ScaleWatch:
                 sensitivity[COEFFICIENTS_START, RAMP] = 0.0
         for sums in (self._ages_s, self._information, self._score, self._cross, self._nis, self._dof):
             sums[chosen] = 0.0
-        return replace(state, sensitivity=sensitivity)
+        return changed(state, sensitivity=sensitivity)
+
+
+@compiled
+def significances(
+    explained: Array, nis: Array, dof: Array, information: Array, least: Array
+) -> tuple[Array, Array]:
+    """Return the NIS per degree of freedom that changes leave (q,), and their significances (q,) in sigma.
+
+    Args:
+        explained: (q,) part of the NIS that each change explains.
+        nis: (q,) normalised innovation squared in its window.
+        dof: (q,) degrees of freedom.
+        information: (q,) on the change.
+        least: (q,) information below which nothing is significant.
+    """
+    unexplained = (nis - explained) / np.maximum(dof, 1.0)
+    sigmas = np.sqrt(explained / np.maximum(unexplained, 1.0))
+    sigmas[information < least] = 0.0
+    return unexplained, sigmas

@@ -7,7 +7,6 @@ camera, or another heading reference, measures; `EkfSlam.step` takes one block a
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from gyrocal_ros.data import (
     MotionBlock,
     Rig,
     SearchRegions,
+    changed,
     seconds,
 )
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
@@ -125,8 +125,10 @@ class EkfSlam:
         """
         before, update, event = self._warmed(block), MeasurementUpdate(), ''
 
-        self._heading.move(block)
-        self._frozen.move(block)
+        if self._levelling is None:
+            self._frozen.move(block)
+        else:
+            self._heading.move(block)
 
         # Prediction: eq. (10) for the robot, eq. (11) for the features; sensitivities of the candidates.
         block = with_pose(block, before)
@@ -138,7 +140,7 @@ class EkfSlam:
         steady = self._steady.without_noise(block, gyro, is_at_rest=is_at_rest)
         model = FilterModel(self.model, self._effects, gyro, self.config.wheels)
         if self._levelling is not None:
-            model = replace(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
+            model = changed(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
         self.state, transition = predict(before, block, model, self.memories, steady)
         self.memories = transition.contribution.correction.memories
         self._pose_rate = transition.motion.pose_rate
@@ -199,7 +201,7 @@ class EkfSlam:
             self.state,
             block,
             transition,
-            replace(update, stats=update.stats.of_first(self._own_candidates)),
+            changed(update, stats=update.stats.of_first(self._own_candidates)),
             resting.of_first(self._own_candidates),
             self.pixel_noise.std,
             '; '.join(filter(None, (pause, event, finding))),
@@ -236,7 +238,7 @@ class EkfSlam:
         if self.config.camera.estimate_pixel_noise:
             self.pixel_noise.update(update.noise_distances, 2)
             self._repeated.update(update.changes_px2)
-        return replace(update, added=len(new), on_lens=observations.on_lens)
+        return changed(update, added=len(new), on_lens=observations.on_lens)
 
     def _warmed(self, block: MotionBlock) -> State:
         """Return the state; at the first temperature after an earlier calibration, with its change since."""
@@ -296,7 +298,7 @@ class EkfSlam:
 
     def start_at(self, t_ns: int) -> None:
         """Set the time of the first sample, or of the first one of a new time base."""
-        self.state = replace(self.state, t_ns=t_ns)
+        self.state = changed(self.state, t_ns=t_ns)
         if self._to_age is not None:
             self.state = aged(self.state, self.model, self._to_age, self.config.gyro)
             self._to_age = None

@@ -14,7 +14,7 @@ from collections import deque
 from dataclasses import replace
 
 from gyrocal_ros.config.sections import GyroConfig
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import Array, MotionBlock, changed
 from gyrocal_ros.kernels import compiled
 
 CHANGE_SIGMA = 3.0
@@ -81,7 +81,7 @@ class SteadyRate:
         self._mean_rad_s = before + (mean - before) / self._blocks
         rates = block.rate_rad_s.copy()
         rates[:, 2] = before
-        return replace(block, rate_rad_s=rates)
+        return changed(block, rate_rad_s=rates)
 
     def _noise(self, count: int, seen_rad2_s: float, gyro: GyroConfig) -> float:
         """Return the white noise of the rate as a density, (rad/s)^2/Hz: that of the settings or more.

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.data import Array, IntArray, changed
 from gyrocal_ros.ekf.feature_scores import FeatureScores
 from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, EULER, YAW, State
@@ -322,7 +322,7 @@ def add_lacking(state: State, column: int, value: float, std: float) -> State:
     """
     lacking = state.sensitivity[:, column]
     covariance = state.covariance + std**2 * np.outer(lacking, lacking)
-    return replace(state, mean=state.mean + value * lacking, covariance=covariance)
+    return changed(state, mean=state.mean + value * lacking, covariance=covariance)
 
 
 def _correct(
@@ -341,9 +341,9 @@ def _correct(
     whitened = whitening @ np.concatenate([numerator, residual[:, None], sensitivity], axis=1)
     gain, score, sensitivities = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
     mean = state.mean + gain.T @ score
-    if not np.isfinite(mean).all():
+    if not math.isfinite(mean @ mean):
         raise FilterDivergedError('the estimate is no longer finite', todo=CHECK_THE_SENSORS)
-    after = replace(
+    after = changed(
         state,
         mean=mean,
         covariance=state.covariance - gain.T @ gain,

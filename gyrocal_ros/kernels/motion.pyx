@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.rotation`, `model.kinematics`, `ekf.motion`, `ekf.predict`, `ekf.process_noise` and
-`ekf.steady_rate`, which explain the equations."""
+"""Twins of `model.rotation`, `model.kinematics`, `ekf.motion`, `ekf.predict`, `ekf.process_noise`,
+`ekf.scale_watch` and `ekf.steady_rate`, which explain the equations."""
 
 from libc.math cimport cos, fabs, sin, sqrt, tan
 
@@ -16,6 +16,7 @@ TWINS = (
     'rate_scatter',
     'rotation_derivatives',
     'rotation_from_euler',
+    'significances',
 )
 
 
@@ -329,3 +330,15 @@ def rotation_derivatives(const double[:] euler):
     dR[2, 0, 0], dR[2, 0, 1], dR[2, 0, 2] = -sy * cp, -sy * sp * sr - cy * cr, -sy * sp * cr + cy * sr
     dR[2, 1, 0], dR[2, 1, 1], dR[2, 1, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
     return matrices
+
+
+def significances(
+    const double[:] explained, const double[:] nis, const double[:] dof, const double[:] information, const double[:] least
+):
+    cdef Py_ssize_t q = explained.shape[0], i
+    arrays = (np.empty(q), np.empty(q))
+    cdef double[::1] unexplained = arrays[0], sigmas = arrays[1]
+    for i in range(q):
+        unexplained[i] = (nis[i] - explained[i]) / max(dof[i], 1.0)
+        sigmas[i] = 0.0 if information[i] < least[i] else sqrt(explained[i] / max(unexplained[i], 1.0))
+    return arrays

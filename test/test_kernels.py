@@ -162,6 +162,30 @@ def carry_covariance(rng: np.random.Generator, count: int) -> Arguments:
     )
 
 
+def find_ids(rng: np.random.Generator, count: int) -> Arguments:
+    return rng.permutation(3 * count)[: 2 * count], rng.permutation(3 * count)[:count]
+
+
+def of_map(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+    """Return directions and pixels of twice as many features."""
+    return rng.normal(size=(2 * count, 2)), rng.uniform(0.0, 640.0, (2 * count, 2))
+
+
+def motion_in_image(rng: np.random.Generator, count: int) -> Arguments:
+    last_directions, last_pixels = of_map(rng, count)
+    rows = rng.permutation(2 * count)[:count]
+    directions = last_directions[rows] + rng.normal(0.0, 0.002, (count, 2))
+    return directions, last_pixels[rows] + 1.0, last_directions, last_pixels, rows, 250.0, 0.5
+
+
+def matches_counted(rng: np.random.Generator, count: int) -> Arguments:
+    last_directions, last_pixels = of_map(rng, count)
+    last_seen_ns, rejections = rng.integers(0, 10**18, 2 * count), rng.integers(0, 3, 2 * count)
+    rows, accepted = rng.permutation(2 * count)[:count], rng.uniform(size=count) < 0.7
+    matched = rng.normal(size=(2, count, 2))
+    return last_seen_ns, rejections, last_pixels, last_directions, 2 * 10**18, rows, accepted, *matched
+
+
 def significances(rng: np.random.Generator, count: int) -> Arguments:
     return tuple(rng.uniform(0.0, 100.0, (5, count)))
 
@@ -197,11 +221,14 @@ MAKERS: tuple[Maker, ...] = (
     by_radial_coefficients,
     carry_covariance,
     carry_pose,
+    find_ids,
     fit_heading,
     innovation_matrices,
     interpolate,
     intervals,
     learned_noise,
+    matches_counted,
+    motion_in_image,
     path_in_block,
     pose_noise,
     predict_inverse_depth,

@@ -141,10 +141,16 @@ def update_from_image(
 
 def _known(state: State, observations: FeatureObservations) -> tuple[IntArray, IntArray]:
     """Return which observations are of features in the map, and the indices of these features."""
-    row_of = {feature: row for row, feature in enumerate(state.landmarks.ids.tolist())}
-    found = [(i, row_of[feature]) for i, feature in enumerate(observations.ids.tolist()) if feature in row_of]
-    known, rows = np.array(found, np.int64).reshape(-1, 2).T
-    return known, rows
+    places = find_ids(state.landmarks.ids, observations.ids)
+    known = np.flatnonzero(places >= 0)
+    return known, places[known]
+
+
+@compiled
+def find_ids(ids: IntArray, wanted: IntArray) -> IntArray:
+    """Return the index (m,) of each wanted id (m,) among ids (M,); -1 where it is not."""
+    place_of = {feature: place for place, feature in enumerate(ids.tolist())}
+    return np.array([place_of.get(feature, -1) for feature in wanted.tolist()], np.int64)
 
 
 def _innovation(
@@ -185,8 +191,7 @@ def unmapped(state: State, observations: FeatureObservations, map_size: int) -> 
 
     No feature of the map that was just seen is evicted: one known for longer is worth more.
     """
-    known = set(state.landmarks.ids.tolist())
-    new = [i for i, feature in enumerate(observations.ids.tolist()) if feature not in known]
+    new = np.flatnonzero(find_ids(state.landmarks.ids, observations.ids) < 0).tolist()
     just_seen = int(np.count_nonzero(state.landmarks.last_seen_ns == state.t_ns))
     return new[: max(map_size - just_seen, 0)]
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed
 from gyrocal_ros.ekf.state import POSE, Landmarks, State, unknown_noise
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import NewFeatures
 
 
@@ -95,11 +96,17 @@ def count_matches(
         drop_after: number of consecutive outliers at which a feature is removed.
     """
     old = state.landmarks
-    last_seen_ns, rejections = old.last_seen_ns.copy(), old.rejections.copy()
-    last_pixels, last_directions = old.last_pixels.copy(), old.last_directions.copy()
-    last_seen_ns[rows[accepted]] = state.t_ns
-    rejections[rows] = np.where(accepted, 0, rejections[rows] + 1)
-    last_pixels[rows], last_directions[rows] = pixels, directions
+    last_seen_ns, rejections, last_pixels, last_directions = matches_counted(
+        old.last_seen_ns,
+        old.rejections,
+        old.last_pixels,
+        old.last_directions,
+        state.t_ns,
+        rows,
+        accepted,
+        pixels,
+        directions,
+    )
     landmarks = changed(
         old,
         last_seen_ns=last_seen_ns,
@@ -108,6 +115,39 @@ def count_matches(
         last_directions=last_directions,
     )
     return keep(changed(state, landmarks=landmarks), rejections < drop_after)
+
+
+@compiled
+def matches_counted(
+    last_seen_ns: IntArray,
+    rejections: IntArray,
+    last_pixels: Array,
+    last_directions: Array,
+    t_ns: int,
+    rows: IntArray,
+    accepted: np.ndarray,
+    pixels: Array,
+    directions: Array,
+) -> tuple[IntArray, IntArray, Array, Array]:
+    """Return the first four arrays, of all M features of the map, after the matches of an image.
+
+    Args:
+        last_seen_ns: (M,)
+        rejections: (M,)
+        last_pixels: (M, 2)
+        last_directions: (M, 2)
+        t_ns: stamp of the image.
+        rows: (m,) indices of the features matched.
+        accepted: (m,) bool, False for an outlier.
+        pixels: (m, 2) observations.
+        directions: (m, 2) expected directions.
+    """
+    last_seen_ns, rejections = last_seen_ns.copy(), rejections.copy()
+    last_pixels, last_directions = last_pixels.copy(), last_directions.copy()
+    last_seen_ns[rows[accepted]] = t_ns
+    rejections[rows] = np.where(accepted, 0, rejections[rows] + 1)
+    last_pixels[rows], last_directions[rows] = pixels, directions
+    return last_seen_ns, rejections, last_pixels, last_directions
 
 
 def mark_seen(state: State, rows: IntArray) -> State:

@@ -13,6 +13,7 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.state import Landmarks
+from gyrocal_ros.kernels import compiled
 
 MIN_MOTION_PX = 0.5
 """Motion in the image from which errors do not repeat."""
@@ -42,10 +43,44 @@ def motion(directions: Array, pixels: Array, landmarks: Landmarks, rows: IntArra
         rows: (m,) indices of the features.
         focal_px: focal length of the camera.
     """
-    expected_px = focal_px * (directions - landmarks.last_directions[rows])
-    changes_px = pixels - landmarks.last_pixels[rows] - expected_px
-    unmoved = np.hypot(expected_px[:, 0], expected_px[:, 1]) < MIN_MOTION_PX
-    return Motion(unmoved, 0.5 * (changes_px**2).sum(axis=1))
+    return Motion(
+        *motion_in_image(
+            directions,
+            pixels,
+            landmarks.last_directions,
+            landmarks.last_pixels,
+            rows,
+            focal_px,
+            MIN_MOTION_PX,
+        )
+    )
+
+
+@compiled
+def motion_in_image(
+    directions: Array,
+    pixels: Array,
+    last_directions: Array,
+    last_pixels: Array,
+    rows: IntArray,
+    focal_px: float,
+    min_motion_px: float,
+) -> tuple[np.ndarray, Array]:
+    """Return the fields of `Motion`; see `motion`.
+
+    Args:
+        directions: (m, 2)
+        pixels: (m, 2)
+        last_directions: (M, 2) of all features of the map, when they were used last.
+        last_pixels: (M, 2)
+        rows: (m,) indices of the features.
+        focal_px: focal length of the camera.
+        min_motion_px: smallest motion.
+    """
+    expected_px = focal_px * (directions - last_directions[rows])
+    changes_px = pixels - last_pixels[rows] - expected_px
+    unmoved = np.hypot(expected_px[:, 0], expected_px[:, 1]) < min_motion_px
+    return unmoved, 0.5 * (changes_px**2).sum(axis=1)
 
 
 class RepeatedErrors:

@@ -10,12 +10,15 @@ from collections import deque
 
 from gyrocal_ros.data import (
     ClockStep,
+    CovariateSample,
     FeatureObservations,
-    Frame,
     HeadingSample,
+    ImuSample,
     Measurement,
     MotionBlock,
+    TemperatureSample,
     TruthSample,
+    WheelSample,
     nanoseconds,
 )
 from gyrocal_ros.ekf.motion import MotionBuffer
@@ -48,17 +51,17 @@ class Synchroniser:
             filter_ns: time of the filter.
         """
         match measurement:
+            case ImuSample() | WheelSample() | TemperatureSample() | CovariateSample():
+                self.buffer.add(measurement)
+                # Most samples: nothing to do until the next image.
+                return bool(self._waiting) or measurement.t_ns - filter_ns > MAX_BLOCK_NS
             case FeatureObservations() | HeadingSample():
                 self._waiting.append(measurement)
                 return True
             case TruthSample():
                 return False
-            case Frame() | ClockStep():
-                raise TypeError(f'{type(measurement).__name__} is not for the filter')
             case _:
-                self.buffer.add(measurement)
-                # Most samples: nothing to do until the next image.
-                return bool(self._waiting) or measurement.t_ns - filter_ns > MAX_BLOCK_NS
+                raise TypeError(f'{type(measurement).__name__} is not for the filter')
 
     def covered_ns(self) -> int | None:
         """Return the time up to which blocks can be cut; None before the first IMU sample."""

@@ -1,12 +1,21 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.lens`, `model.camera`, `model.features.inverse_depth`, `ekf.feature_noise` and `ekf.update`, which
-explain the equations."""
+"""Twins of `model.lens`, `model.camera`, `model.features.inverse_depth`, `ekf.feature_noise`,
+`ekf.landmarks`, `ekf.image_update`, `ekf.repeated_errors` and `ekf.update`, which explain the equations."""
 
 from libc.math cimport atan, sqrt
 
 import numpy as np
 
-TWINS = ('by_radial_coefficients', 'innovation_matrices', 'learned_noise', 'predict_inverse_depth', 'project_with_jacobian')
+TWINS = (
+    'by_radial_coefficients',
+    'find_ids',
+    'innovation_matrices',
+    'learned_noise',
+    'matches_counted',
+    'motion_in_image',
+    'predict_inverse_depth',
+    'project_with_jacobian',
+)
 
 cdef enum Lens:
     PINHOLE
@@ -278,3 +287,62 @@ def learned_noise(
         w[row] = kept * weights[row] + 1.0
         s[row] = kept * sums[row] + factor * errors[f] / mean
     return new_weights, new_sums
+
+
+def find_ids(const long[:] ids, const long[:] wanted):
+    cdef Py_ssize_t M = ids.shape[0], m = wanted.shape[0], f, place
+    places = np.empty(m, np.int64)
+    cdef long[::1] found = places
+    for f in range(m):
+        found[f] = -1
+        for place in range(M):
+            if ids[place] == wanted[f]:
+                found[f] = place
+    return places
+
+
+def motion_in_image(
+    const double[:, :] directions,
+    const double[:, :] pixels,
+    const double[:, :] last_directions,
+    const double[:, :] last_pixels,
+    const long[:] rows,
+    double focal_px,
+    double min_motion_px,
+):
+    cdef Py_ssize_t m = rows.shape[0], f, i, row
+    cdef double expected, change, square, changes
+    unmoved, changes_px2 = np.empty(m, bool), np.empty(m)
+    cdef unsigned char[::1] is_unmoved = unmoved.view(np.uint8)
+    cdef double[::1] out = changes_px2
+    for f in range(m):
+        row = rows[f]
+        square = changes = 0.0
+        for i in range(2):
+            expected = focal_px * (directions[f, i] - last_directions[row, i])
+            change = pixels[f, i] - last_pixels[row, i] - expected
+            square += expected * expected
+            changes += change * change
+        is_unmoved[f] = sqrt(square) < min_motion_px
+        out[f] = 0.5 * changes
+    return unmoved, changes_px2
+
+
+def matches_counted(
+    last_seen_ns, rejections, last_pixels, last_directions, long t_ns, const long[:] rows, accepted, pixels, directions
+):
+    cdef Py_ssize_t m = rows.shape[0], f, i, row
+    arrays = (last_seen_ns.copy(), rejections.copy(), last_pixels.copy(), last_directions.copy())
+    cdef long[::1] seen_ns = arrays[0], misses = arrays[1]
+    cdef double[:, ::1] at = arrays[2], towards = arrays[3]
+    cdef const unsigned char[:] is_accepted = accepted.view(np.uint8)
+    cdef const double[:, :] observed = pixels, expected = directions
+    for f in range(m):
+        row = rows[f]
+        misses[row] = 0 if is_accepted[f] else misses[row] + 1
+        if is_accepted[f]:
+            seen_ns[row] = t_ns
+        for i in range(2):
+            at[row, i] = observed[f, i]
+            towards[row, i] = expected[f, i]
+    return arrays

@@ -52,6 +52,13 @@ def test_white_noise_and_walk_are_found(white_deg: float, walk_deg: float, outli
     assert (float(found.noise.tail_dof) < 6.0) == (outliers > 0.0)
 
 
+def test_a_white_noise_below_the_step_of_the_walk_is_found() -> None:
+    """With heavy tails none is likeliest."""
+    found = fit_noise(track(white_deg=0.03, walk_deg=0.36, hz=38.0), Config().gyro)
+    assert math.degrees(float(found.noise.white_rad)) == pytest.approx(0.03, rel=0.35)
+    assert float(found.noise.tail_dof) == 30.0
+
+
 @pytest.mark.parametrize('stamp_s', [0.0, 0.005, 0.03])
 def test_the_noise_of_the_stamps_is_found(stamp_s: float) -> None:
     fits = [fit_noise(track(seed, white_deg=0.03, stamp_s=stamp_s), Config().gyro) for seed in range(3)]

@@ -27,6 +27,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.ekf.motion import GAP_NS, PAUSE_NS
 from gyrocal_ros.ekf.reference_bank import NoiseFit
+from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import NotObservableError
@@ -175,8 +176,10 @@ def fit_reference(
             todo='give a reference that does not slip',
         )
     gyro, measured = (config or Config()).gyro, _without_repetitions(readings)
+    noise: ReferenceNoise | None = None
     for _ in range(OFFSET_PASSES):
-        fitted = fit_noise(_track(measured, offset_s, (scale_factor, bias_rad_s)), gyro)
+        fitted = fit_noise(_track(measured, offset_s, (scale_factor, bias_rad_s)), gyro, noise)
+        noise = fitted.noise
         offset_s += fitted.time_offset_s
         scale_factor, bias_rad_s = fitted.scale_factor, fitted.bias_rad_s
     track = _track(readings, offset_s, (scale_factor, bias_rad_s))

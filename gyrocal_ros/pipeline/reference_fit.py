@@ -23,7 +23,11 @@ STAMPS_S = (0.0, 0.004, 0.016, 0.064)
 """Standard deviations of the stamps that are tried; a fine grid has three."""
 COARSE_POINTS, FINE_POINTS = 9, 5
 """Points of a grid in white noise and in random walk; a fine one spans two steps of the one before."""
-REFINEMENTS = 4
+NEAR_SIZE, FINEST_SIZE, MAX_GRIDS = 0.25, 0.125, 12
+"""Half the size of the first grid near a known noise and of the finest, in steps of the coarse one, and
+largest number of fine grids."""
+TINY = 1e-9
+"""Rounding error of a logarithm."""
 WALK_POINTS = 40
 """Points at which the likelihood of the random walk is averaged."""
 
@@ -56,27 +60,46 @@ class HeadingTrack:
         )
 
 
-def fit_noise(track: HeadingTrack, gyro: GyroConfig) -> NoiseFit:
-    """Find the likeliest noise on grids in its parameters, each finer than the last."""
+def fit_noise(track: HeadingTrack, gyro: GyroConfig, near: ReferenceNoise | None = None) -> NoiseFit:
+    """Find the likeliest noise on grids in its parameters, each finer than the last.
+
+    A grid whose best lies at its edge is moved there before a finer one. The coarse grid has the heaviest
+    tails only, with which the noise seems smaller than it is.
+
+    Args:
+        track: the headings.
+        gyro: noise of the gyro.
+        near: noise near the likeliest; None to search everywhere.
+    """
     track = track.thinned(MAX_HEADINGS)
-    white, walk = (
-        np.linspace(math.log(low), math.log(high), COARSE_POINTS)
+    (log_white, white_step), (log_walk, walk_step) = (
+        np.linspace(math.log(low), math.log(high), COARSE_POINTS, retstep=True)
         for low, high in (np.radians(WHITE_DEG), np.radians(WALK_DEG))
     )
-    best = _likeliest(track, grid(white, walk, TAIL_DOFS[:1], STAMPS_S), gyro)
-    ratio = 2.0
-    for _ in range(REFINEMENTS):
-        white, walk = (
-            np.linspace(math.log(value) - step, math.log(value) + step, FINE_POINTS)
-            for value, step in (
-                (best.noise.white_rad, white[1] - white[0]),
-                (best.noise.walk_rad, walk[1] - walk[0]),
-            )
-        )
-        stamp_s = float(best.noise.stamp_s)
-        stamps_s = np.unique([stamp_s / ratio, stamp_s, stamp_s * ratio]).tolist()
-        best, ratio = _likeliest(track, grid(white, walk, TAIL_DOFS, stamps_s), gyro), math.sqrt(ratio)
-    return replace(best, noise=_mean_noise(track, best.noise, gyro))
+    noise, size = near, NEAR_SIZE
+    if noise is None:
+        noise, size = _likeliest(track, grid(log_white, log_walk, TAIL_DOFS[:1], STAMPS_S), gyro).noise, 1.0
+    for _ in range(MAX_GRIDS):
+        steps = size * np.linspace(-1.0, 1.0, FINE_POINTS)
+        white = math.log(noise.white_rad) + white_step * steps
+        walk = math.log(noise.walk_rad) + walk_step * steps
+        stamps_s = np.unique(float(noise.stamp_s) * 2.0 ** (size * np.array([-1.0, 0.0, 1.0]))).tolist()
+        best = _likeliest(track, grid(white, walk, TAIL_DOFS, stamps_s), gyro)
+        noise, is_inside = best.noise, _is_inside(best.noise, white, walk)
+        if is_inside and size <= FINEST_SIZE:
+            break
+        size *= 0.5 if is_inside else 1.0
+    return replace(best, noise=_mean_noise(track, noise, gyro))
+
+
+def _is_inside(noise: ReferenceNoise, log_white: Array, log_walk: Array) -> bool:
+    """Return True if a noise is not at the edge of a grid, or is so small that it does not count."""
+    low_white, low_walk = math.radians(WHITE_DEG[0]), math.radians(WALK_DEG[0])
+    pairs = ((float(noise.white_rad), low_white, log_white), (float(noise.walk_rad), low_walk, log_walk))
+    return all(
+        value <= low or log_axis[0] + TINY < math.log(value) < log_axis[-1] - TINY
+        for value, low, log_axis in pairs
+    )
 
 
 def _mean_noise(track: HeadingTrack, likeliest: ReferenceNoise, gyro: GyroConfig) -> ReferenceNoise:

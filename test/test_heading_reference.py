@@ -10,9 +10,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ClockStep, HeadingSample, ImuSample, Measurement
+from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import NotObservableError
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.pipeline.heading_reference import ReferenceFit, fit_reference
+from gyrocal_ros.sim.references import ReferenceSource
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.sensors import SensorErrors
+from gyrocal_ros.sim.world import SimSource
 
 SCALE_FACTOR, BIAS_RAD_S = 0.94, math.radians(0.3)
 IMU_HZ, REFERENCE_HZ, DURATION_S = 50.0, 5.0, 80.0
@@ -124,3 +132,16 @@ def test_the_fit_goes_on_after_a_step_of_the_clock() -> None:
     found = fit_reference([*samples[:half], step, *later], 'a recording')
     assert found.scale_factor == pytest.approx(SCALE_FACTOR, rel=2e-3)
     assert found.bias_rad_s == pytest.approx(BIAS_RAD_S, abs=2e-3)
+
+
+def test_the_bias_is_as_doubtful_as_the_gyro_is_noisy() -> None:
+    """With the noise of the settings alone a noisy gyro seemed as well known at rest as a quiet one."""
+
+    def bias_std(times: float) -> float:
+        errors = replace(SensorErrors(), rate_noise_deg_s=times * SensorErrors().rate_noise_deg_s)
+        changed = replace(find_scenario('rest_and_go'), duration_s=40.0, imu_hz=100, errors=errors)
+        source = ReferenceSource(SimSource(changed, 2), 'lidar')
+        return float(conclude(calibrate(source, Config(), default_model())).stds[0])
+
+    quiet, usual, noisy = bias_std(0.4), bias_std(1.0), bias_std(3.0)
+    assert quiet < 0.8 * usual and noisy > 2.0 * usual

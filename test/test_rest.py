@@ -1,14 +1,17 @@
-"""Detection of rest."""
+"""Detection of rest, and the noise meanwhile."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from contracts import eventful_block
 
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import MotionBlock, nanoseconds
-from gyrocal_ros.ekf.rest import RestDetector
+from gyrocal_ros.ekf.rest import RestDetector, RestNoise
 
 SETTLE_S = 0.5
 
@@ -43,3 +46,44 @@ def test_motion_or_a_gap_restarts_the_settling_time(interruption: dict[str, floa
     interrupted = block(0.6, 0.7, **interruption)  # type: ignore[arg-type]
     found = at_rest(block(0.0, 0.6), interrupted, block(0.7, 1.1), block(1.1, 1.3))
     assert found == [True, False, False, True]
+
+
+USUAL_RAD_S = math.radians(0.009)
+
+
+def rest_noise(noise_rad_s: float, step_rad_s: float = 0.0, *, rests: int = 8, seed: int = 0) -> RestNoise:
+    """Return the noise after some rests of 3 s, read at 100 Hz, with turns between them."""
+    rng, noise = np.random.default_rng(seed), RestNoise(USUAL_RAD_S)
+    for number in range(rests):
+        for step in range(31):
+            readings = 0.1 * number + noise_rad_s * math.sqrt(100.0) * rng.standard_normal(10)
+            if step_rad_s > 0.0:
+                readings = np.round(readings / step_rad_s) * step_rad_s
+            part = replace(block(0.1 * step, 0.1 * (step + 1)), dt_s=np.full(10, 0.01))
+            part = replace(part, rate_rad_s=np.stack([readings * 0.0, readings * 0.0, readings], axis=1))
+            noise.add(part, is_at_rest=step < 30)
+    return noise
+
+
+@pytest.mark.parametrize('factor', [0.5, 1.0, 2.0, 5.0])
+def test_the_noise_at_rest_is_that_of_the_readings(factor: float) -> None:
+    found = rest_noise(factor * USUAL_RAD_S).density_rad_s
+    assert found == pytest.approx(factor * USUAL_RAD_S, rel=0.25)
+
+
+def test_a_change_of_the_bias_between_rests_is_no_noise() -> None:
+    assert rest_noise(USUAL_RAD_S, rests=20).density_rad_s < 1.2 * USUAL_RAD_S
+
+
+def test_readings_that_repeat_do_not_show_the_noise() -> None:
+    """A bias may lie anywhere between two steps."""
+    assert rest_noise(0.1 * USUAL_RAD_S, math.radians(0.1)).density_rad_s == pytest.approx(USUAL_RAD_S)
+
+
+@pytest.mark.parametrize('factor', [0.5, 2.0])
+def test_the_noise_at_rest_is_split_into_that_of_the_gyro_and_the_sway(factor: float) -> None:
+    noise, gyro = RestNoise(factor * USUAL_RAD_S), Config().gyro
+    quieter, std = noise.split(gyro, 1e-4, 0.25)
+    total_rad2 = math.radians(quieter.rate_noise_deg_s) ** 2 * 0.25 + std[2] ** 2
+    assert total_rad2 == pytest.approx((factor * USUAL_RAD_S) ** 2 * 0.25)
+    assert quieter.rate_noise_deg_s <= gyro.rate_noise_deg_s and std[0] == std[1] == pytest.approx(5e-5)

@@ -40,7 +40,7 @@ from gyrocal_ros.ekf.levelling import Levelling, unlevelled
 from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch
 from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
-from gyrocal_ros.ekf.rest import RestDetector
+from gyrocal_ros.ekf.rest import RestDetector, RestNoise
 from gyrocal_ros.ekf.scale_watch import ScaleChanges, ScaleWatch
 from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
 from gyrocal_ros.ekf.state import SCALE, YAW_BIAS, State
@@ -112,6 +112,8 @@ class EkfSlam:
         self._rest, self._map_watch, self._motion_gate = RestDetector(), MapWatch(), MotionGate()
         self._steady, self._frozen = SteadyRate(), FrozenCamera()
         self._heading = HeadingReference(config.reference, config.gyro)
+        sway_deg = config.rest.rotation_noise_deg
+        self._rest_noise = RestNoise(math.radians(math.hypot(config.gyro.rate_noise_deg_s, sway_deg)))
         self._levelling: Levelling | None = None
         if rig.camera is None:
             self._levelling, self.state = Levelling(), unlevelled(self.state)
@@ -138,6 +140,12 @@ class EkfSlam:
         gyro = self._scale_watch.walk(gyro)
         is_at_rest = self._rest.is_at_rest(block, self.config.rest.settle_s)
         steady = self._steady.without_noise(block, gyro, is_at_rest=is_at_rest)
+        sway_rad = math.radians(self.config.rest.rotation_noise_deg)
+        sway: Array | float = sway_rad
+        if self._levelling is not None:
+            if is_at_rest:  # images see the sway between them; beside headings it is noise of the gyro
+                gyro, sway = self._rest_noise.split(gyro, sway_rad, block.duration_s)
+            self._rest_noise.add(block, is_at_rest=is_at_rest)
         model = FilterModel(self.model, self._effects, gyro, self.config.wheels)
         if self._levelling is not None:
             model = changed(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
@@ -152,12 +160,8 @@ class EkfSlam:
         # Zero-rate update: a robot that stands still does not turn.
         resting = UpdateStats()
         if is_at_rest:
-            std = math.radians(self.config.rest.rotation_noise_deg)
-            if self._levelling is not None:
-                # Images see the sway between them; that against a heading reference is part of its noise.
-                std *= math.sqrt(min(block.duration_s, 1.0))
             gate = chi_square_quantile(1.0 - self.config.features.outlier_probability, 3)
-            self.state, resting = zero_rate_update(before, self.state, transition.matrix, std, gate)
+            self.state, resting = zero_rate_update(before, self.state, transition.matrix, sway, gate)
 
         # A heading reference wanders also at rest, and its frame is that of the heading.
         self.state = self._heading.wander(self.state, block.duration_s)

@@ -13,6 +13,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ImuSample, Measurement, Source, seconds
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.scale_watch import (
+    CHANCE_SIGMA,
     CHANGE_SIGMA,
     COLUMNS,
     DRIFT_STD,
@@ -20,6 +21,7 @@ from gyrocal_ros.ekf.scale_watch import (
     RAMP,
     RAMP_S,
     SCALE_CHANGED,
+    USUAL_DRIFT_STD,
     WINDOWS_S,
     ScaleWatch,
 )
@@ -199,9 +201,11 @@ def test_the_ramp_grows_at_a_constant_rate() -> None:
     assert state.sensitivity[COEFFICIENTS_START, RAMP] == pytest.approx(0.3)
 
 
-def suspected_std(ramp: float, std: float) -> float:
+def suspected_std(ramp: float, std: float, chance_drift_std: float = DRIFT_STD) -> float:
     """Return what a ramp adds at its end, where the filter has corrected nothing of it."""
-    watch, state = some_watch()
+    state = initial_state(default_model(), Config(), None, COLUMNS)
+    watch = ScaleWatch(state, chance_drift_std=chance_drift_std)
+    state = watch.begin(state)
     watch.add(RAMP_S - 2.0, ())
     state = watch.renew(state, RAMP_S)
     alone = np.zeros(COLUMNS)
@@ -226,6 +230,14 @@ def test_a_drift_that_is_not_sure_adds_what_the_ramp_shows_beyond_noise() -> Non
 def test_a_ramp_that_is_hardly_known_adds_no_more_than_a_gyro_drifts() -> None:
     assert suspected_std(0.04, 0.01) <= 2.0 * DRIFT_STD
     assert suspected_std(0.04, 0.001) == pytest.approx(0.04, rel=0.05), 'a sure one adds all of it'
+
+
+def test_a_ramp_by_chance_beside_a_heading_reference_adds_what_a_usual_gyro_drifts() -> None:
+    """Of a hundred lidars fifteen have such a ramp."""
+    usual, by_camera = suspected_std(0.0082, 0.0045, USUAL_DRIFT_STD), suspected_std(0.0082, 0.0045)
+    assert usual < 1.2 * USUAL_DRIFT_STD < 0.25 * by_camera
+    significant = 0.0045 * 1.01 * CHANCE_SIGMA
+    assert suspected_std(significant, 0.0045, USUAL_DRIFT_STD) == suspected_std(significant, 0.0045)
 
 
 @pytest.mark.parametrize('is_ramp', [False, True])

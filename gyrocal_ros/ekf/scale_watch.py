@@ -37,6 +37,9 @@ COLUMNS, RAMP = len(LENGTHS_S), -1
 """Number of columns, and the place of the ramp."""
 DRIFT_STD = 0.005
 """Largest standard deviation of the drift of a scale factor over `RAMP_S` while the ramp is hardly known."""
+USUAL_DRIFT_STD = 0.001
+"""The same of a usual gyro: 0.01 % per K (`gyro.scale_temperature_std`) and 10 K of warm-up. Beside a heading
+reference it bounds a ramp that chance explains: a random walk of headings is full of such ramps."""
 FASTEST_DRIFT = 0.02
 """Drift over `RAMP_S` beyond which a change was not one: within a single turn, steps look like ramps."""
 ABSORBED = 0.2
@@ -135,9 +138,11 @@ class ScaleWatch:
     Args:
         state: initial state of the filter.
         others: number of columns before, of errors that are tested beside, as those of the camera.
+        chance_drift_std: bound of a drift that chance explains, see `USUAL_DRIFT_STD`.
     """
 
-    def __init__(self, state: State, others: int = 0) -> None:
+    def __init__(self, state: State, others: int = 0, chance_drift_std: float = DRIFT_STD) -> None:
+        self._chance_drift_std = chance_drift_std
         self._first = state.sensitivity.shape[1] - COLUMNS
         self._others = slice(self._first - others, self._first)
         self._cross = np.zeros((COLUMNS, others))
@@ -218,12 +223,14 @@ class ScaleWatch:
         """Return what a drift that is not sure adds to the standard deviation of the scale factor.
 
         The variance p of the drift is what the ramp suggests (empirical Bayes, Morris 1983), at most that of
-        a gyro. A ramp counts from 1.4 times its standard deviation: the price of one more parameter (Akaike
-        1974), or every clean recording would pay. A change that was a ramp may go on.
+        a gyro. A ramp counts from 1.4 times its standard
+        deviation: the price of one more parameter (Akaike 1974), or every clean recording would pay. A change
+        that was a ramp may go on.
         """
         r, v = self._ramp, self._ramp_variance
         is_measured = self._ramp_sigma > 1.0 and self._ages_s[RAMP] >= JUMP_S
-        p = min(r**2 - 2.0 * v, DRIFT_STD**2) if is_measured else 0.0
+        largest = DRIFT_STD if self._ramp_sigma > CHANCE_SIGMA else self._chance_drift_std
+        p = min(r**2 - 2.0 * v, largest**2) if is_measured else 0.0
         p = max(p, self._drift**2)
         if p == 0.0:
             return 0.0

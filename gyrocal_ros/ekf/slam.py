@@ -41,7 +41,7 @@ from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch
 from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector, RestNoise
-from gyrocal_ros.ekf.scale_watch import ScaleChanges, ScaleWatch
+from gyrocal_ros.ekf.scale_watch import DRIFT_STD, USUAL_DRIFT_STD, ScaleChanges, ScaleWatch
 from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
 from gyrocal_ros.ekf.state import SCALE, YAW_BIAS, State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
@@ -98,7 +98,8 @@ class EkfSlam:
         self._unknown_std = np.sqrt(initial_state(model, config, None, 0).covariance.diagonal()[YAW_BIAS:])
         self._to_age = self._to_warm = start
         self._camera_watch = CameraWatch(self._own_candidates) if tests_camera else None
-        self._scale_watch = ScaleWatch(self.state, CameraWatch.count if tests_camera else 0)
+        chance_drift_std = USUAL_DRIFT_STD if rig.camera is None else DRIFT_STD
+        self._scale_watch = ScaleWatch(self.state, CameraWatch.count if tests_camera else 0, chance_drift_std)
         self._follows_changes = follows_changes
         self.state = self._scale_watch.begin(self.state)
         self._pause = ''

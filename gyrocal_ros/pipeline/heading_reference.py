@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from operator import attrgetter
 
 import numpy as np
 
-from gyrocal_ros.config.sections import Config
+from gyrocal_ros.config.sections import Config, GyroConfig
 from gyrocal_ros.data import (
     NS_PER_S,
     Array,
@@ -23,7 +22,6 @@ from gyrocal_ros.data import (
     Measurement,
     Source,
     Span,
-    nanoseconds,
 )
 from gyrocal_ros.ekf.motion import GAP_NS, PAUSE_NS
 from gyrocal_ros.ekf.reference_bank import NoiseFit
@@ -33,6 +31,12 @@ from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import NotObservableError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.reference_fit import HeadingTrack, fit_noise
+from gyrocal_ros.pipeline.reference_smoothing import (
+    find_time_constant,
+    low_passed,
+    turned_rad,
+    with_true_headings,
+)
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
 from gyrocal_ros.statistics import robust_std
 
@@ -79,6 +83,8 @@ class ReferenceFit:
     """Degrees of freedom of the Student t distribution of its errors."""
     stamp_noise_s: float
     """Standard deviation of its stamps."""
+    time_constant_s: float = 0.0
+    """Time constant of the low pass by which it smooths its headings; the time offset includes its delay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +126,8 @@ def calibrate_by_heading(
         FilterDivergedError: the measurements contradict the model beyond repair.
     """
     fitted = fit_reference(source.measurements(), source.name, config)
-    stream = _with_headings_on_time(source.measurements(), fitted.time_offset_s)
+    correction = fitted.time_offset_s, fitted.time_constant_s, fitted.scale_factor
+    stream = with_true_headings(source.measurements(), *correction)
     run = run_filter(
         source, stream, with_noise(config, fitted), model, start, report, candidates, follows_changes
     )
@@ -176,32 +183,45 @@ def fit_reference(
             todo='give a reference that does not slip',
         )
     gyro, measured = (config or Config()).gyro, _without_repetitions(readings)
+    fitted, offset_s = _fit_noise_and_offset(measured, offset_s, (scale_factor, bias_rad_s), gyro)
+    estimate = fitted.scale_factor, fitted.bias_rad_s
+
+    def behind(time_constant_s: float) -> HeadingTrack:
+        return _track(_smoothed(measured, time_constant_s), offset_s - time_constant_s, estimate)
+
+    time_constant_s = find_time_constant(behind, fitted.noise, gyro)
+    if time_constant_s > 0.0:
+        smooth = _smoothed(measured, time_constant_s)
+        fitted, pure_s = _fit_noise_and_offset(smooth, offset_s - time_constant_s, estimate, gyro)
+        readings, estimate = _smoothed(readings, time_constant_s), (fitted.scale_factor, fitted.bias_rad_s)
+        offset_s = pure_s + time_constant_s
+    track = _track(readings, offset_s - time_constant_s, estimate)
+    misfit_rad = _misfit_rad(track, fitted.jumps_s)
+    return replace(_as_fit(fitted, offset_s, misfit_rad), time_constant_s=time_constant_s)
+
+
+def _fit_noise_and_offset(
+    readings: _Readings, offset_s: float, estimate: tuple[float, float], gyro: GyroConfig
+) -> tuple[NoiseFit, float]:
+    """Return the likeliest noise, and the time offset.
+
+    Args:
+        readings: gyro and reference.
+        offset_s: time offset, roughly.
+        estimate: scale factor and bias (rad/s), roughly.
+        gyro: noise of the gyro.
+    """
     noise: ReferenceNoise | None = None
     for _ in range(OFFSET_PASSES):
-        fitted = fit_noise(_track(measured, offset_s, (scale_factor, bias_rad_s)), gyro, noise)
-        noise = fitted.noise
+        fitted = fit_noise(_track(readings, offset_s, estimate), gyro, noise)
+        noise, estimate = fitted.noise, (fitted.scale_factor, fitted.bias_rad_s)
         offset_s += fitted.time_offset_s
-        scale_factor, bias_rad_s = fitted.scale_factor, fitted.bias_rad_s
-    track = _track(readings, offset_s, (scale_factor, bias_rad_s))
-    return _as_fit(fitted, offset_s, _misfit_rad(track, fitted.jumps_s))
+    return fitted, offset_s
 
 
-def _with_headings_on_time(measurements: Iterable[Measurement], offset_s: float) -> Iterator[Measurement]:
-    """Yield the measurements with the stamps of the headings corrected, sorted on each time base."""
-    on_base: list[Measurement] = []
-    for sample in measurements:
-        if isinstance(sample, ClockStep):
-            yield from sorted(on_base, key=attrgetter('t_ns'))
-            yield sample
-            on_base.clear()
-        else:
-            on_base.append(on_time(sample, offset_s) if isinstance(sample, HeadingSample) else sample)
-    yield from sorted(on_base, key=attrgetter('t_ns'))
-
-
-def on_time(sample: HeadingSample, offset_s: float) -> HeadingSample:
-    """Return the sample with its stamp corrected."""
-    return replace(sample, t_ns=sample.t_ns - nanoseconds(offset_s))
+def _smoothed(readings: _Readings, time_constant_s: float) -> _Readings:
+    """Return the readings with the turn by the gyro behind a low pass."""
+    return replace(readings, turned_rad=low_passed(readings.imu_s, readings.turned_rad, time_constant_s))
 
 
 def _read(measurements: Iterable[Measurement], where: str) -> _Readings:
@@ -224,9 +244,7 @@ def _read(measurements: Iterable[Measurement], where: str) -> _Readings:
     start_ns = imu[0][0]
     imu_s, rate = _columns(imu, start_ns)
     heading_s, yaw = _columns(headings, start_ns)
-    interval_s = np.diff(imu_s)
-    turns = np.where(interval_s > PAUSE_NS / NS_PER_S, 0.0, 0.5 * (rate[1:] + rate[:-1]) * interval_s)
-    turned = np.concatenate([[0.0], np.cumsum(turns)])
+    turned = turned_rad(imu_s, rate)
     if _turned_to_and_fro_rad(imu_s, turned) < MIN_TURN_RAD:
         raise NotObservableError(
             'no turns, so the scale factor cannot be known', where=where, todo='record two turns each way'
@@ -357,6 +375,10 @@ def _reference_events(fitted: ReferenceFit, span: Span, run: Run) -> Iterator[Ru
             f'the reference is stamped {offset_ms:.1f} +- {std_ms:.1f} ms too {late}, or the gyro lags; this '
             'is corrected',
         )
+    if fitted.time_constant_s > 0.0:
+        lag_ms = fitted.time_constant_s * 1e3
+        text = f'the reference smooths its headings (time constant {lag_ms:.0f} ms); this is corrected'
+        yield RunEvent(span.start_ns, text)
     outliers = int(run.history.rejected.sum())
     if outliers:
         text = f'outliers among the headings of the reference, which count little: {outliers}'

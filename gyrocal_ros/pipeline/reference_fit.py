@@ -111,6 +111,14 @@ def _mean_noise(track: HeadingTrack, likeliest: ReferenceNoise, gyro: GyroConfig
     return _filtered(track, noise, gyro).mean_noise()
 
 
+def log_likelihood_of(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> float:
+    """Return the log-likelihood of a track with a known noise."""
+    known = ReferenceNoise(
+        *(np.array([value]) for value in (noise.white_rad, noise.walk_rad, noise.tail_dof, noise.stamp_s))
+    )
+    return _filtered(track.thinned(MAX_HEADINGS), known, gyro).likeliest().log_likelihood
+
+
 def _likeliest(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> NoiseFit:
     """Return the likeliest of m alternatives of the noise."""
     return _filtered(track, noise, gyro).likeliest()

@@ -16,7 +16,7 @@ from gyrocal_ros.data import HeadingSample, nanoseconds
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.effects_by_place import sort_effects
 from gyrocal_ros.ekf.heading import HeadingReference
-from gyrocal_ros.ekf.reference_noise import JUMP_HEADINGS, JUMP_S, JumpsWithTurns
+from gyrocal_ros.ekf.reference_noise import JUMP_HEADINGS, JUMP_S, JumpDetector, JumpsWithTurns
 from gyrocal_ros.ekf.state import YAW, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, heading_innovation, heading_update
 
@@ -183,3 +183,18 @@ def test_the_log_likelihood_is_that_of_a_student_t_variable() -> None:
     _, update = updated(aligned(), certain(), 3.0 * STD)
     expected = float(student_t.logpdf(3.0 * STD, df=4.0, scale=STD))
     assert update.stats.log_likelihood == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize('sigma', [6.0, -6.0, 8.0])
+def test_a_jump_of_a_few_sigma_is_noticed_through_the_noise(sigma: float) -> None:
+    """Some of its headings are no outliers; they stay on its side."""
+    deviations = sigma + np.random.default_rng(1).normal(size=30)
+    deviations[0] = sigma
+    detector = JumpDetector()
+    assert any(detector.update(np.array([value]), 0.1)[1][0] for value in deviations[:13])
+
+
+def test_noise_and_outliers_are_no_jumps() -> None:
+    rng, detector = np.random.default_rng(2), JumpDetector()
+    wide = np.where(rng.random(20_000) < 0.1, 6.0, 1.0) * rng.normal(size=20_000)
+    assert not any(detector.update(np.array([value]), 0.1)[1][0] for value in wide)

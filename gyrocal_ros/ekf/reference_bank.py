@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.reference_noise import JUMP_LOG_PRIOR, OUTLIER_SIGMA, JumpDetector, ReferenceNoise
+from gyrocal_ros.ekf.reference_noise import JUMP_LOG_PRIOR, JumpDetector, ReferenceNoise
 
 PRIOR_STDS = (math.pi, math.radians(5.0), 0.2, 0.05)
 """Prior standard deviations: heading (rad), bias (rad/s), scale factor, time offset (s)."""
@@ -116,7 +116,7 @@ class ReferenceBank:
         distance = residual**2 / variance
         # Outliers count when it is known that they were no jump.
         self._outlying += self._noise.log_likelihood(variance, distance)
-        is_known = (distance <= OUTLIER_SIGMA**2) | has_jumped
+        is_known = ~self._jumps.are_apart
         self._log_likelihood[is_known] += self._outlying[is_known]
         self._outlying[is_known] = 0.0
 

@@ -18,8 +18,11 @@ from gyrocal_ros.data import Array, MotionBlock
 
 OUTLIER_SIGMA = 5.0
 """Innovation beyond which a heading is an outlier, or the reference has jumped."""
+STAYS_SIGMA = 2.5
+"""Innovation beyond which the headings after an outlier stay on its side: half of it, for their own noise."""
 JUMP_HEADINGS = 4
-"""Number of consecutive outliers to one side from which the reference may have jumped."""
+"""Number of consecutive headings on the side of an outlier, from it on, after which the reference may have
+jumped."""
 JUMP_S = 1.0
 """Time for which they go on if it has."""
 JUMP_LOG_PRIOR = -7.0
@@ -73,11 +76,16 @@ class ReferenceNoise:
 
 
 class JumpDetector:
-    """Counts consecutive outliers to one side, for m filters side by side."""
+    """Counts the headings that stay on the side of an outlier, for m filters side by side."""
 
     def __init__(self, count: int = 1) -> None:
         self._outliers = np.zeros(count, np.int64)
         self._side, self._since_s = np.zeros(count), np.zeros(count)
+
+    @property
+    def are_apart(self) -> NDArray[np.bool_]:
+        """(m,) True from an outlier on, as long as the headings stay on its side."""
+        return self._outliers > 0
 
     def update(self, deviation: Array, dt_s: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Take the innovations of a heading.
@@ -89,14 +97,14 @@ class JumpDetector:
         Returns:
             Where (m,) the reference may have jumped, so that the heading is not used, and where it has.
         """
+        goes_on = deviation * self._side > STAYS_SIGMA
         side = np.sign(deviation) * (np.abs(deviation) > OUTLIER_SIGMA)
-        goes_on = (side != 0.0) & (side == self._side)
         self._outliers = np.where(goes_on, self._outliers + 1, side != 0.0)
         self._since_s = np.where(goes_on, self._since_s + dt_s, 0.0)
-        self._side = side
+        self._side = np.where(goes_on, self._side, side)
         may_have: NDArray[np.bool_] = self._outliers >= JUMP_HEADINGS
         has_jumped = may_have & (self._since_s >= JUMP_S)
-        self._outliers[has_jumped] = 0
+        self._outliers[has_jumped], self._side[has_jumped] = 0, 0.0
         return may_have & ~has_jumped, has_jumped
 
 

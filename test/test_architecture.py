@@ -49,6 +49,7 @@ LIBRARY_HOMES = {
     'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'msgs/images.py'),
     **dict.fromkeys(('dash', 'flask', 'werkzeug'), ('studio',)),
     'kaleido': ('report/png.py',),
+    'lz4': ('bag/decompress.py',),
     'plotly': (
         'report/plot.py',
         'report/png.py',

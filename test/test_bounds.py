@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import bz2
 import os
 import struct
+import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace as Message
+from typing import Any
 
 import cv2
+import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from small_bags import write
 
 from gyrocal_ros.bag import bounds
+from gyrocal_ros.bag.decompress import DECOMPRESSORS, decompressed, zstd
 from gyrocal_ros.bag.storage import open_storage
+from gyrocal_ros.bench.faults import bombs
 from gyrocal_ros.config.yaml_file import read_yaml
 from gyrocal_ros.errors import ConfigError, MessageError, RecordingError
 from gyrocal_ros.msgs import images
@@ -71,6 +78,57 @@ def test_a_chunk_that_declares_gigabytes_is_refused(tmp_path: Path) -> None:
 )
 def test_the_size_that_a_zstd_frame_declares(frame: bytes, size: int | None) -> None:
     assert bounds.zstd_content_size(frame) == size
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('bomb', bombs.BOMBS, ids=lambda bomb: bomb.__name__)
+def test_a_recording_that_stands_for_gigabytes_is_refused(
+    bomb: Callable[[Path, Path], Path], tmp_path: Path
+) -> None:
+    bag = bomb(write(tmp_path / 'sound'), tmp_path)
+    tracemalloc.start()
+    with pytest.raises(RecordingError), open_storage(bag) as storage:
+        list(storage.raw_messages(storage.topics.values()))
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak_bytes < 400e6
+
+
+@pytest.mark.parametrize('make', DECOMPRESSORS.values(), ids=DECOMPRESSORS)
+def test_decompression_ends_at_its_limit(make: Any) -> None:
+    compress: Any = {
+        bz2.BZ2Decompressor: bz2.compress,
+        lz4.frame.LZ4FrameDecompressor: lz4.frame.compress,
+    }.get(make, zstd.compress)
+    frame = compress(bytes(5000))
+    assert decompressed(make, frame + frame, 10_000) == bytes(10_000)
+    assert decompressed(make, b'') == b''
+    for limit in (0, 4999, 9999):
+        with pytest.raises(ValueError, match=f'more than {limit} bytes'):
+            decompressed(make, frame + frame, limit)
+    with pytest.raises(ValueError, match='cut short'):
+        decompressed(make, frame[:-2], 10_000)
+
+
+@pytest.mark.parametrize('name', ['run #3', 'what?', 'a%20b'])
+def test_a_path_that_sqlite_misreads_is_named(name: str, tmp_path: Path) -> None:
+    bag = write(tmp_path / 'bag', storage='sqlite3').rename(tmp_path / name)
+    with pytest.raises(RecordingError, match='SQLite reads'), open_storage(bag):
+        pass
+    with open_storage(write(tmp_path / f'{name} 2')) as storage:
+        assert storage.message_count
+
+
+def test_only_chunks_of_the_same_time_count_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    chunks: list[bounds.Chunk] = [(10, None), (10, (0, 5)), (10, (6, 9)), (10, (10, 0)), (5, (3, 4))]
+    monkeypatch.setattr(bounds, '_chunks', lambda file: iter(chunks))
+    monkeypatch.setattr(bounds, 'MAX_OPEN_BYTES', 15)
+    file = tmp_path / 'a.mcap'
+    file.touch()
+    bounds.require_bounded(file)
+    chunks.append((1, (4, 4)))
+    with pytest.raises(RecordingError, match='for the same time'):
+        bounds.require_bounded(file)
 
 
 def test_a_pipe_in_place_of_a_file_is_refused(tmp_path: Path) -> None:

@@ -42,9 +42,19 @@ def load_yaml(text: str) -> Any:
     """Read a YAML text.
 
     Raises:
+        yaml.YAMLError: see `require_tree`.
+        ValueError: a number or a date in it is impossible.
+    """
+    require_tree(text)
+    return yaml.load(text, YamlLoader)
+
+
+def require_tree(text: str) -> None:
+    """Raise an error unless a YAML text is a tree that needs about as much memory as the text.
+
+    Raises:
         yaml.YAMLError: it is not YAML, has anchors whose expansion could fill the memory, or is nested
             too deeply.
-        ValueError: a number or a date in it is impossible.
     """
     depth = 0
     for event in yaml.parse(text, YamlLoader):
@@ -53,7 +63,6 @@ def load_yaml(text: str) -> Any:
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > MAX_DEPTH:
             raise yaml.YAMLError(f'nested more than {MAX_DEPTH} levels deep')
-    return yaml.load(text, YamlLoader)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

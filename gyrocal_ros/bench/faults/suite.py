@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gyrocal_ros.bag.write import new_bag
-from gyrocal_ros.bench.faults import bag_bytes, clouds, contents, documents, streams
+from gyrocal_ros.bench.faults import bag_bytes, bombs, clouds, contents, documents, streams
 from gyrocal_ros.bench.faults.isolated import Outcome, run_isolated
 from gyrocal_ros.bench.faults.kills import kill_while_writing
 from gyrocal_ros.bench.faults.references import REFERENCE_FAULTS, write_faulty_reference
@@ -159,6 +159,7 @@ Judge: TypeAlias = Callable[[Random, Bases, Path], tuple[Verdict, str]]
 KINDS: dict[str, Judge] = {
     'bag bytes': partial(_bag_case, bag_bytes.damage_bag_file),
     'metadata': partial(_bag_case, bag_bytes.damage_metadata),
+    'bombs': partial(_bag_case, bombs.damage_by_bomb),
     'message bytes': partial(_bag_case, contents.damage_cdr),
     'numbers': partial(_bag_case, contents.damage_numbers),
     'stamps': partial(_bag_case, contents.damage_stamps),

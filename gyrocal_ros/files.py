@@ -67,7 +67,7 @@ def write_text_atomic(path: Path, text: str, *, overwrite: bool = False) -> None
         path.parent.mkdir(parents=True, exist_ok=True)
         _recover(path)
         try:
-            with part.open('w', encoding='utf-8') as file:
+            with part.open('w', encoding='utf-8', errors='replace') as file:  # names need not be UTF-8
                 file.write(text)
                 file.flush()
                 os.fsync(file.fileno())  # a robot may lose power at any time
@@ -209,9 +209,9 @@ def _is_running(process: int) -> bool:
 def _reported_os_errors(path: Path) -> Iterator[None]:
     try:
         yield
-    except OSError as error:
+    except (OSError, RuntimeError, ValueError) as error:  # a loop of links; a NUL in the name
         raise GyrocalError(
-            f'cannot be written ({error.strerror})',
+            f'cannot be written ({getattr(error, "strerror", None) or "no such place"})',
             where=str(path),
             todo='check the path and its permissions',
         ) from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -35,7 +36,7 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
-from gyrocal_ros.errors import ConfigError, GyrocalError, RecordingError
+from gyrocal_ros.errors import ConfigError, GyrocalError, MessageError, RecordingError
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.to_ros import MessageMaker
 from gyrocal_ros.msgs.transforms import rotation_from_quaternion
@@ -173,6 +174,24 @@ def test_definitions_without_the_types_of_ros(tmp_path: Path) -> None:
     database.commit()
     database.close()
     assert_same(read(path, with_covariates=True), drive())
+
+
+def test_a_time_of_recording_that_is_no_number_is_damage(tmp_path: Path) -> None:
+    path = write(tmp_path / 'bag', storage='sqlite3')
+    with closing(sqlite3.connect(data_file(path))) as database:
+        database.execute("UPDATE messages SET timestamp = 'abc' WHERE id % 7 = 0")
+        database.commit()
+    with open_storage(path) as storage, pytest.raises(RecordingError, match="'abc' is not a time"):
+        list(storage.raw_messages(storage.topics.values()))
+
+
+def test_a_field_that_is_no_number_cannot_be_read(tmp_path: Path) -> None:
+    with open_storage(write(tmp_path / 'bag')) as storage:
+        topic = storage.topics['/imu/data_raw']
+        read = storage.reader_of(topic, ['header.stamp.sec', 'angular_velocity'])
+        _, _, raw = next(storage.raw_messages([topic]))
+        with pytest.raises(MessageError, match='angular_velocity is not a number'):
+            read(raw)
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])

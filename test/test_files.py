@@ -171,3 +171,18 @@ def test_installed_files_are_found_for_each_kind_of_installation(
     assert shipped('bags') == (tmp_path / share / 'bags').resolve()
     with pytest.raises(GyrocalError, match='not installed'):
         shipped('no_such_thing')
+
+
+@pytest.mark.parametrize('name', ['loop', 'loop/x', 'a\0b'])
+def test_a_place_that_cannot_exist_is_reported(name: str, tmp_path: Path) -> None:
+    (tmp_path / 'loop').symlink_to('loop')
+    with pytest.raises(GyrocalError, match='cannot be written'):
+        write_text_atomic(tmp_path / name, 'a')
+    with pytest.raises(GyrocalError, match='cannot be written'), new_folder(tmp_path / name):
+        pass
+
+
+def test_a_name_that_is_not_utf_8_is_written_with_question_marks(tmp_path: Path) -> None:
+    name = os.fsdecode(b'bag\xff')
+    write_text_atomic(tmp_path / name, f'of {name}')
+    assert (tmp_path / name).read_bytes() == b'of bag?'

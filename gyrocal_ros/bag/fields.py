@@ -76,7 +76,11 @@ def field_reader(store: Typestore, type_name: str, paths: Sequence[str], *, cdr:
     def read_all(raw: bytes) -> tuple[Any, ...]:
         message = store.deserialize_cdr(raw, type_name) if cdr else store.deserialize_ros1(raw, type_name)
         values = attrgetter(*paths)(message)
-        return values if len(paths) > 1 else (values,)
+        values = values if len(paths) > 1 else (values,)
+        for path, value in zip(paths, values, strict=True):
+            if not isinstance(value, (int, float)):
+                raise TypeError(f'{path} is not a number')
+        return values
 
     origin = 4 if cdr else 0  # CDR starts with four bytes that define the encoding of the rest
     try:

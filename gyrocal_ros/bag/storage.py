@@ -99,6 +99,8 @@ class Storage:
             return
         with _damage_as_recording_error(self.path):
             for connection, recorded_ns, raw in self._reader.messages(connections):
+                if type(recorded_ns) is not int:  # SQLite keeps what it is given
+                    raise ValueError(f'{recorded_ns!r} is not a time')
                 yield connection.topic, recorded_ns, raw
 
     def messages(self, topic: Topic) -> Iterator[Any]:

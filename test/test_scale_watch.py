@@ -17,6 +17,7 @@ from gyrocal_ros.ekf.scale_watch import (
     CHANGE_SIGMA,
     COLUMNS,
     DRIFT_STD,
+    LARGEST_WALK,
     NOT_LINEAR,
     RAMP,
     RAMP_S,
@@ -170,11 +171,20 @@ def test_the_state_follows_as_if_the_scale_factor_had_been_unknown() -> None:
 def test_only_repeated_changes_are_a_drift() -> None:
     watch, state = some_watch()
     gyro = Config().gyro
-    for expected in (gyro.scale_walk, 0.02 / np.sqrt(10.0)):
-        found = watch.add(10.0, (stats(1e6, 0.02),))
+    for change, expected in ((0.002, gyro.scale_walk), (0.002, 0.002 / np.sqrt(10.0)), (0.1, LARGEST_WALK)):
+        found = watch.add(10.0, (stats(1e8, change),))
         assert found is not None
         state = watch.follow(state, found)
         assert watch.walk(gyro).scale_walk == pytest.approx(expected)
+
+
+@pytest.mark.slow
+def test_a_loose_contact_does_not_leave_the_scale_factor_unknown() -> None:
+    source = recording('lanes', 1, 200.0)
+    changed = with_gain(source, lambda s: 0.9 if 30.0 < s < 33.0 or 45.0 < s < 53.0 else 1.0)
+    found = conclude(calibrate(changed, Config(), default_model(), follows_changes=True))
+    assert is_right(found, source.truth.scale_factor)
+    assert found.scale_factor_std < 2e-3
 
 
 def test_a_window_begins_again_when_it_has_ended() -> None:

@@ -62,7 +62,10 @@ NOT_LINEAR = 0.1
 and weighted as if nothing had changed."""
 JUMP_S = 20.0
 """Time in which a jump shows; what takes longer is a drift."""
-DRIFT_MEMORY_S = 600.0
+LARGEST_WALK = FASTEST_DRIFT / math.sqrt(RAMP_S)
+"""Largest random walk (1/sqrt(s)) that is learned. What changes faster are jumps, followed one by one: a walk
+that covers them would leave the scale factor unknown for hours after a loose contact."""
+DRIFT_MEMORY_S = 120.0
 """Time constant by which a random walk that was learned from repeated changes decays."""
 
 TINY = float(np.finfo(float).tiny)
@@ -268,7 +271,8 @@ class ScaleWatch:
         window_s = float(self._ages_s[change.column - self._first])
         is_drift = JUMP_S < window_s < self._running_s
         drifting_s = min(self._unchanged_s, window_s if is_drift else math.inf)
-        self._walk = max(self._walk, abs(change.value) / math.sqrt(max(drifting_s, SETTLE_S)))
+        walk = abs(change.value) / math.sqrt(max(drifting_s, SETTLE_S))
+        self._walk = max(self._walk, min(walk, LARGEST_WALK))
         is_ramp = self._ramp_sigma**2 > change.sigma**2 - CHANCE_SIGMA**2
         self._drift = abs(self._ramp) if is_ramp and abs(self._ramp) < FASTEST_DRIFT else 0.0
         self._unchanged_s = self._significant_s = 0.0

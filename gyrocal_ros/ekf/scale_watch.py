@@ -226,9 +226,8 @@ class ScaleWatch:
         """Return what a drift that is not sure adds to the standard deviation of the scale factor.
 
         The variance p of the drift is what the ramp suggests (empirical Bayes, Morris 1983), at most that of
-        a gyro. A ramp counts from 1.4 times its standard
-        deviation: the price of one more parameter (Akaike 1974), or every clean recording would pay. A change
-        that was a ramp may go on.
+        a gyro. A ramp counts from 1.4 times its standard deviation: the price of one more parameter (Akaike
+        1974), or every clean recording would pay. A change that was a ramp may go on.
         """
         r, v = self._ramp, self._ramp_variance
         is_measured = self._ramp_sigma > 1.0 and self._ages_s[RAMP] >= JUMP_S

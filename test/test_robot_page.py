@@ -23,7 +23,7 @@ SOURCES = [
     ROOT / 'gyrocal_ros' / 'msgs' / 'mounts.py',
     ROOT / 'gyrocal_ros' / 'nodes' / 'qos_watch.py',
     ROOT / 'gyrocal_ros' / 'vision' / 'tracker.py',
-    ROOT / 'gyrocal_ros' / 'vision' / 'lens_marks.py',
+    ROOT / 'gyrocal_ros' / 'vision' / 'dirty_lens.py',
 ]
 MIN_LETTERS = 10
 """Minimum number of literal letters by which a string of the code is recognised in a message."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 from pathlib import Path
@@ -29,12 +30,16 @@ def test_text_replaces_a_file_only_with_overwrite(tmp_path: Path) -> None:
     assert file.read_text() == 'new'
 
 
-def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_space(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
     (tmp_path / 'file').write_text('')
     with pytest.raises(GyrocalError, match='cannot be written'):
         write_text_atomic(tmp_path / 'file' / 'b.yaml', 'new')
-    with pytest.raises(UnicodeEncodeError):
-        write_text_atomic(tmp_path / 'b.yaml', '\ud800')
+    monkeypatch.setattr('gyrocal_ros.files.os.fsync', no_space)
+    with pytest.raises(GyrocalError, match='No space left'):
+        write_text_atomic(tmp_path / 'b.yaml', 'new')
     assert [item.name for item in tmp_path.iterdir()] == ['file']
 
 

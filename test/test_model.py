@@ -27,7 +27,9 @@ from gyrocal_ros.model.lens import MAX_ANGLE_RAD, by_radial_coefficients, distor
 from gyrocal_ros.model.rotation import euler_rate_matrices, rotation_derivatives, rotation_from_euler
 from gyrocal_ros.model.sensor import SensorModel, placed
 
-ATTITUDES = [np.array(euler, float) for euler in ([0, 0, 0], [0.1, -0.2, 3.0], [-0.7, 1.2, -2.0], [3.0, -1.4, 9.0])]
+ATTITUDES = [
+    np.array(euler, float) for euler in ([0, 0, 0], [0.1, -0.2, 3.0], [-0.7, 1.2, -2.0], [3.0, -1.4, 9.0])
+]
 
 # --- rotation -----------------------------------------------------------------------------------
 

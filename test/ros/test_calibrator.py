@@ -98,6 +98,7 @@ def play(graph: Graph, duration_s: float, outputs: list[Any], others: Sequence[s
             wait_for_stamp(graph, outputs, before_ns.pop(0))
         elif name == 'tf_static':  # otherwise the node may process the first samples before it
             publishers[name].wait_for_all_acked()
+            graph.get_parameters('calibrator', 'use_sim_time')  # the executor takes messages before requests
     wait_for_stamp(graph, outputs, before_ns[-1])
 
 

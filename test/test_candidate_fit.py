@@ -48,7 +48,7 @@ class TestFit:
         columns, measured = drawn(0)
         found = fitted(score_statistics_of(columns, measured), 0, 1, 2)
         flat = columns.reshape(-1, 3)
-        expected, rest = np.linalg.lstsq(flat, measured.ravel())[:2]
+        expected, rest = np.linalg.lstsq(flat, measured.ravel(), rcond=None)[:2]
         np.testing.assert_allclose(found.values, expected, rtol=1e-10)
         assert found.gain == pytest.approx(0.5 * (np.sum(measured**2) - rest[0]), rel=1e-10)
         left = measured - columns @ expected
@@ -214,7 +214,9 @@ class TestSignificance:
         first, second, third = columns.reshape(-1, 3).T
         cosine = abs(first @ second) / math.sqrt((first @ first) * (second @ second))
         assert correlation(scores, np.array([0]), np.array([1])) == pytest.approx(cosine)
-        explained = np.linalg.lstsq(np.stack([second, third], axis=1), first)[1][0] / (first @ first)
+        explained = np.linalg.lstsq(np.stack([second, third], axis=1), first, rcond=None)[1][0] / (
+            first @ first
+        )
         assert correlation(scores, np.array([0]), np.array([1, 2])) == pytest.approx(
             math.sqrt(1.0 - explained)
         )

@@ -66,6 +66,11 @@ def without_work_tree() -> dict[str, str]:
     return {**os.environ, 'PYTHONPATH': os.pathsep.join(item for item in path if item != str(PROJECT))}
 
 
+def hear_interrupts() -> None:
+    """End the inheritance of an ignored SIGINT: a shell gives it to what it starts in the background."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Launched:
     """A running launch file."""
 
@@ -78,6 +83,7 @@ class Launched:
             stdout=log,
             stderr=subprocess.STDOUT,
             start_new_session=True,  # so that all its processes can be killed
+            preexec_fn=hear_interrupts,
         )
 
     @property
@@ -202,7 +208,14 @@ def test_an_interrupt_never_stops_launch_in_the_middle_of_its_work() -> None:
     """KeyboardInterrupt there would make launch wait forever for a process that it was about to start."""
     path = os.pathsep.join([str(PROJECT), os.environ.get('PYTHONPATH', '')])
     command, environment = [sys.executable, '-c', INTERRUPTED], {**os.environ, 'PYTHONPATH': path}
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=WITHIN_S)
+    result = subprocess.run(
+        command,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=WITHIN_S,
+        preexec_fn=hear_interrupts,
+    )
     assert 'it went on' in result.stdout
     assert 'user interrupted' in result.stdout + result.stderr
     assert result.returncode == 0, result.stderr

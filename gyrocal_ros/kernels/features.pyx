@@ -184,6 +184,24 @@ cdef void add_row(double weight, const double* row, double* total, Py_ssize_t n)
         total[i] += weight * row[i]
 
 
+cdef void add_product(
+    const double[:] by_pose,
+    const double[:] by_feature,
+    const double[:] by_values,
+    Py_ssize_t column,
+    const double[:, ::1] matrix,
+    double* total,
+) noexcept nogil:
+    """Add one row of H, whose feature is at a column of the state, times a matrix (n, width)."""
+    cdef Py_ssize_t width = matrix.shape[1], l
+    for l in range(6):
+        add_row(by_pose[l], &matrix[l, 0], total, width)
+    for l in range(3):
+        add_row(by_feature[l], &matrix[column + l, 0], total, width)
+    for l in range(by_values.shape[0]):
+        add_row(by_values[l], &matrix[COEFFICIENTS_START + l, 0], total, width)
+
+
 def innovation_matrices(
     const double[:, ::1] covariance,
     const double[:, ::1] sensitivity,
@@ -200,23 +218,12 @@ def innovation_matrices(
     arrays = (np.zeros((m, r, n)), np.empty((m, r, m, r)), np.zeros((m, r, width)))
     cdef double[:, :, ::1] numerator = arrays[0], G = arrays[2]
     cdef double[:, :, :, ::1] S = arrays[1]
-    cdef const double* H
     for f in range(m):
         for i in range(r):
-            for l in range(6):
-                add_row(by_pose[f, i, l], &covariance[l, 0], &numerator[f, i, 0], n)
-            for l in range(3):
-                add_row(by_feature[f, i, l], &covariance[columns[f] + l, 0], &numerator[f, i, 0], n)
-            for l in range(k):
-                add_row(by_values[f, i, l], &covariance[COEFFICIENTS_START + l, 0], &numerator[f, i, 0], n)
+            add_product(by_pose[f, i], by_feature[f, i], by_values[f, i], columns[f], covariance, &numerator[f, i, 0])
             if width == 0:
                 continue
-            for l in range(6):
-                add_row(by_pose[f, i, l], &sensitivity[l, 0], &G[f, i, 0], width)
-            for l in range(3):
-                add_row(by_feature[f, i, l], &sensitivity[columns[f] + l, 0], &G[f, i, 0], width)
-            for l in range(k):
-                add_row(by_values[f, i, l], &sensitivity[COEFFICIENTS_START + l, 0], &G[f, i, 0], width)
+            add_product(by_pose[f, i], by_feature[f, i], by_values[f, i], columns[f], sensitivity, &G[f, i, 0])
             for l in range(c):
                 G[f, i, l] += by_candidates[f, i, l]
     for f in range(m):

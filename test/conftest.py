@@ -38,6 +38,12 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.section('ROS')
         text = f'{tests_in(ROS_TESTS)} tests of the nodes SKIPPED: rclpy is missing'
         terminalreporter.write_line(text, yellow=True)
+    from gyrocal_ros import kernels  # loads NumPy, which reads the setting above
+
+    if not kernels.TWINS:
+        terminalreporter.section('kernels')
+        text = 'comparisons of the compiled kernels SKIPPED: they were not built'
+        terminalreporter.write_line(text, yellow=True)
     if not HAS_BROWSER:
         missing = 'Chromium' if CHROMIUM is None else 'playwright'
         terminalreporter.section('browser')

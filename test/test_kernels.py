@@ -324,14 +324,14 @@ def test_both_forms_calibrate_alike(tmp_path: Path) -> None:
         [*gyrocal, 'simulate', bag, '--duration', '20', '--seed', '3'], check=True, capture_output=True
     )
 
-    def replayed(choice: str) -> dict[str, Any]:
-        environment = os.environ | {kernels.CHOICE: choice}
+    def replayed(**choice: str) -> dict[str, Any]:
+        environment = os.environ | choice
         done = subprocess.run(
             [*gyrocal, 'replay', bag, '--json'], env=environment, capture_output=True, check=True
         )
         return json.loads(done.stdout)
 
-    by_default, by_numpy = replayed(''), replayed('numpy')
+    by_default, by_numpy = replayed(), replayed(**{kernels.CHOICE: 'numpy'})
     assert by_numpy['kernels'] == 'numpy'
     assert by_default['kernels'] == kernels.IN_USE
     for key in ('scale_factor', 'scale_factor_std', 'bias', 'bias_std', 'nis_per_dof'):

@@ -3,8 +3,8 @@
 The statistics Lambda and b of a bag add up over bags with the same coefficients, so an effect far below
 the noise of one bag shows in many. Its significance is judged by the scatter from bag to bag, which also
 holds where the coefficient differs between robots (`diagnose.candidate_fit`, with bags in place of blocks).
-Effects that one bag cannot tell apart are told apart where the bags differ in their conditions: the sum of
-their Lambda is better conditioned than each.
+Effects that one bag cannot tell apart can be distinguished where the bags differ in their conditions: the
+sum of their Lambda is better conditioned than each.
 """
 
 from __future__ import annotations

@@ -8,16 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from contracts import assert_derivative, eventful_block, eventful_blocks
+from contracts import GyroEffectContract, assert_derivative, eventful_block, eventful_blocks
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.learned import curve, memory, place_map, step
 from gyrocal_ros.effects.learned.as_effect import effect_source
-from gyrocal_ros.effects.learned.curve import GRID, LENGTHS, prior_stds
-from gyrocal_ros.effects.learned.forms import FORMS, library_effect
-from gyrocal_ros.effects.learned.memory import DYNAMICS, LAST_TURN, START, TAUS_S
+from gyrocal_ros.effects.learned.causes import closest_effect, library_effect, meaning
+from gyrocal_ros.effects.learned.curve import GRID, LENGTHS, Of, prior_stds
+from gyrocal_ros.effects.learned.drives import ABS_RATE, DYNAMICS, LAST_TURN, SIDE, START
+from gyrocal_ros.effects.learned.forms import FORMS, Form
+from gyrocal_ros.effects.learned.memory import TAUS_S
+from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS, physical
 from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
 from gyrocal_ros.effects.learned.signals import UNITS, values_of
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
@@ -220,36 +223,147 @@ def test_a_block_takes_the_pose_of_the_filter() -> None:
     np.testing.assert_allclose(posed.position_m[[0, -1]], [[1.0, 2.05], [1.0, 2.95]], atol=1e-12)
 
 
+def written(of: Of, follows: str, form: Form, parameter: float, folder: Path) -> GyroEffect:
+    """Return the effect of a closed form from its file, which passes every check of a user's effect."""
+    path = folder / f'{follows}_{form.name}_effect.py'.replace(' ', '_')
+    values = [0.02, 0.001] if form.over == 'dynamics' else [0.01, 0.02, 0.03, 0.04]
+    values = values[: len(form.terms)]
+    path.write_text(effect_source(of, follows, form, parameter, values, 'a bag'), encoding='utf-8')
+    (made,) = load_file(path)
+    return made  # type: ignore[return-value]
+
+
 @pytest.mark.usefixtures('library')
 @pytest.mark.parametrize('form', FORMS, ids=lambda form: form.name)
-def test_a_closed_form_becomes_an_effect(form: object, tmp_path: Path) -> None:
-    """The written file passes every check of a user's effect, and computes the form."""
-    assert isinstance(form, type(FORMS[0]))
-    follows = 'heading' if form.of_heading else 'force_x'
-    path = tmp_path / f'{form.name.replace(" ", "_")}_effect.py'
-    values = [0.01 * number for number in range(1, len(form.terms) + 1)]
-    path.write_text(effect_source('scale', follows, form, 0.7, values, 'a bag'), encoding='utf-8')
-    (made,) = load_file(path)
+def test_a_closed_form_becomes_an_effect(form: Form, tmp_path: Path) -> None:
+    follows = 'heading' if form.over == 'heading' else 'force_x'
+    made = written('scale', follows, form, 0.7, tmp_path)
     block = posed_block()
     x = values_of(follows, block)
-    if form.of_heading:
+    if form.over == 'heading':
         assert block.heading_rad is not None
         x = block.heading_rad
     expected = form.columns(x, 0.7) * block.rate_rad_s[:, 2:]
-    term = made.contribute(block, np.array(values), None)  # type: ignore[attr-defined]
+    term = made.contribute(block, np.ones(len(form.terms)), None)
     np.testing.assert_allclose(term.by_values, expected, rtol=1e-9, atol=1e-12)
-    assert len(path.read_text(encoding='utf-8').splitlines()[0]) < 110
+
+
+SLOW_RAD_S = 1.5
+DRIVES: dict[str, tuple[tuple[Of, str], ...]] = {
+    'response': (
+        ('bias', 'rate'),
+        ('bias', ABS_RATE),
+        ('bias', SIDE),
+        ('bias', 'temperature'),
+        ('bias', VOLTAGE),
+    ),
+    'fading': (('bias', LAST_TURN), ('bias', START), ('scale', START)),
+    'dynamics': (('bias', DYNAMICS),),
+}
+MEMORIES = [
+    (of, follows, form)
+    for form in MEMORY_FORMS
+    for of, follows in DRIVES[form.over]
+    if form.suits(follows, 0.0, 1.0)
+]
+
+
+@pytest.mark.usefixtures('library')
+@pytest.mark.parametrize(
+    ('of', 'follows', 'form'), MEMORIES, ids=[f'{f}-{form.name}' for _, f, form in MEMORIES]
+)
+class TestWrittenMemory(GyroEffectContract):
+    """The effect that is written of a closed form of a memory."""
+
+    @pytest.fixture
+    def effect(self, of: Of, follows: str, form: Form, tmp_path: Path) -> GyroEffect:
+        return written(of, follows, form, 2.5, tmp_path)
+
+    def test_it_responds_as_the_form(self, effect: GyroEffect, of: Of, follows: str, form: Form) -> None:
+        """To a step of the drive, after a turn or the start, or in turns to and fro."""
+        count, dt_s = 4000, 0.005
+        time_s = dt_s * (np.arange(count) + 0.5)
+        rate = np.ones(count)
+        if follows == LAST_TURN:
+            rate[1:] = 0.0
+        if follows == DYNAMICS:
+            rate = np.sin(SLOW_RAD_S * time_s)
+        stepped = np.where(np.arange(count) < 1, 20.0, 21.0)
+        block = replace(
+            eventful_block(count),
+            time_s=time_s,
+            dt_s=np.full(count, dt_s),
+            rate_rad_s=np.stack([0.0 * rate, 0.0 * rate, rate], axis=1),
+            temperature_c=stepped,
+            covariates={VOLTAGE: stepped},
+        )
+        found = effect.contribute(block, np.ones(len(form.terms)), None).by_values
+        expected = form.columns(time_s, 2.5)
+        if follows == DYNAMICS:
+            slopes = SLOW_RAD_S * np.cos(SLOW_RAD_S * time_s), -(SLOW_RAD_S**2) * rate
+            expected = np.stack(slopes, axis=1)
+            expected = expected[:, : len(form.terms)]
+        late = slice(60 if follows == DYNAMICS else 2, None)
+        size = np.abs(expected).max(axis=0)
+        np.testing.assert_allclose(found[late] / size, expected[late] / size, atol=0.01)
+
+
+def test_the_dynamics_do_not_depend_on_the_rate_of_the_imu() -> None:
+    """Coefficients that nearly cancel would otherwise mean something else on another robot."""
+    bank = memory('bias', DYNAMICS)
+    often, seldom = (np.arange(0.0, 0.6, dt_s) for dt_s in (0.0025, 0.01))
+    size = np.abs(bank.basis(often)).max(axis=0)
+    difference = (bank.basis(often)[::4] - bank.basis(seldom)) / size
+    assert np.abs(difference).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ('values', 'words'),
+    [
+        (
+            (0.02 * 0.3 / math.pi * 10.0, (0.2 / (2.0 * math.pi)) ** 2),
+            'resonance with a period of 0.2 s, damping 0.3',
+        ),
+        ((0.05, 0.0006), 'pair of lags of 0.03 s and 0.02 s'),
+        ((0.05, -0.0006), 'form that no oscillator has'),
+    ],
+)
+def test_parameters_of_a_second_order_lag_in_words(values: tuple[float, float], words: str) -> None:
+    first, second = (form for form in MEMORY_FORMS if form.over == 'dynamics')
+    assert physical(second, values) == words
+    assert physical(first, values[:1]).startswith('lag of')
+
+
+def test_a_saturation_of_the_rate_is_the_dead_band_beside_the_scale_factor() -> None:
+    saturation, band = (
+        next(form for form in FORMS if form.name == name) for name in ('saturation', 'dead band')
+    )
+    x = np.linspace(-2.0, 2.0, 9)
+    np.testing.assert_allclose(saturation.columns(x, 0.7), x[:, None] - band.columns(x, 0.7))
+    assert saturation.suits('force_x', -1.0, 1.0) and not saturation.suits('rate', -1.0, 1.0)
+    assert 'saturation' in meaning('rate', 'dead band') and 'saturation' not in meaning(
+        'force_x', 'dead band'
+    )
 
 
 def test_forms_of_the_library_are_named() -> None:
     assert library_effect('bias', 'rate', 'cube') == 'scale_cubic'
     assert library_effect('scale', VOLTAGE, 'line') == f'covariate_scale:{VOLTAGE}'
     assert library_effect('bias', 'heading', 'sine of the heading') == ''
+    assert library_effect('bias', SIDE, 'first-order lag') == 'turn_hysteresis'
+    assert library_effect('bias', DYNAMICS, 'first-order lag') == 'gyro_lag'
+    assert library_effect('bias', START, 'fading exponential') == 'bias_warmup'
+    assert library_effect('bias', ABS_RATE, 'first-order lag') == '', (
+        'nothing of the library is heated by turns'
+    )
+    assert library_effect('bias', VOLTAGE, 'at once') == closest_effect('bias', VOLTAGE)
     for of in ('bias', 'scale'):
-        for signal in UNITS:
-            for form in FORMS:
+        for signal in (*UNITS, *TAUS_S):
+            for form in (*FORMS, *MEMORY_FORMS):
                 name = library_effect(of, signal, form.name)
                 assert not name or find_effect(name).acts_on == 'gyro'
+        for drive in (*TAUS_S, VOLTAGE):
+            assert find_effect(closest_effect(of, drive)).acts_on == 'gyro'
 
 
 def test_consecutive_blocks_are_as_the_contracts_have_them() -> None:

@@ -4,7 +4,8 @@ First the library is searched, as by `gyrocal improve`. If the recording still c
 filter runs once with many general functions beside it: curves of every recorded signal, of acceleration and
 heading, memories of turns, a map of the room, jumps. The likeliest ones get a run of their own. A law is kept
 if it raises the predictive log-likelihood, which scores each measurement before it is used, and if the
-held-out drift does not rise. A learned curve is compared with closed forms.
+held-out drift does not rise. A learned curve and the response of a learned memory are compared with closed
+forms.
 """
 
 from __future__ import annotations
@@ -158,7 +159,7 @@ def _written(args: argparse.Namespace, laws: list[LearnedLaw]) -> list[str]:
         return []
     found = next(((law, law.forms[0]) for law in laws if law.curve is not None and law.forms), None)
     if found is None:
-        return ['', f'{args.as_effect} was not written: no curve was learned.']
+        return ['', f'{args.as_effect} was not written: no curve and no memory was learned.']
     law, form = found
     assert law.curve is not None
     values = form.values.tolist()

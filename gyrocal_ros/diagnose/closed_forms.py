@@ -1,8 +1,12 @@
-"""From a learned curve to its law: the closed forms that fit within its uncertainty, the shortest first."""
+"""From a learned curve or memory to its law: the closed forms that fit within its uncertainty, best first.
+
+Of a memory, the curve is its response: to a unit step of its drive, after a turn, or to the start of a turn.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +14,20 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.heading_filter import misfits
+from gyrocal_ros.effects.learned.causes import library_effect, meaning, meaning_of_memory
 from gyrocal_ros.effects.learned.curve import Curve
-from gyrocal_ros.effects.learned.forms import FORMS, Form, library_effect, meaning
+from gyrocal_ros.effects.learned.drives import START
+from gyrocal_ros.effects.learned.forms import FORMS, Form
+from gyrocal_ros.effects.learned.memory import ExponentialBank
+from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS, physical
 from gyrocal_ros.effects.learned.signals import HEADING
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.statistics import chi_square_quantile, robust_std
 
 GRID = 401
 """Points over the range at which forms and curve are compared."""
+DYNAMICS_S, SLOWEST = 1.0, 2.0
+"""Time over which a response is known: of the dynamics, and of others in largest time constants."""
 FITS = 0.999
 """Probability of a smaller distance for a form that fits."""
 NEGLIGIBLE = 0.003
@@ -33,14 +43,14 @@ REFINED, REFINEMENTS = 11, 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedCurve:
-    """A curve with its uncertainty, over its range."""
+    """A curve, or the response of a memory, with its uncertainty."""
 
-    effect: Curve
+    effect: Curve | ExponentialBank
     x: Array
-    """(n,) values of the signal."""
+    """(n,) values of the signal, or times in s."""
     y: Array
     std: Array
-    """(n,) curve and its standard deviation, rad/s of bias or 1 of scale."""
+    """(n,) curve and its standard deviation: rad/s of bias or 1 of scale, of a response per unit of drive."""
     values: Array
     covariance: Array
     """(k,), (k, k) estimates of its coefficients, by the filter."""
@@ -50,7 +60,7 @@ class LearnedCurve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedForm:
-    """One form, fitted to a curve."""
+    """One form, fitted to a curve or a response."""
 
     form: Form
     parameter: float
@@ -61,29 +71,58 @@ class ClosedForm:
     explained: float
     """Part of the log-likelihood of the curve that the form gains."""
     description_length: float
-    """Log-likelihood that it misses, and half the logarithm of the number of data for each parameter."""
+    """Log-likelihood that it misses, and half the logarithm of the number of data for each parameter, free or
+    set equal to another."""
     fits: bool
     """True if what it misses may be chance."""
     library: str
     """Effect of the library with this form; empty without one."""
     means: str
 
+    @property
+    def physical(self) -> str:
+        """What the parameters are in physical terms, where that is something else; else empty."""
+        return physical(self.form, self.values.tolist())
 
-def learned_curve(examined: ExaminedModel, effect: Curve) -> LearnedCurve:
-    """Return a curve of the model with its uncertainty, widened by the scatter that the model leaves."""
+
+def learned_curve(examined: ExaminedModel, effect: Curve | ExponentialBank) -> LearnedCurve:
+    """Return a curve or response with its uncertainty, widened by the scatter that the model leaves."""
     names = [item.name for item in examined.model.effects]
     start = COEFFICIENTS_START + sum(
         len(item.coefficients) for item in examined.model.effects[: names.index(effect.name)]
     )
     places = slice(start, start + len(effect.coefficients))
     state = examined.run.state
-    low, high = (-np.pi, np.pi) if effect.follows == HEADING else (effect.low, effect.high)
-    x = np.linspace(low, high, GRID)
-    basis, values = effect.basis(x), state.mean[places]
     scatter = max(1.0, robust_std(misfits(examined.seen, np.empty((len(examined.seen.time_s), 0)))))
-    covariance = state.covariance[places, places]
+    duration_s = float(examined.run.history.time_s[-1])
+    return curve_by(effect, state.mean[places], state.covariance[places, places], scatter, duration_s)
+
+
+def curve_by(
+    effect: Curve | ExponentialBank, values: Array, covariance: Array, scatter: float, duration_s: float
+) -> LearnedCurve:
+    """Return the curve or response of an effect.
+
+    Args:
+        effect: the effect.
+        values: (k,) its coefficients.
+        covariance: (k, k) theirs, by the filter.
+        scatter: factor by which errors exceed what the filter expects.
+        duration_s: duration of the recording.
+    """
+    x = np.linspace(*_range(effect, duration_s), GRID)
+    basis = effect.basis(x)
     std = scatter * np.sqrt(np.einsum('nk,kl,nl->n', basis, covariance, basis))
     return LearnedCurve(effect, x, basis @ values, std, values, covariance, scatter)
+
+
+def _range(effect: Curve | ExponentialBank, duration_s: float) -> tuple[float, float]:
+    """Return the range over which a curve or response is known."""
+    if isinstance(effect, Curve):
+        return (-np.pi, np.pi) if effect.follows == HEADING else (effect.low, effect.high)
+    if effect.over == 'dynamics':
+        return 0.0, DYNAMICS_S
+    return 0.0, duration_s if effect.follows == START else min(SLOWEST * effect.tau_s[-1], duration_s)
 
 
 def without_present(curve: LearnedCurve, functions: Array) -> Array:
@@ -143,9 +182,7 @@ def closed_forms(curve: LearnedCurve, count: int) -> list[ClosedForm]:
     seen = _seen_in(curve)
     most = 0.5 * float(np.sum(seen.score**2 / seen.information))
     found = []
-    for form in FORMS:
-        if not form.suits(curve.effect.follows, float(curve.x[0]), float(curve.x[-1])):
-            continue
+    for form in _forms_of(curve):
         best = _best_parameter(curve, form, seen)
         if best is None:
             continue
@@ -153,6 +190,7 @@ def closed_forms(curve: LearnedCurve, count: int) -> list[ClosedForm]:
         missed = max(most - gain, 0.0)
         dof = max(len(seen.score) - form.size, 1)
         of, follows = curve.effect.of, curve.effect.follows
+        is_memory = isinstance(curve.effect, ExponentialBank)
         found.append(
             ClosedForm(
                 form=form,
@@ -160,18 +198,26 @@ def closed_forms(curve: LearnedCurve, count: int) -> list[ClosedForm]:
                 values=values,
                 stds=stds,
                 explained=gain / most,
-                description_length=missed + 0.5 * form.size * math.log(count),
+                description_length=missed + 0.5 * (form.size + form.chosen) * math.log(count),
                 fits=missed < max(0.5 * chi_square_quantile(FITS, dof), NEGLIGIBLE * most),
                 library=library_effect(of, follows, form.name),
-                means=meaning(follows),
+                means=meaning_of_memory(of, follows) if is_memory else meaning(follows, form.name),
             )
         )
-    return sorted(found, key=lambda item: (not item.fits, _length(item)))
+    return sorted(found, key=_order)
 
 
-def _length(found: ClosedForm) -> float:
-    """Return the order within those that fit: by parameters, then by what is missed; else by description."""
-    return found.form.size - 0.5 * found.explained if found.fits else found.description_length
+def _forms_of(curve: LearnedCurve) -> Iterator[Form]:
+    """Yield the forms that a curve or response may have."""
+    low, high = float(curve.x[0]), float(curve.x[-1])
+    for form in (*FORMS, *MEMORY_FORMS):
+        if form.over == curve.effect.over and form.suits(curve.effect.follows, low, high):
+            yield form
+
+
+def _order(found: ClosedForm) -> tuple[bool, int, float]:
+    """Return the order: those that fit first and by their parameters, then by the description."""
+    return not found.fits, found.form.size if found.fits else 0, found.description_length
 
 
 def _best_parameter(curve: LearnedCurve, form: Form, seen: _Seen) -> tuple[float, float, Array, Array] | None:

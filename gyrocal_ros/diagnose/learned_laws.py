@@ -11,7 +11,9 @@ import numpy as np
 from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, closed_forms, learned_curve
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.effects import LEARNED_EFFECTS
+from gyrocal_ros.effects.learned.causes import closest_effect
 from gyrocal_ros.effects.learned.curve import Curve
+from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.effects.learned.signals import UNITS
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.model.sensor import Effect
@@ -26,7 +28,7 @@ class LearnedLaw:
 
     effect: Effect
     curve: LearnedCurve | None
-    """Its curve; None for a memory, a map and a step."""
+    """Its curve, or the response of a memory; None for a map and a step."""
     forms: tuple[ClosedForm, ...]
     """Closed forms, the best first."""
     rms: float
@@ -42,6 +44,12 @@ class LearnedLaw:
         """What it follows."""
         return self.effect.name.partition(':')[2]
 
+    @property
+    def closest(self) -> str:
+        """Effect of the library that resembles a memory most; empty for any other law."""
+        effect = self.effect
+        return closest_effect(effect.of, effect.follows) if isinstance(effect, ExponentialBank) else ''
+
 
 def learned_laws(examined: ExaminedModel) -> Iterator[LearnedLaw]:
     """Yield the learned effects of a model."""
@@ -53,7 +61,7 @@ def learned_laws(examined: ExaminedModel) -> Iterator[LearnedLaw]:
             continue
         values = history.mean[-1, COEFFICIENTS_START:][places]
         rate = (history.columns[:, places] @ values) / history.dt_s
-        curve = learned_curve(examined, effect) if isinstance(effect, Curve) else None
+        curve = learned_curve(examined, effect) if isinstance(effect, Curve | ExponentialBank) else None
         forms = closed_forms(curve, len(history.dt_s)) if curve is not None else []
         forms = [*forms[:1], *(item for item in forms[1:SHOWN] if item.explained > MIN_EXPLAINED)]
         yield LearnedLaw(effect, curve, tuple(forms), float(np.sqrt(np.mean(rate**2))))
@@ -72,6 +80,7 @@ def summarise_laws(laws: list[LearnedLaw]) -> list[dict[str, Any]]:
             'kind': law.kind,
             'follows': law.follows,
             'rms_rad_s': law.rms,
+            'closest_library_effect': law.closest or None,
             'curve': None
             if law.curve is None
             else {'x': law.curve.x[::10], 'y': law.curve.y[::10], 'std': law.curve.std[::10]},
@@ -82,6 +91,7 @@ def summarise_laws(laws: list[LearnedLaw]) -> list[dict[str, Any]]:
                     'p': found.parameter,
                     'values': found.values,
                     'stds': found.stds,
+                    'physical': found.physical or None,
                     'explained': found.explained,
                     'fits': found.fits,
                     'library_effect': found.library or None,

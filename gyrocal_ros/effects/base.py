@@ -81,6 +81,26 @@ class LinearGyroEffect(ABC):
         return GyroTerm(columns @ values, columns)
 
 
+class LinearMemoryEffect(ABC):
+    """A gyro effect with a memory of its own that is linear in its coefficients."""
+
+    acts_on: ClassVar[Place] = 'gyro'
+    name: str
+    coefficients: tuple[Coefficient, ...]
+
+    @abstractmethod
+    def remembered(self, block: MotionBlock, memory: Memory) -> tuple[Array, Memory]:
+        """Return the contribution (N, k) to the yaw rate, rad/s, per unit of each coefficient.
+
+        The memory is None at the first block; the new one comes second.
+        """
+
+    def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
+        """Return the contribution at the coefficient values (k,)."""
+        columns, memory = self.remembered(block, memory)
+        return GyroTerm(columns @ values, columns, memory)
+
+
 def column(*signals: Array) -> Array:
     """Return signals (N,) as the columns (N, k) of a linear effect."""
     return np.array(signals).T

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 
 from gyrocal_ros.diagnose.closed_forms import ClosedForm
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, unit_of
+from gyrocal_ros.effects.learned.drives import ABS_RATE, LAST_TURN, SIDE, START
+from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.report.describe import with_std
 
 KINDS = {
@@ -29,17 +31,34 @@ DRIVES = {
 
 
 def law_in_words(law: LearnedLaw) -> Iterator[str]:
-    """Yield a learned law in lines of text, with the closed forms of a curve."""
+    """Yield a learned law in lines of text, with its closed forms."""
     remembers = law.kind.endswith('memory')
     follows = DRIVES.get(law.follows, law.follows) if remembers else law.follows
     what = KINDS[law.kind].format(follows=follows, at_s=getattr(law.effect, 'at_s', 0.0))
     yield f'Learned {law.effect.name}: {what} ({math.degrees(law.rms):.3g} deg/s rms).'
     if law.forms:
-        yield f'  closed forms (x is {law.follows}, {unit_of(law.follows)}):'
+        yield f'  closed forms ({variable_of(law)}):'
     for found in law.forms:
         yield f'    {form_in_words(found)}'
     if law.forms:
         yield f'  what usually causes that: {law.forms[0].means}'
+    if law.closest:
+        yield f'  closest in the library: {law.closest}'
+
+
+def variable_of(law: LearnedLaw) -> str:
+    """Return what x is in the closed forms of a law."""
+    if not isinstance(law.effect, ExponentialBank):
+        return f'x is {law.follows}, {unit_of(law.follows)}'
+    if law.effect.over == 'dynamics':
+        return 'w is the yaw rate, rad/s'
+    since = {LAST_TURN: 'the last turn ended', START: 'the start'}
+    return f'x is the time since {since.get(law.follows, f"a unit step of {drive_in_words(law.follows)}")}, s'
+
+
+def drive_in_words(drive: str) -> str:
+    """Return the drive of a memory whose response is that to a step."""
+    return {SIDE: 'the side of the turn', ABS_RATE: 'the magnitude of the rate'}.get(drive, drive)
 
 
 def nothing_learned(contradicts: bool) -> str:
@@ -58,7 +77,9 @@ def form_in_words(found: ClosedForm) -> str:
     values = ', '.join(
         with_std(value, std) for value, std in zip(found.values.tolist(), found.stds.tolist(), strict=True)
     )
-    scanned = f', p = {found.parameter:.3g}' if found.parameter else ''
+    unit = '' if found.form.over == 'signal' else ' s'
+    scanned = f', p = {found.parameter:.3g}{unit}' if found.parameter else ''
+    scanned += f', a {found.physical}' if found.physical else ''
     verdict = 'fits' if found.fits else 'does not fit'
     library = f'; the library has it as {found.library}' if found.library else ''
     share = f'{100.0 * found.explained:.1f} %'

@@ -221,7 +221,7 @@ def _scores(ranked: RankedEffect, examination: Examination, chosen: str | None) 
 
 
 def _learned(proposal: Proposal) -> list[tuple[str, Any]]:
-    """Return what was learned, and the closed forms of a curve."""
+    """Return what was learned, and its closed forms."""
     law = proposal.law
     rows: list[tuple[str, Any]] = [
         ('learned', next(law_in_words(law))),
@@ -230,6 +230,8 @@ def _learned(proposal: Proposal) -> list[tuple[str, Any]]:
     if law.forms:
         forms = html.Ul([html.Li(form_in_words(found)) for found in law.forms], className='forms')
         rows += [('closed forms', forms), ('usual causes', law.forms[0].means)]
+    if law.closest:
+        rows.append(('closest in the library', law.closest))
     return rows
 
 

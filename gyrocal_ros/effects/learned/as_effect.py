@@ -3,42 +3,41 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
-from gyrocal_ros.effects.learned.curve import UNIT, Of
-from gyrocal_ros.effects.learned.forms import Form, meaning
-from gyrocal_ros.effects.learned.signals import UNITS, shown_against
+from gyrocal_ros.effects.learned.causes import meaning, meaning_of_memory
+from gyrocal_ros.effects.learned.curve import Of
+from gyrocal_ros.effects.learned.effect_code import code_of
+from gyrocal_ros.effects.learned.forms import Form
+from gyrocal_ros.effects.learned.memory import TAUS_S, memory_shown_against
+from gyrocal_ros.effects.learned.signals import shown_against, to_record
 
 TEMPLATE = '''"""{title}
 
-Learned from the recording {source}: the {of} follows {follows} with the form `{form}`.
-What usually causes that: {means}. Replace these words once the cause is known.
+Learned from the recording {source}: the {of} {verb} {follows} with the form `{form}`.
+What usually causes that: {means}.
+Replace these words once the cause is known.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column, recorded
-from gyrocal_ros.effects.learned.signals import values_of
-from gyrocal_ros.model.sensor import Coefficient
-
-P = {parameter!r}
-"""The parameter in which the form is not linear; fixed as it was found."""
-
+{imports}{parameter}
 
 @dataclass(frozen=True)
-class {class_name}(LinearGyroEffect):
+class {class_name}({base}):
     """{equation}"""
 
     about = Explanation(
-        physics='{means_sentence}',
+        physics=(
+            '{says}, with the form {form}: '
+            '{quoted}. '
+            'Learned from a recording; the cause is not known.'
+        ),
         equation='{equation}',
-        usual_size='{usual}',
-        best_motion='what changes {follows} over all of its range, again and again',
+        usual_size='as found',
+        best_motion='{best_motion}',
         needs={needs!r},
         source='learned from {source}',
         example={example!r},
@@ -49,13 +48,10 @@ class {class_name}(LinearGyroEffect):
 {coefficients}
     )
 
-    def columns(self, block: MotionBlock) -> Array:
-        """Return the terms of the form (N, {count}), zero where the signal is not recorded."""
-        x, p = values_of({signal}, block), P
-        terms = (
-{equation_terms}
-        )
-        return column(*(recorded({rate}term) for term in terms))
+{method}'''
+PARAMETER = '''
+P = {parameter!r}
+"""The parameter in which the form is not linear; fixed as it was found."""
 '''
 
 
@@ -65,45 +61,54 @@ def effect_source(
     """Return the text of a Python file with one effect class.
 
     Args:
-        of: what follows the signal.
-        follows: name of the signal.
+        of: what follows.
+        follows: name of the signal, or the drive of a memory.
         form: closed form.
         parameter: value of its scanned parameter.
         values: its linear parameters, which become the prior's size.
         source: name of the recording.
     """
-    name = 'law_' + re.sub(r'[^a-z0-9]+', '_', f'{of}_{follows}_{form.name}'.lower()).strip('_')
+    remembers = form.over not in ('signal', 'heading')
     terms = [term.strip() for term in _split(form.equation)]
-    needs = () if follows in UNITS and follows != 'temperature' else (follows,)
+    code = code_of(of, follows, form, terms)
+    verb = 'remembers' if remembers else 'follows'
+    name = 'law_' + re.sub(r'[^a-z0-9]+', '_', f'{of}_{follows}_{form.name}'.lower()).strip('_')
     rate = ' * rate' if of == 'scale' else ''
     equation = ' + '.join(f'k{n} ({term}){rate}' for n, term in enumerate(terms, start=1))
-    largest = float(f'{max(abs(value) for value in values):.3g}')
-    lines = [
-        f"        Coefficient('k{number}', '{UNIT[of]}', prior_std={largest!r}),"
-        for number in range(1, len(terms) + 1)
-    ]
+    means = meaning_of_memory(of, follows) if remembers else meaning(follows, form.name)
+    turns, changes = 'single turns with rests between them', f'what changes {follows} over all of its range'
+    needed = '' if remembers and follows in TAUS_S else to_record(follows)
+    numpy = 'import numpy as np\n\n' if 'np.' in code.method else ''
     return TEMPLATE.format(
-        title=f'The {of} of the yaw gyro as a function of {follows}.',
+        title=f'The {of} of the yaw gyro {"with a memory" if remembers else "as a function"} of {follows}.',
         source=source,
         of=of,
+        verb=verb,
         follows=follows,
         form=form.name,
-        means=meaning(follows),
-        means_sentence=f'{meaning(follows)}; learned, the cause is not known.'.replace("'", ''),
-        parameter=float(parameter),
+        means=means,
+        says=f'The {of} of the yaw gyro {verb} {follows}',
+        quoted=means.replace("'", ''),
+        imports=numpy + code.imports,
+        parameter=PARAMETER.format(parameter=float(parameter)) if re.search(r'\bP\b', code.method) else '',
         class_name=''.join(part.capitalize() for part in name.split('_')),
-        equation=f'w = w_n + {equation}; x is {follows}',
-        usual='as found',
-        needs=needs,
+        base=code.base,
+        equation=f'w = w_n + {equation}; {code.x_is}',
+        best_motion=turns if remembers and follows in TAUS_S else f'{changes}, again and again',
+        needs=(needed,) if needed else (),
         example=tuple(float(f'{value:.4g}') for value in values),
-        shown=shown_against(follows),
+        shown=memory_shown_against(follows) if remembers else shown_against(follows),
         name=name,
-        coefficients='\n'.join(lines),
-        count=len(terms),
-        signal=repr(follows),
-        rate='block.rate_rad_s[:, 2] * ' if of == 'scale' else '',
-        equation_terms='\n'.join(f'            {term},' for term in terms),
+        coefficients='\n'.join(_coefficients(code.units, values)),
+        method=code.method,
     )
+
+
+def _coefficients(units: Sequence[str], values: Sequence[float]) -> Iterator[str]:
+    """Yield the coefficients; the prior of each is as large as the largest value of that unit."""
+    for number, unit in enumerate(units, start=1):
+        std = max(abs(value) for value, other in zip(values, units, strict=True) if other == unit)
+        yield f"        Coefficient('k{number}', '{unit}', prior_std={float(f'{std:.3g}')!r}),"
 
 
 def _split(equation: str) -> list[str]:

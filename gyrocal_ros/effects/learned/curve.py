@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect
+from gyrocal_ros.effects.learned.forms import Over
 from gyrocal_ros.effects.learned.signals import HEADING, RATE, shown_against, to_record, values_of
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory
 
@@ -58,6 +59,11 @@ class Curve(LinearGyroEffect):
     def follows(self) -> str:
         """Name of the signal."""
         return self.name.partition(':')[2]
+
+    @property
+    def over(self) -> Over:
+        """What it is a function of."""
+        return 'heading' if self.follows == HEADING else 'signal'
 
     @property
     def signal(self) -> str:

@@ -1,16 +1,19 @@
-"""Closed forms of a function of one signal: what a learned curve may be written as."""
+"""Closed forms of a function of one variable: what a learned curve may be written as."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.effects.learned.signals import HEADING
+from gyrocal_ros.effects.learned.signals import RATE
 
+Over: TypeAlias = Literal['signal', 'heading', 'response', 'fading', 'dynamics']
+"""What a learned function is a function of: a signal; the heading; the time since its drive stepped up; the
+time since a turn or the start; the time since a turn sets in, see `start_of_turn`."""
 Term: TypeAlias = Callable[[Array, float], Array]
 """A function of the signal (n,) and of the scanned parameter p."""
 Values: TypeAlias = Callable[[float, float], Array]
@@ -45,13 +48,18 @@ class Form:
 
     name: str
     equation: str
-    """In x, the signal, and p, the scanned parameter; a Python expression for each term, by commas."""
+    """In x and p, the scanned parameter; a Python expression for each term, by commas. The dynamics have
+    derivatives of the rate w."""
     terms: tuple[Term, ...]
     values: Values = _nothing
     is_about_zero: bool = False
     """True for a form that needs a range on both sides of zero."""
-    of_heading: bool = False
-    """True for the forms of a heading, which has no others."""
+    over: Over = 'signal'
+    not_of: tuple[str, ...] = ()
+    """What may be followed where bias or scale factor have the form already, or make it another one."""
+
+    chosen: int = 0
+    """Number of parameters that the form sets equal to others."""
 
     @property
     def size(self) -> int:
@@ -59,12 +67,12 @@ class Form:
         return len(self.terms) + (self.values is not _nothing)
 
     def columns(self, x: Array, p: float) -> Array:
-        """Return the terms (n, q) at values (n,) of the signal."""
+        """Return the terms (n, q) at values (n,) of x."""
         return np.stack([term(x, p) for term in self.terms], axis=1)
 
-    def suits(self, signal: str, low: float, high: float) -> bool:
-        """Return True if the form is meant for the signal and its range."""
-        return self.of_heading == (signal == HEADING) and (not self.is_about_zero or low < 0.0 < high)
+    def suits(self, follows: str, low: float, high: float) -> bool:
+        """Return True if the form is meant for what a function follows, and its range."""
+        return follows not in self.not_of and (not self.is_about_zero or low < 0.0 < high)
 
 
 FORMS: tuple[Form, ...] = (
@@ -89,6 +97,14 @@ FORMS: tuple[Form, ...] = (
         is_about_zero=True,
     ),
     Form(
+        'saturation',
+        'np.clip(x, -p, p)',
+        (lambda x, p: np.clip(x, -p, p),),
+        _from_zero,
+        is_about_zero=True,
+        not_of=(RATE,),
+    ),
+    Form(
         'even dead band',
         'np.maximum(np.abs(x) - p, 0.0)',
         (lambda x, p: np.maximum(np.abs(x) - p, 0.0),),
@@ -107,13 +123,13 @@ FORMS: tuple[Form, ...] = (
         'sine of the heading',
         'np.sin(x), np.cos(x)',
         (lambda x, p: np.sin(x), lambda x, p: np.cos(x)),
-        of_heading=True,
+        over='heading',
     ),
     Form(
         'sine of twice the heading',
         'np.sin(2.0 * x), np.cos(2.0 * x)',
         (lambda x, p: np.sin(2.0 * x), lambda x, p: np.cos(2.0 * x)),
-        of_heading=True,
+        over='heading',
     ),
     Form(
         'sines of the heading and of twice it',
@@ -124,41 +140,7 @@ FORMS: tuple[Form, ...] = (
             lambda x, p: np.sin(2.0 * x),
             lambda x, p: np.cos(2.0 * x),
         ),
-        of_heading=True,
+        over='heading',
     ),
 )
 """From simple to complex."""
-
-_LIBRARY = {
-    ('bias', 'rate', 'square'): 'scale_quadratic',
-    ('bias', 'rate', 'cube'): 'scale_cubic',
-    ('bias', 'rate', 'absolute value'): 'scale_asymmetry',
-    ('bias', 'temperature', 'line'): 'bias_temperature',
-    ('scale', 'temperature', 'line'): 'scale_temperature',
-    ('bias', 'yaw_acceleration', 'line'): 'gyro_lag',
-    ('bias', 'force_x', 'line'): 'g_sensitivity',
-    ('bias', 'force_y', 'line'): 'g_sensitivity',
-    ('bias', 'vibration', 'line'): 'vibration_rectification',
-}
-_MEANINGS = {
-    'rate': 'nonlinearity of the scale factor',
-    'heading': 'a field fixed in the room, such as magnetism, that the sensor feels',
-    'force_x': 'sensitivity to acceleration',
-    'force_y': 'sensitivity to acceleration',
-    'force_z': 'sensitivity to acceleration',
-    'yaw_acceleration': 'sensitivity to angular acceleration, or a lag',
-    'vibration': 'rectified vibration',
-    'temperature': 'temperature dependence',
-}
-
-
-def library_effect(of: str, signal: str, form: str) -> str:
-    """Return the effect of the library that has this form; empty without one."""
-    if (of, signal, form) in _LIBRARY:
-        return _LIBRARY[of, signal, form]
-    return f'covariate_{of}:{signal}' if form == 'line' and signal not in _MEANINGS else ''
-
-
-def meaning(signal: str) -> str:
-    """Return what a dependence on a signal usually means, in a few words."""
-    return _MEANINGS.get(signal, f'something that goes with {signal} disturbs the sensor')

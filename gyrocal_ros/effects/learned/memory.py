@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import Explanation, Stimulus
+from gyrocal_ros.effects.base import Explanation, LinearMemoryEffect, Stimulus
 from gyrocal_ros.effects.learned.curve import TYPICAL, UNIT, Of
+from gyrocal_ros.effects.learned.drives import (
+    ABS_RATE,
+    DYNAMICS,
+    LAST_TURN,
+    SIDE,
+    START,
+    fast_part,
+    kept_of_steady,
+    low_pass,
+    rate_drive,
+    side_of,
+    start_of_turn,
+)
+from gyrocal_ros.effects.learned.forms import Over
 from gyrocal_ros.effects.learned.signals import RATE, required, to_record, values_of
 from gyrocal_ros.model.recording import TEMPERATURE
-from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
+from gyrocal_ros.model.sensor import Coefficient, Memory
 
-DYNAMICS, ABS_RATE, SIDE, LAST_TURN, START = 'dynamics', 'abs_rate', 'turn_side', 'last_turn', 'start'
 TAUS_S: dict[str, tuple[float, ...]] = {
     DYNAMICS: (0.01, 0.03, 0.1),
     RATE: (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
@@ -38,15 +49,17 @@ _DRIVES = {
 _SHOWN_AGAINST: dict[str, Stimulus] = {START: 'time', TEMPERATURE: 'temperature'}
 OTHER_TAUS_S = (3.0, 10.0, 30.0, 100.0)
 """Time constants for any other signal."""
-TURNING_RAD_S = math.radians(5.0)
-"""Rate above which the robot is in a turn."""
+
+
+def memory_shown_against(drive: str) -> Stimulus:
+    """Return what a sketch varies to show a memory of a drive."""
+    return _SHOWN_AGAINST.get(drive, 'turn' if drive in TAUS_S else 'signal')
 
 
 @dataclass(frozen=True)
-class ExponentialBank:
+class ExponentialBank(LinearMemoryEffect):
     """`sum_j c_j h_j` with `dh_j/dt = (u - h_j) / tau_j` and the drive u."""
 
-    acts_on: ClassVar[Place] = 'gyro'
     name: str
     coefficients: tuple[Coefficient, ...]
 
@@ -57,24 +70,24 @@ class ExponentialBank:
             physics='The sensor remembers: its bias or its scale depends on what was, over a bank of time '
             'constants. A lag, a resonance, hysteresis and slow heating have this form.',
             equation=f'w = w_n + sum_j c_j h_j{" w_n" if self.of == "scale" else ""}, '
-            f'dh_j/dt = (u - h_j) / tau_j, u: {_DRIVES.get(self.drive, self.drive)}',
+            f'dh_j/dt = (u - h_j) / tau_j, u: {_DRIVES.get(self.follows, self.follows)}',
             usual_size='as found',
             best_motion='single turns with rests between them',
             source='Wahlberg 1991, System identification using Laguerre models, IEEE Transactions on '
             'Automatic Control 36(5)',
             example=tuple(item.prior_std for item in self.coefficients),
-            shown_against=_SHOWN_AGAINST.get(self.drive, 'turn' if self.drive in TAUS_S else 'signal'),
+            shown_against=memory_shown_against(self.follows),
         )
 
     @property
-    def drive(self) -> str:
+    def follows(self) -> str:
         """Name of the drive, a key of `TAUS_S` or a signal."""
         return self.name.partition(':')[2]
 
     @property
     def signal(self) -> str:
         """Name of the signal where a recording may lack it, else empty."""
-        return '' if self.drive in TAUS_S else to_record(self.drive)
+        return '' if self.follows in TAUS_S else to_record(self.follows)
 
     @property
     def of(self) -> Of:
@@ -84,14 +97,35 @@ class ExponentialBank:
     @property
     def tau_s(self) -> Array:
         """(q,) time constants."""
-        return np.array(TAUS_S.get(self.drive, OTHER_TAUS_S))
+        return np.array(TAUS_S.get(self.follows, OTHER_TAUS_S))
 
-    def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Return the contribution and its derivative (N, k); the memory is that of the bank."""
-        columns, memory = _BANKS.get(self.drive, _followed)(self, block, memory)
-        if self.of == 'scale':
-            columns = columns * block.rate_rad_s[:, 2:]
-        return GyroTerm(columns @ values, columns, memory)
+    @property
+    def over(self) -> Over:
+        """What its response is a function of."""
+        if self.follows in (LAST_TURN, START):
+            return 'fading'
+        return 'dynamics' if self.follows == DYNAMICS else 'response'
+
+    def basis(self, values: Array) -> Array:
+        """Return the responses (n, k) at times (n,) from 0 on.
+
+        They are those to a unit step of the drive, after a turn or the start, or to the start of a turn.
+        """
+        if self.over == 'dynamics':
+            dt_s = np.diff(values, prepend=values[0])
+            columns, _ = _fast_changes(self.tau_s, start_of_turn(values), dt_s, None)
+            return columns
+        kept = np.exp(-values[:, None] / self.tau_s)
+        return kept if self.over == 'fading' else 1.0 - kept
+
+    def present(self, values: Array) -> Array:
+        """Return what the model has already of the responses (n, 0): nothing."""
+        return np.empty((len(values), 0))
+
+    def remembered(self, block: MotionBlock, memory: Memory) -> tuple[Array, Memory]:
+        """Return the memories (N, k), times the rate for a scale."""
+        columns, memory = _BANKS.get(self.follows, _followed)(self, block, memory)
+        return columns * block.rate_rad_s[:, 2:] if self.of == 'scale' else columns, memory
 
 
 def memory(of: Of, drive: str) -> ExponentialBank:
@@ -112,52 +146,40 @@ def memory(of: Of, drive: str) -> ExponentialBank:
     return ExponentialBank(f'{of}_memory:{drive}', items)
 
 
-def _low_pass(drive: Array, dt_s: Array, tau_s: Array, start: Array) -> Array:
-    """Solve `dh/dt = (u - h) / tau` for drives (N, q) that are constant in each interval.
-
-    Returns:
-        h (N + 1, q) at the beginning and at the ends of the intervals.
-    """
-    kept = np.exp(-dt_s[:, None] / tau_s)
-    h = np.empty((len(dt_s) + 1, len(tau_s)))
-    h[0] = start
-    for row in range(len(dt_s)):
-        h[row + 1] = drive[row] + kept[row] * (h[row] - drive[row])
-    return h
-
-
 def _followed(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
     """Return the memory of a recorded signal, relative to its first value."""
-    values = values_of(bank.drive, block)
+    values = values_of(bank.follows, block)
     if np.isnan(values).any():
         return np.zeros((len(values), len(bank.tau_s))), before
     first, start = before if before is not None else (values[0], np.zeros(len(bank.tau_s)))
     drive = np.repeat((values - first)[:, None], len(bank.tau_s), axis=1)
-    h = _low_pass(drive, block.dt_s, bank.tau_s, start)
+    h = low_pass(drive, kept_of_steady(block.dt_s, bank.tau_s), start)
     return 0.5 * (h[1:] + h[:-1]), (first, h[-1])
 
 
 def _of_rate(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
-    rate = block.rate_rad_s[:, 2]
-    drive = {RATE: rate, ABS_RATE: np.abs(rate), SIDE: _side(rate)}[bank.drive]
+    drive = rate_drive(bank.follows, block)
     start = before if before is not None else np.zeros(len(bank.tau_s))
-    h = _low_pass(np.repeat(drive[:, None], len(bank.tau_s), axis=1), block.dt_s, bank.tau_s, start)
+    kept = kept_of_steady(block.dt_s, bank.tau_s)
+    h = low_pass(np.repeat(drive[:, None], len(bank.tau_s), axis=1), kept, start)
     return 0.5 * (h[1:] + h[:-1]), h[-1]
 
 
 def _dynamics(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
+    return _fast_changes(bank.tau_s, block.rate_rad_s[:, 2], block.dt_s, before)
+
+
+def _fast_changes(tau_s: Array, rate: Array, dt_s: Array, before: Memory) -> tuple[Array, Memory]:
     """Return the rate less its low-pass, and that less its own low-pass: lags, and a resonance."""
-    tau_s, rate = bank.tau_s, block.rate_rad_s[:, 2:]
-    first, second = before if before is not None else (np.zeros(len(tau_s)), np.zeros(len(tau_s)))
-    h = _low_pass(np.repeat(rate, len(tau_s), axis=1), block.dt_s, tau_s, first)
-    fast = rate - 0.5 * (h[1:] + h[:-1])
-    g = _low_pass(fast, block.dt_s, tau_s, second)
-    return np.concatenate([fast, fast - 0.5 * (g[1:] + g[:-1])], axis=1), (h[-1], g[-1])
+    first, second = before if before is not None else (None, None)
+    fast, first = fast_part(np.repeat(rate[:, None], len(tau_s), axis=1), dt_s, tau_s, first)
+    faster, second = fast_part(fast, dt_s, tau_s, second)
+    return np.concatenate([fast, faster], axis=1), (first, second)
 
 
 def _after_turn(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
     """Return the side of the last turn, decaying since its end; 1 during the turn."""
-    side = _side(block.rate_rad_s[:, 2])
+    side = side_of(block.rate_rad_s[:, 2])
     columns = np.empty((len(side), len(bank.tau_s)))
     now = before if before is not None else np.zeros(len(bank.tau_s))
     kept = np.exp(-block.dt_s[:, None] / bank.tau_s)
@@ -169,10 +191,6 @@ def _after_turn(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tu
 
 def _since_start(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
     return np.exp(-block.time_s[:, None] / bank.tau_s), None
-
-
-def _side(rate_rad_s: Array) -> Array:
-    return np.sign(rate_rad_s) * (np.abs(rate_rad_s) > TURNING_RAD_S)
 
 
 _BANKS = {

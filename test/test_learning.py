@@ -20,7 +20,7 @@ from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.closed_forms import LearnedCurve, closed_forms
+from gyrocal_ros.diagnose.closed_forms import LearnedCurve, closed_forms, curve_by
 from gyrocal_ros.diagnose.examined import examine
 from gyrocal_ros.diagnose.hypotheses import (
     AMPLITUDES,
@@ -36,6 +36,9 @@ from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.learned import curve, memory
 from gyrocal_ros.effects.learned.curve import LENGTHS, prior_stds
+from gyrocal_ros.effects.learned.drives import driven, lag, since_turn
+from gyrocal_ros.effects.learned.forms import FORMS
+from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.errors import ConfigError
@@ -47,6 +50,7 @@ from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.strangers import STRANGERS
 from gyrocal_ros.sim.world import SimSource
 
+VOLTAGE = 'battery_state.voltage'
 DEG = math.radians(1.0)
 Output = pytest.CaptureFixture[str]
 
@@ -164,6 +168,11 @@ class TestClosedForms:
             ('sine', 'rate', lambda x: 0.3 * np.sin(2.0 * np.pi * x / 1.3)),
             ('line', 'force_x', lambda x: 0.4 * x),
             ('hinge', 'force_x', lambda x: 0.5 * np.maximum(x - 0.3, 0.0)),
+            ('step', 'force_x', lambda x: 0.5 * (x > 0.3)),
+            ('saturation', 'force_x', lambda x: 0.5 * np.clip(x, -0.5, 0.5)),
+            ('dead band', 'force_x', lambda x: 0.5 * np.sign(x) * np.maximum(np.abs(x) - 0.5, 0.0)),
+            ('dead band', 'rate', lambda x: 0.5 * np.clip(x, -0.5, 0.5)),
+            ('rising exponential', 'force_x', lambda x: 0.3 * np.exp(x / 0.8)),
             ('sine of the heading', 'heading', lambda x: 0.3 * np.cos(x - 1.0)),
             ('sine of twice the heading', 'heading', lambda x: 0.3 * np.sin(2.0 * x)),
         ],
@@ -216,6 +225,109 @@ class TestClosedForms:
     def test_a_law_without_a_form_fits_none(self) -> None:
         odd = self.curve_of(lambda x: np.sin(5.0 * x) + np.cos(9.0 * x**2), 'force_x', -1.5, 1.5)
         assert not closed_forms(odd, 4000)[0].fits
+
+
+class TestClosedFormsOfMemories:
+    DT_S, COUNT, NOISE = 0.02, 15_000, 0.02
+
+    def motion(self) -> MotionBlock:
+        """Return turns of random size, length and distance, and a voltage that jumps now and then."""
+        rng = np.random.default_rng(5)
+        rate, voltage = np.zeros(self.COUNT), np.zeros(self.COUNT)
+        for begin in np.cumsum(rng.integers(100, 900, 30)):
+            rate[begin : begin + rng.integers(50, 150)] = rng.uniform(-1.5, 1.5)
+            voltage[begin:] = rng.uniform(14.0, 16.0)
+        rate = np.convolve(rate, np.hanning(26) / np.hanning(26).sum(), mode='same')
+        nothing = np.zeros(self.COUNT)
+        return replace(
+            eventful_block(self.COUNT),
+            time_s=self.DT_S * (np.arange(self.COUNT) + 0.5),
+            dt_s=np.full(self.COUNT, self.DT_S),
+            rate_rad_s=np.stack([nothing, nothing, rate], axis=1),
+            covariates={VOLTAGE: voltage},
+        )
+
+    def learned(self, drive: str, law: Callable[[MotionBlock], Array]) -> LearnedCurve:
+        """Return the response of a memory that was fitted to a law of unit size, with noise."""
+        bank, block = memory('bias', drive), self.motion()
+        count = len(bank.coefficients)
+        columns, _ = bank.remembered(block, None)
+        measured = law(block) + self.NOISE * np.random.default_rng(3).normal(size=self.COUNT)
+        prior = np.full(count, 10.0)
+        items = tuple(replace(item, prior_std=10.0) for item in bank.coefficients)
+        covariance = np.linalg.inv(columns.T @ columns / self.NOISE**2 + np.diag(prior**-2.0))
+        values = covariance @ columns.T @ measured / self.NOISE**2
+        effect = replace(bank, coefficients=items)
+        return curve_by(effect, values, covariance, 1.0, self.COUNT * self.DT_S)
+
+    @staticmethod
+    def remembers(drive: str, orders: int, tau_s: float) -> Callable[[MotionBlock], Array]:
+        def law(block: MotionBlock) -> Array:
+            value, _ = driven(drive, block, None)
+            for _ in range(orders):
+                value, _ = lag(value, block.dt_s, tau_s, None)
+            return value
+
+        return law
+
+    @pytest.mark.parametrize('drive', ['rate', 'abs_rate', 'turn_side', VOLTAGE])
+    @pytest.mark.parametrize(('name', 'orders'), [('first-order lag', 1), ('second-order lag', 2)])
+    def test_a_lag_is_found(self, drive: str, name: str, orders: int) -> None:
+        found = closed_forms(self.learned(drive, self.remembers(drive, orders, 12.0)), self.COUNT)[0]
+        assert found.form.name == name and found.fits
+        assert found.parameter == pytest.approx(12.0, rel=0.1)
+        assert found.values[0] == pytest.approx(1.0, abs=0.1)
+
+    @pytest.mark.parametrize('drive', ['abs_rate', 'turn_side', VOLTAGE])
+    def test_what_acts_at_once_is_no_memory(self, drive: str) -> None:
+        found = closed_forms(self.learned(drive, self.remembers(drive, 0, 0.0)), self.COUNT)[0]
+        assert found.form.name == 'at once'
+        assert 0.85 < found.values[0] < 1.05, 'a memory of a second or more is late by a part of a turn'
+
+    @pytest.mark.parametrize(
+        ('name', 'fading'),
+        [
+            ('fading exponential', lambda x: np.exp(-x / 9.0)),
+            ('fading hyperbola', lambda x: 1.0 / (1.0 + x / 9.0)),
+            ('fading of the second order', lambda x: (1.0 + x / 9.0) * np.exp(-x / 9.0)),
+        ],
+    )
+    def test_how_it_fades_after_a_turn_is_found(self, name: str, fading: Callable[[Array], Array]) -> None:
+        def law(block: MotionBlock) -> Array:
+            side, since_s, _ = since_turn(block, None)
+            faded: Array = side * fading(since_s)
+            return faded
+
+        found = closed_forms(self.learned('last_turn', law), self.COUNT)[0]
+        assert found.form.name == name and found.fits
+        assert found.parameter == pytest.approx(9.0, rel=0.1)
+
+    def test_how_it_settles_after_the_start_is_found(self) -> None:
+        found = closed_forms(self.learned('start', lambda block: np.exp(-block.time_s / 80.0)), self.COUNT)
+        assert found[0].form.name == 'fading exponential' and found[0].library == 'bias_warmup'
+        assert found[0].parameter == pytest.approx(80.0, rel=0.1)
+        assert 'lasting' not in [item.form.name for item in found], 'that is the bias'
+
+    def test_the_dynamics_are_found(self) -> None:
+        """A lag has one term; a resonance of 0.25 s with damping 0.3 has two."""
+
+        def lagging(block: MotionBlock) -> Array:
+            slope: Array = 0.03 * np.gradient(block.rate_rad_s[:, 2], self.DT_S)
+            return slope
+
+        def resonant(block: MotionBlock) -> Array:
+            slope = np.gradient(block.rate_rad_s[:, 2], self.DT_S)
+            angular = 2.0 * math.pi / 0.25
+            added: Array = 0.6 / angular * slope + np.gradient(slope, self.DT_S) / angular**2
+            return added
+
+        first = closed_forms(self.learned('dynamics', lagging), self.COUNT)[0]
+        assert first.form.name == 'first-order lag' and first.library == 'gyro_lag'
+        assert first.values[0] == pytest.approx(0.03, rel=0.05)
+        second = closed_forms(self.learned('dynamics', resonant), self.COUNT)[0]
+        assert second.form.name == 'second-order lag' and second.library == ''
+        assert 2.0 * math.pi * math.sqrt(second.values[1]) == pytest.approx(0.25, rel=0.05)
+        assert second.physical.startswith('resonance with a period of 0.2')
 
 
 @pytest.mark.slow
@@ -362,6 +474,41 @@ def test_the_rows_of_the_bench_count_what_they_say() -> None:
     rows = row('x', [good, wrong])
     assert (rows['right'], rows['good'], rows['worse'], rows['library']) == (0.5, 0.5, 0.5, 0.5)
     assert rows['before_deg'] == 1.5 and rows['learned'] == 'bias_curve:rate 1, scale_cubic 1'
+    assert rows['form'] is None, 'of a law without a form'
+
+
+def test_the_rows_of_the_bench_count_forms_and_scale_factors() -> None:
+    """A recording on which the filter diverged has neither; the ripple's slope is in the scale factor."""
+    wave = StrangerResult('stranger_ripple', 0, form='sine', scale_sigma=9.0)
+    heat = StrangerResult('stranger_turn_heat', 0, form='second-order lag', scale_sigma=1.0)
+    place = StrangerResult('stranger_place', 0, scale_sigma=4.0)
+    diverged = StrangerResult('stranger_turn_heat', 1)
+    nothing = StrangerResult('nothing hidden', 0, scale_sigma=0.5)
+    rows = row('all', [wave, heat, place, diverged, nothing])
+    assert (rows['form'], rows['scale_3_sigma']) == (1 / 3, 0.5)
+    assert row('stranger_ripple', [wave])['scale_3_sigma'] is None
+
+
+def test_a_resonance_reads_as_its_equation_says() -> None:
+    """True rate and reading: `z'' / W^2 + 2 D z' / W + z = w`, without a lag by the steps."""
+    dt_s, (period_s, damping) = 0.005, (0.2, 0.3)
+    time_s = dt_s * np.arange(2000)
+    true = np.sin(3.0 * time_s) ** 3
+    read = STRANGERS['stranger_resonance'].readings(
+        true, np.full(2000, dt_s), np.array([period_s, damping]), 1.0
+    )
+    slope, angular = np.gradient(read, dt_s), 2.0 * math.pi / period_s
+    again = np.gradient(slope, dt_s) / angular**2 + 2.0 * damping * slope / angular + read
+    np.testing.assert_allclose(again[200:-2], true[200:-2], atol=0.005)
+
+
+@pytest.mark.parametrize('name', STRANGERS)
+def test_the_forms_of_strangers_exist(name: str) -> None:
+    """Each is one of something that its right effects are a function of."""
+    stranger = STRANGERS[name]
+    over = {getattr(find_effect(effect), 'over', '') for effect in stranger.right}
+    for wanted in stranger.forms:
+        assert any(form.name == wanted and form.over in over for form in (*FORMS, *MEMORY_FORMS))
 
 
 @pytest.mark.parametrize('name', STRANGERS)

@@ -14,6 +14,8 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import blind_drift
+from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.learned_laws import learned_laws
 from gyrocal_ros.diagnose.learning import learn
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.summarise import summarise_recording
@@ -22,6 +24,7 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.hidden import draw_hidden, draw_scale_factor, hide
 from gyrocal_ros.sim.scenarios import find_scenario
@@ -47,6 +50,10 @@ class StrangerResult:
     drift_after_deg: float = float('nan')
     drift_without_deg: float = float('nan')
     """Held-out drift before and after, and that of the same recording without the law."""
+    form: str = ''
+    """Closed form that comes first of the law that was learned; empty without one."""
+    scale_sigma: float = float('nan')
+    """Distance of the scale factor from the truth, in its standard deviations."""
     names_library: bool = False
     """True if an effect of the library was claimed and the drift stayed above `GOOD_RATIO`."""
 
@@ -54,6 +61,16 @@ class StrangerResult:
     def is_good(self) -> bool:
         """True if the drift fell to about that of a recording without the law."""
         return self.drift_after_deg <= GOOD_RATIO * self.drift_without_deg
+
+    @property
+    def forms(self) -> tuple[str, ...]:
+        """Closed forms that the law is; none without a law."""
+        return STRANGERS[self.law].forms if self.law in STRANGERS else ()
+
+    @property
+    def holds_scale(self) -> bool:
+        """True if the scale factor of the filter means that of the simulation."""
+        return self.law not in STRANGERS or STRANGERS[self.law].holds_scale
 
 
 def strangers(seeds: int, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
@@ -82,6 +99,8 @@ def row(label: str, results: Sequence[StrangerResult]) -> dict[str, Any]:
 
     right: share with the right kind and signal. good: share whose drift is at most 1.3 times that without the
     law. worse: share whose drift rose. library: share with an effect of the library that did not explain it.
+    form: share with the correct closed form first, of laws that have one. scale_3_sigma: share whose scale
+    factor is within three standard deviations of the truth, of laws of which no part is a scale factor.
     """
     answers = Counter(' + '.join(result.learned) or 'nothing' for result in results)
     return {
@@ -91,11 +110,17 @@ def row(label: str, results: Sequence[StrangerResult]) -> dict[str, Any]:
         'good': float(np.mean([result.is_good for result in results])),
         'worse': float(np.mean([result.drift_after_deg > result.drift_before_deg for result in results])),
         'library': float(np.mean([result.names_library for result in results])),
+        'form': _share([result.form in result.forms for result in results if result.forms]),
+        'scale_3_sigma': _share([result.scale_sigma < 3.0 for result in results if result.holds_scale]),
         'before_deg': float(np.mean([result.drift_before_deg for result in results])),
         'after_deg': float(np.mean([result.drift_after_deg for result in results])),
         'without_deg': float(np.mean([result.drift_without_deg for result in results])),
         'learned': ', '.join(f'{name} {count}' for name, count in answers.most_common()),
     }
+
+
+def _share(verdicts: Sequence[bool]) -> float | None:
+    return float(np.mean(verdicts)) if verdicts else None
 
 
 def run_stranger(law: str, seed: int) -> StrangerResult:
@@ -123,15 +148,24 @@ def run_stranger(law: str, seed: int) -> StrangerResult:
     except FilterDivergedError:
         return result
     learned = tuple(item.effect.name for item in found.kept)
+    calibrated = conclude(found.last.run)
+    scale_error = abs(calibrated.scale_factor - errors.scale_factor)
     result = replace(
         result,
         learned=learned,
+        form=_form(found.last),
+        scale_sigma=scale_error / calibrated.scale_factor_std,
         is_right=not learned if law == NOTHING else bool(set(learned) & set(STRANGERS[law].right)),
         drift_before_deg=_held_out_deg(found.first.run),
         drift_after_deg=_held_out_deg(found.last.run),
     )
     claims = any(name in EFFECTS for name in learned)
     return replace(result, names_library=claims and not result.is_good)
+
+
+def _form(examined: ExaminedModel) -> str:
+    """Return the closed form that comes first of the first law that has any."""
+    return next((law.forms[0].form.name for law in learned_laws(examined) if law.forms), '')
 
 
 def _drift_deg(source: SimSource, model: SensorModel) -> float:

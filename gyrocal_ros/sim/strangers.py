@@ -31,6 +31,10 @@ class Stranger:
     right: tuple[str, ...]
     """Learned effects, or such that follow a recorded signal, that have this form."""
     source: str
+    forms: tuple[str, ...] = ()
+    """Closed forms that this law is; empty where no form is exact."""
+    holds_scale: bool = True
+    """False if a part of the law is a scale factor, so that the filter's includes it."""
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Return the contribution and its derivative by the size; the others are not estimated."""
@@ -54,6 +58,8 @@ class Resonance:
     )
     right: tuple[str, ...] = ('bias_memory:dynamics',)
     source: str = 'IEEE Std 1431-2004, Coriolis vibratory gyros, frequency response'
+    forms: tuple[str, ...] = ('second-order lag',)
+    holds_scale: bool = True
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Return what the filter has to add to the reading: its derivatives, by the oscillator's equation."""
@@ -65,12 +71,18 @@ class Resonance:
         return GyroTerm(added, np.zeros((len(added), 2)), (slope[-1], block.rate_rad_s[-1, 2]))
 
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
-        """Integrate the oscillator over the readings of a sensor without it."""
+        """Integrate the oscillator over the readings of a sensor without it, by the implicit midpoint rule.
+
+        An explicit rule would add a lag of the length of a step.
+        """
         angular, damping = 2.0 * np.pi / values[0], values[1]
-        read, slope, readings = float(nominal_rad_s[0]), 0.0, []
+        before = read = float(nominal_rad_s[0])
+        slope, readings = 0.0, []
         for rate, step_s in zip(nominal_rad_s.tolist(), dt_s.tolist(), strict=True):
-            slope += step_s * (angular**2 * (rate - read) - 2.0 * damping * angular * slope)
-            read += step_s * slope
+            half = 0.5 * step_s * angular
+            push = half * angular * (0.5 * (rate + before) - read)
+            middle = (slope + push) / (1.0 + half**2 + 2.0 * damping * half)
+            read, slope, before = read + step_s * middle, 2.0 * middle - slope, rate
             readings.append(read)
         return np.array(readings)
 
@@ -177,6 +189,7 @@ STRANGERS: dict[str, Known] = {
             _by_heading,
             ('bias_curve:heading',),
             'IEEE Std 952-1997, magnetic sensitivity of fibre-optic gyros, which turns with the heading',
+            ('sine of the heading',),
         ),
         Stranger(
             'stranger_heading_twice',
@@ -184,6 +197,7 @@ STRANGERS: dict[str, Known] = {
             _by_heading_twice,
             ('bias_curve:heading',),
             'the same with the second harmonic of soft iron',
+            ('sines of the heading and of twice it',),
         ),
         Stranger(
             'stranger_place',
@@ -198,6 +212,7 @@ STRANGERS: dict[str, Known] = {
             _by_square_force,
             ('bias_curve:force_y', 'bias_curve:yaw_acceleration', 'bias_curve:rate'),
             'IEEE Std 1431-2004, g-squared sensitivity',
+            ('square',),
         ),
         Stranger(
             'stranger_square_current',
@@ -205,6 +220,7 @@ STRANGERS: dict[str, Known] = {
             _by_square_current,
             ('bias_curve:battery_state.current', covariate_bias('battery_state.current').name),
             'field of the supply leads through an induced heat, I squared R',
+            ('square',),
         ),
         Stranger(
             'stranger_fan_scale',
@@ -212,6 +228,8 @@ STRANGERS: dict[str, Known] = {
             _by_fan,
             ('scale_curve:fan_speed.data', covariate_scale('fan_speed.data').name),
             'IEEE Std 1431-2004, sensitivity to vibration',
+            ('square',),
+            holds_scale=False,
         ),
         Stranger(
             'stranger_settling',
@@ -219,6 +237,7 @@ STRANGERS: dict[str, Known] = {
             _settling,
             ('scale_memory:start',),
             'IEEE Std 1431-2004, turn-on transient of the scale factor',
+            ('fading exponential',),
         ),
         Stranger(
             'stranger_scale_jump',
@@ -233,6 +252,8 @@ STRANGERS: dict[str, Known] = {
             _ripple,
             ('bias_curve:rate',),
             'IEEE Std 1554-2005, scale-factor nonlinearity, composite error over rate',
+            ('sine',),
+            holds_scale=False,
         ),
         Stranger(
             'stranger_fast_gain',
@@ -240,6 +261,8 @@ STRANGERS: dict[str, Known] = {
             _gain_step,
             ('bias_curve:rate',),
             'two ranges of an analogue-to-digital converter with different gains',
+            ('dead band',),
+            holds_scale=False,
         ),
         Stranger(
             'stranger_last_turn',
@@ -247,6 +270,7 @@ STRANGERS: dict[str, Known] = {
             _after_turns,
             ('bias_memory:last_turn', 'bias_memory:turn_side'),
             'Lee, Choi, Park, Myung 2012: drift after turns',
+            ('fading exponential',),
         ),
         Stranger(
             'stranger_turn_heat',
@@ -254,6 +278,7 @@ STRANGERS: dict[str, Known] = {
             _heated_by_turns,
             ('bias_memory:abs_rate',),
             'heat of the wheel motors in turns',
+            ('first-order lag',),
         ),
         Stranger(
             'stranger_jerk',
@@ -268,6 +293,7 @@ STRANGERS: dict[str, Known] = {
             _voltage_wave,
             ('bias_curve:battery_state.voltage',),
             'beat of a switching regulator with the sensor, whose frequency follows the voltage',
+            ('sine',),
         ),
         Resonance(),
     )

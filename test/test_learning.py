@@ -30,6 +30,7 @@ from gyrocal_ros.diagnose.hypotheses import (
     laws,
     rank_laws,
 )
+from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.diagnose.summarise import summarise_recording
@@ -45,6 +46,8 @@ from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
+from gyrocal_ros.report.laws import law_in_words
+from gyrocal_ros.report.laws_figures import law_sections
 from gyrocal_ros.sim.hidden import DrawnEffect, draw_hidden, hide
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.strangers import STRANGERS
@@ -329,6 +332,27 @@ class TestClosedFormsOfMemories:
         assert 2.0 * math.pi * math.sqrt(second.values[1]) == pytest.approx(0.25, rel=0.05)
         assert second.physical.startswith('resonance with a period of 0.2')
 
+    @pytest.mark.parametrize(
+        ('drive', 'x_is', 'title'),
+        [
+            ('abs_rate', 'since a unit step of the magnitude of the rate', 'a unit step of the magnitude'),
+            (VOLTAGE, f'since a unit step of {VOLTAGE}', f'a unit step of {VOLTAGE}'),
+            ('last_turn', 'since the last turn ended', 'after a turn to the left'),
+            ('start', 'since the start', 'after the start'),
+            ('dynamics', 'w is the yaw rate', 'where a turn to 1 rad/s sets in'),
+        ],
+    )
+    def test_words_and_figure_say_what_the_response_is(self, drive: str, x_is: str, title: str) -> None:
+        curve = self.learned(drive, lambda block: block.rate_rad_s[:, 2] ** 2)
+        law = LearnedLaw(curve.effect, curve, tuple(closed_forms(curve, self.COUNT)), 0.01)
+        words = '\n'.join(law_in_words(law))
+        assert x_is in words and f'closest in the library: {law.closest}' in words
+        (section,) = law_sections([law])
+        assert title in str(section.figure.layout) and law.closest in section.caption
+        (summary,) = summarise_laws([law])
+        assert summary['closest_library_effect'] == law.closest and len(summary['curve']['x']) == 41
+        assert law.is_over_a_signal == (drive == 'start')
+
 
 @pytest.mark.slow
 class TestLearning:
@@ -457,6 +481,39 @@ def test_the_command_learns_and_writes(tmp_path: Path, capsys: Output) -> None:
 
     assert main(learn_it) == 2
     assert 'exists already' in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures('library', 'slow_sensors')
+@pytest.mark.parametrize(
+    ('hidden', 'drive', 'form'),
+    [
+        ('stranger_turn_heat=0.015,12', 'abs_rate', 'first-order lag'),
+        ('turn_hysteresis=0.01,8', 'rate', 'first-order lag'),
+    ],
+)
+def test_the_effect_of_a_memory_replaces_it(
+    hidden: str, drive: str, form: str, tmp_path: Path, capsys: Output
+) -> None:
+    bag, own = tmp_path / 'bag', tmp_path / 'own.py'
+    assert main(['simulate', str(bag), '--duration', '150', '--seed', '3', f'--effect={hidden}']) == 0
+    capsys.readouterr()
+    learn_it = ['learn', str(bag), '--kind', 'memory', '--follows', drive, '--as-effect', str(own), '--json']
+    assert main(learn_it) == 0
+    printed = json.loads(capsys.readouterr().out)
+    (law,) = printed['learned']
+    found = law['closed_forms'][0]
+    size, tau_s = (float(value) for value in hidden.partition('=')[2].split(','))
+    assert law['effect'] == f'bias_memory:{drive}' and found['form'] == form and found['fits']
+    assert found['p'] == pytest.approx(tau_s, rel=0.15) and found['values'] == [pytest.approx(size, rel=0.1)]
+    assert law['curve']['y'][-1] == pytest.approx(size, rel=0.15), 'the response in the end'
+    with_memory = printed['revisions'][-1]['held_out_drift_deg']['rms']
+
+    assert main(['improve', str(bag), '--effects-from', str(own), '--effect', made_in(own), '--json']) == 0
+    improved = json.loads(capsys.readouterr().out)['revisions']
+    assert improved[-1]['kept']
+    with_law = improved[-1]['held_out_drift_deg']['rms']
+    assert with_law < 1.1 * with_memory and with_law < 0.5 * improved[0]['held_out_drift_deg']['rms']
 
 
 def made_in(path: Path) -> str:

@@ -13,7 +13,6 @@ from gyrocal_ros.diagnose.error_curves import ErrorCurve, curve_by_effects
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw
 from gyrocal_ros.diagnose.shapes import HEADING, RATE, TEMPERATURE_C, TIME
 from gyrocal_ros.effects.learned import signals
-from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.drives import START
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.recording import TEMPERATURE
@@ -54,7 +53,7 @@ def curves_of_law(
         of_scale: True for an error of the scale.
         like: error curve over that signal, without the law.
     """
-    if law.curve is None or not _is_over_its_axis(law) or law_axis(law) != (signal, of_scale):
+    if law.curve is None or not law.is_over_a_signal or law_axis(law) != (signal, of_scale):
         drawn = curve_by_effects(run, 1, signal, like, of_scale)
         if drawn is not None:
             yield f'by {law.effect.name}, if added', drawn
@@ -67,11 +66,6 @@ def curves_of_law(
         y = form_over(law.curve, found)
         level = _level(y, x, signal, like)
         yield f'{found.form.name} ({_verdict(found.fits)})', ErrorCurve(x, y - level, np.zeros(len(x)))
-
-
-def _is_over_its_axis(law: LearnedLaw) -> bool:
-    """Return True for a curve, and for what fades since the start; others have their own time."""
-    return isinstance(law.effect, Curve) or law.follows == START
 
 
 def _verdict(fits: bool) -> str:

@@ -13,6 +13,7 @@ from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.effects import LEARNED_EFFECTS
 from gyrocal_ros.effects.learned.causes import closest_effect
 from gyrocal_ros.effects.learned.curve import Curve
+from gyrocal_ros.effects.learned.drives import START
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.effects.learned.signals import UNITS
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
@@ -43,6 +44,11 @@ class LearnedLaw:
     def follows(self) -> str:
         """What it follows."""
         return self.effect.name.partition(':')[2]
+
+    @property
+    def is_over_a_signal(self) -> bool:
+        """True if its curve is over a recorded signal or the time since the start."""
+        return isinstance(self.effect, Curve) or self.follows == START
 
     @property
     def closest(self) -> str:

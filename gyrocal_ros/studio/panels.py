@@ -31,7 +31,7 @@ from gyrocal_ros.report.describe import (
     sigma_in_words,
     with_gain,
 )
-from gyrocal_ros.report.laws import form_in_words, law_in_words, nothing_learned
+from gyrocal_ros.report.laws import form_in_words, law_in_words, nothing_learned, variable_of
 from gyrocal_ros.studio.lesson import error_text
 from gyrocal_ros.studio.pictures import drift_deg
 from gyrocal_ros.studio.state import Proposal, StudioState
@@ -228,7 +228,8 @@ def _learned(proposal: Proposal) -> list[tuple[str, Any]]:
         ('log-likelihood', with_gain(proposal.gain, proposal.sigma)),
     ]
     if law.forms:
-        forms = html.Ul([html.Li(form_in_words(found)) for found in law.forms], className='forms')
+        listed = html.Ul([html.Li(form_in_words(found)) for found in law.forms], className='forms')
+        forms = [f'{variable_of(law)}:', listed]
         rows += [('closed forms', forms), ('usual causes', law.forms[0].means)]
     if law.closest:
         rows.append(('closest in the library', law.closest))

@@ -13,11 +13,11 @@ from contracts import assert_derivative, eventful_block, eventful_blocks
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
-from gyrocal_ros.effects.learned import curve, memory, place_map, step
+from gyrocal_ros.effects.learned import curve, memory, place_map, step, wave
 from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.effects.learned.curve import GRID, LENGTHS, prior_stds
 from gyrocal_ros.effects.learned.forms import FORMS, library_effect
-from gyrocal_ros.effects.learned.memory import DYNAMICS, LAST_TURN, START, TAUS_S
+from gyrocal_ros.effects.learned.memory import ABS_RATE, DYNAMICS, LAST_TURN, START, TAUS_S
 from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
 from gyrocal_ros.effects.learned.signals import UNITS, values_of
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
@@ -37,8 +37,12 @@ EFFECTS: tuple[GyroEffect, ...] = (
     *(memory('bias', drive) for drive in TAUS_S),
     memory('bias', VOLTAGE),
     memory('scale', START),
+    memory('scale', VOLTAGE),
+    memory('scale', ABS_RATE),
     step('bias', at_s=30.05),
     step('scale', at_s=30.05),
+    wave('bias', period_s=7.0),
+    wave('scale', period_s=7.0),
     place_map(low_m=(-1.0, -1.0), high_m=(1.0, 1.0)),
 )
 each_effect = pytest.mark.parametrize('effect', EFFECTS, ids=lambda effect: effect.name)

@@ -17,6 +17,9 @@ KINDS = {
     'bias_map': 'the bias depends on the place in the room; valid in the map of this recording only',
     'bias_step': 'the bias jumps at {at_s:.1f} s; valid for this recording only',
     'scale_step': 'the scale factor jumps at {at_s:.1f} s; valid for this recording only',
+    'bias_wave': 'the bias swings with a period of {period_s:.1f} s; its phase is that of this recording',
+    'scale_wave': 'the scale factor swings with a period of {period_s:.1f} s; its phase is that of this '
+    'recording',
 }
 DRIVES = {
     'dynamics': 'fast changes of the rate (a lag or a resonance)',
@@ -24,6 +27,7 @@ DRIVES = {
     'abs_rate': 'the magnitude of the rate',
     'turn_side': 'the side of the turns',
     'last_turn': 'the side of the last turn, and fades after it',
+    'moving': 'whether the robot moves',
     'start': 'the start',
 }
 
@@ -32,7 +36,8 @@ def law_in_words(law: LearnedLaw) -> Iterator[str]:
     """Yield a learned law in lines of text, with the closed forms of a curve."""
     remembers = law.kind.endswith('memory')
     follows = DRIVES.get(law.follows, law.follows) if remembers else law.follows
-    what = KINDS[law.kind].format(follows=follows, at_s=getattr(law.effect, 'at_s', 0.0))
+    parameters = {name: getattr(law.effect, name, 0.0) for name in ('at_s', 'period_s')}
+    what = KINDS[law.kind].format(follows=follows, **parameters)
     yield f'Learned {law.effect.name}: {what} ({math.degrees(law.rms):.3g} deg/s rms).'
     if law.forms:
         yield f'  closed forms (x is {law.follows}, {unit_of(law.follows)}):'

@@ -211,4 +211,5 @@ def _waves(run: Run) -> Iterator[Law]:
     for of in KINDS:
         found = find_oscillation(seen, of, SLOWEST_S)
         if found is not None:
-            yield _law(wave(of, period_s=found[0]), [np.full(2, TYPICAL[of])])
+            effect = wave(of, period_s=found[0])
+            yield _law(effect, [np.array([item.prior_std for item in effect.coefficients])])

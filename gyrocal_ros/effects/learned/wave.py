@@ -13,10 +13,13 @@ from gyrocal_ros.effects.learned.signals import required
 from gyrocal_ros.effects.learned.step import TIME
 from gyrocal_ros.model.sensor import Coefficient
 
+ORDERS = np.arange(1.0, 4.0)
+"""The period and its harmonics: what is switched on and off is nine tenths of these."""
+
 
 @dataclass(frozen=True)
 class Wave(LinearGyroEffect):
-    """`c1 sin(2 pi t / period) + c2 cos(2 pi t / period)`; its phase is that of one recording."""
+    """`sum_k a_k sin(2 pi k t / period) + b_k cos(2 pi k t / period)`; its phase is that of one recording."""
 
     name: str
     coefficients: tuple[Coefficient, ...]
@@ -28,7 +31,8 @@ class Wave(LinearGyroEffect):
         return Explanation(
             physics='Bias or scale swings with a fixed period: a heater that is switched, a pump, the beat '
             'of a vibration with the sampling. The phase is that of this recording.',
-            equation=f'w = w_n + (c1 sin(2 pi t / T) + c2 cos(2 pi t / T)){" w_n" * (self.of == "scale")}',
+            equation=f'w = w_n + sum_k (a_k sin(2 pi k t / T) + b_k cos(2 pi k t / T))'
+            f'{" w_n" * (self.of == "scale")}',
             usual_size='as found',
             best_motion='five periods or more, with turns in all phases',
             source='IEEE Std 952-1997, Annex C, sinusoidal noise',
@@ -42,9 +46,9 @@ class Wave(LinearGyroEffect):
         return 'scale' if self.name.startswith('scale') else 'bias'
 
     def columns(self, block: MotionBlock) -> Array:
-        """Return sine and cosine (N, 2)."""
-        phase = 2.0 * np.pi * block.time_s / self.period_s
-        waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+        """Return the sines, then the cosines (N, 2 k)."""
+        phase = 2.0 * np.pi * ORDERS * block.time_s[:, None] / self.period_s
+        waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
         return waves * block.rate_rad_s[:, 2:] if self.of == 'scale' else waves
 
 
@@ -55,5 +59,9 @@ def wave(of: Of, signal: str = TIME, period_s: float = 30.0) -> Wave:
         ConfigError: the signal is not the time.
     """
     name = f'{of}_wave:{required(signal, (TIME,), f"{of}_wave")}'
-    items = tuple(Coefficient(part, UNIT[of], TYPICAL[of]) for part in ('sine', 'cosine'))
+    items = tuple(
+        Coefficient(f'{part}_{order:.0f}', UNIT[of], TYPICAL[of] / order)
+        for part in ('sine', 'cosine')
+        for order in ORDERS.tolist()
+    )
     return Wave(name, items, period_s)

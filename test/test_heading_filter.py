@@ -31,6 +31,7 @@ from gyrocal_ros.diagnose.shapes import (
     unexplained_structure,
 )
 from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects.learned.curve import Of
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S
 from gyrocal_ros.ekf.state import YAW_BIAS
@@ -224,6 +225,16 @@ class TestStructure:
     def test_a_drive_too_short_for_a_jump_or_an_oscillation(self) -> None:
         short = drive(duration_s=4.0 * JUMP_STEP_S - 1.0).seen
         assert find_jump(short) is None and find_oscillation(short) is None
+
+    @pytest.mark.parametrize('period_s', [14.3, 37.0, 90.0])
+    @pytest.mark.parametrize('of', ['bias', 'scale'])
+    def test_the_period_of_a_wave(self, of: Of, period_s: float) -> None:
+        time_s = times_s()
+        size = 0.02 * turning_rad_s(300.0) if of == 'scale' else deg(0.2)
+        found = find_oscillation(drive(size * np.sin(2.0 * np.pi * time_s / period_s)).seen, of, 150.0)
+        assert found is not None and found[0] == pytest.approx(period_s, rel=0.02)
+        size_found = float(np.hypot(*found[1].values))
+        assert size_found == pytest.approx(0.02 if of == 'scale' else deg(0.2), rel=0.15)
 
     def structure(self, made: Drive) -> UnexplainedStructure:
         found = structure_of(made)

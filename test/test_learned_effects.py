@@ -13,11 +13,11 @@ from contracts import GyroEffectContract, assert_derivative, eventful_block, eve
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
-from gyrocal_ros.effects.learned import curve, memory, place_map, step
+from gyrocal_ros.effects.learned import curve, memory, place_map, step, wave
 from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.effects.learned.causes import closest_effect, library_effect, meaning
 from gyrocal_ros.effects.learned.curve import GRID, LENGTHS, Of, prior_stds
-from gyrocal_ros.effects.learned.drives import ABS_RATE, DYNAMICS, LAST_TURN, SIDE, START
+from gyrocal_ros.effects.learned.drives import ABS_RATE, DYNAMICS, LAST_TURN, MOVING, SIDE, START
 from gyrocal_ros.effects.learned.forms import FORMS, Form
 from gyrocal_ros.effects.learned.memory import TAUS_S
 from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS, physical
@@ -40,8 +40,12 @@ EFFECTS: tuple[GyroEffect, ...] = (
     *(memory('bias', drive) for drive in TAUS_S),
     memory('bias', VOLTAGE),
     memory('scale', START),
+    memory('scale', VOLTAGE),
+    memory('scale', ABS_RATE),
     step('bias', at_s=30.05),
     step('scale', at_s=30.05),
+    wave('bias', period_s=7.0),
+    wave('scale', period_s=7.0),
     place_map(low_m=(-1.0, -1.0), high_m=(1.0, 1.0)),
 )
 each_effect = pytest.mark.parametrize('effect', EFFECTS, ids=lambda effect: effect.name)
@@ -253,6 +257,9 @@ DRIVES: dict[str, tuple[tuple[Of, str], ...]] = {
     'response': (
         ('bias', 'rate'),
         ('bias', ABS_RATE),
+        ('bias', MOVING),
+        ('scale', ABS_RATE),
+        ('scale', VOLTAGE),
         ('bias', SIDE),
         ('bias', 'temperature'),
         ('bias', VOLTAGE),
@@ -270,7 +277,7 @@ MEMORIES = [
 
 @pytest.mark.usefixtures('library')
 @pytest.mark.parametrize(
-    ('of', 'follows', 'form'), MEMORIES, ids=[f'{f}-{form.name}' for _, f, form in MEMORIES]
+    ('of', 'follows', 'form'), MEMORIES, ids=[f'{of}-{f}-{form.name}' for of, f, form in MEMORIES]
 )
 class TestWrittenMemory(GyroEffectContract):
     """The effect that is written of a closed form of a memory."""

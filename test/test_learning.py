@@ -419,12 +419,13 @@ class TestWhatIsRequested:
             ({'kind': 'map'}, {'bias_map:place'}),
             ({'kind': 'step'}, {'bias_step:time', 'scale_step:time'}),
             ({'kind': 'step', 'acts_on': 'scale'}, {'scale_step:time'}),
+            ({'kind': 'wave'}, {'bias_wave:time', 'scale_wave:time'}),
             ({'follows': 'heading'}, {'bias_curve:heading'}),
             ({'kind': 'memory', 'follows': 'turn_side'}, {'bias_memory:turn_side'}),
             ({'kind': 'curve', 'follows': 'temperature', 'acts_on': 'scale'}, {'scale_curve:temperature'}),
             (
                 {'follows': 'fan.data'},
-                {'bias_curve:fan.data', 'scale_curve:fan.data', 'bias_memory:fan.data'},
+                {f'{of}_{kind}:fan.data' for of in ('bias', 'scale') for kind in ('curve', 'memory')},
             ),
         ],
     )

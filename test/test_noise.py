@@ -15,9 +15,12 @@ from gyrocal_ros.data import Array, MotionBlock, Source
 from gyrocal_ros.diagnose import noise
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import examine, with_effect
+from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.noise import find_missing, or_noise
-from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises
+from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
+from gyrocal_ros.diagnose.search import continued
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
 from gyrocal_ros.effects import default_model, find_effect
@@ -163,3 +166,28 @@ def test_an_unknown_law_is_not_taken_for_noise() -> None:
     found = diagnosed(recording('stranger_heading', 0.3 * DEG, 0.7, seconds=80.0))
     assert found.verdict in ('unexplained', 'cannot_tell')
     assert not any(item.effect.acts_on == 'noise' for item in found.missing)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('is_noisy', [False, True])
+def test_a_noise_that_stood_for_an_effect_becomes_smaller_or_goes_once_it_is_found(is_noisy: bool) -> None:
+    size = SIZES['bias_instability']
+    also = hide((DrawnEffect('scale_asymmetry', (0.03,)),), find_effect)
+    source = recording('bias_instability' if is_noisy else '', *([size] if is_noisy else []), also=also)
+    recorded, run = summarise_recording(source), runner(source)
+    first = examine(default_model(), recorded, run)
+    fitted = next(item for item in fit_noises(first) if item.effect.name == 'bias_instability')
+    assert fitted.size > 3.0 * size, 'it stands for the effect'
+    added = with_noise(first, fitted, recorded, run)
+    before = Search(first, tuple(continued([added], added.after, recorded, run, 2)))
+    assert [item.effect.name for item in before.kept] == ['bias_instability', 'scale_asymmetry']
+    found = eliminate(before, recorded, run)
+    assert [item.effect.name for item in found.removals] == ['bias_instability']
+    assert [item.effect.name for item in found.kept] == ['scale_asymmetry', *['bias_instability'] * is_noisy]
+    assert found.last.model.effects[-1].name == found.kept[-1].effect.name
+    shown = improvement(found)
+    assert shown.final.examined is found.last
+    if is_noisy:
+        again = found.kept[-1]
+        assert abs(again.effect.coefficients[0].prior_mean - size) < 4.0 * again.stds[0]
+        assert 'is added again' in shown.kept[-2].why

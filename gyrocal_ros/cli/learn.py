@@ -40,7 +40,7 @@ gyrocal learn my_bag --kind memory --follows turn_side
 gyrocal learn my_bag --follows battery_state.current --as-effect my_effects.py
 gyrocal replay another_bag --model learned/model.yaml"""
 
-KINDS = ('curve', 'memory', 'map', 'step')
+KINDS = ('curve', 'memory', 'map', 'step', 'wave')
 OF = ('bias', 'scale')
 
 

@@ -119,6 +119,12 @@ class Removal:
         """Predictive log-likelihood that the model without it gains; negative where it loses some."""
         return float(predictive_gain(self.before.run, self.after.run).sum())
 
+    @property
+    def is_needed(self) -> bool:
+        """True for a limit or a noise without which the recording is predicted worse."""
+        loses = -self.predictive_gain > self.after.settings.min_predictive_gain
+        return loses and math.isinf(self.distance)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search:
@@ -132,9 +138,13 @@ class Search:
 
     @property
     def kept(self) -> tuple[Addition, ...]:
-        """Additions that helped, and that were not removed again."""
-        removed = {item.effect.name for item in self.removals}
-        return tuple(item for item in self.additions if item.is_kept and item.effect.name not in removed)
+        """Additions that helped, and that were not removed again; a noise may be added again, smaller."""
+        removed = {item.effect.name: item.after.model.version for item in self.removals}
+        return tuple(
+            item
+            for item in self.additions
+            if item.is_kept and item.after.model.version > removed.get(item.effect.name, 0)
+        )
 
     @property
     def last(self) -> ExaminedModel:

@@ -7,8 +7,14 @@ from dataclasses import replace
 
 from gyrocal_ros.diagnose.additions import Addition, Removal, Search
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, without_effect
+from gyrocal_ros.diagnose.noise_fit import fit_noises, with_noise
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.effects.traits import is_noise
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
+
+SMALLER = 0.7
+"""Size of a noise beside what was found after it, relative to that alone, below which it is added anew."""
 
 
 def eliminate(searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:
@@ -16,7 +22,7 @@ def eliminate(searched: Search, recording: RecordingSummary, calibrate: Calibrat
 
     An effect that was added early may have stood for another one that was found later. The effect closest to
     zero is removed first, for the others may gain by that. A limit, or a noise, has no distance from zero: a
-    run without it decides.
+    run without it decides. A noise that was as large because an effect was missing is added again, smaller.
 
     Args:
         searched: a finished search.
@@ -28,11 +34,14 @@ def eliminate(searched: Search, recording: RecordingSummary, calibrate: Calibrat
         weakest = _weakest(searched, needed)
         if weakest is None:
             return searched
-        removal = _removal(searched.last, weakest, recording, calibrate)
-        if removal is None:
-            needed.add(weakest.effect.name)
-        else:
+        removal = _without(searched.last, weakest, recording, calibrate)
+        if removal is not None and not removal.is_needed:
             searched = replace(searched, removals=(*searched.removals, removal))
+            continue
+        needed.add(weakest.effect.name)
+        again = None if removal is None else _smaller_noise(removal, recording, calibrate)
+        if removal is not None and again is not None:
+            searched = Search(searched.first, (*searched.additions, again), (*searched.removals, removal))
 
 
 def _weakest(searched: Search, needed: set[str]) -> Addition | None:
@@ -55,15 +64,29 @@ def _weakest(searched: Search, needed: set[str]) -> Addition | None:
     return min(doubtful, key=lambda pair: pair[0], default=(0.0, None))[1]
 
 
-def _removal(
+def _without(
     last: ExaminedModel, weakest: Addition, recording: RecordingSummary, calibrate: Calibrate
 ) -> Removal | None:
-    """Run the filter without an effect; return None where it is needed after all."""
+    """Run the filter without an effect; return None where it cannot run."""
     model, distance = without_effect(last.model, weakest.effect.name), weakest.distance_from_zero(last)
     try:
         after = examine(model, recording, calibrate, last.settings)
     except CANNOT_RUN:
         return None
-    removal = Removal(weakest.effect, last, after, distance)
-    is_needed = -removal.predictive_gain > last.settings.min_predictive_gain
-    return None if is_needed and math.isinf(distance) else removal
+    return Removal(weakest.effect, last, after, distance)
+
+
+def _smaller_noise(removal: Removal, recording: RecordingSummary, calibrate: Calibrate) -> Addition | None:
+    """Run the filter with a noise of the size that it has beside all else; None where that is no better."""
+    if not is_noise(removal.effect):
+        return None
+    name, size = removal.effect.name, removal.effect.coefficients[0].prior_mean
+    noise = next((item for item in fit_noises(removal.after) if item.effect.name == name), None)
+    if noise is None or noise.size > SMALLER * size:
+        return None
+    try:
+        again = with_noise(removal.after, noise, recording, calibrate)
+    except CANNOT_RUN:
+        return None
+    is_better = float(predictive_gain(removal.before.run, again.after.run).sum()) > 0.0
+    return again if again.is_kept and is_better else None

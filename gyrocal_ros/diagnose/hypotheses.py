@@ -19,12 +19,14 @@ from gyrocal_ros.data import (
     MotionBlock,
 )
 from gyrocal_ros.diagnose.candidates import columns_of
+from gyrocal_ros.diagnose.heading_filter import headings
+from gyrocal_ros.diagnose.shapes import find_oscillation
 from gyrocal_ros.effects.base import LinearGyroEffect
-from gyrocal_ros.effects.learned import curve, memory, place_map, step
+from gyrocal_ros.effects.learned import curve, memory, place_map, step, wave
 from gyrocal_ros.effects.learned.curve import LENGTHS as CURVE_LENGTHS
 from gyrocal_ros.effects.learned.curve import TYPICAL, Of
 from gyrocal_ros.effects.learned.curve import prior_stds as curve_stds
-from gyrocal_ros.effects.learned.memory import TAUS_S
+from gyrocal_ros.effects.learned.memory import OF_SCALE, TAUS_S
 from gyrocal_ros.effects.learned.place_map import LENGTHS as MAP_LENGTHS
 from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
 from gyrocal_ros.effects.learned.signals import HEADING, RATE, to_record
@@ -38,6 +40,9 @@ STEP_S, FINE_STEP_S = 10.0, 0.5
 """Distance of the moments that are tried for a step, first and in the second pass."""
 MAX_STEPS = 20
 """Number of moments that are tried at once."""
+KINDS: tuple[Of, ...] = ('bias', 'scale')
+SLOWEST_S = 150.0
+"""Longest period of a wave; a drift or a settling looks like part of a longer one."""
 MARGIN_M = 0.2
 """Margin of a map around the path."""
 
@@ -87,7 +92,7 @@ class StepBank(LinearGyroEffect):
 def law_names(ranges: Mapping[str, tuple[float, float]]) -> list[str]:
     """Return the names of all laws that can be learned from a recording with these signals."""
     found = [law.effect.name for law in (*_curves(ranges), *_memories(ranges))]
-    return [*found, place_map().name, step('bias').name, step('scale').name]
+    return [*found, place_map().name, *(make(of).name for make in (step, wave) for of in KINDS)]
 
 
 def laws(run: Run, ranges: Mapping[str, tuple[float, float]], only: Sequence[str] = ()) -> list[Law]:
@@ -99,7 +104,7 @@ def laws(run: Run, ranges: Mapping[str, tuple[float, float]], only: Sequence[str
         only: names out of `law_names`; empty for all.
     """
     present = {effect.name for effect in run.model.effects}
-    found = [*_curves(ranges), *_memories(ranges), *_map(run), *_steps(run)]
+    found = [*_curves(ranges), *_memories(ranges), *_map(run), *_steps(run), *_waves(run)]
     return [law for law in found if law.effect.name not in present and (not only or law.effect.name in only)]
 
 
@@ -162,8 +167,7 @@ def _law(effect: Effect, shapes: Sequence[Array]) -> Law:
 
 
 def _curves(ranges: Mapping[str, tuple[float, float]]) -> Iterator[Law]:
-    kinds: tuple[Of, ...] = ('bias', 'scale')
-    for of in kinds:
+    for of in KINDS:
         for name, (low, high) in (dict(ranges) | {HEADING: (-np.pi, np.pi)}).items():
             if of == 'scale' and name in (RATE, HEADING):
                 continue
@@ -172,12 +176,11 @@ def _curves(ranges: Mapping[str, tuple[float, float]]) -> Iterator[Law]:
 
 
 def _memories(ranges: Mapping[str, tuple[float, float]]) -> Iterator[Law]:
-    recorded = (name for name in ranges if to_record(name))
-    for drive in (*TAUS_S, *recorded):
-        effect = memory('bias', drive)
+    recorded = [name for name in ranges if to_record(name)]
+    effects = [memory('bias', drive) for drive in (*TAUS_S, *recorded)]
+    effects += [memory('scale', drive) for drive in (*OF_SCALE, *recorded)]
+    for effect in effects:
         yield _law(effect, [np.array([item.prior_std for item in effect.coefficients])])
-    settling = memory('scale', 'start')
-    yield _law(settling, [np.array([item.prior_std for item in settling.coefficients])])
 
 
 def _map(run: Run) -> Iterator[Law]:
@@ -190,8 +193,7 @@ def _map(run: Run) -> Iterator[Law]:
 def _steps(run: Run) -> Iterator[Law]:
     duration_s = float(run.history.time_s[-1])
     apart_s = max(STEP_S, duration_s / MAX_STEPS)
-    kinds: tuple[Of, ...] = ('bias', 'scale')
-    for of in kinds:
+    for of in KINDS:
         yield from _steps_at(of, np.arange(apart_s, duration_s - 0.5 * apart_s, apart_s))
 
 
@@ -201,3 +203,13 @@ def _steps_at(of: Of, at_s: Array) -> list[Law]:
         Law(step(of, at_s=moment), bank, np.array([number]), (np.array([TYPICAL[of]]),))
         for number, moment in enumerate(bank.at_s)
     ]
+
+
+def _waves(run: Run) -> Iterator[Law]:
+    """Yield the waves with the periods that explain most of the headings."""
+    seen = headings(run)
+    for of in KINDS:
+        found = find_oscillation(seen, of, SLOWEST_S)
+        if found is not None:
+            effect = wave(of, period_s=found[0])
+            yield _law(effect, [np.array([item.prior_std for item in effect.coefficients])])

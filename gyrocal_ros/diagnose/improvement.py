@@ -84,11 +84,13 @@ def improvement(searched: Search) -> Improvement:
     revisions: list[Revision] = []
     if not searched.additions or searched.additions[0].before is not None:
         revisions.append(first_revision(searched.first, reference))
-    for number, item in enumerate(searched.additions, start=1):
-        label = revision_label(number, item.effect.name)
-        revisions.append(revision(item, label, reference, item in searched.kept))
-    for number, removal in enumerate(searched.removals, start=len(searched.additions) + 1):
-        revisions.append(_removing(removal, number, reference))
+    steps: list[Addition | Removal] = [*searched.additions, *searched.removals]
+    for number, item in enumerate(sorted(steps, key=lambda step: step.after.model.version), start=1):
+        if isinstance(item, Removal):
+            revisions.append(_removing(item, number, reference))
+        else:
+            label = revision_label(number, item.effect.name)
+            revisions.append(revision(item, label, reference, item in searched.kept))
     return Improvement(tuple(revisions), reference[1])
 
 
@@ -176,6 +178,8 @@ def _removing(removal: Removal, number: int, reference: tuple[Trajectory2D, str]
 
 def removal_reason(removal: Removal) -> str:
     """Return why an effect was removed, as a clause."""
+    if removal.is_needed:
+        return 'beside the other effects it is smaller, and is added again'
     if math.isinf(removal.distance):
         return 'beside the other effects the recording is predicted as well without it'
     return f'beside the other effects it is {removal.distance:.1f} sigma from zero'

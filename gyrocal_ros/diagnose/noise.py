@@ -6,15 +6,13 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 
-import numpy as np
-
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.elimination import eliminate
-from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model, with_effect
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model
 from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood
 from gyrocal_ros.diagnose.learning import is_missing_something, likeliest_law
 from gyrocal_ros.diagnose.model_fit import model_fit
-from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises
+from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
@@ -23,7 +21,6 @@ from gyrocal_ros.effects.traits import is_white_noise
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.statistics import chi_square_tail, sigma_of
 
 MIN_GAIN = 25.0
 """Log-likelihood that a noise, or a law beside it, has to gain: many are tried."""
@@ -115,7 +112,7 @@ def _first_kept(
         if noise.gain < RIVAL_PART * noises[0].gain:
             break
         with suppress(*CANNOT_RUN):
-            found = _with_noise(first, noise, recording, calibrate)
+            found = with_noise(first, noise, recording, calibrate)
             if found.is_kept:
                 return found
     return None
@@ -128,15 +125,3 @@ def _reads_noisily(present: ExaminedModel, recording: RecordingSummary) -> bool:
     """
     expected_rad_s = math.radians(present.run.config.gyro.rate_noise_deg_s)
     return white_noise(recording.readings) > SHOWN_NOISE * expected_rad_s
-
-
-def _with_noise(
-    first: ExaminedModel, noise: NoiseFit, recording: RecordingSummary, calibrate: Calibrate
-) -> Addition:
-    """Run the filter with a noise."""
-    after = examine(with_effect(first.model, noise.effect), recording, calibrate, first.settings)
-    p_value = chi_square_tail(2.0 * noise.gain, 1)
-    none = np.empty(0, np.int64)
-    return Addition(
-        noise.effect, first, after, noise.gain, sigma_of(p_value), p_value, np.array([noise.std]), none
-    )

@@ -9,12 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.examined import ExaminedModel, with_effect
+from gyrocal_ros.diagnose.additions import NONE, Addition
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.heading_filter import Headings, heading_log_likelihood
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import is_noise
 from gyrocal_ros.ekf.process_noise import YawNoise, yaw_noise_of
+from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
+from gyrocal_ros.statistics import chi_square_tail, sigma_of
 
 STRIDES = (8, 4, 2, 1)
 """Distances between sizes of a scan that are tried, one after the other: the likelihood has one maximum."""
@@ -30,10 +33,26 @@ class NoiseFit:
     std: float
     """Standard deviation of the size, by the curvature of the log-likelihood."""
 
+    @property
+    def size(self) -> float:
+        """Size of the noise, in the unit of its coefficient."""
+        return self.effect.coefficients[0].prior_mean
+
 
 def fit_noises(present: ExaminedModel) -> list[NoiseFit]:
     """Fit each noise that a model lacks to the headings of its run, the likeliest first."""
     return sorted(_fits(present), key=lambda item: item.gain, reverse=True)
+
+
+def with_noise(
+    present: ExaminedModel, noise: NoiseFit, recording: RecordingSummary, calibrate: Calibrate
+) -> Addition:
+    """Run the filter with a noise."""
+    after = examine(with_effect(present.model, noise.effect), recording, calibrate, present.settings)
+    p_value = chi_square_tail(2.0 * noise.gain, 1)
+    return Addition(
+        noise.effect, present, after, noise.gain, sigma_of(p_value), p_value, np.array([noise.std]), NONE
+    )
 
 
 def _fits(present: ExaminedModel) -> Iterator[NoiseFit]:

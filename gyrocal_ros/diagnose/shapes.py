@@ -16,6 +16,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidate_fit import Fit, fit
 from gyrocal_ros.diagnose.heading_filter import TURNING_RAD_S, Headings, heading_scores, misfits
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
+from gyrocal_ros.effects.learned.curve import Of
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW
 from gyrocal_ros.statistics import chi_square_tail, robust_std, sigma_of
@@ -29,7 +30,7 @@ JUMP_STEP_S = 2.0
 MAX_AT_ONCE = 150
 """Number of moments or frequencies tried at once; memory grows with its square. Long recordings are searched
 coarsely first."""
-PERIODS_S = (10.0, 60.0)
+FASTEST_S, SLOWEST_S = 10.0, 60.0
 """Range of periods of an oscillating bias; a slower oscillation shows as a function of time."""
 TIME = 'time since the start (s)'
 RATE = 'rate (deg/s)'
@@ -156,14 +157,22 @@ def find_jump(seen: Headings) -> tuple[float, Fit] | None:
     return _best_jump(seen, np.arange(max(found[0] - apart_s, first_s), found[0] + apart_s, JUMP_STEP_S))
 
 
-def find_oscillation(seen: Headings) -> tuple[float, Fit] | None:
-    """Return the period (s) with which an oscillating bias explains most, and the fit of sine and cosine."""
-    fastest_hz, slowest_hz = (1.0 / period_s for period_s in PERIODS_S)
+def find_oscillation(
+    seen: Headings, of: Of = 'bias', slowest_s: float = SLOWEST_S
+) -> tuple[float, Fit] | None:
+    """Return the period (s) of the oscillation that explains most, and the fit of sine and cosine.
+
+    Args:
+        seen: headings.
+        of: what oscillates.
+        slowest_s: longest period; half the recording at most.
+    """
+    slowest_hz, fastest_hz = 1.0 / slowest_s, 1.0 / FASTEST_S
     apart_hz = 0.5 / float(seen.time_s[-1])
-    found = _best_oscillation(seen, np.arange(max(slowest_hz, 4.0 * apart_hz), fastest_hz, apart_hz))
+    found = _best_oscillation(seen, np.arange(max(slowest_hz, 4.0 * apart_hz), fastest_hz, apart_hz), of)
     if found is None:
         return None
-    return _best_oscillation(seen, 1.0 / found[0] + apart_hz * np.linspace(-1.0, 1.0, 21))
+    return _best_oscillation(seen, 1.0 / found[0] + apart_hz * np.linspace(-1.0, 1.0, 21), of)
 
 
 def _structures(
@@ -191,7 +200,7 @@ def _over_time(
         yield fitted.gain - 2.0, UnexplainedStructure(what, fitted.gain, sigma, shape, at_s)
     if oscillation is not None:
         period_s, fitted = oscillation
-        sigma = _sigma(seen, fitted, _waves(seen, np.array([1.0 / period_s])), 3, settings)
+        sigma = _sigma(seen, fitted, _waves(seen, np.array([1.0 / period_s]), 'bias'), 3, settings)
         size = f'{math.degrees(float(np.hypot(*fitted.values))):.3f} deg/s'
         what = f'the bias oscillates with an amplitude of {size} and a period of {period_s:.1f} s'
         merit = settings.oscillation_part * fitted.gain - 3.0
@@ -202,9 +211,9 @@ def _best_jump(seen: Headings, at_s: Array) -> tuple[float, Fit] | None:
     return _best(seen, at_s.tolist(), _after(seen, at_s)) if len(at_s) else None
 
 
-def _best_oscillation(seen: Headings, hz: Array) -> tuple[float, Fit] | None:
+def _best_oscillation(seen: Headings, hz: Array, of: Of) -> tuple[float, Fit] | None:
     parts = np.array_split(hz, max(math.ceil(2 * len(hz) / MAX_AT_ONCE), 1))
-    fits = [_best(seen, (1.0 / part).tolist(), _waves(seen, part)) for part in parts if len(part)]
+    fits = [_best(seen, (1.0 / part).tolist(), _waves(seen, part, of)) for part in parts if len(part)]
     return max((item for item in fits if item is not None), key=lambda item: item[1].gain, default=None)
 
 
@@ -228,10 +237,11 @@ def _after(seen: Headings, at_s: Array) -> Array:
     return (seen.time_s[:, None] >= at_s).astype(float)
 
 
-def _waves(seen: Headings, hz: Array) -> Array:
-    """Return (s, 2 n): the sines, then the cosines."""
+def _waves(seen: Headings, hz: Array, of: Of) -> Array:
+    """Return (s, 2 n): the sines, then the cosines; for a scale, times the rate."""
     phase = 2.0 * np.pi * seen.time_s[:, None] * hz
-    return np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
+    waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
+    return waves * (seen.turn_rad / seen.dt_s)[:, None] if of == 'scale' else waves
 
 
 def _sigma(seen: Headings, fitted: Fit, columns: Array, dof: int, settings: DiagnosisSettings) -> float:

@@ -178,7 +178,8 @@ def _turn(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
     duration_s = 3.0 if isinstance(effect, GyroEffectOnReadings) else 60.0
     x = np.linspace(0.0, duration_s, 10 * COUNT)
     rate = np.interp(x, [0.5, 0.7, 2.0, 2.2], [0.0, TURNING_RAD_S, TURNING_RAD_S, 0.0])
-    return 'time (s)', x, _block(yaw_rate_rad_s=rate, dt_s=np.gradient(x))
+    dt_s = np.gradient(x)
+    return 'time (s)', x, _block(yaw_rate_rad_s=rate, dt_s=dt_s, wheel_turn_rad=rate * dt_s)
 
 
 def _time(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from gyrocal_ros.diagnose.closed_forms import ClosedForm
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, unit_of
-from gyrocal_ros.effects.learned.drives import ABS_RATE, LAST_TURN, SIDE, START
+from gyrocal_ros.effects.learned.drives import ABS_RATE, LAST_TURN, MOVING, SIDE, START
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.report.describe import with_std
 
@@ -19,6 +19,9 @@ KINDS = {
     'bias_map': 'the bias depends on the place in the room; valid in the map of this recording only',
     'bias_step': 'the bias jumps at {at_s:.1f} s; valid for this recording only',
     'scale_step': 'the scale factor jumps at {at_s:.1f} s; valid for this recording only',
+    'bias_wave': 'the bias swings with a period of {period_s:.1f} s; its phase is that of this recording',
+    'scale_wave': 'the scale factor swings with a period of {period_s:.1f} s; its phase is that of this '
+    'recording',
 }
 DRIVES = {
     'dynamics': 'fast changes of the rate (a lag or a resonance)',
@@ -26,6 +29,7 @@ DRIVES = {
     'abs_rate': 'the magnitude of the rate',
     'turn_side': 'the side of the turns',
     'last_turn': 'the side of the last turn, and fades after it',
+    'moving': 'whether the robot moves',
     'start': 'the start',
 }
 
@@ -34,7 +38,8 @@ def law_in_words(law: LearnedLaw) -> Iterator[str]:
     """Yield a learned law in lines of text, with its closed forms."""
     remembers = law.kind.endswith('memory')
     follows = DRIVES.get(law.follows, law.follows) if remembers else law.follows
-    what = KINDS[law.kind].format(follows=follows, at_s=getattr(law.effect, 'at_s', 0.0))
+    parameters = {name: getattr(law.effect, name, 0.0) for name in ('at_s', 'period_s')}
+    what = KINDS[law.kind].format(follows=follows, **parameters)
     yield f'Learned {law.effect.name}: {what} ({math.degrees(law.rms):.3g} deg/s rms).'
     if law.forms:
         yield f'  closed forms ({variable_of(law)}):'
@@ -58,7 +63,12 @@ def variable_of(law: LearnedLaw) -> str:
 
 def drive_in_words(drive: str) -> str:
     """Return the drive of a memory whose response is that to a step."""
-    return {SIDE: 'the side of the turn', ABS_RATE: 'the magnitude of the rate'}.get(drive, drive)
+    words = {
+        SIDE: 'the side of the turn',
+        ABS_RATE: 'the magnitude of the rate',
+        MOVING: 'the motion (0 or 1)',
+    }
+    return words.get(drive, drive)
 
 
 def nothing_learned(contradicts: bool) -> str:

@@ -153,7 +153,9 @@ def _gain_step(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array
 
 def _after_turns(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
     now, column = float(memory or 0.0), []
-    sides = np.sign(_rate(block)) * (np.abs(_rate(block)) > TURNING_RAD_S)
+    # By the wheels: a reading at which the law itself jumps would be consistent with no rate.
+    turning = block.wheel_turn_rad / block.dt_s
+    sides = np.sign(turning) * (np.abs(turning) > TURNING_RAD_S)
     for side, dt_s in zip(sides.tolist(), block.dt_s.tolist(), strict=True):
         now = side if side else now * math.exp(-dt_s / values[1])
         column.append(now)

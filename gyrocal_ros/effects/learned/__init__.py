@@ -1,4 +1,4 @@
-"""Effects whose law is learned from a recording: curves, maps, memories and steps, stored as data.
+"""Effects whose law is learned from a recording: curves, maps, memories, steps and waves, stored as data.
 
 Each is a sum of fixed functions; their coefficients are estimated by the filter like those of any effect. The
 prior standard deviations of the coefficients make the sum smooth.
@@ -13,6 +13,7 @@ from gyrocal_ros.effects.learned.curve import curve
 from gyrocal_ros.effects.learned.memory import memory
 from gyrocal_ros.effects.learned.place_map import place_map
 from gyrocal_ros.effects.learned.step import step
+from gyrocal_ros.effects.learned.wave import wave
 
 LEARNED_EFFECTS: dict[str, Callable[[str], LibraryEffect]] = {
     'bias_curve': lambda signal: curve('bias', signal),
@@ -22,7 +23,9 @@ LEARNED_EFFECTS: dict[str, Callable[[str], LibraryEffect]] = {
     'bias_map': lambda signal: place_map(signal),
     'bias_step': lambda signal: step('bias', signal),
     'scale_step': lambda signal: step('scale', signal),
+    'bias_wave': lambda signal: wave('bias', signal),
+    'scale_wave': lambda signal: wave('scale', signal),
 }
 """Effects whose names contain what they follow, `bias_curve:rate`."""
 
-__all__ = ['LEARNED_EFFECTS', 'curve', 'memory', 'place_map', 'step']
+__all__ = ['LEARNED_EFFECTS', 'curve', 'memory', 'place_map', 'step', 'wave']

@@ -6,6 +6,7 @@ from gyrocal_ros.effects.learned.drives import (
     ABS_RATE,
     DYNAMICS,
     LAST_TURN,
+    MOVING,
     SIDE,
     START,
 )
@@ -28,6 +29,7 @@ _LIBRARY = {
     ('bias', SIDE, FIRST_ORDER): 'turn_hysteresis',
     ('bias', ABS_RATE, 'at once'): 'scale_asymmetry',
     ('bias', TEMPERATURE, 'at once'): 'bias_temperature',
+    ('scale', TEMPERATURE, 'at once'): 'scale_temperature',
     ('bias', START, 'fading exponential'): 'bias_warmup',
 }
 _CLOSEST = {
@@ -37,7 +39,10 @@ _CLOSEST = {
     ('bias', LAST_TURN): 'turn_hysteresis',
     ('bias', ABS_RATE): 'scale_asymmetry',
     ('bias', TEMPERATURE): 'bias_temperature',
+    ('bias', MOVING): 'vibration_rectification',
     ('bias', START): 'bias_warmup',
+    ('scale', ABS_RATE): 'scale_temperature',
+    ('scale', TEMPERATURE): 'scale_temperature',
     ('scale', START): 'scale_temperature',
 }
 _MEANINGS = {
@@ -57,6 +62,7 @@ _MEANINGS_OF_MEMORIES = {
     SIDE: 'hysteresis: strain or charge that a turn leaves behind (IEEE Std 528)',
     LAST_TURN: 'relaxation after a turn (Lee, Choi, Park, Myung 2012)',
     ABS_RATE: 'heat of the motors in turns, which reaches the sensor late (Newton: law of cooling)',
+    MOVING: 'heat, vibration or supply current of the motors while the robot drives',
     TEMPERATURE: 'the sensing element is warmed later than the thermometer, or a gradient of temperature '
     '(Shupe 1980) disturbs it',
 }

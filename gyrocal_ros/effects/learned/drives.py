@@ -11,9 +11,12 @@ from gyrocal_ros.effects.base import recorded
 from gyrocal_ros.effects.learned.signals import RATE, values_of
 from gyrocal_ros.model.sensor import Memory
 
-DYNAMICS, ABS_RATE, SIDE, LAST_TURN, START = 'dynamics', 'abs_rate', 'turn_side', 'last_turn', 'start'
+DYNAMICS, ABS_RATE, SIDE, LAST_TURN = 'dynamics', 'abs_rate', 'turn_side', 'last_turn'
+MOVING, START = 'moving', 'start'
 TURNING_RAD_S = math.radians(5.0)
 """Rate above which the robot is in a turn."""
+MOVING_M_S = 0.02
+"""Speed above which the robot drives."""
 ONSET_S = 0.3
 """Time in which a turn sets in, to show the dynamics."""
 SMOOTHED_S = 0.02
@@ -35,14 +38,14 @@ def driven(drive: str, block: MotionBlock, first: float | None) -> tuple[Array, 
     """Return the drive (N,) of a memory; zero where it is not recorded.
 
     Args:
-        drive: `rate`, `abs_rate` or `turn_side`, or a signal, which counts from its first value.
+        drive: `rate`, `abs_rate`, `turn_side` or `moving`, or a signal, which counts from its first value.
         first: that value; None before it is known.
 
     Returns:
         The drive, and the first value.
     """
-    if drive in (RATE, ABS_RATE, SIDE):
-        return rate_drive(drive, block), None
+    if drive in (RATE, ABS_RATE, SIDE, MOVING):
+        return motion_drive(drive, block), None
     values = values_of(drive, block)
     known = values[~np.isnan(values)]
     if first is None:
@@ -125,10 +128,17 @@ def fast_part(rate: Array, dt_s: Array, tau_s: Array, start: Array | None) -> tu
     return rate - 0.5 * (h[1:] + h[:-1]), h[-1]
 
 
-def rate_drive(drive: str, block: MotionBlock) -> Array:
-    """Return the rate, its magnitude or its side (N,)."""
+def motion_drive(drive: str, block: MotionBlock) -> Array:
+    """Return the rate, its magnitude, its side, or whether the wheels move (N,)."""
     rate = block.rate_rad_s[:, 2]
-    return {RATE: rate, ABS_RATE: np.abs(rate), SIDE: side_of(rate)}[drive]
+    return {RATE: rate, ABS_RATE: np.abs(rate), SIDE: side_of(rate), MOVING: moves(block)}[drive]
+
+
+def moves(block: MotionBlock) -> Array:
+    """Return 1 (N,) where the wheels drive or turn the robot, else 0."""
+    drives = np.abs(block.distance_m) > MOVING_M_S * block.dt_s
+    turns = np.abs(block.wheel_turn_rad) > TURNING_RAD_S * block.dt_s
+    return (drives | turns).astype(float)
 
 
 def side_of(rate_rad_s: Array) -> Array:

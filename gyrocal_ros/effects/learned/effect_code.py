@@ -44,26 +44,29 @@ DYNAMICS = """        first, second, memory = derivatives(block, memory)
         return column({derivatives}), memory
 """
 AT_ONCE = """        drive, memory = driven({follows!r}, block, memory)
-        return column(drive), memory
+        return column({rate}drive), memory
 """
 LAG = """        # A signal counts from its first value.
         first, level = memory if memory is not None else (None, None)
         drive, first = driven({follows!r}, block, first)
         lagged, level = lag(drive, block.dt_s, P, level)
-        return column({remembered}), (first, level)
+        return column({rate}lagged), (first, level)
 """
+PASSING = LAG.replace('        return', '        passing = drive - lagged\n        return').replace(
+    '}lagged', '}passing'
+)
 TWO_LAGS = """        # A signal counts from its first value; one lag drives the next.
         first, level, next_level = memory if memory is not None else (None, None, None)
         drive, first = driven({follows!r}, block, first)
         once, level = lag(drive, block.dt_s, P, level)
         twice, next_level = lag(once, block.dt_s, P, next_level)
-        return column(twice), (first, level, next_level)
+        return column({rate}twice), (first, level, next_level)
 """
 RESPONSES = {
     'at once': AT_ONCE,
-    FIRST_ORDER: LAG.replace('{remembered}', 'lagged'),
+    FIRST_ORDER: LAG,
     SECOND_ORDER: TWO_LAGS,
-    'passing': LAG.replace('{remembered}', 'drive - lagged'),
+    'passing': PASSING,
 }
 
 
@@ -91,11 +94,9 @@ def code_of(of: Of, follows: str, form: Form, terms: Sequence[str]) -> Code:
     """
     listed = '\n'.join(f'            {term},' for term in terms)
     count, unit = len(terms), UNIT[of]
+    rate = 'block.rate_rad_s[:, 2] * ' if of == 'scale' else ''
     if form.over in ('signal', 'heading') or follows == START:
-        signal, rate = (
-            'time' if follows == START else follows,
-            'block.rate_rad_s[:, 2] * ' if of == 'scale' else '',
-        )
+        signal = 'time' if follows == START else follows
         method = CURVE.format(count=count, follows=signal, terms=listed, rate=rate)
         return Code(CURVE_IMPORTS, 'LinearGyroEffect', method, f'x is {signal}', (unit,) * count)
     units: tuple[str, ...] = (unit,)
@@ -106,7 +107,7 @@ def code_of(of: Of, follows: str, form: Form, terms: Sequence[str]) -> Code:
         helpers, body = 'derivatives', DYNAMICS.format(derivatives=', '.join(('first', 'second')[:count]))
         x_is, units = 'w in the form is the reading', ('s', 's^2')[:count]
     else:
-        body = RESPONSES[form.name].format(follows=follows)
+        body = RESPONSES[form.name].format(follows=follows, rate=rate)
         helpers = 'driven, lag' if 'lag(' in body else 'driven'
         x_is = f'x is the time after a unit step of {follows}'
         units = ('1',) if follows in (RATE, ABS_RATE) else units

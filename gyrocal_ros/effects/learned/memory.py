@@ -13,12 +13,13 @@ from gyrocal_ros.effects.learned.drives import (
     ABS_RATE,
     DYNAMICS,
     LAST_TURN,
+    MOVING,
     SIDE,
     START,
     fast_part,
     kept_of_steady,
     low_pass,
-    rate_drive,
+    motion_drive,
     side_of,
     start_of_turn,
 )
@@ -33,19 +34,23 @@ TAUS_S: dict[str, tuple[float, ...]] = {
     ABS_RATE: (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     SIDE: (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     LAST_TURN: (2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
+    MOVING: (0.25, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     START: (15.0, 30.0, 60.0, 120.0, 250.0),
 }
 """What a memory may be driven by, with its time constants: the rate less its low-pass, and that less its own
 low-pass; the rate; its magnitude; the side of the turn (-1, 0, 1); the side of the last turn, decaying after
-it; a pulse at power-on."""
+it; whether the wheels move (0, 1); a pulse at power-on."""
 _DRIVES = {
     DYNAMICS: 'the rate less its low-pass, and that less its own',
     RATE: 'the rate',
     ABS_RATE: 'the magnitude of the rate',
     SIDE: 'the side of the turn: -1, 0 or 1',
     LAST_TURN: 'the side of the last turn, fading after it',
+    MOVING: 'whether the wheels move: 0 or 1',
     START: 'a pulse at power-on',
 }
+OF_SCALE = (START, ABS_RATE)
+"""Drives of which a scale may be a memory, beside any signal."""
 _SHOWN_AGAINST: dict[str, Stimulus] = {START: 'time', TEMPERATURE: 'temperature'}
 OTHER_TAUS_S = (3.0, 10.0, 30.0, 100.0)
 """Time constants for any other signal."""
@@ -136,12 +141,13 @@ def memory(of: Of, drive: str) -> ExponentialBank:
         drive: a key of `TAUS_S`, or a signal.
 
     Raises:
-        ConfigError: a scale cannot remember the rate, since that is a bias.
+        ConfigError: a scale cannot remember the rate or its side, since that is a bias.
     """
-    if of == 'scale':
-        required(drive, (START,), f'scale_memory:{drive}')
+    if of == 'scale' and drive in TAUS_S:
+        required(drive, OF_SCALE, f'scale_memory:{drive}')
     count = len(TAUS_S.get(drive, OTHER_TAUS_S)) * (2 if drive == DYNAMICS else 1)
-    std, unit = (0.1, '1') if drive in (DYNAMICS, RATE, ABS_RATE) else (TYPICAL[of], UNIT[of])
+    is_by_rate = of == 'bias' and drive in (DYNAMICS, RATE, ABS_RATE)
+    std, unit = (0.1, '1') if is_by_rate else (TYPICAL[of], UNIT[of])
     items = tuple(Coefficient(f'c{number}', unit, std) for number in range(1, count + 1))
     return ExponentialBank(f'{of}_memory:{drive}', items)
 
@@ -157,8 +163,8 @@ def _followed(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tupl
     return 0.5 * (h[1:] + h[:-1]), (first, h[-1])
 
 
-def _of_rate(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
-    drive = rate_drive(bank.follows, block)
+def _of_motion(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
+    drive = motion_drive(bank.follows, block)
     start = before if before is not None else np.zeros(len(bank.tau_s))
     kept = kept_of_steady(block.dt_s, bank.tau_s)
     h = low_pass(np.repeat(drive[:, None], len(bank.tau_s), axis=1), kept, start)
@@ -195,9 +201,10 @@ def _since_start(bank: ExponentialBank, block: MotionBlock, before: Memory) -> t
 
 _BANKS = {
     DYNAMICS: _dynamics,
-    RATE: _of_rate,
-    ABS_RATE: _of_rate,
-    SIDE: _of_rate,
+    RATE: _of_motion,
+    ABS_RATE: _of_motion,
+    SIDE: _of_motion,
+    MOVING: _of_motion,
     LAST_TURN: _after_turn,
     START: _since_start,
 }

@@ -47,7 +47,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory, slow_sensors: None) -> Pa
     shutil.copy(result / 'calibration.yaml', folder / 'prior.yaml')
     for name in ('default.yaml', 'model.yaml'):
         shutil.copy(shipped('config/model.yaml'), folder / name)
-    for name in ('my_effects.py', 'ripple.py'):
+    for name in ('my_effects.py', 'ripple.py', 'heat.py'):
         (folder / name).write_text(OWN_EFFECT)
     return folder
 

@@ -13,7 +13,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import (
     STRIDE_S,
     BlindDrift,
-    Trajectory2D,
+    Heading,
     better_sigma,
     blind_drift,
     dead_reckoning,
@@ -83,11 +83,9 @@ def test_blind_drift_agrees_with_direct_sums(run: Run) -> None:
 
 def test_the_frame_of_the_truth_does_not_matter(run: Run) -> None:
     assert run.truth is not None
-    turn = np.array(
-        [[math.cos(2.0), math.sin(2.0), 0.0], [-math.sin(2.0), math.cos(2.0), 0.0], [0.0, 0.0, 1.0]]
-    )
+    turn = np.array([[math.cos(2.0), math.sin(2.0)], [-math.sin(2.0), math.cos(2.0)]])
     elsewhere = replace(
-        run.truth, position_m=run.truth.position_m @ turn + [5.0, -2.0, 1.0], yaw_rad=run.truth.yaw_rad + 2.0
+        run.truth, position_m=run.truth.position_m @ turn + [5.0, -2.0], yaw_rad=run.truth.yaw_rad + 2.0
     )
     moved, plain = truth_path(replace(run, truth=elsewhere)), truth_path(run)
     assert moved is not None and plain is not None
@@ -110,7 +108,7 @@ def test_without_truth_the_filter_is_the_reference(run: Run) -> None:
 
 def test_the_reference_can_be_given(run: Run) -> None:
     history = run.history
-    wrong = Trajectory2D(history.time_s, history.mean[:, :2], history.mean[:, YAW] + 0.001 * history.time_s)
+    wrong = Heading(history.time_s, history.mean[:, YAW] + 0.001 * history.time_s)
     drift = blind_drift(run, (wrong, 'drifting'), span_s=20.0)
     expected = blind_drift(replace(run, truth=None), span_s=20.0).error_rad - 0.001 * 20.0
     assert drift.reference == 'drifting'

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from contracts import CAMERA, NOISE_PX
 from gyrocal_ros import kernels
 from gyrocal_ros.data import Array, CameraIntrinsics, WheelSample, changed
 from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
+from gyrocal_ros.ekf.scale_watch import NOTHING, NormalEquations
 from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
 from gyrocal_ros.ekf.update import Innovation
 from gyrocal_ros.errors import FilterDivergedError
@@ -45,10 +47,17 @@ def carry_pose(rng: np.random.Generator, count: int) -> Arguments:
     return rng.normal(size=3), euler_rad, rates, intervals_s(rng, count), rng.normal(0.002, 0.001, count)
 
 
-def pose_noise(rng: np.random.Generator, count: int) -> Arguments:
-    gain, density = rng.normal(size=(6, 3, count)), rng.uniform(1e-4, 1e-3, (3, count))
-    attitude = rotation_from_euler(rng.normal(size=3))
-    return gain, density, intervals_s(rng, count), attitude, 0.01, rng.uniform(0.0, 1e-4, 3)
+def process_noise(rng: np.random.Generator, count: int) -> Arguments:
+    gain, (tilt, yaw) = rng.normal(size=(6, 3, count)), rng.uniform(1e-4, 1e-3, (2, count + 1))
+    rates, steps, euler = rng.normal(size=count), rng.normal(0.0, 0.01, count), rng.normal(size=(3, count))
+    wheels, walks = tuple(rng.uniform(0.0, 0.1, 4)), rng.uniform(0.0, 1e-2, 3 + count % 4)
+    motion = intervals_s(rng, count), rates, steps, euler
+    return gain, tilt[:2], yaw[1:], *motion, 0.01, 0.02, wheels, 0.03, walks
+
+
+def transition_matrix(rng: np.random.Generator, count: int) -> Arguments:
+    gain, yaw_gain = rng.normal(size=(6, 3, count)), rng.normal(size=(6, count))
+    return rng.normal(size=(6, 6)), gain, yaw_gain, rng.normal(size=(6, count % 4)), 0.99
 
 
 def path_in_block(rng: np.random.Generator, count: int) -> Arguments:
@@ -186,8 +195,12 @@ def matches_counted(rng: np.random.Generator, count: int) -> Arguments:
     return last_seen_ns, rejections, last_pixels, last_directions, 2 * 10**18, rows, accepted, *matched
 
 
-def significances(rng: np.random.Generator, count: int) -> Arguments:
-    return tuple(rng.uniform(0.0, 100.0, (5, count)))
+def scale_changes(rng: np.random.Generator, count: int, others_explained: float = 100.0) -> Arguments:
+    information, score, nis, dof, least = rng.uniform(0.0, 100.0, (5, count))
+    matrix, cross = covariance(rng, 4), 0.1 * np.sqrt(information)[:, None] * rng.normal(size=(count, 4))
+    direction = rng.normal(size=4)
+    scale = math.sqrt(others_explained / (direction @ np.linalg.solve(matrix, direction)))
+    return information, score, nis, dof, least, cross, NormalEquations(matrix, scale * direction)
 
 
 def euler_angles(rng: np.random.Generator, count: int) -> Arguments:
@@ -230,12 +243,13 @@ MAKERS: tuple[Maker, ...] = (
     matches_counted,
     motion_in_image,
     path_in_block,
-    pose_noise,
     predict_inverse_depth,
+    process_noise,
     project_with_jacobian,
     rate_scatter,
-    significances,
+    scale_changes,
     squared_norm,
+    transition_matrix,
     weigh,
 )
 ARGUMENTS: dict[str, Maker] = {make.__name__: make for make in MAKERS}
@@ -292,6 +306,14 @@ def test_innovations_without_coefficients_or_candidates(widths: tuple[int, int, 
 def test_weights_of_pixels_and_of_points(width: int, outliers: int) -> None:
     for seed in range(10):
         assert_equal_to_rounding('weigh', weigh(np.random.default_rng(seed), 9, width, outliers))
+
+
+@needs_kernels
+@pytest.mark.parametrize('others_explained', [0.0, 1e6])
+def test_changes_of_the_scale_with_and_without_other_errors(others_explained: float) -> None:
+    assert_equal_to_rounding('scale_changes', scale_changes(np.random.default_rng(3), 6, others_explained))
+    none = (*scale_changes(np.random.default_rng(4), 6)[:5], np.empty((6, 0)), NOTHING)
+    assert_equal_to_rounding('scale_changes', none)
 
 
 @pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])

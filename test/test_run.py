@@ -10,7 +10,7 @@ from contracts import eventful_block
 
 from gyrocal_ros.data import ClockStep, TruthSample, nanoseconds
 from gyrocal_ros.effects import find_effect
-from gyrocal_ros.ekf.run import SCALARS, TRUTH_INTERVAL_NS, History, Recorder
+from gyrocal_ros.ekf.run import BLOCK_ROWS, SCALARS, TRUTH_INTERVAL_NS, History, Recorder, step_by_step
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
 
@@ -132,6 +132,31 @@ def test_memory_grows_with_the_steps() -> None:
     np.testing.assert_array_equal(found.pixel_noise_px, np.arange(count))
     np.testing.assert_allclose(found.time_s, 0.1 * np.arange(count))
     assert found.mean.shape == (count, 9 + K) and found.pixel_noise_px.flags.c_contiguous
+
+
+def test_a_step_takes_the_memory_that_is_documented() -> None:
+    count = 10
+    found = history(*(record(0.1 * i) for i in range(count)))
+    assert sum(getattr(found, field.name).nbytes for field in fields(found)) / count < 450
+
+
+def test_later_steps_do_not_change_a_history() -> None:
+    recorder = Recorder(K)
+    for i in range(10):
+        recorder.add(replace(record(0.1 * i), pixel_noise_px=float(i)))
+    early = recorder.history()
+    for i in range(10, 3000):  # over several blocks, until the columns have grown twice
+        recorder.add(replace(record(0.1 * i), pixel_noise_px=float(i)))
+    np.testing.assert_array_equal(early.pixel_noise_px, np.arange(10))
+    np.testing.assert_array_equal(recorder.history().pixel_noise_px, np.arange(3000))
+
+
+def test_columns_are_read_step_by_step() -> None:
+    count = 2 * BLOCK_ROWS + 3
+    read = list(step_by_step(np.arange(count), 0.5 * np.arange(count)))
+    assert read == [(i, 0.5 * i) for i in range(count)]
+    assert [type(number) for number in read[-1]] == [int, float]
+    assert list(step_by_step(np.empty(0), np.empty(0))) == []
 
 
 def test_an_empty_history_has_all_columns() -> None:

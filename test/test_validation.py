@@ -9,7 +9,7 @@ import pytest
 from studio_parts import HIDDEN, SIZE, open_session
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.drift import reference_path
+from gyrocal_ros.diagnose.drift import reference_heading
 from gyrocal_ros.diagnose.validation import coefficient_pairs, validate
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.pipeline.calibration import conclude
@@ -31,11 +31,11 @@ def session(uneven_bag: Path, strange_bag: Path, tmp_path_factory: pytest.TempPa
 
 def test_with_its_own_coefficients_a_recording_drifts_as_fitted(session: Session) -> None:
     run = session.improvement().final.examined.run
-    same = validate(conclude(run), run, reference_path(run))
+    same = validate(conclude(run), run, reference_heading(run))
     assert same.drift.rms_deg == pytest.approx(same.fitted.rms_deg, rel=1e-9)
     assert all(pair.training == pair.test for pair in coefficient_pairs(same))
     worse = replace(same.training, values=same.training.values + 0.01)
-    assert validate(worse, run, reference_path(run)).drift.rms_deg > 5.0 * same.drift.rms_deg
+    assert validate(worse, run, reference_heading(run)).drift.rms_deg > 5.0 * same.drift.rms_deg
 
 
 def test_another_robot_shows_that_it_has_other_coefficients(session: Session) -> None:

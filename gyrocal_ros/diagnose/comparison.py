@@ -14,8 +14,8 @@ from gyrocal_ros.diagnose.drift import (
     blind_drift,
     heading_rms_deg,
     held_out_from_s,
-    reference_path,
-    truth_path,
+    reference_heading,
+    truth_heading,
 )
 from gyrocal_ros.diagnose.heading_filter import Headings, headings
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
@@ -76,7 +76,7 @@ def compare(runs: Mapping[str, Run], diverged: Mapping[str, str] | None = None) 
     first = next(iter(runs.values()))
     gains = {label: predictive_gain(first, run) for label, run in runs.items()}
     best = max(runs, key=lambda label: float(gains[label].sum()))
-    reference = reference_path(runs[best])
+    reference = reference_heading(runs[best])
     from_s = held_out_from_s(first)
     drifts = {label: blind_drift(run, reference, from_s) for label, run in runs.items()}
     results = []
@@ -100,7 +100,7 @@ def compare(runs: Mapping[str, Run], diverged: Mapping[str, str] | None = None) 
 
 def headings_by_truth(run: Run) -> Headings | None:
     """Return the headings of a run with the ground truth in place of the camera; None without one."""
-    truth = truth_path(run)
+    truth = truth_heading(run)
     if truth is None:
         return None
     seen = headings(run)

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.additions import NONE, Search
-from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
+from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_heading
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds, indistinguishable
@@ -129,7 +129,7 @@ def _conclude(
         unexplained=structure,
         fails_where=tuple(failures(first.run, first.seen, first.settings)),
         fit=fit,
-        drift_reference=reference_path(last.run)[1],
+        drift_reference=reference_heading(last.run)[1],
         timing=timing,
         coarse_step_rad_s=coarse_step_rad_s,
     )
@@ -137,7 +137,7 @@ def _conclude(
 
 def _missing(searched: Search) -> Iterator[MissingEffect]:
     run = searched.last.run
-    reference = reference_path(run)
+    reference = reference_heading(run)
     from_s = held_out_from_s(run)
 
     def drift_deg(examined: ExaminedModel, known_from_s: float) -> float:

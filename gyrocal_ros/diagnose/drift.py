@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.run import GroundTruth, Run
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS
 from gyrocal_ros.model.planar import planar_trajectory
 from gyrocal_ros.statistics import chi_square_quantile, trigamma
@@ -75,6 +75,15 @@ class BlindDrift:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Heading:
+    """Heading over time, by one source."""
+
+    time_s: Array
+    yaw_rad: Array
+    """(n,) unwrapped."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Trajectory2D:
     """Position and heading over time, by one source."""
 
@@ -93,27 +102,44 @@ def slam_path(run: Run) -> Trajectory2D:
 
 def truth_path(run: Run) -> Trajectory2D | None:
     """Return the ground truth, aligned to the map's frame at the first common moment."""
+    heading, truth = truth_heading(run), run.truth
+    if heading is None or truth is None:
+        return None
+    slam, time_s = slam_path(run), heading.time_s
+    common = _common(truth, slam)
+    position, turn = truth.position_m[common], heading.yaw_rad[0] - truth.yaw_rad[common][0]
+    at_first = [np.interp(time_s[0], slam.time_s, column) for column in slam.position_m.T]
+    c, s = np.cos(turn), np.sin(turn)
+    moved = (position - position[0]) @ np.array([[c, s], [-s, c]]) + at_first
+    return Trajectory2D(time_s, moved, heading.yaw_rad)
+
+
+def truth_heading(run: Run) -> Heading | None:
+    """Return the heading by the ground truth, aligned to the map's frame at the first common moment."""
     if run.truth is None:
         return None
     slam = slam_path(run)
-    time_s = run.truth.time_s
-    inside = (time_s >= slam.time_s[0]) & (time_s <= slam.time_s[-1])
-    if inside.sum() < 2:
+    common = _common(run.truth, slam)
+    time_s, yaw = run.truth.time_s[common], run.truth.yaw_rad[common]
+    if len(time_s) < 2:
         return None
-    time_s, position, yaw = time_s[inside], run.truth.position_m[inside, :2], run.truth.yaw_rad[inside]
-    at_first = [np.interp(time_s[0], slam.time_s, column) for column in (*slam.position_m.T, slam.yaw_rad)]
-    turn = at_first[2] - yaw[0]
-    c, s = np.cos(turn), np.sin(turn)
-    moved = (position - position[0]) @ np.array([[c, s], [-s, c]]) + at_first[:2]
-    return Trajectory2D(time_s, moved, yaw + turn)
+    turn = np.interp(time_s[0], slam.time_s, slam.yaw_rad) - yaw[0]
+    return Heading(time_s, yaw + turn)
 
 
-def reference_path(run: Run) -> tuple[Trajectory2D, str]:
-    """Return the trajectory that headings are compared with, and its name in `REFERENCES`."""
-    truth = truth_path(run)
+def _common(truth: GroundTruth, slam: Trajectory2D) -> slice:
+    """Return the rows of the ground truth within the time of a trajectory; they are in order."""
+    first_s, last_s = slam.time_s[[0, -1]]
+    return slice(truth.time_s.searchsorted(first_s), truth.time_s.searchsorted(last_s, 'right'))
+
+
+def reference_heading(run: Run) -> tuple[Heading, str]:
+    """Return the heading to compare with, and its name in `REFERENCES`."""
+    truth = truth_heading(run)
     if truth is not None:
         return truth, 'ground truth'
-    return slam_path(run), 'slam' if run.rig.camera is not None else 'heading reference'
+    slam = slam_path(run)
+    return Heading(slam.time_s, slam.yaw_rad), 'slam' if run.rig.camera is not None else 'heading reference'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +155,7 @@ class HeadingError:
 
 def heading_error(run: Run) -> HeadingError | None:
     """Return the heading error of the filter against the ground truth; None without ground truth."""
-    truth = truth_path(run)
+    truth = truth_heading(run)
     if truth is None:
         return None
     slam = slam_path(run)
@@ -165,7 +191,7 @@ def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Trajecto
 
 def blind_drift(
     run: Run,
-    reference: tuple[Trajectory2D, str] | None = None,
+    reference: tuple[Heading, str] | None = None,
     from_s: float = SETTLING_S,
     span_s: float = SPAN_S,
     coefficients: Array | None = None,
@@ -178,7 +204,7 @@ def blind_drift(
 
     Args:
         run: a finished run.
-        reference: trajectory to compare with, and its name; None for the run's own.
+        reference: heading to compare with, and its name; None for the run's own.
         from_s: earliest beginning of a span.
         span_s: length of a span.
         coefficients: (k,) coefficients in place of those that were known at the beginning of each span: the
@@ -186,14 +212,14 @@ def blind_drift(
     """
     history = run.history
     time_s, moving = history.time_s, history.resting == 0
-    path, name = reference if reference is not None else reference_path(run)
+    compared, name = reference if reference is not None else reference_heading(run)
     # The turn of a step is (without coefficients) + columns @ coefficients, summed up over spans.
     without = history.turn_rad + history.correction_rad + history.tilt_rad
     without = without - np.einsum('sk,sk->s', history.columns, history.coefficients)
     turned = np.cumsum(np.where(moving, without, 0.0))
     columns = np.cumsum(np.where(moving[:, None], history.columns, 0.0), axis=0)
     gyro_valid_s = np.cumsum(np.where(moving, history.gyro_valid_s, 0.0))
-    latest = min(time_s[-1], path.time_s[-1]) - span_s
+    latest = min(time_s[-1], compared.time_s[-1]) - span_s
     start_s = np.arange(from_s, max(latest, from_s - 1.0), STRIDE_S)
     first, last = np.searchsorted(time_s, start_s), np.searchsorted(time_s, start_s + span_s)
     gap_s = np.cumsum(history.gap_s)
@@ -203,7 +229,7 @@ def blind_drift(
     by_gyro = turned[last] - turned[first]
     by_gyro += np.sum((columns[last] - columns[first]) * known, axis=1)
     by_gyro += history.mean[first, YAW_BIAS] * (gyro_valid_s[last] - gyro_valid_s[first])
-    heading = np.interp(time_s, path.time_s, path.yaw_rad)
+    heading = np.interp(time_s, compared.time_s, compared.yaw_rad)
     return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name)
 
 
@@ -221,7 +247,7 @@ def drift_of_both_deg(before: Run, after: Run, from_s: float = 0.0) -> tuple[flo
         after: another one of the same recording.
         from_s: earliest beginning of a span, where it is later than that of all held-out spans.
     """
-    reference, start_s = reference_path(after), max(held_out_from_s(after), from_s)
+    reference, start_s = reference_heading(after), max(held_out_from_s(after), from_s)
     earlier, later = (blind_drift(run, reference, start_s).rms_deg for run in (before, after))
     return earlier, later
 

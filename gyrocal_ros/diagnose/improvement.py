@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from gyrocal_ros.diagnose.additions import Addition, Removal, Search
 from gyrocal_ros.diagnose.drift import (
     BlindDrift,
-    Trajectory2D,
+    Heading,
     better_sigma,
     blind_drift,
     held_out_from_s,
-    reference_path,
+    reference_heading,
 )
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg
@@ -80,7 +80,7 @@ class Improvement:
 
 def improvement(searched: Search) -> Improvement:
     """List the revisions of a finished search."""
-    reference = reference_path(searched.last.run)
+    reference = reference_heading(searched.last.run)
     revisions: list[Revision] = []
     if not searched.additions or searched.additions[0].before is not None:
         revisions.append(first_revision(searched.first, reference))
@@ -100,7 +100,7 @@ def revision_label(number: int, name: str) -> str:
     return f'{number}_{plain}'
 
 
-def first_revision(examined: ExaminedModel, reference: tuple[Trajectory2D, str]) -> Revision:
+def first_revision(examined: ExaminedModel, reference: tuple[Heading, str]) -> Revision:
     """Describe the first model.
 
     Args:
@@ -122,7 +122,7 @@ def first_revision(examined: ExaminedModel, reference: tuple[Trajectory2D, str])
     )
 
 
-def revision(added: Addition, label: str, reference: tuple[Trajectory2D, str], is_kept: bool) -> Revision:
+def revision(added: Addition, label: str, reference: tuple[Heading, str], is_kept: bool) -> Revision:
     """Describe a model with one more effect.
 
     Args:
@@ -154,7 +154,7 @@ def revision(added: Addition, label: str, reference: tuple[Trajectory2D, str], i
     )
 
 
-def _removing(removal: Removal, number: int, reference: tuple[Trajectory2D, str]) -> Revision:
+def _removing(removal: Removal, number: int, reference: tuple[Heading, str]) -> Revision:
     """Describe a model from which an effect was removed again."""
     name = removal.effect.name
     held_out, fitted = _drifts(removal.after, reference)
@@ -213,7 +213,7 @@ def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:
     return f'the held-out drift {word} from {old} to {new} deg ({abs(sigma):.1f} sigma)'
 
 
-def _drifts(examined: ExaminedModel, reference: tuple[Trajectory2D, str]) -> tuple[BlindDrift, BlindDrift]:
+def _drifts(examined: ExaminedModel, reference: tuple[Heading, str]) -> tuple[BlindDrift, BlindDrift]:
     """Compute the held-out and the fitted drift of the same spans."""
     from_s = held_out_from_s(examined.run)
     final = examined.run.history.coefficients[-1]

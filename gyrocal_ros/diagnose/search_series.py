@@ -11,7 +11,7 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
-from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s, reference_path
+from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s, reference_heading
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.sketch import sketch
@@ -108,7 +108,7 @@ def models_that_ran(searched: Search) -> dict[str, ExaminedModel]:
 
 def held_out_drifts(searched: Search) -> dict[str, BlindDrift]:
     """Compute the drift on held-out spans by name of the model."""
-    reference = reference_path(searched.last.run)
+    reference = reference_heading(searched.last.run)
     return {
         name: blind_drift(examined.run, reference, held_out_from_s(examined.run))
         for name, examined in models_that_ran(searched).items()

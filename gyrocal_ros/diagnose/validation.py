@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from gyrocal_ros.diagnose.drift import BlindDrift, Trajectory2D, blind_drift, held_out_from_s
+from gyrocal_ros.diagnose.drift import BlindDrift, Heading, blind_drift, held_out_from_s
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.pipeline.calibration import Calibration, conclude
 
@@ -48,7 +48,7 @@ class CoefficientPair:
         return abs(self.training) <= self.training_std and abs(self.test) <= self.test_std
 
 
-def validate(training: Calibration, run: Run, reference: tuple[Trajectory2D, str]) -> Validation:
+def validate(training: Calibration, run: Run, reference: tuple[Heading, str]) -> Validation:
     """Compare the coefficients of a training recording with a run over a test recording.
 
     The spans begin with the bias that was known by then: it differs from one start of a gyro to the next. The
@@ -57,7 +57,7 @@ def validate(training: Calibration, run: Run, reference: tuple[Trajectory2D, str
     Args:
         training: calibration by the training recording.
         run: run of the same model over the test recording.
-        reference: trajectory over the test recording to compare with, and its name.
+        reference: heading over the test recording to compare with, and its name.
     """
     from_s = held_out_from_s(run)
     drift = blind_drift(run, reference, from_s, coefficients=training.values[1:])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import mmap
+from math import prod
+
 import numpy as np
 
 from gyrocal_ros.data import Array
 
-GROWTH = 1.25
-"""Factor by which the memory of a full column grows: what is unused stays small."""
+GROWTH = 2
+"""Factor by which the memory of a full column grows: what is unused is never touched, so it takes none."""
 FIRST_ROWS = 1024
 
 
@@ -20,7 +23,7 @@ class GrowingColumn:
     """
 
     def __init__(self, shape: tuple[int, ...] = (), dtype: type = float) -> None:
-        self._rows: np.ndarray = np.empty((FIRST_ROWS, *shape), dtype)
+        self._rows = _untouched((FIRST_ROWS, *shape), np.dtype(dtype))
         self._count = 0
 
     def __len__(self) -> int:
@@ -28,10 +31,15 @@ class GrowingColumn:
 
     def append(self, row: Array | float) -> None:
         """Add one row."""
-        if self._count == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.empty_like(self._rows[: self._unused()])])
+        self._make_room(1)
         self._rows[self._count] = row
         self._count += 1
+
+    def extend(self, rows: Array) -> None:
+        """Add several rows (n, ...)."""
+        self._make_room(len(rows))
+        self._rows[self._count : self._count + len(rows)] = rows
+        self._count += len(rows)
 
     def pad(self, count: int) -> None:
         """Add rows of NaN up to a number of rows."""
@@ -42,5 +50,17 @@ class GrowingColumn:
         """Return all rows so far, (s, ...), as a view that later rows do not change."""
         return self._rows[: self._count]
 
-    def _unused(self) -> int:
-        return int((GROWTH - 1.0) * len(self._rows))
+    def _make_room(self, count: int) -> None:
+        while self._count + count > len(self._rows):
+            grown = _untouched((GROWTH * len(self._rows), *self._rows.shape[1:]), self._rows.dtype)
+            grown[: self._count] = self.rows()
+            self._rows = grown
+
+
+def _untouched(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """Return an array in a mapping of its own: pages count once they are written, and go back with the array.
+
+    Arrays on the heap would leave gaps behind where many columns grow in turn.
+    """
+    size = max(1, prod(shape) * dtype.itemsize)
+    return np.ndarray(shape, dtype, mmap.mmap(-1, size, access=mmap.ACCESS_COPY))

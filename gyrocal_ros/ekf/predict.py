@@ -11,12 +11,11 @@ import numpy as np
 from gyrocal_ros.config.sections import GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock, changed
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, MotionContribution, contribute, pose_by_values
-from gyrocal_ros.ekf.process_noise import pose_noise, yaw_noise
+from gyrocal_ros.ekf.process_noise import process_noise, yaw_noise
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.gyro import body_rates, correct
 from gyrocal_ros.model.kinematics import PoseStep, integrate
-from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import Memory, SensorModel
 
 UNMEASURED_SPEED_M_S = 0.5
@@ -107,21 +106,16 @@ def predict(
     motion = integrate(state.position_m, state.euler_rad, rate, block.dt_s, distance_m)
     bias, bias_kept = model.sensors.bias.step(state.bias_rad_s[2], block.duration_s)
 
-    matrix = np.eye(state.robot_size)
-    matrix[POSE, POSE] = motion.transition
     yaw_gain = motion.rate_gain[:, 2] * correction.valid
-    matrix[POSE, BIAS] = motion.rate_gain.sum(axis=2)
-    matrix[POSE, YAW_BIAS] = yaw_gain.sum(axis=1)
-    matrix[POSE, COEFFICIENTS_START:] = pose_by_values(
+    by_values = pose_by_values(
         motion, yaw_gain, _differentiated(added, block, steady, model, state, memories)
     )
-    matrix[YAW_BIAS, YAW_BIAS] = bias_kept
+    matrix = transition_matrix(motion.transition, motion.rate_gain, yaw_gain, by_values, bias_kept)
 
     mean = state.mean.copy()
     mean[POSITION], mean[EULER], mean[YAW_BIAS] = motion.position_m + added.drift_m, motion.euler_rad, bias
 
-    noise = _process_noise(block, motion, model)
-    noise[YAW, YAW] += float((correction.noise_rad_s * block.dt_s).sum()) ** 2
+    noise = _noise_of(block, motion, model, float((correction.noise_rad_s * block.dt_s).sum()))
     covariance = carry_covariance(state.covariance, matrix, noise)
     after = changed(state, t_ns=block.end_ns, mean=mean, covariance=covariance)
     return after, Transition(matrix, motion, added, rate, yaw_gain)
@@ -140,6 +134,28 @@ def _differentiated(
         return added
     at_steady = correct(model.effects.gyro, steady, state.coefficients, memories)
     return changed(added, correction=changed(added.correction, by_values=at_steady.by_values))
+
+
+@compiled
+def transition_matrix(
+    of_pose: Array, rate_gain: Array, yaw_gain: Array, by_values: Array, bias_kept: float
+) -> Array:
+    """Return the transition (r, r) of the robot part of the state over a block of N intervals.
+
+    Args:
+        of_pose: (6, 6) d pose / d pose at the start.
+        rate_gain: (6, 3, N) d pose / d body rate of each interval.
+        yaw_gain: (6, N) d pose / d correction of the yaw rate of each interval.
+        by_values: (6, k) d pose / d coefficients.
+        bias_kept: factor by which the yaw bias decays.
+    """
+    matrix = np.eye(COEFFICIENTS_START + by_values.shape[1])
+    matrix[POSE, POSE] = of_pose
+    matrix[POSE, BIAS] = rate_gain.sum(axis=2)
+    matrix[POSE, YAW_BIAS] = yaw_gain.sum(axis=1)
+    matrix[POSE, COEFFICIENTS_START:] = by_values
+    matrix[YAW_BIAS, YAW_BIAS] = bias_kept
+    return matrix
 
 
 @compiled
@@ -190,30 +206,29 @@ def predict_sensitivity(
     return changed(state, sensitivity=sensitivity), correction.memories
 
 
-def _process_noise(block: MotionBlock, motion: PoseStep, model: FilterModel) -> Array:
-    """Return the covariance (9 + k, 9 + k) that one block adds."""
-    duration_s, gyro, wheels = block.duration_s, model.gyro, model.wheels
-    noise = np.zeros((COEFFICIENTS_START + model.effects.count,) * 2)
-
+def _noise_of(block: MotionBlock, motion: PoseStep, model: FilterModel, unknown_rad: float) -> Array:
+    """Return the covariance (9 + k, 9 + k) that one block adds; the gyro could not read some of the turn."""
+    gyro, wheels, duration_s = model.gyro, model.wheels, block.duration_s
+    tilt_density = model.tilt_rate_noise_rad_s
+    if tilt_density is None:
+        tilt_density = np.full(2, math.radians(gyro.rate_noise_deg_s))
     yaw = yaw_noise(model.effects.noise, model.effects.prior_means, gyro, block.rate_rad_s[:, 2])
-    density = np.full((3, len(block.dt_s)), math.radians(gyro.rate_noise_deg_s))
-    if model.tilt_rate_noise_rad_s is not None:
-        density[:2] = model.tilt_rate_noise_rad_s[:, None]
-    density[2] = yaw.density_rad_s
-    gap_rad = math.radians(gyro.gap_rate_std_deg_s) * block.gap_s
-
-    distance_m = float(np.abs(block.distance_m).sum())
-    turn_rad = float(np.abs(block.rate_rad_s[:, 2]) @ block.dt_s)
-    turning = wheels.turn_noise_m**2 * turn_rad + (UNMEASURED_SPEED_M_S * block.wheel_gap_s) ** 2
-    along, across, up = wheels.distance_noise_m**2, wheels.lateral_noise_m**2, wheels.vertical_noise_m**2
-    steps = np.array([distance_m * along + turning, distance_m * across + turning, distance_m * up])
-    R_wb = rotation_from_euler(motion.mid_euler_rad[:, len(block.dt_s) // 2])
-    noise[POSE, POSE] = pose_noise(motion.rate_gain, density, block.dt_s, R_wb, gap_rad, steps)
-
-    noise[BIAS, BIAS] = math.radians(gyro.bias_walk_deg_s) ** 2 * duration_s * np.eye(3)
-    noise[YAW_BIAS, YAW_BIAS] = yaw.bias_walk_rad_s**2 * duration_s
-    coefficients = np.arange(COEFFICIENTS_START, len(noise))
-    noise[coefficients, coefficients] = model.effects.walks**2 * duration_s
+    walks = np.empty(3 + model.effects.count)
+    walks[:2], walks[2] = math.radians(gyro.bias_walk_deg_s), yaw.bias_walk_rad_s
+    walks[3:] = model.effects.walks
     if model.effects.count:  # the first coefficient is the scale factor
-        noise[COEFFICIENTS_START, COEFFICIENTS_START] += gyro.scale_walk**2 * duration_s
-    return noise
+        walks[3] = math.hypot(walks[3], gyro.scale_walk)
+    return process_noise(
+        motion.rate_gain,
+        tilt_density,
+        yaw.density_rad_s,
+        block.dt_s,
+        block.rate_rad_s[:, 2],
+        block.distance_m,
+        motion.mid_euler_rad,
+        math.radians(gyro.gap_rate_std_deg_s) * block.gap_s,
+        unknown_rad,
+        (wheels.distance_noise_m, wheels.lateral_noise_m, wheels.vertical_noise_m, wheels.turn_noise_m),
+        UNMEASURED_SPEED_M_S * block.wheel_gap_s,
+        walks * math.sqrt(duration_s),
+    )

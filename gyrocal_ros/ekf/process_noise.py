@@ -11,6 +11,7 @@ import numpy as np
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array
 from gyrocal_ros.kernels import compiled
+from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import NoiseEffect, SensorModel, placed
 
 
@@ -50,21 +51,43 @@ def yaw_noise_of(model: SensorModel, gyro: GyroConfig, rate_rad_s: Array) -> Yaw
 
 
 @compiled
-def pose_noise(
-    rate_gain: Array, density_rad_s: Array, dt_s: Array, R_wb: Array, gap_rad: float, step_variance_m2: Array
+def process_noise(
+    rate_gain: Array,
+    tilt_density_rad_s: Array,
+    yaw_density_rad_s: Array,
+    dt_s: Array,
+    yaw_rate_rad_s: Array,
+    distance_m: Array,
+    mid_euler_rad: Array,
+    gap_rad: float,
+    unknown_rad: float,
+    wheel_noise: tuple[float, float, float, float],
+    wheel_gap_m: float,
+    walks: Array,
 ) -> Array:
-    """Return the covariance (6, 6) that one block of N intervals adds to position and Euler angles.
+    """Return the covariance (r, r) that one block of N intervals adds to the robot part of the state.
 
     Args:
         rate_gain: (6, 3, N) d pose / d body rate of each interval.
-        density_rad_s: (3, N) densities of the white noise of the gyro axes, rad/s/sqrt(Hz).
+        tilt_density_rad_s: (2,) densities of the white noise of the x and y gyros, rad/s/sqrt(Hz).
+        yaw_density_rad_s: (N,) the same of the yaw gyro.
         dt_s: (N,)
-        R_wb: (3, 3) attitude.
+        yaw_rate_rad_s: (N,) readings.
+        distance_m: (N,) by the wheels.
+        mid_euler_rad: (3, N) attitude in the middle of each interval.
         gap_rad: standard deviation of each angle by times without samples.
-        step_variance_m2: (3,) variances of the motion along the body axes.
+        unknown_rad: standard deviation of the turn that the gyro could not measure.
+        wheel_noise: noise along, across and up, in m per sqrt(m) of way, and of each, in m per sqrt(rad).
+        wheel_gap_m: standard deviation of the motion on the floor by times without wheel encoders.
+        walks: (r - 6,) standard deviations of the changes of biases and coefficients in the block.
     """
-    by_rate = (rate_gain * (density_rad_s / np.sqrt(dt_s))).reshape(6, -1)
-    noise: Array = by_rate @ by_rate.T
-    noise[3:, 3:] += gap_rad**2 * np.eye(3)
-    noise[:3, :3] += R_wb * step_variance_m2 @ R_wb.T
+    density = np.concatenate([np.tile(tilt_density_rad_s[:, None], len(dt_s)), yaw_density_rad_s[None]])
+    by_rate = (rate_gain * (density / np.sqrt(dt_s))).reshape(6, -1)
+    along, across, up, turning = np.square(wheel_noise)
+    way_m, floor = np.abs(distance_m).sum(), turning * (np.abs(yaw_rate_rad_s) @ dt_s) + wheel_gap_m**2
+    R_wb = rotation_from_euler(mid_euler_rad[:, len(dt_s) // 2])
+    noise = np.diag(np.concatenate([np.zeros(3), np.full(3, gap_rad), walks]) ** 2)
+    noise[:6, :6] += by_rate @ by_rate.T
+    noise[:3, :3] += R_wb * [way_m * along + floor, way_m * across + floor, way_m * up] @ R_wb.T
+    noise[5, 5] += unknown_rad**2
     return noise

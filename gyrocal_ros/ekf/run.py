@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +20,10 @@ from gyrocal_ros.model.sensor import Effect, SensorModel
 
 TRUTH_INTERVAL_NS = 20_000_000
 """Shortest interval at which ground truth is kept."""
+BLOCK_ROWS = 256
+"""Number of steps that are moved to the columns of a history, or read from them, at once."""
+VECTORS = ('mean', 'std', 'change', 'change_variance', 'suspected_std', 'columns')
+"""Fields of `History` that hold several numbers a step, those of the same name in the record of the step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +129,8 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     'scale_followed': lambda step: step.scale_followed,
 }
 """Fields of `History` that hold one number a step, and how each follows from the record of the step."""
+COUNTS = ('dof', 'used', 'rejected', 'dropped', 'on_lens', 'in_view', 'resting', 'scale_followed')
+"""Those that are whole numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +140,7 @@ class GroundTruth:
     time_s: Array
     """(j,) on the time axis of the history."""
     position_m: Array
-    """(j, 3)"""
+    """(j, 2)"""
     yaw_rad: Array
     """(j,) unwrapped."""
 
@@ -170,24 +178,27 @@ class Run:
 
 
 class Recorder:
-    """Collects the steps of a run in memory that grows by some 500 bytes a step."""
+    """Collects the steps of a run in memory that grows by some 450 bytes a step."""
 
     def __init__(self, coefficient_count: int, candidates: tuple[Effect, ...] = ()) -> None:
         self._scores = ScoreRecorder(candidates) if candidates else None
-        robot, learned = (COEFFICIENTS_START + coefficient_count,), (1 + coefficient_count,)
-        self._t_ns, self._times_ns = GrowingColumn(dtype=np.int64), GrowingColumn(dtype=np.int64)
-        self._vectors = {
-            'mean': GrowingColumn(robot),
-            'std': GrowingColumn(robot),
-            'change': GrowingColumn(learned),
-            'change_variance': GrowingColumn(learned),
-            'suspected_std': GrowingColumn(learned),
-            'columns': GrowingColumn((coefficient_count,)),
+        robot, learned = COEFFICIENTS_START + coefficient_count, 1 + coefficient_count
+        widths = dict(zip(VECTORS, (robot, robot, learned, learned, learned, coefficient_count), strict=True))
+        ends = np.cumsum([0, *widths.values()]).tolist()
+        self._places: dict[str, int | slice] = {
+            name: slice(*ends) for name, ends in zip(VECTORS, pairwise(ends), strict=True)
         }
-        self._scalars = {name: GrowingColumn() for name in SCALARS}
+        self._places |= {name: ends[-1] + i for i, name in enumerate(('time_s', *SCALARS))}
+        self._columns = {name: GrowingColumn((width,)) for name, width in widths.items()}
+        self._columns |= {
+            name: GrowingColumn(dtype=np.int32 if name in COUNTS else float) for name in ('time_s', *SCALARS)
+        }
+        self._block, self._filled = np.empty((BLOCK_ROWS, ends[-1] + 1 + len(SCALARS))), 0
+        self._t_ns = GrowingColumn(dtype=np.int64)
         self._signals: dict[str, GrowingColumn] = {}
-        self._truth_ns, self._truth = GrowingColumn(dtype=np.int64), GrowingColumn((4,))
-        self._last_truth_ns = -math.inf
+        self._truth_ns, self._truth = GrowingColumn(dtype=np.int64), GrowingColumn((3,))
+        self._first_ns: int | None = None
+        self._last_truth_ns, self._last_truth_yaw_rad, self._unwrap_rad = -math.inf, math.nan, 0.0
         self._events: list[RunEvent] = []
         self._stepped_ns = 0
 
@@ -197,31 +208,44 @@ class Recorder:
 
     def add(self, record: StepRecord) -> None:
         """Add one step of the filter."""
-        for name, vectors in self._vectors.items():
-            vectors.append(getattr(record, name))
-        for name, read in SCALARS.items():
-            self._scalars[name].append(read(record))
+        running_ns = self.running_ns(record.t_ns)
+        if self._first_ns is None:
+            self._first_ns = running_ns
+        since_ns = running_ns - self._first_ns
+        scalars = [since_ns / NS_PER_S, *(read(record) for read in SCALARS.values())]
+        vectors = [getattr(record, name) for name in VECTORS]
+        np.concatenate([*vectors, scalars], out=self._block[self._filled])
+        self._filled += 1
+        if self._filled == BLOCK_ROWS:
+            self._move_block()
         for name, values in record.block.covariates.items():
             column = self._signals.setdefault(name, GrowingColumn())
             column.pad(len(self._t_ns))
             column.append(values[-1])
         self._t_ns.append(record.t_ns)
-        self._times_ns.append(self.running_ns(record.t_ns))
         if record.event:
             self._events.append(RunEvent(record.t_ns, record.event))
         if self._scores:
-            times_ns, update = self._times_ns.rows(), record.update
-            self._scores.add(
-                int(times_ns[-1] - times_ns[0]), (record.resting, update.stats), update.by_feature
-            )
+            update = record.update
+            self._scores.add(since_ns, (record.resting, update.stats), update.by_feature)
+
+    def _move_block(self) -> None:
+        """Move the rows collected so far to the columns."""
+        rows = self._block[: self._filled]
+        for name, column in self._columns.items():
+            column.extend(rows[:, self._places[name]])
+        self._filled = 0
 
     def add_truth(self, sample: TruthSample) -> None:
         """Add one pose of the ground truth."""
         t_ns = self.running_ns(sample.t_ns)
         if t_ns - self._last_truth_ns >= TRUTH_INTERVAL_NS:
-            self._last_truth_ns = t_ns
+            step_rad = sample.yaw_rad - self._last_truth_yaw_rad
+            if abs(step_rad) >= math.pi:  # as numpy.unwrap, which needs several arrays of all poses
+                self._unwrap_rad += (step_rad + math.pi) % math.tau - math.pi - step_rad
+            self._last_truth_ns, self._last_truth_yaw_rad = t_ns, sample.yaw_rad
             self._truth_ns.append(t_ns)
-            self._truth.append(np.array([*sample.position_m, sample.yaw_rad]))
+            self._truth.append(np.array([*sample.position_m[:2], sample.yaw_rad + self._unwrap_rad]))
 
     def add_clock_step(self, step: ClockStep) -> None:
         """Add a step of the clock: all later stamps are on the new time base."""
@@ -241,15 +265,13 @@ class Recorder:
 
     def history(self) -> History:
         """Return all steps so far."""
-        count = len(self._t_ns)
+        self._move_block()
         for column in self._signals.values():
-            column.pad(count)  # one may have ended early, after a step of the clock
-        columns = self._vectors | self._scalars
+            column.pad(len(self._t_ns))  # one may have ended early, after a step of the clock
         return History(
             t_ns=self._t_ns.rows(),
-            time_s=_since_first(self._times_ns.rows(), self._times_ns.rows()),
             signals=np.array([column.rows() for column in self._signals.values()]).T,
-            **{name: column.rows() for name, column in columns.items()},
+            **{name: column.rows() for name, column in self._columns.items()},
         )
 
     def scores(self) -> ScoreStatistics | None:
@@ -258,13 +280,15 @@ class Recorder:
 
     def truth(self) -> GroundTruth | None:
         """Return the ground truth so far; None without any."""
-        if len(self._truth_ns) < 2 or not len(self._times_ns):
+        if len(self._truth_ns) < 2 or self._first_ns is None:
             return None
         poses = self._truth.rows()
-        time_s = _since_first(self._truth_ns.rows(), self._times_ns.rows())
-        return GroundTruth(time_s, poses[:, :3], np.unwrap(poses[:, 3]))
+        time_s = (self._truth_ns.rows() - self._first_ns) / NS_PER_S
+        return GroundTruth(time_s, poses[:, :2], poses[:, 2])
 
 
-def _since_first(times_ns: IntArray, steps_ns: IntArray) -> Array:
-    """Return times in s since the first step."""
-    return (times_ns - steps_ns[0]) / NS_PER_S if len(steps_ns) else np.empty(0)
+def step_by_step(*columns: np.ndarray) -> Iterator[tuple[Any, ...]]:
+    """Yield the numbers of columns (s,) step by step, as plain numbers, without a list of them all."""
+    for first in range(0, len(columns[0]), BLOCK_ROWS):
+        block = slice(first, first + BLOCK_ROWS)
+        yield from zip(*(column[block].tolist() for column in columns), strict=True)

@@ -19,7 +19,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array, MotionBlock, changed
-from gyrocal_ros.ekf.positive_definite import solve
+from gyrocal_ros.ekf.positive_definite import inverse, solve
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import UpdateStats, add_lacking
 from gyrocal_ros.kernels import compiled
@@ -91,6 +91,10 @@ class NormalEquations:
     def explained(self) -> float:
         """Part of the NIS that they explain."""
         return float(self.score @ self.values)
+
+
+NOTHING = NormalEquations(np.empty((0, 0)), np.empty(0))
+"""No errors that are tested beside."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,8 +180,7 @@ class ScaleWatch:
         Args:
             duration_s: length of the step.
             updates: its updates.
-            others: errors that are tested beside. Where they explain the innovations better than any change,
-                only what they do not explain can be a change.
+            others: errors that are tested beside.
         """
         for stats in updates:
             if stats.information is not None and stats.score is not None:
@@ -191,31 +194,26 @@ class ScaleWatch:
         self._running_s += duration_s
         self._significant_s += duration_s if self._significant_s > 0.0 else 0.0
         self._walk *= math.exp(-0.5 * duration_s / DRIFT_MEMORY_S)
-        information, score = np.maximum(self._information, TINY), self._score
-        explained = score**2 / information
-        if others is not None and others.explained > explained.max():
-            # The Schur complement: change and other errors are estimated together.
-            by_others = np.linalg.solve(others.information, self._cross.T).T
-            left = information - np.sum(by_others * self._cross, axis=1)
-            information = np.maximum(left, NOT_SEPARABLE * information)
-            score = score - by_others @ others.score
-            explained = score**2 / information
         least = LEAST_INFORMATION.copy()
         least[RAMP] *= (self._ages_s[RAMP] / RAMP_S) ** 2  # by the change so far, in units of the column
-        unexplained, sigmas = significances(explained, self._nis, self._dof, information, least)
-        self._ramp, self._ramp_sigma = float(score[RAMP] / information[RAMP]), float(sigmas[RAMP])
-        self._ramp_variance = max(float(unexplained[RAMP]), 1.0) / float(information[RAMP])
+        values, variances, sigmas = scale_changes(
+            self._information,
+            self._score,
+            self._nis,
+            self._dof,
+            least,
+            self._cross,
+            NOTHING if others is None else others,
+        )
+        self._ramp, self._ramp_variance = float(values[RAMP]), float(variances[RAMP])
+        self._ramp_sigma = float(sigmas[RAMP])
         best = int(sigmas[:RAMP].argmax())
-        if sigmas[best] < CHANGE_SIGMA:
+        sigma = float(sigmas[best])
+        if sigma < CHANGE_SIGMA:
             self._significant_s = 0.0
             return None
         self._significant_s = self._significant_s or duration_s
-        return ScaleChange(
-            column=self._first + best,
-            value=float(score[best] / information[best]),
-            std=float(math.sqrt(max(unexplained[best], 1.0) / information[best])),
-            sigma=float(sigmas[best]),
-        )
+        return ScaleChange(self._first + best, float(values[best]), math.sqrt(variances[best]), sigma)
 
     @property
     def is_settled(self) -> bool:
@@ -294,19 +292,39 @@ class ScaleWatch:
 
 
 @compiled
-def significances(
-    explained: Array, nis: Array, dof: Array, information: Array, least: Array
-) -> tuple[Array, Array]:
-    """Return the NIS per degree of freedom that changes leave (q,), and their significances (q,) in sigma.
+def scale_changes(
+    information: Array,
+    score: Array,
+    nis: Array,
+    dof: Array,
+    least: Array,
+    cross: Array,
+    others: NormalEquations,
+) -> tuple[Array, Array, Array]:
+    """Return q changes, each estimated alone, their variances and their significances in sigma, (q,) each.
 
     Args:
-        explained: (q,) part of the NIS that each change explains.
-        nis: (q,) normalised innovation squared in its window.
+        information: (q,) on each change, in its window.
+        score: (q,)
+        nis: (q,) normalised innovation squared in the window.
         dof: (q,) degrees of freedom.
-        information: (q,) on the change.
         least: (q,) information below which nothing is significant.
+        cross: (q, p) information on each change together with other errors.
+        others: the p other errors. Where they explain the innovations better than any change, only what they
+            do not explain can be a change.
+
+    Raises:
+        FilterDivergedError: the information on the other errors is not positive definite.
     """
-    unexplained = (nis - explained) / np.maximum(dof, 1.0)
-    sigmas = np.sqrt(explained / np.maximum(unexplained, 1.0))
-    sigmas[information < least] = 0.0
-    return unexplained, sigmas
+    information = np.maximum(information, TINY)
+    explained = score**2 / information
+    if others.explained > explained.max():
+        # The Schur complement: change and other errors are estimated together.
+        by_others = cross @ inverse(others.information)
+        left = information - np.sum(by_others * cross, axis=1)
+        information = np.maximum(left, NOT_SEPARABLE * information)
+        score = score - by_others @ others.score
+        explained = score**2 / information
+    variances = np.maximum((nis - explained) / np.maximum(dof, 1.0), 1.0) / information
+    values = score / information
+    return values, variances, np.where(information < least, 0.0, np.abs(values) / np.sqrt(variances))

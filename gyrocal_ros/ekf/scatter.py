@@ -99,7 +99,7 @@ def scatter_of(history: History) -> tuple[Scatter, Array]:
     """
     variances = history.std[:, YAW_BIAS:] ** 2
     scatter, inflations = Scatter(variances.shape[1]), np.ones_like(variances)
-    columns = (history.time_s.tolist(), history.change, history.change_variance, variances)
+    columns = (history.time_s, history.change, history.change_variance, variances)
     for i, step in enumerate(zip(*columns, strict=True)):
         if history.scale_followed[i]:
             scatter = Scatter(variances.shape[1])
@@ -112,7 +112,7 @@ def scatter_of(history: History) -> tuple[Scatter, Array]:
     parts = np.split(lasting, np.flatnonzero(history.scale_followed))
     changed = np.maximum(change, np.concatenate([np.maximum.accumulate(part) for part in parts]))
     inflations[:, SCALE] = np.hypot(inflations[:, SCALE], changed / history.std[:, COEFFICIENTS_START])
-    return scatter, with_suspected(inflations, history.suspected_std, np.sqrt(variances))
+    return scatter, with_suspected(inflations, history.suspected_std, history.std[:, YAW_BIAS:])
 
 
 def with_suspected(inflation: Array, suspected_std: Array, std: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from gyrocal_ros.ekf.convergence import is_plausible
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.run import Run, step_by_step
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 
 INTERVAL_S = 0.5
@@ -113,8 +113,7 @@ class TurnAgreement:
 def mounting_fault(run: Run) -> str:
     """Return what is mounted or wired wrongly, by the turns of a run; empty where nothing is."""
     history, agreement = run.history, TurnAgreement()
-    columns = (history.turn_rad, history.wheel_turn_rad, history.dt_s)
-    for step in zip(*(column.tolist() for column in columns), strict=True):
+    for step in step_by_step(history.turn_rad, history.wheel_turn_rad, history.dt_s):
         agreement.add(*step)
     if not len(history.std):
         return ''

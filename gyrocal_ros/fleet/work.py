@@ -26,7 +26,7 @@ from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.candidate_fit import fit
 from gyrocal_ros.diagnose.candidates import ScanBank
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
-from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_path
+from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_heading
 from gyrocal_ros.diagnose.json_summary import summarise
 from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.diagnose.summarise import summarise_recording
@@ -154,7 +154,7 @@ def _row(searched: Search, diagnosis: Diagnosis) -> dict[str, Any]:
     run = searched.first.run
     summary = summarise(run, conclude(run))
     best = diagnosis.missing[0] if diagnosis.missing else None
-    drift = blind_drift(run, reference_path(run), held_out_from_s(run))
+    drift = blind_drift(run, reference_heading(run), held_out_from_s(run))
     temperature = run.history.temperature_c
     row: dict[str, Any] = {
         'status': CALIBRATED,

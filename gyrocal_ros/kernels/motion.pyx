@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.rotation`, `model.kinematics`, `ekf.motion`, `ekf.predict`, `ekf.process_noise`,
-`ekf.scale_watch` and `ekf.steady_rate`, which explain the equations."""
+"""Twins of `model.rotation`, `model.kinematics`, `ekf.motion`, `ekf.predict`, `ekf.process_noise` and
+`ekf.steady_rate`, which explain the equations."""
 
 from libc.math cimport cos, fabs, sin, sqrt, tan
 
@@ -12,11 +12,11 @@ TWINS = (
     'interpolate',
     'intervals',
     'path_in_block',
-    'pose_noise',
+    'process_noise',
     'rate_scatter',
     'rotation_derivatives',
     'rotation_from_euler',
-    'significances',
+    'transition_matrix',
 )
 
 
@@ -146,32 +146,78 @@ def carry_pose(
     return arrays
 
 
-def pose_noise(
+def process_noise(
     const double[:, :, :] rate_gain,
-    const double[:, :] density_rad_s,
+    const double[:] tilt_density_rad_s,
+    const double[:] yaw_density_rad_s,
     const double[:] dt_s,
-    const double[:, :] R_wb,
+    const double[:] yaw_rate_rad_s,
+    const double[:] distance_m,
+    const double[:, :] mid_euler_rad,
     double gap_rad,
-    const double[:] step_variance_m2,
+    double unknown_rad,
+    tuple wheel_noise,
+    double wheel_gap_m,
+    const double[:] walks,
 ):
-    cdef Py_ssize_t n = dt_s.shape[0], i, j, k, l
-    cdef double weight
-    result = np.zeros((6, 6))
+    cdef Py_ssize_t n = dt_s.shape[0], r = 6 + walks.shape[0], i, j, k, l
+    cdef double along = wheel_noise[0], across = wheel_noise[1], up = wheel_noise[2], turning = wheel_noise[3]
+    cdef double way_m = 0.0, turn_rad = 0.0, density, weight, floor
+    cdef double R[3][3]
+    cdef double euler[3]
+    cdef double step[3]
+    result = np.zeros((r, r))
     cdef double[:, ::1] noise = result
     for k in range(n):
+        way_m += fabs(distance_m[k])
+        turn_rad += fabs(yaw_rate_rad_s[k]) * dt_s[k]
         for l in range(3):
-            weight = density_rad_s[l, k] * density_rad_s[l, k] / dt_s[k]
+            density = yaw_density_rad_s[k] if l == 2 else tilt_density_rad_s[l]
+            weight = density * density / dt_s[k]
             for i in range(6):
                 for j in range(i + 1):
                     noise[i, j] += rate_gain[i, l, k] * rate_gain[j, l, k] * weight
     for i in range(3):
+        euler[i] = mid_euler_rad[i, n // 2]
+    rotate(euler, R)
+    floor = turning * turning * turn_rad + wheel_gap_m * wheel_gap_m
+    step[0], step[1], step[2] = way_m * along * along + floor, way_m * across * across + floor, way_m * up * up
+    for i in range(3):
         noise[3 + i, 3 + i] += gap_rad * gap_rad
         for j in range(i + 1):
             for l in range(3):
-                noise[i, j] += R_wb[i, l] * step_variance_m2[l] * R_wb[j, l]
+                noise[i, j] += R[i][l] * step[l] * R[j][l]
+    noise[5, 5] += unknown_rad * unknown_rad
     for i in range(6):
         for j in range(i):
             noise[j, i] = noise[i, j]
+    for i in range(6, r):
+        noise[i, i] = walks[i - 6] * walks[i - 6]
+    return result
+
+
+def transition_matrix(
+    const double[:, :] of_pose,
+    const double[:, :, :] rate_gain,
+    const double[:, :] yaw_gain,
+    const double[:, :] by_values,
+    double bias_kept,
+):
+    cdef Py_ssize_t n = yaw_gain.shape[1], r = 9 + by_values.shape[1], i, j, k
+    result = np.zeros((r, r))
+    cdef double[:, ::1] matrix = result
+    for i in range(6):
+        for j in range(6):
+            matrix[i, j] = of_pose[i, j]
+        for k in range(n):
+            matrix[i, 6] += rate_gain[i, 0, k]
+            matrix[i, 7] += rate_gain[i, 1, k]
+            matrix[i, 8] += yaw_gain[i, k]
+        for j in range(9, r):
+            matrix[i, j] = by_values[i, j - 9]
+    for i in range(6, r):
+        matrix[i, i] = 1.0
+    matrix[8, 8] = bias_kept
     return result
 
 
@@ -305,14 +351,23 @@ def carry_covariance(const double[:, ::1] covariance, const double[:, ::1] matri
     return result
 
 
-def rotation_from_euler(const double[:] euler):
+cdef void rotate(const double* euler, double[3][3] R) noexcept nogil:
+    """Write the matrix of roll, pitch and yaw."""
     cdef double cr = cos(euler[0]), sr = sin(euler[0]), cp = cos(euler[1]), sp = sin(euler[1])
     cdef double cy = cos(euler[2]), sy = sin(euler[2])
+    R[0][0], R[0][1], R[0][2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    R[1][0], R[1][1], R[1][2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    R[2][0], R[2][1], R[2][2] = -sp, cp * sr, cp * cr
+
+
+def rotation_from_euler(const double[:] euler):
+    cdef double angles[3]
+    cdef Py_ssize_t i
+    for i in range(3):
+        angles[i] = euler[i]
     matrix = np.empty((3, 3))
     cdef double[:, ::1] R = matrix
-    R[0, 0], R[0, 1], R[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
-    R[1, 0], R[1, 1], R[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
-    R[2, 0], R[2, 1], R[2, 2] = -sp, cp * sr, cp * cr
+    rotate(angles, <double[3]*>&R[0, 0])
     return matrix
 
 
@@ -330,15 +385,3 @@ def rotation_derivatives(const double[:] euler):
     dR[2, 0, 0], dR[2, 0, 1], dR[2, 0, 2] = -sy * cp, -sy * sp * sr - cy * cr, -sy * sp * cr + cy * sr
     dR[2, 1, 0], dR[2, 1, 1], dR[2, 1, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
     return matrices
-
-
-def significances(
-    const double[:] explained, const double[:] nis, const double[:] dof, const double[:] information, const double[:] least
-):
-    cdef Py_ssize_t q = explained.shape[0], i
-    arrays = (np.empty(q), np.empty(q))
-    cdef double[::1] unexplained = arrays[0], sigmas = arrays[1]
-    for i in range(q):
-        unexplained[i] = (nis[i] - explained[i]) / max(dof[i], 1.0)
-        sigmas[i] = 0.0 if information[i] < least[i] else sqrt(explained[i] / max(unexplained[i], 1.0))
-    return arrays

@@ -1,5 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.positive_definite`, `ekf.robust` and `ekf.image_update`, which explain the equations."""
+"""Twins of `ekf.positive_definite`, `ekf.robust`, `ekf.scale_watch` and `ekf.image_update`, which explain the
+equations."""
 
 from libc.math cimport fabs, sqrt
 
@@ -7,7 +8,10 @@ import numpy as np
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
 
-TWINS = ('fit_heading', 'squared_norm', 'weigh', 'whitener')
+TWINS = ('fit_heading', 'scale_changes', 'squared_norm', 'weigh', 'whitener')
+
+cdef double TINY = np.finfo(float).tiny
+cdef double NOT_SEPARABLE = 1e-9
 
 
 cdef bint whiten(double[:, ::1] S, double[:, ::1] W) noexcept nogil:
@@ -208,3 +212,40 @@ def whitener(covariance):
     if not whiten(np.array(covariance), whitening):
         raise IndefiniteCovarianceError
     return whitening
+
+
+def scale_changes(
+    const double[:] information,
+    const double[:] score,
+    const double[:] nis,
+    const double[:] dof,
+    const double[:] least,
+    const double[:, :] cross,
+    others,
+):
+    cdef Py_ssize_t q = score.shape[0], p = cross.shape[1], i, j, l
+    cdef double others_explained = others.explained, explained = 0.0, known, left, weight, seen
+    cdef const double[:] others_score = others.score
+    cdef double[:, ::1] precision = np.empty((p, p))
+    arrays = (np.empty(q), np.empty(q), np.empty(q))
+    cdef double[::1] values = arrays[0], variances = arrays[1], sigmas = arrays[2]
+    for i in range(q):
+        explained = max(explained, score[i] * score[i] / max(information[i], TINY))
+    cdef bint beside = others_explained > explained
+    if beside and not invert(np.array(others.information), precision):
+        raise IndefiniteCovarianceError
+    for i in range(q):
+        known = left = max(information[i], TINY)
+        seen = score[i]
+        if beside:
+            for j in range(p):
+                weight = 0.0
+                for l in range(p):
+                    weight += cross[i, l] * precision[l, j]
+                left -= weight * cross[i, j]
+                seen -= weight * others_score[j]
+            left = max(left, NOT_SEPARABLE * known)
+        values[i] = seen / left
+        variances[i] = max((nis[i] - seen * values[i]) / max(dof[i], 1.0), 1.0) / left
+        sigmas[i] = 0.0 if left < least[i] else fabs(values[i]) / sqrt(variances[i])
+    return arrays

@@ -19,7 +19,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.ekf.convergence import Convergence, is_plausible
 from gyrocal_ros.ekf.map_watch import loses_its_map
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.run import Run, step_by_step
 from gyrocal_ros.ekf.scatter import scatter_of
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS, State
@@ -93,7 +93,7 @@ def conclude(run: Run) -> Calibration:
     convergence, (scatter, inflations) = Convergence(), scatter_of(history)
     scale_stds = history.std[:, COEFFICIENTS_START] * inflations[:, SCALE]
     columns = (history.scale_followed, history.time_s, scale_stds, history.nis, history.dof)
-    for followed, time_s, std, nis, dof in zip(*(column.tolist() for column in columns), strict=True):
+    for followed, time_s, std, nis, dof in step_by_step(*columns):
         convergence = Convergence(after_change=True) if followed else convergence
         convergence.add(time_s, std, nis, dof, criteria)
     is_known = convergence.since_s is not None

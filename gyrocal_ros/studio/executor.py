@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.diagnosis import diagnose_before_adding
-from gyrocal_ros.diagnose.drift import reference_path
+from gyrocal_ros.diagnose.drift import reference_heading
 from gyrocal_ros.diagnose.error_curves import centred
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine
 from gyrocal_ros.diagnose.heading_filter import headings
@@ -167,7 +167,7 @@ def _validate(task: ValidateModels, send: Send) -> ValidationResult:
         )
         for label, known in task.trained.items()
     }
-    reference = reference_path(list(runs.values())[-1])
+    reference = reference_heading(list(runs.values())[-1])
     found = {label: validate(task.trained[label], run, reference) for label, run in runs.items()}
     return ValidationResult(title, found)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s, reference_path
+from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s, reference_heading
 from gyrocal_ros.diagnose.effect_axis import curve_before_adding, effect_axis
 from gyrocal_ros.diagnose.error_curves import ErrorBySignal, ErrorCurve, curve_by_effects
 from gyrocal_ros.diagnose.improvement import Improvement, Revision
@@ -222,7 +222,7 @@ def drift_deg(examination: Examination, state: StudioState) -> float:
     if present is None:
         return math.nan
     run = examination.examined.run
-    return blind_drift(run, reference_path(present.examined.run), held_out_from_s(run)).rms_deg
+    return blind_drift(run, reference_heading(present.examined.run), held_out_from_s(run)).rms_deg
 
 
 def _examination(tried: TriedModel) -> Examination:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from gyrocal_ros.diagnose.additions import addition
-from gyrocal_ros.diagnose.drift import reference_path
+from gyrocal_ros.diagnose.drift import reference_heading
 from gyrocal_ros.diagnose.improvement import (
     Improvement,
     Revision,
@@ -103,7 +103,7 @@ class ModelTree:
         present = self.present
         if present is None or present.examination is None:
             return None
-        reference = reference_path(present.examination.examined.run)
+        reference = reference_heading(present.examination.examined.run)
         kept = {tried.label for tried in self.chain}
         revisions: list[Revision] = []
         for tried in self.models:

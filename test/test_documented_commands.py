@@ -48,7 +48,8 @@ def prepared(tmp_path_factory: pytest.TempPathFactory, slow_sensors: None) -> Pa
     for name in ('default.yaml', 'model.yaml'):
         shutil.copy(shipped('config/model.yaml'), folder / name)
     for name in ('my_effects.py', 'ripple.py', 'heat.py'):
-        (folder / name).write_text(OWN_EFFECT)
+        # One page has two files, whose effects need names of their own.
+        (folder / name).write_text(OWN_EFFECT.replace('low_supply', 'heat') if 'heat' in name else OWN_EFFECT)
     return folder
 
 

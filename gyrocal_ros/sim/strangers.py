@@ -162,6 +162,23 @@ def _after_turns(block: MotionBlock, values: Array, memory: Memory) -> tuple[Arr
     return values[0] * np.array(column), now
 
 
+def _swinging(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
+    return values[0] * np.sin(2.0 * np.pi * block.time_s / values[1]), None
+
+
+def _swinging_scale(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
+    return values[0] * np.sin(2.0 * np.pi * block.time_s / values[1]) * _rate(block), None
+
+
+def _switched(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
+    return values[0] * (np.remainder(block.time_s, values[1]) < 0.5 * values[1]), None
+
+
+def _scale_heated_by_turns(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
+    heat, memory = _heated_by_turns(block, values, memory)
+    return heat * _rate(block), memory
+
+
 def _heated_by_turns(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
     now, column = float(memory or 0.0), []
     for rate, dt_s in zip(np.abs(_rate(block)).tolist(), block.dt_s.tolist(), strict=True):
@@ -281,6 +298,35 @@ STRANGERS: dict[str, Known] = {
             ('bias_memory:abs_rate',),
             'heat of the wheel motors in turns',
             ('first-order lag',),
+        ),
+        Stranger(
+            'stranger_heated_scale',
+            (_size(0.01, 0.06, 's'), _fixed('time_constant', 's', 10.0, 40.0)),
+            _scale_heated_by_turns,
+            ('scale_memory:abs_rate',),
+            'the same heat acting on the scale factor: IEEE Std 1431-2004, thermal sensitivity',
+            ('first-order lag',),
+        ),
+        Stranger(
+            'stranger_swing',
+            (_size(0.05 * DEG, 0.3 * DEG), _fixed('period', 's', 25.0, 80.0)),
+            _swinging,
+            ('bias_wave:time',),
+            'IEEE Std 952-1997, annex C: sinusoidal noise',
+        ),
+        Stranger(
+            'stranger_scale_swing',
+            (_size(0.005, 0.02, '1'), _fixed('period', 's', 40.0, 120.0)),
+            _swinging_scale,
+            ('scale_wave:time',),
+            'a thermostat that heats the sensor on and off',
+        ),
+        Stranger(
+            'stranger_switched',
+            (_size(0.1 * DEG, 0.5 * DEG), _fixed('period', 's', 15.0, 40.0)),
+            _switched,
+            ('bias_wave:time',),
+            'a load on the supply that is switched regularly',
         ),
         Stranger(
             'stranger_jerk',

@@ -18,6 +18,7 @@ from contracts import CAMERA, NOISE_PX
 
 from gyrocal_ros import kernels
 from gyrocal_ros.data import Array, CameraIntrinsics, WheelSample, changed
+from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
 from gyrocal_ros.ekf.scale_watch import NOTHING, NormalEquations
 from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
@@ -203,6 +204,17 @@ def scale_changes(rng: np.random.Generator, count: int, others_explained: float 
     return information, score, nis, dof, least, cross, NormalEquations(matrix, scale * direction)
 
 
+def filter_headings(rng: np.random.Generator, count: int, jump_rad: float = 0.0) -> Arguments:
+    n, m = 200, count
+    white, walk = np.exp(rng.uniform(-9.0, -4.0, (2, m)))
+    noise = ReferenceNoise(white, walk, rng.uniform(3.0, 30.0, m), rng.uniform(0.0, 0.01, m))
+    dt_s, rates = rng.uniform(0.02, 0.1, n), rng.normal(0.0, 0.5, n)
+    differences = rng.normal(0.0, 0.01, n) + jump_rad * (np.arange(n) > n // 2)
+    headings = np.column_stack([dt_s, rates * dt_s, 0.1 * dt_s, rates, differences])
+    state = rng.normal(0.0, 0.01, (m, 4)), np.array([0.1 * covariance(rng, 4) for _ in range(m)])
+    return *state, *np.zeros((2, m)), np.zeros(m, int), *np.zeros((2, m)), noise, 1e-9, 0.5, headings
+
+
 def euler_angles(rng: np.random.Generator, count: int) -> Arguments:
     return (rng.normal(size=3),)
 
@@ -234,6 +246,7 @@ MAKERS: tuple[Maker, ...] = (
     by_radial_coefficients,
     carry_covariance,
     carry_pose,
+    filter_headings,
     find_ids,
     fit_heading,
     innovation_matrices,
@@ -314,6 +327,13 @@ def test_changes_of_the_scale_with_and_without_other_errors(others_explained: fl
     assert_equal_to_rounding('scale_changes', scale_changes(np.random.default_rng(3), 6, others_explained))
     none = (*scale_changes(np.random.default_rng(4), 6)[:5], np.empty((6, 0)), NOTHING)
     assert_equal_to_rounding('scale_changes', none)
+
+
+@needs_kernels
+def test_headings_that_jump() -> None:
+    arguments = filter_headings(np.random.default_rng(5), 9, jump_rad=1.0)
+    assert kernels.REFERENCES['filter_headings'](*arguments)[-1].any()
+    assert_equal_to_rounding('filter_headings', arguments)
 
 
 @pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal_ros.config.sections import GyroConfig
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.reference_noise import JUMP_LOG_PRIOR, JumpDetector, ReferenceNoise
+from gyrocal_ros.kernels import compiled
 
 PRIOR_STDS = (math.pi, math.radians(5.0), 0.2, 0.05)
 """Prior standard deviations: heading (rad), bias (rad/s), scale factor, time offset (s)."""
@@ -58,7 +59,7 @@ class NoiseFit:
 
 
 class ReferenceBank:
-    """Filters one heading after the other with m alternatives of the noise.
+    """Filters headings with m alternatives of the noise.
 
     Args:
         noise: the alternatives.
@@ -66,12 +67,11 @@ class ReferenceBank:
     """
 
     def __init__(self, noise: ReferenceNoise, gyro: GyroConfig) -> None:
-        self._noise = noise
-        self._variances, self._walks = np.square(noise.white_rad), np.square(noise.walk_rad)
-        self._stamps = np.square(noise.stamp_s)
+        columns = (noise.white_rad, noise.walk_rad, noise.tail_dof, noise.stamp_s)
+        self._noise = ReferenceNoise(*(np.array(column, float) for column in np.broadcast_arrays(*columns)))
         self._bias_walk = math.radians(gyro.bias_walk_deg_s) ** 2
         self._gap_rate = math.radians(gyro.gap_rate_std_deg_s)
-        count = len(self._variances)
+        count = len(np.atleast_1d(self._noise.white_rad))
         self._mean, self._P = np.zeros((count, 4)), np.tile(np.diag(np.square(PRIOR_STDS)), (count, 1, 1))
         self._log_likelihood, self._outlying = np.zeros(count), np.zeros(count)
         self._jumps = JumpDetector(count)
@@ -79,52 +79,36 @@ class ReferenceBank:
         self.count = 0
         """Number of headings so far."""
 
-    def add(
-        self, dt_s: float, turn_rad: float, gap_s: float, rate_rad_s: float, difference_rad: float
-    ) -> None:
-        """Take one heading.
+    def add(self, headings: Array) -> None:
+        """Take headings (n, 5).
 
-        Args:
-            dt_s: time since the heading before.
-            turn_rad: turn by the nominal gyro since then.
-            gap_s: part of the time that no IMU sample covers.
-            rate_rad_s: nominal rate.
-            difference_rad: heading by the reference less the turn by the nominal gyro since the start.
+        Their columns are the time since the heading before, the turn by the nominal gyro since then, the part
+        of the time that no IMU sample covers, the nominal rate, and the heading by the reference less the
+        turn by the nominal gyro since the start.
         """
-        mean, P = self._mean, self._P
-        self._elapsed_s += dt_s
         if self.count == 0:
-            mean[:, HEADING] = difference_rad
-        mean[:, HEADING] += dt_s * mean[:, BIAS] + turn_rad * mean[:, SCALE]
-        P[:, HEADING] += dt_s * P[:, BIAS] + turn_rad * P[:, SCALE]
-        P[:, :, HEADING] += dt_s * P[:, :, BIAS] + turn_rad * P[:, :, SCALE]
-        P[:, HEADING, HEADING] += self._walks * dt_s + (self._gap_rate * gap_s) ** 2
-        P[:, BIAS, BIAS] += self._bias_walk * dt_s
-
-        numerator = P[:, HEADING] - rate_rad_s * P[:, OFFSET]
-        variance = numerator[:, HEADING] - rate_rad_s * numerator[:, OFFSET] + self._variances
-        variance += self._stamps * rate_rad_s**2
-        residual = difference_rad - mean[:, HEADING] + rate_rad_s * mean[:, OFFSET]
-        may_have_jumped, has_jumped = self._jumps.update(residual / np.sqrt(variance), dt_s)
-        if has_jumped.any():
-            added = np.where(has_jumped, residual**2, 0.0)
-            P[:, HEADING, HEADING] += added
-            numerator[:, HEADING] += added
-            variance = variance + added
-            self._outlying[has_jumped] = JUMP_LOG_PRIOR  # what was an outlier was right in the new frame
-            self._seen_jumps.append((self._elapsed_s, has_jumped))
-        distance = residual**2 / variance
-        # Outliers count when it is known that they were no jump.
-        self._outlying += self._noise.log_likelihood(variance, distance)
-        is_known = ~self._jumps.are_apart
-        self._log_likelihood[is_known] += self._outlying[is_known]
-        self._outlying[is_known] = 0.0
-
-        weight = np.where(may_have_jumped, 0.0, self._noise.weight(distance))
-        gain = numerator * (weight / variance)[:, None]
-        mean += gain * residual[:, None]
-        P -= gain[:, :, None] * numerator[:, None, :]
-        self.count += 1
+            self._mean[:, HEADING] = headings[0, 4]
+        jumps = self._jumps
+        *state, has_jumped = filter_headings(
+            self._mean,
+            self._P,
+            self._log_likelihood,
+            self._outlying,
+            jumps.outliers,
+            jumps.side,
+            jumps.since_s,
+            self._noise,
+            self._bias_walk,
+            self._gap_rate,
+            headings,
+        )
+        self._mean, self._P, self._log_likelihood, self._outlying = state[:4]
+        jumps.outliers, jumps.side, jumps.since_s = state[4:]
+        elapsed_s = self._elapsed_s + np.cumsum(headings[:, 0])
+        for row in np.flatnonzero(has_jumped.any(axis=1)):
+            self._seen_jumps.append((float(elapsed_s[row]), has_jumped[row]))
+        self._elapsed_s = float(elapsed_s[-1])
+        self.count += len(headings)
 
     def correct_offset(self, offset_s: float) -> None:
         """Note that the stamps are corrected by a further time offset from now on."""
@@ -142,7 +126,8 @@ class ReferenceBank:
         weight = np.exp(log_weight - log_weight.max())
         weight /= weight.sum()
         white_rad, walk_rad, stamp_s = (
-            math.sqrt(float(weight @ variances)) for variances in (self._variances, self._walks, self._stamps)
+            math.sqrt(float(weight @ np.square(stds)))
+            for stds in (self._noise.white_rad, self._noise.walk_rad, self._noise.stamp_s)
         )
         return ReferenceNoise(white_rad, walk_rad, self.likeliest().noise.tail_dof, stamp_s)
 
@@ -154,6 +139,77 @@ class ReferenceBank:
         return NoiseFit(
             self._noise.alternative(best), likelihood, self._mean[best].copy(), self._P[best].copy(), jumps_s
         )
+
+
+@compiled
+def filter_headings(
+    mean: Array,
+    covariance: Array,
+    log_likelihood: Array,
+    outlying: Array,
+    outliers: IntArray,
+    side: Array,
+    since_s: Array,
+    noise: ReferenceNoise,
+    bias_walk: float,
+    gap_rate_rad_s: float,
+    headings: Array,
+) -> tuple[np.ndarray, ...]:
+    """Filter n headings with m alternatives of the noise.
+
+    Args:
+        mean: (m, 4)
+        covariance: (m, 4, 4)
+        log_likelihood: (m,) of all headings before, outliers aside that may be jumps.
+        outlying: (m,) of these.
+        outliers: (m,) see `JumpDetector`.
+        side: (m,)
+        since_s: (m,)
+        noise: the alternatives, each field (m,).
+        bias_walk: variance of the bias per second.
+        gap_rate_rad_s: standard deviation of the rate while no IMU sample comes.
+        headings: (n, 5) see `ReferenceBank.add`.
+
+    Returns:
+        The first seven after the headings, and (n, m) where the reference has jumped.
+    """
+    mean, P, log_likelihood, outlying = (
+        column.copy() for column in (mean, covariance, log_likelihood, outlying)
+    )
+    jumps = JumpDetector(len(mean))
+    jumps.outliers, jumps.side, jumps.since_s = outliers, side, since_s
+    jumped = np.zeros((len(headings), len(mean)), bool)
+    for row, (dt_s, turn_rad, gap_s, rate_rad_s, difference_rad) in enumerate(headings.tolist()):
+        mean[:, HEADING] += dt_s * mean[:, BIAS] + turn_rad * mean[:, SCALE]
+        P[:, HEADING] += dt_s * P[:, BIAS] + turn_rad * P[:, SCALE]
+        P[:, :, HEADING] += dt_s * P[:, :, BIAS] + turn_rad * P[:, :, SCALE]
+        P[:, HEADING, HEADING] += np.square(noise.walk_rad) * dt_s + (gap_rate_rad_s * gap_s) ** 2
+        P[:, BIAS, BIAS] += bias_walk * dt_s
+
+        numerator = P[:, HEADING] - rate_rad_s * P[:, OFFSET]
+        variance = numerator[:, HEADING] - rate_rad_s * numerator[:, OFFSET] + np.square(noise.white_rad)
+        variance += np.square(noise.stamp_s) * rate_rad_s**2
+        residual = difference_rad - mean[:, HEADING] + rate_rad_s * mean[:, OFFSET]
+        may_have_jumped, has_jumped = jumps.update(residual / np.sqrt(variance), dt_s)
+        if has_jumped.any():
+            jumped[row] = has_jumped
+            added = np.where(has_jumped, residual**2, 0.0)
+            P[:, HEADING, HEADING] += added
+            numerator[:, HEADING] += added
+            variance = variance + added
+            outlying[has_jumped] = JUMP_LOG_PRIOR  # what was an outlier was right in the new frame
+        distance = residual**2 / variance
+        # Outliers count when it is known that they were no jump.
+        outlying += noise.log_likelihood(variance, distance)
+        is_known = ~jumps.are_apart
+        log_likelihood[is_known] += outlying[is_known]
+        outlying[is_known] = 0.0
+
+        weight = np.where(may_have_jumped, 0.0, noise.weight(distance))
+        gain = numerator * (weight / variance)[:, None]
+        mean += gain * residual[:, None]
+        P -= gain[:, :, None] * numerator[:, None, :]
+    return mean, P, log_likelihood, outlying, jumps.outliers, jumps.side, jumps.since_s, jumped
 
 
 def grid(

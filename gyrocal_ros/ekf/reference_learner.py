@@ -64,8 +64,7 @@ class ReferenceLearner:
         difference = yaw_rad - self._turned_rad
         turns = round((difference - self._difference_rad) / (2.0 * math.pi)) if self._bank.count else 0
         self._difference_rad = difference - 2.0 * math.pi * turns
-        dt_s, turn_rad, gap_s = self._since.tolist()
-        self._bank.add(dt_s, turn_rad, gap_s, rate_rad_s, self._difference_rad)
+        self._bank.add(np.array([[*self._since, rate_rad_s, self._difference_rad]]))
         self._since[:] = 0.0
         if self._bank.count >= MIN_HEADINGS and self._time_s >= max(
             MIN_S, self._learned_s + LEARN_INTERVAL_S

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import Array, IntArray, MotionBlock
 
 OUTLIER_SIGMA = 5.0
 """Innovation beyond which a heading is an outlier, or the reference has jumped."""
@@ -67,10 +67,11 @@ class ReferenceNoise:
         """Return the log-likelihood of a heading whose innovation squared is `distance` times `variance`."""
         dof = self.tail_dof
         kernel = np.log(variance) + (dof + 1.0) * np.log1p(distance / dof)
-        return self._log_constant - 0.5 * kernel
+        return self.log_constant - 0.5 * kernel
 
     @cached_property
-    def _log_constant(self) -> Array:
+    def log_constant(self) -> Array:
+        """Part of the log-likelihood that depends on the degrees of freedom alone."""
         dof = np.asarray(self.tail_dof)
         return _log_gamma(0.5 * (dof + 1.0)) - _log_gamma(0.5 * dof) - 0.5 * np.log(math.pi * dof)
 
@@ -79,13 +80,17 @@ class JumpDetector:
     """Counts the headings that stay on the side of an outlier, for m filters side by side."""
 
     def __init__(self, count: int = 1) -> None:
-        self._outliers = np.zeros(count, np.int64)
-        self._side, self._since_s = np.zeros(count), np.zeros(count)
+        self.outliers: IntArray = np.zeros(count, np.int64)
+        """(m,) number of headings on that side, the outlier included; zero without."""
+        self.side: Array = np.zeros(count)
+        """(m,) sign of the outlier, zero without."""
+        self.since_s: Array = np.zeros(count)
+        """(m,) time since the outlier."""
 
     @property
     def are_apart(self) -> NDArray[np.bool_]:
         """(m,) True from an outlier on, as long as the headings stay on its side."""
-        return self._outliers > 0
+        return self.outliers > 0
 
     def update(self, deviation: Array, dt_s: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Take the innovations of a heading.
@@ -97,14 +102,14 @@ class JumpDetector:
         Returns:
             Where (m,) the reference may have jumped, so that the heading is not used, and where it has.
         """
-        goes_on = deviation * self._side > STAYS_SIGMA
+        goes_on = deviation * self.side > STAYS_SIGMA
         side = np.sign(deviation) * (np.abs(deviation) > OUTLIER_SIGMA)
-        self._outliers = np.where(goes_on, self._outliers + 1, side != 0.0)
-        self._since_s = np.where(goes_on, self._since_s + dt_s, 0.0)
-        self._side = np.where(goes_on, self._side, side)
-        may_have: NDArray[np.bool_] = self._outliers >= JUMP_HEADINGS
-        has_jumped = may_have & (self._since_s >= JUMP_S)
-        self._outliers[has_jumped], self._side[has_jumped] = 0, 0.0
+        self.outliers = np.where(goes_on, self.outliers + 1, side != 0.0)
+        self.since_s = np.where(goes_on, self.since_s + dt_s, 0.0)
+        self.side = np.where(goes_on, self.side, side)
+        may_have: NDArray[np.bool_] = self.outliers >= JUMP_HEADINGS
+        has_jumped = may_have & (self.since_s >= JUMP_S)
+        self.outliers[has_jumped], self.side[has_jumped] = 0, 0.0
         return may_have & ~has_jumped, has_jumped
 
 

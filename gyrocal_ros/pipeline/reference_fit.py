@@ -134,6 +134,5 @@ def _filtered(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> R
         track.rate_rad_s,
         track.yaw_rad - track.turned_rad,
     )
-    for row in zip(*(column.tolist() for column in columns), strict=True):
-        bank.add(*row)
+    bank.add(np.stack(columns, axis=1))
     return bank

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -104,10 +105,15 @@ class Curve(LinearGyroEffect):
         """Return the part (n, k) of the functions that is in the model already."""
         if self.follows == HEADING:
             return np.zeros(1)
-        grid = np.linspace(self.low, self.high, GRID)
-        weights = np.linalg.lstsq(self.present(grid), self._functions(grid), rcond=None)[0]
-        offset: Array = self.present(np.clip(values, self.low, self.high)) @ weights
+        offset: Array = self.present(np.clip(values, self.low, self.high)) @ self._explained
         return offset
+
+    @cached_property
+    def _explained(self) -> Array:
+        """(1 or 2, k) what the model has already in each function, the same for every block."""
+        grid = np.linspace(self.low, self.high, GRID)
+        weights: Array = np.linalg.lstsq(self.present(grid), self._functions(grid), rcond=None)[0]
+        return weights
 
     def present(self, values: Array) -> Array:
         """Return what the model has already (n, 1 or 2): a constant, and a scale factor of the rate."""

@@ -187,8 +187,8 @@ def filter_headings(
         P[:, BIAS, BIAS] += bias_walk * dt_s
 
         numerator = P[:, HEADING] - rate_rad_s * P[:, OFFSET]
-        variance = numerator[:, HEADING] - rate_rad_s * numerator[:, OFFSET] + np.square(noise.white_rad)
-        variance += np.square(noise.stamp_s) * rate_rad_s**2
+        noise_variance = np.square(noise.white_rad) + np.square(noise.stamp_s) * rate_rad_s**2
+        variance = numerator[:, HEADING] - rate_rad_s * numerator[:, OFFSET] + noise_variance
         residual = difference_rad - mean[:, HEADING] + rate_rad_s * mean[:, OFFSET]
         may_have_jumped, has_jumped = jumps.update(residual / np.sqrt(variance), dt_s)
         if has_jumped.any():
@@ -205,10 +205,9 @@ def filter_headings(
         log_likelihood[is_known] += outlying[is_known]
         outlying[is_known] = 0.0
 
-        weight = np.where(may_have_jumped, 0.0, noise.weight(distance))
-        gain = numerator * (weight / variance)[:, None]
-        mean += gain * residual[:, None]
-        P -= gain[:, :, None] * numerator[:, None, :]
+        gain = numerator * (~may_have_jumped / variance)[:, None]
+        mean += gain * (noise.pull(distance, noise_variance / variance) * residual)[:, None]
+        P -= (gain * noise.weight(distance)[:, None])[:, :, None] * numerator[:, None, :]
     return mean, P, log_likelihood, outlying, jumps.outliers, jumps.side, jumps.since_s, jumped
 
 

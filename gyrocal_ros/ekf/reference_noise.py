@@ -41,7 +41,7 @@ class ReferenceNoise:
     """Noise parameters; arrays (m,) hold m alternatives."""
 
     white_rad: Array | float
-    """Scale of the white noise of a heading."""
+    """White noise of a heading: standard deviation of normal noise that tells as much."""
     walk_rad: Array | float
     """Random walk, rad/sqrt(s)."""
     tail_dof: Array | float
@@ -57,23 +57,50 @@ class ReferenceNoise:
     def weight(self, distance: Array | float) -> Array | float:
         """Return the weight, at most 1, of a heading whose innovation squared is `distance` variances.
 
-        It is the expected precision of a Student t variable, a normal variable of unknown precision, given
-        its value (Lange, Little and Taylor 1989). Without the bound small innovations would count more than
-        the white noise permits.
+        Without the bound small innovations would count more than the white noise permits.
         """
-        return np.minimum((self.tail_dof + 1.0) / (self.tail_dof + distance), 1.0)
+        return np.minimum(self._slope(distance), 1.0)
+
+    def pull(self, distance: Array | float, noise_part: Array | float) -> Array | float:
+        """Return the factor on an innovation by which it moves the estimate.
+
+        It is that of the score of a Student t variable over that of a normal one (Masreliez 1975). On average
+        it makes up for the outliers, which move the estimate less; a bound would be taken for a larger random
+        walk. As far as the estimate is uncertain, small innovations are normal.
+
+        Args:
+            distance: square of the innovation, in variances.
+            noise_part: part of the variance that is noise of the heading.
+        """
+        slope = self._slope(distance)
+        return np.where(slope < 1.0, slope, 1.0 + noise_part * (slope - 1.0))
 
     def log_likelihood(self, variance: Array | float, distance: Array | float) -> Array | float:
         """Return the log-likelihood of a heading whose innovation squared is `distance` times `variance`."""
         dof = self.tail_dof
-        kernel = np.log(variance) + (dof + 1.0) * np.log1p(distance / dof)
+        kernel = np.log(variance) + (dof + 1.0) * np.log1p(self.wider * distance / dof)
         return self.log_constant - 0.5 * kernel
+
+    def _slope(self, distance: Array | float) -> Array | float:
+        return (self.tail_dof + 3.0) / (self.tail_dof + self.wider * distance)
+
+    @cached_property
+    def wider(self) -> Array:
+        """Variance of normal noise over the squared scale of Student t noise that tells as much.
+
+        The Fisher information of the latter is (dof + 1) / (dof + 3) over its squared scale (Lange, Little and
+        Taylor 1989).
+        """
+        dof = np.asarray(self.tail_dof)
+        return (dof + 3.0) / (dof + 1.0)
 
     @cached_property
     def log_constant(self) -> Array:
         """Part of the log-likelihood that depends on the degrees of freedom alone."""
         dof = np.asarray(self.tail_dof)
-        return _log_gamma(0.5 * (dof + 1.0)) - _log_gamma(0.5 * dof) - 0.5 * np.log(math.pi * dof)
+        return (
+            _log_gamma(0.5 * (dof + 1.0)) - _log_gamma(0.5 * dof) - 0.5 * np.log(math.pi * dof / self.wider)
+        )
 
 
 class JumpDetector:

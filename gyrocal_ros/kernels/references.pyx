@@ -25,7 +25,8 @@ def filter_headings(
     noise, double bias_walk, double gap_rate_rad_s, const double[:, :] headings,
 ):
     cdef Py_ssize_t n = headings.shape[0], m = len(mean), t, a, i, j
-    cdef double dt, turn, gap, rate, added, variance, residual, deviation, new_side, distance, weight, gain
+    cdef double dt, turn, gap, rate, added, variance, residual, deviation, new_side, distance, gain
+    cdef double noise_variance, slope, pull
     cdef double numerator[4]
     cdef double* x
     cdef double* C
@@ -40,6 +41,7 @@ def filter_headings(
     cdef long[::1] counts = state[4]
     cdef const double[:] white = noise.white_rad, walk = noise.walk_rad, dof = noise.tail_dof
     cdef const double[:] stamp = noise.stamp_s, constant = noise.log_constant
+    cdef const double[:] wider = noise.wider
     jumped = np.zeros((n, m), bool)
     cdef unsigned char[:, ::1] has_jumped = jumped.view(np.uint8)
     for a in range(m):
@@ -56,8 +58,8 @@ def filter_headings(
 
             for i in range(4):
                 numerator[i] = C[i] - rate * C[4 * OFFSET + i]
-            variance = numerator[HEADING] - rate * numerator[OFFSET] + white[a] * white[a]
-            variance += stamp[a] * stamp[a] * (rate * rate)
+            noise_variance = white[a] * white[a] + stamp[a] * stamp[a] * (rate * rate)
+            variance = numerator[HEADING] - rate * numerator[OFFSET] + noise_variance
             residual = headings[t, 4] - x[HEADING] + rate * x[OFFSET]
 
             deviation = residual / sqrt(variance)
@@ -80,15 +82,18 @@ def filter_headings(
                 pending[a] = JUMP_LOG_PRIOR
 
             distance = residual * residual / variance
-            pending[a] += constant[a] - 0.5 * (log(variance) + (dof[a] + 1.0) * log1p(distance / dof[a]))
+            pending[a] += constant[a] - 0.5 * (log(variance) + (dof[a] + 1.0) * log1p(wider[a] * distance / dof[a]))
             if counts[a] == 0:
                 likelihood[a] += pending[a]
                 pending[a] = 0.0
 
-            weight = 0.0 if may_have else min((dof[a] + 1.0) / (dof[a] + distance), 1.0)
+            if may_have:
+                continue
+            slope = (dof[a] + 3.0) / (dof[a] + wider[a] * distance)
+            pull = slope if slope < 1.0 else 1.0 + noise_variance / variance * (slope - 1.0)
             for i in range(4):
-                gain = numerator[i] * (weight / variance)
-                x[i] += gain * residual
+                gain = numerator[i] * (1.0 / variance)
+                x[i] += gain * (pull * residual)
                 for j in range(4):
-                    C[4 * i + j] -= gain * numerator[j]
+                    C[4 * i + j] -= gain * min(slope, 1.0) * numerator[j]
     return (*state, jumped)

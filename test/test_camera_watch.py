@@ -13,7 +13,7 @@ from gyrocal_ros.config.sections import Config, ConvergenceConfig
 from gyrocal_ros.data import Rig
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.camera_watch import GATE, PRIOR_STD, CameraWatch
-from gyrocal_ros.ekf.convergence import STEPS_AFTER_CHANGE, Convergence
+from gyrocal_ros.ekf.convergence import CONSISTENCY_STEPS, STEPS_AFTER_CHANGE, Convergence
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, State
@@ -100,3 +100,14 @@ def test_after_a_change_consistency_needs_enough_steps() -> None:
             watch.add(0.1 * i, 1e-4, 4.0, 2, config)
         assert watch.is_consistent(config)
         assert watch.inflation == pytest.approx(math.sqrt(2.0))
+
+
+def test_the_recent_nis_is_that_of_the_last_measured_steps() -> None:
+    watch, config = Convergence(), ConvergenceConfig()
+    assert math.isnan(watch.recent_nis)
+    for i, (nis, dof) in enumerate([(2.0, 2), (0.0, 0), (9.0, 1)]):
+        watch.add(0.1 * i, 1e-4, nis, dof, config)
+        assert watch.recent_nis == pytest.approx([1.0, 1.0, 11.0 / 3.0][i])
+    for i in range(CONSISTENCY_STEPS):
+        watch.add(1.0 + 0.1 * i, 1e-4, 1.0, 2, config)
+    assert watch.recent_nis == pytest.approx(0.5) and watch.overall_nis > watch.recent_nis

@@ -27,7 +27,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('library', 'slow_sensors
 
 ELSEWHERE = {'bench', 'reproduce', 'studio', 'demo', 'fleet'}
 """Commands that other tests execute."""
-FEATURES_S, IMAGES_S = '24', '2'
+FEATURES_S, IMAGES_S = '24', '1'
 """Length of a simulated recording."""
 PLACEHOLDERS = {'NAME': 'gyro_lag', 'xsens.bag': 'my_bag'}
 GUIDE = (ROOT / 'docs/your_own_effect.md').read_text(encoding='utf-8')

@@ -41,7 +41,8 @@ def recorded() -> list[Frame]:
 
 @pytest.mark.slow
 def test_it_takes_the_images_of_the_recording_in_real_time() -> None:
-    taken = [camera().take(number) for number in range(3)]
+    emulated = camera()
+    taken = [emulated.take(number) for number in range(3)]
     for frame, old in zip(taken, recorded(), strict=False):
         assert frame is not None
         assert frame.t_ns - NOW_NS == old.t_ns - START_NS

@@ -329,6 +329,16 @@ def test_changes_of_the_scale_with_and_without_other_errors(others_explained: fl
     assert_equal_to_rounding('scale_changes', none)
 
 
+@pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])
+def test_a_change_of_which_nothing_is_known(forms: dict[str, Callable[..., Any]]) -> None:
+    if not forms:
+        pytest.skip('the compiled kernels were not built')
+    nothing = np.zeros(2)
+    arguments = (nothing, nothing, np.array([9.0, 0.0]), np.ones(2), np.ones(2), np.empty((2, 0)), NOTHING)
+    values, variances, sigmas = forms['scale_changes'](*arguments)
+    assert not values.any() and not sigmas.any() and (variances > 1e300).all()
+
+
 @needs_kernels
 def test_headings_that_jump() -> None:
     arguments = filter_headings(np.random.default_rng(5), 9, jump_rad=1.0)

@@ -35,6 +35,8 @@ class Convergence:
         """Time since which the standard deviation of the scale factor has been below its threshold."""
         self._recent: deque[tuple[float, int]] = deque(maxlen=CONSISTENCY_STEPS)
         self._nis, self._dof = 0.0, 0
+        self._recent_nis: float | None = math.nan
+        """NIS per degree of freedom of the last steps, as long as they are the same; None where it is due."""
 
     def add(self, time_s: float, scale_std: float, nis: float, dof: int, config: ConvergenceConfig) -> None:
         """Add one step.
@@ -52,6 +54,7 @@ class Convergence:
             self.since_s = time_s
         if dof > 0:
             self._recent.append((nis, dof))
+            self._recent_nis = None
             self._nis, self._dof = self._nis + nis, self._dof + dof
 
     @property
@@ -67,8 +70,9 @@ class Convergence:
     @property
     def recent_nis(self) -> float:
         """NIS per degree of freedom of the last steps; 1 for a consistent filter. NaN before the first."""
-        dof = sum(dof for _, dof in self._recent)
-        return sum(nis for nis, _ in self._recent) / dof if dof else float('nan')
+        if self._recent_nis is None:
+            self._recent_nis = sum(nis for nis, _ in self._recent) / sum(dof for _, dof in self._recent)
+        return self._recent_nis
 
     @property
     def overall_nis(self) -> float:

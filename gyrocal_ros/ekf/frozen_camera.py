@@ -51,6 +51,6 @@ class FrozenCamera:
 def _are_equal(one: FeatureObservations, other: FeatureObservations) -> bool:
     return (
         len(one.ids) >= MIN_FEATURES
+        and np.array_equal(one.pixels, other.pixels)  # usually not
         and np.array_equal(one.ids, other.ids)
-        and np.array_equal(one.pixels, other.pixels)
     )

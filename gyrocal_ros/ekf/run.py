@@ -219,7 +219,9 @@ class Recorder:
         if self._filled == BLOCK_ROWS:
             self._move_block()
         for name, values in record.block.covariates.items():
-            column = self._signals.setdefault(name, GrowingColumn())
+            if name not in self._signals:
+                self._signals[name] = GrowingColumn()
+            column = self._signals[name]
             column.pad(len(self._t_ns))
             column.append(values[-1])
         self._t_ns.append(record.t_ns)

@@ -325,6 +325,7 @@ def scale_changes(
         information = np.maximum(left, NOT_SEPARABLE * information)
         score = score - by_others @ others.score
         explained = score**2 / information
-    variances = np.maximum((nis - explained) / np.maximum(dof, 1.0), 1.0) / information
+    with np.errstate(over='ignore'):  # the variance of what nothing is known of is infinite
+        variances = np.maximum((nis - explained) / np.maximum(dof, 1.0), 1.0) / information
     values = score / information
     return values, variances, np.where(information < least, 0.0, np.abs(values) / np.sqrt(variances))

@@ -52,6 +52,15 @@ def test_white_noise_and_walk_are_found(white_deg: float, walk_deg: float, outli
     assert (float(found.noise.tail_dof) < 6.0) == (outliers > 0.0)
 
 
+def test_outliers_are_not_taken_for_walk() -> None:
+    gyro, walk_deg = Config().gyro, 0.2
+    fits = [
+        fit_noise(track(seed, white_deg=0.5, walk_deg=walk_deg, outliers=0.08), gyro) for seed in range(10)
+    ]
+    logs = [math.log(math.degrees(float(fit.noise.walk_rad)) / walk_deg) for fit in fits]
+    assert np.mean(logs) == pytest.approx(0.0, abs=0.1)
+
+
 def test_a_white_noise_below_the_step_of_the_walk_is_found() -> None:
     """With heavy tails none is likeliest."""
     found = fit_noise(track(white_deg=0.03, walk_deg=0.36, hz=38.0), Config().gyro)

@@ -207,7 +207,8 @@ def filter_headings(
 
         gain = numerator * (~may_have_jumped / variance)[:, None]
         mean += gain * (noise.pull(distance, noise_variance / variance) * residual)[:, None]
-        P -= (gain * noise.weight(distance)[:, None])[:, :, None] * numerator[:, None, :]
+        weight = np.asarray(noise.weight(distance))
+        P -= (gain * weight[:, None])[:, :, None] * numerator[:, None, :]
     return mean, P, log_likelihood, outlying, jumps.outliers, jumps.side, jumps.since_s, jumped
 
 

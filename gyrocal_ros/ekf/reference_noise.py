@@ -88,8 +88,8 @@ class ReferenceNoise:
     def wider(self) -> Array:
         """Variance of normal noise over the squared scale of Student t noise that tells as much.
 
-        The Fisher information of the latter is (dof + 1) / (dof + 3) over its squared scale (Lange, Little and
-        Taylor 1989).
+        The Fisher information of the latter is (dof + 1) / (dof + 3) over its squared scale (Lange, Little
+        and Taylor 1989).
         """
         dof = np.asarray(self.tail_dof)
         return (dof + 3.0) / (dof + 1.0)
@@ -98,9 +98,8 @@ class ReferenceNoise:
     def log_constant(self) -> Array:
         """Part of the log-likelihood that depends on the degrees of freedom alone."""
         dof = np.asarray(self.tail_dof)
-        return (
-            _log_gamma(0.5 * (dof + 1.0)) - _log_gamma(0.5 * dof) - 0.5 * np.log(math.pi * dof / self.wider)
-        )
+        scale = 0.5 * np.log(self.wider / (math.pi * dof))
+        return _log_gamma(0.5 * (dof + 1.0)) - _log_gamma(0.5 * dof) + scale
 
 
 class JumpDetector:

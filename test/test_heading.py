@@ -114,11 +114,11 @@ def certain() -> State:
 
 
 def test_an_outlier_counts_little() -> None:
-    """Its weight is that of a Student t variable."""
+    """Its weight is that of a Student t variable with 4 degrees of freedom that tells as much."""
     reference, state, error_rad = aligned(), certain(), 20.0 * STD
     after, update = updated(reference, state, error_rad)
     assert update.rejected == 1 and not update.event
-    assert update.heading_std_rad**2 == pytest.approx(STD**2 * (4.0 + 400.0) / 5.0, rel=1e-6)
+    assert update.heading_std_rad**2 == pytest.approx(STD**2 * (4.0 + 1.4 * 400.0) / 7.0, rel=1e-6)
     moved, bound = after.mean[YAW] - state.mean[YAW], 1e-12 * error_rad / STD**2
     assert 0.0 < moved < 0.02 * bound
 
@@ -181,7 +181,8 @@ def test_jumps_that_go_with_the_turns_are_an_error_of_the_scale_factor() -> None
 
 def test_the_log_likelihood_is_that_of_a_student_t_variable() -> None:
     _, update = updated(aligned(), certain(), 3.0 * STD)
-    expected = float(student_t.logpdf(3.0 * STD, df=4.0, scale=STD))
+    scale = STD / math.sqrt(7.0 / 5.0)  # of the one that tells as much as normal noise with STD
+    expected = float(student_t.logpdf(3.0 * STD, df=4.0, scale=scale))
     assert update.stats.log_likelihood == pytest.approx(expected, rel=1e-6)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -35,6 +36,7 @@ from gyrocal_ros.nodes.qos import LATCHED, SENSOR_OUT, STATIC
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.pipeline.in_memory import InMemorySource
+from gyrocal_ros.robot.odom_parent import LISTEN_S
 
 BAG = shipped('bags/cleaning')
 PLAYED_S = 30.0
@@ -151,6 +153,8 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Played]:
             graph.listen(ParameterEvent, '/parameter_events'),
             graph.listen(DiagnosticArray, '/diagnostics'),
         )
+        began_s = time.monotonic()
+        graph.wait(lambda: time.monotonic() - began_s > LISTEN_S, 'the end of listening for parents of odom')
         play(graph, PLAYED_S, outputs.imu)
         yield outputs
 

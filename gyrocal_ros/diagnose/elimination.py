@@ -14,7 +14,7 @@ from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 
 SMALLER = 0.7
-"""Size of a noise beside what was found after it, relative to that alone, below which it is added anew."""
+"""Size of a noise beside what was found after it, relative to that alone, below which it is added again."""
 
 
 def eliminate(searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:

@@ -233,6 +233,7 @@ def written(of: Of, follows: str, form: Form, parameter: float, folder: Path) ->
     values = [0.02, 0.001] if form.over == 'dynamics' else [0.01, 0.02, 0.03, 0.04]
     values = values[: len(form.terms)]
     path.write_text(effect_source(of, follows, form, parameter, values, 'a bag'), encoding='utf-8')
+    assert len(path.read_text(encoding='utf-8').splitlines()[0]) < 110
     (made,) = load_file(path)
     return made  # type: ignore[return-value]
 

@@ -13,12 +13,13 @@ from contracts import GyroEffectContract, assert_derivative, eventful_block, eve
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
-from gyrocal_ros.effects.learned import curve, memory, place_map, step, wave
+from gyrocal_ros.effects.learned import curve, formula, memory, place_map, step, wave
 from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.effects.learned.causes import closest_effect, library_effect, meaning
 from gyrocal_ros.effects.learned.curve import GRID, LENGTHS, Of, prior_stds
 from gyrocal_ros.effects.learned.drives import ABS_RATE, DYNAMICS, LAST_TURN, MOVING, SIDE, START
 from gyrocal_ros.effects.learned.forms import FORMS, Form
+from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory import TAUS_S
 from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS, physical
 from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
@@ -47,8 +48,20 @@ EFFECTS: tuple[GyroEffect, ...] = (
     wave('bias', period_s=7.0),
     wave('scale', period_s=7.0),
     place_map(low_m=(-1.0, -1.0), high_m=(1.0, 1.0)),
+    formula('bias_curve:rate', 'dead band', 0.7),
+    formula('bias_curve:heading', 'sine of the heading'),
+    formula(f'scale_curve:{VOLTAGE}', 'sine', 0.2),
+    formula('bias_memory:rate', 'first-order lag', 5.0),
+    formula(f'bias_memory:{VOLTAGE}', 'second-order lag', 5.0),
+    formula('bias_memory:abs_rate', 'passing', 5.0),
+    formula('bias_memory:turn_side', 'at once'),
+    formula('bias_memory:last_turn', 'fading exponential', 5.0),
+    formula('bias_memory:dynamics', 'second-order lag'),
+    formula('scale_memory:start', 'fading hyperbola', 60.0),
 )
-each_effect = pytest.mark.parametrize('effect', EFFECTS, ids=lambda effect: effect.name)
+each_effect = pytest.mark.parametrize(
+    'effect', EFFECTS, ids=lambda effect: ' '.join([effect.name, getattr(effect, 'form', '')]).strip()
+)
 
 
 def posed_block(count: int = 12, seed: int = 0, start_s: float = 30.0) -> MotionBlock:
@@ -75,7 +88,8 @@ class TestEachLearnedEffect:
     @each_effect
     def test_its_name_finds_an_effect_of_its_kind(self, effect: GyroEffect) -> None:
         found = find_effect(effect.name)
-        assert isinstance(found, type(effect)) and found.name == effect.name
+        kind = type(effect.learned if isinstance(effect, Formula) else effect)
+        assert isinstance(found, kind) and found.name == effect.name
         assert effect.name.partition(':')[0] in LEARNED_EFFECTS
 
     @each_effect
@@ -251,6 +265,9 @@ def test_a_closed_form_becomes_an_effect(form: Form, tmp_path: Path) -> None:
     expected = form.columns(x, 0.7) * block.rate_rad_s[:, 2:]
     term = made.contribute(block, np.ones(len(form.terms)), None)
     np.testing.assert_allclose(term.by_values, expected, rtol=1e-9, atol=1e-12)
+    in_model = formula(f'scale_curve:{follows}', form.name, 0.7)
+    term = in_model.contribute(block, np.ones(len(form.terms)), None)
+    np.testing.assert_allclose(term.by_values, expected, rtol=1e-9, atol=1e-12)
 
 
 SLOW_RAD_S = 1.5
@@ -287,6 +304,15 @@ class TestWrittenMemory(GyroEffectContract):
     def effect(self, of: Of, follows: str, form: Form, tmp_path: Path) -> GyroEffect:
         return written(of, follows, form, 2.5, tmp_path)
 
+    def test_it_is_what_the_model_has(self, effect: GyroEffect, of: Of, follows: str, form: Form) -> None:
+        in_model = formula(f'{of}_memory:{follows}', form.name, 2.5)
+        assert [item.unit for item in in_model.coefficients] == [item.unit for item in effect.coefficients]
+        blocks, values = [posed_block(), posed_block(12, 1, 30.06)], np.ones(len(form.terms))
+        for found, expected in zip(
+            contribution(in_model, blocks, values), contribution(effect, blocks, values), strict=True
+        ):
+            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+
     def test_it_responds_as_the_form(self, effect: GyroEffect, of: Of, follows: str, form: Form) -> None:
         """To a step of the drive, after a turn or the start, or in turns to and fro."""
         count, dt_s = 4000, 0.005
@@ -314,6 +340,21 @@ class TestWrittenMemory(GyroEffectContract):
         late = slice(60 if follows == DYNAMICS else 2, None)
         size = np.abs(expected).max(axis=0)
         np.testing.assert_allclose(found[late] / size, expected[late] / size, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ('name', 'form', 'remedy'),
+    [
+        ('bias_curve:rate', 'cubic', "did you mean 'cube'"),
+        ('bias_memory:rate', 'cube', 'first-order lag'),
+        ('bias_map:place', 'cube', 'leave out `form`'),
+    ],
+)
+def test_a_form_that_the_effect_does_not_have(name: str, form: str, remedy: str) -> None:
+    tree = {'effects': ['scale_factor', {'name': name, 'form': form}]}
+    with pytest.raises(ConfigError, match=remedy) as raised:
+        model_from_dict(tree, 'model.yaml')
+    assert 'model.yaml' in str(raised.value) and '(' not in str(raised.value).partition(':')[0]
 
 
 def test_the_dynamics_do_not_depend_on_the_rate_of_the_imu() -> None:

@@ -30,6 +30,7 @@ from gyrocal_ros.diagnose.hypotheses import (
     laws,
     rank_laws,
 )
+from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
@@ -363,13 +364,22 @@ class TestLearning:
         assert is_missing_something(first)
         learned = learn(Search(first, ()), recorded, runner(source))
         assert learned.ranked[0].effect.name == 'bias_curve:heading'
-        (added,) = learned.searched.kept
+        added, written = learned.searched.additions
         assert added.effect.name == 'bias_curve:heading' and added.sigma > 10.0
-        x = np.linspace(-3.0, 3.0, 100)
-        effect = added.effect
-        found = effect.basis(x) @ added.after.run.state.coefficients[1:]  # type: ignore[attr-defined]
-        truth = 0.2 * DEG * np.sin(x + 0.7)
-        assert np.abs(found - truth).max() < 0.03 * DEG
+        (law,) = learned.laws
+        assert law.curve is not None
+        truth = 0.2 * DEG * np.sin(law.curve.x + 0.7)
+        assert np.abs(law.curve.y - truth).max() < 0.03 * DEG
+        assert learned.searched.kept == (written,), 'its closed form takes the place of the curve'
+        found = written.after.run.state.coefficients[1:]
+        expected = 0.2 * DEG * np.array([math.cos(0.7), math.sin(0.7)])
+        np.testing.assert_allclose(found, expected, atol=0.01 * DEG)
+        assert law.effect == written.effect and law.forms[0].form.name == 'sine of the heading'
+        (summary,) = summarise_laws([law])
+        assert summary['in_model_as'] == 'sine of the heading'
+        assert '  in the model as: sine of the heading' in list(law_in_words(law))
+        labels = [revision.label for revision in improvement(learned.searched).revisions]
+        assert labels == ['0_default', '1_bias_curve_heading', '2_bias_curve_heading_as_sine_of_the_heading']
 
     def test_nothing_is_learned_where_nothing_is_missing(self) -> None:
         source = recording()

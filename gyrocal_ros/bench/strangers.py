@@ -14,8 +14,6 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import blind_drift
-from gyrocal_ros.diagnose.examined import ExaminedModel
-from gyrocal_ros.diagnose.learned_laws import learned_laws
 from gyrocal_ros.diagnose.learning import learn
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.summarise import summarise_recording
@@ -144,16 +142,17 @@ def run_stranger(law: str, seed: int) -> StrangerResult:
     result = StrangerResult(law, seed, drift_without_deg=_drift_deg(simulate(hidden=()), present))
     try:
         searched = find_missing(present, recorded, run)
-        found = learn(searched, recorded, run).searched
+        known = learn(searched, recorded, run)
     except FilterDivergedError:
         return result
+    found = known.searched
     learned = tuple(item.effect.name for item in found.kept)
     calibrated = conclude(found.last.run)
     scale_error = abs(calibrated.scale_factor - errors.scale_factor)
     result = replace(
         result,
         learned=learned,
-        form=_form(found.last),
+        form=next((law.forms[0].form.name for law in known.laws if law.forms), ''),
         scale_sigma=scale_error / calibrated.scale_factor_std,
         is_right=not learned if law == NOTHING else bool(set(learned) & set(STRANGERS[law].right)),
         drift_before_deg=_held_out_deg(found.first.run),
@@ -161,11 +160,6 @@ def run_stranger(law: str, seed: int) -> StrangerResult:
     )
     claims = any(name in EFFECTS for name in learned)
     return replace(result, names_library=claims and not result.is_good)
-
-
-def _form(examined: ExaminedModel) -> str:
-    """Return the closed form that comes first of the first law that has any."""
-    return next((law.forms[0].form.name for law in learned_laws(examined) if law.forms), '')
 
 
 def _drift_deg(source: SimSource, model: SensorModel) -> float:

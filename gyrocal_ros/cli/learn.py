@@ -25,7 +25,7 @@ from gyrocal_ros.diagnose.examined import examine
 from gyrocal_ros.diagnose.hypotheses import law_names
 from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.json_summary import summarise_improvement
-from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws, summarise_laws
+from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
 from gyrocal_ros.diagnose.learning import Learned, is_missing_something, learn
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.summarise import summarise_recording
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> None:
         else:
             searched = find_missing(model, recorded, calibrate)
         learned = learn(searched, recorded, calibrate, only)
-        improved, laws = improvement(learned.searched), list(learned_laws(learned.searched.last))
+        improved, laws = improvement(learned.searched), learned.laws
         if folder is not None:
             # Only a page needs the plotting library.
             from gyrocal_ros.report.improvement import improvement_sections

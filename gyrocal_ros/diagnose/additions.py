@@ -45,6 +45,8 @@ class Addition:
     """Limits with which a run predicts the recording nearly as well; no score statistics tell of them."""
     is_rejected: bool = False
     """True for a learned effect with which the recording is not predicted better, or drifts more."""
+    is_rewritten: bool = False
+    """True for a closed form in place of the learned curve or memory of the same name."""
 
     @property
     def predictive_gain(self) -> float:
@@ -60,8 +62,12 @@ class Addition:
 
     @cached_property
     def is_kept(self) -> bool:
-        """True if the recording is predicted better with the effect, not zero, and drifts no more."""
-        predicts = self.predictive_gain > self.after.settings.min_predictive_gain
+        """True if the recording is predicted better with the effect, not zero, and drifts no more.
+
+        A closed form need only predict as well as the curve.
+        """
+        least = self.after.settings.min_predictive_gain
+        predicts = self.predictive_gain > (-least if self.is_rewritten else least)
         return predicts and self.stands_out and not self.is_rejected and not self.raises_drift
 
     @property
@@ -138,8 +144,13 @@ class Search:
 
     @property
     def kept(self) -> tuple[Addition, ...]:
-        """Additions that helped, and that were not removed again; a noise may be added again, smaller."""
-        removed = {item.effect.name: item.after.model.version for item in self.removals}
+        """Additions that helped, and that were not removed again or rewritten in closed form.
+
+        A noise may be added again, smaller.
+        """
+        rewritten = [item for item in self.additions if item.is_rewritten and item.is_kept]
+        removed = {item.effect.name: item.after.model.version - 1 for item in rewritten}
+        removed |= {item.effect.name: item.after.model.version for item in self.removals}
         return tuple(
             item
             for item in self.additions

@@ -33,6 +33,8 @@ FITS = 0.999
 NEGLIGIBLE = 0.003
 """Part of the log-likelihood that a form may miss and still fit: no form is exact to more than that."""
 SINGULAR = 1e-9
+LARGEST = 1e15
+"""Largest number that a form may have: products of several are still finite."""
 UNSEEN = 1e-3
 """Information of the data, relative to that of the prior, below which they do not determine a direction."""
 MAX_LOST = 0.5
@@ -239,9 +241,14 @@ def _fitted(
 ) -> tuple[float, float, Array, Array] | None:
     """Return gain, parameter, values and deviations.
 
-    None where bias and scale factor explain the form, or where the curve is too smooth to have it.
+    None where bias and scale factor explain the form, where the curve is too smooth to have it, or where the
+    form is too large or small for numbers, such as an exponential of a signal far from zero.
     """
-    columns = form.columns(curve.x, p)
+    with np.errstate(over='ignore'):
+        columns = form.columns(curve.x, p)
+    largest = np.abs(columns).max(axis=0)
+    if not np.all((largest > 1.0 / LARGEST) & (largest < LARGEST)):
+        return None
     new = without_present(curve, columns)
     sizes = np.sqrt(np.mean(columns**2, axis=0))
     if np.any(np.sqrt(np.mean(new**2, axis=0)) < 1e-6 * sizes):

@@ -18,6 +18,7 @@ from gyrocal_ros.diagnose.drift import (
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.statistics import vuong_sigma
 
@@ -89,7 +90,7 @@ def improvement(searched: Search) -> Improvement:
         if isinstance(item, Removal):
             revisions.append(_removing(item, number, reference))
         else:
-            label = revision_label(number, item.effect.name)
+            label = revision_label(number, _name(item))
             revisions.append(revision(item, label, reference, item in searched.kept))
     return Improvement(tuple(revisions), reference[1])
 
@@ -98,6 +99,11 @@ def revision_label(number: int, name: str) -> str:
     """Return a label such as `1_scale_asymmetry`, with characters that every file system accepts."""
     plain = re.sub(r'[^\w.]+', '_', name)
     return f'{number}_{plain}'
+
+
+def _name(added: Addition) -> str:
+    effect = added.effect
+    return f'{effect.name}_as_{effect.form}' if isinstance(effect, Formula) else effect.name
 
 
 def first_revision(examined: ExaminedModel, reference: tuple[Heading, str]) -> Revision:
@@ -189,6 +195,9 @@ def _reason(added: Addition) -> str:
     if added.before is None:
         return 'without it the filter diverges'
     size = f'{abs(added.predictive_gain):.1f}'
+    if added.is_rewritten and added.is_kept:
+        gain = f'{added.predictive_gain:+.1f}'
+        return f'in closed form the recording is predicted as well (log-likelihood {gain})'
     if added.is_kept:
         return f'the recording is predicted better (log-likelihood +{size})'
     if not added.stands_out:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,13 @@ from gyrocal_ros.effects import LEARNED_EFFECTS
 from gyrocal_ros.effects.learned.causes import closest_effect
 from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.drives import START
+from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.effects.learned.signals import UNITS
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.model.sensor import Effect
 
+NO_CURVES: Mapping[str, tuple[Effect, ExaminedModel]] = MappingProxyType({})
 SHOWN, MIN_EXPLAINED = 4, 0.9
 """Number of closed forms that are listed, and the part of a curve that all but the best explain at least."""
 
@@ -29,7 +32,7 @@ class LearnedLaw:
 
     effect: Effect
     curve: LearnedCurve | None
-    """Its curve, or the response of a memory; None for a map and a step."""
+    """Its curve, or the response of a memory, as it was learned; None for a map, a step and a wave."""
     forms: tuple[ClosedForm, ...]
     """Closed forms, the best first."""
     rms: float
@@ -48,17 +51,27 @@ class LearnedLaw:
     @property
     def is_over_a_signal(self) -> bool:
         """True if its curve is over a recorded signal or the time since the start."""
-        return isinstance(self.effect, Curve) or self.follows == START
+        is_curve = self.curve is not None and isinstance(self.curve.effect, Curve)
+        return is_curve or self.follows == START
 
     @property
     def closest(self) -> str:
         """Effect of the library that resembles a memory most; empty for any other law."""
-        effect = self.effect
-        return closest_effect(effect.of, effect.follows) if isinstance(effect, ExponentialBank) else ''
+        if self.curve is None or not isinstance(self.curve.effect, ExponentialBank):
+            return ''
+        return closest_effect(self.curve.effect.of, self.follows)
 
 
-def learned_laws(examined: ExaminedModel) -> Iterator[LearnedLaw]:
-    """Yield the learned effects of a model."""
+def learned_laws(
+    examined: ExaminedModel, curves: Mapping[str, tuple[Effect, ExaminedModel]] = NO_CURVES
+) -> Iterator[LearnedLaw]:
+    """Yield the learned effects of a model.
+
+    Args:
+        examined: the model on a recording.
+        curves: curves and memories that the model has in closed form, by name, each with the model that it
+            was learned in.
+    """
     history, start = examined.run.history, 0
     for effect in examined.model.effects:
         places = slice(start, start + len(effect.coefficients))
@@ -67,7 +80,8 @@ def learned_laws(examined: ExaminedModel) -> Iterator[LearnedLaw]:
             continue
         values = history.mean[-1, COEFFICIENTS_START:][places]
         rate = (history.columns[:, places] @ values) / history.dt_s
-        curve = learned_curve(examined, effect) if isinstance(effect, Curve | ExponentialBank) else None
+        learned, model = curves.get(effect.name, (effect, examined))
+        curve = learned_curve(model, learned) if isinstance(learned, Curve | ExponentialBank) else None
         forms = closed_forms(curve, len(history.dt_s)) if curve is not None else []
         forms = [*forms[:1], *(item for item in forms[1:SHOWN] if item.explained > MIN_EXPLAINED)]
         yield LearnedLaw(effect, curve, tuple(forms), float(np.sqrt(np.mean(rate**2))))
@@ -87,6 +101,7 @@ def summarise_laws(laws: list[LearnedLaw]) -> list[dict[str, Any]]:
             'follows': law.follows,
             'rms_rad_s': law.rms,
             'closest_library_effect': law.closest or None,
+            'in_model_as': law.effect.form if isinstance(law.effect, Formula) else None,
             'curve': None
             if law.curve is None
             else {'x': law.curve.x[::10], 'y': law.curve.y[::10], 'std': law.curve.std[::10]},

@@ -18,7 +18,9 @@ from gyrocal_ros.diagnose.hypotheses import (
     laws,
     rank_laws,
 )
+from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.rewriting import rewrite
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.errors import CANNOT_RUN
@@ -49,6 +51,16 @@ class Learned:
     given_up: tuple[str, ...] = ()
     """Effects that the library had added and that the laws make superfluous."""
 
+    @property
+    def laws(self) -> list[LearnedLaw]:
+        """The learned laws of the final model, with the curves that they were learned as."""
+        curves = {
+            item.effect.name: (item.effect, item.after)
+            for item in self.searched.additions
+            if item.is_kept and not item.is_rewritten
+        }
+        return list(learned_laws(self.searched.last, curves))
+
 
 def learn(
     searched: Search,
@@ -60,7 +72,7 @@ def learn(
     """Learn what the library leaves unexplained.
 
     What the library has added is given up where laws alone predict clearly better, or as well with fewer of
-    them: several wrong effects may together imitate one law.
+    them: several wrong effects may together imitate one law. In the end laws are written in closed form.
 
     Args:
         searched: a finished search in the library.
@@ -69,6 +81,13 @@ def learn(
         only: names of laws; with any, they are tried even where nothing is missing.
         most: number of laws that are learned at most.
     """
+    found = _learned(searched, recording, calibrate, only, most)
+    return replace(found, searched=rewrite(found.searched, recording, calibrate))
+
+
+def _learned(
+    searched: Search, recording: RecordingSummary, calibrate: Calibrate, only: Sequence[str], most: int
+) -> Learned:
     last, ranked = _learned_beside(searched.last, recording, calibrate, only, most)
     wider = replace(searched, additions=(*searched.additions, *last))
     found = Learned(eliminate(wider, recording, calibrate), tuple(ranked))

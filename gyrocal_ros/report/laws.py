@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from gyrocal_ros.diagnose.closed_forms import ClosedForm
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, unit_of
 from gyrocal_ros.effects.learned.drives import ABS_RATE, LAST_TURN, MOVING, SIDE, START
+from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.report.describe import with_std
 
@@ -45,6 +46,8 @@ def law_in_words(law: LearnedLaw) -> Iterator[str]:
         yield f'  closed forms ({variable_of(law)}):'
     for found in law.forms:
         yield f'    {form_in_words(found)}'
+    if isinstance(law.effect, Formula):
+        yield f'  in the model as: {law.effect.form}'
     if law.forms:
         yield f'  what usually causes that: {law.forms[0].means}'
     if law.closest:
@@ -53,9 +56,10 @@ def law_in_words(law: LearnedLaw) -> Iterator[str]:
 
 def variable_of(law: LearnedLaw) -> str:
     """Return what x is in the closed forms of a law."""
-    if not isinstance(law.effect, ExponentialBank):
+    learned = law.curve.effect if law.curve is not None else law.effect
+    if not isinstance(learned, ExponentialBank):
         return f'x is {law.follows}, {unit_of(law.follows)}'
-    if law.effect.over == 'dynamics':
+    if learned.over == 'dynamics':
         return 'w is the yaw rate, rad/s'
     since = {LAST_TURN: 'the last turn ended', START: 'the start'}
     return f'x is the time since {since.get(law.follows, f"a unit step of {drive_in_words(law.follows)}")}, s'

@@ -118,10 +118,13 @@ class TaskExecutor:
         present = next((one for one in self._examined if one.model == task.model), None)
         if present is None:
             present = examine(task.model, recorded, run)
-        kept = learn(Search(present, ()), recorded, run, most=1).searched.kept
-        if not kept:
+        searched = learn(Search(present, ()), recorded, run, most=1).searched
+        if not searched.kept:
             return LearnedResult(None)
-        return LearnedResult(_examination(kept[0].after, recorded), kept[0].gain, kept[0].sigma)
+        (kept,) = searched.kept
+        first = next(item for item in searched.additions if item.effect.name == kept.effect.name)
+        found, curve = _examination(kept.after, recorded), _examination(first.after, recorded)
+        return LearnedResult(found, curve, first.gain, first.sigma)
 
 
 def _runs_with_preview(loaded: LoadedRecording, send: Send) -> Calibrate:

@@ -352,7 +352,9 @@ class Session:
     def _propose(self, label: str, learned: LearnedResult) -> None:
         """Offer what was learned beside a model."""
         found = learned.examination
-        proposal = None if found is None else Proposal(found, learned.gain, learned.sigma)
+        proposal = (
+            None if found is None else Proposal(found, learned.as_curve or found, learned.gain, learned.sigma)
+        )
         self._publish(learned={**self._state.learned, label: proposal})
 
     def _set_present(self, label: str, message: str) -> None:

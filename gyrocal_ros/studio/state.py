@@ -48,6 +48,8 @@ class Proposal:
 
     examination: Examination
     """Examination of the model with the law."""
+    as_curve: Examination
+    """The same of the curve or memory as it was learned, before it was written in closed form."""
     gain: float
     """Marginal log-likelihood that the law gains."""
     sigma: float
@@ -60,7 +62,9 @@ class Proposal:
     @cached_property
     def law(self) -> LearnedLaw:
         """The law with its curve and its closed forms."""
-        return list(learned_laws(self.examination.examined))[-1]
+        learned_in = self.as_curve.examined
+        learned = {self.name: (learned_in.model.effects[-1], learned_in)}
+        return list(learned_laws(self.examination.examined, learned))[-1]
 
 
 @dataclass(frozen=True, eq=False)

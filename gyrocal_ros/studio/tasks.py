@@ -103,6 +103,8 @@ class LearnedResult:
 
     examination: Examination | None
     """Examination of the model with the law; None where no law predicts the recording better."""
+    as_curve: Examination | None = None
+    """The same of the curve or memory as it was learned, before it was written in closed form."""
     gain: float = 0.0
     """Marginal log-likelihood gained."""
     sigma: float = 0.0

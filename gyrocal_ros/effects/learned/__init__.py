@@ -1,7 +1,8 @@
 """Effects whose law is learned from a recording: curves, maps, memories, steps and waves, stored as data.
 
 Each is a sum of fixed functions; their coefficients are estimated by the filter like those of any effect. The
-prior standard deviations of the coefficients make the sum smooth.
+prior standard deviations of the coefficients make the sum smooth. A `formula` is a curve or a memory in its
+closed form.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Callable
 
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.learned.curve import curve
+from gyrocal_ros.effects.learned.formula import formula
 from gyrocal_ros.effects.learned.memory import memory
 from gyrocal_ros.effects.learned.place_map import place_map
 from gyrocal_ros.effects.learned.step import step
@@ -28,4 +30,4 @@ LEARNED_EFFECTS: dict[str, Callable[[str], LibraryEffect]] = {
 }
 """Effects whose names contain what they follow, `bias_curve:rate`."""
 
-__all__ = ['LEARNED_EFFECTS', 'curve', 'memory', 'place_map', 'step', 'wave']
+__all__ = ['LEARNED_EFFECTS', 'curve', 'formula', 'memory', 'place_map', 'step', 'wave']

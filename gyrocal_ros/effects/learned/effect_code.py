@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gyrocal_ros.effects.learned.curve import UNIT, Of
-from gyrocal_ros.effects.learned.drives import ABS_RATE, START
+from gyrocal_ros.effects.learned.curve import Of
+from gyrocal_ros.effects.learned.drives import START
 from gyrocal_ros.effects.learned.forms import Form
+from gyrocal_ros.effects.learned.formula import units_of
 from gyrocal_ros.effects.learned.memory_forms import FIRST_ORDER, SECOND_ORDER
-from gyrocal_ros.effects.learned.signals import RATE
 
 CURVE_IMPORTS = """from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column, recorded
@@ -93,23 +93,21 @@ def code_of(of: Of, follows: str, form: Form, terms: Sequence[str]) -> Code:
         terms: its terms as Python expressions in x and p.
     """
     listed = '\n'.join(f'            {term},' for term in terms)
-    count, unit = len(terms), UNIT[of]
+    count, units = len(terms), units_of(of, follows, form)
     rate = 'block.rate_rad_s[:, 2] * ' if of == 'scale' else ''
     if form.over in ('signal', 'heading') or follows == START:
         signal = 'time' if follows == START else follows
         method = CURVE.format(count=count, follows=signal, terms=listed, rate=rate)
-        return Code(CURVE_IMPORTS, 'LinearGyroEffect', method, f'x is {signal}', (unit,) * count)
-    units: tuple[str, ...] = (unit,)
+        return Code(CURVE_IMPORTS, 'LinearGyroEffect', method, f'x is {signal}', units)
     if form.over == 'fading':
         helpers, body = 'since_turn', FADING.format(terms=listed)
         x_is = 'x is the time since the last turn'
     elif form.over == 'dynamics':
         helpers, body = 'derivatives', DYNAMICS.format(derivatives=', '.join(('first', 'second')[:count]))
-        x_is, units = 'w in the form is the reading', ('s', 's^2')[:count]
+        x_is = 'w in the form is the reading'
     else:
         body = RESPONSES[form.name].format(follows=follows, rate=rate)
         helpers = 'driven, lag' if 'lag(' in body else 'driven'
         x_is = f'x is the time after a unit step of {follows}'
-        units = ('1',) if follows in (RATE, ABS_RATE) else units
     method = REMEMBERED.format(count=count) + body
     return Code(MEMORY_IMPORTS.format(helpers=helpers), 'LinearMemoryEffect', method, x_is, units)

@@ -21,6 +21,7 @@ from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, table
 from gyrocal_ros.diagnose.drift import REFERENCES
+from gyrocal_ros.diagnose.elimination import without_harm
 from gyrocal_ros.diagnose.examined import Calibrate
 from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
@@ -78,6 +79,8 @@ def run(args: argparse.Namespace) -> None:
             searched = find_missing(model, recorded, calibrate)
             if args.learn:
                 searched = learn(searched, recorded, calibrate).searched
+            else:
+                searched = without_harm(searched, recorded, calibrate)
         else:
             searched = try_effect(model, recorded, calibrate, effect)
         improved = improvement(searched)

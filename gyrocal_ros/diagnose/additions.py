@@ -119,6 +119,8 @@ class Removal:
     after: ExaminedModel
     distance: float
     """Distance from zero of its strongest coefficient beside all others, in standard deviations."""
+    is_harmful: bool = False
+    """True for a noise that is there, but with which the robot drifts more."""
 
     @property
     def predictive_gain(self) -> float:

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from gyrocal_ros.diagnose.additions import Addition, Removal, Search
+from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, without_effect
 from gyrocal_ros.diagnose.noise_fit import fit_noises, with_noise
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
@@ -42,6 +43,30 @@ def eliminate(searched: Search, recording: RecordingSummary, calibrate: Calibrat
         again = None if removal is None else _smaller_noise(removal, recording, calibrate)
         if removal is not None and again is not None:
             searched = Search(searched.first, (*searched.additions, again), (*searched.removals, removal))
+
+
+def without_harm(searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:
+    """Return a search whose final model drifts no more than its first one because of noise.
+
+    With a larger walk of the bias the filter follows what disturbs the gyro, and between two images that
+    helps. Where the disturbance comes and goes, its last value is a poor guess for a minute without images.
+
+    Args:
+        searched: a finished search.
+        recording: summary of the recording.
+        calibrate: runs the filter.
+    """
+    for noise in [item for item in searched.kept if is_noise(item.effect)]:
+        before_deg, present_deg = drift_of_both_deg(searched.first.run, searched.last.run)
+        if not present_deg > before_deg:
+            break
+        removal = _without(searched.last, noise, recording, calibrate)
+        if removal is None:
+            continue
+        present_deg, after_deg = drift_of_both_deg(searched.last.run, removal.after.run)
+        if after_deg < present_deg:
+            searched = replace(searched, removals=(*searched.removals, replace(removal, is_harmful=True)))
+    return searched
 
 
 def _weakest(searched: Search, needed: set[str]) -> Addition | None:

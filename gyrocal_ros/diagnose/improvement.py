@@ -57,6 +57,8 @@ class Improvement:
     revisions: tuple[Revision, ...]
     drift_reference: str
     """Reference of the drift: `ground truth`, or `slam` by the final model."""
+    harmful: tuple[str, ...] = ()
+    """Noises that the gyro has, and that are left out because the robot drifts more with them."""
 
     @property
     def kept(self) -> tuple[Revision, ...]:
@@ -85,14 +87,17 @@ def improvement(searched: Search) -> Improvement:
     revisions: list[Revision] = []
     if not searched.additions or searched.additions[0].before is not None:
         revisions.append(first_revision(searched.first, reference))
+    written = {item.effect.name for item in searched.kept if item.is_rewritten}
     steps: list[Addition | Removal] = [*searched.additions, *searched.removals]
     for number, item in enumerate(sorted(steps, key=lambda step: step.after.model.version), start=1):
         if isinstance(item, Removal):
             revisions.append(_removing(item, number, reference))
         else:
-            label = revision_label(number, _name(item))
-            revisions.append(revision(item, label, reference, item in searched.kept))
-    return Improvement(tuple(revisions), reference[1])
+            label, is_kept = revision_label(number, _name(item)), item in searched.kept
+            in_closed_form = not is_kept and item.effect.name in written
+            revisions.append(revision(item, label, reference, is_kept, in_closed_form))
+    harmful = tuple(item.effect.name for item in searched.removals if item.is_harmful)
+    return Improvement(tuple(revisions), reference[1], harmful)
 
 
 def revision_label(number: int, name: str) -> str:
@@ -128,7 +133,13 @@ def first_revision(examined: ExaminedModel, reference: tuple[Heading, str]) -> R
     )
 
 
-def revision(added: Addition, label: str, reference: tuple[Heading, str], is_kept: bool) -> Revision:
+def revision(
+    added: Addition,
+    label: str,
+    reference: tuple[Heading, str],
+    is_kept: bool,
+    in_closed_form: bool = False,
+) -> Revision:
     """Describe a model with one more effect.
 
     Args:
@@ -136,10 +147,13 @@ def revision(added: Addition, label: str, reference: tuple[Heading, str], is_kep
         label: label of the revision.
         reference: trajectory to compare with, and its name.
         is_kept: True if it is part of the final model.
+        in_closed_form: True if the final model has its closed form instead.
     """
     held_out, fitted = _drifts(added.after, reference)
     gain_sigma = drift_sigma = float('nan')
     fate = 'kept' if is_kept else ('removed again' if added.is_kept else 'left out')
+    if in_closed_form:
+        fate = 'written in closed form'
     why = f'{fate}: {_reason(added)}'
     if added.before is not None:
         before = _drifts(added.before, reference)[0]
@@ -184,6 +198,8 @@ def _removing(removal: Removal, number: int, reference: tuple[Heading, str]) -> 
 
 def removal_reason(removal: Removal) -> str:
     """Return why an effect was removed, as a clause."""
+    if removal.is_harmful:
+        return 'the gyro has this noise, but the robot drifts more with it'
     if removal.is_needed:
         return 'beside the other effects it is smaller, and is added again'
     if math.isinf(removal.distance):

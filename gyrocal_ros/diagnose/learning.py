@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.drift import drift_of_both_deg
-from gyrocal_ros.diagnose.elimination import eliminate
+from gyrocal_ros.diagnose.elimination import eliminate, without_harm
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, contradicts, examine, with_effect
 from gyrocal_ros.diagnose.hypotheses import (
     Law,
@@ -72,7 +72,8 @@ def learn(
     """Learn what the library leaves unexplained.
 
     What the library has added is given up where laws alone predict clearly better, or as well with fewer of
-    them: several wrong effects may together imitate one law. In the end laws are written in closed form.
+    them: several wrong effects may together imitate one law. In the end laws are written in closed
+    form, and a noise that only raises the drift is removed.
 
     Args:
         searched: a finished search in the library.
@@ -82,7 +83,8 @@ def learn(
         most: number of laws that are learned at most.
     """
     found = _learned(searched, recording, calibrate, only, most)
-    return replace(found, searched=rewrite(found.searched, recording, calibrate))
+    written = rewrite(found.searched, recording, calibrate)
+    return replace(found, searched=without_harm(written, recording, calibrate))
 
 
 def _learned(

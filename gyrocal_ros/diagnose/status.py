@@ -39,6 +39,7 @@ DOES_NOT_FIT = 'the model does not fit this recording.'
 TOO_SHORT = 'The recording is too short to judge the model.'
 REPEAT = 'Diagnose a second recording: what is off there, too, is not chance.'
 DIAGNOSE = 'Run `gyrocal diagnose` on this recording.'
+ADD_NOISE = 'Add it with `gyrocal add` where right standard deviations count more than drift without images.'
 LEARN = 'Run `gyrocal learn` on this recording: it learns what no effect of the library explains.'
 MORE_TURNS = 'Record more turns, both ways, with the ceiling or the heading reference in view.'
 MEND_STAMPS = (
@@ -204,6 +205,9 @@ def improvement_status(improved: Improvement) -> Status:
     timing = timing_fault(improved.final.examined)
     if timing is not None and not names:
         return _timing_status(timing)
+    if improved.harmful:
+        noise = f'the gyro has {join(list(improved.harmful))}, with which the robot drifts more'
+        return Status('yellow', f'{added}: {noise}.', ADD_NOISE)
     if model_fit(improved.final.examined.run).fits is False:
         return Status('red', f'{added}, and the model still does not fit.', LEARN)
     if not names:

@@ -103,9 +103,8 @@ class Scatter:
 def scatter_of(history: History) -> tuple[Scatter, Array]:
     """Return the scatter of yaw bias and coefficients over a run, and the inflation (s, 1 + k) of their stds.
 
-    By how much the scale factor has changed so far adds to its standard deviation, if the filter did not
-    follow. A change that was significant for less than `SETTLE_S`, as in a first turn, adds only meanwhile,
-    as does what is suspected of the camera and of a drift.
+    By how much the scale factor has changed adds to its standard deviation, if the filter did not follow; so
+    does what is suspected of the camera and of a drift.
     """
     variances = history.std[:, YAW_BIAS:] ** 2
     scatter, inflations = Scatter(variances.shape[1]), np.ones_like(variances)
@@ -116,13 +115,43 @@ def scatter_of(history: History) -> tuple[Scatter, Array]:
         else:
             scatter.add(*step)
         inflations[i] = scatter.inflation
-    change, time_s = np.abs(history.scale_change), history.time_s
-    unchanged_s = np.maximum.accumulate(np.where(change > 0.0, 0.0, time_s))
-    lasting = np.where(time_s - unchanged_s >= SETTLE_S, change, 0.0)
-    parts = np.split(lasting, np.flatnonzero(history.scale_followed))
-    changed = np.maximum(change, np.concatenate([np.maximum.accumulate(part) for part in parts]))
+    left = left_of_changes(history, inflations[:, SCALE])
+    changed = np.maximum(np.abs(history.scale_change), left)
     inflations[:, SCALE] = np.hypot(inflations[:, SCALE], changed / history.std[:, COEFFICIENTS_START])
     return scatter, with_suspected(inflations, history.suspected_std, history.std[:, YAW_BIAS:])
+
+
+def left_of_changes(history: History, inflation: Array) -> Array:
+    """Return (s,) root mean square errors of the scale factor by changes that the filter did not follow.
+
+    A change that was significant for less than `SETTLE_S`, as in a first turn, leaves nothing. Any other may
+    have left an error of its own size when it was last significant. By the measurements since, the filter
+    corrects all but a share r of it, so the estimate moves by 1 - r of the error. How much it has moved
+    therefore measures the error, with the change as prior; in the end, only what came later counts. The
+    largest of several changes stays: a scale factor that changes again is not constant.
+
+    Args:
+        history: s steps.
+        inflation: (s,) factors on the standard deviations by the scatter.
+    """
+    scale, time_s = COEFFICIENTS_START, history.time_s
+    change = np.abs(history.scale_change)
+    unchanged_s = np.maximum.accumulate(np.where(change > 0.0, 0.0, time_s))
+    lasting = np.where(time_s - unchanged_s >= SETTLE_S, change, 0.0)
+    last = np.maximum.accumulate(np.where(lasting > 0.0, np.arange(len(lasting)), 0))
+    parts = np.split(lasting, np.flatnonzero(history.scale_followed))
+    largest = np.concatenate([np.maximum.accumulate(part) for part in parts])
+    begins = [(part > 0.0) & (np.roll(part, 1) == 0.0) for part in parts]
+    is_repeated = np.concatenate([np.cumsum(begin) > 1 for begin in begins])
+
+    variance, decrease = history.std[:, scale] ** 2, history.change_variance[:, SCALE]
+    logarithm = np.cumsum(np.log(variance / (variance + decrease)))
+    share = np.exp(logarithm - logarithm[last])
+    moved, variance_then = history.mean[:, scale] - history.mean[last, scale], inflation**2 * variance[last]
+    gain = largest**2 / (largest**2 * (1.0 - share) + variance_then)
+    fading = share * np.sqrt(gain * variance_then + (gain * moved) ** 2)
+    errors: Array = np.where(is_repeated, largest, fading)
+    return errors
 
 
 def with_suspected(inflation: Array, suspected_std: Array, std: Array) -> Array:

@@ -558,7 +558,7 @@ def test_an_earlier_calibration_shortens_the_next_one(tmp_path: Path) -> None:
     file = tmp_path / 'calibration.yaml'
     save_calibration(conclude(plain_run()), Config(), file)
     known = load_calibration(file)
-    source = recording(seed=2)
+    source = plain(seed=2)
     run = calibrate(source, Config(), default_model(), known.start())
     assert_calibrated(run, percent=0.02)
     cold, warm = conclude(plain_run(seed=2)), conclude(run)

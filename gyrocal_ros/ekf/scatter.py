@@ -23,7 +23,7 @@ FORMING = 0.75
 linear there, so the stretch does not count; nor does the first one."""
 
 PRIOR_STRETCHES = 3
-"""Stretches for which the filter's own variance counts: few stretches are larger by chance."""
+"""Stretches for which the filter's own variance counts in the verdict: few are larger by chance."""
 MIN_STRETCHES = 3
 """Fewest stretches by which the model is judged."""
 MAX_INFLATION = 4.0
@@ -64,9 +64,18 @@ class Scatter:
 
     @property
     def inflation(self) -> Array:
-        """(count,) factors, 1 or more, on the standard deviations of the filter."""
-        ratios, stretches = PRIOR_STRETCHES + self._ratios, PRIOR_STRETCHES + self._stretches
-        return np.sqrt(np.maximum(1.0, ratios / stretches))
+        """(count,) factors, 1 or more, on the standard deviations of the filter.
+
+        Of the excess of the mean ratio, the part that chance explains is taken away (empirical Bayes, Morris
+        1983). It counts from 1.4 times its standard deviation, the price of one more parameter (Akaike 1974),
+        or every clean recording would pay.
+        """
+        stretches = np.maximum(self._stretches, 1.0)
+        excess = self._ratios / stretches - 1.0
+        by_chance = 2.0 * (2.0 / stretches)  # 2 / n is the variance of a mean of n ratios
+        least = np.sqrt(by_chance)
+        factors: Array = np.sqrt(1.0 + np.maximum(0.0, excess - by_chance / np.maximum(excess, least)))
+        return factors
 
     @property
     def is_judged(self) -> bool:
@@ -76,7 +85,8 @@ class Scatter:
     @property
     def contradicts(self) -> bool:
         """True if some estimate scatters far more than the filter expects: the model lacks something."""
-        large = (self.inflation > MAX_INFLATION) & (self._stretches >= MIN_STRETCHES)
+        ratios, stretches = PRIOR_STRETCHES + self._ratios, PRIOR_STRETCHES + self._stretches
+        large = (ratios > MAX_INFLATION**2 * stretches) & (self._stretches >= MIN_STRETCHES)
         tails = (
             chi_square_tail(float(self._ratios[i]), float(self._stretches[i])) for i in np.flatnonzero(large)
         )
@@ -93,9 +103,8 @@ class Scatter:
 def scatter_of(history: History) -> tuple[Scatter, Array]:
     """Return the scatter of yaw bias and coefficients over a run, and the inflation (s, 1 + k) of their stds.
 
-    By how much the scale factor has changed so far adds to its standard deviation, if the filter did not
-    follow. A change that was significant for less than `SETTLE_S`, as in a first turn, adds only meanwhile,
-    as does what is suspected of the camera and of a drift.
+    By how much the scale factor has changed adds to its standard deviation, if the filter did not follow; so
+    does what is suspected of the camera and of a drift.
     """
     variances = history.std[:, YAW_BIAS:] ** 2
     scatter, inflations = Scatter(variances.shape[1]), np.ones_like(variances)
@@ -106,13 +115,43 @@ def scatter_of(history: History) -> tuple[Scatter, Array]:
         else:
             scatter.add(*step)
         inflations[i] = scatter.inflation
-    change, time_s = np.abs(history.scale_change), history.time_s
-    unchanged_s = np.maximum.accumulate(np.where(change > 0.0, 0.0, time_s))
-    lasting = np.where(time_s - unchanged_s >= SETTLE_S, change, 0.0)
-    parts = np.split(lasting, np.flatnonzero(history.scale_followed))
-    changed = np.maximum(change, np.concatenate([np.maximum.accumulate(part) for part in parts]))
+    left = left_of_changes(history, inflations[:, SCALE])
+    changed = np.maximum(np.abs(history.scale_change), left)
     inflations[:, SCALE] = np.hypot(inflations[:, SCALE], changed / history.std[:, COEFFICIENTS_START])
     return scatter, with_suspected(inflations, history.suspected_std, history.std[:, YAW_BIAS:])
+
+
+def left_of_changes(history: History, inflation: Array) -> Array:
+    """Return (s,) root mean square errors of the scale factor by changes that the filter did not follow.
+
+    A change that was significant for less than `SETTLE_S`, as in a first turn, leaves nothing. Any other may
+    have left an error of its own size when it was last significant. By the measurements since, the filter
+    corrects all but a share r of it, so the estimate moves by 1 - r of the error. How much it has moved
+    therefore measures the error, with the change as prior; in the end, only what came later counts. The
+    largest of several changes stays: a scale factor that changes again is not constant.
+
+    Args:
+        history: s steps.
+        inflation: (s,) factors on the standard deviations by the scatter.
+    """
+    scale, time_s = COEFFICIENTS_START, history.time_s
+    change = np.abs(history.scale_change)
+    unchanged_s = np.maximum.accumulate(np.where(change > 0.0, 0.0, time_s))
+    lasting = np.where(time_s - unchanged_s >= SETTLE_S, change, 0.0)
+    last = np.maximum.accumulate(np.where(lasting > 0.0, np.arange(len(lasting)), 0))
+    parts = np.split(lasting, np.flatnonzero(history.scale_followed))
+    largest = np.concatenate([np.maximum.accumulate(part) for part in parts])
+    begins = [(part > 0.0) & (np.roll(part, 1) == 0.0) for part in parts]
+    is_repeated = np.concatenate([np.cumsum(begin) > 1 for begin in begins])
+
+    variance, decrease = history.std[:, scale] ** 2, history.change_variance[:, SCALE]
+    logarithm = np.cumsum(np.log(variance / (variance + decrease)))
+    share = np.exp(logarithm - logarithm[last])
+    moved, variance_then = history.mean[:, scale] - history.mean[last, scale], inflation**2 * variance[last]
+    gain = largest**2 / (largest**2 * (1.0 - share) + variance_then)
+    fading = share * np.sqrt(gain * variance_then + (gain * moved) ** 2)
+    errors: Array = np.where(is_repeated, largest, fading)
+    return errors
 
 
 def with_suspected(inflation: Array, suspected_std: Array, std: Array) -> Array:

@@ -65,8 +65,9 @@ def test_only_rests_that_last_count_as_known() -> None:
         return reference_bound(source, config).bias_std_rad_s
 
     known_s, walked_rad_s = SHORT.standing_s - 0.3, math.radians(2.5e-4) * math.sqrt(37.0)
-    expected = math.hypot(math.radians(0.0075) / math.sqrt(known_s), walked_rad_s)
-    assert bias_std(0.3) == pytest.approx(expected, rel=0.05)
+    noise_rad_s = SHORT.errors.scale_factor * math.radians(0.0075)  # that of the true rate
+    expected = math.hypot(noise_rad_s / math.sqrt(known_s), walked_rad_s)
+    assert bias_std(0.3) == pytest.approx(expected, rel=0.02)
     assert bias_std(0.0) < 0.95 * bias_std(0.3)
 
 

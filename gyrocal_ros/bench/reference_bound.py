@@ -37,7 +37,7 @@ def reference_bound(source: ReferenceSource, config: Config) -> Bound:
     Uneven floors and the tilt are not part of it.
     """
     scenario, truth, drawn = source.robot.scenario, source.truth, source.reference
-    q_gyro = math.radians(scenario.errors.rate_noise_deg_s) ** 2
+    q_gyro = (truth.scale_factor * math.radians(scenario.errors.rate_noise_deg_s)) ** 2
     q_bias = math.radians(config.gyro.bias_walk_deg_s) ** 2
     variance = 1.0 / white_information(drawn)
     time_s = _true_times(source)

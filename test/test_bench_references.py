@@ -24,6 +24,7 @@ from gyrocal_ros.effects import find_effect
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.references import OUTLIER_FACTOR, DrawnReference, ReferenceSource, is_at_rest
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
+from gyrocal_ros.sim.sensors import gyro_bias
 from gyrocal_ros.sim.varied import varied_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -52,6 +53,58 @@ def test_the_bound_follows_the_noise() -> None:
     assert walking[0] > usual[0] and coarse[0] > usual[0]
     assert walking[1] > usual[1], 'the rest at the start is short'
     assert walking[1] < math.radians(0.0075) / math.sqrt(2.5) * 1.5, 'at rest the gyro reads its bias'
+
+
+def test_only_rests_that_last_count_as_known() -> None:
+    """A robot that turns back stands still for an instant, which its wheels cannot show."""
+
+    def bias_std(settle_s: float) -> float:
+        source = ReferenceSource(SimSource(SHORT, 3), 'mocap')
+        source.reference = replace(NORMAL, walk_rad=1.0)
+        config = replace(Config(), rest=replace(Config().rest, settle_s=settle_s))
+        return reference_bound(source, config).bias_std_rad_s
+
+    known_s, walked_rad_s = SHORT.standing_s - 0.3, math.radians(2.5e-4) * math.sqrt(37.0)
+    noise_rad_s = SHORT.errors.scale_factor * math.radians(0.0075)  # that of the true rate
+    expected = math.hypot(noise_rad_s / math.sqrt(known_s), walked_rad_s)
+    assert bias_std(0.3) == pytest.approx(expected, rel=0.02)
+    assert bias_std(0.0) < 0.95 * bias_std(0.3)
+
+
+def test_every_recording_has_its_own_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds: list[tuple[str, int]] = []
+
+    def task(case: str, seed: int, *, varied: bool) -> ReferenceResult:
+        seeds.append((case, seed))
+        return result(0.0)
+
+    monkeypatch.setattr(bench, 'run_reference', task)
+    monkeypatch.setattr(bench, 'in_parallel', map)
+    list(bench.references(3))
+    clean = [seed for case, seed in seeds if case != bench.EFFECTS_CASE]
+    assert sorted(clean) == list(range(15))
+
+
+def test_the_bias_walks_as_the_settings_say_unless_the_robot_is_drawn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robots: list[SimSource] = []
+
+    def calibrated(source: ReferenceSource, result: ReferenceResult) -> ReferenceResult:
+        robots.append(source.robot)
+        return result
+
+    monkeypatch.setattr(bench, '_calibrated', calibrated)
+    for case, varied in (('mocap', False), ('mocap', True), (bench.EFFECTS_CASE, False)):
+        run_reference(case, 5, 30.0, varied=varied)
+    walking, drawn, hiding = (robot.scenario.errors for robot in robots)
+    assert drawn.bias_wander_time_s == varied_scenario(5).errors.bias_wander_time_s
+    assert hiding.bias_wander_time_s == find_scenario('cleaning').errors.bias_wander_time_s
+    time_s = np.linspace(0.0, 400.0, 101)
+    biases = np.stack([gyro_bias(time_s, walking, np.random.default_rng(seed)) for seed in range(200)])
+    changes = np.degrees(biases[:, -1] - biases[:, 0])
+    expected = Config().gyro.bias_walk_deg_s * math.sqrt(400.0)
+    assert np.sqrt(np.mean(changes**2)) == pytest.approx(expected, rel=0.1)
 
 
 def test_encoders_hold_their_heading_at_rest() -> None:
@@ -110,6 +163,7 @@ def test_rows_of_recordings_that_hide_nothing() -> None:
     assert row['false_claims'] == pytest.approx(1.0 / 3.0) and row['claimed'] == 'scale_cubic 1'
     assert row['scale_by_bound'] == pytest.approx(1.2)
     assert clean_row('lidar', [failed])['scale_z_rms'] is None
+    assert effects_row([result(0.0)])['named_first'] is None
 
 
 def test_rows_of_hidden_effects_count_the_large_ones() -> None:

@@ -11,7 +11,12 @@ from contracts import eventful_block
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import MotionBlock, nanoseconds
-from gyrocal_ros.ekf.rest import RestDetector, RestNoise
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.rest import PRIOR_WINDOWS, RestDetector, RestNoise
+from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
 
 SETTLE_S = 0.5
 
@@ -71,6 +76,15 @@ def test_the_noise_at_rest_is_that_of_the_readings(factor: float) -> None:
     assert found == pytest.approx(factor * USUAL_RAD_S, rel=0.25)
 
 
+def test_a_short_rest_tells_the_noise_as_well_as_independent_means_can() -> None:
+    """Ten means of 0.3 s leave nine differences; changes from one mean to the next would count as six."""
+    count, tries = 9, range(500)
+    squares = np.array([rest_noise(USUAL_RAD_S, rests=1, seed=seed).density_rad_s ** 2 for seed in tries])
+    seen = (squares / USUAL_RAD_S**2 * (PRIOR_WINDOWS + count) - PRIOR_WINDOWS) / count
+    assert seen.mean() == pytest.approx(1.0, abs=0.07)
+    assert seen.var() == pytest.approx(2.0 / count, rel=0.25)
+
+
 def test_a_change_of_the_bias_between_rests_is_no_noise() -> None:
     assert rest_noise(USUAL_RAD_S, rests=20).density_rad_s < 1.2 * USUAL_RAD_S
 
@@ -78,6 +92,19 @@ def test_a_change_of_the_bias_between_rests_is_no_noise() -> None:
 def test_readings_that_repeat_do_not_show_the_noise() -> None:
     """A bias may lie anywhere between two steps."""
     assert rest_noise(0.1 * USUAL_RAD_S, math.radians(0.1)).density_rad_s == pytest.approx(USUAL_RAD_S)
+
+
+def test_a_first_rest_has_the_noise_of_the_settings() -> None:
+    """What the robot sways is learned: it is not in the noise beforehand."""
+    calm = replace(eventful_block(100), distance_m=np.zeros(100), wheels_at_rest=True)
+    gravity = np.tile([0.0, 0.0, 9.8], (100, 1))
+    calm = replace(calm, rate_rad_s=np.zeros((100, 3)), specific_force_m_s2=gravity)
+    slam = EkfSlam(default_model(), Config(), replace(SimSource(find_scenario('lanes'), 0).rig, camera=None))
+    slam.start_at(calm.start_ns)
+    slam.step(calm)
+    expected = Config().gyro.rate_noise_deg_s / math.sqrt(calm.duration_s)
+    found = math.degrees(math.sqrt(slam.state.covariance[YAW_BIAS, YAW_BIAS]))
+    assert found == pytest.approx(expected, rel=0.05)
 
 
 @pytest.mark.parametrize('factor', [0.5, 2.0])

@@ -12,6 +12,8 @@ from gyrocal_ros.data import Array, MotionBlock, seconds
 
 WINDOW_S = 0.25
 """Length of the means that are compared: long beside vibration, short beside a rest."""
+COMPARED_S = 2.0
+"""Time over which means are compared: short beside the wander of a bias."""
 PRIOR_WINDOWS = 4
 """Weight of the noise of the settings, in windows: with fewer a short rest would be quiet by chance."""
 REPEATED = 0.5
@@ -35,7 +37,10 @@ class RestDetector:
 
 
 class RestNoise:
-    """Noise of the yaw rate of a robot at rest, sway included, from the changes between means of readings.
+    """Noise of the yaw rate of a robot at rest, sway included, from the scatter of means of readings.
+
+    Each mean is compared with that of the readings before it in the same rest. Changes from one mean to the
+    next would share a mean, and a short rest would tell less of the noise.
 
     Args:
         usual_rad_s: density of the noise by the settings, rad/s/sqrt(Hz).
@@ -45,7 +50,7 @@ class RestNoise:
         self._usual_rad2_s = usual_rad_s**2
         self._sum_rad2_s, self._windows = PRIOR_WINDOWS * self._usual_rad2_s, PRIOR_WINDOWS
         self._turn_rad = self._time_s = 0.0
-        self._before_rad_s: float | None = None
+        self._turn_before_rad = self._time_before_s = 0.0
         self._repeated = self._readings = 0
 
     @property
@@ -77,18 +82,25 @@ class RestNoise:
     def add(self, block: MotionBlock, *, is_at_rest: bool) -> None:
         """Take one block."""
         if not is_at_rest:
-            self._before_rad_s, self._turn_rad, self._time_s = None, 0.0, 0.0
+            self._turn_rad = self._time_s = self._turn_before_rad = self._time_before_s = 0.0
             return
         rates = block.rate_rad_s[:, 2]
         self._repeated += int(np.count_nonzero(rates[1:] == rates[:-1]))
         self._readings += len(rates) - 1
         self._turn_rad += float(rates @ block.dt_s)
         self._time_s += block.duration_s
-        if self._time_s < WINDOW_S:
-            return
-        mean_rad_s = self._turn_rad / self._time_s
-        if self._before_rad_s is not None:
-            # Means over T of a density q change by q^2 / T each.
-            self._sum_rad2_s += 0.5 * self._time_s * (mean_rad_s - self._before_rad_s) ** 2
+        if self._time_s >= WINDOW_S:
+            self._compare()
+
+    def _compare(self) -> None:
+        """Compare the mean of the last readings with that of those before."""
+        if self._time_before_s > 0.0:
+            change_rad_s = self._turn_rad / self._time_s - self._turn_before_rad / self._time_before_s
+            # The mean of a density q over T has the variance q^2 / T.
+            self._sum_rad2_s += change_rad_s**2 / (1.0 / self._time_s + 1.0 / self._time_before_s)
             self._windows += 1
-        self._before_rad_s, self._turn_rad, self._time_s = mean_rad_s, 0.0, 0.0
+        if self._time_before_s > COMPARED_S:
+            self._turn_before_rad = self._time_before_s = 0.0
+        self._turn_before_rad += self._turn_rad
+        self._time_before_s += self._time_s
+        self._turn_rad = self._time_s = 0.0

@@ -113,8 +113,7 @@ class EkfSlam:
         self._rest, self._map_watch, self._motion_gate = RestDetector(), MapWatch(), MotionGate()
         self._steady, self._frozen = SteadyRate(), FrozenCamera()
         self._heading = HeadingReference(config.reference, config.gyro)
-        sway_deg = config.rest.rotation_noise_deg
-        self._rest_noise = RestNoise(math.radians(math.hypot(config.gyro.rate_noise_deg_s, sway_deg)))
+        self._rest_noise = RestNoise(math.radians(config.gyro.rate_noise_deg_s))
         self._levelling: Levelling | None = None
         if rig.camera is None:
             self._levelling, self.state = Levelling(), unlevelled(self.state)

@@ -83,6 +83,18 @@ def without_noise(errors: SensorErrors) -> SensorErrors:
     return replace(errors, **dict.fromkeys(NOISE, 0.0))
 
 
+def with_bias_walk(errors: SensorErrors, walk_deg_s: float, bounded_s: float) -> SensorErrors:
+    """Return the errors with a bias that walks at random.
+
+    Args:
+        errors: the others.
+        walk_deg_s: random walk of the bias, deg/s/sqrt(s).
+        bounded_s: correlation time from which the wander is bounded, long beside the recording.
+    """
+    wander = 3600.0 * walk_deg_s / np.sqrt(2.0 / bounded_s)
+    return replace(errors, bias_wander_deg_h=float(wander), bias_wander_time_s=bounded_s)
+
+
 def stream(seed: int, name: str) -> np.random.Generator:
     """Return the random stream of a sensor, which depends only on the seed and the name."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()),)))

@@ -13,7 +13,7 @@ from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assess
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
-from gyrocal_ros.sim.sensors import SensorErrors, stream
+from gyrocal_ros.sim.sensors import SensorErrors, stream, with_bias_walk
 
 PAPER_NOMINAL_DEG = np.array([24.73, 23.33, 23.70, 23.61, 24.23, -25.92, -25.78, -25.81, -25.34, -25.63])
 PAPER_CALIBRATED_DEG = np.array([-0.17, -1.57, -1.20, -1.29, -0.68, 0.59, 0.76, 0.74, 1.17, 0.91])
@@ -58,8 +58,8 @@ class Gyro:
         White noise N and a random walk K have the minimum Allan deviation B with B^2 = 2 N K / sqrt(3). Over
         times much shorter than its correlation time the wander of the simulator is such a random walk.
         """
-        wander = 3600.0 * self.walk_deg_s / math.sqrt(2.0 / errors.bias_wander_time_s)
-        return replace(errors, rate_noise_deg_s=self.noise_deg_s, bias_wander_deg_h=wander)
+        errors = with_bias_walk(errors, self.walk_deg_s, errors.bias_wander_time_s)
+        return replace(errors, rate_noise_deg_s=self.noise_deg_s)
 
     @property
     def walk_deg_s(self) -> float:

@@ -15,13 +15,14 @@ from gyrocal_ros.data import Array, MotionBlock, Source
 from gyrocal_ros.diagnose import noise
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
-from gyrocal_ros.diagnose.elimination import eliminate
+from gyrocal_ros.diagnose.drift import drift_of_both_deg
+from gyrocal_ros.diagnose.elimination import eliminate, without_harm
 from gyrocal_ros.diagnose.examined import examine, with_effect
 from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.noise import find_missing, or_noise
 from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.search import continued
-from gyrocal_ros.diagnose.status import diagnosis_status
+from gyrocal_ros.diagnose.status import ADD_NOISE, diagnosis_status, improvement_status
 from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
@@ -109,6 +110,31 @@ def test_a_bias_that_jumps_to_and_fro_is_noise() -> None:
     source = recording('', seconds=80.0, also=(HiddenEffect(TwoLevels(), (0.6 * DEG,)),))
     found = diagnosed(source)
     assert found.verdict == 'noise' and [item.effect.name for item in found.missing] == ['bias_instability']
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('levels_deg_s', 'is_harmful'), [(0.2, True), (0.6, False)])
+def test_noise_with_which_the_robot_drifts_more_is_left_out(levels_deg_s: float, is_harmful: bool) -> None:
+    """Without it, a bias that jumps far makes the filter wrong for a while after each jump."""
+    levels = HiddenEffect(TwoLevels(), (levels_deg_s * DEG,))
+    source = recording('', seconds=80.0 if levels_deg_s > 0.5 else 100.0, also=(levels,))
+    recorded, run = summarise_recording(source), runner(source)
+    first = examine(default_model(), recorded, run)
+    fitted = next(item for item in fit_noises(first) if item.effect.name == 'bias_instability')
+    searched = Search(first, (with_noise(first, fitted, recorded, run),))
+    before_deg, after_deg = drift_of_both_deg(searched.first.run, searched.last.run)
+    assert searched.kept and (after_deg > before_deg) == is_harmful
+    found = without_harm(searched, recorded, run)
+    if not is_harmful:
+        assert found is searched
+        return
+    assert found.kept == () and found.last.model.effects == first.model.effects
+    shown = improvement(found)
+    assert shown.harmful == ('bias_instability',)
+    assert 'the robot drifts more with it' in shown.final.why
+    status = improvement_status(shown)
+    assert status.level == 'yellow' and status.next_step == ADD_NOISE
+    assert 'bias_instability' in status.sentence
 
 
 @pytest.mark.slow

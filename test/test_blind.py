@@ -276,7 +276,7 @@ def test_a_trial_holds_what_was_hidden_and_what_was_found(short: BlindResult) ->
 
 @pytest.mark.slow
 def test_a_trial_with_images_finds_the_effect_from_tracked_features() -> None:
-    scenario = replace(find_scenario('cleaning'), duration_s=60.0, imu_hz=100)
+    scenario = replace(find_scenario('cleaning'), duration_s=40.0, imu_hz=100)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, 'find_scenario', lambda name: scenario)
         found = run_blind(LAG, 2, scene='slow')

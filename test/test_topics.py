@@ -72,6 +72,16 @@ def test_imu(make: MessageMaker) -> None:
     np.testing.assert_allclose(message.linear_acceleration_covariance[::4], 0.05**2)
 
 
+def test_an_imu_message_is_used_again(make: MessageMaker) -> None:
+    first = ImuSample(T_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8))
+    second = ImuSample(T_NS + 987_654_321, (0.4, 0.5, -0.6), (-1.0, -2.0, 9.7))
+    message = to_ros.imu(make, first)
+    to_ros.set_imu(message, second)
+    assert topics.IMU_SAMPLE.value(message) == second
+    assert message.header.frame_id == 'imu_link'
+    assert message.orientation_covariance[0] == -1.0
+
+
 def test_wheels(make: MessageMaker) -> None:
     sample = WheelSample(T_NS, 0.3, -0.4)
     message = to_ros.wheels(make, sample, 1.0, 2.0, 0.5)

@@ -10,7 +10,7 @@ import numpy as np
 from gyrocal_ros.data import Array, CalibratedSample, IntArray, Mount, OdometryEstimate
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.msgs import topics
-from gyrocal_ros.msgs.to_ros import MessageMaker
+from gyrocal_ros.msgs.to_ros import MessageMaker, diagonal
 from gyrocal_ros.msgs.transforms import (
     Transform,
     quaternion_from_euler,
@@ -33,24 +33,20 @@ ParameterValue = bool | float | str | list[str] | list[float]
 
 def calibrated_imu(make: MessageMaker, sample: CalibratedSample, frame: str) -> Any:
     """Make an Imu with orientation and covariances."""
-    rate_covariance = np.zeros(9)
-    rate_covariance[::4] = sample.rate_variances
     return make(
         topics.IMU,
         header=make.header(sample.t_ns, frame),
         orientation=make.quaternion(quaternion_from_euler(*sample.euler_rad)),
         orientation_covariance=sample.euler_covariance.ravel(),
         angular_velocity=make.vector(sample.rate_rad_s),
-        angular_velocity_covariance=rate_covariance,
+        angular_velocity_covariance=diagonal(sample.rate_variances),
         linear_acceleration=make.vector(sample.specific_force_m_s2),
-        linear_acceleration_covariance=(ACCELERATION_STD_M_S2**2 * np.eye(3)).ravel(),
+        linear_acceleration_covariance=diagonal((ACCELERATION_STD_M_S2**2,) * 3),
     )
 
 
 def odometry_estimate(make: MessageMaker, estimate: OdometryEstimate, frame: str, body_frame: str) -> Any:
     """Make an Odometry with covariances."""
-    twist_covariance = np.zeros(36)
-    twist_covariance[::7] = (*estimate.speed_variances, *estimate.rate_variances)
     pose = make(
         'geometry_msgs/msg/Pose',
         position=make.vector(estimate.position_m, 'Point'),
@@ -68,7 +64,11 @@ def odometry_estimate(make: MessageMaker, estimate: OdometryEstimate, frame: str
         pose=make(
             'geometry_msgs/msg/PoseWithCovariance', pose=pose, covariance=estimate.pose_covariance.ravel()
         ),
-        twist=make('geometry_msgs/msg/TwistWithCovariance', twist=twist, covariance=twist_covariance),
+        twist=make(
+            'geometry_msgs/msg/TwistWithCovariance',
+            twist=twist,
+            covariance=diagonal((*estimate.speed_variances, *estimate.rate_variances)),
+        ),
     )
 
 

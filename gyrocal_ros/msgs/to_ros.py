@@ -76,6 +76,14 @@ class MessageMaker:
         return self('geometry_msgs/msg/Pose', position=position, orientation=orientation)
 
 
+def diagonal(variances: Sequence[float]) -> Array:
+    """Return the covariance (n * n,), in rows, of n independent values."""
+    count = len(variances)
+    covariance = np.zeros(count * count)
+    covariance[:: count + 1] = variances
+    return covariance
+
+
 def live_maker(get_class: Callable[[str], Callable[..., Any]]) -> MessageMaker:
     """Return a maker of rclpy messages.
 
@@ -99,10 +107,18 @@ def imu(make: MessageMaker, sample: ImuSample, config: MessagesConfig = DEFAULTS
         orientation=make.quaternion((0.0, 0.0, 0.0, 1.0)),
         orientation_covariance=np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
         angular_velocity=make.vector(sample.rate_rad_s),
-        angular_velocity_covariance=(rate_std**2 * np.eye(3)).ravel(),
+        angular_velocity_covariance=diagonal((rate_std**2,) * 3),
         linear_acceleration=make.vector(sample.specific_force_m_s2),
-        linear_acceleration_covariance=(config.acceleration_std_m_s2**2 * np.eye(3)).ravel(),
+        linear_acceleration_covariance=diagonal((config.acceleration_std_m_s2**2,) * 3),
     )
+
+
+def set_imu(message: Any, sample: ImuSample) -> None:
+    """Put a sample into an Imu made before, which takes a fraction of the time of a new one."""
+    stamp, rate, force = message.header.stamp, message.angular_velocity, message.linear_acceleration
+    stamp.sec, stamp.nanosec = divmod(sample.t_ns, NS_PER_S)
+    rate.x, rate.y, rate.z = sample.rate_rad_s
+    force.x, force.y, force.z = sample.specific_force_m_s2
 
 
 def odometry(
@@ -134,12 +150,12 @@ def odometry(
         pose=make(
             'geometry_msgs/msg/PoseWithCovariance',
             pose=make.pose(position_m, yaw_rad),
-            covariance=np.diag(np.square(pose_stds)).ravel(),
+            covariance=diagonal([std**2 for std in pose_stds]),
         ),
         twist=make(
             'geometry_msgs/msg/TwistWithCovariance',
             twist=twist,
-            covariance=np.diag(np.square(twist_stds)).ravel(),
+            covariance=diagonal([std**2 for std in twist_stds]),
         ),
     )
 

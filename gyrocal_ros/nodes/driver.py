@@ -26,6 +26,7 @@ from gyrocal_ros.robot.board_driver import BoardDriver
 
 TRANSFORMS = QoSProfile(depth=100)
 """QoS of /tf, as in tf2."""
+NO_READING = ImuSample(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class DriverNode:
@@ -38,6 +39,7 @@ class DriverNode:
         board, driver = settings.config.board, settings.config.driver
         self._messages = settings.config.messages
         self._make = to_ros.live_maker(get_message)
+        self._imu_message = to_ros.imu(self._make, NO_READING, self._messages)
         self._imu = self.node.create_publisher(Imu, 'imu/data_raw', SENSOR_OUT)
         self._temperature = self.node.create_publisher(Temperature, 'imu/temperature', SENSOR_OUT)
         self._odometry = self.node.create_publisher(Odometry, 'wheel/odometry', SENSOR_OUT)
@@ -70,7 +72,8 @@ class DriverNode:
 
     def _send(self, reading: Reading) -> None:
         if isinstance(reading, ImuSample):
-            self._imu.publish(to_ros.imu(self._make, reading, self._messages))
+            to_ros.set_imu(self._imu_message, reading)
+            self._imu.publish(self._imu_message)  # which serialises it at once
         elif isinstance(reading, WheelMotion):
             self._send_wheels(reading)
         elif isinstance(reading, SupplySample):

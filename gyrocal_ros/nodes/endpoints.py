@@ -61,7 +61,8 @@ class SortedSubscriptions:
     """Subscriptions whose queued messages are delivered in the order of their stamps.
 
     An executor delivers one message of each topic in turn. After a pause, the messages of a slow topic would
-    be delivered long before older ones of a fast topic.
+    be delivered long before older ones of a fast topic. A second message of a topic tells of a pause; only
+    then the other topics are looked through.
 
     Args:
         node: the node that subscribes.
@@ -85,12 +86,15 @@ class SortedSubscriptions:
         self._streams.append((subscription, callback))
 
     def _deliver(self, stream: int, message: Any) -> None:
-        queued = [(stream, message)]
-        for number, (subscription, _) in enumerate(self._streams):
-            queued += [(number, other) for other in take_messages(subscription)]
-        if len(queued) > 1:
-            queued.sort(key=lambda item: (stamp_ns(item[1]), item[0]))
-        for number, item in queued:
+        subscription, callback = self._streams[stream]
+        later = list(take_messages(subscription))
+        if not later:
+            callback(message)
+            return
+        queued = [(stream, item) for item in (message, *later)]
+        for number, (other, _) in enumerate(self._streams):
+            queued += [(number, item) for item in take_messages(other)]
+        for number, item in sorted(queued, key=lambda item: (stamp_ns(item[1]), item[0])):
             self._streams[number][1](item)
 
 

@@ -12,6 +12,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from gyrocal_ros.errors import GyrocalError
+from gyrocal_ros.nodes.executor import LeanExecutor
 
 
 class ClosableNode(Protocol):
@@ -51,7 +52,7 @@ def _spin(running: ClosableNode) -> None:
     gc.collect()
     gc.freeze()  # objects of the start stay alive: scanning them in each collection would delay messages
     try:
-        rclpy.spin(running.node)
+        rclpy.spin(running.node, LeanExecutor())
     finally:
         running.close()
         running.node.destroy_node()

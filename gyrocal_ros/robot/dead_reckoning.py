@@ -190,13 +190,13 @@ class DeadReckoning:
             self._effects.gyro, self._block_of(sample, dt_s), state.coefficients, self._memories
         )
         self._memories = correction.memories
-        validity = float(np.max(correction.valid))
+        validity = _single(correction.valid)
         x, y, z = sample.rate_rad_s
         bx, by, bz = state.bias_rad_s.tolist()
         self._rate = (x + bx, y + by, z + float(correction.rate_rad_s[0]) + validity * bz)
         white = math.radians(gyro.rate_noise_deg_s) ** 2 / dt_s
         gain = np.concatenate([[validity], correction.by_values[0]])
-        yaw = float(gain @ self._yaw_covariance @ gain) + float(np.max(correction.noise_rad_s)) ** 2
+        yaw = float(gain @ self._yaw_covariance @ gain) + _single(correction.noise_rad_s) ** 2
         self._rate_variances = (white + self._x_variance, white + self._y_variance, white + yaw)
 
     def _block_of(self, sample: ImuSample, dt_s: float) -> MotionBlock:
@@ -286,3 +286,8 @@ class DeadReckoning:
         self._last = None
         self._steps.clear()
         self._set_prediction(self._base)
+
+
+def _single(value: Array | float) -> float:
+    """Return a value of a block of one interval."""
+    return float(value[0] if isinstance(value, np.ndarray) else value)

@@ -42,6 +42,7 @@ def test_it_calibrates_from_a_topic_or_a_frame(reference: str) -> None:
         is_frame = reference.startswith('tf:')
         kind: Any = TFMessage if is_frame else PoseStamped
         headings = graph.publisher(kind, '/tf' if is_frame else reference, SENSOR_OUT)
+        graph.wait(lambda: health, 'the calibrator')  # which knows the mount of the IMU by then
         for sample in source.measurements():
             if isinstance(sample, ImuSample):
                 imu.publish(to_ros.imu(make, sample))

@@ -15,6 +15,7 @@ from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.learned import curve, formula, memory, place_map, step, wave
 from gyrocal_ros.effects.learned.as_effect import effect_source
+from gyrocal_ros.effects.learned.bump import Bump, bumps
 from gyrocal_ros.effects.learned.causes import closest_effect, library_effect, meaning
 from gyrocal_ros.effects.learned.curve import GRID, LENGTHS, Of, prior_stds
 from gyrocal_ros.effects.learned.drives import ABS_RATE, DYNAMICS, LAST_TURN, MOVING, SIDE, START
@@ -22,6 +23,7 @@ from gyrocal_ros.effects.learned.forms import FORMS, Form
 from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory import TAUS_S
 from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS, physical
+from gyrocal_ros.effects.learned.place_map import PlaceMap
 from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
 from gyrocal_ros.effects.learned.signals import UNITS, values_of
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
@@ -58,6 +60,7 @@ EFFECTS: tuple[GyroEffect, ...] = (
     formula('bias_memory:last_turn', 'fading exponential', 5.0),
     formula('bias_memory:dynamics', 'second-order lag'),
     formula('scale_memory:start', 'fading hyperbola', 60.0),
+    Bump().at((0.2, -0.1, 0.6)),
 )
 each_effect = pytest.mark.parametrize(
     'effect', EFFECTS, ids=lambda effect: ' '.join([effect.name, getattr(effect, 'form', '')]).strip()
@@ -88,8 +91,8 @@ class TestEachLearnedEffect:
     @each_effect
     def test_its_name_finds_an_effect_of_its_kind(self, effect: GyroEffect) -> None:
         found = find_effect(effect.name)
-        kind = type(effect.learned if isinstance(effect, Formula) else effect)
-        assert isinstance(found, kind) and found.name == effect.name
+        kinds = {Formula: type(getattr(effect, 'learned', None)), Bump: PlaceMap}
+        assert isinstance(found, kinds.get(type(effect), type(effect))) and found.name == effect.name
         assert effect.name.partition(':')[0] in LEARNED_EFFECTS
 
     @each_effect
@@ -348,6 +351,7 @@ class TestWrittenMemory(GyroEffectContract):
         ('bias_curve:rate', 'cubic', "did you mean 'cube'"),
         ('bias_memory:rate', 'cube', 'first-order lag'),
         ('bias_map:place', 'cube', 'leave out `form`'),
+        ('bias_step:time', 'step', 'leave out `form`'),
     ],
 )
 def test_a_form_that_the_effect_does_not_have(name: str, form: str, remedy: str) -> None:
@@ -355,6 +359,12 @@ def test_a_form_that_the_effect_does_not_have(name: str, form: str, remedy: str)
     with pytest.raises(ConfigError, match=remedy) as raised:
         model_from_dict(tree, 'model.yaml')
     assert 'model.yaml' in str(raised.value) and '(' not in str(raised.value).partition(':')[0]
+
+
+def test_a_bump_falls_to_three_fifths_at_its_width() -> None:
+    at = np.array([[1.0, 2.0], [1.3, 2.0], [1.0, 1.7], [9.0, 9.0]])
+    found = bumps(at, np.array([[1.0, 2.0, 0.3]]))[:, 0]
+    np.testing.assert_allclose(found, [1.0, math.exp(-0.5), math.exp(-0.5), 0.0], atol=1e-12)
 
 
 def test_the_dynamics_do_not_depend_on_the_rate_of_the_imu() -> None:

@@ -19,8 +19,10 @@ from gyrocal_ros.cli.learn import requested
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.diagnose import learning
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.closed_forms import LearnedCurve, closed_forms, curve_by
+from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.examined import examine
 from gyrocal_ros.diagnose.hypotheses import (
     AMPLITUDES,
@@ -33,13 +35,16 @@ from gyrocal_ros.diagnose.hypotheses import (
 from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
+from gyrocal_ros.diagnose.rewriting import _Slopes
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
-from gyrocal_ros.effects.learned import curve, memory
+from gyrocal_ros.effects.learned import curve, formula, memory
+from gyrocal_ros.effects.learned.bump import Bump
 from gyrocal_ros.effects.learned.curve import LENGTHS, prior_stds
 from gyrocal_ros.effects.learned.drives import driven, lag, since_turn
 from gyrocal_ros.effects.learned.forms import FORMS
+from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
@@ -406,6 +411,67 @@ class TestLearning:
         assert added.effect.name == 'scale_step:time'
         assert abs(added.effect.at_s - 70.0) < 8.0  # type: ignore[attr-defined]
         assert added.after.run.state.coefficients[1] == pytest.approx(0.02, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_bias_at_a_place_is_learned_as_a_bump() -> None:
+    source = recording(DrawnEffect('stranger_place', (0.6 * DEG, 0.5)))
+    recorded = summarise_recording(source)
+    first = examine(default_model(), recorded, runner(source))
+    learned = learn(Search(first, ()), recorded, runner(source), ['bias_map:place'])
+    (law,) = learned.laws
+    assert law.in_model_as == 'bump' and isinstance(law.effect, Bump) and law.bump is not None
+    assert law.effect.width_m == pytest.approx(0.5, rel=0.05)
+    assert law.bump.height == pytest.approx(0.6 * DEG, rel=0.1)
+    of_map, of_bump = (item.after for item in learned.searched.additions)
+    before_deg, after_deg = drift_of_both_deg(of_map.run, of_bump.run)
+    assert after_deg < 0.5 * before_deg
+    assert of_bump.run.state.coefficients[1] == pytest.approx(0.6 * DEG, rel=0.02)
+    (summary,) = summarise_laws([law])
+    assert summary['bump']['width_m'] == law.bump.width_m and summary['in_model_as'] == 'bump'
+    words = '\n'.join(law_in_words(law))
+    assert 'bump of' in words and 'in the map, width 0.5' in words and 'in the model as: bump' in words
+
+
+@pytest.mark.parametrize(
+    'closed', [Bump().at((0.2, -0.1, 0.6)), formula('bias_memory:rate', 'first-order lag', 5.0)]
+)
+def test_slopes_of_a_closed_form_are_its_derivatives(closed: Bump | Formula) -> None:
+    block = replace(
+        eventful_block(40),
+        position_m=np.random.default_rng(0).uniform(-1.0, 1.0, (40, 2)),
+        heading_rad=np.zeros(40),
+    )
+    values = np.array([0.7])
+    found = _Slopes(closed, (0.7,)).contribute(block, np.zeros(len(closed.parameters)), None).by_values
+    for place, parameter in enumerate(closed.parameters):
+        rates = []
+        for way in (-1.0, 1.0):
+            moved = list(closed.parameters)
+            moved[place] = parameter + way * 1e-5
+            rates.append(closed.at(tuple(moved)).contribute(block, values, None).rate_rad_s)
+        np.testing.assert_allclose(found[:, place], (rates[1] - rates[0]) / 2e-5, rtol=1e-3, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ('gain', 'drift_sigma', 'helps'),
+    [
+        ([10.0] * 5, 0.0, True),
+        ([200.0, 0.0, 0.0, -1.0, -1.0], 0.5, False),
+        ([200.0, 0.0, 0.0, -1.0, -1.0], 3.0, True),
+        ([2.0, 0.0, 0.0, -1.0, -1.0], 3.0, False),
+    ],
+)
+def test_a_law_helps_by_its_prediction_or_by_the_drift(
+    gain: list[float], drift_sigma: float, helps: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a jump that the filter follows, few stretches tell of it, but the drift does."""
+    gains = np.array(gain) + 1e-3 * np.arange(5)
+    monkeypatch.setattr(learning, 'predictive_gain', lambda *runs: gains)
+    monkeypatch.setattr(learning, 'drift_of_both', lambda *runs: (None, None))
+    monkeypatch.setattr(learning, 'better_sigma', lambda *drifts: drift_sigma)
+    run = object()
+    assert learning._helps(run, run) == helps  # type: ignore[arg-type]
 
 
 # --- the command --------------------------------------------------------------------------------

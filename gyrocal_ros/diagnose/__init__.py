@@ -14,7 +14,7 @@ hypotheses       unknown laws, as columns       comparison       several models 
 closed_forms     from a curve to its law        predictive_gain  predictive log-likelihood
 model_fit        whether a model fits at all    learning         run the likeliest, keep what helps
 timing           faults of the time stamps      learned_laws     what was learned, for people
-rewriting        learned laws in closed form
+rewriting        learned laws in closed form     bump_fit         from a map to its bump
 
 Numbers for reports and pages: run_series, search_series, model_series, error_curves, wander, json_summary.
 No module knows an effect by name: effects declare their properties (`effects.traits`).

@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places
 from gyrocal_ros.diagnose.heading_filter import misfits
 from gyrocal_ros.effects.learned.causes import library_effect, meaning, meaning_of_memory
 from gyrocal_ros.effects.learned.curve import Curve
@@ -22,6 +23,7 @@ from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS, physical
 from gyrocal_ros.effects.learned.signals import HEADING
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.model.sensor import Coefficient, Effect
 from gyrocal_ros.statistics import chi_square_quantile, robust_std
 
 GRID = 401
@@ -41,6 +43,36 @@ MAX_LOST = 0.5
 """Part of a form, in mean square, that the directions which the data determine may lack."""
 REFINED, REFINEMENTS = 11, 3
 """Number of values between two neighbours of a scanned parameter, and how often."""
+
+
+class Functions(Protocol):
+    """A learned effect that is a sum of fixed functions."""
+
+    @property
+    def coefficients(self) -> tuple[Coefficient, ...]: ...
+
+    def basis(self, values: Array) -> Array: ...
+
+    def present(self, values: Array) -> Array: ...
+
+
+class Estimated(Protocol):
+    """A learned effect at some places (n, ...), with the estimates of its coefficients: a curve, or a map."""
+
+    @property
+    def effect(self) -> Functions: ...
+
+    @property
+    def x(self) -> Array: ...
+
+    @property
+    def values(self) -> Array: ...
+
+    @property
+    def covariance(self) -> Array: ...
+
+    @property
+    def scatter(self) -> float: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,15 +121,18 @@ class ClosedForm:
 
 def learned_curve(examined: ExaminedModel, effect: Curve | ExponentialBank) -> LearnedCurve:
     """Return a curve or response with its uncertainty, widened by the scatter that the model leaves."""
-    names = [item.name for item in examined.model.effects]
-    start = COEFFICIENTS_START + sum(
-        len(item.coefficients) for item in examined.model.effects[: names.index(effect.name)]
-    )
-    places = slice(start, start + len(effect.coefficients))
-    state = examined.run.state
+    return curve_by(effect, *estimate_in(examined, effect), float(examined.run.history.time_s[-1]))
+
+
+def estimate_in(examined: ExaminedModel, effect: Effect) -> tuple[Array, Array, float]:
+    """Return the coefficients (k,) of an effect by the filter, their covariance (k, k), and the scatter.
+
+    The scatter is the factor by which rate errors that the model leaves exceed what the filter expects.
+    """
+    within, state = coefficient_places(examined.model, effect.name), examined.run.state
+    places = slice(COEFFICIENTS_START + within.start, COEFFICIENTS_START + within.stop)
     scatter = max(1.0, robust_std(misfits(examined.seen, np.empty((len(examined.seen.time_s), 0)))))
-    duration_s = float(examined.run.history.time_s[-1])
-    return curve_by(effect, state.mean[places], state.covariance[places, places], scatter, duration_s)
+    return state.mean[places], state.covariance[places, places], scatter
 
 
 def curve_by(
@@ -127,7 +162,7 @@ def _range(effect: Curve | ExponentialBank, duration_s: float) -> tuple[float, f
     return 0.0, duration_s if effect.follows == START else min(SLOWEST * effect.tau_s[-1], duration_s)
 
 
-def without_present(curve: LearnedCurve, functions: Array) -> Array:
+def without_present(curve: Estimated, functions: Array) -> Array:
     """Return functions over the range (n, q) without what constant bias and scale factor explain of them."""
     present = curve.effect.present(curve.x)
     left: Array = functions - present @ np.linalg.lstsq(present, functions, rcond=None)[0]
@@ -141,7 +176,7 @@ def form_over(curve: LearnedCurve, found: ClosedForm) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class Seen:
     """What the data say of a curve, in the directions of its coefficients that they determine.
 
     The coefficients c are relative to their prior standard deviations D: those of short wavelengths have so
@@ -162,26 +197,27 @@ class _Seen:
         return combinations
 
 
-def _seen_in(curve: LearnedCurve) -> _Seen:
+def seen_in(curve: Estimated) -> Seen:
+    """Return what the data say of a curve or map, without its prior."""
     prior = np.array([item.prior_std for item in curve.effect.coefficients], float)
     inverse, variance = np.linalg.inv(curve.covariance / np.outer(prior, prior)), curve.scatter**2
     information, axes = np.linalg.eigh((inverse - np.eye(len(prior))) / variance)
     seen = information > max(SINGULAR * information[-1], UNSEEN / variance)
     score = axes[:, seen].T @ inverse @ (curve.values / prior) / variance
-    return _Seen(curve.effect.basis(curve.x) * prior, axes[:, seen], information[seen], score)
+    return Seen(curve.effect.basis(curve.x) * prior, axes[:, seen], information[seen], score)
 
 
 def closed_forms(curve: LearnedCurve, count: int) -> list[ClosedForm]:
     """Fit every form to a curve; the shortest description comes first.
 
     Only the data count, not the prior: with the information Lambda = Sigma^-1 - P^-1 and b = Sigma^-1 c of
-    the coefficients c, a form A p gains `b^T A p - 1/2 p^T A^T Lambda A p`, see `_Seen`.
+    the coefficients c, a form A p gains `b^T A p - 1/2 p^T A^T Lambda A p`, see `Seen`.
 
     Args:
         curve: the curve.
         count: number of data, for the cost of a parameter.
     """
-    seen = _seen_in(curve)
+    seen = seen_in(curve)
     most = 0.5 * float(np.sum(seen.score**2 / seen.information))
     found = []
     for form in _forms_of(curve):
@@ -222,7 +258,7 @@ def _order(found: ClosedForm) -> tuple[bool, int, float]:
     return not found.fits, found.form.size if found.fits else 0, found.description_length
 
 
-def _best_parameter(curve: LearnedCurve, form: Form, seen: _Seen) -> tuple[float, float, Array, Array] | None:
+def _best_parameter(curve: LearnedCurve, form: Form, seen: Seen) -> tuple[float, float, Array, Array] | None:
     """Return the fit with the best scanned parameter: of its values, then between the neighbours of that."""
     tried, best = form.values(float(curve.x[0]), float(curve.x[-1])), None
     for _ in range(REFINEMENTS + 1):
@@ -237,7 +273,7 @@ def _best_parameter(curve: LearnedCurve, form: Form, seen: _Seen) -> tuple[float
 
 
 def _fitted(
-    curve: LearnedCurve, form: Form, p: float, seen: _Seen
+    curve: LearnedCurve, form: Form, p: float, seen: Seen
 ) -> tuple[float, float, Array, Array] | None:
     """Return gain, parameter, values and deviations.
 

@@ -247,9 +247,14 @@ def drift_of_both_deg(before: Run, after: Run, from_s: float = 0.0) -> tuple[flo
         after: another one of the same recording.
         from_s: earliest beginning of a span, where it is later than that of all held-out spans.
     """
+    earlier, later = drift_of_both(before, after, from_s)
+    return earlier.rms_deg, later.rms_deg
+
+
+def drift_of_both(before: Run, after: Run, from_s: float = 0.0) -> tuple[BlindDrift, BlindDrift]:
+    """Compute what `drift_of_both_deg` returns the rms of."""
     reference, start_s = reference_heading(after), max(held_out_from_s(after), from_s)
-    earlier, later = (blind_drift(run, reference, start_s).rms_deg for run in (before, after))
-    return earlier, later
+    return blind_drift(before, reference, start_s), blind_drift(after, reference, start_s)
 
 
 def better_sigma(before: BlindDrift, after: BlindDrift) -> float:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from gyrocal_ros.diagnose.bump_fit import BumpFit, bump_fit
 from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, closed_forms, learned_curve
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.effects import LEARNED_EFFECTS
 from gyrocal_ros.effects.learned.causes import closest_effect
 from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.drives import START
-from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory import ExponentialBank
+from gyrocal_ros.effects.learned.place_map import PlaceMap
 from gyrocal_ros.effects.learned.signals import UNITS
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.model.sensor import Effect
@@ -37,6 +38,8 @@ class LearnedLaw:
     """Closed forms, the best first."""
     rms: float
     """Root mean square of its contribution to the yaw rate over the recording, rad/s."""
+    bump: BumpFit | None = None
+    """Closed form of a map."""
 
     @property
     def kind(self) -> str:
@@ -47,6 +50,11 @@ class LearnedLaw:
     def follows(self) -> str:
         """What it follows."""
         return self.effect.name.partition(':')[2]
+
+    @property
+    def in_model_as(self) -> str:
+        """Closed form in which the model has it; empty where it has the curve, the memory or the map."""
+        return getattr(self.effect, 'form', '')
 
     @property
     def is_over_a_signal(self) -> bool:
@@ -84,7 +92,8 @@ def learned_laws(
         curve = learned_curve(model, learned) if isinstance(learned, Curve | ExponentialBank) else None
         forms = closed_forms(curve, len(history.dt_s)) if curve is not None else []
         forms = [*forms[:1], *(item for item in forms[1:SHOWN] if item.explained > MIN_EXPLAINED)]
-        yield LearnedLaw(effect, curve, tuple(forms), float(np.sqrt(np.mean(rate**2))))
+        bump = bump_fit(model, learned) if isinstance(learned, PlaceMap) else None
+        yield LearnedLaw(effect, curve, tuple(forms), float(np.sqrt(np.mean(rate**2))), bump)
 
 
 def unit_of(signal: str) -> str:
@@ -101,7 +110,8 @@ def summarise_laws(laws: list[LearnedLaw]) -> list[dict[str, Any]]:
             'follows': law.follows,
             'rms_rad_s': law.rms,
             'closest_library_effect': law.closest or None,
-            'in_model_as': law.effect.form if isinstance(law.effect, Formula) else None,
+            'in_model_as': law.in_model_as or None,
+            'bump': None if law.bump is None else asdict(law.bump),
             'curve': None
             if law.curve is None
             else {'x': law.curve.x[::10], 'y': law.curve.y[::10], 'std': law.curve.std[::10]},

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
-from gyrocal_ros.diagnose.drift import drift_of_both_deg
+from gyrocal_ros.diagnose.drift import better_sigma, drift_of_both, drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate, without_harm
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, contradicts, examine, with_effect
 from gyrocal_ros.diagnose.hypotheses import (
@@ -23,6 +23,7 @@ from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.rewriting import rewrite
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.learned.step import Step
+from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
@@ -33,7 +34,7 @@ MIN_GAIN = 25.0
 """Marginal and predictive log-likelihood that a law has to gain: of a hundred laws with a dozen priors each,
 the best gains half of that by chance."""
 MIN_SIGMA = 2.0
-"""Significance of the predictive gain over the blocks of the recording."""
+"""Significance of the predictive gain over the blocks of the recording, or of the decrease of the drift."""
 MAX_DRIFT = 1.02
 """Largest held-out drift with the law, relative to that without."""
 RIVAL_PART, MAX_RIVALS = 0.85, 3
@@ -117,10 +118,21 @@ def likeliest_law(
 def _is_better(alone: Search, found: Search) -> bool:
     if not alone.kept:
         return False
-    gain = predictive_gain(found.last.run, alone.last.run)
     if len(alone.kept) < len(found.kept):
-        return float(gain.sum()) > -MIN_GAIN
-    return float(gain.sum()) > MIN_GAIN and vuong_sigma(gain) > MIN_SIGMA
+        return float(predictive_gain(found.last.run, alone.last.run).sum()) > -MIN_GAIN
+    return _helps(found.last.run, alone.last.run)
+
+
+def _helps(before: Run, after: Run) -> bool:
+    """Return True if a run predicts the recording better by more than chance.
+
+    Where the filter adapts to a wrong model, as after a jump, only a few stretches tell of it by their
+    innovations, which alone is hardly more than chance. The drift tells, too.
+    """
+    gain = predictive_gain(before, after)
+    if float(gain.sum()) < MIN_GAIN:
+        return False
+    return vuong_sigma(gain) > MIN_SIGMA or better_sigma(*drift_of_both(before, after)) > MIN_SIGMA
 
 
 def _learned_beside(
@@ -186,9 +198,8 @@ def _at_the_moment(present: ExaminedModel, law: RankedLaw, calibrate: Calibrate)
 def _judged(added: Addition) -> Addition:
     """Return the addition with its significance, rejected unless it predicts better and drifts no more."""
     assert added.before is not None
-    gain = predictive_gain(added.before.run, added.after.run)
     before_deg, after_deg = drift_of_both_deg(added.before.run, added.after.run)
     p_value = chi_square_tail(2.0 * max(added.gain, 0.0), len(added.effect.coefficients))
-    helps = float(gain.sum()) > MIN_GAIN and vuong_sigma(gain) > MIN_SIGMA
+    helps = _helps(added.before.run, added.after.run)
     is_rejected = not helps or after_deg > MAX_DRIFT * before_deg
     return replace(added, sigma=sigma_of(p_value), p_value=p_value, is_rejected=is_rejected)

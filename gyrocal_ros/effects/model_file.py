@@ -20,7 +20,7 @@ from typing import Any, get_args, get_type_hints
 import yaml
 
 from gyrocal_ros.config.yaml_file import load_yaml, read_yaml
-from gyrocal_ros.effects.learned import formula
+from gyrocal_ros.effects.learned import in_closed_form
 from gyrocal_ros.effects.library import SCALE_FACTOR
 from gyrocal_ros.effects.registry import default_model, find_effect, load_file, load_installed
 from gyrocal_ros.errors import ConfigError, did_you_mean
@@ -163,7 +163,7 @@ def _effect(entry: Any, where: str) -> Effect:
         raise ConfigError(f'{entry!r} is not an effect', where=where, todo='give its name')
     effect = find_effect(str(entry['name']), where)
     if 'form' in entry:
-        effect = formula(effect.name, str(entry['form']), where=where)
+        effect = in_closed_form(effect.name, str(entry['form']), where)
     options = options_of(effect)
     _only(entry, ('name', 'prior_mean', 'prior_std', 'walk', *options), where)
     coefficients = {item.name: item for item in effect.coefficients}

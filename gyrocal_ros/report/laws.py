@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from gyrocal_ros.diagnose.bump_fit import BumpFit
 from gyrocal_ros.diagnose.closed_forms import ClosedForm
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, unit_of
 from gyrocal_ros.effects.learned.drives import ABS_RATE, LAST_TURN, MOVING, SIDE, START
-from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.report.describe import with_std
 
@@ -46,8 +46,10 @@ def law_in_words(law: LearnedLaw) -> Iterator[str]:
         yield f'  closed forms ({variable_of(law)}):'
     for found in law.forms:
         yield f'    {form_in_words(found)}'
-    if isinstance(law.effect, Formula):
-        yield f'  in the model as: {law.effect.form}'
+    if law.bump is not None:
+        yield f'  closed form: {bump_in_words(law.bump)}'
+    if law.in_model_as:
+        yield f'  in the model as: {law.in_model_as}'
     if law.forms:
         yield f'  what usually causes that: {law.forms[0].means}'
     if law.closest:
@@ -84,6 +86,13 @@ def nothing_learned(contradicts: bool) -> str:
     if contradicts:
         return 'Nothing was learned: no law predicts the recording better without more drift.'
     return 'Nothing was learned: the recording does not contradict the model.'
+
+
+def bump_in_words(found: BumpFit) -> str:
+    """Return the closed form of a map in one line."""
+    height = with_std(math.degrees(found.height), math.degrees(found.std))
+    place = f'x = {found.x_m:.2f} m, y = {found.y_m:.2f} m in the map'
+    return f'bump of {height} deg/s at {place}, width {found.width_m:.2f} m; {100.0 * found.explained:.1f} %'
 
 
 def form_in_words(found: ClosedForm) -> str:

@@ -2,7 +2,7 @@
 
 Each is a sum of fixed functions; their coefficients are estimated by the filter like those of any effect. The
 prior standard deviations of the coefficients make the sum smooth. A `formula` is a curve or a memory in its
-closed form.
+closed form, a `Bump` is a map in its.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gyrocal_ros.effects.base import LibraryEffect
+from gyrocal_ros.effects.learned.bump import BUMP, Bump
 from gyrocal_ros.effects.learned.curve import curve
 from gyrocal_ros.effects.learned.formula import formula
 from gyrocal_ros.effects.learned.memory import memory
@@ -30,4 +31,20 @@ LEARNED_EFFECTS: dict[str, Callable[[str], LibraryEffect]] = {
 }
 """Effects whose names contain what they follow, `bias_curve:rate`."""
 
-__all__ = ['LEARNED_EFFECTS', 'curve', 'formula', 'memory', 'place_map', 'step', 'wave']
+
+def in_closed_form(name: str, form: str, where: str) -> LibraryEffect:
+    """Return a learned effect in a closed form, with parameters of usual size.
+
+    Args:
+        name: name of the learned effect.
+        form: name of the closed form.
+        where: place of the names, for the error message.
+
+    Raises:
+        ConfigError: the effect has no such form.
+    """
+    bump = Bump()
+    return bump if (name, form) == (bump.name, BUMP) else formula(name, form, where=where)
+
+
+__all__ = ['LEARNED_EFFECTS', 'curve', 'formula', 'in_closed_form', 'memory', 'place_map', 'step', 'wave']

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -60,6 +60,20 @@ class Formula(LinearMemoryEffect):
     def closed_form(self) -> Form:
         """The closed form."""
         return _forms(self.learned)[self.form]
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """The fixed parameter; none for a form without."""
+        return (self.parameter,) if self.parameter else ()
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Size of a change of each of `parameters` that changes the form."""
+        return tuple(map(abs, self.parameters))
+
+    def at(self, parameters: tuple[float, ...]) -> Formula:
+        """Return the effect with other `parameters`."""
+        return replace(self, parameter=parameters[0])
 
     def remembered(self, block: MotionBlock, memory: Memory) -> tuple[Array, Memory]:
         """Return the terms (N, q), times the rate for a scale; zero where the signal is not recorded."""

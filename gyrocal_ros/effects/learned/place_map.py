@@ -57,6 +57,10 @@ class PlaceMap(LinearGyroEffect):
         waves: Array = np.cos(np.pi * part[:, None, :] * orders).prod(axis=2)
         return waves
 
+    def present(self, position_m: Array) -> Array:
+        """Return what the model has already (n, 1): a constant."""
+        return np.ones((len(position_m), 1))
+
     def columns(self, block: MotionBlock) -> Array:
         """Return the functions (N, k); zero where no filter tells the position."""
         if block.position_m is None:

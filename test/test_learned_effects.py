@@ -26,6 +26,7 @@ from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS, physical
 from gyrocal_ros.effects.learned.place_map import PlaceMap
 from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
 from gyrocal_ros.effects.learned.signals import UNITS, values_of
+from gyrocal_ros.effects.learned.wave import Sine, Wave, sine_of
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.effects.registry import load_file
 from gyrocal_ros.ekf.predict import with_pose
@@ -61,6 +62,8 @@ EFFECTS: tuple[GyroEffect, ...] = (
     formula('bias_memory:dynamics', 'second-order lag'),
     formula('scale_memory:start', 'fading hyperbola', 60.0),
     Bump().at((0.2, -0.1, 0.6)),
+    sine_of('bias_wave:time', 7.0),
+    sine_of('scale_wave:time', 7.0),
 )
 each_effect = pytest.mark.parametrize(
     'effect', EFFECTS, ids=lambda effect: ' '.join([effect.name, getattr(effect, 'form', '')]).strip()
@@ -91,7 +94,7 @@ class TestEachLearnedEffect:
     @each_effect
     def test_its_name_finds_an_effect_of_its_kind(self, effect: GyroEffect) -> None:
         found = find_effect(effect.name)
-        kinds = {Formula: type(getattr(effect, 'learned', None)), Bump: PlaceMap}
+        kinds = {Formula: type(getattr(effect, 'learned', None)), Bump: PlaceMap, Sine: Wave}
         assert isinstance(found, kinds.get(type(effect), type(effect))) and found.name == effect.name
         assert effect.name.partition(':')[0] in LEARNED_EFFECTS
 

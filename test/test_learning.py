@@ -39,13 +39,14 @@ from gyrocal_ros.diagnose.rewriting import _Slopes
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
-from gyrocal_ros.effects.learned import curve, formula, memory
+from gyrocal_ros.effects.learned import curve, formula, memory, wave
 from gyrocal_ros.effects.learned.bump import Bump
 from gyrocal_ros.effects.learned.curve import LENGTHS, prior_stds
 from gyrocal_ros.effects.learned.drives import driven, lag, since_turn
 from gyrocal_ros.effects.learned.forms import FORMS
 from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS
+from gyrocal_ros.effects.learned.wave import Sine, Wave
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.errors import ConfigError
@@ -414,8 +415,23 @@ class TestLearning:
 
 
 @pytest.mark.slow
+def test_the_period_of_a_swing_is_refined() -> None:
+    """The spectrum of the errors tells it to some per cent; the likelihood does much better."""
+    source = recording(DrawnEffect('stranger_swing', (0.2 * DEG, 31.0)))
+    recorded = summarise_recording(source)
+    first = examine(default_model(), recorded, runner(source))
+    learned = learn(Search(first, ()), recorded, runner(source), ['bias_wave:time'])
+    (law,) = learned.laws
+    assert isinstance(law.effect, Sine) and law.in_model_as == 'sine'
+    of_wave, of_sine = (item.effect for item in learned.searched.additions[:2])
+    assert isinstance(of_wave, Wave)
+    assert abs(law.effect.period_s - 31.0) < min(0.03, abs(of_wave.period_s - 31.0))
+    assert of_sine.name == of_wave.name == 'bias_wave:time'
+
+
+@pytest.mark.slow
 def test_a_bias_at_a_place_is_learned_as_a_bump() -> None:
-    source = recording(DrawnEffect('stranger_place', (0.6 * DEG, 0.5)))
+    source = recording(DrawnEffect('stranger_place', (0.6 * DEG, 0.5)), seconds=240.0)
     recorded = summarise_recording(source)
     first = examine(default_model(), recorded, runner(source))
     learned = learn(Search(first, ()), recorded, runner(source), ['bias_map:place'])
@@ -434,16 +450,20 @@ def test_a_bias_at_a_place_is_learned_as_a_bump() -> None:
 
 
 @pytest.mark.parametrize(
-    'closed', [Bump().at((0.2, -0.1, 0.6)), formula('bias_memory:rate', 'first-order lag', 5.0)]
+    'closed', [Bump().at((0.2, -0.1, 0.6)), formula('bias_memory:rate', 'first-order lag', 5.0), wave('bias')]
 )
-def test_slopes_of_a_closed_form_are_its_derivatives(closed: Bump | Formula) -> None:
+def test_slopes_of_a_closed_form_are_its_derivatives(closed: Bump | Formula | Wave) -> None:
     block = replace(
         eventful_block(40),
         position_m=np.random.default_rng(0).uniform(-1.0, 1.0, (40, 2)),
         heading_rad=np.zeros(40),
     )
-    values = np.array([0.7])
-    found = _Slopes(closed, (0.7,)).contribute(block, np.zeros(len(closed.parameters)), None).by_values
+    values = np.full(len(closed.coefficients), 0.7)
+    found = (
+        _Slopes(closed, tuple(values.tolist()))
+        .contribute(block, np.zeros(len(closed.parameters)), None)
+        .by_values
+    )
     for place, parameter in enumerate(closed.parameters):
         rates = []
         for way in (-1.0, 1.0):

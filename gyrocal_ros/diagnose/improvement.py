@@ -18,7 +18,6 @@ from gyrocal_ros.diagnose.drift import (
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.statistics import vuong_sigma
 
@@ -107,8 +106,8 @@ def revision_label(number: int, name: str) -> str:
 
 
 def _name(added: Addition) -> str:
-    effect = added.effect
-    return f'{effect.name}_as_{effect.form}' if isinstance(effect, Formula) else effect.name
+    form = getattr(added.effect, 'form', '')
+    return f'{added.effect.name}_as_{form}' if form else added.effect.name
 
 
 def first_revision(examined: ExaminedModel, reference: tuple[Heading, str]) -> Revision:
@@ -213,7 +212,8 @@ def _reason(added: Addition) -> str:
     size = f'{abs(added.predictive_gain):.1f}'
     if added.is_rewritten and added.is_kept:
         gain = f'{added.predictive_gain:+.1f}'
-        return f'in closed form the recording is predicted as well (log-likelihood {gain})'
+        what = 'in closed form' if getattr(added.effect, 'form', '') else 'with the likeliest period'
+        return f'{what} the recording is predicted as well (log-likelihood {gain})'
     if added.is_kept:
         return f'the recording is predicted better (log-likelihood +{size})'
     if not added.stands_out:

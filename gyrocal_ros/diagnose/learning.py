@@ -84,8 +84,7 @@ def learn(
         most: number of laws that are learned at most.
     """
     found = _learned(searched, recording, calibrate, only, most)
-    written = rewrite(found.searched, recording, calibrate)
-    return replace(found, searched=without_harm(written, recording, calibrate))
+    return replace(found, searched=rewrite(found.searched, recording, calibrate))
 
 
 def _learned(
@@ -93,7 +92,8 @@ def _learned(
 ) -> Learned:
     last, ranked = _learned_beside(searched.last, recording, calibrate, only, most)
     wider = replace(searched, additions=(*searched.additions, *last))
-    found = Learned(eliminate(wider, recording, calibrate), tuple(ranked))
+    kept = without_harm(eliminate(wider, recording, calibrate), recording, calibrate)
+    found = Learned(kept, tuple(ranked))
     if not searched.kept or searched.kept[0].before is None or only:
         return found
     first, ranked = _learned_beside(searched.first, recording, calibrate, only, most)

@@ -1,4 +1,4 @@
-"""Closed forms in place of learned curves, memories and maps: the same law with few coefficients.
+"""Closed forms in place of learned curves, memories, maps and waves: the same law with few coefficients.
 
 A curve has a dozen coefficients, and what is not known of them yet makes the heading drift. Its closed form
 has one or two.
@@ -6,6 +6,7 @@ has one or two.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar, TypeAlias
@@ -18,11 +19,13 @@ from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wit
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws
 from gyrocal_ros.effects.learned.bump import Bump
 from gyrocal_ros.effects.learned.formula import Formula, formula
+from gyrocal_ros.effects.learned.wave import ORDERS, Sine, Wave, sine_of
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place, SensorModel
 
-Closed: TypeAlias = Formula | Bump
+Closed: TypeAlias = Formula | Bump | Sine | Wave
+"""A law with few fixed parameters; of a wave, the period alone may have to change."""
 MIN_EXPLAINED = 0.98
 """Part of a curve that its closed form explains at least to be tried: the curve itself is not exact."""
 SLOPE_PART, MAX_STEP = 1e-3, 0.1
@@ -38,23 +41,27 @@ def rewrite(searched: Search, recording: RecordingSummary, calibrate: Calibrate)
         calibrate: runs the filter.
     """
     for law in list(learned_laws(searched.last)):
-        closed = _closed(law)
-        if closed is not None:
+        for closed, values in _closed(law, searched.last):
             with suppress(*CANNOT_RUN):
-                added = _rewritten(searched.last, *closed, recording, calibrate)
+                added = _rewritten(searched.last, closed, values, recording, calibrate)
                 searched = replace(searched, additions=(*searched.additions, added))
+                if added.is_kept:
+                    break
     return searched
 
 
-def _closed(law: LearnedLaw) -> tuple[Closed, Array] | None:
-    """Return the best closed form of a law, and its coefficients (q,); None without a good one."""
-    if law.bump is not None and law.bump.explained > MIN_EXPLAINED:
+def _closed(law: LearnedLaw, present: ExaminedModel) -> Iterator[tuple[Closed, Array]]:
+    """Yield closed forms of a law as effects with their coefficients (q,), the simplest first."""
+    if isinstance(law.effect, Wave):
+        values = present.estimate_of(law.effect.name)[0]
+        yield sine_of(law.effect.name, law.effect.period_s), values[[0, len(ORDERS)]]
+        yield law.effect, values
+    elif law.bump is not None and law.bump.explained > MIN_EXPLAINED:
         found = law.bump
-        return Bump().at((found.x_m, found.y_m, found.width_m)), np.array([found.height])
-    if law.forms and law.forms[0].explained > MIN_EXPLAINED:
+        yield Bump().at((found.x_m, found.y_m, found.width_m)), np.array([found.height])
+    elif law.forms and law.forms[0].explained > MIN_EXPLAINED:
         best = law.forms[0]
-        return formula(law.effect.name, best.form.name).at((best.parameter,)), best.values
-    return None
+        yield formula(law.effect.name, best.form.name).at((best.parameter,)), best.values
 
 
 def _rewritten(

@@ -2,7 +2,7 @@
 
 Each is a sum of fixed functions; their coefficients are estimated by the filter like those of any effect. The
 prior standard deviations of the coefficients make the sum smooth. A `formula` is a curve or a memory in its
-closed form, a `Bump` is a map in its.
+closed form, a `Bump` that of a map, a `Sine` that of a wave.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gyrocal_ros.effects.learned.formula import formula
 from gyrocal_ros.effects.learned.memory import memory
 from gyrocal_ros.effects.learned.place_map import place_map
 from gyrocal_ros.effects.learned.step import step
-from gyrocal_ros.effects.learned.wave import wave
+from gyrocal_ros.effects.learned.wave import SINE, sine_of, wave
 
 LEARNED_EFFECTS: dict[str, Callable[[str], LibraryEffect]] = {
     'bias_curve': lambda signal: curve('bias', signal),
@@ -43,8 +43,11 @@ def in_closed_form(name: str, form: str, where: str) -> LibraryEffect:
     Raises:
         ConfigError: the effect has no such form.
     """
-    bump = Bump()
-    return bump if (name, form) == (bump.name, BUMP) else formula(name, form, where=where)
+    if (name, form) == (Bump().name, BUMP):
+        return Bump()
+    if form == SINE and name.partition(':')[0].endswith('_wave'):
+        return sine_of(name)
+    return formula(name, form, where=where)
 
 
 __all__ = ['LEARNED_EFFECTS', 'curve', 'formula', 'in_closed_form', 'memory', 'place_map', 'step', 'wave']

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from gyrocal_ros.effects.learned.signals import required
 from gyrocal_ros.effects.learned.step import TIME
 from gyrocal_ros.model.sensor import Coefficient
 
+SINE: Literal['sine'] = 'sine'
 ORDERS = np.arange(1.0, 4.0)
 """The period and its harmonics: what is switched on and off is nine tenths of these."""
 
@@ -43,13 +45,73 @@ class Wave(LinearGyroEffect):
     @property
     def of(self) -> Of:
         """What swings."""
-        return 'scale' if self.name.startswith('scale') else 'bias'
+        return _of(self.name)
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """The period, in which it is not linear."""
+        return (self.period_s,)
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Size of a change of each of `parameters` that changes the wave."""
+        return (self.period_s,)
+
+    def at(self, parameters: tuple[float, ...]) -> Wave:
+        """Return the effect with other `parameters`."""
+        return replace(self, period_s=parameters[0])
 
     def columns(self, block: MotionBlock) -> Array:
         """Return the sines, then the cosines (N, 2 k)."""
-        phase = 2.0 * np.pi * ORDERS * block.time_s[:, None] / self.period_s
-        waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
-        return waves * block.rate_rad_s[:, 2:] if self.of == 'scale' else waves
+        return _waves(self.of, ORDERS, self.period_s, block)
+
+
+@dataclass(frozen=True)
+class Sine(LinearGyroEffect):
+    """`a sin(2 pi t / period) + b cos(2 pi t / period)`: the closed form of a wave without harmonics."""
+
+    name: str
+    coefficients: tuple[Coefficient, ...]
+    form: Literal['sine'] = SINE
+    period_s: float = 30.0
+
+    @property
+    def about(self) -> Explanation:
+        """Description for people."""
+        times = ' w_n' * (_of(self.name) == 'scale')
+        return replace(
+            wave(_of(self.name), period_s=self.period_s).about,
+            equation=f'w = w_n + (a sin(2 pi t / T) + b cos(2 pi t / T)){times}, T = {self.period_s:.3g} s',
+            example=tuple(item.prior_std for item in self.coefficients),
+        )
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """The period, in which it is not linear."""
+        return (self.period_s,)
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Size of a change of each of `parameters` that changes the wave."""
+        return (self.period_s,)
+
+    def at(self, parameters: tuple[float, ...]) -> Sine:
+        """Return the effect with other `parameters`."""
+        return replace(self, period_s=parameters[0])
+
+    def columns(self, block: MotionBlock) -> Array:
+        """Return sine and cosine (N, 2)."""
+        return _waves(_of(self.name), ORDERS[:1], self.period_s, block)
+
+
+def _of(name: str) -> Of:
+    return 'scale' if name.startswith('scale') else 'bias'
+
+
+def _waves(of: Of, orders: Array, period_s: float, block: MotionBlock) -> Array:
+    phase = 2.0 * np.pi * orders * block.time_s[:, None] / period_s
+    waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
+    return waves * block.rate_rad_s[:, 2:] if of == 'scale' else waves
 
 
 def wave(of: Of, signal: str = TIME, period_s: float = 30.0) -> Wave:
@@ -65,3 +127,15 @@ def wave(of: Of, signal: str = TIME, period_s: float = 30.0) -> Wave:
         for order in ORDERS.tolist()
     )
     return Wave(name, items, period_s)
+
+
+def sine_of(name: str, period_s: float = 30.0) -> Sine:
+    """Make the closed form of a wave, with a prior of usual size.
+
+    Args:
+        name: name of the wave.
+        period_s: its period.
+    """
+    of = _of(name)
+    items = tuple(Coefficient(part, UNIT[of], TYPICAL[of]) for part in ('sine', 'cosine'))
+    return Sine(name, items, period_s=period_s)

@@ -171,8 +171,8 @@ def as_exposed(
 ) -> Prediction:
     """Move predicted pixels to where they are when their rows are exposed.
 
-    A turn begins and ends within a few images. At a constant rate during the readout it would begin late and
-    end early, to the eye of the filter, and the scale factor would be too small.
+    A turn begins and ends within a few images. With a constant rate during the readout its images would seem
+    ahead as it begins and behind as it ends, and the scale factor would be too small.
 
     Args:
         effects: effects; those on the shutter act here.

@@ -51,6 +51,7 @@ class _TrackedImage:
     yaw_error_rad: float
     """Corrected yaw minus the yaw of the images, since the start."""
     yaw_error_std_rad: float
+    """Its standard deviation by the noise of the patches."""
 
 
 class GyroAidedTracker:

@@ -24,6 +24,7 @@ from gyrocal_ros.effects.checks import faults
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.effects.sketch import sketch
 from gyrocal_ros.ekf.effects_by_place import (
+    PoseMotion,
     as_exposed,
     first_sight_by_values,
     measurement_by_values,
@@ -215,6 +216,7 @@ class ParametrisationContract:
 
 SIGNAL = 'battery_state.voltage'
 POSE_RATE = np.array([0.2, 0.1, 0.0, 0.01, -0.02, 1.3])
+MOTION = PoseMotion(POSE_RATE, np.array([0.3, -0.1, 0.0, 0.5, -0.2, 4.0]))
 
 
 def eventful_block(count: int = 12, seed: int = 0, start_s: float = 30.0) -> MotionBlock:
@@ -466,12 +468,12 @@ class ImageEffectContract(EffectContract):
         pose = LATER_POSE - POSE_RATE * late_s
         view = posed_camera(camera, mount, pose[:3], pose[3:])
         return view, as_exposed(
-            effects, view, form.predict(view, first.parameters, first.anchors), POSE_RATE, values
+            effects, view, form.predict(view, first.parameters, first.anchors), MOTION, values
         )
 
     def by_values(self, effect: Effect, form: Parametrisation, values: Array) -> Array:
         view, prediction = self.observe(effect, form, values)
-        return measurement_by_values(sort_effects((effect,)), view, prediction, POSE_RATE, values)
+        return measurement_by_values(sort_effects((effect,)), view, prediction, MOTION, values)
 
     def test_derivative(self, effect: Effect, form: Parametrisation) -> None:
         assert_derivative(

@@ -26,9 +26,11 @@ from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.model.camera import bearing, mount_from_yaw, project
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.pipeline.visual_slam import VisualSlam
+from gyrocal_ros.sim.image_scenes import find_scene
 from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
-from gyrocal_ros.sim.scenarios import SCENARIOS
+from gyrocal_ros.sim.scenarios import SCENARIOS, find_scenario
 from gyrocal_ros.sim.world import SimSource
+from gyrocal_ros.statistics import chi_square_quantile
 from gyrocal_ros.vision.gyro_aided_tracker import GyroAidedTracker
 from gyrocal_ros.vision.gyro_attitude import HISTORY_S, MAX_GAP_S, GyroAttitude
 from gyrocal_ros.vision.tracker import Tracker
@@ -182,6 +184,25 @@ def test_features_are_tracked_through_a_fast_turn_with_a_gyro_gain_error(
     assert prediction_error_px(drive, seen[-1]) < 0.1, (
         'turn and drive are predicted with the estimated gyro gain'
     )
+
+
+@pytest.mark.slow
+def test_features_almost_without_texture_do_not_spoil_the_gain_of_the_gyro() -> None:
+    """As a turn begins, their rotation is noisier than the turn from one image to the next."""
+    scenario = find_scene('plaster').applied_to(find_scenario('spins'))
+    source = SimSource(replace(scenario, standing_s=1.0, duration_s=2.5), 4, images=True)
+    assert source.rig.camera is not None
+    tracker, waiting = GyroAidedTracker(source.rig.camera, R_BC, TrackerConfig()), list[Frame]()
+    for item in source.measurements():
+        if isinstance(item, ImuSample):
+            tracker.add(item)
+            while waiting:
+                tracker.track(waiting.pop())
+        elif isinstance(item, Frame):
+            waiting.append(item)
+    errors = tracker._gain_and_bias - [source.truth.scale_factor, source.truth.bias_rad_s[0, 2]]
+    assert np.abs(errors).max() < 0.1
+    assert errors @ tracker._information @ errors < chi_square_quantile(0.999, 2)
 
 
 @pytest.mark.slow

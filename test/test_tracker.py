@@ -120,6 +120,22 @@ def test_the_covariance_of_a_match_is_that_of_its_errors() -> None:
     assert np.sqrt(np.diagonal(noisy(0.5).covariances_px2[0])) == pytest.approx(MATCHING_PX, rel=0.1)
 
 
+def test_the_standard_deviation_of_the_twist_is_that_of_its_errors() -> None:
+    rng, first = np.random.default_rng(0), smooth_image()
+    patches = extract_patches(first, np.array([[60, 60], [57, 61]]), 15)
+    nodes = np.array([[[60.0, 60.0]], [[57.0, 61.0]]]) + node_offsets(15)
+
+    def noisy(std: float) -> Alignment:
+        image = np.clip(first + rng.normal(0.0, std, first.shape), 0, 255).round().astype(np.uint8)
+        return align(image, patches, nodes, 0.75)
+
+    matches = [noisy(8.0) for _ in range(200)]
+    told = np.mean([match.twist_std_rad for match in matches])
+    assert told == pytest.approx(np.std([match.twist_rad for match in matches]), rel=0.35)
+    assert noisy(1.0).twist_std_rad < 0.3 * told
+    assert math.isinf(align(np.zeros_like(first), patches, nodes, 0.75).twist_std_rad)
+
+
 def test_gain_offset_and_gradient_of_the_brightness_do_not_shift_a_patch() -> None:
     patches = extract_patches(smooth_image(), np.array([[60, 60]]), 15)
     slope = 0.4 * (np.arange(121) - 60.0)

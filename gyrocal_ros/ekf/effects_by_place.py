@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, changed
+from gyrocal_ros.ekf.state import YAW
 from gyrocal_ros.model.features.base import PosedCamera, Prediction
 from gyrocal_ros.model.gyro import Correction
 from gyrocal_ros.model.kinematics import PoseStep
@@ -23,6 +24,21 @@ from gyrocal_ros.model.sensor import (
     WheelEffect,
     placed,
 )
+
+TURN_CHANGE_S = 0.02
+"""Time before an image over which the yaw acceleration is averaged: about that of a readout."""
+DELAY_STEPS = 2
+"""Newton's steps for the time at which a row meets a feature; the first one is exact at constant speed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseMotion:
+    """How the pose of the robot changes about the moment of an image."""
+
+    rate: Array
+    """(6,)"""
+    acceleration: Array
+    """(6,)"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,6 +145,18 @@ def pose_by_values(motion: PoseStep, yaw_gain: Array, contribution: MotionContri
     return by_values
 
 
+def pose_motion(motion: PoseStep, block: MotionBlock) -> PoseMotion:
+    """Return the motion at the end of a block; of the accelerations only that of the heading counts.
+
+    It is the nominal one: an error of the scale factor by a tenth changes little.
+    """
+    until_end_s = block.dt_s[::-1].cumsum()[::-1] - block.dt_s
+    within_s = np.clip(max(TURN_CHANGE_S, block.dt_s[-1]) - until_end_s, 0.0, block.dt_s)
+    acceleration = np.zeros(6)
+    acceleration[YAW] = within_s @ block.yaw_acceleration_rad_s2 / within_s.sum()
+    return PoseMotion(motion.pose_rate, acceleration)
+
+
 def true_camera(
     effects: EffectsByPlace, camera: CameraIntrinsics, mount: Mount, values: Array
 ) -> tuple[CameraIntrinsics, Mount]:
@@ -139,27 +167,34 @@ def true_camera(
 
 
 def as_exposed(
-    effects: EffectsByPlace, view: PosedCamera, prediction: Prediction, pose_rate: Array, values: Array
+    effects: EffectsByPlace, view: PosedCamera, prediction: Prediction, motion: PoseMotion, values: Array
 ) -> Prediction:
-    """Move predicted pixels to where they are when their rows are exposed: by velocity times delay.
+    """Move predicted pixels to where they are when their rows are exposed.
+
+    A turn begins and ends within a few images. With a constant rate during the readout its images would seem
+    ahead as it begins and behind as it ends, and the scale factor would be too small.
 
     Args:
         effects: effects; those on the shutter act here.
         view: the camera at the stamp of the image.
         prediction: m features as seen by it at one moment.
-        pose_rate: (6,) rate of the robot's pose.
+        motion: of the robot at that moment.
         values: (K,)
     """
     if not effects.shutter:
         return prediction
-    velocity = prediction.by_pose @ pose_rate
-    readout_s, pace = _readout(effects, view, velocity, values)
-    delay_s = readout_s * _rows(view, prediction.expected) / pace
-    return changed(prediction, expected=prediction.expected + velocity * delay_s[:, None])
+    velocity, acceleration = prediction.by_pose @ motion.rate, prediction.by_pose @ motion.acceleration
+    readout_s, seen = _readout_s(effects, values), prediction.expected
+    delay_s = np.zeros((len(seen), 1))
+    for _ in range(DELAY_STEPS):
+        behind_s = readout_s * _rows(view, seen) - delay_s[:, 0]
+        delay_s[:, 0] += behind_s / _pace(view, velocity + acceleration * delay_s, readout_s)
+        seen = prediction.expected + (velocity + 0.5 * acceleration * delay_s) * delay_s
+    return changed(prediction, expected=seen)
 
 
 def measurement_by_values(
-    effects: EffectsByPlace, view: PosedCamera, prediction: Prediction, pose_rate: Array, values: Array
+    effects: EffectsByPlace, view: PosedCamera, prediction: Prediction, motion: PoseMotion, values: Array
 ) -> Array:
     """Return the derivative (m, 2, K) of predicted pixels with respect to the coefficients.
 
@@ -167,7 +202,7 @@ def measurement_by_values(
         effects: effects; those on gyro, wheels and ground do not act here.
         view: the camera.
         prediction: m features as seen by it, as exposed.
-        pose_rate: (6,) rate of the robot's pose at that moment.
+        motion: of the robot at that moment.
         values: (K,)
     """
     by_values = np.zeros((len(prediction.points_c), 2, effects.count))
@@ -182,26 +217,30 @@ def measurement_by_values(
     )
     for effect, place in effects.camera:
         by_values[:, :, place] = effect.pixels_by_values(seen, values[place])
-    velocity = prediction.by_pose @ pose_rate
+    velocity = prediction.by_pose @ motion.rate
     for _, place in effects.time:
         by_values[:, :, place] = -velocity[:, :, None]
     if effects.shutter:
-        _, pace = _readout(effects, view, velocity, values)
-        by_readout = velocity * (_rows(view, prediction.expected) / pace)[:, None]
+        readout_s, rows = _readout_s(effects, values), _rows(view, prediction.expected)
+        velocity = velocity + prediction.by_pose @ motion.acceleration * (readout_s * rows)[:, None]
+        by_readout = velocity * (rows / _pace(view, velocity, readout_s))[:, None]
         for shutter_effect, place in effects.shutter:
             by_values[:, :, place] = by_readout[:, :, None] * shutter_effect.readout_s(values[place])[1]
     return by_values
 
 
-def _readout(
-    effects: EffectsByPlace, view: PosedCamera, velocity: Array, values: Array
-) -> tuple[float, Array]:
-    """Return the time from the first row to the last, and the pace (m,) at which it overtakes each feature.
+def _readout_s(effects: EffectsByPlace, values: Array) -> float:
+    """Return the time from the first row of an image to the last one."""
+    return sum(effect.readout_s(values[place])[0] for effect, place in effects.shutter)
 
-    The pace is 1 for a feature that stays in its row, and less for one that moves along with the shutter.
+
+def _pace(view: PosedCamera, velocity: Array, readout_s: float) -> Array:
+    """Return the pace (m,) at which the shutter overtakes features of a velocity (m, 2) in the image.
+
+    It is 1 for a feature that stays in its row, and less for one that moves along with the shutter.
     """
-    readout_s = sum(effect.readout_s(values[place])[0] for effect, place in effects.shutter)
-    return readout_s, 1.0 - velocity[:, 1] * readout_s / view.camera.height_px
+    pace: Array = 1.0 - velocity[:, 1] * readout_s / view.camera.height_px
+    return pace
 
 
 def _rows(view: PosedCamera, pixels: Array) -> Array:

@@ -11,6 +11,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
 from gyrocal_ros.ekf.effects_by_place import (
     EffectsByPlace,
+    PoseMotion,
     as_exposed,
     first_sight_by_values,
     measurement_by_values,
@@ -60,8 +61,8 @@ class ImageModel:
     """Effects that the model lacks."""
     scored: int
     """Number of their coefficients, the first ones, whose scores by feature are wanted."""
-    pose_rate: Array
-    """(6,) rate of the robot's pose."""
+    motion: PoseMotion
+    """Of the robot at the stamp of the image."""
     interval_s: float
     """Time since a feature of the map was seen last."""
     errors_repeat: bool
@@ -70,7 +71,7 @@ class ImageModel:
     def predict(self, state: State, parameters: Array, anchors: Anchors) -> Prediction:
         """Predict the measurements of features (m, 3)."""
         prediction = self.form.predict(self.view, parameters, anchors)
-        return as_exposed(self.effects, self.view, prediction, self.pose_rate, state.coefficients)
+        return as_exposed(self.effects, self.view, prediction, self.motion, state.coefficients)
 
     def by_values(self, prediction: Prediction, values: Array) -> Array | None:
         """Return the derivative (m, r, k) of a prediction by the coefficients (k,)."""
@@ -244,7 +245,7 @@ def _image_derivative(
 ) -> Array | None:
     if not effects.act_on_images:
         return None
-    return measurement_by_values(effects, model.view, prediction, model.pose_rate, values)
+    return measurement_by_values(effects, model.view, prediction, model.motion, values)
 
 
 def _at_first_sight(prediction: Prediction, by_values: Array | None) -> Array | None:

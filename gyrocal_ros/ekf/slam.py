@@ -23,7 +23,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
-from gyrocal_ros.ekf.effects_by_place import sort_effects, true_camera
+from gyrocal_ros.ekf.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
@@ -109,7 +109,7 @@ class EkfSlam:
         self.memories = self._effects.no_memories()
         """Memories of the gyro effects at the present state."""
         self._candidate_memories = self._candidates.no_memories()
-        self._pose_rate: Array = np.zeros(6)
+        self._motion = PoseMotion(np.zeros(6), np.zeros(6))
         self._rest, self._map_watch, self._motion_gate = RestDetector(), MapWatch(), MotionGate()
         self._steady, self._frozen = SteadyRate(), FrozenCamera()
         self._heading = HeadingReference(config.reference, config.gyro)
@@ -151,7 +151,7 @@ class EkfSlam:
             model = changed(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
         self.state, transition = predict(before, block, model, self.memories, steady)
         self.memories = transition.contribution.correction.memories
-        self._pose_rate = transition.motion.pose_rate
+        self._motion = pose_motion(transition.motion, block)
         self.state, self._candidate_memories = predict_sensitivity(
             self.state, transition, steady, self._candidates, self._candidate_memories
         )
@@ -173,7 +173,7 @@ class EkfSlam:
         # Measurement update: eqs. (12) to (14), or a heading; new features join the map: eqs. (15) to (22).
         if isinstance(seen, HeadingSample):
             self.state, update = self._heading.update(
-                self.state, seen, self._effects, self._candidates, self._pose_rate
+                self.state, seen, self._effects, self._candidates, self._motion.rate
             )
             event = update.event
         elif seen is not None and self._frozen.repeats(seen):
@@ -262,7 +262,7 @@ class EkfSlam:
             effects=self._effects,
             candidates=self._candidates,
             scored=self._own_candidates,
-            pose_rate=self._pose_rate,
+            motion=self._motion,
             interval_s=seconds(self.state.t_ns - int(self.state.landmarks.last_seen_ns.max(initial=0))),
             errors_repeat=self._errors_repeat(),
         )

@@ -7,6 +7,7 @@ previous image. Recordings are processed in exactly the same way.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +31,7 @@ from gyrocal_ros.vision.tracker import Tracker
 TURN_GAIN_STD, TURN_BIAS_STD_RAD_S = 0.1, 0.02
 """Prior standard deviations of the error of a nominal turn: relative, and as a rate."""
 TWIST_STD_RAD = 1e-3
-"""Standard deviation of the measured turn between two images."""
+"""Standard deviation of the measured turn between two images, beyond the noise of the patches."""
 FLOW_STD_PX_S = 10.0
 """Standard deviation of the change of the image motion since the last two images."""
 MIN_COMMON = 3
@@ -49,6 +50,8 @@ class _TrackedImage:
     """Yaw by the uncorrected gyro."""
     yaw_error_rad: float
     """Corrected yaw minus the yaw of the images, since the start."""
+    yaw_error_std_rad: float
+    """Its standard deviation by the noise of the patches."""
 
 
 class GyroAidedTracker:
@@ -115,7 +118,10 @@ class GyroAidedTracker:
             None if euler is None else self._propagated_regions(frame.t_ns, R_wc, yaw_rad, nominal_yaw_rad)
         )
         seen = self._tracker.track(frame, R_wc, self.expected)
-        image = _TrackedImage(seen, R_wc, yaw_rad, nominal_yaw_rad, self._tracker.yaw_error_rad)
+        tracker = self._tracker
+        image = _TrackedImage(
+            seen, R_wc, yaw_rad, nominal_yaw_rad, tracker.yaw_error_rad, tracker.yaw_error_std_rad
+        )
         if last:
             self._update_gain_and_bias(last, image)
         self._last = image
@@ -124,7 +130,8 @@ class GyroAidedTracker:
     def _update_gain_and_bias(self, last: _TrackedImage, image: _TrackedImage) -> None:
         """Estimate the image motion and the gain and bias of the gyro from two images.
 
-        Gain and bias are recursive least-squares estimates over all turns, with their priors.
+        Gain and bias are recursive least-squares estimates over all turns, with their priors. A turn counts
+        by the noise of the patches: a gain by faint ones would lose all features for the rest of a turn.
         """
         dt_s = seconds(image.seen.t_ns - last.seen.t_ns)
         _, before, now = np.intersect1d(last.seen.ids, image.seen.ids, return_indices=True)
@@ -133,8 +140,9 @@ class GyroAidedTracker:
             return
         moved = self._to_ceiling(image, now) - self._to_ceiling(last, before)
         self._flow_1_s = np.median(moved, axis=0) / dt_s
-        turn = np.array([image.nominal_yaw_rad - last.nominal_yaw_rad, dt_s]) / TWIST_STD_RAD
-        residual = (image.yaw_error_rad - last.yaw_error_rad) / TWIST_STD_RAD
+        std_rad = math.hypot(TWIST_STD_RAD, last.yaw_error_std_rad, image.yaw_error_std_rad)
+        turn = np.array([image.nominal_yaw_rad - last.nominal_yaw_rad, dt_s]) / std_rad
+        residual = (image.yaw_error_rad - last.yaw_error_rad) / std_rad
         self._information = self._information + np.outer(turn, turn)
         self._gain_and_bias = self._gain_and_bias - np.linalg.solve(self._information, turn * residual)
 

@@ -76,6 +76,8 @@ class Alignment:
     """(n, 2) positions of the centres of the patches."""
     twist_rad: float
     """Rotation of all patches beyond the predicted one, from image u towards v."""
+    twist_std_rad: float
+    """Its standard deviation, by structure and residual of the patches; infinite where none is good."""
     correlation: Array
     """(n,) correlation of patch and image, -1 to 1."""
     backward_px: Array
@@ -165,10 +167,26 @@ def align(image: NDArray[np.uint8], patches: Patches, nodes: Array, min_correlat
             break
     pixels = nodes[:, NODE_CENTRE] + (shift[:, None, :] @ by_pixel)[:, 0]
     backward_px = _backward_shift(current, patches.template)
-    return Alignment(pixels, twist, correlation, backward_px, _covariances(patches, correlation, by_pixel))
+    variance = _noise_variance(patches, correlation)
+    covariances = _covariances(patches, variance, by_pixel)
+    return Alignment(pixels, twist, _twist_std(variance, weight), correlation, backward_px, covariances)
 
 
-def _covariances(patches: Patches, correlation: Array, by_pixel: Array) -> Array:
+def _noise_variance(patches: Patches, correlation: Array) -> Array:
+    """Return the variance (n,) of the white noise of aligned patches, grey^2, by their correlations (n,)."""
+    dof = patches.template.shape[1] - FITTED
+    residual = patches.contrast * (1.0 / np.maximum(correlation, MIN_CORRELATION) ** 2 - 1.0) / dof
+    variance: Array = SMOOTHING * residual
+    return variance
+
+
+def _twist_std(variance: Array, weight: Array) -> float:
+    """Return the standard deviation of the mean of the rotations of patches with these weights (n,)."""
+    total = float(weight.sum())
+    return float(np.sqrt(weight @ variance)) / total if total > 0.0 else np.inf
+
+
+def _covariances(patches: Patches, variance: Array, by_pixel: Array) -> Array:
     """Return the covariances (n, 2, 2) of the positions of aligned patches.
 
     White noise of the image gives the covariance of a least-squares shift. Errors of the warp, of the lens
@@ -176,13 +194,11 @@ def _covariances(patches: Patches, correlation: Array, by_pixel: Array) -> Array
 
     Args:
         patches: n patches.
-        correlation: (n,) their correlations.
+        variance: (n,) of their noise.
         by_pixel: (n, 2, 2) derivative of the pixels by u, v of the patch.
     """
-    dof = patches.template.shape[1] - FITTED
-    residual = patches.contrast * (1.0 / np.maximum(correlation, MIN_CORRELATION) ** 2 - 1.0) / dof
     in_patch = patches.to_shift @ patches.to_shift.transpose(0, 2, 1)
-    own = by_pixel.transpose(0, 2, 1) @ (SMOOTHING * residual[:, None, None] * in_patch) @ by_pixel
+    own = by_pixel.transpose(0, 2, 1) @ (variance[:, None, None] * in_patch) @ by_pixel
     covariances: Array = own + MATCHING_PX**2 * np.eye(2)
     return covariances
 

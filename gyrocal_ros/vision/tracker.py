@@ -141,7 +141,7 @@ class Tracker:
         self._next_id = first_id
         self._last_ns = -1
         self._frames_to_detection = 0
-        self._yaw_error_rad = 0.0  # see `yaw_error_rad`
+        self._yaw_error_rad = self._yaw_error_std_rad = 0.0  # see `yaw_error_rad`
         self._view, self._marks = ViewChange(), LensMarks()
         dark = np.zeros((camera.height_px, camera.width_px), np.uint8)
         self._features = self._new_features(Frame(0, dark), np.eye(3), np.zeros((0, 2), np.intp))
@@ -150,6 +150,11 @@ class Tracker:
     def yaw_error_rad(self) -> float:
         """Yaw of the given attitudes minus the yaw of the images, since the first image."""
         return self._yaw_error_rad
+
+    @property
+    def yaw_error_std_rad(self) -> float:
+        """Standard deviation of `yaw_error_rad`: patches almost without texture hardly show a rotation."""
+        return self._yaw_error_std_rad
 
     def track(self, frame: Frame, R_wc: Array, regions: SearchRegions | None) -> FeatureObservations:
         """Find the known features in an image, and new ones if there are too few.
@@ -288,6 +293,7 @@ class Tracker:
             )
             if good.any():
                 self._yaw_error_rad += result.twist_rad
+                self._yaw_error_std_rad = result.twist_std_rad
             moved_px = np.linalg.norm(result.pixels - starts, axis=1)
             if not (moved_px[good] > MAX_WARP_SHIFT_PX).any():
                 break

@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from gyrocal_ros.diagnose.elimination import without_harm
 from gyrocal_ros.diagnose.examined import Calibrate
 from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
+from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
 from gyrocal_ros.diagnose.learning import learn
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.search import try_effect
@@ -41,6 +42,7 @@ from gyrocal_ros.report.describe import (
     status_line,
     with_std,
 )
+from gyrocal_ros.report.laws import law_in_words
 
 EXAMPLE = """gyrocal improve my_bag -o improved
 gyrocal improve my_bag --model model.yaml -o improved
@@ -75,10 +77,12 @@ def run(args: argparse.Namespace) -> None:
     with result_folder(args) as folder:
         runs = open_bag_runs(args, model)
         recorded, calibrate = summarise_recording(runs.source), announced(runs)
+        laws: list[LearnedLaw] = []
         if effect is None:
             searched = find_missing(model, recorded, calibrate)
             if args.learn:
-                searched = learn(searched, recorded, calibrate).searched
+                learned = learn(searched, recorded, calibrate)
+                searched, laws = learned.searched, learned.laws
             else:
                 searched = without_harm(searched, recorded, calibrate)
         else:
@@ -89,13 +93,14 @@ def run(args: argparse.Namespace) -> None:
             from gyrocal_ros.report.improvement import improvement_sections
             from gyrocal_ros.report.write import fill_improvement
 
-            fill_improvement(folder, improved, runs.issues)
-            draw_if_requested(args.png, folder, improvement_sections(improved))
+            fill_improvement(folder, improved, runs.issues, laws)
+            draw_if_requested(args.png, folder, improvement_sections(improved, laws))
             print_if_requested(args.pdf, folder)
     if args.json:
-        print_json(summarise_improvement(improved) | {'wall_s': time.perf_counter() - began_s})
+        summary = summarise_improvement(improved) | ({'learned': summarise_laws(laws)} if args.learn else {})
+        print_json(summary | {'wall_s': time.perf_counter() - began_s})
     else:
-        print('\n'.join([*as_text(improved), *files_as_text(args.out, improved)]))
+        print('\n'.join([*as_text(improved), *laws_as_text(laws), *files_as_text(args.out, improved)]))
 
 
 def _requested_effect(name: str | None, model: SensorModel) -> Effect | None:
@@ -130,6 +135,14 @@ def as_text(improved: Improvement) -> Iterator[str]:
     structure = improved.final.examined.unexplained_structure
     if structure is not None:
         yield missing_sentence({}, structure)
+
+
+def laws_as_text(laws: Sequence[LearnedLaw]) -> Iterator[str]:
+    """Yield what was learned, with closed forms, in lines of text."""
+    if laws:
+        yield ''
+    for law in laws:
+        yield from law_in_words(law)
 
 
 def files_as_text(out: Path | None, improved: Improvement) -> Iterator[str]:

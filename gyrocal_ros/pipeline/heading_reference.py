@@ -25,7 +25,6 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.ekf.motion import GAP_NS, PAUSE_NS
 from gyrocal_ros.ekf.reference_bank import NoiseFit
-from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import NotObservableError
@@ -43,7 +42,7 @@ from gyrocal_ros.statistics import robust_std
 OFFSETS_S = np.arange(-0.5, 0.501, 0.02)
 """Time offsets that are tried first; the maximum-likelihood fit begins at the best."""
 OFFSET_PASSES = 3
-"""Maximum-likelihood fits, each at the time offset of the one before."""
+"""Maximum-likelihood fits, each near the scale factor and the time offset of the one before."""
 TURN_S, TRIMMED_FITS, TRIM_SIGMA = 1.0, 4, 3.0
 """Length of the turns that are compared, and number of fits, each without the outliers of the one before."""
 MIN_HEADINGS = 10
@@ -211,11 +210,12 @@ def _fit_noise_and_offset(
         estimate: scale factor and bias (rad/s), roughly.
         gyro: noise of the gyro.
     """
-    noise: ReferenceNoise | None = None
+    fitted: NoiseFit | None = None
     for _ in range(OFFSET_PASSES):
-        fitted = fit_noise(_track(readings, offset_s, estimate), gyro, noise)
-        noise, estimate = fitted.noise, (fitted.scale_factor, fitted.bias_rad_s)
+        fitted = fit_noise(_track(readings, offset_s, estimate), gyro, fitted)
+        estimate = fitted.scale_factor, fitted.bias_rad_s
         offset_s += fitted.time_offset_s
+    assert fitted is not None
     return fitted, offset_s
 
 

@@ -36,6 +36,7 @@ from gyrocal_ros.pipeline.reference_smoothing import (
     turned_rad,
     with_true_headings,
 )
+from gyrocal_ros.pipeline.rest_noise import with_rest_noise
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
 from gyrocal_ros.statistics import robust_std
 
@@ -127,9 +128,8 @@ def calibrate_by_heading(
     fitted = fit_reference(source.measurements(), source.name, config)
     correction = fitted.time_offset_s, fitted.time_constant_s, fitted.scale_factor
     stream = with_true_headings(source.measurements(), *correction)
-    run = run_filter(
-        source, stream, with_noise(config, fitted), model, start, report, candidates, follows_changes
-    )
+    known = with_rest_noise(with_noise(config, fitted), source.measurements())
+    run = run_filter(source, stream, known, model, start, report, candidates, follows_changes)
     return replace(run, events=(*run.events, *_reference_events(fitted, source.span, run)))
 
 

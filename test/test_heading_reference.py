@@ -24,7 +24,7 @@ from gyrocal_ros.sim.world import SimSource
 
 SCALE_FACTOR, BIAS_RAD_S = 0.94, math.radians(0.3)
 IMU_HZ, REFERENCE_HZ, DURATION_S = 50.0, 5.0, 80.0
-NOISE_RAD = math.radians(0.1)
+NOISE_RAD, JUMP_DEG = math.radians(0.1), 3.0
 
 Rate = Callable[[Array], Array]
 Present = Callable[[Array], NDArray[np.bool_]]
@@ -122,6 +122,25 @@ def test_a_pause_of_the_gyro_hides_only_the_turn_within() -> None:
     assert math.degrees(found.residual_rms_rad) < 1.0
     assert found.scale_factor == pytest.approx(SCALE_FACTOR, rel=2e-3)
     assert found.bias_rad_s == pytest.approx(BIAS_RAD_S, abs=2e-3)
+
+
+@pytest.mark.parametrize('before_s', [0.0, 0.3, 0.8])
+def test_a_jump_just_before_the_first_turn_is_no_random_walk(before_s: float) -> None:
+    """Nothing then tells it from an error of the scale factor but the turns that follow."""
+
+    def first_at_rest(time_s: Array) -> Array:
+        return np.where(time_s < 10.0, 0.0, turning(time_s))
+
+    samples = recorded(first_at_rest)
+    jumped = [
+        replace(item, yaw_rad=item.yaw_rad + math.radians(JUMP_DEG))
+        if isinstance(item, HeadingSample) and item.t_ns >= (10.0 - before_s) * NS_PER_S
+        else item
+        for item in samples
+    ]
+    still, found = (fit_reference(items, 'a recording') for items in (samples, jumped))
+    assert found.walk_rad < 2.0 * still.walk_rad
+    assert found.scale_factor == pytest.approx(SCALE_FACTOR, rel=3e-3)
 
 
 def test_the_fit_goes_on_after_a_step_of_the_clock() -> None:

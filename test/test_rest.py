@@ -15,6 +15,7 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.rest import PRIOR_WINDOWS, RestDetector, RestNoise
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.pipeline.heading_reference import for_reference
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -94,15 +95,19 @@ def test_readings_that_repeat_do_not_show_the_noise() -> None:
     assert rest_noise(0.1 * USUAL_RAD_S, math.radians(0.1)).density_rad_s == pytest.approx(USUAL_RAD_S)
 
 
-def test_a_first_rest_has_the_noise_of_the_settings() -> None:
-    """What the robot sways is learned: it is not in the noise beforehand."""
+@pytest.mark.parametrize('learns', [False, True])
+def test_a_first_rest_has_the_noise_of_the_settings(learns: bool) -> None:
+    """That of the gyro where it is learned: what the robot sways is not in it beforehand."""
+    config = replace(Config(), rest=replace(Config().rest, rate_noise_deg_s=0.02))
+    config = for_reference(config) if learns else config
     calm = replace(eventful_block(100), distance_m=np.zeros(100), wheels_at_rest=True)
     gravity = np.tile([0.0, 0.0, 9.8], (100, 1))
     calm = replace(calm, rate_rad_s=np.zeros((100, 3)), specific_force_m_s2=gravity)
-    slam = EkfSlam(default_model(), Config(), replace(SimSource(find_scenario('lanes'), 0).rig, camera=None))
+    slam = EkfSlam(default_model(), config, replace(SimSource(find_scenario('lanes'), 0).rig, camera=None))
     slam.start_at(calm.start_ns)
     slam.step(calm)
-    expected = Config().gyro.rate_noise_deg_s / math.sqrt(calm.duration_s)
+    usual = config.gyro if learns else config.rest
+    expected = usual.rate_noise_deg_s / math.sqrt(calm.duration_s)
     found = math.degrees(math.sqrt(slam.state.covariance[YAW_BIAS, YAW_BIAS]))
     assert found == pytest.approx(expected, rel=0.05)
 

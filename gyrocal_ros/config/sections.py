@@ -197,6 +197,14 @@ class RestConfig:
         high=5.0,
         live=True,
     )
+    rate_noise_deg_s: float = setting(
+        0.0075,
+        'deg/s/sqrt(Hz)',
+        'white noise density of the yaw rate at rest, sway included, beside a heading reference; that of a '
+        'recording is measured, and a robot learns it',
+        low=1e-6,
+        high=100.0,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,9 @@ from gyrocal_ros.kernels import compiled
 PRIOR_STDS = (math.pi, math.radians(5.0), 0.2, 0.05)
 """Prior standard deviations: heading (rad), bias (rad/s), scale factor, time offset (s)."""
 HEADING, BIAS, SCALE, OFFSET = range(4)
+KNOWN_SIGMA = 10.0
+"""Prior standard deviations of what an earlier fit to the same headings found, in its own: wide enough that
+they hardly count twice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,15 +67,18 @@ class ReferenceBank:
     Args:
         noise: the alternatives.
         gyro: noise of the gyro; its white noise is part of the random walk of the alternatives.
+        near: an earlier fit to the same headings. Without one a jump just before the first turn passes for an
+            error of scale factor or time offset, and what follows for a random walk.
     """
 
-    def __init__(self, noise: ReferenceNoise, gyro: GyroConfig) -> None:
+    def __init__(self, noise: ReferenceNoise, gyro: GyroConfig, near: NoiseFit | None = None) -> None:
         columns = (noise.white_rad, noise.walk_rad, noise.tail_dof, noise.stamp_s)
         self._noise = ReferenceNoise(*(np.array(column, float) for column in np.broadcast_arrays(*columns)))
         self._bias_walk = math.radians(gyro.bias_walk_deg_s) ** 2
         self._gap_rate = math.radians(gyro.gap_rate_std_deg_s)
         count = len(np.atleast_1d(self._noise.white_rad))
-        self._mean, self._P = np.zeros((count, 4)), np.tile(np.diag(np.square(PRIOR_STDS)), (count, 1, 1))
+        mean, stds = _prior(near)
+        self._mean, self._P = np.tile(mean, (count, 1)), np.tile(np.diag(np.square(stds)), (count, 1, 1))
         self._log_likelihood, self._outlying = np.zeros(count), np.zeros(count)
         self._jumps = JumpDetector(count)
         self._elapsed_s, self._seen_jumps = 0.0, list[tuple[float, NDArray[np.bool_]]]()
@@ -139,6 +145,20 @@ class ReferenceBank:
         return NoiseFit(
             self._noise.alternative(best), likelihood, self._mean[best].copy(), self._P[best].copy(), jumps_s
         )
+
+
+def _prior(near: NoiseFit | None) -> tuple[Array, Array]:
+    """Return means and standard deviations (4,) of the states before the first heading.
+
+    Scale factor and time offset, which do not change, are near those of an earlier fit; its time offset has
+    been corrected.
+    """
+    mean, stds = np.zeros(4), np.array(PRIOR_STDS)
+    if near is not None:
+        mean[SCALE] = near.mean[SCALE]
+        known = KNOWN_SIGMA * np.sqrt(np.diag(near.covariance))
+        stds[[SCALE, OFFSET]] = np.minimum(stds, known)[[SCALE, OFFSET]]
+    return mean, stds
 
 
 @compiled

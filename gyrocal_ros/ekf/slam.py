@@ -113,7 +113,8 @@ class EkfSlam:
         self._rest, self._map_watch, self._motion_gate = RestDetector(), MapWatch(), MotionGate()
         self._steady, self._frozen = SteadyRate(), FrozenCamera()
         self._heading = HeadingReference(config.reference, config.gyro)
-        self._rest_noise = RestNoise(math.radians(config.gyro.rate_noise_deg_s))
+        at_first = config.gyro if config.reference.estimate_noise else config.rest
+        self._rest_noise = RestNoise(math.radians(at_first.rate_noise_deg_s))
         self._levelling: Levelling | None = None
         if rig.camera is None:
             self._levelling, self.state = Levelling(), unlevelled(self.state)
@@ -145,7 +146,8 @@ class EkfSlam:
         if self._levelling is not None:
             if is_at_rest:  # images see the sway between them; beside headings it is noise of the gyro
                 gyro, sway = self._rest_noise.split(gyro, sway_rad, block.duration_s)
-            self._rest_noise.add(block, is_at_rest=is_at_rest)
+            if self.config.reference.estimate_noise:
+                self._rest_noise.add(block, is_at_rest=is_at_rest)
         model = FilterModel(self.model, self._effects, gyro, self.config.wheels)
         if self._levelling is not None:
             model = changed(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))

@@ -25,7 +25,6 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.ekf.motion import GAP_NS, PAUSE_NS
 from gyrocal_ros.ekf.reference_bank import NoiseFit
-from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import NotObservableError
@@ -37,13 +36,14 @@ from gyrocal_ros.pipeline.reference_smoothing import (
     turned_rad,
     with_true_headings,
 )
+from gyrocal_ros.pipeline.rest_noise import with_rest_noise
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
 from gyrocal_ros.statistics import robust_std
 
 OFFSETS_S = np.arange(-0.5, 0.501, 0.02)
 """Time offsets that are tried first; the maximum-likelihood fit begins at the best."""
 OFFSET_PASSES = 3
-"""Maximum-likelihood fits, each at the time offset of the one before."""
+"""Maximum-likelihood fits, each near the scale factor and the time offset of the one before."""
 TURN_S, TRIMMED_FITS, TRIM_SIGMA = 1.0, 4, 3.0
 """Length of the turns that are compared, and number of fits, each without the outliers of the one before."""
 MIN_HEADINGS = 10
@@ -128,9 +128,8 @@ def calibrate_by_heading(
     fitted = fit_reference(source.measurements(), source.name, config)
     correction = fitted.time_offset_s, fitted.time_constant_s, fitted.scale_factor
     stream = with_true_headings(source.measurements(), *correction)
-    run = run_filter(
-        source, stream, with_noise(config, fitted), model, start, report, candidates, follows_changes
-    )
+    known = with_rest_noise(with_noise(config, fitted), source.measurements())
+    run = run_filter(source, stream, known, model, start, report, candidates, follows_changes)
     return replace(run, events=(*run.events, *_reference_events(fitted, source.span, run)))
 
 
@@ -211,11 +210,12 @@ def _fit_noise_and_offset(
         estimate: scale factor and bias (rad/s), roughly.
         gyro: noise of the gyro.
     """
-    noise: ReferenceNoise | None = None
+    fitted: NoiseFit | None = None
     for _ in range(OFFSET_PASSES):
-        fitted = fit_noise(_track(readings, offset_s, estimate), gyro, noise)
-        noise, estimate = fitted.noise, (fitted.scale_factor, fitted.bias_rad_s)
+        fitted = fit_noise(_track(readings, offset_s, estimate), gyro, fitted)
+        estimate = fitted.scale_factor, fitted.bias_rad_s
         offset_s += fitted.time_offset_s
+    assert fitted is not None
     return fitted, offset_s
 
 

@@ -23,9 +23,8 @@ STAMPS_S = (0.0, 0.004, 0.016, 0.064)
 """Standard deviations of the stamps that are tried; a fine grid has three."""
 COARSE_POINTS, FINE_POINTS = 9, 5
 """Points of a grid in white noise and in random walk; a fine one spans two steps of the one before."""
-NEAR_SIZE, FINEST_SIZE, MAX_GRIDS = 0.25, 0.125, 12
-"""Half the size of the first grid near a known noise and of the finest, in steps of the coarse one, and
-largest number of fine grids."""
+FINEST_SIZE, MAX_GRIDS = 0.125, 12
+"""Half the size of the finest grid, in steps of the coarse one, and largest number of fine grids."""
 TINY = 1e-9
 """Rounding error of a logarithm."""
 WALK_POINTS = 40
@@ -60,7 +59,7 @@ class HeadingTrack:
         )
 
 
-def fit_noise(track: HeadingTrack, gyro: GyroConfig, near: ReferenceNoise | None = None) -> NoiseFit:
+def fit_noise(track: HeadingTrack, gyro: GyroConfig, near: NoiseFit | None = None) -> NoiseFit:
     """Find the likeliest noise on grids in its parameters, each finer than the last.
 
     A grid whose best lies at its edge is moved there before a finer one. The coarse grid has the heaviest
@@ -69,27 +68,28 @@ def fit_noise(track: HeadingTrack, gyro: GyroConfig, near: ReferenceNoise | None
     Args:
         track: the headings.
         gyro: noise of the gyro.
-        near: noise near the likeliest; None to search everywhere.
+        near: an earlier fit to the same headings, whose time offset they are corrected by. Its noise is not
+            used: it may have taken a jump for a random walk.
     """
     track = track.thinned(MAX_HEADINGS)
     (log_white, white_step), (log_walk, walk_step) = (
         np.linspace(math.log(low), math.log(high), COARSE_POINTS, retstep=True)
         for low, high in (np.radians(WHITE_DEG), np.radians(WALK_DEG))
     )
-    noise, size = near, NEAR_SIZE
-    if noise is None:
-        noise, size = _likeliest(track, grid(log_white, log_walk, TAIL_DOFS[:1], STAMPS_S), gyro).noise, 1.0
+    coarse = grid(log_white, log_walk, TAIL_DOFS[:1], STAMPS_S)
+    best, size = _filtered(track, coarse, gyro, near).likeliest(), 1.0
     for _ in range(MAX_GRIDS):
+        noise = best.noise
         steps = size * np.linspace(-1.0, 1.0, FINE_POINTS)
         white = math.log(noise.white_rad) + white_step * steps
         walk = math.log(noise.walk_rad) + walk_step * steps
         stamps_s = np.unique(float(noise.stamp_s) * 2.0 ** (size * np.array([-1.0, 0.0, 1.0]))).tolist()
-        best = _likeliest(track, grid(white, walk, TAIL_DOFS, stamps_s), gyro)
-        noise, is_inside = best.noise, _is_inside(best.noise, white, walk)
+        best = _filtered(track, grid(white, walk, TAIL_DOFS, stamps_s), gyro, near).likeliest()
+        is_inside = _is_inside(best.noise, white, walk)
         if is_inside and size <= FINEST_SIZE:
             break
         size *= 0.5 if is_inside else 1.0
-    return replace(best, noise=_mean_noise(track, noise, gyro))
+    return replace(best, noise=_mean_noise(track, best.noise, gyro, near))
 
 
 def _is_inside(noise: ReferenceNoise, log_white: Array, log_walk: Array) -> bool:
@@ -102,13 +102,15 @@ def _is_inside(noise: ReferenceNoise, log_white: Array, log_walk: Array) -> bool
     )
 
 
-def _mean_noise(track: HeadingTrack, likeliest: ReferenceNoise, gyro: GyroConfig) -> ReferenceNoise:
+def _mean_noise(
+    track: HeadingTrack, likeliest: ReferenceNoise, gyro: GyroConfig, near: NoiseFit | None
+) -> ReferenceNoise:
     """Return the likeliest noise with the mean random walk, as far as the track tells."""
     low_deg, high_deg = WALK_DEG
     walk = np.linspace(math.log(math.radians(low_deg)), math.log(math.radians(high_deg)), WALK_POINTS)
     white = np.log([float(likeliest.white_rad)])
     noise = grid(white, walk, (float(likeliest.tail_dof),), (float(likeliest.stamp_s),))
-    return _filtered(track, noise, gyro).mean_noise()
+    return _filtered(track, noise, gyro, near).mean_noise()
 
 
 def log_likelihood_of(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> float:
@@ -119,14 +121,11 @@ def log_likelihood_of(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConf
     return _filtered(track.thinned(MAX_HEADINGS), known, gyro).likeliest().log_likelihood
 
 
-def _likeliest(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> NoiseFit:
-    """Return the likeliest of m alternatives of the noise."""
-    return _filtered(track, noise, gyro).likeliest()
-
-
-def _filtered(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> ReferenceBank:
-    """Filter a track with m alternatives of the noise."""
-    bank = ReferenceBank(noise, gyro)
+def _filtered(
+    track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig, near: NoiseFit | None = None
+) -> ReferenceBank:
+    """Filter a track with m alternatives of the noise, near an earlier fit."""
+    bank = ReferenceBank(noise, gyro, near)
     columns = (
         np.diff(track.time_s, prepend=track.time_s[0]),
         np.diff(track.turned_rad, prepend=track.turned_rad[0]),

@@ -32,6 +32,8 @@ TURN_GAIN_STD, TURN_BIAS_STD_RAD_S = 0.1, 0.02
 """Prior standard deviations of the error of a nominal turn: relative, and as a rate."""
 TWIST_STD_RAD = 1e-3
 """Standard deviation of the measured turn between two images, beyond the noise of the patches."""
+OUTLIER_SIGMA = 2.0
+"""Measured turns that are farther from the prediction count less."""
 FLOW_STD_PX_S = 10.0
 """Standard deviation of the change of the image motion since the last two images."""
 MIN_COMMON = 3
@@ -141,8 +143,12 @@ class GyroAidedTracker:
         moved = self._to_ceiling(image, now) - self._to_ceiling(last, before)
         self._flow_1_s = np.median(moved, axis=0) / dt_s
         std_rad = math.hypot(TWIST_STD_RAD, last.yaw_error_std_rad, image.yaw_error_std_rad)
-        turn = np.array([image.nominal_yaw_rad - last.nominal_yaw_rad, dt_s]) / std_rad
-        residual = (image.yaw_error_rad - last.yaw_error_rad) / std_rad
+        turn = np.array([image.nominal_yaw_rad - last.nominal_yaw_rad, dt_s])
+        residual = image.yaw_error_rad - last.yaw_error_rad
+        expected_rad = math.sqrt(std_rad**2 + turn @ np.linalg.solve(self._information, turn))
+        # An outlier counts as much as a residual of `OUTLIER_SIGMA` (Huber 1964).
+        std_rad *= math.sqrt(max(1.0, abs(residual) / (OUTLIER_SIGMA * expected_rad)))
+        turn, residual = turn / std_rad, residual / std_rad
         self._information = self._information + np.outer(turn, turn)
         self._gain_and_bias = self._gain_and_bias - np.linalg.solve(self._information, turn * residual)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,6 +114,14 @@ class TestEachLearnedEffect:
             lambda values: contribution(effect, blocks, values)[0],
             lambda values: contribution(effect, blocks, values)[1],
         )
+
+    @each_effect
+    def test_it_is_passed_to_another_process(self, effect: GyroEffect) -> None:
+        _, columns = contribution(effect, [posed_block()], np.zeros(len(effect.coefficients)))
+        passed = pickle.loads(pickle.dumps(effect))
+        assert passed == effect
+        again = contribution(passed, [posed_block()], np.zeros(len(effect.coefficients)))[1]
+        np.testing.assert_array_equal(again, columns)
 
     @each_effect
     def test_it_moves_something(self, effect: GyroEffect) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearMemoryEffect, column, recorded
 from gyrocal_ros.effects.learned.curve import TYPICAL, UNIT, Curve, Of, curve
 from gyrocal_ros.effects.learned.drives import ABS_RATE, START, derivatives, driven, lag, since_turn
-from gyrocal_ros.effects.learned.forms import FORMS, Form
+from gyrocal_ros.effects.learned.forms import FORMS, Form, Over
 from gyrocal_ros.effects.learned.memory import ExponentialBank, memory
 from gyrocal_ros.effects.learned.memory_forms import FIRST_ORDER, MEMORY_FORMS, SECOND_ORDER
 from gyrocal_ros.effects.learned.signals import RATE, values_of
@@ -46,7 +46,7 @@ class Formula(LinearMemoryEffect):
             shown_against=learned.shown_against,
         )
 
-    @cached_property
+    @property
     def learned(self) -> Curve | ExponentialBank:
         """The curve or memory that it takes the place of."""
         return _learned(self.name)
@@ -56,10 +56,10 @@ class Formula(LinearMemoryEffect):
         """Name of the signal where a recording may lack it, else empty."""
         return self.learned.signal
 
-    @cached_property
+    @property
     def closed_form(self) -> Form:
         """The closed form."""
-        return _forms(self.learned)[self.form]
+        return _forms(self.learned.over)[self.form]
 
     @property
     def parameters(self) -> tuple[float, ...]:
@@ -96,7 +96,7 @@ def formula(name: str, form: str, parameter: float = 0.0, where: str = '') -> Fo
     if not name.partition(':')[0].endswith(('_curve', '_memory')):
         raise ConfigError(f'{name} has no closed form', where=where, todo='leave out `form`')
     learned = _learned(name)
-    known = _forms(learned)
+    known = _forms(learned.over)
     if form not in known:
         raise ConfigError(
             f'there is no form {form!r}', where=f'{where}, {name}', todo=did_you_mean(form, known)
@@ -122,14 +122,16 @@ def units_of(of: Of, follows: str, form: Form) -> tuple[str, ...]:
     return ('1' if is_by_rate and of == 'bias' else UNIT[of],) * len(form.terms)
 
 
+@cache
 def _learned(name: str) -> Curve | ExponentialBank:
     kind, _, follows = name.partition(':')
     of: Of = 'scale' if kind.startswith('scale') else 'bias'
     return curve(of, follows) if kind.endswith('curve') else memory(of, follows)
 
 
-def _forms(learned: Curve | ExponentialBank) -> dict[str, Form]:
-    return {form.name: form for form in (*FORMS, *MEMORY_FORMS) if form.over == learned.over}
+@cache
+def _forms(over: Over) -> dict[str, Form]:
+    return {form.name: form for form in (*FORMS, *MEMORY_FORMS) if form.over == over}
 
 
 def _of_signal(effect: Formula, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:

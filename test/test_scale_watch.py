@@ -165,7 +165,7 @@ def test_the_state_follows_as_if_the_scale_factor_had_been_unknown() -> None:
     scale, before = COEFFICIENTS_START, state.covariance[COEFFICIENTS_START, COEFFICIENTS_START]
     assert after.mean[scale] == pytest.approx(state.mean[scale] + 0.02)
     assert after.covariance[scale, scale] == pytest.approx(before + 1e-6 + (NOT_LINEAR * 0.02) ** 2)
-    assert watch.add(1.0, ()) is None, 'all windows begin anew'
+    assert watch.add(1.0, ()) is None, 'all windows start again'
 
 
 def test_only_repeated_changes_are_a_drift() -> None:

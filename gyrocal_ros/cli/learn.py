@@ -17,7 +17,7 @@ from pathlib import Path
 
 from gyrocal_ros.cli.bag_runs import add_run_options, open_bag_runs, result_folder
 from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
-from gyrocal_ros.cli.improve import announced, as_text, files_as_text
+from gyrocal_ros.cli.improve import announced, as_text, files_as_text, laws_as_text
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json
 from gyrocal_ros.diagnose.additions import Search
@@ -32,7 +32,7 @@ from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.files import write_text_atomic
-from gyrocal_ros.report.laws import law_in_words, nothing_learned
+from gyrocal_ros.report.laws import nothing_learned
 
 EXAMPLE = """gyrocal learn my_bag -o learned
 gyrocal learn my_bag --follows heading
@@ -144,13 +144,11 @@ def requested(args: argparse.Namespace, names: Sequence[str]) -> tuple[str, ...]
 
 
 def _laws_as_text(learned: Learned, laws: list[LearnedLaw]) -> Iterator[str]:
-    yield ''
     if not laws:
-        yield nothing_learned(is_missing_something(learned.searched.last))
+        yield from ('', nothing_learned(is_missing_something(learned.searched.last)))
     if learned.given_up:
-        yield f'Not needed any more: {", ".join(learned.given_up)}, which the library had added.'
-    for law in laws:
-        yield from law_in_words(law)
+        yield from ('', f'Not needed any more: {", ".join(learned.given_up)}, which the library had added.')
+    yield from laws_as_text(laws)
 
 
 def _written(args: argparse.Namespace, laws: list[LearnedLaw]) -> list[str]:

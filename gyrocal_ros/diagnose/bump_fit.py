@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.closed_forms import Seen, estimate_in, seen_in, without_present
+from gyrocal_ros.diagnose.closed_forms import SINGULAR, Seen, estimate_in, seen_in, without_present
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.effects.learned.bump import bumps
 from gyrocal_ros.effects.learned.place_map import PlaceMap
@@ -17,8 +17,6 @@ POINTS = 600
 """Number of positions of the path at which map and bump are compared."""
 PLACES, WIDTHS = 15, np.array([0.05, 0.08, 0.12, 0.2, 0.3])
 """Number of places along x and along y that are tried, and the widths, as parts of the room."""
-SINGULAR = 1e-9
-"""Information, relative to the largest, below which the data say nothing of a bump."""
 REFINEMENTS, AROUND = 6, np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 """How often the neighbourhood of the best bump is searched, each time half as wide, and where."""
 

@@ -35,6 +35,7 @@ FITS = 0.999
 NEGLIGIBLE = 0.003
 """Part of the log-likelihood that a form may miss and still fit: no form is exact to more than that."""
 SINGULAR = 1e-9
+"""Information, relative to the largest, below which the data say nothing."""
 LARGEST = 1e15
 """Largest number that a form may have: products of several are still finite."""
 UNSEEN = 1e-3

@@ -93,8 +93,8 @@ def improvement(searched: Search) -> Improvement:
             revisions.append(_removing(item, number, reference))
         else:
             label, is_kept = revision_label(number, _name(item)), item in searched.kept
-            in_closed_form = not is_kept and item.effect.name in written
-            revisions.append(revision(item, label, reference, is_kept, in_closed_form))
+            is_rewritten = item.is_kept and not is_kept and item.effect.name in written
+            revisions.append(revision(item, label, reference, is_kept, is_rewritten))
     harmful = tuple(item.effect.name for item in searched.removals if item.is_harmful)
     return Improvement(tuple(revisions), reference[1], harmful)
 
@@ -137,7 +137,7 @@ def revision(
     label: str,
     reference: tuple[Heading, str],
     is_kept: bool,
-    in_closed_form: bool = False,
+    is_rewritten: bool = False,
 ) -> Revision:
     """Describe a model with one more effect.
 
@@ -146,13 +146,13 @@ def revision(
         label: label of the revision.
         reference: trajectory to compare with, and its name.
         is_kept: True if it is part of the final model.
-        in_closed_form: True if the final model has its closed form instead.
+        is_rewritten: True if the final model has a closed form of it instead.
     """
     held_out, fitted = _drifts(added.after, reference)
     gain_sigma = drift_sigma = float('nan')
     fate = 'kept' if is_kept else ('removed again' if added.is_kept else 'left out')
-    if in_closed_form:
-        fate = 'written in closed form'
+    if is_rewritten:
+        fate = 'rewritten'
     why = f'{fate}: {_reason(added)}'
     if added.before is not None:
         before = _drifts(added.before, reference)[0]

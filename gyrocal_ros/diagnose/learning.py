@@ -126,8 +126,8 @@ def _is_better(alone: Search, found: Search) -> bool:
 def _helps(before: Run, after: Run) -> bool:
     """Return True if a run predicts the recording better by more than chance.
 
-    Where the filter adapts to a wrong model, as after a jump, only a few stretches tell of it by their
-    innovations, which alone is hardly more than chance. The drift tells, too.
+    Where the filter adapts to a wrong model, as after a jump, only a few stretches show it by their
+    innovations, which alone is hardly more than chance. The drift shows it, too.
     """
     gain = predictive_gain(before, after)
     if float(gain.sum()) < MIN_GAIN:

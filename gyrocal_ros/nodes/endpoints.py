@@ -61,7 +61,7 @@ class SortedSubscriptions:
     """Subscriptions whose queued messages are delivered in the order of their stamps.
 
     An executor delivers one message of each topic in turn. After a pause, the messages of a slow topic would
-    be delivered long before older ones of a fast topic. A second message of a topic tells of a pause; only
+    be delivered long before older ones of a fast topic. A second message of a topic shows a pause; only
     then the other topics are looked through.
 
     Args:

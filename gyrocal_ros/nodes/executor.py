@@ -1,7 +1,7 @@
 """An executor of low cost, for nodes with hundreds of messages a second.
 
 That of rclpy makes a wait set, a task and two coroutines for every callback, and wakes itself after it to
-begin anew. The wait set and the handles are not documented by rclpy: they are as in ROS 2 Jazzy.
+begin again. The wait set and the handles are not documented by rclpy: they are as in ROS 2 Jazzy.
 """
 
 from __future__ import annotations

@@ -351,10 +351,8 @@ class Session:
 
     def _propose(self, label: str, learned: LearnedResult) -> None:
         """Offer what was learned beside a model."""
-        found = learned.examination
-        proposal = (
-            None if found is None else Proposal(found, learned.as_curve or found, learned.gain, learned.sigma)
-        )
+        found, curve = learned.examination, learned.as_curve
+        proposal = Proposal(found, curve, learned.gain, learned.sigma) if found and curve else None
         self._publish(learned={**self._state.learned, label: proposal})
 
     def _set_present(self, label: str, message: str) -> None:

@@ -212,7 +212,7 @@ def barriers(page: Page) -> list[str]:
 
 
 def hover_until(page: Page, selector: str, condition: str) -> None:
-    """Point at an element until a condition holds: while a page loads it is drawn anew under the pointer."""
+    """Point at an element until a condition holds: while a page loads it is redrawn under the pointer."""
     for _ in range(5):
         page.mouse.move(0, 0)
         page.locator(selector).hover()

@@ -16,7 +16,8 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.errors import NotObservableError
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
-from gyrocal_ros.pipeline.heading_reference import ReferenceFit, fit_reference
+from gyrocal_ros.pipeline.heading_reference import fit_reference
+from gyrocal_ros.pipeline.reference_fit import ReferenceFit
 from gyrocal_ros.sim.references import ReferenceSource
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sensors import SensorErrors

@@ -210,7 +210,9 @@ def filter_headings(rng: np.random.Generator, count: int, jump_rad: float = 0.0)
     noise = ReferenceNoise(white, walk, rng.uniform(3.0, 30.0, m), rng.uniform(0.0, 0.01, m))
     dt_s, rates = rng.uniform(0.02, 0.1, n), rng.normal(0.0, 0.5, n)
     differences = rng.normal(0.0, 0.01, n) + jump_rad * (np.arange(n) > n // 2)
-    headings = np.column_stack([dt_s, rates * dt_s, 0.1 * dt_s, rates, differences])
+    rest_s, rest_turn_rad = dt_s * (np.arange(n) % 50 < 20), rng.normal(0.0, 1e-3, n)
+    rests = rest_s, rest_turn_rad + 0.1 * (np.arange(n) == 10), 3e-3 * np.sqrt(dt_s)
+    headings = np.column_stack([dt_s, rates * dt_s, 0.1 * dt_s, rates, differences, *rests])
     state = rng.normal(0.0, 0.01, (m, 4)), np.array([0.1 * covariance(rng, 4) for _ in range(m)])
     return *state, *np.zeros((2, m)), np.zeros(m, int), *np.zeros((2, m)), noise, 1e-9, 0.5, headings
 

@@ -12,11 +12,16 @@ from live_robot import Robot, robot
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Measurement, TruthSample, WheelSample
+from gyrocal_ros.effects import default_model
 from gyrocal_ros.msgs.topics import BODY_FRAME, IMU_FRAME
 from gyrocal_ros.msgs.transforms import IDENTITY, Transform
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.pipeline.heading_reference import for_reference
+from gyrocal_ros.pipeline.run_filter import run_filter
 from gyrocal_ros.sim.references import ReferenceSource
 from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.sensors import with_bias_walk
 from gyrocal_ros.sim.world import SimSource
 
 DURATION_S = 60.0
@@ -71,3 +76,28 @@ def test_settings_for_a_reference() -> None:
     assert config.reference.estimate_noise
     assert config.convergence.scale_std == Config().convergence.heading_scale_std
     assert config.gyro == Config().gyro
+
+
+WALK = 30.0
+"""Random walk of the bias, relative to that of the settings."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', [0, 4])
+@pytest.mark.parametrize('learns', [False, True], ids=['offline', 'live'])
+def test_a_bias_that_walks_more_than_the_settings_say_is_followed(seed: int, learns: bool) -> None:
+    scenario = replace(find_scenario('cleaning'), duration_s=90.0, imu_hz=50)
+    walk_deg_s = WALK * Config().gyro.bias_walk_deg_s
+    errors = with_bias_walk(scenario.errors, walk_deg_s, bounded_s=1e5)
+    walking = ReferenceSource(SimSource(replace(scenario, errors=errors), seed), 'mocap')
+    if learns:
+        config = for_reference(Config())
+        run = run_filter(
+            walking, walking.measurements(), config, default_model(), None, None, (), follows_changes=True
+        )
+    else:
+        run = calibrate(walking, Config(), default_model(), follows_changes=True)
+        assert any('the bias of the gyro walks' in event.text for event in run.events)
+    calibration, truth = conclude(run), walking.truth
+    assert abs(calibration.values[0] - truth.bias_rad_s[-1, 2]) < 3.0 * calibration.stds[0]
+    assert calibration.stds[0] < math.radians(walk_deg_s) * math.sqrt(scenario.duration_s)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.pipeline.reference_fit import HeadingTrack, fit_noise
+from gyrocal_ros.data import Array
+from gyrocal_ros.pipeline.reference_fit import HeadingTrack, fit_bias_walk, fit_noise
 
 SCALE_FACTOR, BIAS_RAD_S = 0.93, math.radians(0.2)
 DURATION_S = 120.0
@@ -24,6 +26,7 @@ def track(
     late_s: float = 0.0,
     stamp_s: float = 0.0,
     jump_deg: float = 0.0,
+    bias_walk_deg_s: float = 0.0,
     gap: tuple[float, float] = (0.0, 0.0),
 ) -> HeadingTrack:
     """Return headings of a robot that turns to and fro; outliers are six times as wide."""
@@ -37,9 +40,12 @@ def track(
     errors -= stamp_s * rate * rng.standard_normal(len(time_s))
     errors += math.radians(jump_deg) * (time_s > 0.5 * DURATION_S)
     yaw = SCALE_FACTOR * turned + BIAS_RAD_S * time_s - late_s * rate + errors
+    bias = np.cumsum(math.radians(bias_walk_deg_s) / math.sqrt(hz) * rng.standard_normal(len(time_s)))
+    yaw += np.cumsum(bias) / hz
     present = (time_s < gap[0]) | (time_s >= gap[1])
-    columns = (column[present] for column in (time_s, yaw, turned, rate, np.zeros(len(time_s))))
-    return HeadingTrack(*columns)
+    time_s, yaw, turned, rate = (column[present] for column in (time_s, yaw, turned, rate))
+    none = np.zeros(len(time_s))
+    return HeadingTrack(time_s, yaw, turned, rate, none, none, none, rest_noise_rad_s=0.0)
 
 
 @pytest.mark.parametrize(
@@ -77,6 +83,19 @@ def test_the_noise_of_the_stamps_is_found(stamp_s: float) -> None:
         assert not fit.jumps_s
 
 
+@pytest.mark.parametrize(('relative', 'low', 'high'), [(1.0, 1.0, 2.0), (30.0, 8.0, 128.0)])
+def test_a_bias_that_walks_more_than_the_settings_say_is_found(
+    relative: float, low: float, high: float
+) -> None:
+    gyro = Config().gyro
+    walks = []
+    for seed in range(8):
+        headings = track(seed, white_deg=0.05, walk_deg=0.05, bias_walk_deg_s=relative * gyro.bias_walk_deg_s)
+        walks.append(fit_bias_walk(headings, fit_noise(headings, gyro), gyro) / gyro.bias_walk_deg_s)
+    assert low <= np.median(walks) <= high
+    assert np.mean(np.array(walks) == 1.0) == pytest.approx(1.0 if relative == 1.0 else 0.0, abs=0.25)
+
+
 def test_the_states_are_honest() -> None:
     fits = [fit_noise(track(seed, outliers=0.05, late_s=0.03), Config().gyro) for seed in range(4)]
     z = [
@@ -104,3 +123,25 @@ def test_a_long_track_is_thinned_without_losing_its_gaps() -> None:
     thin = full.thinned(400)
     assert len(thin.time_s) == 400 and thin.gap_s.sum() == pytest.approx(0.5)
     assert thin.time_s[1] - thin.time_s[0] == pytest.approx(0.3)
+
+
+def test_rests_tell_of_a_walk_of_the_bias_that_the_noise_of_the_headings_hides() -> None:
+    """Only the rests at the beginning and at the end, 100 s later, show that the bias has changed."""
+    changed, gyro = math.radians(0.1), Config().gyro
+    headings = track(white_deg=0.5, walk_deg=1.0)
+    rests = (headings.time_s < 6.0) | (headings.time_s > 114.0)
+    rng = np.random.default_rng(1)
+    noise_rad = 1e-4 * math.sqrt(0.1) * rng.standard_normal(len(headings.time_s))
+    bias = BIAS_RAD_S + changed * headings.time_s / DURATION_S
+
+    def found_deg_s(bias_rad_s: Array | float) -> float:
+        with_rests = replace(
+            headings,
+            rest_s=0.1 * rests,
+            rest_turn_rad=(noise_rad - 0.1 * bias_rad_s / SCALE_FACTOR) * rests,
+            rest_noise_rad_s=1e-4,
+        )
+        return fit_bias_walk(with_rests, fit_noise(with_rests, gyro), gyro)
+
+    assert found_deg_s(BIAS_RAD_S) == gyro.bias_walk_deg_s
+    assert found_deg_s(bias) > 4.0 * gyro.bias_walk_deg_s

@@ -12,7 +12,7 @@ from gyrocal_ros.ekf.effects_by_place import EffectsByPlace
 from gyrocal_ros.ekf.reference_learner import ReferenceLearner
 from gyrocal_ros.ekf.reference_noise import OUTLIER_SIGMA, JumpDetector, JumpsWithTurns, ReferenceNoise
 from gyrocal_ros.ekf.shared_noise import SharedNoise
-from gyrocal_ros.ekf.state import SCALE, YAW, State
+from gyrocal_ros.ekf.state import SCALE, YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, heading_innovation, heading_update
 
 CONTAINS_GYRO = (
@@ -42,18 +42,32 @@ class HeadingReference:
         self.noise = reference_noise(config)
         self._learner = ReferenceLearner(gyro) if config.estimate_noise else None
         self._gyro_walk = math.radians(gyro.rate_noise_deg_s)
+        self._usual_walk_deg_s = gyro.bias_walk_deg_s
         self._offset_rad: float | None = None
         self._jumps, self._jumps_with_turns = JumpDetector(), JumpsWithTurns()
         self._last: HeadingSample | None = None
         self._shared, self._contains_gyro = SharedNoise(), False
 
     def wander(self, state: State, duration_s: float) -> State:
-        """Add the random walk of the reference over a time; none before its first sample."""
+        """Add random walks over a time: of the reference, and that of the bias beyond the settings.
+
+        There are none before the first sample.
+        """
         if self._offset_rad is None:
             return state
         covariance = state.covariance.copy()
         covariance[YAW, YAW] += float(self.noise.walk_rad) ** 2 * duration_s
+        covariance[YAW_BIAS, YAW_BIAS] += self._added_bias_walk() * duration_s
         return changed(state, covariance=covariance)
+
+    @property
+    def bias_walk_deg_s(self) -> float:
+        """Random walk of the bias of the gyro, deg/s/sqrt(s), as far as it is known."""
+        return self._usual_walk_deg_s if self._learner is None else self._learner.bias_walk_deg_s
+
+    def _added_bias_walk(self) -> float:
+        """Return the variance per second by which the bias walks more than the settings say."""
+        return math.radians(self.bias_walk_deg_s) ** 2 - math.radians(self._usual_walk_deg_s) ** 2
 
     @property
     def time_offset_s(self) -> float:
@@ -64,12 +78,17 @@ class HeadingReference:
     def _offset_std_s(self) -> float:
         return 0.0 if self._learner is None else self._learner.time_offset_std_s
 
-    def move(self, block: MotionBlock) -> None:
-        """Follow one block of the gyro."""
+    def move(self, block: MotionBlock, rest_noise_rad_s: float | None) -> None:
+        """Follow one block of the gyro.
+
+        Args:
+            block: samples of the gyro.
+            rest_noise_rad_s: density of its noise where the robot is at rest in the block.
+        """
         self._shared.move(block)
         self._jumps_with_turns.move(block)
         if self._learner is not None:
-            self._learner.move(block)
+            self._learner.move(block, rest_noise_rad_s)
 
     def numbers(self) -> dict[str, float]:
         """Return noise and time offset, by the names of /diagnostics; empty while they are unknown."""
@@ -80,6 +99,7 @@ class HeadingReference:
             'reference_walk_deg': round(math.degrees(float(self.noise.walk_rad)), 4),
             'reference_stamp_noise_s': round(float(self.noise.stamp_s), 4),
             'reference_time_offset_s': round(self.time_offset_s, 4),
+            'gyro_bias_walk_deg_s': self.bias_walk_deg_s,
         }
 
     @property

@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.ekf.reference_noise import JUMP_LOG_PRIOR, JumpDetector, ReferenceNoise
+from gyrocal_ros.ekf.reference_noise import JUMP_LOG_PRIOR, OUTLIER_SIGMA, JumpDetector, ReferenceNoise
 from gyrocal_ros.kernels import compiled
 
 PRIOR_STDS = (math.pi, math.radians(5.0), 0.2, 0.05)
 """Prior standard deviations: heading (rad), bias (rad/s), scale factor, time offset (s)."""
 HEADING, BIAS, SCALE, OFFSET = range(4)
+BIAS_WALK_GAIN = 1.0
+"""Log-likelihood that a bias has to gain that walks more than the settings say, by the criterion of Akaike
+(1974)."""
 KNOWN_SIGMA = 10.0
 """Prior standard deviations of what an earlier fit to the same headings found, in its own: wide enough that
 they hardly count twice."""
@@ -86,11 +89,12 @@ class ReferenceBank:
         """Number of headings so far."""
 
     def add(self, headings: Array) -> None:
-        """Take headings (n, 5).
+        """Take headings (n, 8).
 
         Their columns are the time since the heading before, the turn by the nominal gyro since then, the part
-        of the time that no IMU sample covers, the nominal rate, and the heading by the reference less the
-        turn by the nominal gyro since the start.
+        of the time that no IMU sample covers, the nominal rate, the heading by the reference less the turn by
+        the nominal gyro since the start, the part of the time at rest, the turn by the nominal gyro in it,
+        and the standard deviation of that by the noise of the gyro.
         """
         if self.count == 0:
             self._mean[:, HEADING] = headings[0, 4]
@@ -188,7 +192,7 @@ def filter_headings(
         noise: the alternatives, each field (m,).
         bias_walk: variance of the bias per second.
         gap_rate_rad_s: standard deviation of the rate while no IMU sample comes.
-        headings: (n, 5) see `ReferenceBank.add`.
+        headings: (n, 8) see `ReferenceBank.add`.
 
     Returns:
         The first seven after the headings, and (n, m) where the reference has jumped.
@@ -199,10 +203,13 @@ def filter_headings(
     jumps = JumpDetector(len(mean))
     jumps.outliers, jumps.side, jumps.since_s = outliers, side, since_s
     jumped = np.zeros((len(headings), len(mean)), bool)
-    for row, (dt_s, turn_rad, gap_s, rate_rad_s, difference_rad) in enumerate(headings.tolist()):
-        mean[:, HEADING] += dt_s * mean[:, BIAS] + turn_rad * mean[:, SCALE]
-        P[:, HEADING] += dt_s * P[:, BIAS] + turn_rad * P[:, SCALE]
-        P[:, :, HEADING] += dt_s * P[:, :, BIAS] + turn_rad * P[:, :, SCALE]
+    for row, columns in enumerate(headings.tolist()):
+        dt_s, turn_rad, gap_s, rate_rad_s, difference_rad, rest_s, rest_turn_rad, rest_std_rad = columns
+        still = _rest_update(mean, P, log_likelihood, rest_s, rest_turn_rad, rest_std_rad)
+        moving_s, moving_rad = dt_s - still * rest_s, turn_rad - still * rest_turn_rad
+        mean[:, HEADING] += moving_s * mean[:, BIAS] + moving_rad * mean[:, SCALE] - still * rest_turn_rad
+        P[:, HEADING] += moving_s[:, None] * P[:, BIAS] + moving_rad[:, None] * P[:, SCALE]
+        P[:, :, HEADING] += moving_s[:, None] * P[:, :, BIAS] + moving_rad[:, None] * P[:, :, SCALE]
         P[:, HEADING, HEADING] += np.square(noise.walk_rad) * dt_s + (gap_rate_rad_s * gap_s) ** 2
         P[:, BIAS, BIAS] += bias_walk * dt_s
 
@@ -230,6 +237,33 @@ def filter_headings(
         weight = np.asarray(noise.weight(distance))
         P -= (gain * weight[:, None])[:, :, None] * numerator[:, None, :]
     return mean, P, log_likelihood, outlying, jumps.outliers, jumps.side, jumps.since_s, jumped
+
+
+def _rest_update(
+    mean: Array,
+    P: Array,
+    log_likelihood: Array,
+    rest_s: float,
+    turn_rad: float,
+    std_rad: float,
+) -> Array:
+    """Correct m filters in place by the turn of the gyro at rest, which shows its bias.
+
+    Returns:
+        (m,) 1 where the heading did not change, 0 without a rest and where the gyro contradicts it.
+    """
+    if rest_s == 0.0:
+        return np.zeros(len(mean))
+    numerator = rest_s * P[:, BIAS] + turn_rad * P[:, SCALE]
+    variance = rest_s * numerator[:, BIAS] + turn_rad * numerator[:, SCALE] + std_rad**2
+    residual = -(turn_rad + rest_s * mean[:, BIAS] + turn_rad * mean[:, SCALE])
+    distance = residual**2 / variance
+    still = np.where(distance <= OUTLIER_SIGMA**2, 1.0, 0.0)
+    log_likelihood -= 0.5 * (np.log(variance) + np.minimum(distance, OUTLIER_SIGMA**2))
+    gain = numerator * (still / variance)[:, None]
+    mean += gain * residual[:, None]
+    P -= gain[:, :, None] * numerator[:, None, :]
+    return still
 
 
 def grid(

@@ -127,11 +127,12 @@ class EkfSlam:
             FilterDivergedError: the measurements contradict the estimate beyond repair.
         """
         before, update, event = self._warmed(block), MeasurementUpdate(), ''
+        is_at_rest = self._rest.is_at_rest(block, self.config.rest.settle_s)
 
         if self._levelling is None:
             self._frozen.move(block)
         else:
-            self._heading.move(block)
+            self._heading.move(block, self._rest_noise.density_rad_s if is_at_rest else None)
 
         # Prediction: eq. (10) for the robot, eq. (11) for the features; sensitivities of the candidates.
         block = with_pose(block, before)
@@ -139,7 +140,6 @@ class EkfSlam:
         if self._levelling is None:  # the noise of a heading reference is learned with that of the gyro
             gyro = self._steady.with_noise(block, gyro)
         gyro = self._scale_watch.walk(gyro)
-        is_at_rest = self._rest.is_at_rest(block, self.config.rest.settle_s)
         steady = self._steady.without_noise(block, gyro, is_at_rest=is_at_rest)
         sway_rad = math.radians(self.config.rest.rotation_noise_deg)
         sway: Array | float = sway_rad

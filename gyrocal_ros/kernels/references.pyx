@@ -26,11 +26,11 @@ def filter_headings(
 ):
     cdef Py_ssize_t n = headings.shape[0], m = len(mean), t, a, i, j
     cdef double dt, turn, gap, rate, added, variance, residual, deviation, new_side, distance, gain
-    cdef double noise_variance, slope, pull
+    cdef double noise_variance, slope, pull, rest, rest_turn, moving, moving_turn
     cdef double numerator[4]
     cdef double* x
     cdef double* C
-    cdef bint goes_on, may_have, has
+    cdef bint goes_on, may_have, has, still
     state = (
         np.array(mean), np.array(covariance), np.array(log_likelihood), np.array(outlying),
         np.array(outliers), np.array(side), np.array(since_s),
@@ -48,11 +48,30 @@ def filter_headings(
         x, C = &X[a, 0], &P[a, 0, 0]
         for t in range(n):
             dt, turn, gap, rate = headings[t, 0], headings[t, 1], headings[t, 2], headings[t, 3]
-            x[HEADING] += dt * x[BIAS] + turn * x[SCALE]
+            rest, rest_turn, still = headings[t, 5], headings[t, 6], False
+            if rest > 0.0:
+                for i in range(4):
+                    numerator[i] = rest * C[4 * BIAS + i] + rest_turn * C[4 * SCALE + i]
+                variance = rest * numerator[BIAS] + rest_turn * numerator[SCALE] + headings[t, 7] * headings[t, 7]
+                residual = -(rest_turn + rest * x[BIAS] + rest_turn * x[SCALE])
+                distance = residual * residual / variance
+                still = distance <= OUTLIER_SIGMA * OUTLIER_SIGMA
+                likelihood[a] -= 0.5 * (log(variance) + min(distance, OUTLIER_SIGMA * OUTLIER_SIGMA))
+                if still:
+                    for i in range(4):
+                        gain = numerator[i] * (1.0 / variance)
+                        x[i] += gain * residual
+                        for j in range(4):
+                            C[4 * i + j] -= gain * numerator[j]
+            moving, moving_turn = dt, turn
+            if still:
+                moving, moving_turn = dt - rest, turn - rest_turn
+                x[HEADING] -= rest_turn
+            x[HEADING] += moving * x[BIAS] + moving_turn * x[SCALE]
             for i in range(4):
-                C[i] += dt * C[4 * BIAS + i] + turn * C[4 * SCALE + i]
+                C[i] += moving * C[4 * BIAS + i] + moving_turn * C[4 * SCALE + i]
             for i in range(4):
-                C[4 * i] += dt * C[4 * i + BIAS] + turn * C[4 * i + SCALE]
+                C[4 * i] += moving * C[4 * i + BIAS] + moving_turn * C[4 * i + SCALE]
             C[0] += walk[a] * walk[a] * dt + gap_rate_rad_s * gap * (gap_rate_rad_s * gap)
             C[5 * BIAS] += bias_walk * dt
 

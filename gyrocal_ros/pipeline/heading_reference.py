@@ -7,7 +7,7 @@ shows that, and gives its time offset and its noise, before the filter relies on
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,22 +21,22 @@ from gyrocal_ros.data import (
     ImuSample,
     Measurement,
     Source,
-    Span,
 )
 from gyrocal_ros.ekf.motion import GAP_NS, PAUSE_NS
 from gyrocal_ros.ekf.reference_bank import NoiseFit
-from gyrocal_ros.ekf.run import Run, RunEvent
+from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import NotObservableError
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.pipeline.reference_fit import HeadingTrack, fit_noise
+from gyrocal_ros.pipeline.reference_events import reference_events
+from gyrocal_ros.pipeline.reference_fit import HeadingTrack, ReferenceFit, fit_bias_walk, fit_noise
 from gyrocal_ros.pipeline.reference_smoothing import (
     find_time_constant,
     low_passed,
     turned_rad,
     with_true_headings,
 )
-from gyrocal_ros.pipeline.rest_noise import with_rest_noise
+from gyrocal_ros.pipeline.rests import RestFinder
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
 from gyrocal_ros.statistics import robust_std
 
@@ -55,36 +55,6 @@ SWING_S = 0.2
 """Time over which rates are averaged for it; swings to and fro are slower."""
 PLAUSIBLE_SCALE = (0.5, 2.0)
 """Bounds of the scale factor of a usable reference."""
-MAX_MISFIT_DEG = 2.0
-"""Largest rms difference of a usable reference from the best fit of the gyro, beyond its random walk."""
-WALKED_PART = 0.5
-"""The same in the random walk over the recording: a walk leaves a quarter beside a straight line (rms)."""
-REPORTED_OFFSET_S = 0.02
-"""Smallest time offset that is reported."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReferenceFit:
-    """Fit of a heading reference to the gyro over the whole recording."""
-
-    scale_factor: float
-    bias_rad_s: float
-    time_offset_s: float
-    """Stamp of the reference minus true time, positive when it is stamped late. A lag of the gyro looks the
-    same, with the opposite sign."""
-    time_offset_std_s: float
-    residual_rms_rad: float
-    """Rms difference from the least squares fit of scale factor, bias, heading and jumps."""
-    white_rad: float
-    """White noise of a heading."""
-    walk_rad: float
-    """Random walk of the reference and the gyro together, rad/sqrt(s)."""
-    tail_dof: float
-    """Degrees of freedom of the Student t distribution of its errors."""
-    stamp_noise_s: float
-    """Standard deviation of its stamps."""
-    time_constant_s: float = 0.0
-    """Time constant of the low pass by which it smooths its headings; the time offset includes its delay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +75,10 @@ class _Readings:
     rate_rad_s: Array
     turned_rad: Array
     """(i,) integral of the rate."""
+    rested_s: Array
+    """(i,) time at rest up to each."""
+    rest_noise_rad_s: float
+    """Density of the noise of the gyro at rest, rad/s/sqrt(Hz)."""
     heading_s: Array
     yaw_rad: Array
     """(n,) as measured, not unwrapped."""
@@ -128,9 +102,12 @@ def calibrate_by_heading(
     fitted = fit_reference(source.measurements(), source.name, config)
     correction = fitted.time_offset_s, fitted.time_constant_s, fitted.scale_factor
     stream = with_true_headings(source.measurements(), *correction)
-    known = with_rest_noise(with_noise(config, fitted), source.measurements())
+    known = with_noise(config, fitted)
+    if follows_changes:
+        gyro = replace(known.gyro, bias_walk_deg_s=fitted.bias_walk_deg_s)
+        known = replace(known, gyro=gyro)
     run = run_filter(source, stream, known, model, start, report, candidates, follows_changes)
-    return replace(run, events=(*run.events, *_reference_events(fitted, source.span, run)))
+    return replace(run, events=(*run.events, *reference_events(fitted, config, source.span, run)))
 
 
 def with_noise(config: Config, fitted: ReferenceFit) -> Config:
@@ -149,7 +126,8 @@ def with_noise(config: Config, fitted: ReferenceFit) -> Config:
         stamp_noise_s=fitted.stamp_noise_s,
     )
     gyro = replace(config.gyro, rate_noise_deg_s=gyro_deg)
-    return replace(for_reference(config), gyro=gyro, reference=reference)
+    rest = replace(config.rest, rate_noise_deg_s=math.degrees(fitted.rest_noise_rad_s))
+    return replace(for_reference(config), gyro=gyro, rest=rest, reference=reference)
 
 
 def for_reference(config: Config) -> Config:
@@ -170,7 +148,8 @@ def fit_reference(
     Raises:
         NotObservableError: there is too little to fit, or the reference is unfit.
     """
-    readings = _read(measurements, where)
+    config = config or Config()
+    readings = _read(measurements, where, config)
     coarse = {offset_s: _by_turns(readings, offset_s) for offset_s in OFFSETS_S.tolist()}
     offset_s = min(coarse, key=lambda offset: coarse[offset].deviation_rad)
     scale_factor, bias_rad_s = coarse[offset_s].scale_factor, coarse[offset_s].bias_rad_s
@@ -181,7 +160,7 @@ def fit_reference(
             where=where,
             todo='give a reference that does not slip',
         )
-    gyro, measured = (config or Config()).gyro, _without_repetitions(readings)
+    gyro, measured = config.gyro, _without_repetitions(readings)
     fitted, offset_s = _fit_noise_and_offset(measured, offset_s, (scale_factor, bias_rad_s), gyro)
     estimate = fitted.scale_factor, fitted.bias_rad_s
 
@@ -195,8 +174,12 @@ def fit_reference(
         readings, estimate = _smoothed(readings, time_constant_s), (fitted.scale_factor, fitted.bias_rad_s)
         offset_s = pure_s + time_constant_s
     track = _track(readings, offset_s - time_constant_s, estimate)
-    misfit_rad = _misfit_rad(track, fitted.jumps_s)
-    return replace(_as_fit(fitted, offset_s, misfit_rad), time_constant_s=time_constant_s)
+    return replace(
+        _as_fit(fitted, offset_s, _misfit_rad(track, fitted.jumps_s)),
+        time_constant_s=time_constant_s,
+        rest_noise_rad_s=readings.rest_noise_rad_s,
+        bias_walk_deg_s=fit_bias_walk(track, fitted, gyro),
+    )
 
 
 def _fit_noise_and_offset(
@@ -220,15 +203,23 @@ def _fit_noise_and_offset(
 
 
 def _smoothed(readings: _Readings, time_constant_s: float) -> _Readings:
-    """Return the readings with the turn by the gyro behind a low pass."""
-    return replace(readings, turned_rad=low_passed(readings.imu_s, readings.turned_rad, time_constant_s))
+    """Return the readings with the turn by the gyro behind a low pass.
+
+    Rests are left out: behind a low pass the noise in them is not that of the gyro.
+    """
+    turned = low_passed(readings.imu_s, readings.turned_rad, time_constant_s)
+    return replace(readings, turned_rad=turned, rested_s=np.zeros(len(turned)))
 
 
-def _read(measurements: Iterable[Measurement], where: str) -> _Readings:
+def _read(measurements: Iterable[Measurement], where: str, config: Config) -> _Readings:
     imu: list[tuple[int, float]] = []
     headings: list[tuple[int, float]] = []
+    finder, rests_ns = RestFinder(config), [0]
     stepped_ns = 0
     for sample in measurements:
+        rest_ns = finder.add(sample)
+        if rest_ns is not None:
+            rests_ns += [at_ns - stepped_ns for at_ns in rest_ns]
         if isinstance(sample, ClockStep):
             stepped_ns += sample.step_ns - 2 * PAUSE_NS  # how the robot moved meanwhile is not known
         elif isinstance(sample, ImuSample):
@@ -249,7 +240,11 @@ def _read(measurements: Iterable[Measurement], where: str) -> _Readings:
         raise NotObservableError(
             'no turns, so the scale factor cannot be known', where=where, todo='record two turns each way'
         )
-    return _Readings(imu_s, rate, turned, heading_s, yaw)
+    edges_s = (np.array(rests_ns) - start_ns) / NS_PER_S
+    rested_s = np.cumsum(np.diff(edges_s, prepend=edges_s[0]) * (np.arange(len(edges_s)) % 2 == 0))
+    return _Readings(
+        imu_s, rate, turned, np.interp(imu_s, edges_s, rested_s), finder.noise_rad_s, heading_s, yaw
+    )
 
 
 def _without_repetitions(readings: _Readings) -> _Readings:
@@ -284,13 +279,23 @@ def _track(readings: _Readings, offset_s: float, gyro: tuple[float, float] = (1.
         np.interp(time_s + shift_s, imu_s, readings.turned_rad) for shift_s in (0.0, -around, around)
     )
     expected = gyro[0] * turned + gyro[1] * time_s
+    at_rest = np.diff(readings.rested_s) / np.diff(imu_s)
+    rest_turned = np.concatenate([[0.0], np.cumsum(at_rest * np.diff(readings.turned_rad))])
     return HeadingTrack(
         time_s=time_s,
         yaw_rad=expected + np.unwrap(readings.yaw_rad[inside] - expected),
         turned_rad=turned,
         rate_rad_s=(after - before) / (2.0 * around),
         gap_s=np.diff(np.interp(time_s, *_gap_time(imu_s)), prepend=0.0),
+        rest_s=_increments(np.interp(time_s, imu_s, readings.rested_s)),
+        rest_turn_rad=_increments(np.interp(time_s, imu_s, rest_turned)),
+        rest_noise_rad_s=readings.rest_noise_rad_s,
     )
+
+
+def _increments(values: Array) -> Array:
+    """Return the increments (n,) of values; that of the first is zero."""
+    return np.diff(values, prepend=values[0])
 
 
 def _gap_time(imu_s: Array) -> tuple[Array, Array]:
@@ -363,31 +368,3 @@ def _as_fit(fitted: NoiseFit, offset_s: float, residual_rms_rad: float) -> Refer
         tail_dof=float(fitted.noise.tail_dof),
         stamp_noise_s=float(fitted.noise.stamp_s),
     )
-
-
-def _reference_events(fitted: ReferenceFit, span: Span, run: Run) -> Iterator[RunEvent]:
-    """Yield an event for each notable property of the reference."""
-    if abs(fitted.time_offset_s) >= REPORTED_OFFSET_S:
-        late = 'late' if fitted.time_offset_s > 0.0 else 'early'
-        offset_ms, std_ms = abs(fitted.time_offset_s) * 1e3, fitted.time_offset_std_s * 1e3
-        yield RunEvent(
-            span.start_ns,
-            f'the reference is stamped {offset_ms:.1f} +- {std_ms:.1f} ms too {late}, or the gyro lags; this '
-            'is corrected',
-        )
-    if fitted.time_constant_s > 0.0:
-        lag_ms = fitted.time_constant_s * 1e3
-        text = f'the reference smooths its headings (time constant {lag_ms:.0f} ms); this is corrected'
-        yield RunEvent(span.start_ns, text)
-    outliers = int(run.history.rejected.sum())
-    if outliers:
-        text = f'outliers among the headings of the reference, which count little: {outliers}'
-        yield RunEvent(span.start_ns, text)
-    walked_deg = math.degrees(fitted.walk_rad) * math.sqrt(span.duration_s)
-    misfit_deg = math.degrees(fitted.residual_rms_rad)
-    if misfit_deg > math.hypot(MAX_MISFIT_DEG, WALKED_PART * walked_deg):
-        yield RunEvent(
-            span.start_ns,
-            f'the reference does not fit the gyro: {misfit_deg:.1f} deg rms remain at best '
-            f'(random walk {walked_deg:.1f} deg over the recording)',
-        )

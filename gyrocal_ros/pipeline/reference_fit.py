@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.reference_bank import NoiseFit, ReferenceBank, grid
+from gyrocal_ros.ekf.reference_bank import BIAS_WALK_GAIN, NoiseFit, ReferenceBank, grid
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 
 MAX_HEADINGS = 5000
@@ -29,6 +29,10 @@ TINY = 1e-9
 """Rounding error of a logarithm."""
 WALK_POINTS = 40
 """Points at which the likelihood of the random walk is averaged."""
+BIAS_WALKS = tuple(2.0**power for power in range(1, 8))
+"""Random walks of the bias that are tried, relative to that of the settings."""
+LESS_WALK = 1.5
+"""Logarithm by which the random walk of the heading may be smaller beside them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,18 +49,58 @@ class HeadingTrack:
     """(n,) nominal rate."""
     gap_s: Array
     """(n,) time since the heading before that no IMU sample covers."""
+    rest_s: Array
+    """(n,) time since the heading before in which the robot was at rest."""
+    rest_turn_rad: Array
+    """(n,) turn by the nominal gyro in it."""
+    rest_noise_rad_s: float
+    """Density of the noise of the gyro at rest, rad/s/sqrt(Hz)."""
 
     def thinned(self, most: int) -> HeadingTrack:
         """Return the track with at most `most` headings."""
         step = -(-len(self.time_s) // most)
-        gap_s = np.diff(np.cumsum(self.gap_s)[::step], prepend=0.0)
+        gap_s, rest_s, rest_turn_rad = (
+            np.diff(np.cumsum(column)[::step], prepend=0.0)
+            for column in (self.gap_s, self.rest_s, self.rest_turn_rad)
+        )
         return HeadingTrack(
             time_s=self.time_s[::step],
             yaw_rad=self.yaw_rad[::step],
             turned_rad=self.turned_rad[::step],
             rate_rad_s=self.rate_rad_s[::step],
             gap_s=gap_s,
+            rest_s=rest_s,
+            rest_turn_rad=rest_turn_rad,
+            rest_noise_rad_s=self.rest_noise_rad_s,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceFit:
+    """Fit of a heading reference to the gyro over the whole recording."""
+
+    scale_factor: float
+    bias_rad_s: float
+    time_offset_s: float
+    """Stamp of the reference minus true time, positive when it is stamped late. A lag of the gyro looks the
+    same, with the opposite sign."""
+    time_offset_std_s: float
+    residual_rms_rad: float
+    """Rms difference from the least squares fit of scale factor, bias, heading and jumps."""
+    white_rad: float
+    """White noise of a heading."""
+    walk_rad: float
+    """Random walk of the reference and the gyro together, rad/sqrt(s)."""
+    tail_dof: float
+    """Degrees of freedom of the Student t distribution of its errors."""
+    stamp_noise_s: float
+    """Standard deviation of its stamps."""
+    time_constant_s: float = 0.0
+    """Time constant of the low pass by which it smooths its headings; the time offset includes its delay."""
+    rest_noise_rad_s: float = 0.0
+    """Density of the noise of the gyro at rest, rad/s/sqrt(Hz), sway included."""
+    bias_walk_deg_s: float = 0.0
+    """Random walk of the gyro's bias, deg/s/sqrt(s); at least that of the settings."""
 
 
 def fit_noise(track: HeadingTrack, gyro: GyroConfig, near: NoiseFit | None = None) -> NoiseFit:
@@ -113,6 +157,29 @@ def _mean_noise(
     return _filtered(track, noise, gyro, near).mean_noise()
 
 
+def fit_bias_walk(track: HeadingTrack, fitted: NoiseFit, gyro: GyroConfig) -> float:
+    """Return the random walk of the gyro's bias, deg/s/sqrt(s): of the settings, or a likelier larger one.
+
+    Args:
+        track: the headings.
+        fitted: fit to them with the random walk of the settings.
+        gyro: noise of the gyro.
+    """
+    track, noise = track.thinned(MAX_HEADINGS), fitted.noise
+    # What a walk of the bias explains is no random walk of the heading.
+    log_walk = math.log(noise.walk_rad) - np.linspace(0.0, LESS_WALK, FINE_POINTS)
+    alternatives = grid(
+        np.log([float(noise.white_rad)]), log_walk, (float(noise.tail_dof),), (float(noise.stamp_s),)
+    )
+    walks_deg_s = [gyro.bias_walk_deg_s * relative for relative in (1.0, *BIAS_WALKS)]
+    likelihoods = [
+        _filtered(track, alternatives, replace(gyro, bias_walk_deg_s=walk), fitted).likeliest().log_likelihood
+        for walk in walks_deg_s
+    ]
+    best = int(np.argmax(likelihoods))
+    return walks_deg_s[best] if likelihoods[best] > likelihoods[0] + BIAS_WALK_GAIN else walks_deg_s[0]
+
+
 def log_likelihood_of(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> float:
     """Return the log-likelihood of a track with a known noise."""
     known = ReferenceNoise(
@@ -132,6 +199,9 @@ def _filtered(
         track.gap_s,
         track.rate_rad_s,
         track.yaw_rad - track.turned_rad,
+        track.rest_s,
+        track.rest_turn_rad,
+        track.rest_noise_rad_s * np.sqrt(track.rest_s),
     )
     bank.add(np.stack(columns, axis=1))
     return bank

@@ -14,7 +14,7 @@ from gyrocal_ros.data import NS_PER_S, ClockStep, ImuSample, Measurement, Source
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
-from gyrocal_ros.pipeline.rest_noise import with_rest_noise
+from gyrocal_ros.pipeline.rests import RestFinder
 from gyrocal_ros.sim.references import ReferenceSource
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
@@ -40,7 +40,10 @@ def recorded(factor: float) -> list[Measurement]:
 
 
 def found_deg_s(samples: Sequence[Measurement]) -> float:
-    return with_rest_noise(Config(), samples).rest.rate_noise_deg_s
+    finder = RestFinder(Config())
+    for item in samples:
+        finder.add(item)
+    return math.degrees(finder.noise_rad_s)
 
 
 @pytest.mark.parametrize('factor', [0.5, 1.0, 3.0])

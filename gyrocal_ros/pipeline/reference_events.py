@@ -1,0 +1,54 @@
+"""What is notable about a heading reference, and about the gyro beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import Span
+from gyrocal_ros.ekf.run import Run, RunEvent
+from gyrocal_ros.pipeline.reference_fit import ReferenceFit
+
+MAX_MISFIT_DEG = 2.0
+"""Largest rms difference of a usable reference from the best fit of the gyro, beyond its random walk."""
+WALKED_PART = 0.5
+"""The same in the random walk over the recording: a walk leaves a quarter beside a straight line (rms)."""
+REPORTED_OFFSET_S = 0.02
+"""Smallest time offset that is reported."""
+
+
+def reference_events(fitted: ReferenceFit, config: Config, span: Span, run: Run) -> Iterator[RunEvent]:
+    """Yield an event for each notable property of the reference."""
+    if abs(fitted.time_offset_s) >= REPORTED_OFFSET_S:
+        late = 'late' if fitted.time_offset_s > 0.0 else 'early'
+        offset_ms, std_ms = abs(fitted.time_offset_s) * 1e3, fitted.time_offset_std_s * 1e3
+        yield RunEvent(
+            span.start_ns,
+            f'the reference is stamped {offset_ms:.1f} +- {std_ms:.1f} ms too {late}, or the gyro lags; this '
+            'is corrected',
+        )
+    if fitted.time_constant_s > 0.0:
+        lag_ms = fitted.time_constant_s * 1e3
+        text = f'the reference smooths its headings (time constant {lag_ms:.0f} ms); this is corrected'
+        yield RunEvent(span.start_ns, text)
+    expected_deg_s = config.gyro.bias_walk_deg_s
+    if fitted.bias_walk_deg_s > expected_deg_s:
+        times = fitted.bias_walk_deg_s / expected_deg_s
+        text = (
+            f'the bias of the gyro walks by {fitted.bias_walk_deg_s:.2g} deg/s/sqrt(s), {times:.0f} times '
+            'the setting gyro.bias_walk_deg_s; `gyrocal diagnose` looks for the cause'
+        )
+        yield RunEvent(span.start_ns, text)
+    outliers = int(run.history.rejected.sum())
+    if outliers:
+        text = f'outliers among the headings of the reference, which count little: {outliers}'
+        yield RunEvent(span.start_ns, text)
+    walked_deg = math.degrees(fitted.walk_rad) * math.sqrt(span.duration_s)
+    misfit_deg = math.degrees(fitted.residual_rms_rad)
+    if misfit_deg > math.hypot(MAX_MISFIT_DEG, WALKED_PART * walked_deg):
+        yield RunEvent(
+            span.start_ns,
+            f'the reference does not fit the gyro: {misfit_deg:.1f} deg rms remain at best '
+            f'(random walk {walked_deg:.1f} deg over the recording)',
+        )

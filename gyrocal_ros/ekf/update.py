@@ -34,6 +34,8 @@ class Innovation:
     sensitivity: Array
     """(m, r, c) G = H X + dh/dtheta: minus the derivative of the innovation with respect to the
     coefficients of effects that the model lacks."""
+    whitening: Array | None = None
+    """(m r, m r) L^-1 with `L L^T = S`, where that is known already."""
 
     def __getitem__(self, chosen: IntArray) -> Innovation:
         return Innovation(
@@ -224,6 +226,7 @@ def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
         innovation.gain_numerator.reshape(rows, -1),
         innovation.covariance.reshape(rows, rows),
         innovation.sensitivity.reshape(rows, -1),
+        innovation.whitening,
     )
 
 
@@ -326,7 +329,12 @@ def add_lacking(state: State, column: int, value: float, std: float) -> State:
 
 
 def _correct(
-    state: State, residual: Array, numerator: Array, covariance: Array, sensitivity: Array
+    state: State,
+    residual: Array,
+    numerator: Array,
+    covariance: Array,
+    sensitivity: Array,
+    whitening: Array | None = None,
 ) -> tuple[State, UpdateStats]:
     """Apply the update for q measured numbers.
 
@@ -336,8 +344,9 @@ def _correct(
         numerator: H P (q, n).
         covariance: S (q, q).
         sensitivity: G (q, c).
+        whitening: L^-1 (q, q) with `L L^T = S`, where that is known already.
     """
-    whitening, n = whitener(covariance), len(state.mean)
+    whitening, n = whitener(covariance) if whitening is None else whitening, len(state.mean)
     whitened = whitening @ np.concatenate([numerator, residual[:, None], sensitivity], axis=1)
     gain, score, sensitivities = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
     mean = state.mean + gain.T @ score

@@ -66,13 +66,19 @@ def path_in_block(rng: np.random.Generator, count: int) -> Arguments:
     return x_m, y_m, yaw_rad, rng.normal(size=count), intervals_s(rng, count), rng.normal(0.0, 0.01, count)
 
 
+def mean_at_end(rng: np.random.Generator, count: int) -> Arguments:
+    return rng.normal(size=count), intervals_s(rng, count), 0.02
+
+
 def rate_scatter(rng: np.random.Generator, count: int) -> Arguments:
     return rng.normal(size=count), intervals_s(rng, count)
 
 
 def intervals(rng: np.random.Generator, count: int) -> Arguments:
     times_ns = (10**18 + rng.integers(1, 10**7, count + 1).cumsum()).tolist()
-    return times_ns, [tuple(row) for row in rng.normal(size=(count + 1, 6)).tolist()]
+    nodes = [tuple(row) for row in rng.normal(size=(count + 1, 6)).tolist()]
+    _, _, wheels_ns, travelled_m = interpolate(rng, count)
+    return times_ns, nodes, wheels_ns, travelled_m, travelled_m[::-1]
 
 
 def interpolate(rng: np.random.Generator, count: int) -> Arguments:
@@ -168,6 +174,7 @@ def carry_covariance(rng: np.random.Generator, count: int) -> Arguments:
     size = 9 + count % 4
     return (
         covariance(rng, size + 3 * count),
+        rng.normal(size=(size + 3 * count, count % 3)),
         np.eye(size) + 0.1 * rng.normal(size=(size, size)),
         covariance(rng, size),
     )
@@ -186,7 +193,8 @@ def motion_in_image(rng: np.random.Generator, count: int) -> Arguments:
     last_directions, last_pixels = of_map(rng, count)
     rows = rng.permutation(2 * count)[:count]
     directions = last_directions[rows] + rng.normal(0.0, 0.002, (count, 2))
-    return directions, last_pixels[rows] + 1.0, last_directions, last_pixels, rows, 250.0, 0.5
+    points_c = rng.uniform(-0.1, 1.0, (count, 1)) * np.column_stack([directions, np.ones(count)])
+    return points_c, last_pixels[rows] + 1.0, last_directions, last_pixels, rows, 250.0, 0.5, 1e-3
 
 
 def matches_counted(rng: np.random.Generator, count: int) -> Arguments:
@@ -220,10 +228,24 @@ def euler_angles(rng: np.random.Generator, count: int) -> Arguments:
     return (rng.normal(size=3),)
 
 
-def by_radial_coefficients(
+def pixels_by_radial_coefficients(
     rng: np.random.Generator, count: int, camera: CameraIntrinsics = CAMERA
 ) -> Arguments:
-    return camera, rng.uniform(-1.0, 1.0, (count, 2))
+    return camera, points(rng, count)
+
+
+def pixels_by_tilt(rng: np.random.Generator, count: int) -> Arguments:
+    return points(rng, count), rng.normal(size=(count, 2, 3)), float(rng.normal())
+
+
+def less_products(rng: np.random.Generator, count: int) -> Arguments:
+    n, c = 3 * count, count % 3
+    mean, before, sensitivity = rng.normal(size=n), covariance(rng, n), rng.normal(size=(n, c))
+    return mean, before, sensitivity, covariance(rng, n + 1 + c)
+
+
+def solve(rng: np.random.Generator, count: int) -> Arguments:
+    return covariance(rng, count), rng.normal(size=count)
 
 
 def learned_noise(rng: np.random.Generator, count: int) -> Arguments:
@@ -242,9 +264,17 @@ def learned_noise(rng: np.random.Generator, count: int) -> Arguments:
     )
 
 
+def scaled_noise(rng: np.random.Generator, count: int) -> Arguments:
+    weights, sums, rows, *_ = learned_noise(rng, count)
+    return noises(rng, count), weights, sums, rows, 20.0, 0.3
+
+
+def turned_camera(rng: np.random.Generator, count: int) -> Arguments:
+    return rng.normal(size=3), rotation_from_euler(rng.normal(size=3))
+
+
 Maker = Callable[[np.random.Generator, int], Arguments]
 MAKERS: tuple[Maker, ...] = (
-    by_radial_coefficients,
     carry_covariance,
     carry_pose,
     filter_headings,
@@ -254,15 +284,22 @@ MAKERS: tuple[Maker, ...] = (
     interpolate,
     intervals,
     learned_noise,
+    less_products,
     matches_counted,
+    mean_at_end,
     motion_in_image,
     path_in_block,
+    pixels_by_radial_coefficients,
+    pixels_by_tilt,
     predict_inverse_depth,
     process_noise,
     project_with_jacobian,
     rate_scatter,
     scale_changes,
+    scaled_noise,
+    solve,
     transition_matrix,
+    turned_camera,
     weigh,
     weigh_loosely,
 )
@@ -306,7 +343,8 @@ def test_twins_agree_behind_every_lens(lens: str) -> None:
     rng = np.random.default_rng(1)
     assert_equal_to_rounding('project_with_jacobian', (LENSES[lens], points(rng, 20)[:-1]))
     assert_equal_to_rounding('predict_inverse_depth', predict_inverse_depth(rng, 20, LENSES[lens]))
-    assert_equal_to_rounding('by_radial_coefficients', by_radial_coefficients(rng, 20, LENSES[lens]))
+    by_radial = pixels_by_radial_coefficients(rng, 20, LENSES[lens])
+    assert_equal_to_rounding('pixels_by_radial_coefficients', by_radial)
 
 
 @needs_kernels

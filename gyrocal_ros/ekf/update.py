@@ -348,21 +348,36 @@ def _correct(
     """
     whitening, n = whitener(covariance) if whitening is None else whitening, len(state.mean)
     whitened = whitening @ np.concatenate([numerator, residual[:, None], sensitivity], axis=1)
-    gain, score, sensitivities = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
-    mean = state.mean + gain.T @ score
+    products = whitened.T @ whitened
+    mean, covariance, sensitivity = less_products(state.mean, state.covariance, state.sensitivity, products)
     if not math.isfinite(mean @ mean):
         raise FilterDivergedError('the estimate is no longer finite', todo=CHECK_THE_SENSORS)
-    after = changed(
-        state,
-        mean=mean,
-        covariance=state.covariance - gain.T @ gain,
-        sensitivity=state.sensitivity - gain.T @ sensitivities,
-    )
+    after = changed(state, mean=mean, covariance=covariance, sensitivity=sensitivity)
     stats = UpdateStats(
-        nis=float(score @ score),
+        nis=float(products[n, n]),
         dof=len(residual),
         log_determinant=-2.0 * float(np.log(whitening.diagonal()).sum()),
-        information=sensitivities.T @ sensitivities,
-        score=sensitivities.T @ score,
+        information=products[n + 1 :, n + 1 :],
+        score=products[n + 1 :, n],
     )
-    return after, stats if sensitivities.shape[1] else stats.of_first(0)
+    return after, stats if sensitivity.shape[1] else stats.of_first(0)
+
+
+@compiled
+def less_products(
+    mean: Array, covariance: Array, sensitivity: Array, products: Array
+) -> tuple[Array, Array, Array]:
+    """Return mean (n,), covariance (n, n) and sensitivity (n, c) after an update.
+
+    Args:
+        mean: before, (n,).
+        covariance: P before, (n, n).
+        sensitivity: X before, (n, c).
+        products: (n + 1 + c, n + 1 + c) products with each other of the whitened `H P`, nu and G.
+    """
+    n = len(mean)
+    return (
+        mean + products[:n, n],
+        covariance - products[:n, :n],
+        sensitivity - products[:n, n + 1 :],
+    )

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.rotation`, `model.kinematics`, `ekf.motion`, `ekf.predict`, `ekf.process_noise` and
-`ekf.steady_rate`, which explain the equations."""
+"""Twins of `model.rotation`, `model.kinematics`, `model.features.base`, `ekf.effects_by_place`, `ekf.motion`, `ekf.predict`,
+`ekf.process_noise` and `ekf.steady_rate`, which explain the equations."""
 
 from libc.math cimport cos, fabs, sin, sqrt, tan
 
@@ -11,12 +11,14 @@ TWINS = (
     'carry_pose',
     'interpolate',
     'intervals',
+    'mean_at_end',
     'path_in_block',
     'process_noise',
     'rate_scatter',
     'rotation_derivatives',
     'rotation_from_euler',
     'transition_matrix',
+    'turned_camera',
 )
 
 
@@ -221,7 +223,40 @@ def transition_matrix(
     return result
 
 
-def intervals(list times_ns, list nodes):
+cdef class Track:
+    """A signal that is interpolated linearly at times that increase; constant before and after its samples."""
+
+    cdef list times_ns, values
+    cdef long long start_ns
+    cdef Py_ssize_t last, j
+    cdef double low, high, value, end, slope
+
+    def __cinit__(self, long long start_ns, list times_ns, list values):
+        self.start_ns, self.times_ns, self.values = start_ns, times_ns, values
+        self.last, self.j = len(times_ns) - 1, 0
+        self.low, self.value = <double>(<long long>times_ns[0] - start_ns), values[0]
+        self.high, self.end, self.slope = self.low, self.value, 0.0
+        if self.last > 0:
+            self.move(1)
+
+    cdef void move(self, Py_ssize_t j):
+        """Begin with the interval that ends at a sample."""
+        self.low, self.value = self.high, self.end
+        self.high, self.end = <double>(<long long>self.times_ns[j] - self.start_ns), self.values[j]
+        self.slope = (self.end - self.value) / (self.high - self.low)
+        self.j = j
+
+    cdef double at(self, double offset_ns):
+        while offset_ns >= self.high and self.j < self.last:
+            self.move(self.j + 1)
+        if offset_ns <= self.low:
+            return self.value
+        if offset_ns >= self.high:
+            return self.end
+        return self.slope * (offset_ns - self.low) + self.value
+
+
+def intervals(list times_ns, list nodes, list wheels_ns, list travelled_m, list turned_rad):
     cdef Py_ssize_t n = len(times_ns) - 1, k, i
     cdef tuple node
     cdef long long start_ns = times_ns[0]
@@ -230,12 +265,23 @@ def intervals(list times_ns, list nodes):
     cdef double before[6]
     for i in range(6):
         before[i] = 0.0
-    arrays = (np.empty(n + 1), np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty((n, 3)))
-    cdef double[::1] offsets = arrays[0], middle = arrays[1], dt = arrays[2], acceleration = arrays[4]
-    cdef double[:, ::1] rate = arrays[3], force = arrays[5]
+    arrays = (np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty((n, 3)))
+    by_wheels = (np.zeros(n), np.zeros(n))
+    cdef double[::1] middle = arrays[0], dt = arrays[1], acceleration = arrays[3]
+    cdef double[::1] distance = by_wheels[0], turn = by_wheels[1]
+    cdef double[:, ::1] rate = arrays[2], force = arrays[4]
+    cdef bint has_wheels = len(wheels_ns) > 1
+    cdef double way_m = 0.0, way_before_m = 0.0, angle_rad = 0.0, angle_before_rad = 0.0
+    cdef Track travelled = None, turned = None
+    if has_wheels:
+        travelled, turned = Track(start_ns, wheels_ns, travelled_m), Track(start_ns, wheels_ns, turned_rad)
     for k in range(n + 1):
         offset_ns = <double>(<long long>times_ns[k] - start_ns)
-        offsets[k] = offset_ns
+        if has_wheels:
+            way_m, angle_rad = travelled.at(offset_ns), turned.at(offset_ns)
+            if k > 0:
+                distance[k - 1], turn[k - 1] = way_m - way_before_m, angle_rad - angle_before_rad
+            way_before_m, angle_before_rad = way_m, angle_rad
         node = nodes[k]
         for i in range(6):
             here[i] = node[i]
@@ -252,33 +298,16 @@ def intervals(list times_ns, list nodes):
         for i in range(6):
             before[i] = here[i]
         earlier_ns = offset_ns
-    return (*arrays, 0.5 * scatter / (n - 2) if n > 2 else float('nan'))
+    return (*arrays, 0.5 * scatter / (n - 2) if n > 2 else float('nan'), *by_wheels)
 
 
 def interpolate(long long start_ns, const double[:] offsets_ns, list times_ns, list values):
-    cdef Py_ssize_t n = offsets_ns.shape[0], last = len(times_ns) - 1, k, j = 0
-    cdef double at, low, high, value, end, slope
-    result = np.empty(n)
+    cdef Py_ssize_t k
+    cdef Track track = Track(start_ns, times_ns, values)
+    result = np.empty(offsets_ns.shape[0])
     cdef double[::1] out = result
-    low, value = <double>(<long long>times_ns[0] - start_ns), values[0]
-    if last == 0:
-        high, end = low, value
-    else:
-        high, end = <double>(<long long>times_ns[1] - start_ns), values[1]
-    slope = (end - value) / (high - low) if last > 0 else 0.0
-    for k in range(n):
-        at = offsets_ns[k]
-        while at >= high and j + 1 < last:
-            j += 1
-            low, value = high, end
-            high, end = <double>(<long long>times_ns[j + 1] - start_ns), values[j + 1]
-            slope = (end - value) / (high - low)
-        if at <= low:
-            out[k] = value
-        elif at >= high:
-            out[k] = end
-        else:
-            out[k] = slope * (at - low) + value
+    for k in range(offsets_ns.shape[0]):
+        out[k] = track.at(offsets_ns[k])
     return result
 
 
@@ -326,8 +355,25 @@ def rate_scatter(const double[:] rate_rad_s, const double[:] dt_s):
     )
 
 
-def carry_covariance(const double[:, ::1] covariance, const double[:, ::1] matrix, const double[:, ::1] noise):
-    cdef Py_ssize_t n = covariance.shape[0], r = matrix.shape[0], i, j, l
+def mean_at_end(const double[:] values, const double[:] dt_s, double length_s):
+    cdef Py_ssize_t k = dt_s.shape[0] - 1
+    cdef double left_s = max(length_s, dt_s[k]), total = 0.0, duration_s = 0.0, within_s
+    while k >= 0 and left_s > 0.0:
+        within_s = min(dt_s[k], left_s)
+        total += within_s * values[k]
+        duration_s += within_s
+        left_s -= dt_s[k]
+        k -= 1
+    return total / duration_s
+
+
+def carry_covariance(
+    const double[:, ::1] covariance,
+    const double[:, ::1] sensitivity,
+    const double[:, ::1] matrix,
+    const double[:, ::1] noise,
+):
+    cdef Py_ssize_t n = covariance.shape[0], r = matrix.shape[0], c = sensitivity.shape[1], i, j, l
     cdef double factor
     result = np.empty((n, n))
     cdef double[:, ::1] P = result, FP = np.zeros((r, n))
@@ -348,7 +394,18 @@ def carry_covariance(const double[:, ::1] covariance, const double[:, ::1] matri
     for i in range(r, n):
         for j in range(r, n):
             P[i, j] = covariance[i, j]
-    return result
+    carried = np.empty((n, c))
+    cdef double[:, ::1] X = carried
+    for i in range(n):
+        for j in range(c):
+            X[i, j] = 0.0 if i < r else sensitivity[i, j]
+    for i in range(r):
+        for l in range(r):
+            factor = matrix[i, l]
+            if factor != 0.0:
+                for j in range(c):
+                    X[i, j] += factor * sensitivity[l, j]
+    return result, carried
 
 
 cdef void rotate(const double* euler, double[3][3] R) noexcept nogil:
@@ -369,6 +426,21 @@ def rotation_from_euler(const double[:] euler):
     cdef double[:, ::1] R = matrix
     rotate(angles, <double[3]*>&R[0, 0])
     return matrix
+
+
+def turned_camera(const double[:] euler, const double[:, :] R_bc):
+    cdef Py_ssize_t i, j, k, l
+    R_wb, dR_wb = rotation_from_euler(euler), rotation_derivatives(euler)
+    arrays = (R_wb, dR_wb, np.zeros((3, 3)), np.zeros((3, 3, 3)))
+    cdef double[:, ::1] R = R_wb, R_wc = arrays[2]
+    cdef double[:, :, ::1] dR = dR_wb, dR_wc = arrays[3]
+    for i in range(3):
+        for j in range(3):
+            for l in range(3):
+                R_wc[i, j] += R[i, l] * R_bc[l, j]
+                for k in range(3):
+                    dR_wc[k, i, j] += dR[k, i, l] * R_bc[l, j]
+    return arrays
 
 
 def rotation_derivatives(const double[:] euler):

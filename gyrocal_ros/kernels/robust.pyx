@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
 
-TWINS = ('fit_heading', 'scale_changes', 'weigh', 'weigh_loosely', 'whitener')
+TWINS = ('fit_heading', 'scale_changes', 'solve', 'weigh', 'weigh_loosely', 'whitener')
 
 cdef double TINY = np.finfo(float).tiny
 cdef double NOT_SEPARABLE = 1e-9
@@ -285,6 +285,23 @@ def fit_heading(innovation, Py_ssize_t yaw):
         score += u * residual[f, 0] + v * residual[f, 1]
         variance += u * (noise[f, 0, 0] * u + noise[f, 0, 1] * v) + v * (noise[f, 1, 0] * u + noise[f, 1, 1] * v)
     return score / information, sqrt(variance) / information
+
+
+def solve(matrix, const double[:] right):
+    cdef Py_ssize_t q = right.shape[0], i, j
+    cdef double[:, ::1] W = np.empty((q, q))
+    cdef double white
+    if not whiten(np.array(matrix), W):
+        raise IndefiniteCovarianceError
+    result = np.zeros(q)
+    cdef double[::1] solution = result
+    for j in range(q):
+        white = 0.0
+        for i in range(j + 1):
+            white += W[j, i] * right[i]
+        for i in range(j + 1):
+            solution[i] += W[j, i] * white
+    return result
 
 
 def whitener(covariance):

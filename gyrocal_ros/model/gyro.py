@@ -39,6 +39,14 @@ class Correction:
     valid: Array | float = 1.0
     """(N,) 1 where the reading depends on the rate, else 0; the bias acts only where it is valid."""
 
+    def unread_rad(self, dt_s: Array) -> float:
+        """Return the standard deviation of the turn over intervals (N,) that the gyro could not read."""
+        return float(dt_s @ self.noise_rad_s) if isinstance(self.noise_rad_s, np.ndarray) else 0.0
+
+    def valid_s(self, dt_s: Array) -> float:
+        """Return the time in intervals (N,) with valid readings."""
+        return float(dt_s @ self.valid if isinstance(self.valid, np.ndarray) else dt_s.sum())
+
 
 def correct(
     effects: Sequence[tuple[GyroEffect, slice]],
@@ -73,7 +81,8 @@ def correct(
         rate = np.where(blind, whole_rate, rate)
         valid = np.where(blind, 0.0, valid)
         by_values[blind] = 0.0
-    return Correction(rate, by_values, np.sqrt(variance), tuple(kept), valid)
+    noise = np.sqrt(variance) if isinstance(variance, np.ndarray) else 0.0
+    return Correction(rate, by_values, noise, tuple(kept), valid)
 
 
 def body_rates(block: MotionBlock, correction: Correction, bias_rad_s: Array) -> Array:

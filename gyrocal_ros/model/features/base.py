@@ -9,6 +9,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, IntArray, Mount
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
 
 
@@ -38,9 +39,15 @@ class PosedCamera:
 
 def posed_camera(camera: CameraIntrinsics, mount: Mount, position_m: Array, euler_rad: Array) -> PosedCamera:
     """Put the camera at a robot pose (position (3,), Euler angles (3,))."""
+    attitudes = turned_camera(euler_rad, mount.R_bs)
+    return PosedCamera(camera, position_m, *attitudes, mount.R_bs, mount.p_bs)
+
+
+@compiled
+def turned_camera(euler_rad: Array, R_bc: Array) -> tuple[Array, Array, Array, Array]:
+    """Return `R_wb`, `dR_wb`, `R_wc` and `dR_wc` of a `PosedCamera`, at Euler angles (3,)."""
     R_wb, dR_wb = rotation_from_euler(euler_rad), rotation_derivatives(euler_rad)
-    R_bc = mount.R_bs
-    return PosedCamera(camera, position_m, R_wb, dR_wb, R_wb @ R_bc, dR_wb @ R_bc, R_bc, mount.p_bs)
+    return R_wb, dR_wb, R_wb @ R_bc, dR_wb @ R_bc
 
 
 @dataclass(frozen=True, slots=True, eq=False)

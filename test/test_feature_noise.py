@@ -53,10 +53,7 @@ def test_noise_that_all_share_is_left_to_the_pixel_noise() -> None:
 
 
 def test_equal_features_remain_nearly_equal() -> None:
-    factors = [
-        factors_of(learned(some_state(), np.ones(COUNT), 200, seed=seed))
-        for seed in range(10)
-    ]
+    factors = [factors_of(learned(some_state(), np.ones(COUNT), 200, seed=seed)) for seed in range(10)]
     assert np.mean(factors) == pytest.approx(1.0, abs=0.05)
     assert np.std(factors) < 0.15
 

@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,13 @@ import pytest
 from contracts import CAMERA, NOISE_PX
 
 from gyrocal_ros import kernels
-from gyrocal_ros.data import Array, CameraIntrinsics, WheelSample, changed
+from gyrocal_ros.data import (
+    Array,
+    CameraIntrinsics,
+    WheelSample,
+    changed,
+    quickly_filled,
+)
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
 from gyrocal_ros.ekf.scale_watch import NOTHING, NormalEquations
@@ -323,7 +329,7 @@ def assert_equal_to_rounding(name: str, arguments: Arguments) -> None:
 
 
 def test_every_kernel_is_compared() -> None:
-    compared = {*ARGUMENTS, changed.__name__}
+    compared = {*ARGUMENTS, changed.__name__, quickly_filled.__name__}
     assert set(kernels.REFERENCES) == compared
     if kernels.TWINS:
         assert set(kernels.TWINS) == compared
@@ -396,6 +402,29 @@ def test_a_changed_copy(forms: dict[str, Callable[..., Any]]) -> None:
     assert sample == WheelSample(5, 0.3, 0.1)
     with pytest.raises(TypeError):
         forms['changed'](sample, speed=0.4)
+
+
+@pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])
+def test_records_that_are_filled(forms: dict[str, Callable[..., Any]]) -> None:
+    if not forms:
+        pytest.skip('the compiled kernels were not built')
+
+    @dataclass(frozen=True, slots=True)
+    class Record:
+        first: int
+        second: float = 2.0
+        others: list[int] = field(default_factory=list)
+
+    filled = forms['quickly_filled'](Record)
+    for record in (filled(1), filled(first=1), filled(1, 2.0, []), filled(1, others=[])):
+        assert (record.first, record.second, record.others) == (1, 2.0, [])
+    assert filled(1) == filled(1) != filled(2)
+    assert filled(1).others is not filled(1).others
+    for arguments, names in (((), {}), ((1, 2.0, [], 4), {}), ((1,), {'third': 3}), ((1,), {'first': 1})):
+        with pytest.raises(TypeError):
+            filled(*arguments, **names)
+    with pytest.raises(FrozenInstanceError):
+        filled(1).first = 2
 
 
 @pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, changed
+from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, changed, quickly_filled
 from gyrocal_ros.ekf.state import YAW
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import PosedCamera, Prediction
@@ -32,6 +32,7 @@ DELAY_STEPS = 2
 """Newton's steps for the time at which a row meets a feature; the first one is exact at constant speed."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMotion:
     """How the pose of the robot changes about the moment of an image."""
@@ -91,6 +92,7 @@ def sort_effects(effects: tuple[Effect, ...], more: int = 0) -> EffectsByPlace:
     )
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionContribution:
     """Contributions of all effects to the motion of one block."""
@@ -163,7 +165,7 @@ def pose_motion(motion: PoseStep, block: MotionBlock) -> PoseMotion:
 
 @compiled
 def mean_at_end(values: Array, dt_s: Array, length_s: float) -> float:
-    """Return the mean of values (N,) over the last part of their intervals dt_s (N,), at least the last one."""
+    """Return the mean of values (N,) over the end of their intervals (N,), at least over the last one."""
     until_end_s = dt_s[::-1].cumsum()[::-1] - dt_s
     within_s = np.clip(max(length_s, dt_s[-1]) - until_end_s, 0.0, dt_s)
     return float(within_s @ values / within_s.sum())

@@ -30,9 +30,14 @@ MIN_GAIN = 0.005
 
 
 def own_noise(typical: Array, learned: FeatureNoise, rows: IntArray) -> Array:
-    """Return the noise (m, 2, 2) of features of given indices (m,): that of a typical one, times what was learned.
+    """Return the noise (m, 2, 2) of features: that of a typical one (m, 2, 2), times what was learned.
 
-    The mean of an inverse gamma distribution with the prior 1 (Gelman et al. 2013, sec. 2.6).
+    Args:
+        typical: noise by the pixels or by the tracker.
+        learned: of all features of the map.
+        rows: (m,) indices of the features.
+
+    The factor is the mean of an inverse gamma distribution with the prior 1 (Gelman et al. 2013, sec. 2.6).
     """
     return scaled_noise(typical, learned.weights, learned.sums, rows, PRIOR_OBSERVATIONS, MIN_FACTOR)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
+from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed, quickly_filled
 from gyrocal_ros.ekf.effects_by_place import (
     EffectsByPlace,
     PoseMotion,
@@ -41,6 +41,7 @@ DOF_PER_FEATURE = 2
 """Degrees of freedom of one observation, also where the measurement is a point of unknown range."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageModel:
     """Measurement model of an image: camera, parametrisation, noise and effects."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig, WheelConfig
-from gyrocal_ros.data import Array, MotionBlock, changed
+from gyrocal_ros.data import Array, MotionBlock, changed, quickly_filled
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, MotionContribution, contribute, pose_by_values
 from gyrocal_ros.ekf.process_noise import process_noise, yaw_noise
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
@@ -22,6 +22,7 @@ UNMEASURED_SPEED_M_S = 0.5
 """Standard deviation of the speed while the wheel encoders send nothing."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterModel:
     """Process model of the filter: the sensor model and the noise of gyro and wheels."""
@@ -35,6 +36,7 @@ class FilterModel:
     """(2,) white noise densities of the x and y gyros; None where they are like the yaw gyro's."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Transition:
     """Change of the robot part of the state (r = 9 + k) over one block."""

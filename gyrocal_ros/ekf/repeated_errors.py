@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.data import Array, IntArray, quickly_filled
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.state import Landmarks
 from gyrocal_ros.kernels import compiled
@@ -24,6 +24,7 @@ MIN_DEPTH = 1e-3
 """Smallest depth (scaled as the points are) of a feature in front of the camera."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """Motion in the image of m features since they were used last."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray, changed
+from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.positive_definite import inverse, whitener
 from gyrocal_ros.ekf.update import Innovation, mahalanobis, own_precisions
@@ -36,6 +36,7 @@ MIN_FEATURES = 5
 """Fewest features that may contradict the pose: the better half of them determines one."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
     """Comparison of each of m features with its prediction."""
@@ -92,6 +93,7 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
     return Judged(distances, noise_share, float(np.vdot(weighted, innovation.residual)))
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Consensus:
     """What the features of an image say of each other and of the predicted pose."""
@@ -128,18 +130,20 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     m, r = innovation.residual.shape
     gate = chi_square_quantile(1.0 - outlier_probability, r)
     pose_gate = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
-    inflation, *compared, whitening = weigh(innovation, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED)
-    judged = Judged(*compared)
+    inflation, distances, noise_share, nis, whitening = weigh(
+        innovation, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
+    )
+    judged = Judged(distances, noise_share, nis)
     good = judged.distances <= gate
     by_pose = Consensus(_with_noise(innovation, inflation, whitening), judged, good)
     # Even all features together may be closer to the prediction than a contradicted pose.
     if m < MIN_FEATURES or judged.nis <= pose_gate:
         return by_pose
     std = LOOSE_POSE_RATE * interval_s
-    inflation, *compared, tight_nis, loose_nis = weigh_loosely(
+    inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
         innovation, std, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
     )
-    judged = Judged(*compared)
+    judged = Judged(distances, noise_share, nis)
     if 2 * np.count_nonzero(good) >= m and tight_nis - loose_nis <= pose_gate:
         return by_pose
     if loose_nis < BENT * tight_nis:

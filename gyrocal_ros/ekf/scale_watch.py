@@ -119,7 +119,9 @@ class ScaleChange:
 
 
 class ScaleWatch:
-    """Follows changes of the scale factor at the beginnings of the windows: the last columns of the sensitivity.
+    """Follows changes of the scale factor at the beginnings of the windows.
+
+    Their columns are the last ones of the sensitivity. They act nowhere: what they are is set here.
 
     Args:
         state: initial state of the filter.

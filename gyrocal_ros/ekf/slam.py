@@ -289,8 +289,10 @@ class EkfSlam:
 
     def time_offset_s(self) -> float:
         """Return the estimated stamp error of images or headings: stamp minus true time."""
-        by_effects = sum(float(self.state.coefficients[place][0]) for _, place in self._effects.time)
-        return by_effects + self._heading.time_offset_s
+        offset_s = self._heading.time_offset_s
+        for _, place in self._effects.time:
+            offset_s += float(self.state.coefficients[place][0])
+        return offset_s
 
     def reference_numbers(self) -> dict[str, float]:
         """Return noise and time offset of the heading reference, by the names of /diagnostics; {} before."""

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import Array, MotionBlock, quickly_filled
 from gyrocal_ros.ekf.predict import Transition
 from gyrocal_ros.ekf.scale_watch import ScaleChange
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class StepRecord:
     """One step of the filter."""

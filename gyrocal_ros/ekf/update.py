@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray, changed
+from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.ekf.feature_scores import FeatureScores
 from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, EULER, YAW, State
@@ -16,6 +16,7 @@ from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import Prediction
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
     """Innovation of the observed features: measured minus expected, with the matrices for the update."""
@@ -54,6 +55,7 @@ class Innovation:
         return self.covariance[each, :, each, :]
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class UpdateStats:
     """Statistics of an update."""
@@ -83,6 +85,7 @@ class UpdateStats:
         return -0.5 * (self.nis + self.log_determinant + self.dof * math.log(2.0 * math.pi))
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasurementUpdate:
     """Result of one image or heading; empty without a measurement."""

@@ -10,7 +10,6 @@ TWINS = (
     'find_ids',
     'innovation_matrices',
     'learned_noise',
-    'less_products',
     'matches_counted',
     'motion_in_image',
     'pixels_by_radial_coefficients',
@@ -243,25 +242,6 @@ def innovation_matrices(
                     S[f, i, g, j] = sum_
             for j in range(r):
                 S[f, i, f, j] += noise[f, i, j]
-    return arrays
-
-
-def less_products(
-    const double[:] mean,
-    const double[:, ::1] covariance,
-    const double[:, ::1] sensitivity,
-    const double[:, ::1] products,
-):
-    cdef Py_ssize_t n = mean.shape[0], c = sensitivity.shape[1], i, j
-    arrays = (np.empty(n), np.empty((n, n)), np.empty((n, c)))
-    cdef double[::1] after = arrays[0]
-    cdef double[:, ::1] P = arrays[1], X = arrays[2]
-    for i in range(n):
-        after[i] = mean[i] + products[i, n]
-        for j in range(n):
-            P[i, j] = covariance[i, j] - products[i, j]
-        for j in range(c):
-            X[i, j] = sensitivity[i, j] - products[i, n + 1 + j]
     return arrays
 
 

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.positive_definite`, `ekf.robust`, `ekf.scale_watch` and `ekf.image_update`, which explain the
-equations."""
+"""Twins of `ekf.positive_definite`, `ekf.robust`, `ekf.scale_watch`, `ekf.update` and `ekf.image_update`, which
+explain the equations."""
 
 from libc.math cimport fabs, sqrt
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
 
-TWINS = ('fit_heading', 'scale_changes', 'solve', 'weigh', 'weigh_loosely', 'whitener')
+TWINS = ('fit_heading', 'less_products', 'scale_changes', 'solve', 'weigh', 'weigh_loosely', 'whitener')
 
 cdef double TINY = np.finfo(float).tiny
 cdef double NOT_SEPARABLE = 1e-9
@@ -285,6 +285,25 @@ def fit_heading(innovation, Py_ssize_t yaw):
         score += u * residual[f, 0] + v * residual[f, 1]
         variance += u * (noise[f, 0, 0] * u + noise[f, 0, 1] * v) + v * (noise[f, 1, 0] * u + noise[f, 1, 1] * v)
     return score / information, sqrt(variance) / information
+
+
+def less_products(
+    const double[:] mean,
+    const double[:, ::1] covariance,
+    const double[:, ::1] sensitivity,
+    const double[:, ::1] products,
+):
+    cdef Py_ssize_t n = mean.shape[0], c = sensitivity.shape[1], i, j
+    arrays = (np.empty(n), np.empty((n, n)), np.empty((n, c)))
+    cdef double[::1] after = arrays[0]
+    cdef double[:, ::1] P = arrays[1], X = arrays[2]
+    for i in range(n):
+        after[i] = mean[i] + products[i, n]
+        for j in range(n):
+            P[i, j] = covariance[i, j] - products[i, j]
+        for j in range(c):
+            X[i, j] = sensitivity[i, j] - products[i, n + 1 + j]
+    return arrays
 
 
 def solve(matrix, const double[:] right):

@@ -20,10 +20,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.model.sensor import GyroEffect, Memory
+from gyrocal_ros.data import Array, MotionBlock, quickly_filled
+from gyrocal_ros.model.sensor import GyroEffect, GyroTerm, Memory
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
     """Sum of the contributions of all gyro effects to the yaw rate of a block, without the bias."""
@@ -62,13 +63,18 @@ def correct(
         values: (K,) coefficients.
         memories: memory of each effect from the blocks before.
     """
+    terms = [
+        effect.contribute(block, values[place], memory)
+        for (effect, place), memory in zip(effects, memories, strict=True)
+    ]
+    if len(terms) == 1 and _is_whole(terms[0], len(values)):
+        return Correction(terms[0].rate_rad_s, terms[0].by_values, 0.0, (terms[0].memory,))
     rate = np.zeros(len(block.dt_s))
     by_values = np.zeros((len(block.dt_s), len(values)))
     variance: Array | float = 0.0
     kept = []
     blind_parts = []
-    for (effect, place), memory in zip(effects, memories, strict=True):
-        term = effect.contribute(block, values[place], memory)
+    for (_, place), term in zip(effects, terms, strict=True):
         rate += term.rate_rad_s
         by_values[:, place] = term.by_values
         kept.append(term.memory)
@@ -83,6 +89,11 @@ def correct(
         by_values[blind] = 0.0
     noise = np.sqrt(variance) if isinstance(variance, np.ndarray) else 0.0
     return Correction(rate, by_values, noise, tuple(kept), valid)
+
+
+def _is_whole(term: GyroTerm, count: int) -> bool:
+    """Return True for the contribution of the only effect, which leaves nothing unknown."""
+    return term.noise_rad_s is None and term.blind is None and term.by_values.shape[1] == count
 
 
 def body_rates(block: MotionBlock, correction: Correction, bias_rad_s: Array) -> Array:

@@ -8,11 +8,12 @@ from typing import Protocol
 import numpy as np
 
 from gyrocal_ros.config.sections import FeatureConfig
-from gyrocal_ros.data import Array, CameraIntrinsics, IntArray, Mount
+from gyrocal_ros.data import Array, CameraIntrinsics, IntArray, Mount, quickly_filled
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedCamera:
     """A camera at a robot pose, with the matrices for derivatives by that pose."""
@@ -50,6 +51,7 @@ def turned_camera(euler_rad: Array, R_bc: Array) -> tuple[Array, Array, Array, A
     return R_wb, dR_wb, R_wb @ R_bc, dR_wb @ R_bc
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchors:
     """Camera poses at the first observation of each feature: constants of the map, not part of the state."""
@@ -85,6 +87,7 @@ class NewFeatures:
     anchors: Anchors
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
     """Predicted measurements of mapped features in a view, with their derivatives."""

@@ -15,7 +15,7 @@ from gyrocal_ros.ekf.feature_noise import (
     PRIOR_OBSERVATIONS,
     TypicalMatch,
     learn_noise,
-    variance_factors,
+    own_noise,
 )
 from gyrocal_ros.ekf.robust import Judged
 from gyrocal_ros.ekf.state import State, unknown_noise
@@ -24,11 +24,16 @@ COUNT = 5
 ROWS = np.arange(COUNT)
 
 
+def factors_of(state: State) -> Array:
+    """Return the variances of all features relative to a typical one."""
+    return own_noise(np.ones((COUNT, 2, 2)), state.landmarks.noise, ROWS)[:, 0, 0]
+
+
 def learned(state: State, variances: Array, images: int, noise_share: float = 1.0, seed: int = 0) -> State:
     """Return a state that has learned from features with the given true variances, relative to the pixels."""
     rng = np.random.default_rng(seed)
     for _ in range(images):
-        assumed = variance_factors(state.landmarks.noise)
+        assumed = factors_of(state)
         total = noise_share * variances / assumed + 1.0 - noise_share
         distances = total * rng.chisquare(2, COUNT)
         state = learn_noise(state, ROWS, Judged(distances, np.full(COUNT, noise_share), np.nan), 2)
@@ -38,20 +43,17 @@ def learned(state: State, variances: Array, images: int, noise_share: float = 1.
 @pytest.mark.parametrize('noise_share', [1.0, 0.7])
 def test_a_worse_feature_is_told_from_the_others(noise_share: float) -> None:
     state = learned(some_state(), np.array([1.0, 1.0, 6.0, 1.0, 1.0]), 300, noise_share)
-    factors = variance_factors(state.landmarks.noise)
+    factors = factors_of(state)
     assert factors[2] > 2.5 * np.delete(factors, 2).max()
 
 
 def test_noise_that_all_share_is_left_to_the_pixel_noise() -> None:
     state = learned(some_state(), np.full(COUNT, 4.0), 300)
-    assert variance_factors(state.landmarks.noise) == pytest.approx(np.ones(COUNT), abs=0.35)
+    assert factors_of(state) == pytest.approx(np.ones(COUNT), abs=0.35)
 
 
 def test_equal_features_remain_nearly_equal() -> None:
-    factors = [
-        variance_factors(learned(some_state(), np.ones(COUNT), 200, seed=seed).landmarks.noise)
-        for seed in range(10)
-    ]
+    factors = [factors_of(learned(some_state(), np.ones(COUNT), 200, seed=seed)) for seed in range(10)]
     assert np.mean(factors) == pytest.approx(1.0, abs=0.05)
     assert np.std(factors) < 0.15
 
@@ -60,13 +62,13 @@ def test_few_observations_change_little() -> None:
     state = learn_noise(
         some_state(), ROWS, Judged(np.array([2.0, 2.0, 200.0, 2.0, 2.0]), np.ones(COUNT), np.nan), 2
     )
-    factors = variance_factors(state.landmarks.noise)
+    factors = factors_of(state)
     assert factors.max() < 1.0 + MAX_ERROR / PRIOR_OBSERVATIONS and np.argmax(factors) == 2
 
 
 def test_the_factor_has_a_lower_bound() -> None:
     noise = replace(unknown_noise(1), weights=np.array([1000.0]))
-    assert variance_factors(noise) == [MIN_FACTOR]
+    assert own_noise(np.ones((1, 2, 2)), noise, np.array([0]))[0, 0, 0] == MIN_FACTOR
 
 
 def test_the_typical_match_is_the_geometric_mean_and_follows() -> None:

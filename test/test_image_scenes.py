@@ -27,7 +27,7 @@ from gyrocal_ros.sim.image_conditions import (
 )
 from gyrocal_ros.sim.image_scenes import FISHEYE, RATIONAL, SCENES, find_scene
 from gyrocal_ros.sim.image_sensor import ImageSensor
-from gyrocal_ros.sim.image_sequence import ImageSequence
+from gyrocal_ros.sim.image_sequence import ImageSequence, drawn
 from gyrocal_ros.sim.moving import MOVING, moving_layers
 from gyrocal_ros.sim.render import CameraPose, CeilingRenderer, block_edges
 from gyrocal_ros.sim.scenarios import SCENARIOS
@@ -73,19 +73,19 @@ class TestCeilings:
 
     def test_differ_in_what_makes_them_difficult(self) -> None:
         grid = Grid(0.0067)
-        drawn = {
+        ceilings = {
             name: find_ceiling(name).draw(np.random.default_rng(0), HEIGHT_M, grid)
             for name in ('tiles', 'plaster', 'lamps', 'beams', 'pipes')
         }
-        grey = {name: layers[0].brightness / LEVELS_PER_GREY for name, layers in drawn.items()}
+        grey = {name: layers[0].brightness / LEVELS_PER_GREY for name, layers in ceilings.items()}
         local = {name: np.abs(np.diff(values)).mean() for name, values in grey.items()}
         assert local['plaster'] < 0.5 * local['tiles']
         assert (grey['lamps'] > 255.0).mean() > 0.03
         tile = round(0.6 / grid.texel_m)
         one, other = (grey['tiles'][at : at + tile, at : at + tile] for at in (0, 5 * tile))
         assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.9
-        assert len({layer.height_m for layer in drawn['beams']}) == 3
-        assert len({layer.height_m for layer in drawn['pipes']}) == 4
+        assert len({layer.height_m for layer in ceilings['beams']}) == 3
+        assert len({layer.height_m for layer in ceilings['pipes']}) == 4
 
     def test_a_photograph_is_a_ceiling_without_seams(self, tmp_path: Path) -> None:
         ramp = np.tile(np.linspace(0, 250, 100).astype(np.uint8), (50, 1))
@@ -101,6 +101,16 @@ class TestCeilings:
         np.testing.assert_allclose(
             reduced.brightness[0, :25] / LEVELS_PER_GREY, ramp[0].reshape(25, 4).mean(axis=1), atol=0.5
         )
+
+    def test_one_after_the_other_is_drawn_once_and_a_photograph_is_read_again(self, tmp_path: Path) -> None:
+        tiles = drawn(find_ceiling('tiles'), 1, COARSE)
+        assert drawn(find_ceiling('tiles'), 1, COARSE) is tiles
+        assert drawn(find_ceiling('tiles'), 2, COARSE) is not tiles
+        file = tmp_path / 'ceiling.png'
+        for grey in (50, 90):
+            cv2.imwrite(str(file), np.full((50, 100), grey, np.uint8))
+            (photograph,) = drawn(find_ceiling(str(file)), 1, COARSE)
+            assert (photograph.brightness == grey * LEVELS_PER_GREY).all()
 
     def test_unknown_names_and_files_that_are_no_images_are_refused(self, tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match='tyles'):

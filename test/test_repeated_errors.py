@@ -18,7 +18,9 @@ def test_features_have_moved_if_they_are_expected_elsewhere() -> None:
     directions[1:3, 0] += np.array([0.4, 0.6]) / FOCAL_PX
     pixels = last.last_pixels + FOCAL_PX * (directions - DIRECTIONS)
     pixels[4] += [0.3, 0.4]
-    moved = motion(directions, pixels, last, np.arange(len(pixels)), FOCAL_PX)
+    points_c = 0.4 * np.column_stack([directions, np.ones(len(directions))])
+    moved = motion(points_c, pixels, last, np.arange(len(pixels)), FOCAL_PX)
+    np.testing.assert_allclose(moved.directions, directions, rtol=1e-15)
     assert moved.unmoved.tolist() == [True, True, False, True, True]
     np.testing.assert_allclose(moved.changes_px2, [0.0, 0.0, 0.0, 0.0, 0.125], atol=1e-12)
 

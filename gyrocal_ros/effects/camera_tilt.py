@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
 
@@ -61,13 +62,26 @@ class CameraTilt:
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the rotation of the points, `dm_c = -t x m_c`; the y axis is itself tilted about x."""
-        c, s = math.cos(values[0]), math.sin(values[0])
-        # Rows x, y, z of a point; its derivative (3,) by the rotation about x and about y, interleaved.
-        turns = np.array(
-            [
-                [0.0, 0.0, 0.0, s, 0.0, c],
-                [0.0, -s, 0.0, 0.0, -1.0, 0.0],
-                [0.0, -c, 1.0, 0.0, 0.0, 0.0],
-            ]
-        )
-        return seen.by_point @ (seen.points_c @ turns).reshape(-1, 3, 2)
+        return pixels_by_tilt(seen.points_c, seen.by_point, float(values[0]))
+
+
+@compiled
+def pixels_by_tilt(points_c: Array, by_point: Array, tilt_rad: float) -> Array:
+    """Return the derivative (m, r, 2) of measurements by a tilt of the camera about x and y.
+
+    Args:
+        points_c: (m, 3) in the optical frame.
+        by_point: (m, r, 3) derivative of the measurements by them.
+        tilt_rad: tilt about x.
+    """
+    c, s = math.cos(tilt_rad), math.sin(tilt_rad)
+    # Rows x, y, z of a point; its derivative (3,) by the rotation about x and about y, interleaved.
+    turns = np.array(
+        [
+            [0.0, 0.0, 0.0, s, 0.0, c],
+            [0.0, -s, 0.0, 0.0, -1.0, 0.0],
+            [0.0, -c, 1.0, 0.0, 0.0, 0.0],
+        ]
+    )
+    by_tilt: Array = by_point @ (points_c @ turns).reshape(-1, 3, 2)
+    return by_tilt

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import numpy as np
-
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
-from gyrocal_ros.model.lens import by_radial_coefficients
+from gyrocal_ros.model.camera import pixels_by_radial_coefficients
 from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
 
 
@@ -47,5 +45,4 @@ class RadialDistortion:
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the derivative of the lens with respect to k1 and k2, times the focal length."""
-        by_values = by_radial_coefficients(seen.camera, seen.points_c[:, :2] / seen.points_c[:, 2:])
-        return by_values * np.array([[seen.camera.fx_px], [seen.camera.fy_px]])
+        return pixels_by_radial_coefficients(seen.camera, seen.points_c)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
+from gyrocal_ros.effects.base import Explanation, LinearGyroEffect
 from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 FULL_RATE_RAD_S = math.radians(100.0)
@@ -40,7 +40,8 @@ class ScalePower(LinearGyroEffect):
 
     def columns(self, block: MotionBlock) -> Array:
         """Return the column (N, 1)."""
-        return column(block.rate_rad_s[:, 2] ** self.power)
+        rate_rad_s = block.rate_rad_s[:, 2:]
+        return rate_rad_s if self.power == 1 else rate_rad_s**self.power
 
 
 _EXPLANATIONS = {

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, changed
+from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, changed, quickly_filled
 from gyrocal_ros.ekf.state import YAW
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import PosedCamera, Prediction
 from gyrocal_ros.model.gyro import Correction
 from gyrocal_ros.model.kinematics import PoseStep
@@ -31,6 +32,7 @@ DELAY_STEPS = 2
 """Newton's steps for the time at which a row meets a feature; the first one is exact at constant speed."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMotion:
     """How the pose of the robot changes about the moment of an image."""
@@ -59,6 +61,11 @@ class EffectsByPlace:
     noise: Sequence[tuple[NoiseEffect, slice]]
 
     @property
+    def act_on_motion(self) -> bool:
+        """True if any effect changes the motion of the robot."""
+        return bool(self.gyro or self.wheels or self.ground)
+
+    @property
     def act_on_images(self) -> bool:
         """True if any effect changes images."""
         return bool(self.camera or self.time or self.shutter)
@@ -68,13 +75,13 @@ class EffectsByPlace:
         return (None,) * len(self.gyro)
 
 
-def sort_effects(effects: tuple[Effect, ...]) -> EffectsByPlace:
-    """Sort effects by place."""
+def sort_effects(effects: tuple[Effect, ...], more: int = 0) -> EffectsByPlace:
+    """Sort effects by place, with a number of further coefficients behind theirs, which act nowhere."""
     coefficients = [item for effect in effects for item in effect.coefficients]
     return EffectsByPlace(
-        count=len(coefficients),
-        prior_means=np.array([item.prior_mean for item in coefficients], float),
-        walks=np.array([item.walk for item in coefficients], float),
+        count=len(coefficients) + more,
+        prior_means=np.array([item.prior_mean for item in coefficients] + [0.0] * more, float),
+        walks=np.array([item.walk for item in coefficients] + [0.0] * more, float),
         gyro=placed(effects, 'gyro'),
         wheels=placed(effects, 'wheels'),
         ground=placed(effects, 'ground'),
@@ -85,6 +92,7 @@ def sort_effects(effects: tuple[Effect, ...]) -> EffectsByPlace:
     )
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionContribution:
     """Contributions of all effects to the motion of one block."""
@@ -150,11 +158,17 @@ def pose_motion(motion: PoseStep, block: MotionBlock) -> PoseMotion:
 
     It is the nominal one: an error of the scale factor by a tenth changes little.
     """
-    until_end_s = block.dt_s[::-1].cumsum()[::-1] - block.dt_s
-    within_s = np.clip(max(TURN_CHANGE_S, block.dt_s[-1]) - until_end_s, 0.0, block.dt_s)
     acceleration = np.zeros(6)
-    acceleration[YAW] = within_s @ block.yaw_acceleration_rad_s2 / within_s.sum()
+    acceleration[YAW] = mean_at_end(block.yaw_acceleration_rad_s2, block.dt_s, TURN_CHANGE_S)
     return PoseMotion(motion.pose_rate, acceleration)
+
+
+@compiled
+def mean_at_end(values: Array, dt_s: Array, length_s: float) -> float:
+    """Return the mean of values (N,) over the end of their intervals (N,), at least over the last one."""
+    until_end_s = dt_s[::-1].cumsum()[::-1] - dt_s
+    within_s = np.clip(max(length_s, dt_s[-1]) - until_end_s, 0.0, dt_s)
+    return float(within_s @ values / within_s.sum())
 
 
 def true_camera(
@@ -217,6 +231,8 @@ def measurement_by_values(
     )
     for effect, place in effects.camera:
         by_values[:, :, place] = effect.pixels_by_values(seen, values[place])
+    if not effects.time and not effects.shutter:
+        return by_values
     velocity = prediction.by_pose @ motion.rate
     for _, place in effects.time:
         by_values[:, :, place] = -velocity[:, :, None]

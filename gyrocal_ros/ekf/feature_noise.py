@@ -29,13 +29,35 @@ MIN_GAIN = 0.005
 """Gain by which the typical match of the tracker follows changes of light and speed."""
 
 
-def variance_factors(noise: FeatureNoise) -> Array:
-    """Return the variances (m,) of features relative to a typical one.
+def own_noise(typical: Array, learned: FeatureNoise, rows: IntArray) -> Array:
+    """Return the noise (m, 2, 2) of features: that of a typical one (m, 2, 2), times what was learned.
 
-    The mean of an inverse gamma distribution with the prior 1 (Gelman et al. 2013, sec. 2.6).
+    Args:
+        typical: noise by the pixels or by the tracker.
+        learned: of all features of the map.
+        rows: (m,) indices of the features.
+
+    The factor is the mean of an inverse gamma distribution with the prior 1 (Gelman et al. 2013, sec. 2.6).
     """
-    factors = (PRIOR_OBSERVATIONS + noise.sums) / (PRIOR_OBSERVATIONS + noise.weights)
-    return np.maximum(factors, MIN_FACTOR)
+    return scaled_noise(typical, learned.weights, learned.sums, rows, PRIOR_OBSERVATIONS, MIN_FACTOR)
+
+
+@compiled
+def scaled_noise(
+    typical: Array, weights: Array, sums: Array, rows: IntArray, prior: float, min_factor: float
+) -> Array:
+    """Return the noise (m, 2, 2) of features; see `own_noise`.
+
+    Args:
+        typical: (m, 2, 2)
+        weights: (M,) of all features of the map.
+        sums: (M,)
+        rows: (m,) indices of the features.
+        prior: observations that the prior counts for.
+        min_factor: smallest variance relative to a typical feature.
+    """
+    factors = np.maximum((prior + sums[rows]) / (prior + weights[rows]), min_factor)
+    return typical * factors[:, None, None]
 
 
 def learn_noise(state: State, rows: IntArray, judged: Judged, dof: int) -> State:

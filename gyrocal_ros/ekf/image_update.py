@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
+from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed, quickly_filled
 from gyrocal_ros.ekf.effects_by_place import (
     EffectsByPlace,
     PoseMotion,
@@ -16,13 +16,13 @@ from gyrocal_ros.ekf.effects_by_place import (
     first_sight_by_values,
     measurement_by_values,
 )
-from gyrocal_ros.ekf.feature_noise import learn_noise, variance_factors
+from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
 from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
-from gyrocal_ros.ekf.repeated_errors import motion
+from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
-from gyrocal_ros.ekf.state import YAW, FeatureNoise, State
+from gyrocal_ros.ekf.state import YAW, State
 from gyrocal_ros.ekf.update import (
     Innovation,
     MeasurementUpdate,
@@ -35,14 +35,13 @@ from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import bearing, project_with_jacobian
 from gyrocal_ros.model.features.base import Anchors, NewFeatures, Parametrisation, PosedCamera, Prediction
 
-MIN_DEPTH = 1e-3
-"""Smallest depth (scaled as the points are) of a feature in front of the camera."""
 SHUTTER_ITERATIONS = 2
 """Iterations for where a new feature was at the stamp of an image with a rolling shutter."""
 DOF_PER_FEATURE = 2
 """Degrees of freedom of one observation, also where the measurement is a point of unknown range."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageModel:
     """Measurement model of an image: camera, parametrisation, noise and effects."""
@@ -94,20 +93,19 @@ def update_from_image(
     """
     known, rows = _known(state, observations)
     prediction = model.predict(state, state.features[rows], state.landmarks.anchors[rows])
-    directions, pixels = _directions(prediction), observations.pixels[known]
-    moved = motion(directions, pixels, state.landmarks, rows, model.view.camera.fx_px)
-    new = ~moved.unmoved if model.errors_repeat else np.ones(len(rows), bool)
-    state = mark_seen(state, rows[~new])
-    count = int(np.count_nonzero(new))
-    seen = MeasurementUpdate(unmoved=len(new) - count, changes_px2=moved.changes_px2[moved.unmoved])
-    if count == 0:
+    observed = observations if len(known) == len(observations.ids) else observations[known]
+    moved = motion(prediction.points_c, observed.pixels, state.landmarks, rows, model.view.camera.fx_px)
+    directions, unmoved = moved.directions, moved.unmoved
+    repeated = int(np.count_nonzero(unmoved)) if model.errors_repeat else 0
+    seen = MeasurementUpdate(unmoved=repeated, changes_px2=moved.changes_px2[unmoved])
+    if repeated:
+        state = mark_seen(state, rows[unmoved])
+        each = np.flatnonzero(~unmoved)
+        rows, observed, prediction = rows[each], observed[each], prediction[each]
+        directions, unmoved = directions[each], unmoved[each]
+    if len(rows) == 0:
         return state, seen
-    unmoved = moved.unmoved
-    if count < len(new):
-        each = np.flatnonzero(new)
-        rows, known, prediction, directions = rows[each], known[each], prediction[each], directions[each]
-        pixels, unmoved = pixels[each], unmoved[each]
-    found = _consensus(_innovation(state, model, rows, prediction, observations[known]), model)
+    found = _consensus(_innovation(state, model, rows, prediction, observed), model)
     judged, good = found.judged, found.good & (prediction.points_c[:, 2] > MIN_DEPTH)
     if model.form.is_robust and model.config.camera.estimate_pixel_noise:
         state = learn_noise(state, rows, judged, DOF_PER_FEATURE)
@@ -125,7 +123,7 @@ def update_from_image(
     kept = state
     if not found.rejects_image:
         drop_after = model.config.features.drop_after_rejections
-        kept = count_matches(state, rows, good, pixels, directions, drop_after)
+        kept = count_matches(state, rows, good, observed.pixels, directions, drop_after)
     is_in_pixels = model.form.rows == 2
     return kept, changed(
         seen,
@@ -159,19 +157,12 @@ def _innovation(
 ) -> Innovation:
     measured, noise = model.form.measure(model.view, observed.pixels, model.noise_px, model.config.features)
     if model.form.is_robust:
-        noise = _own_noise(noise, model, state.landmarks.noise[rows], observed)
+        if observed.covariances_px2 is not None:
+            noise = (model.noise_px / model.match_px) ** 2 * observed.covariances_px2
+        noise = own_noise(noise, state.landmarks.noise, rows)
     by_values = model.by_values(prediction, state.coefficients)
     by_candidates = model.by_candidates(prediction)
     return innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
-
-
-def _own_noise(
-    typical: Array, model: ImageModel, learned: FeatureNoise, observed: FeatureObservations
-) -> Array:
-    """Return the noise (m, 2, 2) of each feature; see `ekf.feature_noise`."""
-    if observed.covariances_px2 is not None:
-        typical = (model.noise_px / model.match_px) ** 2 * observed.covariances_px2
-    return typical * variance_factors(learned)[:, None, None]
 
 
 def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
@@ -182,17 +173,15 @@ def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
     return Consensus(innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability))
 
 
-def _directions(prediction: Prediction) -> Array:
-    """Return the expected directions (m, 2) x/z, y/z in the optical frame."""
-    return prediction.points_c[:, :2] / np.maximum(prediction.points_c[:, 2:], MIN_DEPTH)
-
-
 def unmapped(state: State, observations: FeatureObservations, map_size: int) -> list[int]:
     """Return the indices of observed features that are not in the map and for which there is room.
 
     No feature of the map that was just seen is evicted: one known for longer is worth more.
     """
-    new = np.flatnonzero(find_ids(state.landmarks.ids, observations.ids) < 0).tolist()
+    is_new = find_ids(state.landmarks.ids, observations.ids) < 0
+    if not is_new.any():
+        return []
+    new = np.flatnonzero(is_new).tolist()
     just_seen = int(np.count_nonzero(state.landmarks.last_seen_ns == state.t_ns))
     return new[: max(map_size - just_seen, 0)]
 

@@ -147,10 +147,11 @@ class MotionBuffer:
         assert self.start_ns is not None and end_ns > start_ns
         first, last = bisect_right(self._imu_ns, start_ns), bisect_left(self._imu_ns, end_ns)
         nodes = [self._imu_at(start_ns), *self._imu[first:last], self._imu_at(end_ns)]
-        offsets_ns, middle_ns, dt_s, rate_rad_s, acceleration_rad_s2, force_m_s2, scatter_m2_s4 = intervals(
-            [start_ns, *self._imu_ns[first:last], end_ns], nodes
+        times_ns = [start_ns, *self._imu_ns[first:last], end_ns]
+        middle_ns, dt_s, rate_rad_s, acceleration_rad_s2, force_m_s2, scatter_m2_s4, *by_wheels = intervals(
+            times_ns, nodes, self._travelled.t_ns, self._travelled.values, self._turned.values
         )
-        distance_m = _increments(self._travelled, start_ns, offsets_ns)
+        distance_m, wheel_turn_rad = by_wheels
         covariates = {name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()}
         covariates[SPEED_SIGNAL] = distance_m / dt_s
         return MotionBlock(
@@ -163,7 +164,7 @@ class MotionBuffer:
             specific_force_m_s2=force_m_s2,
             vibration_m2_s4=np.full(len(dt_s), self._vibration(scatter_m2_s4, seconds(end_ns - start_ns))),
             distance_m=distance_m,
-            wheel_turn_rad=_increments(self._turned, start_ns, offsets_ns),
+            wheel_turn_rad=wheel_turn_rad,
             temperature_c=(
                 self._temperature.at(start_ns, middle_ns)
                 if self._temperature.t_ns
@@ -204,11 +205,14 @@ class MotionBuffer:
         """
         first, last = bisect_right(self._imu_ns, start_ns) - 1, bisect_left(self._imu_ns, end_ns)
         around = self._imu_ns[max(first, 0) : last + 1]
-        wide = [(a, b) for a, b in pairwise(around) if b - a > GAP_NS]
+        least_ns = max(DROPOUT_INTERVALS * self._usual_interval_ns, MIN_DROPOUT_NS)
+        long = [(a, b) for a, b in pairwise(around) if b - a > min(least_ns, GAP_NS)]
+        if not long and around[0] <= start_ns and around[-1] >= end_ns:
+            return 0.0
+        wide = [(a, b) for a, b in long if b - a > GAP_NS]
         unknown = [(start_ns, around[0]), *wide, (around[-1], end_ns)]
         gap_s = seconds(sum(max(min(b, end_ns) - max(a, start_ns), 0) for a, b in unknown))
-        least_ns = max(DROPOUT_INTERVALS * self._usual_interval_ns, MIN_DROPOUT_NS)
-        dropouts = [(a, b) for a, b in pairwise(around) if least_ns < b - a <= GAP_NS]
+        dropouts = [(a, b) for a, b in long if least_ns < b - a <= GAP_NS]
         weighted_s = (
             seconds(min(b, end_ns) - max(a, start_ns)) * seconds(b - a) / DROPOUT_S for a, b in dropouts
         )
@@ -241,26 +245,28 @@ class MotionBuffer:
             signal.forget_before(t_ns)
 
 
-def _increments(signal: _Signal, start_ns: int, offsets_ns: Array) -> Array:
-    """Return the increments of a cumulative signal between the given times."""
-    if len(signal.t_ns) < 2:
-        return np.zeros(len(offsets_ns) - 1)
-    totals = signal.at(start_ns, offsets_ns)
-    return totals[1:] - totals[:-1]
-
-
 @compiled
-def intervals(times_ns: list[int], nodes: list[tuple[float, ...]]) -> tuple[Any, ...]:
+def intervals(
+    times_ns: list[int],
+    nodes: list[tuple[float, ...]],
+    wheels_ns: list[int],
+    travelled_m: list[float],
+    turned_rad: list[float],
+) -> tuple[Any, ...]:
     """Return the columns of the N intervals between samples.
 
     Args:
         times_ns: N + 1 times: start of the block, of the samples inside, end of the block.
         nodes: N + 1 times rates about x, y, z and specific forces along them.
+        wheels_ns: times of the wheel encoders.
+        travelled_m: way by the wheels until then.
+        turned_rad: turn by the wheels until then.
 
     Returns:
-        (N + 1,) times in ns since the first, (N,) middles of the intervals in ns, (N,) their lengths in s,
-        (N, 3) mean rates, (N,) yaw accelerations, (N, 3) mean specific forces, and half the mean square of
-        the differences of the specific force between successive samples; NaN with fewer than two.
+        (N,) middles of the intervals in ns since the first time, (N,) their lengths in s, (N, 3) mean rates,
+        (N,) yaw accelerations, (N, 3) mean specific forces, half the mean square of the differences of the
+        specific force between successive samples, NaN with fewer than two, and (N,) ways and (N,) turns by
+        the wheels, zero with fewer than two of their samples.
     """
     offsets_ns = np.array([t - times_ns[0] for t in times_ns], float)
     values = np.array(nodes)
@@ -270,7 +276,11 @@ def intervals(times_ns: list[int], nodes: list[tuple[float, ...]]) -> tuple[Any,
     acceleration_rad_s2 = (values[1:, 2] - values[:-1, 2]) / dt_s
     steps = values[2:-1, 3:] - values[1:-2, 3:]
     scatter = 0.5 * float(np.vdot(steps, steps)) / len(steps) if len(steps) else math.nan
-    return offsets_ns, middle_ns, dt_s, means[:, :3], acceleration_rad_s2, means[:, 3:], scatter
+    by_wheels = np.zeros((2, len(dt_s)))
+    if len(wheels_ns) > 1:
+        totals = (interpolate(times_ns[0], offsets_ns, wheels_ns, of) for of in (travelled_m, turned_rad))
+        by_wheels = np.diff(np.array([*totals]))
+    return middle_ns, dt_s, means[:, :3], acceleration_rad_s2, means[:, 3:], scatter, *by_wheels
 
 
 @compiled

@@ -36,6 +36,7 @@ def inverse(covariance: Array) -> Array:
     return precision
 
 
+@compiled
 def solve(matrix: Array, right: Array) -> Array:
     """Return `A^-1 b` for a positive definite A (q, q) and b (q,).
 

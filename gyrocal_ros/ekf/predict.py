@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig, WheelConfig
-from gyrocal_ros.data import Array, MotionBlock, changed
+from gyrocal_ros.data import Array, MotionBlock, changed, quickly_filled
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, MotionContribution, contribute, pose_by_values
 from gyrocal_ros.ekf.process_noise import process_noise, yaw_noise
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
@@ -22,6 +22,7 @@ UNMEASURED_SPEED_M_S = 0.5
 """Standard deviation of the speed while the wheel encoders send nothing."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterModel:
     """Process model of the filter: the sensor model and the noise of gyro and wheels."""
@@ -35,6 +36,7 @@ class FilterModel:
     """(2,) white noise densities of the x and y gyros; None where they are like the yaw gyro's."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Transition:
     """Change of the robot part of the state (r = 9 + k) over one block."""
@@ -115,9 +117,9 @@ def predict(
     mean = state.mean.copy()
     mean[POSITION], mean[EULER], mean[YAW_BIAS] = motion.position_m + added.drift_m, motion.euler_rad, bias
 
-    noise = _noise_of(block, motion, model, float((correction.noise_rad_s * block.dt_s).sum()))
-    covariance = carry_covariance(state.covariance, matrix, noise)
-    after = changed(state, t_ns=block.end_ns, mean=mean, covariance=covariance)
+    noise = _noise_of(block, motion, model, correction.unread_rad(block.dt_s))
+    covariance, sensitivity = carry_covariance(state.covariance, state.sensitivity, matrix, noise)
+    after = changed(state, t_ns=block.end_ns, mean=mean, covariance=covariance, sensitivity=sensitivity)
     return after, Transition(matrix, motion, added, rate, yaw_gain)
 
 
@@ -159,11 +161,14 @@ def transition_matrix(
 
 
 @compiled
-def carry_covariance(covariance: Array, matrix: Array, noise: Array) -> Array:
-    """Return the covariance P (n, n) after one block: the features do not move.
+def carry_covariance(
+    covariance: Array, sensitivity: Array, matrix: Array, noise: Array
+) -> tuple[Array, Array]:
+    """Return the covariance P (n, n) and F X (n, c) after one block: the features do not move.
 
     Args:
         covariance: before, (n, n).
+        sensitivity: X before, (n, c).
         matrix: (r, r) transition of the robot part.
         noise: (r, r) covariance that the block adds.
     """
@@ -173,7 +178,9 @@ def carry_covariance(covariance: Array, matrix: Array, noise: Array) -> Array:
     after[:r, r:] = matrix @ covariance[:r, r:]
     after[r:, :r] = after[:r, r:].T
     after[r:, r:] = covariance[r:, r:]
-    return after
+    carried = sensitivity.copy()
+    carried[:r] = matrix @ sensitivity[:r]
+    return after, carried
 
 
 def predict_sensitivity(
@@ -188,7 +195,7 @@ def predict_sensitivity(
     After Friedland 1969. The candidates' own coefficients stay at their prior means.
 
     Args:
-        state: already predicted, except for its sensitivity.
+        state: already predicted, with F X as its sensitivity.
         transition: transition of that prediction.
         block: the block, with the rate at which effects are differentiated.
         candidates: effects that the model lacks.
@@ -197,11 +204,11 @@ def predict_sensitivity(
     Returns:
         The state with its sensitivity predicted, and the new memories.
     """
+    if not candidates.act_on_motion:
+        return state, tuple(memories)
     correction = correct(candidates.gyro, block, candidates.prior_means, memories)
     added = contribute(candidates, block, correction, transition.rate_rad_s, candidates.prior_means)
-    r = state.robot_size
     sensitivity = state.sensitivity.copy()
-    sensitivity[:r] = transition.matrix @ state.sensitivity[:r]
     sensitivity[POSE] += pose_by_values(transition.motion, transition.yaw_gain, added)
     return changed(state, sensitivity=sensitivity), correction.memories
 

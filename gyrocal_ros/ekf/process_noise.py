@@ -36,8 +36,10 @@ def yaw_noise(
         gyro: settings.
         rate_rad_s: (N,) readings of the yaw rate.
     """
-    variance = np.full(len(rate_rad_s), math.radians(gyro.rate_noise_deg_s) ** 2)
-    walk = math.radians(gyro.bias_walk_deg_s) ** 2
+    density, walk = math.radians(gyro.rate_noise_deg_s), math.radians(gyro.bias_walk_deg_s)
+    if not effects:
+        return YawNoise(np.full(len(rate_rad_s), density), walk)
+    variance, walk = np.full(len(rate_rad_s), density**2), walk**2
     for effect, place in effects:
         variance += effect.density(rate_rad_s, values[place]) ** 2
         walk += effect.bias_walk(values[place]) ** 2

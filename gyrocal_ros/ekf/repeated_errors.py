@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.data import Array, IntArray, quickly_filled
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.state import Landmarks
 from gyrocal_ros.kernels import compiled
@@ -20,12 +20,17 @@ MIN_MOTION_PX = 0.5
 REPEATING = 0.5
 """Errors repeat where unmoved features scatter less than this, relative to the pixel noise."""
 MIN_SCATTER_PX = 1e-3
+MIN_DEPTH = 1e-3
+"""Smallest depth (scaled as the points are) of a feature in front of the camera."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """Motion in the image of m features since they were used last."""
 
+    directions: Array
+    """(m, 2) expected x/z, y/z in the optical frame."""
     unmoved: np.ndarray
     """(m,) bool, True for features that are expected where they were."""
     changes_px2: Array
@@ -33,11 +38,11 @@ class Motion:
     errors has twice the variance of one."""
 
 
-def motion(directions: Array, pixels: Array, landmarks: Landmarks, rows: IntArray, focal_px: float) -> Motion:
+def motion(points_c: Array, pixels: Array, landmarks: Landmarks, rows: IntArray, focal_px: float) -> Motion:
     """Return the motion of features since their last use.
 
     Args:
-        directions: (m, 2) expected x/z, y/z in the optical frame.
+        points_c: (m, 3) where they are expected in the optical frame, of any scale.
         pixels: (m, 2) their observations.
         landmarks: the map.
         rows: (m,) indices of the features.
@@ -45,42 +50,46 @@ def motion(directions: Array, pixels: Array, landmarks: Landmarks, rows: IntArra
     """
     return Motion(
         *motion_in_image(
-            directions,
+            points_c,
             pixels,
             landmarks.last_directions,
             landmarks.last_pixels,
             rows,
             focal_px,
             MIN_MOTION_PX,
+            MIN_DEPTH,
         )
     )
 
 
 @compiled
 def motion_in_image(
-    directions: Array,
+    points_c: Array,
     pixels: Array,
     last_directions: Array,
     last_pixels: Array,
     rows: IntArray,
     focal_px: float,
     min_motion_px: float,
-) -> tuple[np.ndarray, Array]:
+    min_depth: float,
+) -> tuple[Array, np.ndarray, Array]:
     """Return the fields of `Motion`; see `motion`.
 
     Args:
-        directions: (m, 2)
+        points_c: (m, 3)
         pixels: (m, 2)
         last_directions: (M, 2) of all features of the map, when they were used last.
         last_pixels: (M, 2)
         rows: (m,) indices of the features.
         focal_px: focal length of the camera.
         min_motion_px: smallest motion.
+        min_depth: smallest depth that is divided by.
     """
+    directions = points_c[:, :2] / np.maximum(points_c[:, 2:], min_depth)
     expected_px = focal_px * (directions - last_directions[rows])
     changes_px = pixels - last_pixels[rows] - expected_px
     unmoved = np.hypot(expected_px[:, 0], expected_px[:, 1]) < min_motion_px
-    return unmoved, 0.5 * (changes_px**2).sum(axis=1)
+    return directions, unmoved, 0.5 * (changes_px**2).sum(axis=1)
 
 
 class RepeatedErrors:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray, changed
+from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.positive_definite import inverse, whitener
 from gyrocal_ros.ekf.update import Innovation, mahalanobis, own_precisions
@@ -36,6 +36,7 @@ MIN_FEATURES = 5
 """Fewest features that may contradict the pose: the better half of them determines one."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
     """Comparison of each of m features with its prediction."""
@@ -92,6 +93,7 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
     return Judged(distances, noise_share, float(np.vdot(weighted, innovation.residual)))
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Consensus:
     """What the features of an image say of each other and of the predicted pose."""
@@ -128,16 +130,20 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     m, r = innovation.residual.shape
     gate = chi_square_quantile(1.0 - outlier_probability, r)
     pose_gate = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
-    inflation, judged = _weights(innovation)
+    inflation, distances, noise_share, nis, whitening = weigh(
+        innovation, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
+    )
+    judged = Judged(distances, noise_share, nis)
     good = judged.distances <= gate
-    by_pose = Consensus(_with_noise(innovation, inflation), judged, good)
+    by_pose = Consensus(_with_noise(innovation, inflation, whitening), judged, good)
     # Even all features together may be closer to the prediction than a contradicted pose.
     if m < MIN_FEATURES or judged.nis <= pose_gate:
         return by_pose
-    loose = _with_looser_pose(innovation, LOOSE_POSE_RATE * interval_s)
-    inflation, judged = _weights(loose)
-    closest = np.argsort(judged.distances)[: (m + 1) // 2]
-    tight_nis, loose_nis = (squared_norm(each, inflation, closest) for each in (innovation, loose))
+    std = LOOSE_POSE_RATE * interval_s
+    inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
+        innovation, std, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
+    )
+    judged = Judged(distances, noise_share, nis)
     if 2 * np.count_nonzero(good) >= m and tight_nis - loose_nis <= pose_gate:
         return by_pose
     if loose_nis < BENT * tight_nis:
@@ -146,25 +152,13 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     else:
         good = judged.distances <= gate
         good &= 2 * np.count_nonzero(good) >= m
-    return Consensus(_with_noise(innovation, inflation), judged, good)
-
-
-def _weights(innovation: Innovation) -> tuple[Array, Judged]:
-    """Return the factors (m,) on the noise of features, and their comparison with them; its NIS is without.
-
-    Raises:
-        FilterDivergedError: S is not positive definite.
-    """
-    inflation, distances, noise_share, nis = weigh(
-        innovation, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
-    )
-    return inflation, Judged(distances, noise_share, nis)
+    return Consensus(_with_noise(innovation, inflation, whitening), judged, good)
 
 
 @compiled
 def weigh(
     innovation: Innovation, bound: float, max_inflation: float, max_iterations: int, converged: float
-) -> tuple[Array, Array, Array, float]:
+) -> tuple[Array, Array, Array, float, Array]:
     """Inflate the noise of features that the others contradict: Huber's weights, by iteration.
 
     Args:
@@ -175,7 +169,8 @@ def weigh(
         converged: relative change of the factors at which the iteration ends.
 
     Returns:
-        (m,) factors on the noise, then the fields of `Judged`; the NIS is that without inflation.
+        (m,) factors on the noise, then the fields of `Judged`; the NIS is that without inflation. L^-1 (m r,
+        m r) with `L L^T = S`, S without inflation.
 
     Raises:
         FilterDivergedError: S is not positive definite.
@@ -187,13 +182,47 @@ def weigh(
         before, inflation = inflation, np.clip(distances / bound, 1.0, max_inflation)
         if (np.abs(inflation - before) <= converged * before).all():
             break
-    return inflation, judged[-1].distances, judged[-1].noise_share, judged[0].nis
+    whitening = whitener(innovation.covariance.reshape((innovation.residual.size,) * 2))
+    return inflation, judged[-1].distances, judged[-1].noise_share, judged[0].nis, whitening
 
 
-def _with_noise(innovation: Innovation, inflation: Array) -> Innovation:
-    """Return the innovation with inflated noise in its covariance."""
+@compiled
+def weigh_loosely(
+    innovation: Innovation,
+    std: Array,
+    bound: float,
+    max_inflation: float,
+    max_iterations: int,
+    converged: float,
+) -> tuple[Array, Array, Array, float, float, float]:
+    """Weigh features as if the predicted pose had further errors.
+
+    Args:
+        innovation: of the m features.
+        std: (6,) standard deviations of these errors.
+        bound: as the further arguments, see `weigh`.
+        max_inflation: the same.
+        max_iterations: the same.
+        converged: the same.
+
+    Returns:
+        (m,) factors on the noise and the fields of `Judged`, as of `weigh`, and the squared norms of the
+        innovations of the better half of the features, with the pose as it is and with its errors.
+
+    Raises:
+        FilterDivergedError: S is not positive definite.
+    """
+    loose = _with_looser_pose(innovation, std)
+    inflation, distances, noise_share, nis, _ = weigh(loose, bound, max_inflation, max_iterations, converged)
+    closest = np.argsort(distances)[: (len(distances) + 1) // 2]
+    tight_nis, loose_nis = (_squared_norm(each, inflation, closest) for each in (innovation, loose))
+    return inflation, distances, noise_share, nis, tight_nis, loose_nis
+
+
+def _with_noise(innovation: Innovation, inflation: Array, whitening: Array) -> Innovation:
+    """Return the innovation with inflated noise in its covariance, else with what whitens it."""
     if not np.count_nonzero(inflation != 1.0):
-        return innovation
+        return changed(innovation, whitening=whitening)
     return changed(innovation, covariance=_inflated(innovation, inflation))
 
 
@@ -215,8 +244,7 @@ def _inflated(innovation: Innovation, inflation: Array) -> Array:
     return covariance
 
 
-@compiled
-def squared_norm(innovation: Innovation, inflation: Array, chosen: IntArray) -> float:
+def _squared_norm(innovation: Innovation, inflation: Array, chosen: IntArray) -> float:
     """Return `nu^T S^-1 nu` of the features of the given indices, with inflated noise (factors (m,)).
 
     Raises:

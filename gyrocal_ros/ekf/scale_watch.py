@@ -18,12 +18,11 @@ from functools import cached_property
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
-from gyrocal_ros.data import Array, MotionBlock, changed
+from gyrocal_ros.data import Array, changed
 from gyrocal_ros.ekf.positive_definite import inverse, solve
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import UpdateStats, add_lacking
 from gyrocal_ros.kernels import compiled
-from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place
 
 SCALE_CHANGED = 'off what was calibrated before'
 """Words in the event of a run."""
@@ -98,26 +97,6 @@ NOTHING = NormalEquations(np.empty((0, 0)), np.empty(0))
 
 
 @dataclass(frozen=True, slots=True)
-class ScaleChanges:
-    """Changes of the scale factor at the beginnings of the windows, as an effect that the model lacks.
-
-    It adds nothing to the rate: the columns of its sensitivity are set by `ScaleWatch`.
-    """
-
-    name: str = 'scale_change'
-    acts_on: Place = 'gyro'
-    coefficients: tuple[Coefficient, ...] = (
-        *(Coefficient(f'change_{length_s:.0f}_s', '1', 0.1) for length_s in WINDOWS_S),
-        Coefficient('ramp', '1', 0.1),
-    )
-
-    def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Return no contribution."""
-        size = len(block.dt_s)
-        return GyroTerm(np.zeros(size), np.zeros((size, COLUMNS)))
-
-
-@dataclass(frozen=True, slots=True)
 class ScaleChange:
     """A significant change of the scale factor."""
 
@@ -140,7 +119,9 @@ class ScaleChange:
 
 
 class ScaleWatch:
-    """Follows the columns of `ScaleChanges`, which are the last ones of the sensitivity.
+    """Follows changes of the scale factor at the beginnings of the windows.
+
+    Their columns are the last ones of the sensitivity. They act nowhere: what they are is set here.
 
     Args:
         state: initial state of the filter.

@@ -41,7 +41,7 @@ from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch
 from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector, RestNoise
-from gyrocal_ros.ekf.scale_watch import DRIFT_STD, USUAL_DRIFT_STD, ScaleChanges, ScaleWatch
+from gyrocal_ros.ekf.scale_watch import COLUMNS, DRIFT_STD, USUAL_DRIFT_STD, ScaleWatch
 from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
 from gyrocal_ros.ekf.state import SCALE, YAW_BIAS, State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
@@ -85,8 +85,9 @@ class EkfSlam:
         self.model, self.config, self.rig = model, config, rig
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
         tests_camera = rig.camera is not None and self.parametrisation.rows == 2
-        watched = (*(CAMERA_ERRORS if tests_camera else ()), ScaleChanges())
-        self._effects, self._candidates = sort_effects(model.effects), sort_effects((*candidates, *watched))
+        watched = CAMERA_ERRORS if tests_camera else ()
+        self._effects = sort_effects(model.effects)
+        self._candidates = sort_effects((*candidates, *watched), more=COLUMNS)
         self._own_candidates = sum(len(effect.coefficients) for effect in candidates)
         if self.parametrisation.rows != 2 and (self._effects.act_on_images or self._candidates.act_on_images):
             raise ConfigError(
@@ -288,8 +289,10 @@ class EkfSlam:
 
     def time_offset_s(self) -> float:
         """Return the estimated stamp error of images or headings: stamp minus true time."""
-        by_effects = sum(float(self.state.coefficients[place][0]) for _, place in self._effects.time)
-        return by_effects + self._heading.time_offset_s
+        offset_s = self._heading.time_offset_s
+        for _, place in self._effects.time:
+            offset_s += float(self.state.coefficients[place][0])
+        return offset_s
 
     def reference_numbers(self) -> dict[str, float]:
         """Return noise and time offset of the heading reference, by the names of /diagnostics; {} before."""

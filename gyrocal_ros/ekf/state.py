@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray
+from gyrocal_ros.data import Array, IntArray, quickly_filled
 from gyrocal_ros.model.features.base import Anchors, no_anchors
 
 POSITION = slice(0, 3)
@@ -23,6 +23,7 @@ SCALE = COEFFICIENTS_START - YAW_BIAS
 """Place of the scale factor among yaw bias and coefficients."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureNoise:
     """Noise of m features, learned from their innovations; see `ekf.feature_noise`."""

@@ -9,7 +9,7 @@ variables). So the derivatives are taken at a rate whose error is independent of
 from __future__ import annotations
 
 import math
-import statistics
+from bisect import bisect_left, insort
 from collections import deque
 from dataclasses import replace
 
@@ -40,6 +40,7 @@ class SteadyRate:
         self._was_at_rest = False
         self._noise_rad2_s: float | None = None
         self._seen_rad2_s: deque[float] = deque(maxlen=NOISE_BLOCKS)
+        self._sorted_rad2_s: list[float] = []
 
     def with_noise(self, block: MotionBlock, gyro: GyroConfig) -> GyroConfig:
         """Return the settings, with the noise of the readings where that is far above the one set.
@@ -50,14 +51,22 @@ class SteadyRate:
         _, _, bends_rad2_s, irregularity = rate_scatter(block.rate_rad_s[:, 2], block.dt_s)
         if len(block.dt_s) > 2:
             # An interval's rate is the mean of two readings r: its bend is (r3 - r2 - r1 + r0) / 2.
-            self._seen_rad2_s.append(bends_rad2_s)
+            self._remember(bends_rad2_s)
         if len(self._seen_rad2_s) < NOISE_BLOCKS:
             return gyro
-        seen_rad2_s = statistics.median(self._seen_rad2_s)
+        middle = NOISE_BLOCKS // 2
+        seen_rad2_s = 0.5 * (self._sorted_rad2_s[middle - 1] + self._sorted_rad2_s[middle])
         if irregularity > IRREGULAR:
             seen_rad2_s = max(seen_rad2_s, self._seen_rad2_s[-1])
         seen = math.degrees(math.sqrt(seen_rad2_s))
         return gyro if seen < NOISY * gyro.rate_noise_deg_s else replace(gyro, rate_noise_deg_s=seen)
+
+    def _remember(self, seen_rad2_s: float) -> None:
+        """Remember the noise of one more block, in order of time and in order of size."""
+        if len(self._seen_rad2_s) == NOISE_BLOCKS:
+            del self._sorted_rad2_s[bisect_left(self._sorted_rad2_s, self._seen_rad2_s[0])]
+        self._seen_rad2_s.append(seen_rad2_s)
+        insort(self._sorted_rad2_s, seen_rad2_s)
 
     def without_noise(self, block: MotionBlock, gyro: GyroConfig, *, is_at_rest: bool = False) -> MotionBlock:
         """Return the block with the yaw rate at which derivatives are taken, and remember the block.

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import Array, MotionBlock, quickly_filled
 from gyrocal_ros.ekf.predict import Transition
 from gyrocal_ros.ekf.scale_watch import ScaleChange
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class StepRecord:
     """One step of the filter."""
@@ -71,6 +72,7 @@ def step_record(
     suspected_std: Array,
 ) -> StepRecord:
     """Describe a step from the state before over the predicted one to the state after."""
+    before_it, variance = predicted.covariance.diagonal(), after.covariance.diagonal()
     correction = transition.contribution.correction
     columns = block.dt_s @ correction.by_values
     change = after.coefficients - before.coefficients
@@ -80,9 +82,9 @@ def step_record(
     return StepRecord(
         t_ns=block.end_ns,
         mean=after.mean[:r],
-        std=np.sqrt(after.covariance.diagonal()[:r]),
+        std=np.sqrt(variance[:r]),
         change=after.mean[learned] - predicted.mean[learned],
-        change_variance=predicted.covariance.diagonal()[learned] - after.covariance.diagonal()[learned],
+        change_variance=before_it[learned] - variance[learned],
         suspected_std=suspected_std,
         update=update,
         resting=resting,
@@ -90,8 +92,8 @@ def step_record(
         correction_rad=float(block.dt_s @ correction.rate_rad_s + columns @ change),
         tilt_rad=float(turned_rad - block.dt_s @ transition.rate_rad_s[:, 2]),
         columns=columns,
-        gyro_valid_s=float((block.dt_s * correction.valid).sum()),
-        unobserved_turn_std_rad=float((block.dt_s * correction.noise_rad_s).sum()),
+        gyro_valid_s=correction.valid_s(block.dt_s),
+        unobserved_turn_std_rad=correction.unread_rad(block.dt_s),
         pixel_noise_px=pixel_noise_px,
         event=event,
         scale_change=0.0 if scale_change is None or followed else scale_change.value,

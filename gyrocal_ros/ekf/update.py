@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray, changed
+from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.ekf.feature_scores import FeatureScores
 from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, EULER, YAW, State
@@ -16,6 +16,7 @@ from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import Prediction
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
     """Innovation of the observed features: measured minus expected, with the matrices for the update."""
@@ -34,6 +35,8 @@ class Innovation:
     sensitivity: Array
     """(m, r, c) G = H X + dh/dtheta: minus the derivative of the innovation with respect to the
     coefficients of effects that the model lacks."""
+    whitening: Array | None = None
+    """(m r, m r) L^-1 with `L L^T = S`, where that is known already."""
 
     def __getitem__(self, chosen: IntArray) -> Innovation:
         return Innovation(
@@ -52,6 +55,7 @@ class Innovation:
         return self.covariance[each, :, each, :]
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class UpdateStats:
     """Statistics of an update."""
@@ -81,6 +85,7 @@ class UpdateStats:
         return -0.5 * (self.nis + self.log_determinant + self.dof * math.log(2.0 * math.pi))
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasurementUpdate:
     """Result of one image or heading; empty without a measurement."""
@@ -224,6 +229,7 @@ def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
         innovation.gain_numerator.reshape(rows, -1),
         innovation.covariance.reshape(rows, rows),
         innovation.sensitivity.reshape(rows, -1),
+        innovation.whitening,
     )
 
 
@@ -326,7 +332,12 @@ def add_lacking(state: State, column: int, value: float, std: float) -> State:
 
 
 def _correct(
-    state: State, residual: Array, numerator: Array, covariance: Array, sensitivity: Array
+    state: State,
+    residual: Array,
+    numerator: Array,
+    covariance: Array,
+    sensitivity: Array,
+    whitening: Array | None = None,
 ) -> tuple[State, UpdateStats]:
     """Apply the update for q measured numbers.
 
@@ -336,24 +347,40 @@ def _correct(
         numerator: H P (q, n).
         covariance: S (q, q).
         sensitivity: G (q, c).
+        whitening: L^-1 (q, q) with `L L^T = S`, where that is known already.
     """
-    whitening, n = whitener(covariance), len(state.mean)
+    whitening, n = whitener(covariance) if whitening is None else whitening, len(state.mean)
     whitened = whitening @ np.concatenate([numerator, residual[:, None], sensitivity], axis=1)
-    gain, score, sensitivities = whitened[:, :n], whitened[:, n], whitened[:, n + 1 :]
-    mean = state.mean + gain.T @ score
+    products = whitened.T @ whitened
+    mean, covariance, sensitivity = less_products(state.mean, state.covariance, state.sensitivity, products)
     if not math.isfinite(mean @ mean):
         raise FilterDivergedError('the estimate is no longer finite', todo=CHECK_THE_SENSORS)
-    after = changed(
-        state,
-        mean=mean,
-        covariance=state.covariance - gain.T @ gain,
-        sensitivity=state.sensitivity - gain.T @ sensitivities,
-    )
+    after = changed(state, mean=mean, covariance=covariance, sensitivity=sensitivity)
     stats = UpdateStats(
-        nis=float(score @ score),
+        nis=float(products[n, n]),
         dof=len(residual),
         log_determinant=-2.0 * float(np.log(whitening.diagonal()).sum()),
-        information=sensitivities.T @ sensitivities,
-        score=sensitivities.T @ score,
+        information=products[n + 1 :, n + 1 :],
+        score=products[n + 1 :, n],
     )
-    return after, stats if sensitivities.shape[1] else stats.of_first(0)
+    return after, stats if sensitivity.shape[1] else stats.of_first(0)
+
+
+@compiled
+def less_products(
+    mean: Array, covariance: Array, sensitivity: Array, products: Array
+) -> tuple[Array, Array, Array]:
+    """Return mean (n,), covariance (n, n) and sensitivity (n, c) after an update.
+
+    Args:
+        mean: before, (n,).
+        covariance: P before, (n, n).
+        sensitivity: X before, (n, c).
+        products: (n + 1 + c, n + 1 + c) products with each other of the whitened `H P`, nu and G.
+    """
+    n = len(mean)
+    return (
+        mean + products[:n, n],
+        covariance - products[:n, :n],
+        sensitivity - products[:n, n + 1 :],
+    )

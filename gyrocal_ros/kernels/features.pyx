@@ -1,20 +1,22 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.lens`, `model.camera`, `model.features.inverse_depth`, `ekf.feature_noise`,
+"""Twins of `model.camera`, `effects.camera_tilt`, `model.features.inverse_depth`, `ekf.feature_noise`,
 `ekf.landmarks`, `ekf.image_update`, `ekf.repeated_errors` and `ekf.update`, which explain the equations."""
 
-from libc.math cimport atan, sqrt
+from libc.math cimport atan, cos, sin, sqrt
 
 import numpy as np
 
 TWINS = (
-    'by_radial_coefficients',
     'find_ids',
     'innovation_matrices',
     'learned_noise',
     'matches_counted',
     'motion_in_image',
+    'pixels_by_radial_coefficients',
+    'pixels_by_tilt',
     'predict_inverse_depth',
     'project_with_jacobian',
+    'scaled_noise',
 )
 
 cdef enum Lens:
@@ -243,16 +245,29 @@ def innovation_matrices(
     return arrays
 
 
-def by_radial_coefficients(camera, const double[:, :] normalised):
+def pixels_by_tilt(const double[:, :] points_c, const double[:, :, :] by_point, double angle_rad):
+    cdef Py_ssize_t m = points_c.shape[0], f, i
+    cdef double c = cos(angle_rad), s = sin(angle_rad), x, y, z
+    result = np.empty((m, by_point.shape[1], 2))
+    cdef double[:, :, ::1] out = result
+    for f in range(m):
+        x, y, z = points_c[f, 0], points_c[f, 1], points_c[f, 2]
+        for i in range(by_point.shape[1]):
+            out[f, i, 0] = by_point[f, i, 1] * z - by_point[f, i, 2] * y
+            out[f, i, 1] = -by_point[f, i, 0] * (s * y + c * z) + (s * by_point[f, i, 1] + c * by_point[f, i, 2]) * x
+    return result
+
+
+def pixels_by_radial_coefficients(camera, const double[:, :] points_c):
     cdef Camera lens = camera_of(camera)
     cdef double* k = lens.k
-    cdef Py_ssize_t m = normalised.shape[0], f
+    cdef Py_ssize_t m = points_c.shape[0], f
     cdef double x, y, r2, r, angle, first, second, denominator
     result = np.empty((m, 2, 2))
     cdef double[:, :, ::1] out = result
     cdef bint is_fisheye = lens.lens == EQUIDISTANT
     for f in range(m):
-        x, y = normalised[f, 0], normalised[f, 1]
+        x, y = points_c[f, 0] / points_c[f, 2], points_c[f, 1] / points_c[f, 2]
         r2 = x * x + y * y
         if is_fisheye:
             r = max(sqrt(r2), SMALL_RADIUS)
@@ -263,8 +278,8 @@ def by_radial_coefficients(camera, const double[:, :] normalised):
             denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
             first = r2 / denominator
             second = r2 * first
-        out[f, 0, 0], out[f, 0, 1] = x * first, x * second
-        out[f, 1, 0], out[f, 1, 1] = y * first, y * second
+        out[f, 0, 0], out[f, 0, 1] = lens.fx * x * first, lens.fx * x * second
+        out[f, 1, 0], out[f, 1, 1] = lens.fy * y * first, lens.fy * y * second
     return result
 
 
@@ -296,6 +311,26 @@ def learned_noise(
     return new_weights, new_sums
 
 
+def scaled_noise(
+    const double[:, :, :] typical,
+    const double[:] weights,
+    const double[:] sums,
+    const long[:] rows,
+    double prior,
+    double min_factor,
+):
+    cdef Py_ssize_t m = rows.shape[0], f, i, j
+    cdef double factor
+    result = np.empty((m, 2, 2))
+    cdef double[:, :, ::1] noise = result
+    for f in range(m):
+        factor = max((prior + sums[rows[f]]) / (prior + weights[rows[f]]), min_factor)
+        for i in range(2):
+            for j in range(2):
+                noise[f, i, j] = factor * typical[f, i, j]
+    return result
+
+
 def find_ids(const long[:] ids, const long[:] wanted):
     cdef Py_ssize_t M = ids.shape[0], m = wanted.shape[0], f, place
     places = np.empty(m, np.int64)
@@ -309,30 +344,33 @@ def find_ids(const long[:] ids, const long[:] wanted):
 
 
 def motion_in_image(
-    const double[:, :] directions,
+    const double[:, :] points_c,
     const double[:, :] pixels,
     const double[:, :] last_directions,
     const double[:, :] last_pixels,
     const long[:] rows,
     double focal_px,
     double min_motion_px,
+    double min_depth,
 ):
     cdef Py_ssize_t m = rows.shape[0], f, i, row
     cdef double expected, change, square, changes
-    unmoved, changes_px2 = np.empty(m, bool), np.empty(m)
+    directions, unmoved, changes_px2 = np.empty((m, 2)), np.empty(m, bool), np.empty(m)
+    cdef double[:, ::1] towards = directions
     cdef unsigned char[::1] is_unmoved = unmoved.view(np.uint8)
     cdef double[::1] out = changes_px2
     for f in range(m):
         row = rows[f]
         square = changes = 0.0
         for i in range(2):
-            expected = focal_px * (directions[f, i] - last_directions[row, i])
+            towards[f, i] = points_c[f, i] / max(points_c[f, 2], min_depth)
+            expected = focal_px * (towards[f, i] - last_directions[row, i])
             change = pixels[f, i] - last_pixels[row, i] - expected
             square += expected * expected
             changes += change * change
         is_unmoved[f] = sqrt(square) < min_motion_px
         out[f] = 0.5 * changes
-    return unmoved, changes_px2
+    return directions, unmoved, changes_px2
 
 
 def matches_counted(

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.rotation`, `model.kinematics`, `ekf.motion`, `ekf.predict`, `ekf.process_noise` and
-`ekf.steady_rate`, which explain the equations."""
+"""Twins of `model.rotation`, `model.kinematics`, `model.features.base`, `ekf.predict` and `ekf.process_noise`,
+which explain the equations."""
 
 from libc.math cimport cos, fabs, sin, sqrt, tan
 
@@ -9,14 +9,11 @@ import numpy as np
 TWINS = (
     'carry_covariance',
     'carry_pose',
-    'interpolate',
-    'intervals',
-    'path_in_block',
     'process_noise',
-    'rate_scatter',
     'rotation_derivatives',
     'rotation_from_euler',
     'transition_matrix',
+    'turned_camera',
 )
 
 
@@ -221,113 +218,13 @@ def transition_matrix(
     return result
 
 
-def intervals(list times_ns, list nodes):
-    cdef Py_ssize_t n = len(times_ns) - 1, k, i
-    cdef tuple node
-    cdef long long start_ns = times_ns[0]
-    cdef double offset_ns, earlier_ns = 0.0, scatter = 0.0, step
-    cdef double here[6]
-    cdef double before[6]
-    for i in range(6):
-        before[i] = 0.0
-    arrays = (np.empty(n + 1), np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty((n, 3)))
-    cdef double[::1] offsets = arrays[0], middle = arrays[1], dt = arrays[2], acceleration = arrays[4]
-    cdef double[:, ::1] rate = arrays[3], force = arrays[5]
-    for k in range(n + 1):
-        offset_ns = <double>(<long long>times_ns[k] - start_ns)
-        offsets[k] = offset_ns
-        node = nodes[k]
-        for i in range(6):
-            here[i] = node[i]
-        if k > 0:
-            middle[k - 1] = 0.5 * (offset_ns + earlier_ns)
-            dt[k - 1] = (offset_ns - earlier_ns) / 1e9
-            acceleration[k - 1] = (here[2] - before[2]) / dt[k - 1]
-            for i in range(3):
-                rate[k - 1, i] = 0.5 * (here[i] + before[i])
-                force[k - 1, i] = 0.5 * (here[3 + i] + before[3 + i])
-                if 1 < k < n:  # between samples, the ends of the block are none
-                    step = here[3 + i] - before[3 + i]
-                    scatter += step * step
-        for i in range(6):
-            before[i] = here[i]
-        earlier_ns = offset_ns
-    return (*arrays, 0.5 * scatter / (n - 2) if n > 2 else float('nan'))
-
-
-def interpolate(long long start_ns, const double[:] offsets_ns, list times_ns, list values):
-    cdef Py_ssize_t n = offsets_ns.shape[0], last = len(times_ns) - 1, k, j = 0
-    cdef double at, low, high, value, end, slope
-    result = np.empty(n)
-    cdef double[::1] out = result
-    low, value = <double>(<long long>times_ns[0] - start_ns), values[0]
-    if last == 0:
-        high, end = low, value
-    else:
-        high, end = <double>(<long long>times_ns[1] - start_ns), values[1]
-    slope = (end - value) / (high - low) if last > 0 else 0.0
-    for k in range(n):
-        at = offsets_ns[k]
-        while at >= high and j + 1 < last:
-            j += 1
-            low, value = high, end
-            high, end = <double>(<long long>times_ns[j + 1] - start_ns), values[j + 1]
-            slope = (end - value) / (high - low)
-        if at <= low:
-            out[k] = value
-        elif at >= high:
-            out[k] = end
-        else:
-            out[k] = slope * (at - low) + value
-    return result
-
-
-def path_in_block(
-    double x_m, double y_m, double yaw_rad, const double[:] rate_rad_s, const double[:] dt_s, const double[:] distance_m
+def carry_covariance(
+    const double[:, ::1] covariance,
+    const double[:, ::1] sensitivity,
+    const double[:, ::1] matrix,
+    const double[:, ::1] noise,
 ):
-    cdef Py_ssize_t n = dt_s.shape[0], k
-    cdef double turn, ahead_x, ahead_y
-    heading_rad, position_m = np.empty(n), np.empty((n, 2))
-    cdef double[::1] heading = heading_rad
-    cdef double[:, ::1] position = position_m
-    for k in range(n):
-        turn = rate_rad_s[k] * dt_s[k]
-        yaw_rad += turn
-        heading[k] = yaw_rad - 0.5 * turn
-        ahead_x, ahead_y = cos(heading[k]) * distance_m[k], sin(heading[k]) * distance_m[k]
-        x_m += ahead_x
-        y_m += ahead_y
-        position[k, 0], position[k, 1] = x_m - 0.5 * ahead_x, y_m - 0.5 * ahead_y
-    return heading_rad, position_m
-
-
-def rate_scatter(const double[:] rate_rad_s, const double[:] dt_s):
-    cdef Py_ssize_t n = dt_s.shape[0], k
-    cdef double turned = 0.0, duration = 0.0, steps = 0.0, bends = 0.0, step = 0.0, before, inside = 0.0, square = 0.0
-    for k in range(n):
-        turned += rate_rad_s[k] * dt_s[k]
-        duration += dt_s[k]
-        if k > 0:
-            before, step = step, rate_rad_s[k] - rate_rad_s[k - 1]
-            steps += step * step
-            if k > 1:
-                bends += (step - before) * (step - before)
-        if 0 < k < n - 1:
-            inside += dt_s[k]
-    if n > 2:
-        inside /= n - 2
-        for k in range(1, n - 1):
-            square += (dt_s[k] - inside) * (dt_s[k] - inside)
-    return (
-        turned / duration,
-        steps / (n - 1) * duration / n if n > 1 else 0.0,
-        bends / (n - 2) * duration / n if n > 2 else 0.0,
-        sqrt(square / (n - 2)) / inside if n > 4 else 0.0,
-    )
-
-
-def carry_covariance(const double[:, ::1] covariance, const double[:, ::1] matrix, const double[:, ::1] noise):
-    cdef Py_ssize_t n = covariance.shape[0], r = matrix.shape[0], i, j, l
+    cdef Py_ssize_t n = covariance.shape[0], r = matrix.shape[0], c = sensitivity.shape[1], i, j, l
     cdef double factor
     result = np.empty((n, n))
     cdef double[:, ::1] P = result, FP = np.zeros((r, n))
@@ -348,7 +245,18 @@ def carry_covariance(const double[:, ::1] covariance, const double[:, ::1] matri
     for i in range(r, n):
         for j in range(r, n):
             P[i, j] = covariance[i, j]
-    return result
+    carried = np.empty((n, c))
+    cdef double[:, ::1] X = carried
+    for i in range(n):
+        for j in range(c):
+            X[i, j] = 0.0 if i < r else sensitivity[i, j]
+    for i in range(r):
+        for l in range(r):
+            factor = matrix[i, l]
+            if factor != 0.0:
+                for j in range(c):
+                    X[i, j] += factor * sensitivity[l, j]
+    return result, carried
 
 
 cdef void rotate(const double* euler, double[3][3] R) noexcept nogil:
@@ -369,6 +277,21 @@ def rotation_from_euler(const double[:] euler):
     cdef double[:, ::1] R = matrix
     rotate(angles, <double[3]*>&R[0, 0])
     return matrix
+
+
+def turned_camera(const double[:] euler, const double[:, :] R_bc):
+    cdef Py_ssize_t i, j, k, l
+    R_wb, dR_wb = rotation_from_euler(euler), rotation_derivatives(euler)
+    arrays = (R_wb, dR_wb, np.zeros((3, 3)), np.zeros((3, 3, 3)))
+    cdef double[:, ::1] R = R_wb, R_wc = arrays[2]
+    cdef double[:, :, ::1] dR = dR_wb, dR_wc = arrays[3]
+    for i in range(3):
+        for j in range(3):
+            for l in range(3):
+                R_wc[i, j] += R[i, l] * R_bc[l, j]
+                for k in range(3):
+                    dR_wc[k, i, j] += dR[k, i, l] * R_bc[l, j]
+    return arrays
 
 
 def rotation_derivatives(const double[:] euler):

@@ -1,9 +1,41 @@
 # cython: language_level=3
-"""Twin of a function of `data`."""
+"""Twins of functions of `data`."""
+
+from dataclasses import MISSING, fields
 
 from cpython.object cimport PyObject_GenericSetAttr
 
-TWINS = ('changed',)
+TWINS = ('changed', 'quickly_filled')
+
+
+def quickly_filled(cls):
+    items = fields(cls)
+    cdef tuple names = tuple([item.name for item in items])
+    cdef dict defaults = {item.name: item.default for item in items if item.default is not MISSING}
+    cdef dict factories = {item.name: item.default_factory for item in items if item.default_factory is not MISSING}
+
+    def __init__(self, *args, **values):
+        cdef Py_ssize_t given = len(args), used = 0, i
+        if given > len(names):
+            raise TypeError(f'{cls.__name__} has {len(names)} fields, not {given}')
+        for i in range(given):
+            PyObject_GenericSetAttr(self, names[i], args[i])
+        for i in range(given, len(names)):
+            name = names[i]
+            if name in values:
+                PyObject_GenericSetAttr(self, name, values[name])
+                used += 1
+            elif name in defaults:
+                PyObject_GenericSetAttr(self, name, defaults[name])
+            elif name in factories:
+                PyObject_GenericSetAttr(self, name, factories[name]())
+            else:
+                raise TypeError(f'{cls.__name__} lacks its field {name}')
+        if used != len(values):
+            raise TypeError(f'{cls.__name__} got a field twice, or one that it has not: {", ".join(values)}')
+
+    cls.__init__ = __init__
+    return cls
 
 
 def changed(item, /, **values):

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.positive_definite`, `ekf.robust`, `ekf.scale_watch` and `ekf.image_update`, which explain the
-equations."""
+"""Twins of `ekf.positive_definite`, `ekf.robust`, `ekf.scale_watch`, `ekf.update` and `ekf.image_update`, which
+explain the equations."""
 
 from libc.math cimport fabs, sqrt
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
 
-TWINS = ('fit_heading', 'scale_changes', 'squared_norm', 'weigh', 'whitener')
+TWINS = ('fit_heading', 'less_products', 'scale_changes', 'solve', 'weigh', 'weigh_loosely', 'whitener')
 
 cdef double TINY = np.finfo(float).tiny
 cdef double NOT_SEPARABLE = 1e-9
@@ -87,57 +87,105 @@ cdef bint invert_small(double* A, Py_ssize_t r, double* inverse) noexcept nogil:
     return determinant != 0.0
 
 
-def weigh(innovation, double bound, double max_inflation, int max_iterations, double converged):
-    cdef const double[:, ::1] residual = innovation.residual
-    cdef Py_ssize_t m = residual.shape[0], r = residual.shape[1], q = m * r, f, i, j
-    cdef const double[:, ::1] covariance = innovation.covariance.reshape(q, q)
-    cdef const double[:, :, :] noise = innovation.noise
-    cdef double weighted[3]
+cdef class Seen:
+    """Innovation of m features, of r numbers each, without owning its arrays."""
+
+    cdef const double[:, ::1] residual
+    cdef const double[:, :, :, ::1] covariance
+    cdef const double[:, :, :] noise
+    cdef Py_ssize_t m, r, q
+
+    def __cinit__(self, innovation):
+        self.residual, self.covariance, self.noise = innovation.residual, innovation.covariance, innovation.noise
+        self.m, self.r = self.residual.shape[0], self.residual.shape[1]
+        self.q = self.m * self.r
+
+
+cdef void inflate(Seen seen, const double* extra, const double* inflation, double* S) noexcept nogil:
+    """Write the covariance (q, q) with inflated noise, and with more (q, q) unless that is NULL."""
+    cdef Py_ssize_t m = seen.m, r = seen.r, q = seen.q, f, i, j
+    cdef const double* covariance = &seen.covariance[0, 0, 0, 0]
+    for i in range(q * q):
+        S[i] = covariance[i]
+    if extra != NULL:
+        for i in range(q * q):
+            S[i] += extra[i]
+    for f in range(m):
+        if inflation[f] != 1.0:
+            for i in range(r):
+                for j in range(r):
+                    S[(f * r + i) * q + f * r + j] += (inflation[f] - 1.0) * seen.noise[f, i, j]
+
+
+cdef class Weighing:
+    """What `weigh` returns, before it is arrays."""
+
+    cdef object inflation, distances, noise_share, whitening
+    cdef double nis
+
+
+cdef Weighing weighed(
+    Seen seen, const double* extra, double bound, double max_inflation, int max_iterations, double converged
+):
+    """Weigh with a covariance that is larger by more (q, q) unless that is NULL."""
+    cdef Py_ssize_t m = seen.m, r = seen.r, q = seen.q, f, i, j, l
     cdef double difference[3]
-    cdef double block[9]
     cdef double own[9]
     cdef double variance[9]
     cdef double precision[9]
-    cdef double nis = 0.0, sum_, of_noise, total, wanted
+    cdef double sum_, of_noise, total, wanted
     cdef bint is_plain = True, is_settled
     cdef int iteration
-    arrays = (np.ones(m), np.empty(m), np.empty(m))
-    cdef double[::1] inflation = arrays[0], distances = arrays[1], noise_share = arrays[2]
-    cdef double[:, ::1] S = np.empty((q, q)), inverse = np.empty((q, q))
-    cdef const double* nu = &residual[0, 0]
+    cdef Weighing result = Weighing()
+    result.inflation, result.distances, result.noise_share = np.ones(m), np.empty(m), np.empty(m)
+    result.whitening, result.nis = np.empty((q, q)), 0.0
+    cdef double[::1] inflation = result.inflation, distances = result.distances, noise_share = result.noise_share
+    cdef double[:, ::1] first = result.whitening, W = first, work = np.empty((q + r + 2, q))
+    cdef double[:, ::1] S = work[:q]
+    cdef double* white = &work[q, 0]
+    cdef double* weighted = &work[q + 1, 0]
+    cdef double* blocks = &work[q + 2, 0]
+    cdef const double* nu = &seen.residual[0, 0]
+    cdef const double* row
     for iteration in range(max_iterations):
-        for f in range(m):
-            for i in range(r):
-                for j in range(q):
-                    S[f * r + i, j] = covariance[f * r + i, j]
-                for j in range(r):
-                    S[f * r + i, f * r + j] += (inflation[f] - 1.0) * noise[f, i, j]
-        if not invert(S, inverse):
+        if iteration == 1:
+            W = np.empty((q, q))
+        inflate(seen, extra, &inflation[0], &S[0, 0])
+        if not whiten(S, W):
             raise IndefiniteCovarianceError
+        # y = S^-1 nu and the blocks of S^-1, by S^-1 = W^T W.
+        for i in range(q):
+            weighted[i] = 0.0
+        for i in range(q * r):
+            blocks[i] = 0.0
+        for j in range(q):
+            row, sum_ = &W[j, 0], 0.0
+            for i in range(j + 1):
+                sum_ += row[i] * nu[i]
+            white[j] = sum_
+            if iteration == 0:
+                result.nis += sum_ * sum_
+            for i in range(j + 1):
+                weighted[i] += row[i] * sum_
+            for f in range(j // r + 1):
+                for i in range(r):
+                    for l in range(r):
+                        blocks[(f * r + i) * r + l] += row[f * r + i] * row[f * r + l]
         is_settled = True
         for f in range(m):
-            for i in range(r):
-                sum_ = 0.0
-                for j in range(q):
-                    sum_ += inverse[f * r + i, j] * nu[j]
-                weighted[i] = sum_
-                if iteration == 0:
-                    nis += sum_ * residual[f, i]
-                for j in range(r):
-                    block[i * r + j] = inverse[f * r + i, f * r + j]
-            if not invert_small(block, r, own):
+            if not invert_small(&blocks[f * r * r], r, own):
                 raise IndefiniteCovarianceError
             of_noise = total = sum_ = 0.0
             for i in range(r):
                 difference[i] = 0.0
                 for j in range(r):
-                    difference[i] += own[i * r + j] * weighted[j]
-                    variance[i * r + j] = own[i * r + j] - (inflation[f] - 1.0) * noise[f, i, j]
-                of_noise += noise[f, i, i]
+                    difference[i] += own[i * r + j] * weighted[f * r + j]
+                    variance[i * r + j] = own[i * r + j] - (inflation[f] - 1.0) * seen.noise[f, i, j]
+                of_noise += seen.noise[f, i, i]
                 total += variance[i * r + i]
             if is_plain:  # variance^-1 difference is y itself
                 for i in range(r):
-                    sum_ += difference[i] * weighted[i]
+                    sum_ += difference[i] * weighted[f * r + i]
             else:
                 if not invert_small(variance, r, precision):
                     raise IndefiniteCovarianceError
@@ -156,35 +204,67 @@ def weigh(innovation, double bound, double max_inflation, int max_iterations, do
             inflation[f] = wanted
         if is_settled:
             break
-    return (*arrays, nis)
+    return result
 
 
-def squared_norm(innovation, const double[:] inflation, const long[:] chosen):
-    cdef const double[:, ::1] residual = innovation.residual
-    cdef const double[:, :, :, ::1] covariance = innovation.covariance
-    cdef const double[:, :, :] noise = innovation.noise
-    cdef Py_ssize_t m = chosen.shape[0], r = residual.shape[1], q = m * r, f, g, i, j, l
-    cdef double[:, ::1] S = np.empty((q, q))
-    cdef double[::1] white = np.empty(q)
+def weigh(innovation, double bound, double max_inflation, int max_iterations, double converged):
+    cdef Weighing found = weighed(Seen(innovation), NULL, bound, max_inflation, max_iterations, converged)
+    return found.inflation, found.distances, found.noise_share, found.nis, found.whitening
+
+
+def weigh_loosely(
+    innovation, const double[:] std, double bound, double max_inflation, int max_iterations, double converged
+):
+    cdef Seen seen = Seen(innovation)
+    cdef const double[:, :, :] by_pose = innovation.prediction.by_pose
+    cdef Py_ssize_t m = seen.m, r = seen.r, q = seen.q, p = std.shape[0], i, j, l
+    cdef double sum_
+    cdef double[:, ::1] loose = np.empty((q, q)), scaled = np.empty((q, p))
+    for i in range(q):
+        for l in range(p):
+            scaled[i, l] = by_pose[i // r, i % r, l] * std[l]
+        for j in range(i + 1):
+            sum_ = 0.0
+            for l in range(p):
+                sum_ += scaled[i, l] * scaled[j, l]
+            loose[i, j] = loose[j, i] = sum_
+    cdef Weighing found = weighed(seen, &loose[0, 0], bound, max_inflation, max_iterations, converged)
+    cdef const long[:] closest = np.argsort(found.distances)[: (m + 1) // 2]
+    cdef const double[::1] inflation = found.inflation
+    return (
+        found.inflation,
+        found.distances,
+        found.noise_share,
+        found.nis,
+        squared_norm(seen, NULL, &inflation[0], closest),
+        squared_norm(seen, &loose[0, 0], &inflation[0], closest),
+    )
+
+
+cdef double squared_norm(Seen seen, const double* extra, const double* inflation, const long[:] chosen) except -1.0:
+    """Return nu^T S^-1 nu of the features of the given indices, with S as in `inflate`."""
+    cdef Py_ssize_t r = seen.r, m = chosen.shape[0], q = m * r, f, g, i, j, l
+    cdef double[:, ::1] S = np.empty((seen.q + q + 1, seen.q))
+    cdef double* white = &S[seen.q, 0]
+    cdef double* small = &S[seen.q + 1, 0]
     cdef double total = 0.0, pivot, factor
+    inflate(seen, extra, inflation, &S[0, 0])
     for f in range(m):
         for i in range(r):
-            white[f * r + i] = residual[chosen[f], i]
+            white[f * r + i] = seen.residual[chosen[f], i]
             for g in range(m):
                 for j in range(r):
-                    S[f * r + i, g * r + j] = covariance[chosen[f], i, chosen[g], j]
-            for j in range(r):
-                S[f * r + i, f * r + j] += (inflation[chosen[f]] - 1.0) * noise[chosen[f], i, j]
+                    small[(f * r + i) * q + g * r + j] = S[chosen[f] * r + i, chosen[g] * r + j]
     for j in range(q):
-        pivot = S[j, j]
+        pivot = small[j * q + j]
         if not pivot > 0.0:
             raise IndefiniteCovarianceError
         total += white[j] * white[j] / pivot
         for i in range(j + 1, q):
-            factor = S[j, i] / pivot
+            factor = small[j * q + i] / pivot
             white[i] -= factor * white[j]
             for l in range(i, q):
-                S[i, l] -= factor * S[j, l]
+                small[i * q + l] -= factor * small[j * q + l]
     return total
 
 
@@ -205,6 +285,42 @@ def fit_heading(innovation, Py_ssize_t yaw):
         score += u * residual[f, 0] + v * residual[f, 1]
         variance += u * (noise[f, 0, 0] * u + noise[f, 0, 1] * v) + v * (noise[f, 1, 0] * u + noise[f, 1, 1] * v)
     return score / information, sqrt(variance) / information
+
+
+def less_products(
+    const double[:] mean,
+    const double[:, ::1] covariance,
+    const double[:, ::1] sensitivity,
+    const double[:, ::1] products,
+):
+    cdef Py_ssize_t n = mean.shape[0], c = sensitivity.shape[1], i, j
+    arrays = (np.empty(n), np.empty((n, n)), np.empty((n, c)))
+    cdef double[::1] after = arrays[0]
+    cdef double[:, ::1] P = arrays[1], X = arrays[2]
+    for i in range(n):
+        after[i] = mean[i] + products[i, n]
+        for j in range(n):
+            P[i, j] = covariance[i, j] - products[i, j]
+        for j in range(c):
+            X[i, j] = sensitivity[i, j] - products[i, n + 1 + j]
+    return arrays
+
+
+def solve(matrix, const double[:] right):
+    cdef Py_ssize_t q = right.shape[0], i, j
+    cdef double[:, ::1] W = np.empty((q, q))
+    cdef double white
+    if not whiten(np.array(matrix), W):
+        raise IndefiniteCovarianceError
+    result = np.zeros(q)
+    cdef double[::1] solution = result
+    for j in range(q):
+        white = 0.0
+        for i in range(j + 1):
+            white += W[j, i] * right[i]
+        for i in range(j + 1):
+            solution[i] += W[j, i] * white
+    return result
 
 
 def whitener(covariance):

@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.kernels import compiled
-from gyrocal_ros.model.lens import distort, undistort
+from gyrocal_ros.model.lens import by_radial_coefficients, distort, undistort
 
 MIN_DEPTH = 1e-6
 """Smallest depth that is divided by, in the unit of the points."""
@@ -49,6 +49,13 @@ def project_with_jacobian(camera: CameraIntrinsics, points_c: Array) -> tuple[Ar
     jacobian[:, :, 2] = -(lens @ normalised[:, :, None])[:, :, 0]
     jacobian *= np.array([[camera.fx_px], [camera.fy_px]]) * inverse_z[:, None, None]
     return _pixels(camera, distorted), jacobian
+
+
+@compiled
+def pixels_by_radial_coefficients(camera: CameraIntrinsics, points_c: Array) -> Array:
+    """Differentiate the pixels of points (n, 3), of any scale, with respect to k1 and k2: (n, 2, 2)."""
+    by_values = by_radial_coefficients(camera, points_c[:, :2] / points_c[:, 2:])
+    return by_values * np.array([[camera.fx_px], [camera.fy_px]])
 
 
 def bearing(camera: CameraIntrinsics, pixels: Array) -> Array:

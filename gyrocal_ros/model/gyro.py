@@ -20,10 +20,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.model.sensor import GyroEffect, Memory
+from gyrocal_ros.data import Array, MotionBlock, quickly_filled
+from gyrocal_ros.model.sensor import GyroEffect, GyroTerm, Memory
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
     """Sum of the contributions of all gyro effects to the yaw rate of a block, without the bias."""
@@ -38,6 +39,14 @@ class Correction:
     """Memory of each effect for the next block."""
     valid: Array | float = 1.0
     """(N,) 1 where the reading depends on the rate, else 0; the bias acts only where it is valid."""
+
+    def unread_rad(self, dt_s: Array) -> float:
+        """Return the standard deviation of the turn over intervals (N,) that the gyro could not read."""
+        return float(dt_s @ self.noise_rad_s) if isinstance(self.noise_rad_s, np.ndarray) else 0.0
+
+    def valid_s(self, dt_s: Array) -> float:
+        """Return the time in intervals (N,) with valid readings."""
+        return float(dt_s @ self.valid if isinstance(self.valid, np.ndarray) else dt_s.sum())
 
 
 def correct(
@@ -54,13 +63,18 @@ def correct(
         values: (K,) coefficients.
         memories: memory of each effect from the blocks before.
     """
+    terms = [
+        effect.contribute(block, values[place], memory)
+        for (effect, place), memory in zip(effects, memories, strict=True)
+    ]
+    if len(terms) == 1 and _is_whole(terms[0], len(values)):
+        return Correction(terms[0].rate_rad_s, terms[0].by_values, 0.0, (terms[0].memory,))
     rate = np.zeros(len(block.dt_s))
     by_values = np.zeros((len(block.dt_s), len(values)))
     variance: Array | float = 0.0
     kept = []
     blind_parts = []
-    for (effect, place), memory in zip(effects, memories, strict=True):
-        term = effect.contribute(block, values[place], memory)
+    for (_, place), term in zip(effects, terms, strict=True):
         rate += term.rate_rad_s
         by_values[:, place] = term.by_values
         kept.append(term.memory)
@@ -73,7 +87,13 @@ def correct(
         rate = np.where(blind, whole_rate, rate)
         valid = np.where(blind, 0.0, valid)
         by_values[blind] = 0.0
-    return Correction(rate, by_values, np.sqrt(variance), tuple(kept), valid)
+    noise = np.sqrt(variance) if isinstance(variance, np.ndarray) else 0.0
+    return Correction(rate, by_values, noise, tuple(kept), valid)
+
+
+def _is_whole(term: GyroTerm, count: int) -> bool:
+    """Return True for the contribution of the only effect, which leaves nothing unknown."""
+    return term.noise_rad_s is None and term.blind is None and term.by_values.shape[1] == count
 
 
 def body_rates(block: MotionBlock, correction: Correction, bias_rad_s: Array) -> Array:

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, quickly_filled
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.rotation import euler_rate_matrices
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseStep:
     """Pose at the end of a block and its derivatives; a pose is (position, Euler angles), 6 values."""

@@ -10,7 +10,6 @@ import math
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics
-from gyrocal_ros.kernels import compiled
 
 COEFFICIENT_COUNTS = {'plumb_bob': 5, 'rational_polynomial': 8, 'equidistant': 4}
 """Lens models by their names in CameraInfo, with their numbers of coefficients."""
@@ -67,7 +66,6 @@ def undistort(camera: CameraIntrinsics, distorted: Array) -> Array:
     return normalised
 
 
-@compiled
 def by_radial_coefficients(camera: CameraIntrinsics, normalised: Array) -> Array:
     """Differentiate the distorted coordinates (n, 2) with respect to k1 and k2: (n, 2, 2), k1 first."""
     r2 = np.sum(normalised**2, axis=1)

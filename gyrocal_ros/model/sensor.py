@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
-from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount
+from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, quickly_filled
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 
@@ -91,6 +91,7 @@ class Effect(Protocol):
 E = TypeVar('E', bound=Effect)
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroTerm:
     """Contribution of one effect to the yaw rate of a block of N intervals."""
@@ -280,6 +281,7 @@ class CameraEffectOnOdometry(Protocol):
         """Return true distances (n,) as the wheels report them at the coefficient values (k,)."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenPoints:
     """Inputs of the derivative of pixels with respect to parameters of the camera."""

@@ -57,7 +57,7 @@ def search_regions(message: Any) -> SearchRegions:
 
 def _ids(points: NDArray[Any]) -> NDArray[np.int64]:
     ids = points['id']
-    if len(np.unique(ids)) < len(ids):
+    if len(set(ids.tolist())) < len(ids):
         raise MessageError('a point cloud has two points with one id', todo=REMEDY)
     if ids.dtype.kind == 'f' and not (np.abs(ids) < 2.0**53).all():
         raise MessageError('an id of a point cloud is not a whole number', todo=REMEDY)

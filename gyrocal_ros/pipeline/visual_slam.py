@@ -41,12 +41,14 @@ class VisualSlam:
             self._tracker = self._tracker or self._first_tracker()
             self._waiting.append(measurement)
             return []
+        if self._tracker is None:
+            return self._stream.step(measurement)
         records: list[StepRecord] = []
-        if self._tracker and isinstance(measurement, ImuSample):
+        if isinstance(measurement, ImuSample):
             self._tracker.add(measurement)
             while self._waiting and self._waiting[0].t_ns <= measurement.t_ns:
                 records += self._track(self._tracker)
-        elif self._tracker and isinstance(measurement, ClockStep):
+        elif isinstance(measurement, ClockStep):
             records += self._track_all()
             self._tracker.restart()
         return records + self._step(measurement)

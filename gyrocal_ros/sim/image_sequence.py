@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal_ros.data import Array, CameraIntrinsics
-from gyrocal_ros.sim.canvas import LEVELS_PER_GREY, OPAQUE, Layer
-from gyrocal_ros.sim.ceilings import find_ceiling
+from gyrocal_ros.sim.canvas import LEVELS_PER_GREY, OPAQUE, Grid, Layer
+from gyrocal_ros.sim.ceilings import Ceiling, find_ceiling
 from gyrocal_ros.sim.image_conditions import ExposureControl, ImageConditions, flicker
 from gyrocal_ros.sim.image_sensor import ImageSensor
 from gyrocal_ros.sim.moving import moving_layers
@@ -51,7 +52,7 @@ class ImageSequence:
         grid = texture_grid(camera, CEILING_HEIGHT_M)
         if not conditions.antialiased:
             grid = replace(grid, blur_texels=0.0)
-        fixed = find_ceiling(ceiling).draw(stream(seed, 'ceiling'), CEILING_HEIGHT_M, grid)
+        fixed = drawn(find_ceiling(ceiling), seed, grid)
         moving = moving_layers(conditions, stream(seed, 'moving'), CEILING_HEIGHT_M, grid)
         undersides = [_underside(item) for item in furniture]
         layers = sorted([*fixed, *moving, *undersides], key=lambda layer: -layer.height_m)
@@ -95,6 +96,15 @@ class ImageSequence:
         rows = (np.arange(self._height_px) + 0.5) / self._height_px - 0.5
         delay_s = self._conditions.readout_s * rows if self._conditions.readout_s != 0.0 else np.zeros(1)
         return flicker(self._conditions, self._time_s[number] + delay_s[:, None], exposure_s)
+
+
+@lru_cache(maxsize=1)
+def drawn(ceiling: Ceiling, seed: int, grid: Grid) -> tuple[Layer, ...]:
+    """Draw a ceiling, which takes half a second: recordings one after the other below the same one share it.
+
+    A photograph is another ceiling each time that it is found, so it is read again.
+    """
+    return ceiling.draw(stream(seed, 'ceiling'), CEILING_HEIGHT_M, grid)
 
 
 def brightness(time_s: Array, rng: np.random.Generator) -> Array:

@@ -8,10 +8,12 @@ from typing import Protocol
 import numpy as np
 
 from gyrocal_ros.config.sections import FeatureConfig
-from gyrocal_ros.data import Array, CameraIntrinsics, IntArray, Mount
+from gyrocal_ros.data import Array, CameraIntrinsics, IntArray, Mount, quickly_filled
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedCamera:
     """A camera at a robot pose, with the matrices for derivatives by that pose."""
@@ -38,11 +40,18 @@ class PosedCamera:
 
 def posed_camera(camera: CameraIntrinsics, mount: Mount, position_m: Array, euler_rad: Array) -> PosedCamera:
     """Put the camera at a robot pose (position (3,), Euler angles (3,))."""
+    attitudes = turned_camera(euler_rad, mount.R_bs)
+    return PosedCamera(camera, position_m, *attitudes, mount.R_bs, mount.p_bs)
+
+
+@compiled
+def turned_camera(euler_rad: Array, R_bc: Array) -> tuple[Array, Array, Array, Array]:
+    """Return `R_wb`, `dR_wb`, `R_wc` and `dR_wc` of a `PosedCamera`, at Euler angles (3,)."""
     R_wb, dR_wb = rotation_from_euler(euler_rad), rotation_derivatives(euler_rad)
-    R_bc = mount.R_bs
-    return PosedCamera(camera, position_m, R_wb, dR_wb, R_wb @ R_bc, dR_wb @ R_bc, R_bc, mount.p_bs)
+    return R_wb, dR_wb, R_wb @ R_bc, dR_wb @ R_bc
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchors:
     """Camera poses at the first observation of each feature: constants of the map, not part of the state."""
@@ -78,6 +87,7 @@ class NewFeatures:
     anchors: Anchors
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
     """Predicted measurements of mapped features in a view, with their derivatives."""

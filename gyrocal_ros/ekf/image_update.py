@@ -22,7 +22,7 @@ from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
-from gyrocal_ros.ekf.state import YAW, State
+from gyrocal_ros.ekf.state import POSE, YAW, State
 from gyrocal_ros.ekf.update import (
     Innovation,
     MeasurementUpdate,
@@ -114,6 +114,8 @@ def update_from_image(
     used = found.innovation if used_count == len(good) else found.innovation[np.flatnonzero(good)]
     heading_rad, heading_std_rad = _as_heading(used)
     stats, by_feature = UpdateStats(), None
+    if found.slip_std is not None:
+        state = with_looser_pose(state, found.slip_std)
     if used_count:
         if model.scored:
             ids, scored = state.landmarks.ids[used.rows], used.sensitivity[:, :, : model.scored]
@@ -127,6 +129,7 @@ def update_from_image(
     is_in_pixels = model.form.rows == 2
     return kept, changed(
         seen,
+        slips=found.slip_std is not None,
         used=used_count,
         rejected=len(good) - used_count,
         dropped=len(state.landmarks.ids) - len(kept.landmarks.ids),
@@ -136,6 +139,13 @@ def update_from_image(
         heading_std_rad=heading_std_rad,
         noise_distances=_noise_dominated(judged, unmoved) if is_in_pixels else np.empty(0),
     )
+
+
+def with_looser_pose(state: State, std: Array) -> State:
+    """Return a state whose pose has further errors of standard deviations (6,)."""
+    covariance = state.covariance.copy()
+    covariance[POSE, POSE] += np.diag(np.square(std))
+    return changed(state, covariance=covariance)
 
 
 def _known(state: State, observations: FeatureObservations) -> tuple[IntArray, IntArray]:

@@ -16,6 +16,13 @@ LOST_IMAGES = 15
 """Number of consecutive images that contradict the map before it is dropped."""
 REMEMBERED_IMAGES = 300
 """Images over which the share of those that contradict the map is averaged."""
+SLIPS = (
+    'the images contradict the wheels: these slip or do not turn, or all that the camera sees moves; only '
+    'the position follows the images'
+)
+"""Event of a run."""
+SLIP_PAUSE_S = 5.0
+"""Time without such images after which the next one is another event."""
 MANY_LOST_MAPS, MANY_LOST_MAPS_S = 4, 60.0
 """Number of maps lost within a time (s) from which the model does not fit: beams lose 2 in a minute, a
 rolling shutter that the model lacks 10."""
@@ -49,6 +56,21 @@ class LostMaps:
         self._times_s.append(time_s)
         is_soon = abs(time_s - self._times_s[0]) < MANY_LOST_MAPS_S
         self.are_many |= len(self._times_s) == MANY_LOST_MAPS and is_soon
+
+
+class SlipWatch:
+    """Tells once of each time at which the images contradict the wheels."""
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+
+    def event(self, update: MeasurementUpdate, t_ns: int) -> str:
+        """Return the event of an image; empty for none."""
+        if not update.slips:
+            return ''
+        last_ns, self._last_ns = self._last_ns, t_ns
+        goes_on = last_ns is not None and seconds(t_ns - last_ns) < SLIP_PAUSE_S
+        return '' if goes_on else SLIPS
 
 
 class MapWatch:

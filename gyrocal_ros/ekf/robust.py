@@ -14,6 +14,7 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.positive_definite import inverse, whitener
+from gyrocal_ros.ekf.state import POSE
 from gyrocal_ros.ekf.update import Innovation, mahalanobis, own_precisions
 from gyrocal_ros.errors import IndefiniteCovarianceError
 from gyrocal_ros.kernels import compiled
@@ -29,6 +30,8 @@ CONVERGED = 0.05
 """Relative change of the weights at which the iteration ends."""
 LOOSE_POSE_RATE = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
 """Standard deviations of the errors of the motion (m/s, rad/s) of a model that lacks an effect."""
+SLIP_RATE = np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
+"""The same where the wheels slip or stand still in the air, or where all that the camera sees moves."""
 BENT = 0.1
 """Share of a contradiction below which the pose explains it; the rest is the map, bent by earlier images."""
 POSE_DOF = 6
@@ -103,6 +106,8 @@ class Consensus:
     judged: Judged
     good: np.ndarray
     """(m,) bool, features to use."""
+    slip_std: Array | None = None
+    """(6,) standard deviations of the pose by a slip that explains what the features show; None without."""
 
     @property
     def rejects_image(self) -> bool:
@@ -113,11 +118,12 @@ class Consensus:
 def consensus(innovation: Innovation, outlier_probability: float, interval_s: float) -> Consensus:
     """Judge the features of an image by each other and by the pose: Huber's weights, and a gate.
 
-    Where most features contradict the predicted pose, an effect that the model lacks may have turned it, and
-    those that show the effect best would be rejected first. They are then judged with a looser pose: by a
-    wider gate if that explains what they show. If not, and most of them contradict each other, none is used:
-    an image in the dark or of a hand still has corners. Few features do not contradict the pose, for they do
-    not determine one.
+    Where another way than that by the wheels explains a contradiction of the predicted pose, the position is
+    as uncertain as that: a slip says nothing of the gyro. Otherwise, where most features contradict the pose,
+    an effect that the model lacks may have turned it, and those that show the effect best would be rejected
+    first. They are then judged with a looser pose: by a wider gate if that explains what they show. If not,
+    and most of them contradict each other, none is used: an image in the dark or of a hand still has corners.
+    Few features do not contradict the pose, for they do not determine one.
 
     Args:
         innovation: of the m features.
@@ -139,6 +145,9 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     # Even all features together may be closer to the prediction than a contradicted pose.
     if m < MIN_FEATURES or judged.nis <= pose_gate:
         return by_pose
+    slipping = _explained_by_slip(innovation, gate, pose_gate, interval_s)
+    if slipping is not None:
+        return slipping
     std = LOOSE_POSE_RATE * interval_s
     inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
         innovation, std, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
@@ -153,6 +162,23 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
         good = judged.distances <= gate
         good &= 2 * np.count_nonzero(good) >= m
     return Consensus(_with_noise(innovation, inflation, whitening), judged, good)
+
+
+def _explained_by_slip(
+    innovation: Innovation, gate: float, pose_gate: float, interval_s: float
+) -> Consensus | None:
+    """Return what the features say of each other with a slip, or None where that explains too little."""
+    std = SLIP_RATE * interval_s
+    inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
+        innovation, std, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
+    )
+    if loose_nis >= BENT * tight_nis or tight_nis - loose_nis <= pose_gate:
+        return None
+    numerator = innovation.gain_numerator.copy()
+    numerator[:, :, POSE] += innovation.prediction.by_pose * np.square(std)
+    loose = _with_looser_pose(innovation, std)
+    slipping = changed(loose, gain_numerator=numerator, covariance=_inflated(loose, inflation))
+    return Consensus(slipping, Judged(distances, noise_share, nis), distances <= gate, std)
 
 
 @compiled

@@ -37,7 +37,7 @@ from gyrocal_ros.ekf.image_update import (
 )
 from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.levelling import Levelling, unlevelled
-from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch
+from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch, SlipWatch
 from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector, RestNoise
@@ -111,7 +111,8 @@ class EkfSlam:
         """Memories of the gyro effects at the present state."""
         self._candidate_memories = self._candidates.no_memories()
         self._motion = PoseMotion(np.zeros(6), np.zeros(6))
-        self._rest, self._map_watch, self._motion_gate = RestDetector(), MapWatch(), MotionGate()
+        self._rest, self._motion_gate = RestDetector(), MotionGate()
+        self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
         self._steady, self._frozen = SteadyRate(), FrozenCamera()
         self._heading = HeadingReference(config.reference, config.gyro)
         at_first = config.gyro if config.reference.estimate_noise else config.rest
@@ -183,6 +184,7 @@ class EkfSlam:
             event = self._frozen.event()
         elif seen is not None:
             update = self._update_from_image(seen)
+            event = self._slip_watch.event(update, self.state.t_ns)
             if self._map_watch.is_lost(update, self.pixel_noise):
                 self.state, event = forget_all(self.state), MAP_DROPPED
 

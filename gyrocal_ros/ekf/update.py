@@ -110,6 +110,8 @@ class MeasurementUpdate:
     """Squared distances of the features that the pixel noise dominates, see `robust.Judged`."""
     changes_px2: Array = field(default_factory=lambda: np.empty(0))
     """Changes of unmoved features, see `repeated_errors.Motion`."""
+    slips: bool = False
+    """True if all features of the image contradict the way by the wheels, see `robust.consensus`."""
     event: str = ''
     """Event to report to the user."""
 

@@ -1,0 +1,64 @@
+"""Wheels that slip, or do not turn while the robot moves: the images say where the robot is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import NS_PER_S, Measurement, WheelSample
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.map_watch import SLIPS
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import conclude
+from gyrocal_ros.pipeline.in_memory import InMemorySource
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+from gyrocal_ros.statistics import nis_per_dof
+
+SLIPS_S, SLIP_S = (15.0, 40.0, 52.0), 3.0
+"""Times at which the wheels begin to err, and for how long they do."""
+
+
+def driven(added_m_s: float, factor: float = 1.0) -> tuple[Run, SimSource]:
+    """Return a run and its source, with wheels that err: a speed by a factor, and an added one."""
+    simulated = SimSource(replace(find_scenario('cleaning'), duration_s=70.0), 1)
+    start_ns = simulated.span.start_ns
+
+    def changed(item: Measurement) -> Measurement:
+        time_s = (item.t_ns - start_ns) / NS_PER_S
+        if not isinstance(item, WheelSample) or not any(0.0 <= time_s - at_s < SLIP_S for at_s in SLIPS_S):
+            return item
+        return replace(
+            item, speed_m_s=factor * item.speed_m_s + added_m_s, yaw_rate_rad_s=factor * item.yaw_rate_rad_s
+        )
+
+    measured = [changed(item) for item in simulated.measurements()]
+    source = InMemorySource('slip', simulated.rig, simulated.span, measured)
+    return calibrate(source, Config(), default_model(), follows_changes=True), simulated
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ('added_m_s', 'factor'), [(0.2, 1.0), (0.0, 0.0)], ids=['wheels spin', 'encoders are stuck']
+)
+def test_wrong_wheels_spoil_neither_heading_nor_scale_factor(added_m_s: float, factor: float) -> None:
+    run, simulated = driven(added_m_s, factor)
+    calibration = conclude(run)
+    error = calibration.scale_factor - simulated.truth.scale_factor
+    assert abs(error) < min(3.0 * calibration.scale_factor_std, 3e-4)
+    assert calibration.converged
+    assert nis_per_dof(run.history.nis, run.history.dof) == pytest.approx(1.0, abs=0.2)
+    events = [event for event in run.events if SLIPS in event.text]
+    assert 1 <= len(events) <= len(SLIPS_S)
+    assert all(
+        any(0.0 <= (event.t_ns - run.span.start_ns) / NS_PER_S - at_s < SLIP_S for at_s in SLIPS_S)
+        for event in events
+    )
+
+
+def test_wheels_that_do_not_slip_are_not_blamed() -> None:
+    run, _ = driven(0.0)
+    assert not any(SLIPS in event.text for event in run.events)

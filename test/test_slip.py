@@ -8,6 +8,7 @@ import pytest
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Measurement, WheelSample
+from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.map_watch import SLIPS
 from gyrocal_ros.ekf.run import Run
@@ -22,14 +23,15 @@ SLIPS_S, SLIP_S = (15.0, 40.0, 52.0), 3.0
 """Times at which the wheels begin to err, and for how long they do."""
 
 
-def driven(added_m_s: float, factor: float = 1.0) -> tuple[Run, SimSource]:
+def driven(added_m_s: float, factor: float = 1.0, *, always: bool = False) -> tuple[Run, SimSource]:
     """Return a run and its source, with wheels that err: a speed by a factor, and an added one."""
     simulated = SimSource(replace(find_scenario('cleaning'), duration_s=70.0), 1)
     start_ns = simulated.span.start_ns
 
     def changed(item: Measurement) -> Measurement:
         time_s = (item.t_ns - start_ns) / NS_PER_S
-        if not isinstance(item, WheelSample) or not any(0.0 <= time_s - at_s < SLIP_S for at_s in SLIPS_S):
+        errs = always or any(0.0 <= time_s - at_s < SLIP_S for at_s in SLIPS_S)
+        if not isinstance(item, WheelSample) or not errs:
             return item
         return replace(
             item, speed_m_s=factor * item.speed_m_s + added_m_s, yaw_rate_rad_s=factor * item.yaw_rate_rad_s
@@ -49,7 +51,7 @@ def test_wrong_wheels_spoil_neither_heading_nor_scale_factor(added_m_s: float, f
     calibration = conclude(run)
     error = calibration.scale_factor - simulated.truth.scale_factor
     assert abs(error) < min(3.0 * calibration.scale_factor_std, 3e-4)
-    assert calibration.converged
+    assert calibration.converged and model_fit(run).fits is not False
     assert nis_per_dof(run.history.nis, run.history.dof) == pytest.approx(1.0, abs=0.2)
     events = [event for event in run.events if SLIPS in event.text]
     assert 1 <= len(events) <= len(SLIPS_S)
@@ -57,6 +59,14 @@ def test_wrong_wheels_spoil_neither_heading_nor_scale_factor(added_m_s: float, f
         any(0.0 <= (event.t_ns - run.span.start_ns) / NS_PER_S - at_s < SLIP_S for at_s in SLIPS_S)
         for event in events
     )
+
+
+@pytest.mark.slow
+def test_dead_encoders_do_not_hide_the_turns() -> None:
+    run, simulated = driven(0.0, 0.0, always=True)
+    calibration = conclude(run)
+    assert abs(calibration.scale_factor - simulated.truth.scale_factor) < 3.0 * calibration.scale_factor_std
+    assert calibration.scale_factor_std < 5e-4
 
 
 def test_wheels_that_do_not_slip_are_not_blamed() -> None:

@@ -14,7 +14,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ClockStep, IntArray, Rig, Span, TruthSample, seconds
 from gyrocal_ros.ekf.growing import GrowingColumn
 from gyrocal_ros.ekf.score_statistics import ScoreRecorder, ScoreStatistics
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
@@ -80,7 +80,7 @@ class History:
     forward_m_s2: Array
     """(s,) mean specific force along body x."""
     resting: Array
-    """(s,) 1 where the wheels stood still."""
+    """(s,) 1 where the wheels stood still, and the gyro did not contradict them."""
     gap_s: Array
     """(s,) time without IMU samples."""
     wheel_turn_rad: Array
@@ -95,6 +95,18 @@ class History:
     def coefficients(self) -> Array:
         """(s, k)"""
         return self.mean[:, COEFFICIENTS_START:]
+
+
+TURNING_RAD_S = math.radians(2.0)
+"""Rate beside the bias from which the robot turns, whatever the encoders say."""
+
+
+def _is_resting(step: StepRecord) -> bool:
+    block = step.block
+    if not block.wheels_at_rest:
+        return False
+    turned_rad = float(block.rate_rad_s[:, 2] @ block.dt_s) + step.mean[YAW_BIAS] * block.duration_s
+    return bool(abs(turned_rad) < TURNING_RAD_S * block.duration_s)
 
 
 SCALARS: dict[str, Callable[[StepRecord], float]] = {
@@ -122,7 +134,7 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     'forward_m_s2': lambda step: (
         float(step.block.specific_force_m_s2[:, 0] @ step.block.dt_s) / step.block.duration_s
     ),
-    'resting': lambda step: step.block.wheels_at_rest,
+    'resting': _is_resting,
     'gap_s': lambda step: step.block.gap_s,
     'wheel_turn_rad': lambda step: step.block.wheel_turn_rad.sum(),
     'scale_change': lambda step: step.scale_change,

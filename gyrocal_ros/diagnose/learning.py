@@ -33,6 +33,8 @@ MAX_LEARNED = 2
 MIN_GAIN = 25.0
 """Marginal and predictive log-likelihood that a law has to gain: of a hundred laws with a dozen priors each,
 the best gains half of that by chance."""
+PROOF = 100.0
+"""Predictive log-likelihood beyond which a block of time proves no more."""
 MIN_SIGMA = 2.0
 """Significance of the predictive gain over the blocks of the recording, or of the decrease of the drift."""
 MAX_DRIFT = 1.02
@@ -132,7 +134,7 @@ def _helps(before: Run, after: Run) -> bool:
     gain = predictive_gain(before, after)
     if float(gain.sum()) < MIN_GAIN:
         return False
-    return vuong_sigma(gain) > MIN_SIGMA or better_sigma(*drift_of_both(before, after)) > MIN_SIGMA
+    return vuong_sigma(gain, PROOF) > MIN_SIGMA or better_sigma(*drift_of_both(before, after)) > MIN_SIGMA
 
 
 def _learned_beside(

@@ -548,6 +548,26 @@ def test_a_law_helps_by_its_prediction_or_by_the_drift(
 RANGES = {'rate': (-1.0, 1.0), 'force_y': (-1.0, 1.0), 'temperature': (20.0, 30.0), 'fan.data': (0.0, 9.0)}
 
 
+@pytest.mark.parametrize(
+    ('tried', 'taken'),
+    [
+        ([(True, 1530.0, 8), (True, 1521.0, 1)], 1),
+        ([(True, 1530.0, 8), (True, 1500.0, 1)], 0),
+        ([(True, 1521.0, 1), (True, 1530.0, 1)], 1),
+        ([(True, 1530.0, 8), (False, 1529.0, 1)], 0),
+        ([(False, 20.0, 8), (False, 10.0, 1)], 0),
+    ],
+)
+def test_of_laws_that_predict_as_well_the_simplest_is_learned(
+    tried: list[tuple[bool, float, int]], taken: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ('is_kept', 'predictive_gain', 'size')
+    additions = [SimpleNamespace(**dict(zip(names, item, strict=True))) for item in tried]
+    monkeypatch.setattr(learning, '_size', lambda item: item.size)
+    assert learning._simplest(additions) is additions[taken]  # type: ignore[arg-type, comparison-overlap]
+    assert learning._simplest([]) is None
+
+
 def request(**given: str) -> tuple[str, ...]:
     args = argparse.Namespace(**{'kind': None, 'follows': None, 'acts_on': None} | given)
     return requested(args, law_names(RANGES))

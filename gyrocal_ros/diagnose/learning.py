@@ -20,7 +20,7 @@ from gyrocal_ros.diagnose.hypotheses import (
 )
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.rewriting import rewrite
+from gyrocal_ros.diagnose.rewriting import rewrite, size_of
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.ekf.run import Run
@@ -114,7 +114,9 @@ def likeliest_law(
 ) -> Addition | None:
     """Run the filter with the likeliest laws; return the one that predicts best, kept or not."""
     tried = laws(present.run, recording.ranges)
-    return _best(present, _rank(present, tried, calibrate), recording, calibrate) if tried else None
+    if not tried:
+        return None
+    return _best(_rivals(present, _rank(present, tried, calibrate), recording, calibrate))
 
 
 def _is_better(alone: Search, found: Search) -> bool:
@@ -153,7 +155,7 @@ def _learned_beside(
             break
         ranked = _rank(present, tried, calibrate)
         first = first or ranked
-        following = _best(present, ranked, recording, calibrate)
+        following = _simplest(_rivals(present, ranked, recording, calibrate))
         if following is None:
             break
         found.append(following)
@@ -172,12 +174,12 @@ def _rank(present: ExaminedModel, tried: Sequence[Law], calibrate: Calibrate) ->
     return [item for place, item in enumerate(ranked) if item.effect.name not in names[:place]]
 
 
-def _best(
+def _rivals(
     present: ExaminedModel, ranked: Sequence[RankedLaw], recording: RecordingSummary, calibrate: Calibrate
-) -> Addition | None:
-    """Run the filter with the likeliest laws and return the one that predicts best; None without any."""
+) -> list[Addition]:
+    """Run the filter with each of the likeliest laws."""
     if not ranked or ranked[0].gain < MIN_GAIN:
-        return None
+        return []
     close = [item for item in ranked if item.gain > RIVAL_PART * ranked[0].gain][:MAX_RIVALS]
     additions = []
     for law in close:
@@ -185,7 +187,29 @@ def _best(
             finest = _at_the_moment(present, law, calibrate)
             after = examine(with_effect(present.model, finest.effect), recording, calibrate, present.settings)
             additions.append(_judged(replace(addition(present, after), gain=finest.gain)))
-    return max(additions, key=lambda item: (item.is_kept, item.predictive_gain), default=None)
+    return additions
+
+
+def _best(tried: Sequence[Addition]) -> Addition | None:
+    """Return the addition that predicts best, one that is kept before others; None without any."""
+    return max(tried, key=lambda item: (item.is_kept, item.predictive_gain), default=None)
+
+
+def _simplest(tried: Sequence[Addition]) -> Addition | None:
+    """Return the best addition, or another with fewer parameters that predicts as well but for chance."""
+    best = _best(tried)
+    if best is None or not best.is_kept:
+        return best
+    alike = [
+        item for item in tried if item.is_kept and item.predictive_gain > best.predictive_gain - MIN_GAIN
+    ]
+    return min(alike, key=lambda item: (_size(item), -item.predictive_gain))
+
+
+def _size(found: Addition) -> int:
+    """Return the number of parameters of a law that was added, in its closed form where there is one."""
+    added = next(law for law in learned_laws(found.after) if law.effect.name == found.effect.name)
+    return size_of(added, found.after)
 
 
 def _at_the_moment(present: ExaminedModel, law: RankedLaw, calibrate: Calibrate) -> RankedLaw:

@@ -65,6 +65,14 @@ def closed_form(law: LearnedLaw, present: ExaminedModel) -> tuple[Closed, Array]
     return None if closest is None else closest[:2]
 
 
+def size_of(law: LearnedLaw, present: ExaminedModel) -> int:
+    """Return the number of parameters of a law of a model, in closed form if one explains it."""
+    closed = next(_closed(law, present), None)
+    if closed is None:
+        return len(law.effect.coefficients)
+    return len(closed[0].coefficients) + len(closed[0].parameters)
+
+
 def _closed(law: LearnedLaw, present: ExaminedModel) -> Iterator[tuple[Closed, Array]]:
     """Yield closed forms of a law as effects with their coefficients (q,), the simplest first."""
     if isinstance(law.effect, Wave):

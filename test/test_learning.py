@@ -23,7 +23,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, ImuSample, MotionBlock, WheelSample
 from gyrocal_ros.diagnose import learning, rewriting
 from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.closed_forms import LearnedCurve, closed_forms, curve_by
+from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, closed_forms, curve_by
 from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.examined import examine
 from gyrocal_ros.diagnose.hypotheses import (
@@ -37,7 +37,7 @@ from gyrocal_ros.diagnose.hypotheses import (
 from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
-from gyrocal_ros.diagnose.rewriting import _Slopes
+from gyrocal_ros.diagnose.rewriting import _Slopes, size_of
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
@@ -566,6 +566,44 @@ def test_of_laws_that_predict_as_well_the_simplest_is_learned(
     monkeypatch.setattr(learning, '_size', lambda item: item.size)
     assert learning._simplest(additions) is additions[taken]  # type: ignore[arg-type, comparison-overlap]
     assert learning._simplest([]) is None
+
+
+@pytest.mark.parametrize(
+    ('alone', 'found', 'gain', 'is_better'),
+    [
+        ((1, 2), (2, 2), -10.0, True),
+        ((1, 2), (2, 2), -50.0, False),
+        ((1, 2), (1, 4), -10.0, True),
+        ((1, 4), (1, 2), 10.0, False),
+        ((1, 4), (1, 2), 500.0, True),
+    ],
+)
+def test_laws_alone_replace_what_was_found_where_they_are_simpler_or_predict_better(
+    alone: tuple[int, int],
+    found: tuple[int, int],
+    gain: float,
+    is_better: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    searches = [
+        SimpleNamespace(kept=[1], last=SimpleNamespace(run=None), is_as=item) for item in (alone, found)
+    ]
+    monkeypatch.setattr(learning, '_complexity', lambda item: item.is_as)
+    monkeypatch.setattr(learning, 'predictive_gain', lambda *runs: np.array([gain]))
+    monkeypatch.setattr(learning, '_helps', lambda *runs: gain > learning.MIN_GAIN)
+    assert learning._is_better(*searches) == is_better  # type: ignore[arg-type]
+
+
+def test_a_closed_form_that_misses_more_than_chance_makes_no_law_simpler() -> None:
+    line = next(form for form in FORMS if form.name == 'line')
+    effect = curve('bias', 'force_x', -1.0, 1.0)
+    values = np.array([0.01])
+    sizes = []
+    for fits in (True, False):
+        found = ClosedForm(line, 0.0, values, 0.1 * values, 0.99, 10.0, fits, '', '')
+        law = LearnedLaw(effect, None, (found,), 0.001)
+        sizes.append(size_of(law, object()))  # type: ignore[arg-type]
+    assert sizes == [1, len(effect.coefficients)]
 
 
 def request(**given: str) -> tuple[str, ...]:

@@ -74,9 +74,9 @@ def learn(
 ) -> Learned:
     """Learn what the library leaves unexplained.
 
-    What the library has added is given up where laws alone predict clearly better, or as well with fewer of
-    them: several wrong effects may together imitate one law. In the end laws are written in closed
-    form, and a noise that only raises the drift is removed.
+    What the library has added is given up where laws alone predict clearly better, or as well while they are
+    fewer or simpler: several wrong effects may together imitate one law. In the end laws are written in
+    closed form, and a noise that only raises the drift is removed.
 
     Args:
         searched: a finished search in the library.
@@ -122,9 +122,14 @@ def likeliest_law(
 def _is_better(alone: Search, found: Search) -> bool:
     if not alone.kept:
         return False
-    if len(alone.kept) < len(found.kept):
+    if _complexity(alone) < _complexity(found):
         return float(predictive_gain(found.last.run, alone.last.run).sum()) > -MIN_GAIN
     return _helps(found.last.run, alone.last.run)
+
+
+def _complexity(found: Search) -> tuple[int, int]:
+    """Return the number of effects that were found, and that of parameters of the learned laws among them."""
+    return len(found.kept), sum(size_of(law, found.last) for law in learned_laws(found.last))
 
 
 def _helps(before: Run, after: Run) -> bool:

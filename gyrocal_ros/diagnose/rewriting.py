@@ -66,9 +66,9 @@ def closed_form(law: LearnedLaw, present: ExaminedModel) -> tuple[Closed, Array]
 
 
 def size_of(law: LearnedLaw, present: ExaminedModel) -> int:
-    """Return the number of parameters of a law of a model, in closed form if one explains it."""
+    """Return the number of parameters of a law of a model, in closed form if that misses only chance."""
     closed = next(_closed(law, present), None)
-    if closed is None:
+    if closed is None or (law.forms and not law.forms[0].fits):
         return len(law.effect.coefficients)
     return len(closed[0].coefficients) + len(closed[0].parameters)
 

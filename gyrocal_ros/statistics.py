@@ -42,15 +42,18 @@ def trigamma(x: float) -> float:
     return float(special.polygamma(1, x))
 
 
-def vuong_sigma(gains: Array) -> float:
+def vuong_sigma(gains: Array, most: float = math.inf) -> float:
     """Test whether one model predicts better than another (Vuong 1989).
 
     Args:
         gains: (B,) log-likelihood gained in each block of time.
+        most: gain or loss in a block beyond which it counts no more. Where a few blocks gain thousands, their
+            scatter would otherwise hide that they all gain.
 
     Returns:
         Sum of the gains over its standard deviation by their scatter; 0 where there is no scatter.
     """
+    gains = np.clip(gains, -most, most)
     scatter = float(gains.std(ddof=1)) * math.sqrt(len(gains)) if len(gains) > 1 else 0.0
     return float(gains.sum()) / scatter if scatter > 0.0 else 0.0
 

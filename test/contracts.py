@@ -238,6 +238,8 @@ def eventful_block(count: int = 12, seed: int = 0, start_s: float = 30.0) -> Mot
         wheel_turn_rad=rate[:, 2] * dt_s,
         temperature_c=rng.uniform(20.0, 45.0, count),
         covariates={SIGNAL: rng.uniform(14.0, 16.0, count)},
+        heading_rad=rng.uniform(-3.0, 3.0, count),
+        position_m=rng.uniform(-1.0, 1.0, (count, 2)),
     )
 
 

@@ -24,6 +24,7 @@ from gyrocal_ros.data import (
     changed,
     quickly_filled,
 )
+from gyrocal_ros.diagnose.heading_filter import INITIAL_BIAS_STD_RAD_S
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
 from gyrocal_ros.ekf.scale_watch import NOTHING, NormalEquations
@@ -232,6 +233,18 @@ def filter_headings(rng: np.random.Generator, count: int, jump_rad: float = 0.0)
     return *state, *np.zeros((2, m)), np.zeros(m, int), *np.zeros((2, m)), noise, 1e-9, 0.5, headings
 
 
+def compare_headings(rng: np.random.Generator, count: int) -> Arguments:
+    """Return headings with gaps and outliers; nothing is seen in the first steps."""
+    n = 200
+    measured = rng.normal(0.0, 0.01, n) + rng.normal(0.0, 0.001, n).cumsum()
+    measured[::17] += 1.0
+    measured[[0, 1, *range(50, 60), *range(7, n, 13)]] = np.nan
+    noise, away_walk, bias_walk = 10.0 ** rng.uniform(-8.0, -4.0, (3, n))
+    valid_s = np.where(rng.uniform(size=n) < 0.9, 0.05, 0.0)
+    start = INITIAL_BIAS_STD_RAD_S**2
+    return measured, noise, valid_s, away_walk, start, bias_walk, 3.0, rng.normal(0.0, 0.1, (n, count - 1))
+
+
 def euler_angles(rng: np.random.Generator, count: int) -> Arguments:
     return (rng.normal(size=3),)
 
@@ -285,6 +298,7 @@ Maker = Callable[[np.random.Generator, int], Arguments]
 MAKERS: tuple[Maker, ...] = (
     carry_covariance,
     carry_pose,
+    compare_headings,
     filter_headings,
     find_ids,
     fit_heading,

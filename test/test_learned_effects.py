@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from contracts import GyroEffectContract, assert_derivative, eventful_block, eventful_blocks
+from contracts import GyroEffectContract, assert_derivative, eventful_block
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock
@@ -20,13 +21,14 @@ from gyrocal_ros.effects.learned.bump import Bump, bumps
 from gyrocal_ros.effects.learned.causes import closest_effect, library_effect, meaning
 from gyrocal_ros.effects.learned.curve import GRID, LENGTHS, Of, prior_stds
 from gyrocal_ros.effects.learned.drives import ABS_RATE, DYNAMICS, LAST_TURN, MOVING, SIDE, START
+from gyrocal_ros.effects.learned.effect_code import Closed
 from gyrocal_ros.effects.learned.forms import FORMS, Form
 from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory import TAUS_S
 from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS, physical
 from gyrocal_ros.effects.learned.place_map import PlaceMap
 from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
-from gyrocal_ros.effects.learned.signals import UNITS, values_of
+from gyrocal_ros.effects.learned.signals import CENTRIPETAL, UNITS, values_of
 from gyrocal_ros.effects.learned.wave import Sine, Wave, sine_of
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.effects.registry import load_file
@@ -42,6 +44,7 @@ EFFECTS: tuple[GyroEffect, ...] = (
     curve('bias', 'heading'),
     curve('scale', VOLTAGE, 14.0, 16.0),
     curve('bias', 'force_y', -1.0, 1.0),
+    curve('scale', CENTRIPETAL, -0.5, 0.5),
     *(memory('bias', drive) for drive in TAUS_S),
     memory('bias', VOLTAGE),
     memory('scale', START),
@@ -236,6 +239,14 @@ def test_a_step_begins_at_its_moment() -> None:
     assert find_effect('scale_step:time').coefficients[0].unit == '1'
 
 
+def test_the_centripetal_acceleration_is_that_of_a_circle() -> None:
+    """0.6 m/s on a circle of 0.5 m."""
+    block = posed_block()
+    rate = np.array([[0.0, 0.0, 1.2]])
+    circle = replace(block, distance_m=0.6 * block.dt_s, rate_rad_s=np.repeat(rate, 12, axis=0))
+    np.testing.assert_allclose(values_of(CENTRIPETAL, circle), 0.6**2 / 0.5)
+
+
 def test_every_signal_of_a_block_has_a_unit() -> None:
     block = posed_block()
     for name in UNITS:
@@ -256,12 +267,12 @@ def test_a_block_takes_the_pose_of_the_filter() -> None:
     np.testing.assert_allclose(posed.position_m[[0, -1]], [[1.0, 2.05], [1.0, 2.95]], atol=1e-12)
 
 
-def written(of: Of, follows: str, form: Form, parameter: float, folder: Path) -> GyroEffect:
+def written(effect: Closed, folder: Path) -> GyroEffect:
     """Return the effect of a closed form from its file, which passes every check of a user's effect."""
-    path = folder / f'{follows}_{form.name}_effect.py'.replace(' ', '_')
-    values = [0.02, 0.001] if form.over == 'dynamics' else [0.01, 0.02, 0.03, 0.04]
-    values = values[: len(form.terms)]
-    path.write_text(effect_source(of, follows, form, parameter, values, 'a bag'), encoding='utf-8')
+    path = folder / f'{re.sub("[^a-z]", "_", effect.name)}_effect.py'
+    values = [0.02, 0.001] if effect.name.endswith('dynamics') else [0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
+    values = values[: len(effect.coefficients)]
+    path.write_text(effect_source(effect, values, 'a bag'), encoding='utf-8')
     assert len(path.read_text(encoding='utf-8').splitlines()[0]) < 110
     (made,) = load_file(path)
     return made  # type: ignore[return-value]
@@ -271,7 +282,8 @@ def written(of: Of, follows: str, form: Form, parameter: float, folder: Path) ->
 @pytest.mark.parametrize('form', FORMS, ids=lambda form: form.name)
 def test_a_closed_form_becomes_an_effect(form: Form, tmp_path: Path) -> None:
     follows = 'heading' if form.over == 'heading' else 'force_x'
-    made = written('scale', follows, form, 0.7, tmp_path)
+    in_model = formula(f'scale_curve:{follows}', form.name, 0.7)
+    made = written(in_model, tmp_path)
     block = posed_block()
     x = values_of(follows, block)
     if form.over == 'heading':
@@ -280,7 +292,6 @@ def test_a_closed_form_becomes_an_effect(form: Form, tmp_path: Path) -> None:
     expected = form.columns(x, 0.7) * block.rate_rad_s[:, 2:]
     term = made.contribute(block, np.ones(len(form.terms)), None)
     np.testing.assert_allclose(term.by_values, expected, rtol=1e-9, atol=1e-12)
-    in_model = formula(f'scale_curve:{follows}', form.name, 0.7)
     term = in_model.contribute(block, np.ones(len(form.terms)), None)
     np.testing.assert_allclose(term.by_values, expected, rtol=1e-9, atol=1e-12)
 
@@ -317,16 +328,10 @@ class TestWrittenMemory(GyroEffectContract):
 
     @pytest.fixture
     def effect(self, of: Of, follows: str, form: Form, tmp_path: Path) -> GyroEffect:
-        return written(of, follows, form, 2.5, tmp_path)
+        return written(formula(f'{of}_memory:{follows}', form.name, 2.5), tmp_path)
 
     def test_it_is_what_the_model_has(self, effect: GyroEffect, of: Of, follows: str, form: Form) -> None:
-        in_model = formula(f'{of}_memory:{follows}', form.name, 2.5)
-        assert [item.unit for item in in_model.coefficients] == [item.unit for item in effect.coefficients]
-        blocks, values = [posed_block(), posed_block(12, 1, 30.06)], np.ones(len(form.terms))
-        for found, expected in zip(
-            contribution(in_model, blocks, values), contribution(effect, blocks, values), strict=True
-        ):
-            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+        assert_alike(effect, formula(f'{of}_memory:{follows}', form.name, 2.5))
 
     def test_it_responds_as_the_form(self, effect: GyroEffect, of: Of, follows: str, form: Form) -> None:
         """To a step of the drive, after a turn or the start, or in turns to and fro."""
@@ -437,5 +442,33 @@ def test_forms_of_the_library_are_named() -> None:
             assert find_effect(closest_effect(of, drive)).acts_on == 'gyro'
 
 
-def test_consecutive_blocks_are_as_the_contracts_have_them() -> None:
-    assert [block.heading_rad for block in eventful_blocks()] == [None] * 3
+@pytest.mark.usefixtures('library')
+@pytest.mark.parametrize(
+    'in_model',
+    [
+        Bump().at((0.2, -0.1, 0.6)),
+        sine_of('bias_wave:time', 7.0),
+        sine_of('scale_wave:time', 7.0),
+        wave('bias', period_s=7.0),
+    ],
+    ids=['bump', 'sine of the bias', 'sine of the scale', 'wave'],
+)
+class TestWrittenPlaceAndTime(GyroEffectContract):
+    """The effect that is written of a bump at a place, or of what swings in time."""
+
+    @pytest.fixture
+    def effect(self, in_model: Closed, tmp_path: Path) -> GyroEffect:
+        return written(in_model, tmp_path)
+
+    def test_it_is_what_the_model_has(self, effect: GyroEffect, in_model: Closed) -> None:
+        assert_alike(effect, in_model)
+
+
+def assert_alike(effect: GyroEffect, in_model: GyroEffect) -> None:
+    """Compare units and contributions of an effect with those of a learned one."""
+    assert [item.unit for item in in_model.coefficients] == [item.unit for item in effect.coefficients]
+    blocks, values = [posed_block(), posed_block(12, 1, 30.06)], np.ones(len(effect.coefficients))
+    for found, expected in zip(
+        contribution(effect, blocks, values), contribution(in_model, blocks, values), strict=True
+    ):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)

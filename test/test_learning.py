@@ -8,6 +8,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +20,10 @@ from gyrocal_ros.bench.strangers import StrangerResult, row
 from gyrocal_ros.cli.learn import requested
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.diagnose import learning
+from gyrocal_ros.data import Array, ImuSample, MotionBlock, WheelSample
+from gyrocal_ros.diagnose import learning, rewriting
 from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.closed_forms import LearnedCurve, closed_forms, curve_by
+from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, closed_forms, curve_by
 from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.examined import examine
 from gyrocal_ros.diagnose.hypotheses import (
@@ -35,7 +37,7 @@ from gyrocal_ros.diagnose.hypotheses import (
 from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
-from gyrocal_ros.diagnose.rewriting import _Slopes
+from gyrocal_ros.diagnose.rewriting import _Slopes, size_of
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
@@ -129,7 +131,8 @@ class TestRanking:
         source = recording(seconds=40.0)
         ranges = signal_ranges(source)
         run = calibrate(source, Config(), default_model())
-        assert {'rate', 'force_x', 'yaw_acceleration', 'battery_state.voltage'} <= ranges.keys()
+        of_motion = {'rate', 'force_x', 'yaw_acceleration', 'centripetal_acceleration'}
+        assert {*of_motion, 'battery_state.voltage'} <= ranges.keys()
         assert all(low < high for low, high in ranges.values())
         names = {law.effect.name for law in laws(run, ranges)}
         assert {'bias_curve:rate', 'bias_curve:heading', 'bias_map:place', 'scale_step:time'} <= names
@@ -139,6 +142,20 @@ class TestRanking:
         assert [law.effect.name for law in some] == ['bias_curve:rate', 'bias_map:place']
         steps = laws(run, ranges, ['bias_step:time'])
         assert len(steps) > 1 and len(carried_by(steps)) == 1
+
+
+def test_the_range_of_the_centripetal_acceleration_is_that_of_the_curves_driven() -> None:
+    """Ten seconds straight on, then ten on a circle of 0.5 m, at 0.6 m/s."""
+    samples: list[Any] = [WheelSample(start_ns, 0.6, 0.0) for start_ns in range(0, 20 * 10**9, 10**8)]
+    samples += [
+        ImuSample(t_ns, (0.0, 0.0, 1.2 * (t_ns >= 10**10)), (0.0, 0.0, 9.8))
+        for t_ns in range(0, 20 * 10**9, 10**7)
+    ]
+    ranges = signal_ranges(SimpleNamespace(measurements=lambda: iter(samples)))  # type: ignore[arg-type]
+    assert ranges['centripetal_acceleration'] == pytest.approx((0.0, 0.72))
+    without = [sample for sample in samples if isinstance(sample, ImuSample)]
+    ranges = signal_ranges(SimpleNamespace(measurements=lambda: iter(without)))  # type: ignore[arg-type]
+    assert 'centripetal_acceleration' not in ranges
 
 
 class TestClosedForms:
@@ -449,6 +466,37 @@ def test_a_bias_at_a_place_is_learned_as_a_bump() -> None:
     assert 'bump of' in words and 'in the map, width 0.' in words and 'in the model as: bump' in words
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures('library')
+def test_a_square_of_the_centripetal_acceleration_is_learned_as_such() -> None:
+    source = recording(DrawnEffect('stranger_square_force', (10.0 * DEG,)), seconds=240.0)
+    recorded = summarise_recording(source)
+    first = examine(default_model(), recorded, runner(source))
+    learned = learn(Search(first, ()), recorded, runner(source))
+    (law,) = learned.laws
+    assert law.effect.name == 'bias_curve:centripetal_acceleration' and law.in_model_as == 'square'
+    assert learned.searched.last.run.state.coefficients[-1] == pytest.approx(10.0 * DEG, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures('library')
+def test_a_closed_form_that_predicts_worse_is_not_written_into_the_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    source = recording(DrawnEffect('stranger_heading', (0.3 * DEG, 0.7)), seconds=100.0)
+    wrong = formula('bias_curve:heading', 'sine of twice the heading')
+    monkeypatch.setattr(rewriting, '_closest', lambda law: (wrong, np.full(2, 0.1 * DEG), 1.0))
+    recorded = summarise_recording(source)
+    first = examine(default_model(), recorded, runner(source))
+    learned = learn(Search(first, ()), recorded, runner(source), [wrong.name])
+    as_curve, as_form = learned.searched.additions
+    assert as_curve.is_kept and not as_form.is_kept
+    assert as_form.is_rewritten and as_form.effect.name == wrong.name and as_form.predictive_gain < -25.0
+    assert learned.searched.last.model.effects[-1] == as_curve.effect
+    (law,) = learned.laws
+    assert law.in_model_as == ''
+
+
 @pytest.mark.parametrize(
     'closed', [Bump().at((0.2, -0.1, 0.6)), formula('bias_memory:rate', 'first-order lag', 5.0), wave('bias')]
 )
@@ -498,6 +546,64 @@ def test_a_law_helps_by_its_prediction_or_by_the_drift(
 
 
 RANGES = {'rate': (-1.0, 1.0), 'force_y': (-1.0, 1.0), 'temperature': (20.0, 30.0), 'fan.data': (0.0, 9.0)}
+
+
+@pytest.mark.parametrize(
+    ('tried', 'taken'),
+    [
+        ([(True, 1530.0, 8), (True, 1521.0, 1)], 1),
+        ([(True, 1530.0, 8), (True, 1500.0, 1)], 0),
+        ([(True, 1521.0, 1), (True, 1530.0, 1)], 1),
+        ([(True, 1530.0, 8), (False, 1529.0, 1)], 0),
+        ([(False, 20.0, 8), (False, 10.0, 1)], 0),
+    ],
+)
+def test_of_laws_that_predict_as_well_the_simplest_is_learned(
+    tried: list[tuple[bool, float, int]], taken: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ('is_kept', 'predictive_gain', 'size')
+    additions = [SimpleNamespace(**dict(zip(names, item, strict=True))) for item in tried]
+    monkeypatch.setattr(learning, '_size', lambda item: item.size)
+    assert learning._simplest(additions) is additions[taken]  # type: ignore[arg-type, comparison-overlap]
+    assert learning._simplest([]) is None
+
+
+@pytest.mark.parametrize(
+    ('alone', 'found', 'gain', 'is_better'),
+    [
+        ((1, 2), (2, 2), -10.0, True),
+        ((1, 2), (2, 2), -50.0, False),
+        ((1, 2), (1, 4), -10.0, True),
+        ((1, 4), (1, 2), 10.0, False),
+        ((1, 4), (1, 2), 500.0, True),
+    ],
+)
+def test_laws_alone_replace_what_was_found_where_they_are_simpler_or_predict_better(
+    alone: tuple[int, int],
+    found: tuple[int, int],
+    gain: float,
+    is_better: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    searches = [
+        SimpleNamespace(kept=[1], last=SimpleNamespace(run=None), is_as=item) for item in (alone, found)
+    ]
+    monkeypatch.setattr(learning, '_complexity', lambda item: item.is_as)
+    monkeypatch.setattr(learning, 'predictive_gain', lambda *runs: np.array([gain]))
+    monkeypatch.setattr(learning, '_helps', lambda *runs: gain > learning.MIN_GAIN)
+    assert learning._is_better(*searches) == is_better  # type: ignore[arg-type]
+
+
+def test_a_closed_form_that_misses_more_than_chance_makes_no_law_simpler() -> None:
+    line = next(form for form in FORMS if form.name == 'line')
+    effect = curve('bias', 'force_x', -1.0, 1.0)
+    values = np.array([0.01])
+    sizes = []
+    for fits in (True, False):
+        found = ClosedForm(line, 0.0, values, 0.1 * values, 0.99, 10.0, fits, '', '')
+        law = LearnedLaw(effect, None, (found,), 0.001)
+        sizes.append(size_of(law, object()))  # type: ignore[arg-type]
+    assert sizes == [1, len(effect.coefficients)]
 
 
 def request(**given: str) -> tuple[str, ...]:
@@ -611,6 +717,35 @@ def test_the_effect_of_a_memory_replaces_it(
     assert improved[-1]['kept']
     with_law = improved[-1]['held_out_drift_deg']['rms']
     assert with_law < 1.1 * with_memory and with_law < 0.5 * improved[0]['held_out_drift_deg']['rms']
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures('library', 'slow_sensors')
+@pytest.mark.parametrize(
+    ('hidden', 'law', 'made'),
+    [
+        ('stranger_place=0.012,0.6', 'bias_map:place', 'law_bias_place_bump'),
+        ('stranger_swing=0.005,25', 'bias_wave:time', 'law_bias_time_sine'),
+    ],
+)
+def test_the_effect_of_a_place_or_a_swing_replaces_it(
+    hidden: str, law: str, made: str, tmp_path: Path, capsys: Output
+) -> None:
+    bag, own = tmp_path / 'bag', tmp_path / 'own.py'
+    assert main(['simulate', str(bag), '--duration', '200', '--seed', '3', f'--effect={hidden}']) == 0
+    capsys.readouterr()
+    shape, follows = law.removeprefix('bias_').split(':')
+    only = ['--acts-on', 'bias', '--kind', shape, '--follows', follows]
+    assert main(['learn', str(bag), *only, '--as-effect', str(own), '--json']) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert [item['effect'] for item in printed['learned']] == [law]
+    with_law = printed['revisions'][-1]['held_out_drift_deg']['rms']
+
+    assert main(['improve', str(bag), '--effects-from', str(own), '--effect', made, '--json']) == 0
+    improved = json.loads(capsys.readouterr().out)['revisions']
+    assert improved[-1]['kept']
+    with_made = improved[-1]['held_out_drift_deg']['rms']
+    assert with_made < 1.1 * with_law and with_made < 0.5 * improved[0]['held_out_drift_deg']['rms']
 
 
 def made_in(path: Path) -> str:

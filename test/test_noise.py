@@ -105,6 +105,15 @@ def test_noise_is_a_verdict_of_its_own() -> None:
 
 
 @pytest.mark.slow
+def test_noise_is_found_beside_an_effect_that_explains_more() -> None:
+    late = hide((DrawnEffect('camera_time_offset', (0.02,)),), find_effect)
+    found = diagnosed(recording('bias_instability', 0.015 * DEG, seconds=150.0, also=late))
+    named = [item.effect.name for item in found.missing]
+    assert named == ['camera_time_offset', 'bias_instability'], 'the one that explains more comes first'
+    assert found.missing[1].values[0] == pytest.approx(0.015 * DEG, rel=0.4)
+
+
+@pytest.mark.slow
 def test_a_bias_that_jumps_to_and_fro_is_noise() -> None:
     """It drifts more with the noise, for the bias is followed faster, but no more than the noise explains."""
     source = recording('', seconds=80.0, also=(HiddenEffect(TwoLevels(), (0.6 * DEG,)),))

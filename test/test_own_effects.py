@@ -128,6 +128,7 @@ WRONG = {
     'shape': (changed('column(np.ones(len(block.dt_s)))', 'np.ones(len(block.dt_s))'), 'contribute'),
     'signal': (changed('column(np.ones(len(block.dt_s)))', "column(block.covariates['x'])"), "KeyError: 'x'"),
     'nan': (changed('np.ones(len(block.dt_s))', 'block.temperature_c'), 'where no temperature is recorded'),
+    'no pose': (changed('np.ones(len(block.dt_s))', 'block.position_m[:, 0]'), 'contribute fails: TypeError'),
     'needs': (changed('example=', "needs=('fan.data'), example="), "about.needs is 'fan.data', not a tuple"),
     'stimulus': (changed('example=', "shown_against='sun', example="), "about.shown_against is 'sun'"),
     'no signal': (changed('example=', "shown_against='signal', example="), 'takes one signal in about.needs'),

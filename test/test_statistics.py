@@ -95,6 +95,14 @@ def test_vuong_is_the_sum_over_its_standard_deviation() -> None:
     assert vuong_sigma(gains[:1]) == vuong_sigma(gains[:0]) == vuong_sigma(np.ones(5)) == 0.0
 
 
+def test_a_few_blocks_that_gain_thousands_do_not_hide_what_they_prove() -> None:
+    gains = np.array([-4.0, -7.0, -3.0, 1.0, 10.0, 128.0, 498.0, 185.0, 1935.0, 7596.0])
+    assert vuong_sigma(gains) < 1.5 < 2.0 < vuong_sigma(gains, 100.0)
+    assert vuong_sigma(-gains, 100.0) == -vuong_sigma(gains, 100.0)
+    outlier = np.array([-4.0, -7.0, -3.0, 1.0, -10.0, 3.0, 5.0, -2.0, -6.0, 7596.0])
+    assert vuong_sigma(outlier, 100.0) < 1.0, 'one block alone is no proof'
+
+
 def test_the_robust_standard_deviation_ignores_outliers() -> None:
     values = 3.0 * np.random.default_rng(0).normal(size=10_000)
     assert robust_std(values) == pytest.approx(3.0, rel=0.03)

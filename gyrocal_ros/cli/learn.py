@@ -28,6 +28,7 @@ from gyrocal_ros.diagnose.json_summary import summarise_improvement
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
 from gyrocal_ros.diagnose.learning import Learned, is_missing_something, learn
 from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.rewriting import closed_form
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.errors import ConfigError, did_you_mean
@@ -90,7 +91,7 @@ def run(args: argparse.Namespace) -> None:
             fill_improvement(folder, improved, runs.issues, laws)
             draw_if_requested(args.png, folder, improvement_sections(improved, laws))
             print_if_requested(args.pdf, folder)
-        written = _written(args, laws)
+        written = _written(args, learned, laws)
     if args.json:
         summary = summarise_improvement(improved) | {'learned': summarise_laws(laws)}
         summary |= {'given_up': learned.given_up}
@@ -151,18 +152,15 @@ def _laws_as_text(learned: Learned, laws: list[LearnedLaw]) -> Iterator[str]:
     yield from laws_as_text(laws)
 
 
-def _written(args: argparse.Namespace, laws: list[LearnedLaw]) -> list[str]:
+def _written(args: argparse.Namespace, learned: Learned, laws: list[LearnedLaw]) -> list[str]:
     """Write the best closed form as an effect, if requested."""
     if not args.as_effect:
         return []
-    found = next(((law, law.forms[0]) for law in laws if law.curve is not None and law.forms), None)
+    every = (closed_form(law, learned.searched.last) for law in laws)
+    found = next((closed for closed in every if closed is not None), None)
     if found is None:
-        return ['', f'{args.as_effect} was not written: no curve and no memory was learned.']
-    law, form = found
-    assert law.curve is not None
-    values = form.values.tolist()
-    text = effect_source(
-        law.curve.effect.of, law.follows, form.form, form.parameter, values, args.bag.name or str(args.bag)
-    )
+        return ['', f'{args.as_effect} was not written: no law with a closed form was learned.']
+    effect, values = found
+    text = effect_source(effect, values.tolist(), args.bag.name or str(args.bag))
     write_text_atomic(args.as_effect, text, overwrite=args.overwrite)
     return ['', f'Effect: {args.as_effect}; try `gyrocal improve BAG --effects-from {args.as_effect}`.']

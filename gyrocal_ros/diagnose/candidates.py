@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -85,17 +86,22 @@ class ScanBank:
             for item in linear
         )
 
-    @property
+    @cached_property
     def scan(self) -> Array:
         """(q,) values of the scanned coefficient."""
         place = scanned_coefficient(self.effect)
         assert place is not None
         return np.array(self.effect.coefficients[place].scan)
 
+    @cached_property
+    def _at_once(self) -> ScannedColumns | None:
+        """The effect, if it computes the columns of all values at once; a protocol takes long to check."""
+        return self.effect if isinstance(self.effect, ScannedColumns) else None
+
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Contribution and its derivative (N, q s) for s linear coefficients."""
-        if isinstance(self.effect, ScannedColumns):
-            columns, memory = self.effect.columns_at(block, self.scan, memory)
+        if self._at_once is not None:
+            columns, memory = self._at_once.columns_at(block, self.scan, memory)
         else:
             columns, memory = self._one_by_one(block, memory)
         return GyroTerm(columns @ values, columns, memory)

@@ -19,6 +19,7 @@ from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
+from gyrocal_ros.kernels import compiled
 
 TURNING_RAD_S = math.radians(5.0)
 """Rate above which the robot counts as turning; on a straight line the rate is noise."""
@@ -128,36 +129,71 @@ def misfits(seen: Headings, columns: Array) -> Array:
 
 
 def _innovations(seen: Headings, added_rad: Array) -> tuple[Array, Array, Array]:
-    """Return sensitivity (s, c), innovation (s,) and its variance (s,); (0, 0, 1) where nothing is seen.
+    """Return sensitivity (s, c), innovation (s,) and its variance (s,); (0, 0, 1) where nothing is seen."""
+    white = (seen.rate_noise_rad_s**2 + seen.map_walk_rad**2) * seen.dt_s
+    return compare_headings(
+        seen.seen_rad - np.cumsum(seen.turn_rad),
+        np.square(seen.std_rad),
+        seen.gyro_valid_s,
+        white + np.square(seen.unobserved_turn_std_rad),
+        INITIAL_BIAS_STD_RAD_S**2,
+        seen.bias_walk_rad_s**2 * seen.dt_s,
+        seen.outlier_sigma,
+        added_rad,
+    )
 
-    A Kalman filter with two states, written out: the heading less the gyro's heading, and the bias.
+
+@compiled
+def compare_headings(
+    measured_rad: Array,
+    noise: Array,
+    gyro_valid_s: Array,
+    away_walk: Array,
+    bias_variance: float,
+    bias_walk: Array,
+    outlier_sigma: float,
+    added_rad: Array,
+) -> tuple[Array, Array, Array]:
+    """Filter the heading by the camera less that by the gyro: its state is this difference and the bias.
+
+    A Kalman filter with two states, written out.
+
+    Args:
+        measured_rad: (s,) the difference; NaN where nothing is seen.
+        noise: (s,) its variance.
+        gyro_valid_s: (s,) time with a valid gyro reading.
+        away_walk: (s,) variance that the difference gains in each step.
+        bias_variance: variance of the bias at the start.
+        bias_walk: (s,) variance that the bias gains in each step.
+        outlier_sigma: innovations beyond this count less, the larger they are.
+        added_rad: (s, c) turns of each step per unit of each of c coefficients.
+
+    Returns:
+        Sensitivity (s, c), innovation (s,) and its variance (s,); (0, 0, 1) where nothing is seen.
     """
     steps, count = added_rad.shape
     sensitivities, innovations, variances = np.zeros((steps, count)), np.zeros(steps), np.ones(steps)
-    measured = (seen.seen_rad - np.cumsum(seen.turn_rad)).tolist()
-    noise = np.square(seen.std_rad).tolist()
-    lost = np.square(seen.unobserved_turn_std_rad).tolist()
-    walk = ((seen.rate_noise_rad_s**2 + seen.map_walk_rad**2) * seen.dt_s).tolist()
     away, bias = 0.0, 0.0
-    p_away, p_both, p_bias = math.inf, 0.0, INITIAL_BIAS_STD_RAD_S**2
+    p_away, p_both, p_bias = math.inf, 0.0, bias_variance
     x_away, x_bias = np.zeros(count), np.zeros(count)
-    for step, (dt_s, gyro_valid_s) in enumerate(
-        zip(seen.dt_s.tolist(), seen.gyro_valid_s.tolist(), strict=True)
+    columns = (measured_rad, noise, gyro_valid_s, away_walk, bias_walk)
+    for step, (measured, white, valid_s, walk, bias_gained) in enumerate(
+        zip(*(column.tolist() for column in columns), strict=True)
     ):
-        away += bias * gyro_valid_s
-        x_away += x_bias * gyro_valid_s
+        away += bias * valid_s
+        x_away += x_bias * valid_s
         x_away += added_rad[step]
-        p_away += (2.0 * p_both + p_bias * gyro_valid_s) * gyro_valid_s + walk[step] + lost[step]
-        p_both += p_bias * gyro_valid_s
-        p_bias += seen.bias_walk_rad_s**2 * dt_s
-        if math.isnan(measured[step]):
+        p_away += (2.0 * p_both + p_bias * valid_s) * valid_s + walk
+        p_both += p_bias * valid_s
+        p_bias += bias_gained
+        if math.isnan(measured):
             continue
         if math.isinf(p_away):  # the first heading: nothing to compare with
-            away, p_away, p_both = measured[step], noise[step], 0.0
+            away, p_away, p_both = measured, white, 0.0
             x_away[:] = 0.0
             continue
-        innovation, variance = measured[step] - away, p_away + noise[step]
-        variance = max(variance, (innovation / seen.outlier_sigma) ** 2)
+        innovation, variance = measured - away, p_away + white
+        variance = max(variance, (innovation / outlier_sigma) ** 2)
         sensitivities[step], innovations[step], variances[step] = x_away, innovation, variance
         gain_away, gain_bias = p_away / variance, p_both / variance
         away += gain_away * innovation

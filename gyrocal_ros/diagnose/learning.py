@@ -20,7 +20,7 @@ from gyrocal_ros.diagnose.hypotheses import (
 )
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.rewriting import rewrite
+from gyrocal_ros.diagnose.rewriting import rewrite, size_of
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.ekf.run import Run
@@ -33,6 +33,8 @@ MAX_LEARNED = 2
 MIN_GAIN = 25.0
 """Marginal and predictive log-likelihood that a law has to gain: of a hundred laws with a dozen priors each,
 the best gains half of that by chance."""
+PROOF = 100.0
+"""Predictive log-likelihood beyond which a block of time proves no more."""
 MIN_SIGMA = 2.0
 """Significance of the predictive gain over the blocks of the recording, or of the decrease of the drift."""
 MAX_DRIFT = 1.02
@@ -72,9 +74,9 @@ def learn(
 ) -> Learned:
     """Learn what the library leaves unexplained.
 
-    What the library has added is given up where laws alone predict clearly better, or as well with fewer of
-    them: several wrong effects may together imitate one law. In the end laws are written in closed
-    form, and a noise that only raises the drift is removed.
+    What the library has added is given up where laws alone predict clearly better, or as well while they are
+    fewer or simpler: several wrong effects may together imitate one law. In the end laws are written in
+    closed form, and a noise that only raises the drift is removed.
 
     Args:
         searched: a finished search in the library.
@@ -112,15 +114,22 @@ def likeliest_law(
 ) -> Addition | None:
     """Run the filter with the likeliest laws; return the one that predicts best, kept or not."""
     tried = laws(present.run, recording.ranges)
-    return _best(present, _rank(present, tried, calibrate), recording, calibrate) if tried else None
+    if not tried:
+        return None
+    return _best(_rivals(present, _rank(present, tried, calibrate), recording, calibrate))
 
 
 def _is_better(alone: Search, found: Search) -> bool:
     if not alone.kept:
         return False
-    if len(alone.kept) < len(found.kept):
+    if _complexity(alone) < _complexity(found):
         return float(predictive_gain(found.last.run, alone.last.run).sum()) > -MIN_GAIN
     return _helps(found.last.run, alone.last.run)
+
+
+def _complexity(found: Search) -> tuple[int, int]:
+    """Return the number of effects that were found, and that of parameters of the learned laws among them."""
+    return len(found.kept), sum(size_of(law, found.last) for law in learned_laws(found.last))
 
 
 def _helps(before: Run, after: Run) -> bool:
@@ -132,7 +141,7 @@ def _helps(before: Run, after: Run) -> bool:
     gain = predictive_gain(before, after)
     if float(gain.sum()) < MIN_GAIN:
         return False
-    return vuong_sigma(gain) > MIN_SIGMA or better_sigma(*drift_of_both(before, after)) > MIN_SIGMA
+    return vuong_sigma(gain, PROOF) > MIN_SIGMA or better_sigma(*drift_of_both(before, after)) > MIN_SIGMA
 
 
 def _learned_beside(
@@ -151,7 +160,7 @@ def _learned_beside(
             break
         ranked = _rank(present, tried, calibrate)
         first = first or ranked
-        following = _best(present, ranked, recording, calibrate)
+        following = _simplest(_rivals(present, ranked, recording, calibrate))
         if following is None:
             break
         found.append(following)
@@ -170,12 +179,12 @@ def _rank(present: ExaminedModel, tried: Sequence[Law], calibrate: Calibrate) ->
     return [item for place, item in enumerate(ranked) if item.effect.name not in names[:place]]
 
 
-def _best(
+def _rivals(
     present: ExaminedModel, ranked: Sequence[RankedLaw], recording: RecordingSummary, calibrate: Calibrate
-) -> Addition | None:
-    """Run the filter with the likeliest laws and return the one that predicts best; None without any."""
+) -> list[Addition]:
+    """Run the filter with each of the likeliest laws."""
     if not ranked or ranked[0].gain < MIN_GAIN:
-        return None
+        return []
     close = [item for item in ranked if item.gain > RIVAL_PART * ranked[0].gain][:MAX_RIVALS]
     additions = []
     for law in close:
@@ -183,7 +192,29 @@ def _best(
             finest = _at_the_moment(present, law, calibrate)
             after = examine(with_effect(present.model, finest.effect), recording, calibrate, present.settings)
             additions.append(_judged(replace(addition(present, after), gain=finest.gain)))
-    return max(additions, key=lambda item: (item.is_kept, item.predictive_gain), default=None)
+    return additions
+
+
+def _best(tried: Sequence[Addition]) -> Addition | None:
+    """Return the addition that predicts best, one that is kept before others; None without any."""
+    return max(tried, key=lambda item: (item.is_kept, item.predictive_gain), default=None)
+
+
+def _simplest(tried: Sequence[Addition]) -> Addition | None:
+    """Return the best addition, or another with fewer parameters that predicts as well but for chance."""
+    best = _best(tried)
+    if best is None or not best.is_kept:
+        return best
+    alike = [
+        item for item in tried if item.is_kept and item.predictive_gain > best.predictive_gain - MIN_GAIN
+    ]
+    return min(alike, key=lambda item: (_size(item), -item.predictive_gain))
+
+
+def _size(found: Addition) -> int:
+    """Return the number of parameters of a law that was added, in its closed form where there is one."""
+    added = next(law for law in learned_laws(found.after) if law.effect.name == found.effect.name)
+    return size_of(added, found.after)
 
 
 def _at_the_moment(present: ExaminedModel, law: RankedLaw, calibrate: Calibrate) -> RankedLaw:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.elimination import eliminate
@@ -17,7 +18,7 @@ from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import white_noise
-from gyrocal_ros.effects.traits import is_white_noise
+from gyrocal_ros.effects.traits import is_noise, is_white_noise
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel
@@ -41,8 +42,14 @@ def find_missing(
     most: int = MAX_ADDITIONS,
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> Search:
-    """Find what a model lacks: effects, or noise where nothing else explains the recording; see `search`."""
+    """Find what a model lacks: effects, or noise where nothing else explains the recording; see `search`.
+
+    Noise that is the smaller part of what is missing shows beside the effects that were found.
+    """
     searched = or_noise(search(model, recording, calibrate, most, settings), recording, calibrate, most)
+    if searched.kept and not any(is_noise(item.effect) for item in searched.kept):
+        beside = or_noise(Search(searched.last, ()), recording, calibrate, most)
+        searched = replace(searched, additions=(*searched.additions, *beside.additions))
     return eliminate(searched, recording, calibrate)
 
 

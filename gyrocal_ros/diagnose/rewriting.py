@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,14 +18,13 @@ from gyrocal_ros.diagnose.additions import Addition, Search
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect, without_effect
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws
 from gyrocal_ros.effects.learned.bump import Bump
-from gyrocal_ros.effects.learned.formula import Formula, formula
-from gyrocal_ros.effects.learned.wave import ORDERS, Sine, Wave, sine_of
+from gyrocal_ros.effects.learned.effect_code import Closed
+from gyrocal_ros.effects.learned.formula import formula
+from gyrocal_ros.effects.learned.wave import ORDERS, Wave, sine_of
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place, SensorModel
 
-Closed: TypeAlias = Formula | Bump | Sine | Wave
-"""A law with few fixed parameters; of a wave, the period alone may have to change."""
 MIN_EXPLAINED = 0.98
 """Part of a curve that its closed form explains at least to be tried: the curve itself is not exact."""
 SLOPE_PART, MAX_STEP = 1e-3, 0.1
@@ -50,18 +49,52 @@ def rewrite(searched: Search, recording: RecordingSummary, calibrate: Calibrate)
     return searched
 
 
+def closed_form(law: LearnedLaw, present: ExaminedModel) -> tuple[Closed, Array] | None:
+    """Return a law in closed form with its coefficients (q,): as the model has it, else its best one.
+
+    Args:
+        law: a law of the model.
+        present: the model.
+
+    Returns:
+        None for a law without a closed form.
+    """
+    if isinstance(law.effect, Closed):
+        return law.effect, present.estimate_of(law.effect.name)[0]
+    closest = _closest(law)
+    return None if closest is None else closest[:2]
+
+
+def size_of(law: LearnedLaw, present: ExaminedModel) -> int:
+    """Return the number of parameters of a law of a model, in closed form if that misses only chance."""
+    closed = next(_closed(law, present), None)
+    if closed is None or (law.forms and not law.forms[0].fits):
+        return len(law.effect.coefficients)
+    return len(closed[0].coefficients) + len(closed[0].parameters)
+
+
 def _closed(law: LearnedLaw, present: ExaminedModel) -> Iterator[tuple[Closed, Array]]:
     """Yield closed forms of a law as effects with their coefficients (q,), the simplest first."""
     if isinstance(law.effect, Wave):
         values = present.estimate_of(law.effect.name)[0]
         yield sine_of(law.effect.name, law.effect.period_s), values[[0, len(ORDERS)]]
         yield law.effect, values
-    elif law.bump is not None and law.bump.explained > MIN_EXPLAINED:
+        return
+    closest = _closest(law)
+    if closest is not None and closest[2] > MIN_EXPLAINED:
+        yield closest[:2]
+
+
+def _closest(law: LearnedLaw) -> tuple[Closed, Array, float] | None:
+    """Return the best closed form of a learned law, its coefficients (q,), and the part that it explains."""
+    if law.bump is not None:
         found = law.bump
-        yield Bump().at((found.x_m, found.y_m, found.width_m)), np.array([found.height])
-    elif law.forms and law.forms[0].explained > MIN_EXPLAINED:
+        at_place = Bump().at((found.x_m, found.y_m, found.width_m))
+        return at_place, np.array([found.height]), found.explained
+    if law.forms:
         best = law.forms[0]
-        yield formula(law.effect.name, best.form.name).at((best.parameter,)), best.values
+        return formula(law.effect.name, best.form.name, best.parameter), best.values, best.explained
+    return None
 
 
 def _rewritten(

@@ -6,8 +6,8 @@ from collections import defaultdict
 
 import numpy as np
 
-from gyrocal_ros.data import CovariateSample, ImuSample, Source, TemperatureSample
-from gyrocal_ros.effects.learned.signals import RATE
+from gyrocal_ros.data import CovariateSample, ImuSample, Source, TemperatureSample, WheelSample
+from gyrocal_ros.effects.learned.signals import CENTRIPETAL, RATE
 from gyrocal_ros.model.recording import TEMPERATURE
 
 RANGE = (0.002, 0.998)
@@ -25,10 +25,13 @@ def signal_ranges(source: Source) -> dict[str, tuple[float, float]]:
     columns: dict[str, list[float]] = defaultdict(list)
     imu: list[tuple[float, ...]] = []
     times_ns: list[int] = []
+    wheels: list[tuple[float, float]] = []
     for sample in source.measurements():
         if isinstance(sample, ImuSample):
             times_ns.append(sample.t_ns)
             imu.append((sample.rate_rad_s[2], *sample.specific_force_m_s2))
+        elif isinstance(sample, WheelSample):
+            wheels.append((sample.t_ns, sample.speed_m_s))
         elif isinstance(sample, CovariateSample):
             columns[sample.name].append(sample.value)
         elif isinstance(sample, TemperatureSample):
@@ -42,6 +45,9 @@ def signal_ranges(source: Source) -> dict[str, tuple[float, float]]:
     smooth = dict(zip((RATE, 'force_x', 'force_y', 'force_z'), means.T, strict=True))
     middle_s = time_s[: blocks * count].reshape(blocks, count).mean(axis=1)
     smooth['yaw_acceleration'] = np.gradient(smooth[RATE], middle_s)
+    if wheels:
+        wheel_ns, speed_m_s = np.array(wheels).T
+        smooth[CENTRIPETAL] = smooth[RATE] * np.interp(middle_s, 1e-9 * (wheel_ns - times_ns[0]), speed_m_s)
     every = {name: np.array(values) for name, values in columns.items()} | smooth
     ranges = {name: np.quantile(values, RANGE).tolist() for name, values in every.items()}
     return {name: (low, high) for name, (low, high) in ranges.items() if high - low > 1e-6 * abs(high + low)}

@@ -113,7 +113,8 @@ def _faults_of_contribution(effect: Any) -> Iterator[str]:
     block = _test_block()
     try:
         added, by_values = _contribution(effect, block, values)
-        bare, _ = _contribution(effect, replace(block, temperature_c=np.full(6, np.nan)), values)
+        nothing = replace(block, temperature_c=np.full(6, np.nan), heading_rad=None, position_m=None)
+        bare, _ = _contribution(effect, nothing, values)
     except Exception as error:
         yield f'contribute fails: {type(error).__name__}: {error}'
         return
@@ -179,4 +180,6 @@ def _test_block() -> MotionBlock:
         distance_m=rng.uniform(1e-3, 2e-3, 6),
         wheel_turn_rad=rates[:, 2] * dt_s,
         temperature_c=rng.uniform(30.0, 40.0, 6),
+        heading_rad=rng.uniform(-3.0, 3.0, 6),
+        position_m=rng.uniform(-1.0, 1.0, (6, 2)),
     )

@@ -110,12 +110,10 @@ class FeatureScatterRecorder:
     def add(self, scores: FeatureScores) -> None:
         """Add the features of one image."""
         self._variance += scores.variance
-        for feature, score, information in zip(
-            scores.ids.tolist(), scores.score, scores.information, strict=True
-        ):
-            sums = self._seen.setdefault(feature, np.zeros((2, len(self._variance))))
-            sums[0] += score
-            sums[1] += information
+        both = np.stack([scores.score, scores.information], axis=1)
+        for feature, added in zip(scores.ids.tolist(), both, strict=True):
+            before = self._seen.get(feature)
+            self._seen[feature] = added.copy() if before is None else np.add(before, added, out=before)
         self._lately.update(scores.ids.tolist())
 
     def forget_lost(self) -> None:

@@ -1,4 +1,4 @@
-"""Compiled twins of the inner loops of the filter.
+"""Compiled twins of the inner loops of the filter and of the diagnosis.
 
 A function marked `@compiled` is the NumPy form of its equations: the reference, and what runs where the twins
 were not built. Its twin of the same name and arguments is written in Cython, one file here for each subject,
@@ -18,7 +18,7 @@ R = TypeVar('R')
 
 CHOICE = 'GYROCAL_KERNELS'
 """Name of the environment variable that selects the NumPy forms."""
-SUBJECTS = ('features', 'motion', 'records', 'references', 'robust', 'samples')
+SUBJECTS = ('features', 'headings', 'motion', 'records', 'references', 'robust', 'samples')
 """Files of twins in this room."""
 REFERENCES: dict[str, Callable[..., Any]] = {}
 """NumPy forms by name, as they are marked."""

@@ -27,4 +27,7 @@ IMPLAUSIBLE = 'the values are impossible (NaN, or far too large); check its driv
 
 def plausible(values: Iterable[float], bounds: Iterable[float]) -> bool:
     """Return True if all numbers are finite and within their bounds."""
-    return all(abs(value) < bound for value, bound in zip(values, bounds, strict=False))
+    for value, bound in zip(values, bounds, strict=False):  # noqa: SIM110  (a generator takes twice as long)
+        if not abs(value) < bound:
+            return False
+    return True

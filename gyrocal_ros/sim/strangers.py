@@ -229,7 +229,12 @@ STRANGERS: dict[str, Known] = {
             'stranger_square_force',
             (_size(2.0 * DEG, 20.0 * DEG, 'rad/s/(m/s^2)^2'),),
             _by_square_force,
-            ('bias_curve:force_y', 'bias_curve:yaw_acceleration', 'bias_curve:rate'),
+            (
+                'bias_curve:centripetal_acceleration',
+                'bias_curve:force_y',
+                'bias_curve:yaw_acceleration',
+                'bias_curve:rate',
+            ),
             'IEEE Std 1431-2004, g-squared sensitivity',
             ('square',),
         ),

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
+from gyrocal_ros.effects.base import Stimulus
 from gyrocal_ros.effects.learned.causes import meaning, meaning_of_memory
 from gyrocal_ros.effects.learned.curve import Of
-from gyrocal_ros.effects.learned.effect_code import code_of
-from gyrocal_ros.effects.learned.forms import Form
+from gyrocal_ros.effects.learned.effect_code import Closed, code_of
+from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory import TAUS_S, memory_shown_against
 from gyrocal_ros.effects.learned.signals import shown_against, to_record
+from gyrocal_ros.effects.learned.wave import Wave
 
 TEMPLATE = '''"""{title}
 
@@ -49,58 +52,87 @@ class {class_name}({base}):
     )
 
 {method}'''
-PARAMETER = '''
-P = {parameter!r}
-"""The parameter in which the form is not linear; fixed as it was found."""
-'''
 
 
-def effect_source(
-    of: Of, follows: str, form: Form, parameter: float, values: Sequence[float], source: str
-) -> str:
+def effect_source(effect: Closed, values: Sequence[float], source: str) -> str:
     """Return the text of a Python file with one effect class.
 
     Args:
-        of: what follows.
-        follows: name of the signal, or the drive of a memory.
-        form: closed form.
-        parameter: value of its scanned parameter.
-        values: its linear parameters, which become the prior's size.
+        effect: the learned law in its closed form.
+        values: its linear coefficients, which become the prior's size.
         source: name of the recording.
     """
-    remembers = form.over not in ('signal', 'heading')
-    terms = [term.strip() for term in _split(form.equation)]
-    code = code_of(of, follows, form, terms)
-    verb = 'remembers' if remembers else 'follows'
-    name = 'law_' + re.sub(r'[^a-z0-9]+', '_', f'{of}_{follows}_{form.name}'.lower()).strip('_')
+    words, code = _words(effect), code_of(effect)
+    of, follows = words.of, words.follows
+    name = 'law_' + re.sub(r'[^a-z0-9]+', '_', f'{of}_{follows}_{words.form}'.lower()).strip('_')
     rate = ' * rate' if of == 'scale' else ''
-    equation = ' + '.join(f'k{n} ({term}){rate}' for n, term in enumerate(terms, start=1))
-    means = meaning_of_memory(of, follows) if remembers else meaning(follows, form.name)
-    turns, changes = 'single turns with rests between them', f'what changes {follows} over all of its range'
-    needed = '' if remembers and follows in TAUS_S else to_record(follows)
+    equation = ' + '.join(f'k{n} ({term}){rate}' for n, term in enumerate(code.terms, start=1))
+    verb = 'remembers' if words.remembers else 'follows'
+    kind = 'with a memory' if words.remembers else 'as a function'
     numpy = 'import numpy as np\n\n' if 'np.' in code.method else ''
     return TEMPLATE.format(
-        title=f'The {of} of the yaw gyro {"with a memory" if remembers else "as a function"} of {follows}.',
+        title=f'The {of} of the yaw gyro {kind} of {follows}.',
         source=source,
         of=of,
         verb=verb,
         follows=follows,
-        form=form.name,
-        means=means,
+        form=words.form,
+        means=words.means,
         says=f'The {of} of the yaw gyro {verb} {follows}',
-        quoted=means.replace("'", ''),
+        quoted=words.means.replace("'", ''),
         imports=numpy + code.imports,
-        parameter=PARAMETER.format(parameter=float(parameter)) if re.search(r'\bP\b', code.method) else '',
+        parameter=code.constants,
         class_name=''.join(part.capitalize() for part in name.split('_')),
         base=code.base,
         equation=f'w = w_n + {equation}; {code.x_is}',
-        best_motion=turns if remembers and follows in TAUS_S else f'{changes}, again and again',
-        needs=(needed,) if needed else (),
+        best_motion=words.best_motion,
+        needs=(words.needed,) if words.needed else (),
         example=tuple(float(f'{value:.4g}') for value in values),
-        shown=memory_shown_against(follows) if remembers else shown_against(follows),
+        shown=words.shown_against,
         name=name,
-        coefficients='\n'.join(_coefficients(code.units, values)),
+        coefficients='\n'.join(_coefficients([item.unit for item in effect.coefficients], values)),
         method=code.method,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Words:
+    """What the file says of a law."""
+
+    of: Of
+    follows: str
+    form: str
+    means: str
+    best_motion: str
+    shown_against: Stimulus
+    remembers: bool = False
+    needed: str = ''
+    """Signal that a recording may lack; empty without one."""
+
+
+def _words(effect: Closed) -> _Words:
+    if isinstance(effect, Formula):
+        return _words_of_formula(effect)
+    about, (kind, _, follows) = effect.about, effect.name.partition(':')
+    form = 'wave' if isinstance(effect, Wave) else effect.form
+    of: Of = 'scale' if kind.startswith('scale') else 'bias'
+    return _Words(of, follows, form, meaning(follows), about.best_motion, about.shown_against)
+
+
+def _words_of_formula(effect: Formula) -> _Words:
+    of, follows, form = effect.learned.of, effect.learned.follows, effect.closed_form
+    remembers = form.over not in ('signal', 'heading')
+    is_of_motion = remembers and follows in TAUS_S
+    turns, changes = 'single turns with rests between them', f'what changes {follows} over all of its range'
+    return _Words(
+        of,
+        follows,
+        form.name,
+        means=meaning_of_memory(of, follows) if remembers else meaning(follows, form.name),
+        best_motion=turns if is_of_motion else f'{changes}, again and again',
+        shown_against=memory_shown_against(follows) if remembers else shown_against(follows),
+        remembers=remembers,
+        needed='' if is_of_motion else to_record(follows),
     )
 
 
@@ -109,15 +141,3 @@ def _coefficients(units: Sequence[str], values: Sequence[float]) -> Iterator[str
     for number, unit in enumerate(units, start=1):
         std = max(abs(value) for value, other in zip(values, units, strict=True) if other == unit)
         yield f"        Coefficient('k{number}', '{unit}', prior_std={float(f'{std:.3g}')!r}),"
-
-
-def _split(equation: str) -> list[str]:
-    """Split an equation at the commas outside of brackets."""
-    terms, depth = [''], 0
-    for letter in equation:
-        depth += (letter == '(') - (letter == ')')
-        if letter == ',' and depth == 0:
-            terms.append('')
-        else:
-            terms[-1] += letter
-    return terms

@@ -11,7 +11,7 @@ from gyrocal_ros.effects.learned.drives import (
     START,
 )
 from gyrocal_ros.effects.learned.memory_forms import FIRST_ORDER
-from gyrocal_ros.effects.learned.signals import RATE
+from gyrocal_ros.effects.learned.signals import CENTRIPETAL, RATE
 from gyrocal_ros.model.recording import TEMPERATURE
 
 _LIBRARY = {
@@ -21,6 +21,7 @@ _LIBRARY = {
     ('bias', TEMPERATURE, 'line'): 'bias_temperature',
     ('scale', TEMPERATURE, 'line'): 'scale_temperature',
     ('bias', 'yaw_acceleration', 'line'): 'gyro_lag',
+    ('bias', CENTRIPETAL, 'line'): 'g_sensitivity',
     ('bias', 'force_x', 'line'): 'g_sensitivity',
     ('bias', 'force_y', 'line'): 'g_sensitivity',
     ('bias', 'vibration', 'line'): 'vibration_rectification',
@@ -48,12 +49,15 @@ _CLOSEST = {
 _MEANINGS = {
     RATE: 'nonlinearity of the scale factor',
     'heading': 'a field fixed in the room, such as magnetism, that the sensor feels',
+    CENTRIPETAL: 'sensitivity to acceleration',
     'force_x': 'sensitivity to acceleration',
     'force_y': 'sensitivity to acceleration',
     'force_z': 'sensitivity to acceleration',
     'yaw_acceleration': 'sensitivity to angular acceleration, or a lag',
     'vibration': 'rectified vibration',
     TEMPERATURE: 'temperature dependence',
+    'time': 'a heater that is switched, a pump, or the beat of a vibration with the sampling',
+    'place': 'a magnet, a motor or a cable at one place in the room, which the sensor feels',
 }
 _MEANINGS_OF_MEMORIES = {
     DYNAMICS: 'a low-pass filter or a mechanical resonance in the sensor or its mount (IEEE Std 1431-2004, '

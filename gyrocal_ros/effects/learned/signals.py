@@ -14,6 +14,8 @@ from gyrocal_ros.model.recording import TEMPERATURE
 HEADING = 'heading'
 """The heading in the map: periodic, and valid with that map only."""
 RATE = 'rate'
+CENTRIPETAL = 'centripetal_acceleration'
+"""That of the robot by wheels and gyro; the accelerometer's also has tilt, vibration and yaw acceleration."""
 
 
 def _mean(values: Array) -> Array:
@@ -31,6 +33,7 @@ def _heading(block: MotionBlock) -> Array:
 _VALUES: dict[str, Callable[[MotionBlock], Array]] = {
     RATE: lambda block: block.rate_rad_s[:, 2],
     'yaw_acceleration': lambda block: _mean(block.yaw_acceleration_rad_s2),
+    CENTRIPETAL: lambda block: block.distance_m / block.dt_s * block.rate_rad_s[:, 2],
     'force_x': lambda block: _mean(block.specific_force_m_s2[:, 0]),
     'force_y': lambda block: _mean(block.specific_force_m_s2[:, 1]),
     'force_z': lambda block: _mean(block.specific_force_m_s2[:, 2]),
@@ -42,6 +45,7 @@ _VALUES: dict[str, Callable[[MotionBlock], Array]] = {
 UNITS = {
     RATE: 'rad/s',
     'yaw_acceleration': 'rad/s^2',
+    CENTRIPETAL: 'm/s^2',
     'force_x': 'm/s^2',
     'force_y': 'm/s^2',
     'force_z': 'm/s^2',
@@ -56,6 +60,7 @@ UNITS = {
 _SHOWN_AGAINST: dict[str, Stimulus] = {
     RATE: 'rate',
     'yaw_acceleration': 'turn',
+    CENTRIPETAL: 'turn',
     'force_x': 'force',
     'force_y': 'force',
     'force_z': 'force',

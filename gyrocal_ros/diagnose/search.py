@@ -29,12 +29,12 @@ from gyrocal_ros.diagnose.ranking import (
     explained_together,
     indistinguishable,
 )
+from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import unexplained_structure
 from gyrocal_ros.diagnose.timing import timing_fault
-from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.traits import is_estimated, is_limit, may_break_the_filter, strengths
-from gyrocal_ros.errors import CANNOT_RUN, FilterDivergedError
+from gyrocal_ros.effects.traits import is_estimated
+from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
@@ -67,15 +67,8 @@ def search(
     Raises:
         FilterDivergedError: the filter cannot run with this model.
     """
-    additions: list[Addition] = []
-    try:
-        first = present = examine(model, recording, calibrate, settings)
-    except FilterDivergedError:
-        recovered = recover(model, recording, calibrate, settings)
-        if recovered is None:
-            raise
-        additions.append(recovered)
-        first = present = recovered.after
+    first, additions = first_run(model, recording, calibrate, settings)
+    present = first
     if timing_fault(present) is not None:
         limited = _limit_instead_of_timing(present, recording, calibrate)
         if limited is None:
@@ -123,30 +116,6 @@ def limits_to_check(
         has_jumped=structure is not None and structure.at_s is not None,
     )
     return list(propose_limits(present.run, present.seen, recording.readings, others, present.settings))
-
-
-def recover(
-    model: SensorModel,
-    recording: RecordingSummary,
-    calibrate: Calibrate,
-    settings: DiagnosisSettings = DEFAULT_SETTINGS,
-) -> Addition | None:
-    """Find the effect whose absence makes the filter diverge: the one with which it runs best, or None."""
-    present = {effect.name for effect in model.effects}
-    others = [item for item in EFFECTS.values() if may_break_the_filter(item) and not is_limit(item)]
-    likelihoods: dict[float, Effect] = {}
-    for effect in [*detected_limits(model, recording.readings), *others]:
-        if effect.name in present:
-            continue
-        with suppress(*CANNOT_RUN):
-            history = calibrate(with_effect(model, effect), ()).history
-            likelihoods[float(history.log_likelihood.sum() / history.dof.sum())] = effect
-    if not likelihoods:
-        return None
-    effect = likelihoods[max(likelihoods)]
-    after = examine(with_effect(model, effect), recording, calibrate, settings)
-    stds = np.zeros(len(effect.coefficients))
-    return Addition(effect, None, after, math.inf, math.inf, 0.0, stds, strengths(effect))
 
 
 def continued(

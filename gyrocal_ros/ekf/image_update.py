@@ -66,6 +66,8 @@ class ImageModel:
     """Time since a feature of the map was seen last."""
     errors_repeat: bool
     """True if a feature counts only after motion in the image."""
+    may_slip: bool
+    """True if a slip of the wheels may explain what contradicts the pose."""
 
     def predict(self, state: State, parameters: Array, anchors: Anchors) -> Prediction:
         """Predict the measurements of features (m, 3)."""
@@ -130,6 +132,7 @@ def update_from_image(
     return kept, changed(
         seen,
         slips=found.slip_std is not None,
+        contradicts_turn=found.contradicts_turn,
         used=used_count,
         rejected=len(good) - used_count,
         dropped=len(state.landmarks.ids) - len(kept.landmarks.ids),
@@ -178,7 +181,7 @@ def _innovation(
 def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
     outlier_probability = model.config.features.outlier_probability
     if model.form.is_robust:
-        return consensus(innovation, outlier_probability, model.interval_s)
+        return consensus(innovation, outlier_probability, model.interval_s, may_slip=model.may_slip)
     judged = each_alone(innovation)
     return Consensus(innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability))
 

@@ -23,6 +23,8 @@ SLIPS = (
 """Event of a run."""
 SLIP_PAUSE_S = 5.0
 """Time without such images after which the next one is another event."""
+CONTRADICTED_TURNS, CONTRADICTED_TURNS_S = 5, 60.0
+"""Number of consecutive images that contradict a turn from which a slip is no explanation, for a time (s)."""
 MANY_LOST_MAPS, MANY_LOST_MAPS_S = 4, 60.0
 """Number of maps lost within a time (s) from which the model does not fit: beams lose 2 in a minute, a
 rolling shutter that the model lacks 10."""
@@ -59,13 +61,25 @@ class LostMaps:
 
 
 class SlipWatch:
-    """Tells once of each time at which the images contradict the wheels."""
+    """Tells once of each time at which the images contradict the wheels, and whether a slip explains that.
+
+    Stamps of a late camera contradict wheels and gyro in turn, so that where turns are contradicted the
+    wheels are not to blame.
+    """
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
+        self._turns, self._turned_ns = 0, -1
+
+    def may_slip(self, t_ns: int) -> bool:
+        """Return False if turns have been contradicted lately."""
+        return self._turned_ns < 0 or seconds(t_ns - self._turned_ns) > CONTRADICTED_TURNS_S
 
     def event(self, update: MeasurementUpdate, t_ns: int) -> str:
         """Return the event of an image; empty for none."""
+        self._turns = self._turns + 1 if update.contradicts_turn else 0
+        if self._turns >= CONTRADICTED_TURNS:
+            self._turned_ns = t_ns
         if not update.slips:
             return ''
         last_ns, self._last_ns = self._last_ns, t_ns

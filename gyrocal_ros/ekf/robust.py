@@ -34,6 +34,8 @@ SLIP_RATE = np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
 """The same where the wheels slip or stand still in the air, or where all that the camera sees moves."""
 BENT = 0.1
 """Share of a contradiction below which the pose explains it; the rest is the map, bent by earlier images."""
+TURNED = 0.2
+"""Share of a contradiction that a slip leaves, above which another turn is needed to explain it."""
 POSE_DOF = 6
 MIN_FEATURES = 5
 """Fewest features that may contradict the pose: the better half of them determines one."""
@@ -108,6 +110,8 @@ class Consensus:
     """(m,) bool, features to use."""
     slip_std: Array | None = None
     """(6,) standard deviations of the pose by a slip that explains what the features show; None without."""
+    contradicts_turn: bool = False
+    """True if only another turn than that by the gyro explains what the features show."""
 
     @property
     def rejects_image(self) -> bool:
@@ -115,7 +119,9 @@ class Consensus:
         return len(self.good) >= MIN_FEATURES and not self.good.any()
 
 
-def consensus(innovation: Innovation, outlier_probability: float, interval_s: float) -> Consensus:
+def consensus(
+    innovation: Innovation, outlier_probability: float, interval_s: float, *, may_slip: bool = True
+) -> Consensus:
     """Judge the features of an image by each other and by the pose: Huber's weights, and a gate.
 
     Where another way than that by the wheels explains a contradiction of the predicted pose, the position is
@@ -129,6 +135,7 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
         innovation: of the m features.
         outlier_probability: probability of the rejection of a good feature.
         interval_s: time since the last image.
+        may_slip: False if a slip does not explain a contradiction, because turns are contradicted as well.
 
     Raises:
         FilterDivergedError: the covariance of the innovation is not positive definite.
@@ -145,8 +152,8 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     # Even all features together may be closer to the prediction than a contradicted pose.
     if m < MIN_FEATURES or judged.nis <= pose_gate:
         return by_pose
-    slipping = _explained_by_slip(innovation, gate, pose_gate, interval_s)
-    if slipping is not None:
+    slipping, left = _with_slip(innovation, gate, pose_gate, interval_s)
+    if may_slip and left < BENT:
         return slipping
     std = LOOSE_POSE_RATE * interval_s
     inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
@@ -155,30 +162,31 @@ def consensus(innovation: Innovation, outlier_probability: float, interval_s: fl
     judged = Judged(distances, noise_share, nis)
     if 2 * np.count_nonzero(good) >= m and tight_nis - loose_nis <= pose_gate:
         return by_pose
-    if loose_nis < BENT * tight_nis:
+    is_pose = loose_nis < BENT * tight_nis
+    if is_pose:
         good = inliers(judged.distances, r, outlier_probability)
         judged = each_alone(innovation)  # the pixel noise grows where this goes on
     else:
         good = judged.distances <= gate
         good &= 2 * np.count_nonzero(good) >= m
-    return Consensus(_with_noise(innovation, inflation, whitening), judged, good)
+    turned = left > TURNED and (is_pose or not good.any())
+    return Consensus(_with_noise(innovation, inflation, whitening), judged, good, contradicts_turn=turned)
 
 
-def _explained_by_slip(
+def _with_slip(
     innovation: Innovation, gate: float, pose_gate: float, interval_s: float
-) -> Consensus | None:
-    """Return what the features say of each other with a slip, or None where that explains too little."""
+) -> tuple[Consensus, float]:
+    """Return what the features say of each other with a slip, and the share of a contradiction left."""
     std = SLIP_RATE * interval_s
     inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
         innovation, std, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
     )
-    if loose_nis >= BENT * tight_nis or tight_nis - loose_nis <= pose_gate:
-        return None
     numerator = innovation.gain_numerator.copy()
     numerator[:, :, POSE] += innovation.prediction.by_pose * np.square(std)
     loose = _with_looser_pose(innovation, std)
     slipping = changed(loose, gain_numerator=numerator, covariance=_inflated(loose, inflation))
-    return Consensus(slipping, Judged(distances, noise_share, nis), distances <= gate, std)
+    left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
+    return Consensus(slipping, Judged(distances, noise_share, nis), distances <= gate, std), left
 
 
 @compiled

@@ -270,6 +270,7 @@ class EkfSlam:
             motion=self._motion,
             interval_s=seconds(self.state.t_ns - int(self.state.landmarks.last_seen_ns.max(initial=0))),
             errors_repeat=self._errors_repeat(),
+            may_slip=self._slip_watch.may_slip(self.state.t_ns),
         )
 
     def _errors_repeat(self) -> bool:

@@ -111,7 +111,9 @@ class MeasurementUpdate:
     changes_px2: Array = field(default_factory=lambda: np.empty(0))
     """Changes of unmoved features, see `repeated_errors.Motion`."""
     slips: bool = False
-    """True if all features of the image contradict the way by the wheels, see `robust.consensus`."""
+    """True if the features of the image contradict the way by the wheels alone, see `robust.consensus`."""
+    contradicts_turn: bool = False
+    """True if they contradict the turn by the gyro."""
     event: str = ''
     """Event to report to the user."""
 

@@ -1,0 +1,74 @@
+"""Recovery of a filter that diverges because the model lacks an effect."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+
+import numpy as np
+
+from gyrocal_ros.diagnose.additions import Addition
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
+from gyrocal_ros.diagnose.limits import detected_limits
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
+from gyrocal_ros.effects import EFFECTS
+from gyrocal_ros.effects.traits import is_limit, may_break_the_filter, strengths
+from gyrocal_ros.errors import CANNOT_RUN, FilterDivergedError
+from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.statistics import nis_per_dof
+
+BROKEN_NIS, MENDED_PART = 100.0, 0.1
+"""NIS per degree of freedom of a run that is as good as diverged: innovations of ten standard deviations.
+What breaks it has to leave less than this part of it."""
+
+
+def first_run(
+    model: SensorModel, recording: RecordingSummary, calibrate: Calibrate, settings: DiagnosisSettings
+) -> tuple[ExaminedModel, list[Addition]]:
+    """Return the run with a model, or with the effect whose absence breaks the filter, and that effect.
+
+    Raises:
+        FilterDivergedError: the filter cannot run with this model, nor with such an effect.
+    """
+    try:
+        first = examine(model, recording, calibrate, settings)
+    except FilterDivergedError:
+        recovered = recover(model, recording, calibrate, settings)
+        if recovered is None:
+            raise
+        return recovered.after, [recovered]
+    if _nis(first) > BROKEN_NIS:
+        recovered = recover(model, recording, calibrate, settings)
+        if recovered is not None and _nis(recovered.after) < MENDED_PART * _nis(first):
+            return recovered.after, [recovered]
+    return first, []
+
+
+def _nis(examined: ExaminedModel) -> float:
+    history = examined.run.history
+    return nis_per_dof(history.nis, history.dof) or 0.0
+
+
+def recover(
+    model: SensorModel,
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
+) -> Addition | None:
+    """Find the effect whose absence makes the filter diverge: the one with which it runs best, or None."""
+    present = {effect.name for effect in model.effects}
+    others = [item for item in EFFECTS.values() if may_break_the_filter(item) and not is_limit(item)]
+    likelihoods: dict[float, Effect] = {}
+    for effect in [*detected_limits(model, recording.readings), *others]:
+        if effect.name in present:
+            continue
+        with suppress(*CANNOT_RUN):
+            history = calibrate(with_effect(model, effect), ()).history
+            likelihoods[float(history.log_likelihood.sum() / history.dof.sum())] = effect
+    if not likelihoods:
+        return None
+    effect = likelihoods[max(likelihoods)]
+    after = examine(with_effect(model, effect), recording, calibrate, settings)
+    stds = np.zeros(len(effect.coefficients))
+    return Addition(effect, None, after, math.inf, math.inf, 0.0, stds, strengths(effect))

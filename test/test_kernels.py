@@ -332,6 +332,10 @@ ARGUMENTS |= {
     'rotation_derivatives': euler_angles,
 }
 needs_kernels = pytest.mark.skipif(not kernels.TWINS, reason='the compiled kernels were not built')
+FORMS = [
+    pytest.param(kernels.REFERENCES, id='numpy'),
+    pytest.param(kernels.TWINS, id='compiled', marks=needs_kernels),
+]
 
 
 def assert_equal_to_rounding(name: str, arguments: Arguments) -> None:
@@ -392,10 +396,8 @@ def test_changes_of_the_scale_with_and_without_other_errors(others_explained: fl
     assert_equal_to_rounding('scale_changes', none)
 
 
-@pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])
+@pytest.mark.parametrize('forms', FORMS)
 def test_a_change_of_which_nothing_is_known(forms: dict[str, Callable[..., Any]]) -> None:
-    if not forms:
-        pytest.skip('the compiled kernels were not built')
     nothing = np.zeros(2)
     arguments = (nothing, nothing, np.array([9.0, 0.0]), np.ones(2), np.ones(2), np.empty((2, 0)), NOTHING)
     values, variances, sigmas = forms['scale_changes'](*arguments)
@@ -409,10 +411,8 @@ def test_headings_that_jump() -> None:
     assert_equal_to_rounding('filter_headings', arguments)
 
 
-@pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])
+@pytest.mark.parametrize('forms', FORMS)
 def test_a_changed_copy(forms: dict[str, Callable[..., Any]]) -> None:
-    if not forms:
-        pytest.skip('the compiled kernels were not built')
     sample = WheelSample(5, 0.3, 0.1)
     assert forms['changed'](sample, speed_m_s=0.4) == WheelSample(5, 0.4, 0.1)
     assert sample == WheelSample(5, 0.3, 0.1)
@@ -420,11 +420,8 @@ def test_a_changed_copy(forms: dict[str, Callable[..., Any]]) -> None:
         forms['changed'](sample, speed=0.4)
 
 
-@pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])
+@pytest.mark.parametrize('forms', FORMS)
 def test_records_that_are_filled(forms: dict[str, Callable[..., Any]]) -> None:
-    if not forms:
-        pytest.skip('the compiled kernels were not built')
-
     @dataclass(frozen=True, slots=True)
     class Record:
         first: int
@@ -443,10 +440,8 @@ def test_records_that_are_filled(forms: dict[str, Callable[..., Any]]) -> None:
         filled(1).first = 2
 
 
-@pytest.mark.parametrize('forms', [kernels.REFERENCES, kernels.TWINS])
+@pytest.mark.parametrize('forms', FORMS)
 def test_an_indefinite_covariance_is_an_error(forms: dict[str, Callable[..., Any]]) -> None:
-    if not forms:
-        pytest.skip('the compiled kernels were not built')
     bad = innovation(np.random.default_rng(3), 5)
     bad = replace(bad, covariance=-bad.covariance)
     with pytest.raises(FilterDivergedError):

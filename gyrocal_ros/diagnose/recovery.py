@@ -24,7 +24,10 @@ What breaks it has to leave less than this part of it."""
 
 
 def first_run(
-    model: SensorModel, recording: RecordingSummary, calibrate: Calibrate, settings: DiagnosisSettings
+    model: SensorModel,
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> tuple[ExaminedModel, list[Addition]]:
     """Return the run with a model, or with the effect whose absence breaks the filter, and that effect.
 
@@ -34,12 +37,12 @@ def first_run(
     try:
         first = examine(model, recording, calibrate, settings)
     except FilterDivergedError:
-        recovered = recover(model, recording, calibrate, settings)
+        recovered = _recover(model, recording, calibrate, settings)
         if recovered is None:
             raise
         return recovered.after, [recovered]
     if _nis(first) > BROKEN_NIS:
-        recovered = recover(model, recording, calibrate, settings)
+        recovered = _recover(model, recording, calibrate, settings)
         if recovered is not None and _nis(recovered.after) < MENDED_PART * _nis(first):
             return recovered.after, [recovered]
     return first, []
@@ -50,11 +53,11 @@ def _nis(examined: ExaminedModel) -> float:
     return nis_per_dof(history.nis, history.dof) or 0.0
 
 
-def recover(
+def _recover(
     model: SensorModel,
     recording: RecordingSummary,
     calibrate: Calibrate,
-    settings: DiagnosisSettings = DEFAULT_SETTINGS,
+    settings: DiagnosisSettings,
 ) -> Addition | None:
     """Find the effect whose absence makes the filter diverge: the one with which it runs best, or None."""
     present = {effect.name for effect in model.effects}

@@ -266,6 +266,12 @@ def _rest_update(
     return still
 
 
+def likeliest_walk(log_likelihoods: Sequence[float]) -> int:
+    """Return the place of the likeliest random walk of the bias: the first if no other gains enough."""
+    best = int(np.argmax(log_likelihoods))
+    return best if log_likelihoods[best] > log_likelihoods[0] + BIAS_WALK_GAIN else 0
+
+
 def grid(
     log_white: Array, log_walk: Array, dofs: Sequence[float], stamps_s: Sequence[float]
 ) -> ReferenceNoise:

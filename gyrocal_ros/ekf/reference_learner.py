@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import MotionBlock
-from gyrocal_ros.ekf.reference_bank import BIAS_WALK_GAIN, ReferenceBank, grid
+from gyrocal_ros.ekf.reference_bank import ReferenceBank, grid, likeliest_walk
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 
 WHITE_DEG, WALK_DEG, TAIL_DOF = (0.003, 5.0), (0.005, 3.0), 5.0
@@ -93,9 +93,7 @@ class ReferenceLearner:
     def _learn(self) -> None:
         self._learned_s = self._time_s
         fits = [bank.likeliest() for bank in self._banks]
-        likelihoods = np.array([fit.log_likelihood for fit in fits])
-        likelihoods[0] += BIAS_WALK_GAIN
-        best = int(np.argmax(likelihoods))
+        best = likeliest_walk([fit.log_likelihood for fit in fits])
         fit = fits[best]
         if fit.time_offset_std_s > MAX_OFFSET_STD_S:
             return

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.reference_bank import BIAS_WALK_GAIN, NoiseFit, ReferenceBank, grid
+from gyrocal_ros.ekf.reference_bank import NoiseFit, ReferenceBank, grid, likeliest_walk
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 
 MAX_HEADINGS = 5000
@@ -176,8 +176,7 @@ def fit_bias_walk(track: HeadingTrack, fitted: NoiseFit, gyro: GyroConfig) -> fl
         _filtered(track, alternatives, replace(gyro, bias_walk_deg_s=walk), fitted).likeliest().log_likelihood
         for walk in walks_deg_s
     ]
-    best = int(np.argmax(likelihoods))
-    return walks_deg_s[best] if likelihoods[best] > likelihoods[0] + BIAS_WALK_GAIN else walks_deg_s[0]
+    return walks_deg_s[likeliest_walk(likelihoods)]
 
 
 def log_likelihood_of(track: HeadingTrack, noise: ReferenceNoise, gyro: GyroConfig) -> float:

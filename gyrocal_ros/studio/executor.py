@@ -17,14 +17,14 @@ from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine
 from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
 from gyrocal_ros.diagnose.ranking import best_explanation
-from gyrocal_ros.diagnose.recovery import recover
+from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.run_series import rows_to_draw
 from gyrocal_ros.diagnose.search import limits_to_check
 from gyrocal_ros.diagnose.shapes import shapes
 from gyrocal_ros.diagnose.validation import validate
 from gyrocal_ros.diagnose.wander import wander
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.errors import FilterDivergedError, GyrocalError
+from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
@@ -102,13 +102,10 @@ class TaskExecutor:
     def _examine(self, task: Examine, send: Send) -> Examination:
         assert self._loaded is not None
         loaded, run = self._loaded, _runs_with_preview(self._loaded, send)
-        try:
+        if task.is_first:
+            examined, _ = first_run(task.model, loaded.recorded, run)
+        else:
             examined = examine(task.model, loaded.recorded, run)
-        except FilterDivergedError:
-            change = recover(task.model, loaded.recorded, run) if task.is_first else None
-            if change is None:
-                raise
-            examined = change.after
         self._examined = [*self._examined, examined][-MAX_KEPT:]
         return _examination(examined, loaded.recorded)
 

@@ -444,7 +444,7 @@ class TestLearning:
 @pytest.mark.usefixtures('library')
 def test_the_period_of_a_swing_is_refined(tmp_path: Path) -> None:
     """The spectrum of the errors tells it to some per cent; the likelihood does much better."""
-    source = recording(DrawnEffect('stranger_swing', (0.3 * DEG, 31.0)))
+    source = recording(DrawnEffect('stranger_swing', (0.2 * DEG, 31.0)))
     recorded = summarise_recording(source)
     first = examine(default_model(), recorded, runner(source))
     learned = learn(Search(first, ()), recorded, runner(source), ['bias_wave:time'])

@@ -143,10 +143,11 @@ def innovation_matrices(
         covariance(rng, n),
         rng.normal(size=(n, c)),
         columns,
+        rng.normal(size=(count, 2)),
         rng.normal(size=(count, 2, 6)),
         rng.normal(size=(count, 2, 3)),
-        rng.normal(size=(count, 2, k)),
-        rng.normal(size=(count, 2, of_candidates)),
+        rng.normal(size=(count, 2, k)) if k else None,
+        rng.normal(size=(count, 2, of_candidates)) if of_candidates else None,
         noises(rng, count),
     )
 
@@ -161,7 +162,7 @@ def innovation(rng: np.random.Generator, count: int, width: int = 2, outliers: i
     residual[:outliers] += 20.0 * NOISE_PX
     nothing = np.empty((count, 0))
     seen = Prediction(nothing, rng.normal(size=(count, width, 6)), nothing, nothing, nothing, nothing)
-    return Innovation(each, residual, seen, nothing, S, noise, nothing)
+    return Innovation(each, residual, seen, nothing, S, noise, 0)
 
 
 def weigh(rng: np.random.Generator, count: int, width: int = 2, outliers: int = 1) -> Arguments:
@@ -259,10 +260,10 @@ def pixels_by_tilt(rng: np.random.Generator, count: int) -> Arguments:
     return points(rng, count), rng.normal(size=(count, 2, 3)), float(rng.normal())
 
 
-def less_products(rng: np.random.Generator, count: int) -> Arguments:
+def corrected(rng: np.random.Generator, count: int) -> Arguments:
     n, c = 3 * count, count % 3
     mean, before, sensitivity = rng.normal(size=n), covariance(rng, n), rng.normal(size=(n, c))
-    return mean, before, sensitivity, covariance(rng, n + 1 + c)
+    return mean, before, sensitivity, covariance(rng, n + 1 + c), covariance(rng, 2 * count)
 
 
 def solve(rng: np.random.Generator, count: int) -> Arguments:
@@ -299,6 +300,7 @@ MAKERS: tuple[Maker, ...] = (
     carry_covariance,
     carry_pose,
     compare_headings,
+    corrected,
     filter_headings,
     find_ids,
     fit_heading,
@@ -306,7 +308,6 @@ MAKERS: tuple[Maker, ...] = (
     interpolate,
     intervals,
     learned_noise,
-    less_products,
     matches_counted,
     mean_at_end,
     motion_in_image,

@@ -8,6 +8,7 @@ fixed in space, shows far more clearly than by its own innovation.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -28,6 +29,8 @@ MAX_INFLATION = 1e6
 MAX_ITERATIONS = 3
 CONVERGED = 0.05
 """Relative change of the weights at which the iteration ends."""
+WEIGHING = HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
+"""These settings, as `weigh` takes them."""
 LOOSE_POSE_RATE = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
 """Standard deviations of the errors of the motion (m/s, rad/s) of a model that lacks an effect."""
 SLIP_RATE = np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
@@ -37,6 +40,8 @@ BENT = 0.1
 TURNED = 0.2
 """Share of a contradiction that a slip leaves, above which another turn is needed to explain it."""
 POSE_DOF = 6
+Weighed: TypeAlias = tuple[Array, Array, Array, float, float, float]
+"""What `weigh_loosely` returns."""
 MIN_FEATURES = 5
 """Fewest features that may contradict the pose: the better half of them determines one."""
 
@@ -143,50 +148,43 @@ def consensus(
     m, r = innovation.residual.shape
     gate = chi_square_quantile(1.0 - outlier_probability, r)
     pose_gate = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
-    inflation, distances, noise_share, nis, whitening = weigh(
-        innovation, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
-    )
-    judged = Judged(distances, noise_share, nis)
-    good = judged.distances <= gate
-    by_pose = Consensus(_with_noise(innovation, inflation, whitening), judged, good)
+    inflation, distances, noise_share, nis, whitening = weigh(innovation, *WEIGHING)
+    by_pose, good = Judged(distances, noise_share, nis), distances <= gate
     # Even all features together may be closer to the prediction than a contradicted pose.
-    if m < MIN_FEATURES or judged.nis <= pose_gate:
-        return by_pose
-    slipping, left = _with_slip(innovation, gate, pose_gate, interval_s)
+    if m < MIN_FEATURES or nis <= pose_gate:
+        return Consensus(_with_noise(innovation, inflation, whitening), by_pose, good)
+    slip_std, loose_std = SLIP_RATE * interval_s, LOOSE_POSE_RATE * interval_s
+    slip = weigh_loosely(innovation, slip_std, *WEIGHING)
+    *_, tight_nis, loose_nis = slip
+    left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
     if may_slip and left < BENT:
-        return slipping
-    std = LOOSE_POSE_RATE * interval_s
-    inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
-        innovation, std, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
+        return _slipping(innovation, slip_std, slip, gate)
+    loose_inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
+        innovation, loose_std, *WEIGHING
     )
-    judged = Judged(distances, noise_share, nis)
     if 2 * np.count_nonzero(good) >= m and tight_nis - loose_nis <= pose_gate:
-        return by_pose
+        return Consensus(_with_noise(innovation, inflation, whitening), by_pose, good)
     is_pose = loose_nis < BENT * tight_nis
     if is_pose:
-        good = inliers(judged.distances, r, outlier_probability)
+        good = inliers(distances, r, outlier_probability)
         judged = each_alone(innovation)  # the pixel noise grows where this goes on
     else:
-        good = judged.distances <= gate
+        good = distances <= gate
         good &= 2 * np.count_nonzero(good) >= m
+        judged = Judged(distances, noise_share, nis)
     turned = left > TURNED and (is_pose or not good.any())
-    return Consensus(_with_noise(innovation, inflation, whitening), judged, good, contradicts_turn=turned)
+    weighted = _with_noise(innovation, loose_inflation, whitening)
+    return Consensus(weighted, judged, good, contradicts_turn=turned)
 
 
-def _with_slip(
-    innovation: Innovation, gate: float, pose_gate: float, interval_s: float
-) -> tuple[Consensus, float]:
-    """Return what the features say of each other with a slip, and the share of a contradiction left."""
-    std = SLIP_RATE * interval_s
-    inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
-        innovation, std, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
-    )
-    numerator = innovation.gain_numerator.copy()
-    numerator[:, :, POSE] += innovation.prediction.by_pose * np.square(std)
+def _slipping(innovation: Innovation, std: Array, weighed: Weighed, gate: float) -> Consensus:
+    """Return what the features say of each other with a slip of standard deviations (6,) of the pose."""
+    inflation, distances, noise_share, nis, *_ = weighed
+    stacked = innovation.stacked.copy()  # H P begins with the pose
+    stacked[:, :, POSE] += innovation.prediction.by_pose * np.square(std)
     loose = _with_looser_pose(innovation, std)
-    slipping = changed(loose, gain_numerator=numerator, covariance=_inflated(loose, inflation))
-    left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
-    return Consensus(slipping, Judged(distances, noise_share, nis), distances <= gate, std), left
+    slipping = changed(loose, stacked=stacked, covariance=_inflated(loose, inflation))
+    return Consensus(slipping, Judged(distances, noise_share, nis), distances <= gate, std)
 
 
 @compiled
@@ -228,7 +226,7 @@ def weigh_loosely(
     max_inflation: float,
     max_iterations: int,
     converged: float,
-) -> tuple[Array, Array, Array, float, float, float]:
+) -> Weighed:
     """Weigh features as if the predicted pose had further errors.
 
     Args:

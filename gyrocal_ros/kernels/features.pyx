@@ -180,68 +180,80 @@ def predict_inverse_depth(
     return arrays
 
 
-cdef void add_row(double weight, const double* row, double* total, Py_ssize_t n) noexcept nogil:
-    cdef Py_ssize_t i
-    for i in range(n):
-        total[i] += weight * row[i]
-
-
-cdef void add_product(
-    const double[:] by_pose,
-    const double[:] by_feature,
-    const double[:] by_values,
-    Py_ssize_t column,
-    const double[:, ::1] matrix,
-    double* total,
+cdef void add_rows(
+    Py_ssize_t count, const double* weights, const double* rows, Py_ssize_t width, double* total
 ) noexcept nogil:
-    """Add one row of H, whose feature is at a column of the state, times a matrix (n, width)."""
-    cdef Py_ssize_t width = matrix.shape[1], l
-    for l in range(6):
-        add_row(by_pose[l], &matrix[l, 0], total, width)
-    for l in range(3):
-        add_row(by_feature[l], &matrix[column + l, 0], total, width)
-    for l in range(by_values.shape[0]):
-        add_row(by_values[l], &matrix[COEFFICIENTS_START + l, 0], total, width)
+    """Add a weighted sum of successive rows; three at a time, so that the total is read and written less often."""
+    cdef Py_ssize_t i, l
+    cdef double a, b, c
+    for l in range(0, count - 2, 3):
+        a, b, c = weights[l], weights[l + 1], weights[l + 2]
+        for i in range(width):
+            total[i] += a * rows[l * width + i] + b * rows[(l + 1) * width + i] + c * rows[(l + 2) * width + i]
+    for l in range(count - count % 3, count):
+        for i in range(width):
+            total[i] += weights[l] * rows[l * width + i]
 
 
 def innovation_matrices(
     const double[:, ::1] covariance,
     const double[:, ::1] sensitivity,
     const long[:] columns,
+    const double[:, :] residual,
     const double[:, :, :] by_pose,
     const double[:, :, :] by_feature,
     const double[:, :, :] by_values,
     const double[:, :, :] by_candidates,
     const double[:, :, :] noise,
 ):
-    cdef Py_ssize_t m = by_pose.shape[0], r = by_pose.shape[1], k = by_values.shape[2], c = by_candidates.shape[2]
-    cdef Py_ssize_t n = covariance.shape[0], width = sensitivity.shape[1], f, g, i, j, l
+    cdef Py_ssize_t m = by_pose.shape[0], r = by_pose.shape[1], q = m * r, n = covariance.shape[0]
+    cdef Py_ssize_t k = 0 if by_values is None else by_values.shape[2], c = sensitivity.shape[1]
+    cdef Py_ssize_t of_candidates = 0 if by_candidates is None else by_candidates.shape[2]
+    cdef Py_ssize_t f, g, i, j, l, row, column
     cdef double sum_
-    arrays = (np.zeros((m, r, n)), np.empty((m, r, m, r)), np.zeros((m, r, width)))
-    cdef double[:, :, ::1] numerator = arrays[0], G = arrays[2]
+    cdef double* total
+    cdef double* weights
+    cdef double* others
+    arrays = (np.zeros((m, r, n + 1 + c)), np.empty((m, r, m, r)))
+    cdef double[:, :, ::1] stacked = arrays[0]
     cdef double[:, :, :, ::1] S = arrays[1]
+    cdef double[:, ::1] H = np.empty((q, 9 + k))  # pose, own feature and coefficients
     for f in range(m):
+        column = columns[f]
         for i in range(r):
-            add_product(by_pose[f, i], by_feature[f, i], by_values[f, i], columns[f], covariance, &numerator[f, i, 0])
-            if width == 0:
-                continue
-            add_product(by_pose[f, i], by_feature[f, i], by_values[f, i], columns[f], sensitivity, &G[f, i, 0])
-            for l in range(c):
-                G[f, i, l] += by_candidates[f, i, l]
-    for f in range(m):
-        for i in range(r):
-            for g in range(m):
-                for j in range(r):
-                    sum_ = 0.0
-                    for l in range(6):
-                        sum_ += numerator[f, i, l] * by_pose[g, j, l]
-                    for l in range(3):
-                        sum_ += numerator[f, i, columns[g] + l] * by_feature[g, j, l]
-                    for l in range(k):
-                        sum_ += numerator[f, i, COEFFICIENTS_START + l] * by_values[g, j, l]
-                    S[f, i, g, j] = sum_
-            for j in range(r):
-                S[f, i, f, j] += noise[f, i, j]
+            weights, total = &H[f * r + i, 0], &stacked[f, i, 0]
+            for l in range(6):
+                weights[l] = by_pose[f, i, l]
+            for l in range(3):
+                weights[6 + l] = by_feature[f, i, l]
+            for l in range(k):
+                weights[9 + l] = by_values[f, i, l]
+            add_rows(6, weights, &covariance[0, 0], n, total)
+            add_rows(3, weights + 6, &covariance[column, 0], n, total)
+            total[n] = residual[f, i]
+            if c:
+                add_rows(6, weights, &sensitivity[0, 0], c, total + n + 1)
+                add_rows(3, weights + 6, &sensitivity[column, 0], c, total + n + 1)
+            if k:
+                add_rows(k, weights + 9, &covariance[COEFFICIENTS_START, 0], n, total)
+                if c:
+                    add_rows(k, weights + 9, &sensitivity[COEFFICIENTS_START, 0], c, total + n + 1)
+            for l in range(of_candidates):
+                total[n + 1 + l] += by_candidates[f, i, l]
+    for row in range(q):
+        total = &stacked[row // r, row % r, 0]
+        for column in range(row + 1):
+            g, j = column // r, column % r
+            others, sum_ = &H[column, 0], 0.0
+            for l in range(6):
+                sum_ += total[l] * others[l]
+            for l in range(3):
+                sum_ += total[columns[g] + l] * others[6 + l]
+            for l in range(k):
+                sum_ += total[COEFFICIENTS_START + l] * others[9 + l]
+            if g == row // r:
+                sum_ += noise[g, row % r, j]
+            S[row // r, row % r, g, j] = S[g, j, row // r, row % r] = sum_
     return arrays
 
 

@@ -2,13 +2,14 @@
 """Twins of `ekf.positive_definite`, `ekf.robust`, `ekf.scale_watch`, `ekf.update` and `ekf.image_update`, which
 explain the equations."""
 
-from libc.math cimport fabs, sqrt
+from libc.math cimport fabs, log, sqrt
+from libc.stdlib cimport abs
 
 import numpy as np
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
 
-TWINS = ('fit_heading', 'less_products', 'scale_changes', 'solve', 'weigh', 'weigh_loosely', 'whitener')
+TWINS = ('corrected', 'fit_heading', 'scale_changes', 'solve', 'weigh', 'weigh_loosely', 'whitener')
 
 cdef double TINY = np.finfo(float).tiny
 cdef double NOT_SEPARABLE = 1e-9
@@ -131,6 +132,7 @@ cdef Weighing weighed(
     cdef Py_ssize_t m = seen.m, r = seen.r, q = seen.q, f, i, j, l
     cdef double difference[3]
     cdef double own[9]
+    cdef double block[9]
     cdef double variance[9]
     cdef double precision[9]
     cdef double sum_, of_noise, total, wanted
@@ -144,7 +146,7 @@ cdef Weighing weighed(
     cdef double[:, ::1] S = work[:q]
     cdef double* white = &work[q, 0]
     cdef double* weighted = &work[q + 1, 0]
-    cdef double* blocks = &work[q + 2, 0]
+    cdef double* beside = &work[q + 2, 0]
     cdef const double* nu = &seen.residual[0, 0]
     cdef const double* row
     for iteration in range(max_iterations):
@@ -153,11 +155,11 @@ cdef Weighing weighed(
         inflate(seen, extra, &inflation[0], &S[0, 0])
         if not whiten(S, W):
             raise IndefiniteCovarianceError
-        # y = S^-1 nu and the blocks of S^-1, by S^-1 = W^T W.
+        # y = S^-1 nu, diagonal of S^-1 and what is up to r beside it, by S^-1 = W^T W.
         for i in range(q):
             weighted[i] = 0.0
         for i in range(q * r):
-            blocks[i] = 0.0
+            beside[i] = 0.0
         for j in range(q):
             row, sum_ = &W[j, 0], 0.0
             for i in range(j + 1):
@@ -167,13 +169,15 @@ cdef Weighing weighed(
                 result.nis += sum_ * sum_
             for i in range(j + 1):
                 weighted[i] += row[i] * sum_
-            for f in range(j // r + 1):
-                for i in range(r):
-                    for l in range(r):
-                        blocks[(f * r + i) * r + l] += row[f * r + i] * row[f * r + l]
+            for l in range(r):  # beyond j the row is zero
+                for i in range(min(j + 1, q - l)):
+                    beside[l * q + i] += row[i] * row[i + l]
         is_settled = True
         for f in range(m):
-            if not invert_small(&blocks[f * r * r], r, own):
+            for i in range(r):
+                for j in range(r):
+                    block[i * r + j] = beside[abs(i - j) * q + f * r + min(i, j)]
+            if not invert_small(block, r, own):
                 raise IndefiniteCovarianceError
             of_noise = total = sum_ = 0.0
             for i in range(r):
@@ -229,21 +233,36 @@ def weigh_loosely(
                 sum_ += scaled[i, l] * scaled[j, l]
             loose[i, j] = loose[j, i] = sum_
     cdef Weighing found = weighed(seen, &loose[0, 0], bound, max_inflation, max_iterations, converged)
-    cdef const long[:] closest = np.argsort(found.distances)[: (m + 1) // 2]
-    cdef const double[::1] inflation = found.inflation
+    cdef const double[::1] inflation = found.inflation, distances = found.distances
+    cdef long[::1] closest = np.empty(m, np.int64)
+    sort(&distances[0], &closest[0], m)
+    m = (m + 1) // 2
     return (
         found.inflation,
         found.distances,
         found.noise_share,
         found.nis,
-        squared_norm(seen, NULL, &inflation[0], closest),
-        squared_norm(seen, &loose[0, 0], &inflation[0], closest),
+        squared_norm(seen, NULL, &inflation[0], &closest[0], m),
+        squared_norm(seen, &loose[0, 0], &inflation[0], &closest[0], m),
     )
 
 
-cdef double squared_norm(Seen seen, const double* extra, const double* inflation, const long[:] chosen) except -1.0:
-    """Return nu^T S^-1 nu of the features of the given indices, with S as in `inflate`."""
-    cdef Py_ssize_t r = seen.r, m = chosen.shape[0], q = m * r, f, g, i, j, l
+cdef void sort(const double* values, long* order, Py_ssize_t m) noexcept nogil:
+    """Write the indices of m values, from the smallest to the largest."""
+    cdef Py_ssize_t i, j
+    for i in range(m):
+        j = i
+        while j > 0 and values[order[j - 1]] > values[i]:
+            order[j] = order[j - 1]
+            j -= 1
+        order[j] = i
+
+
+cdef double squared_norm(
+    Seen seen, const double* extra, const double* inflation, const long* chosen, Py_ssize_t m
+) except -1.0:
+    """Return nu^T S^-1 nu of the m features of the given indices, with S as in `inflate`."""
+    cdef Py_ssize_t r = seen.r, q = m * r, f, g, i, j, l
     cdef double[:, ::1] S = np.empty((seen.q + q + 1, seen.q))
     cdef double* white = &S[seen.q, 0]
     cdef double* small = &S[seen.q + 1, 0]
@@ -287,13 +306,15 @@ def fit_heading(innovation, Py_ssize_t yaw):
     return score / information, sqrt(variance) / information
 
 
-def less_products(
+def corrected(
     const double[:] mean,
     const double[:, ::1] covariance,
     const double[:, ::1] sensitivity,
     const double[:, ::1] products,
+    const double[:, :] whitening,
 ):
     cdef Py_ssize_t n = mean.shape[0], c = sensitivity.shape[1], i, j
+    cdef double determinant = 0.0
     arrays = (np.empty(n), np.empty((n, n)), np.empty((n, c)))
     cdef double[::1] after = arrays[0]
     cdef double[:, ::1] P = arrays[1], X = arrays[2]
@@ -303,7 +324,9 @@ def less_products(
             P[i, j] = covariance[i, j] - products[i, j]
         for j in range(c):
             X[i, j] = sensitivity[i, j] - products[i, n + 1 + j]
-    return arrays
+    for i in range(whitening.shape[0]):
+        determinant -= 2.0 * log(whitening[i, i])
+    return (*arrays, determinant)
 
 
 def solve(matrix, const double[:] right):

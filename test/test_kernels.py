@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contracts import CAMERA, NOISE_PX
+from contracts import CAMERA, NOISE_PX, eventful_block
 
 from gyrocal_ros import kernels
 from gyrocal_ros.data import (
@@ -25,13 +25,17 @@ from gyrocal_ros.data import (
     quickly_filled,
 )
 from gyrocal_ros.diagnose.heading_filter import INITIAL_BIAS_STD_RAD_S
+from gyrocal_ros.ekf.effects_by_place import MotionContribution
+from gyrocal_ros.ekf.process_noise import BlockNoise
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
 from gyrocal_ros.ekf.scale_watch import NOTHING, NormalEquations
+from gyrocal_ros.ekf.state import State, no_landmarks
 from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
 from gyrocal_ros.ekf.update import Innovation
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.features.base import Prediction
+from gyrocal_ros.model.gyro import Correction
 from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
 
 Arguments = tuple[Any, ...]
@@ -50,22 +54,33 @@ def intervals_s(rng: np.random.Generator, count: int) -> Array:
     return rng.uniform(0.002, 0.012, count)
 
 
-def carry_pose(rng: np.random.Generator, count: int) -> Arguments:
-    euler_rad, rates = rng.normal(0.0, [0.1, 0.1, 2.0]), rng.normal(0.0, [0.1, 0.1, 1.5], (count, 3))
-    return rng.normal(size=3), euler_rad, rates, intervals_s(rng, count), rng.normal(0.002, 0.001, count)
+def carry(rng: np.random.Generator, count: int, eventful: bool = True) -> Arguments:
+    """Return arguments of `carry`, with effects on all that moves the robot if the block is eventful."""
+    n, k, c = count, 1 + count % 3, count % 4
+    size = 9 + k + 3 * count
+    mean = np.concatenate([rng.normal(size=3), rng.normal(0.0, [0.1, 0.1, 2.0]), rng.normal(size=size - 6)])
+    robot = State(0, mean, covariance(rng, size), k, no_landmarks(), rng.normal(size=(size, c)))
+    rates, readings = rng.normal(0.0, [0.1, 0.1, 1.5], (2, n, 3))
+    dt_s, of_interval = intervals_s(rng, n), rng.normal(0.002, 0.001, n)
+    block = replace(eventful_block(), dt_s=dt_s, rate_rad_s=readings, distance_m=of_interval)
+    correction = Correction(rng.normal(size=n), rng.normal(size=(n, k)), 0.0, ())
+    added = MotionContribution(correction, 0.0, None, 0.0, None)
+    density, yaw_density, gap, *walks = rng.uniform(1e-4, 1e-3, 5)
+    of_wheels = (0.01, 0.02, 0.03, 0.04)
+    noise = BlockNoise(density, yaw_density, 0.0, 0.0, of_wheels, gap, *walks, np.zeros(k), 0.1)
+    if eventful:
+        correction = changed(correction, valid=(rng.uniform(size=n) < 0.8).astype(float))
+        wheels = 0.1 * of_interval, rng.normal(size=(n, k))
+        added = MotionContribution(correction, *wheels, rng.normal(size=3), rng.normal(size=(3, k)))
+        densities = rng.uniform(1e-4, 1e-3, 2), rng.uniform(1e-4, 1e-3, n)
+        noise = BlockNoise(*densities, 0.01, 0.02, of_wheels, 0.03, *walks, rng.uniform(0.0, 0.1, k), 0.1)
+    return robot, block, rates, added, noise, 0.01, 0.99
 
 
-def process_noise(rng: np.random.Generator, count: int) -> Arguments:
-    gain, (tilt, yaw) = rng.normal(size=(6, 3, count)), rng.uniform(1e-4, 1e-3, (2, count + 1))
-    rates, steps, euler = rng.normal(size=count), rng.normal(0.0, 0.01, count), rng.normal(size=(3, count))
-    wheels, walks = tuple(rng.uniform(0.0, 0.1, 4)), rng.uniform(0.0, 1e-2, 3 + count % 4)
-    motion = intervals_s(rng, count), rates, steps, euler
-    return gain, tilt[:2], yaw[1:], *motion, 0.01, 0.02, wheels, 0.03, walks
-
-
-def transition_matrix(rng: np.random.Generator, count: int) -> Arguments:
-    gain, yaw_gain = rng.normal(size=(6, 3, count)), rng.normal(size=(6, count))
-    return rng.normal(size=(6, 6)), gain, yaw_gain, rng.normal(size=(6, count % 4)), 0.99
+def corrected_rates(rng: np.random.Generator, count: int) -> Arguments:
+    valid = (rng.uniform(size=count) < 0.8).astype(float)
+    rates, correction, bias = rng.normal(size=(count, 3)), rng.normal(size=count), rng.normal(size=3)
+    return rates, correction, valid if count % 2 else 1.0, bias
 
 
 def path_in_block(rng: np.random.Generator, count: int) -> Arguments:
@@ -178,16 +193,6 @@ def fit_heading(rng: np.random.Generator, count: int) -> Arguments:
     return innovation(rng, count), 5
 
 
-def carry_covariance(rng: np.random.Generator, count: int) -> Arguments:
-    size = 9 + count % 4
-    return (
-        covariance(rng, size + 3 * count),
-        rng.normal(size=(size + 3 * count, count % 3)),
-        np.eye(size) + 0.1 * rng.normal(size=(size, size)),
-        covariance(rng, size),
-    )
-
-
 def find_ids(rng: np.random.Generator, count: int) -> Arguments:
     return rng.permutation(3 * count)[: 2 * count], rng.permutation(3 * count)[:count]
 
@@ -297,10 +302,10 @@ def turned_camera(rng: np.random.Generator, count: int) -> Arguments:
 
 Maker = Callable[[np.random.Generator, int], Arguments]
 MAKERS: tuple[Maker, ...] = (
-    carry_covariance,
-    carry_pose,
+    carry,
     compare_headings,
     corrected,
+    corrected_rates,
     filter_headings,
     find_ids,
     fit_heading,
@@ -315,13 +320,11 @@ MAKERS: tuple[Maker, ...] = (
     pixels_by_radial_coefficients,
     pixels_by_tilt,
     predict_inverse_depth,
-    process_noise,
     project_with_jacobian,
     rate_scatter,
     scale_changes,
     scaled_noise,
     solve,
-    transition_matrix,
     turned_camera,
     weigh,
     weigh_loosely,
@@ -372,6 +375,12 @@ def test_twins_agree_behind_every_lens(lens: str) -> None:
     assert_equal_to_rounding('predict_inverse_depth', predict_inverse_depth(rng, 20, LENSES[lens]))
     by_radial = pixels_by_radial_coefficients(rng, 20, LENSES[lens])
     assert_equal_to_rounding('pixels_by_radial_coefficients', by_radial)
+
+
+@needs_kernels
+@pytest.mark.parametrize('count', [1, 2, 12])
+def test_a_block_in_which_nothing_happens(count: int) -> None:
+    assert_equal_to_rounding('carry', carry(np.random.default_rng(5), count, eventful=False))
 
 
 @needs_kernels

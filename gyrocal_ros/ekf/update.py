@@ -346,15 +346,7 @@ def add_lacking(state: State, column: int, value: float, std: float) -> State:
 def _correct(
     state: State, residual: Array, numerator: Array, covariance: Array, sensitivity: Array
 ) -> tuple[State, UpdateStats]:
-    """Apply the update for q measured numbers.
-
-    Args:
-        state: before.
-        residual: nu (q,).
-        numerator: H P (q, n).
-        covariance: S (q, q).
-        sensitivity: G (q, c).
-    """
+    """Apply the update for q measured numbers, by nu (q,), H P (q, n), S (q, q) and G (q, c)."""
     stacked = np.concatenate([numerator, residual[:, None], sensitivity], axis=1)
     return _corrected(state, stacked, whitener(covariance))
 

@@ -29,7 +29,7 @@ from gyrocal_ros.ekf.effects_by_place import MotionContribution
 from gyrocal_ros.ekf.process_noise import BlockNoise
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
-from gyrocal_ros.ekf.scale_watch import NOTHING, NormalEquations
+from gyrocal_ros.ekf.scale_watch import NOTHING, normal_equations
 from gyrocal_ros.ekf.state import State, no_landmarks
 from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
 from gyrocal_ros.ekf.update import Innovation
@@ -65,16 +65,21 @@ def carry(rng: np.random.Generator, count: int, eventful: bool = True) -> Argume
     block = replace(eventful_block(), dt_s=dt_s, rate_rad_s=readings, distance_m=of_interval)
     correction = Correction(rng.normal(size=n), rng.normal(size=(n, k)), 0.0, ())
     added = MotionContribution(correction, 0.0, None, 0.0, None)
-    density, yaw_density, gap, *walks = rng.uniform(1e-4, 1e-3, 5)
     of_wheels = (0.01, 0.02, 0.03, 0.04)
-    noise = BlockNoise(density, yaw_density, 0.0, 0.0, of_wheels, gap, *walks, np.zeros(k), 0.1)
+    noise = BlockNoise(3e-4, 4e-4, 0.0, 0.0, of_wheels, 0.0, 1e-4, 2e-4, np.zeros(k), 0.1)
     if eventful:
         correction = changed(correction, valid=(rng.uniform(size=n) < 0.8).astype(float))
         wheels = 0.1 * of_interval, rng.normal(size=(n, k))
         added = MotionContribution(correction, *wheels, rng.normal(size=3), rng.normal(size=(3, k)))
-        densities = rng.uniform(1e-4, 1e-3, 2), rng.uniform(1e-4, 1e-3, n)
-        noise = BlockNoise(*densities, 0.01, 0.02, of_wheels, 0.03, *walks, rng.uniform(0.0, 0.1, k), 0.1)
+        of_tilt, of_yaw, walks = (rng.uniform(1e-4, 1e-3, width) for width in (2, n, k))
+        noise = BlockNoise(of_tilt, of_yaw, 0.01, 0.02, of_wheels, 0.03, 1e-4, 2e-4, walks, 0.1)
     return robot, block, rates, added, noise, 0.01, 0.99
+
+
+def step_numbers(rng: np.random.Generator, count: int) -> Arguments:
+    robot, block, rates, added, *_ = carry(rng, count)
+    states = [replace(robot, mean=rng.normal(size=len(robot.mean))) for _ in range(3)]
+    return *states, block.dt_s, added.correction, rates, rng.normal(size=3)
 
 
 def corrected_rates(rng: np.random.Generator, count: int) -> Arguments:
@@ -193,7 +198,7 @@ def fit_heading(rng: np.random.Generator, count: int) -> Arguments:
     return innovation(rng, count), 5
 
 
-def find_ids(rng: np.random.Generator, count: int) -> Arguments:
+def match_ids(rng: np.random.Generator, count: int) -> Arguments:
     return rng.permutation(3 * count)[: 2 * count], rng.permutation(3 * count)[:count]
 
 
@@ -218,12 +223,22 @@ def matches_counted(rng: np.random.Generator, count: int) -> Arguments:
     return last_seen_ns, rejections, last_pixels, last_directions, 2 * 10**18, rows, accepted, *matched
 
 
-def scale_changes(rng: np.random.Generator, count: int, others_explained: float = 100.0) -> Arguments:
-    information, score, nis, dof, least = rng.uniform(0.0, 100.0, (5, count))
-    matrix, cross = covariance(rng, 4), 0.1 * np.sqrt(information)[:, None] * rng.normal(size=(count, 4))
-    direction = rng.normal(size=4)
-    scale = math.sqrt(others_explained / (direction @ np.linalg.solve(matrix, direction)))
-    return information, score, nis, dof, least, cross, NormalEquations(matrix, scale * direction)
+def scale_changes(
+    rng: np.random.Generator, count: int, others_explained: float = 100.0, others: int = 4
+) -> Arguments:
+    sums = rng.uniform(0.0, 100.0, (count, 5 + others))
+    sums[:, 5:] = 0.1 * np.sqrt(sums[:, 1:2]) * rng.normal(size=(count, others))
+    matrix, direction = covariance(rng, others), rng.normal(size=others)
+    if others:
+        direction *= math.sqrt(others_explained / (direction @ np.linalg.solve(matrix, direction)))
+    return sums, normal_equations(matrix, direction), 2e4, 300.0
+
+
+def scores_added(rng: np.random.Generator, count: int) -> Arguments:
+    others = count % 3
+    c = count + others + 2
+    sums = rng.uniform(0.0, 100.0, (count, 5 + others))
+    return sums, covariance(rng, c), rng.normal(size=c), 20.0, 30, others + 2
 
 
 def filter_headings(rng: np.random.Generator, count: int, jump_rad: float = 0.0) -> Arguments:
@@ -307,12 +322,12 @@ MAKERS: tuple[Maker, ...] = (
     corrected,
     corrected_rates,
     filter_headings,
-    find_ids,
     fit_heading,
     innovation_matrices,
     interpolate,
     intervals,
     learned_noise,
+    match_ids,
     matches_counted,
     mean_at_end,
     motion_in_image,
@@ -324,7 +339,9 @@ MAKERS: tuple[Maker, ...] = (
     rate_scatter,
     scale_changes,
     scaled_noise,
+    scores_added,
     solve,
+    step_numbers,
     turned_camera,
     weigh,
     weigh_loosely,
@@ -402,15 +419,14 @@ def test_weights_of_pixels_and_of_points(width: int, outliers: int) -> None:
 @pytest.mark.parametrize('others_explained', [0.0, 1e6])
 def test_changes_of_the_scale_with_and_without_other_errors(others_explained: float) -> None:
     assert_equal_to_rounding('scale_changes', scale_changes(np.random.default_rng(3), 6, others_explained))
-    none = (*scale_changes(np.random.default_rng(4), 6)[:5], np.empty((6, 0)), NOTHING)
-    assert_equal_to_rounding('scale_changes', none)
+    sums, _, *settings = scale_changes(np.random.default_rng(4), 6, others=0)
+    assert_equal_to_rounding('scale_changes', (sums, NOTHING, *settings))
 
 
 @pytest.mark.parametrize('forms', FORMS)
 def test_a_change_of_which_nothing_is_known(forms: dict[str, Callable[..., Any]]) -> None:
-    nothing = np.zeros(2)
-    arguments = (nothing, nothing, np.array([9.0, 0.0]), np.ones(2), np.ones(2), np.empty((2, 0)), NOTHING)
-    values, variances, sigmas = forms['scale_changes'](*arguments)
+    sums = np.array([[1.0, 0.0, 0.0, 9.0, 1.0], [1.0, 0.0, 0.0, 0.0, 1.0]])
+    values, variances, sigmas = forms['scale_changes'](sums, NOTHING, 1.0, 1.0)
     assert not values.any() and not sigmas.any() and (variances > 1e300).all()
 
 

@@ -121,7 +121,7 @@ class Consensus:
     @property
     def rejects_image(self) -> bool:
         """True if the image is rejected as a whole, so that no feature is at fault."""
-        return len(self.good) >= MIN_FEATURES and not self.good.any()
+        return len(self.good) >= MIN_FEATURES and not np.count_nonzero(self.good)
 
 
 def consensus(

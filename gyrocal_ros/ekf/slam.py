@@ -268,7 +268,7 @@ class EkfSlam:
             candidates=self._candidates,
             scored=self._own_candidates,
             motion=self._motion,
-            interval_s=seconds(self.state.t_ns - int(self.state.landmarks.last_seen_ns.max(initial=0))),
+            interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
             errors_repeat=self._errors_repeat(),
             may_slip=self._slip_watch.may_slip(self.state.t_ns),
         )

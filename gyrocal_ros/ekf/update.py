@@ -39,12 +39,12 @@ class Innovation:
 
     def __getitem__(self, chosen: IntArray) -> Innovation:
         return Innovation(
-            self.rows[chosen],
-            self.residual[chosen],
+            self.rows.take(chosen, 0),
+            self.residual.take(chosen, 0),
             self.prediction[chosen],
-            self.stacked[chosen],
+            self.stacked.take(chosen, 0),
             self.covariance[chosen][:, :, chosen],
-            self.noise[chosen],
+            self.noise.take(chosen, 0),
             self.state_size,
         )
 

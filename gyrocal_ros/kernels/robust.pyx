@@ -1,18 +1,25 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.positive_definite`, `ekf.robust`, `ekf.scale_watch`, `ekf.update` and `ekf.image_update`, which
-explain the equations."""
+"""Twins of `ekf.positive_definite`, `ekf.robust` and `ekf.scale_watch`, which explain the equations."""
 
-from libc.math cimport fabs, log, sqrt
+from libc.math cimport fabs, sqrt
 from libc.stdlib cimport abs
 
 import numpy as np
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
 
-TWINS = ('corrected', 'fit_heading', 'scale_changes', 'solve', 'weigh', 'weigh_loosely', 'whitener')
+TWINS = ('scale_changes', 'scores_added', 'solve', 'weigh', 'weigh_loosely', 'whitener')
 
 cdef double TINY = np.finfo(float).tiny
 cdef double NOT_SEPARABLE = 1e-9
+
+cdef enum:  # columns of the sums of `ScaleWatch`
+    AGE
+    INFORMATION
+    SCORE
+    NIS
+    DOF
+    CROSS
 
 
 cdef bint whiten(double[:, ::1] S, double[:, ::1] W) noexcept nogil:
@@ -287,48 +294,6 @@ cdef double squared_norm(
     return total
 
 
-def fit_heading(innovation, Py_ssize_t yaw):
-    cdef const double[:, :, :] by_pose = innovation.prediction.by_pose, noise = innovation.noise
-    cdef const double[:, :] residual = innovation.residual
-    cdef const double[:, :, :, :] covariance = innovation.covariance
-    cdef Py_ssize_t m = residual.shape[0], f
-    cdef double information = 0.0, score = 0.0, variance = 0.0, a, b, c, determinant, u, v
-    for f in range(m):
-        a, b, c = covariance[f, 0, f, 0], covariance[f, 0, f, 1], covariance[f, 1, f, 1]
-        determinant = a * c - b * b
-        if determinant == 0.0:
-            raise IndefiniteCovarianceError
-        u = (c * by_pose[f, 0, yaw] - b * by_pose[f, 1, yaw]) / determinant
-        v = (a * by_pose[f, 1, yaw] - b * by_pose[f, 0, yaw]) / determinant
-        information += u * by_pose[f, 0, yaw] + v * by_pose[f, 1, yaw]
-        score += u * residual[f, 0] + v * residual[f, 1]
-        variance += u * (noise[f, 0, 0] * u + noise[f, 0, 1] * v) + v * (noise[f, 1, 0] * u + noise[f, 1, 1] * v)
-    return score / information, sqrt(variance) / information
-
-
-def corrected(
-    const double[:] mean,
-    const double[:, ::1] covariance,
-    const double[:, ::1] sensitivity,
-    const double[:, ::1] products,
-    const double[:, :] whitening,
-):
-    cdef Py_ssize_t n = mean.shape[0], c = sensitivity.shape[1], i, j
-    cdef double determinant = 0.0
-    arrays = (np.empty(n), np.empty((n, n)), np.empty((n, c)))
-    cdef double[::1] after = arrays[0]
-    cdef double[:, ::1] P = arrays[1], X = arrays[2]
-    for i in range(n):
-        after[i] = mean[i] + products[i, n]
-        for j in range(n):
-            P[i, j] = covariance[i, j] - products[i, j]
-        for j in range(c):
-            X[i, j] = sensitivity[i, j] - products[i, n + 1 + j]
-    for i in range(whitening.shape[0]):
-        determinant -= 2.0 * log(whitening[i, i])
-    return (*arrays, determinant)
-
-
 def solve(matrix, const double[:] right):
     cdef Py_ssize_t q = right.shape[0], i, j
     cdef double[:, ::1] W = np.empty((q, q))
@@ -353,38 +318,55 @@ def whitener(covariance):
     return whitening
 
 
-def scale_changes(
-    const double[:] information,
+def scores_added(
+    const double[:, ::1] sums,
+    const double[:, :] information,
     const double[:] score,
-    const double[:] nis,
-    const double[:] dof,
-    const double[:] least,
-    const double[:, :] cross,
-    others,
+    double nis,
+    double dof,
+    Py_ssize_t first,
 ):
-    cdef Py_ssize_t q = score.shape[0], p = cross.shape[1], i, j, l
+    cdef Py_ssize_t q = sums.shape[0], p = sums.shape[1] - CROSS, i, j
+    result = np.array(sums)
+    cdef double[:, ::1] out = result
+    for i in range(q):
+        out[i, INFORMATION] += information[first + i, first + i]
+        out[i, SCORE] += score[first + i]
+        out[i, NIS] += nis
+        out[i, DOF] += dof
+        for j in range(p):
+            out[i, CROSS + j] += information[first + i, first - p + j]
+    return result
+
+
+def scale_changes(const double[:, ::1] sums, others, double least, double ramp_s):
+    cdef Py_ssize_t q = sums.shape[0], p = sums.shape[1] - CROSS, i, j, l
     cdef double others_explained = others.explained, explained = 0.0, known, left, weight, seen
     cdef const double[:] others_score = others.score
-    cdef double[:, ::1] precision = np.empty((p, p))
+    cdef double[:, ::1] precision = None
     arrays = (np.empty(q), np.empty(q), np.empty(q))
     cdef double[::1] values = arrays[0], variances = arrays[1], sigmas = arrays[2]
     for i in range(q):
-        explained = max(explained, score[i] * score[i] / max(information[i], TINY))
+        explained = max(explained, sums[i, SCORE] * sums[i, SCORE] / max(sums[i, INFORMATION], TINY))
     cdef bint beside = others_explained > explained
-    if beside and not invert(np.array(others.information), precision):
-        raise IndefiniteCovarianceError
+    if beside:
+        precision = np.empty((p, p))
+        if not invert(np.array(others.information), precision):
+            raise IndefiniteCovarianceError
     for i in range(q):
-        known = left = max(information[i], TINY)
-        seen = score[i]
+        known = left = max(sums[i, INFORMATION], TINY)
+        seen = sums[i, SCORE]
         if beside:
             for j in range(p):
                 weight = 0.0
                 for l in range(p):
-                    weight += cross[i, l] * precision[l, j]
-                left -= weight * cross[i, j]
+                    weight += sums[i, CROSS + l] * precision[l, j]
+                left -= weight * sums[i, CROSS + j]
                 seen -= weight * others_score[j]
             left = max(left, NOT_SEPARABLE * known)
         values[i] = seen / left
-        variances[i] = max((nis[i] - seen * values[i]) / max(dof[i], 1.0), 1.0) / left
-        sigmas[i] = 0.0 if left < least[i] else fabs(values[i]) / sqrt(variances[i])
+        variances[i] = max((sums[i, NIS] - seen * values[i]) / max(sums[i, DOF], 1.0), 1.0) / left
+        if i == q - 1:
+            least *= (sums[i, AGE] / ramp_s) * (sums[i, AGE] / ramp_s)
+        sigmas[i] = 0.0 if left < least else fabs(values[i]) / sqrt(variances[i])
     return arrays

@@ -47,7 +47,7 @@ class Correction:
 
     def valid_s(self, dt_s: Array) -> float:
         """Return the time in intervals (N,) with valid readings."""
-        return float(dt_s @ self.valid if isinstance(self.valid, np.ndarray) else dt_s.sum())
+        return float(dt_s @ self.valid) if isinstance(self.valid, np.ndarray) else sum(dt_s.tolist())
 
 
 def correct(

@@ -241,7 +241,9 @@ class EkfSlam:
         if observations.covariances_px2 is not None:
             self._typical_match.update(observations.covariances_px2)
         self.state, update = update_from_image(self.state, self._image_model(), observations)
-        new = unmapped(self.state, observations, features.map_size)
+        known = update.used + update.rejected + update.unmoved
+        has_new = known < len(observations.ids) or update.dropped > 0
+        new = unmapped(self.state, observations, features.map_size) if has_new else []
         if new:
             self.state = add_landmarks(self.state, self._image_model(), observations, new)
         if self.config.camera.estimate_pixel_noise:

@@ -45,6 +45,7 @@ cdef Motion carry_pose(
     cdef double[:, :, ::1] rate_gain = motion.rate_gain
     # Derivatives by the Euler angles, (6, 3) for each interval: rows 0 to 2 of the steps, 3 to 5 of the increments.
     cdef double[:, :, ::1] by_euler = np.zeros((n, 6, 3))
+    cdef double[:, ::1] trig = np.empty((n, 4))
     cdef double total[6][3]
     cdef double before[6][3]
     cdef double after[6][3]
@@ -96,6 +97,7 @@ cdef Motion carry_pose(
         by_euler[k, 1, 1], by_euler[k, 1, 2] = -sy * sp * d, cy * cp * d
         by_euler[k, 2, 1] = -cp * d
         secant = 1.0 / cp
+        trig[k, 0], trig[k, 1], trig[k, 2], trig[k, 3] = sr, cr, sp, secant
         tp = sp * secant
         level = sr * ty + cr * tz
         across = cr * ty - sr * tz
@@ -142,7 +144,7 @@ cdef Motion carry_pose(
                 for l in range(3):
                     transition[i, 3 + j] += by_euler[k, i, l] * (before[3 + l][j] - 0.5 * by_euler[k, 3 + l, j])
             after[3 + i][i] += 1.0
-        sr, cr, sp, secant = sin(mid[0, k]), cos(mid[0, k]), sin(mid[1, k]), 1.0 / cos(mid[1, k])
+        sr, cr, sp, secant = trig[k, 0], trig[k, 1], trig[k, 2], trig[k, 3]
         E[1][1], E[1][2] = cr, -sr
         E[2][1], E[2][2] = sr * secant, cr * secant
         E[0][1], E[0][2] = E[2][1] * sp, E[2][2] * sp

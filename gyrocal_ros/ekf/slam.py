@@ -244,7 +244,9 @@ class EkfSlam:
             self._typical_match.update(observations.covariances_px2)
         self.state, update = update_from_image(self.state, self._image_model(), observations)
         self._moving.update(observations.ids, update.dropped_ids)
-        new = unmapped(self.state, observations, self._moving, features.map_size)
+        known = update.used + update.rejected + update.unmoved
+        has_new = known < len(observations.ids) or update.dropped > 0
+        new = unmapped(self.state, observations, self._moving, features.map_size) if has_new else []
         if new:
             self.state = add_landmarks(self.state, self._image_model(), observations, new)
         if self.config.camera.estimate_pixel_noise:
@@ -271,7 +273,7 @@ class EkfSlam:
             candidates=self._candidates,
             scored=self._own_candidates,
             motion=self._motion,
-            interval_s=seconds(self.state.t_ns - int(self.state.landmarks.last_seen_ns.max(initial=0))),
+            interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
             errors_repeat=self._errors_repeat(),
             may_slip=self._slip_watch.may_slip(self.state.t_ns),
         )

@@ -160,32 +160,23 @@ def consensus(
     agreeing = _by_largest_agreement(innovation, gate)
     if np.count_nonzero(agreeing.good) > np.count_nonzero(good):
         predicted = agreeing
-    slip_std, loose_std = SLIP_RATE * interval_s, LOOSE_POSE_RATE * interval_s
+    loose_std = LOOSE_POSE_RATE * interval_s
     half_agrees = 2 * np.count_nonzero(predicted.good) >= m
     if half_agrees and _gain(innovation, loose_std, predicted.judged) <= pose_gate:
         return predicted
+    slip_std = SLIP_RATE * interval_s
     slip = weigh_loosely(innovation, slip_std, *WEIGHING)
     *_, tight_nis, loose_nis = slip
     left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
     if may_slip and left < BENT and _witnesses(agreeing, slip[1], gate) < MIN_WITNESSES:
         return _slipping(innovation, slip_std, slip, gate)
-    loose_inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
-        innovation, loose_std, *WEIGHING
-    )
-    if _witnesses(agreeing, distances, gate) >= MIN_WITNESSES:
-        outvoted = 2 * np.count_nonzero(agreeing.good) < np.count_nonzero(distances <= gate)
+    loose = weigh_loosely(innovation, loose_std, *WEIGHING)
+    if _witnesses(agreeing, loose[1], gate) >= MIN_WITNESSES:
+        outvoted = 2 * np.count_nonzero(agreeing.good) < np.count_nonzero(loose[1] <= gate)
         return changed(agreeing, good=np.zeros(m, bool)) if outvoted else agreeing
-    is_pose = loose_nis < BENT * tight_nis
-    if is_pose:
-        good = inliers(distances, r, outlier_probability)
-        judged = each_alone(innovation)  # the pixel noise grows where this goes on
-    else:
-        good = distances <= gate
-        good &= 2 * np.count_nonzero(good) >= m
-        judged = Judged(distances, noise_share, nis)
-    turned = left > TURNED and (is_pose or not good.any())
-    weighted = _with_noise(innovation, loose_inflation, whitening)
-    return Consensus(weighted, judged, good, contradicts_turn=turned)
+    found = _by_looser_pose(innovation, whitening, loose, outlier_probability)
+    is_turned = loose[-1] < BENT * loose[-2] or found.rejects_image
+    return changed(found, contradicts_turn=left > TURNED and is_turned)
 
 
 def _gain(innovation: Innovation, std: Array, judged: Judged) -> float:
@@ -233,6 +224,20 @@ def largest_agreement(innovation: Innovation, gate: float) -> np.ndarray:
     agree = distances <= gate
     best: np.ndarray = agree[:, np.argmax(np.count_nonzero(agree, axis=0))]
     return best
+
+
+def _by_looser_pose(
+    innovation: Innovation, whitening: Array, weighed: Weighed, outlier_probability: float
+) -> Consensus:
+    """Return what the features say of each other where the pose is uncertain, given their weights."""
+    inflation, distances, noise_share, nis, tight_nis, loose_nis = weighed
+    weighted = _with_noise(innovation, inflation, whitening)
+    m, r = innovation.residual.shape
+    if loose_nis < BENT * tight_nis:  # the pixel noise grows where this goes on
+        return Consensus(weighted, each_alone(innovation), inliers(distances, r, outlier_probability))
+    good = distances <= chi_square_quantile(1.0 - outlier_probability, r)
+    good &= 2 * np.count_nonzero(good) >= m
+    return Consensus(weighted, Judged(distances, noise_share, nis), good)
 
 
 def _slipping(innovation: Innovation, std: Array, weighed: Weighed, gate: float) -> Consensus:

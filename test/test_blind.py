@@ -31,9 +31,9 @@ from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
-from gyrocal_ros.effects import EFFECTS, find_effect
+from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
-from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import LIBRARY_RANGES, NOISES, OUT_OF_LIBRARY_RANGES
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY, VOLTAGE
@@ -296,6 +296,18 @@ def test_an_omission_costs_drift_or_scale(
     """A run that diverges costs, but not a recording that is too short for a blind minute."""
     known = bench._ModelError(known_deg, 0.0)
     assert bench._ModelError(drift_deg, scale_error).is_much_worse_than(known) == is_worse
+
+
+def test_the_truth_is_known_to_the_filter_in_its_time_constants_alone() -> None:
+    values = {'turn_hysteresis': (0.1, 20.0), 'rate_deadband': (0.003,)}
+    hidden = [HiddenEffect(find_effect(name), those) for name, those in values.items()]
+    models: list[SensorModel] = []
+    assert bench._with_truth(models.append, default_model(), hidden) is None  # type: ignore[arg-type]
+    by_name = {effect.name: effect.coefficients for effect in models[0].effects}
+    strength, tau = by_name['turn_hysteresis']
+    assert strength.prior_std == find_effect('turn_hysteresis').coefficients[0].prior_std
+    assert (tau.prior_mean, tau.prior_std) == (20.0, pytest.approx(4.0))
+    assert by_name['rate_deadband'][0].prior_std == 0.0, 'no filter estimates a limit'
 
 
 @pytest.fixture(scope='module')

@@ -26,6 +26,7 @@ from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects.traits import scanned_coefficient
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel, with_means
@@ -58,7 +59,7 @@ PAIRS = 20
 TRIPLES = 10
 """Number of cases with three effects at once; noise is none of them."""
 KNOWN_PART = 0.2
-"""Prior standard deviation of a coefficient that is known, as a part of its true value."""
+"""Prior standard deviation of a known time constant, as a part of it; a wide one may mislead the filter."""
 SHOWN = 8.0
 """Predictive log-likelihood that an effect gains where a recording shows it: that of 4 sigma."""
 MOMENT_S = 5.0
@@ -246,14 +247,16 @@ class _ModelError:
 def _with_truth(
     run: Callable[[SensorModel], Run], model: SensorModel, hidden: Sequence[HiddenEffect]
 ) -> Run | None:
-    """Run with these effects, known to `KNOWN_PART`; None where the filter diverges."""
+    """Run with these effects, their prior means at the true values; None where the filter diverges."""
     for item in hidden:
         known = with_means(item.effect, item.values)
-        coefficients = tuple(
-            replace(part, prior_std=min(part.prior_std, KNOWN_PART * abs(part.prior_mean)))
-            for part in known.coefficients
-        )
-        model = with_effect(model, replace(known, coefficients=coefficients))  # type: ignore[type-var]
+        place = scanned_coefficient(known)
+        if place is not None:
+            parts = [*known.coefficients]
+            std = min(parts[place].prior_std, KNOWN_PART * abs(parts[place].prior_mean))
+            parts[place] = replace(parts[place], prior_std=std)
+            known = replace(known, coefficients=tuple(parts))  # type: ignore[type-var]
+        model = with_effect(model, known)
     with suppress(FilterDivergedError):
         return run(model)
     return None

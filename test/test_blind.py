@@ -306,7 +306,7 @@ def test_the_truth_is_known_to_the_filter_in_its_time_constants_alone() -> None:
     by_name = {effect.name: effect.coefficients for effect in models[0].effects}
     strength, tau = by_name['turn_hysteresis']
     assert strength.prior_std == find_effect('turn_hysteresis').coefficients[0].prior_std
-    assert (tau.prior_mean, tau.prior_std) == (20.0, pytest.approx(4.0))
+    assert tau.prior_mean == 20.0 and tau.prior_std == pytest.approx(4.0)
     assert by_name['rate_deadband'][0].prior_std == 0.0, 'no filter estimates a limit'
 
 

@@ -22,6 +22,7 @@ from gyrocal_ros.bench.blind import (
     Case,
     blind,
     cases,
+    is_excused,
     is_right,
     row,
     run_blind,
@@ -30,9 +31,9 @@ from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
-from gyrocal_ros.effects import EFFECTS, find_effect
+from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
-from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import LIBRARY_RANGES, NOISES, OUT_OF_LIBRARY_RANGES
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY, VOLTAGE
@@ -144,12 +145,55 @@ class TestIsRight:
         assert all(OUT_OF_LIBRARY[name].right_effect for name in with_signal)
 
 
+class TestIsExcused:
+    """A twin excuses for one hidden effect that is not named, and never for one named besides."""
+
+    WARM_UP = finding(find_effect('bias_warmup'), 'bias_temperature')
+    LAG = finding(find_effect('gyro_lag'), 'camera_time_offset')
+
+    @staticmethod
+    def excused(
+        names: tuple[str, ...], *missing: MissingEffect, shown: tuple[str, ...] | None = None
+    ) -> bool:
+        return is_excused(names, names if shown is None else shown, replace(diagnosed(), missing=missing))
+
+    def test_a_twin_is_as_right_as_the_recording_allows(self) -> None:
+        two = ('gyro_lag', 'bias_temperature')
+        assert self.excused(two, self.LAG, self.WARM_UP)
+        assert not self.excused(two, self.WARM_UP), 'one missed'
+        assert not self.excused(two) and not self.excused((), self.LAG)
+
+    def test_one_named_for_two_that_are_the_same_here(self) -> None:
+        both = finding(find_effect('wheel_scale'), 'camera_position')
+        assert self.excused(('wheel_scale', 'camera_position'), both)
+
+    def test_a_third_effect_is_no_twin(self) -> None:
+        two, cubic = ('bias_temperature', 'scale_cubic'), finding(find_effect('scale_cubic'))
+        again = finding(find_effect('scale_asymmetry'), 'scale_cubic')
+        assert self.excused(two, self.WARM_UP, cubic)
+        assert not self.excused(two, self.WARM_UP, cubic, self.LAG)
+        assert not self.excused(two, self.WARM_UP, cubic, again)
+
+    def test_what_the_recording_does_not_show_need_not_be_named(self) -> None:
+        two = ('gyro_lag', 'bias_temperature')
+        assert self.excused(two, self.LAG, shown=('gyro_lag',))
+        assert self.excused(two, self.LAG, self.WARM_UP, shown=('gyro_lag',))
+        cubic = finding(find_effect('scale_cubic'))
+        assert not self.excused(two, self.LAG, cubic, shown=('gyro_lag',)), 'it stands for none'
+
+    def test_of_one_hidden_effect_the_first_named_counts(self) -> None:
+        cubic = finding(find_effect('scale_cubic'))
+        assert self.excused(('bias_temperature',), self.WARM_UP, cubic)
+        assert not self.excused(('bias_temperature',), cubic, self.WARM_UP)
+
+
 LAG = Case('gyro_lag', ('gyro_lag',))
 RIGHT = BlindResult(
     LAG,
     0,
     (('gyro_lag', (0.02,)),),
     is_costly=True,
+    shown=(900.0,),
     drift_known_deg=0.1,
     verdict='effect_found',
     named=('gyro_lag',),
@@ -170,7 +214,7 @@ WRONG = replace(RIGHT, named=('scale_cubic', 'turn_slip'), is_right=False, error
 MISSED = replace(
     WRONG, is_costly=False, verdict='nothing_missing', named=(), errors_sigma=(), drift_after_deg=2.0
 )
-DIVERGED = BlindResult(LAG, 9, RIGHT.hidden, is_costly=True, drift_known_deg=0.3)
+DIVERGED = BlindResult(LAG, 9, RIGHT.hidden, is_costly=True, shown=(900.0,), drift_known_deg=0.3)
 
 
 class TestRow:
@@ -254,6 +298,18 @@ def test_an_omission_costs_drift_or_scale(
     assert bench._ModelError(drift_deg, scale_error).is_much_worse_than(known) == is_worse
 
 
+def test_the_truth_is_known_to_the_filter_in_its_time_constants_alone() -> None:
+    values = {'turn_hysteresis': (0.1, 20.0), 'rate_deadband': (0.003,)}
+    hidden = [HiddenEffect(find_effect(name), those) for name, those in values.items()]
+    models: list[SensorModel] = []
+    assert bench._with_truth(models.append, default_model(), hidden) is None  # type: ignore[arg-type]
+    by_name = {effect.name: effect.coefficients for effect in models[0].effects}
+    strength, tau = by_name['turn_hysteresis']
+    assert strength.prior_std == find_effect('turn_hysteresis').coefficients[0].prior_std
+    assert tau.prior_mean == 20.0 and tau.prior_std == pytest.approx(4.0)
+    assert by_name['rate_deadband'][0].prior_std == 0.0, 'no filter estimates a limit'
+
+
 @pytest.fixture(scope='module')
 def short() -> BlindResult:
     """Two minutes that hide an effect: just long enough for a blind minute in the second half."""
@@ -268,6 +324,7 @@ def test_a_trial_holds_what_was_hidden_and_what_was_found(short: BlindResult) ->
     ((name, (lag_s,)),) = short.hidden
     assert name == 'gyro_lag' and LIBRARY_RANGES[name][0].low <= lag_s <= LIBRARY_RANGES[name][0].high
     assert short.named[0] == 'gyro_lag' and short.is_right and not short.is_excused
+    assert len(short.shown) == 1 and short.shown[0] > 100.0
     assert len(short.errors_sigma) == 1 and abs(short.errors_sigma[0]) < 4.0
     drifts = [short.drift_known_deg, short.drift_before_deg, short.drift_after_deg]
     assert all(math.isfinite(drift) for drift in drifts) and short.is_costly

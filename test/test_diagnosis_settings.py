@@ -126,7 +126,7 @@ class TestSweep:
         ) -> Iterator[Any]:
             tasks.extend(given)
             for case, seed, *_ in given:
-                yield BlindResult(case, seed, (), is_costly=False, drift_known_deg=0.1)
+                yield BlindResult(case, seed, (), is_costly=False, shown=(), drift_known_deg=0.1)
 
         monkeypatch.setattr(bench, 'in_parallel', in_order)
         monkeypatch.setattr(command, 'provenance', lambda: {'version': '0', 'machine': 'm'})

@@ -112,6 +112,17 @@ def test_vibration_is_the_variance_about_the_trend_for_any_blocks(block_s: float
     assert np.std(found[10:]) < 0.3 * np.mean(found)
 
 
+def test_vibration_that_begins_is_known_after_two_images() -> None:
+    """Late, it would look like an effect of the acceleration with which the robot starts."""
+    buffer, rng = MotionBuffer(), np.random.default_rng(0)
+    for i in range(400):
+        x, y, z = (0.2 if i >= 200 else 0.0) * rng.standard_normal(3)
+        buffer.add(ImuSample(at(i / 200), (0.0, 0.0, 0.0), (x, y, z + 9.8)))
+    edges = np.arange(0.0, 1.2, 1 / 15)
+    found = [buffer.cut(at(a), at(b)).vibration_m2_s4[0] for a, b in pairwise(edges.tolist())]
+    assert found[14] < 1e-9 and np.mean(found[-2:]) > 0.7 * 3 * 0.2**2
+
+
 def test_time_counts_from_the_first_imu_sample() -> None:
     buffer = filled()
     buffer.cut(at(0.0), at(0.5))

@@ -19,7 +19,7 @@ from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate, without_harm
 from gyrocal_ros.diagnose.examined import ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.improvement import improvement
-from gyrocal_ros.diagnose.noise import find_missing, or_noise
+from gyrocal_ros.diagnose.noise import MIN_GAIN, find_missing, or_noise
 from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.search import continued
 from gyrocal_ros.diagnose.status import ADD_NOISE, diagnosis_status, improvement_status
@@ -202,6 +202,45 @@ def test_noisy_readings_prove_white_noise_alone(
     found = or_noise(searched, recorded, runner(source), most=1)
     assert bool(asked) != is_white
     assert [item.effect.name for item in found.additions] == ([name] if is_white else [])
+
+
+@pytest.mark.parametrize(
+    ('gain', 'at_fault', 'named'),
+    [
+        (2.0 * MIN_GAIN, False, ['gyro_lag', 'rate_noise']),
+        (0.5 * MIN_GAIN, False, ['bias_instability']),
+        (0.5 * MIN_GAIN, True, ['gyro_lag']),
+    ],
+)
+def test_noise_beside_what_was_found_and_noise_in_its_place(
+    gain: float, at_fault: bool, named: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one that predicts better is returned; neither where the stamps are at fault."""
+    source = recording('', seconds=60.0)
+    recorded, run = summarise_recording(source), runner(source)
+    first = examine(default_model(), recorded, run)
+
+    def added(before: ExaminedModel, name: str) -> Addition:
+        item = addition(before, replace(before, model=with_effect(before.model, find_effect(name))))
+        vars(item)['is_kept'] = True
+        return item
+
+    lag = added(first, 'gyro_lag')
+
+    def with_noise_for(searched: Search, *about: object) -> Search:
+        name = 'bias_instability' if searched.first is first else 'rate_noise'
+        return Search(searched.first, (added(searched.first, name),))
+
+    def gained(before: Run, after: Run) -> Array:
+        return np.array([gain])
+
+    monkeypatch.setattr(noise, 'search', lambda *about: Search(first, (lag,)))
+    monkeypatch.setattr(noise, 'or_noise', with_noise_for)
+    monkeypatch.setattr(noise, 'eliminate', lambda searched, *about: searched)
+    monkeypatch.setattr(noise, 'predictive_gain', gained)
+    monkeypatch.setattr(noise, 'timing_fault', lambda examined: 'jitter' if at_fault else None)
+    found = find_missing(default_model(), recorded, run)
+    assert [item.effect.name for item in found.kept] == named
 
 
 @pytest.mark.slow

@@ -21,11 +21,12 @@ from synthetic import (
 )
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.additions import addition
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.elimination import eliminate
-from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.examined import examine, with_effect
 from gyrocal_ros.diagnose.improvement import improvement
-from gyrocal_ros.diagnose.search import search, try_effect
+from gyrocal_ros.diagnose.search import continued, search, try_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.traits import is_limit, may_break_the_filter
@@ -389,6 +390,36 @@ class TestLimits:
         assert [item.effect.name for item in found.kept] == ['gyro_lag']
         (confused,) = (item.confused_with for item in diagnose(found, AT_REST).missing[:1])
         assert ('rate_saturation' in confused) == is_alike
+
+
+class TestLimitSizes:
+    """The size of a limit that noise hides is fitted again beside an effect that is found later."""
+
+    @staticmethod
+    def found(best: float, gain: float) -> list[tuple[str, float]]:
+        """Return effects and first values after a search that starts with a narrow dead band."""
+        narrow, *_ = find_effect('rate_deadband').coefficients[0].scan
+        fake = FakeFilter({'gyro_lag': 3.0}, {'gyro_lag': 400.0})
+
+        def calibrate(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
+            limit = next(item for item in model.effects if item.name == 'rate_deadband')
+            is_best = math.isclose(limit.coefficients[0].prior_mean, best)
+            fake.predictive_gains['rate_deadband'] = gain if is_best else 0.0
+            return fake(model, candidates)
+
+        model = with_effect(default_model(), with_means(find_effect('rate_deadband'), (narrow,)))
+        present = examine(model, AT_REST, calibrate)
+        first = examine(default_model(), AT_REST, fake)
+        limited = addition(first, present)
+        vars(limited)['is_kept'] = True
+        last = continued([limited], present, AT_REST, calibrate, most=2)[-1].after
+        return [(item.name, item.coefficients[0].prior_mean) for item in last.model.effects]
+
+    @pytest.mark.parametrize(('gain', 'place'), [(50.0, 2), (0.5 * MIN_GAIN, 0)])
+    def test_the_width_that_predicts_best_is_taken(self, gain: float, place: int) -> None:
+        widths = find_effect('rate_deadband').coefficients[0].scan
+        found = dict(self.found(widths[2], gain))
+        assert 'gyro_lag' in found and found['rate_deadband'] == widths[place]
 
 
 class TestElimination:

@@ -9,7 +9,7 @@ import pytest
 from synthetic import drive, turning_rad_s
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.examined import ExaminedModel, with_effect
 from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.ranking import rank
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
@@ -99,8 +99,32 @@ def test_a_constant_offset_or_lag_is_an_effect_and_nothing_is_nothing(offsets_s:
     assert timing_fault(examined_with(offsets_s, 0.0, BOTH)) is None
 
 
+def with_offset(jitter_s: float) -> ExaminedModel:
+    """Return a model that has the mean offset of stamps that jitter; no candidate is left for it."""
+    examined = examined_with(np.zeros(BLOCKS), jitter_s, BOTH[1:])
+    history, seen = examined.run.history, examined.seen
+    per_second = np.where(np.isfinite(seen.seen_rad), history.turn_rad / history.dt_s / seen.std_rad, 0.0)
+    nis = history.dof + (jitter_s * per_second) ** 2
+    run = replace(examined.run, history=replace(history, nis=nis))
+    return replace(examined, run=run, model=with_effect(default_model(), find_effect('camera_time_offset')))
+
+
+def test_stamps_that_jitter_about_an_offset() -> None:
+    """The stamp of arrival is late by a mean, which is found as an effect, and jitters about that."""
+    fault = timing_fault(with_offset(0.02))
+    assert fault is not None and fault.kind == 'jitters' and fault.std_s == pytest.approx(0.02, rel=0.1)
+    assert timing_fault(with_offset(0.001)) is None
+
+
+def test_noise_that_grows_with_the_rate_beside_an_offset_is_no_jitter() -> None:
+    examined = with_offset(0.02)
+    seen = headings(examined.run, DEFAULT_SETTINGS)
+    noise_rad = 0.02 * np.random.default_rng(3).normal(size=len(seen.dt_s)) * seen.turn_rad / seen.dt_s
+    noisy = replace(seen, seen_rad=seen.seen_rad + np.cumsum(noise_rad))
+    assert timing_fault(replace(examined, seen=noisy)) is None
+
+
 def test_without_an_effect_on_the_time_there_is_no_answer() -> None:
-    """As in a model that has the offset already."""
     assert timing_fault(examined_with(SAWTOOTH_S, 0.0, BOTH[1:])) is None
 
 

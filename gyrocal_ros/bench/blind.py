@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
@@ -21,9 +22,11 @@ from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.drift import blind_drift
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects.traits import scanned_coefficient
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel, with_means
@@ -44,6 +47,7 @@ from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sensors import stream
 from gyrocal_ros.sim.varied import varied_scenario
 from gyrocal_ros.sim.world import SimSource
+from gyrocal_ros.statistics import vuong_sigma
 
 COSTLY_DRIFT_DEG = 0.5
 COSTLY_SCALE = 2e-4
@@ -54,6 +58,10 @@ PAIRS = 20
 """Number of cases with two effects at once."""
 TRIPLES = 10
 """Number of cases with three effects at once; noise is none of them."""
+KNOWN_PART = 0.2
+"""Prior standard deviation of a known time constant, as a part of it; a wide one may mislead the filter."""
+SHOWN = 8.0
+"""Predictive log-likelihood that an effect gains where a recording shows it: that of 4 sigma."""
 MOMENT_S = 5.0
 """Maximum error of the reported time of a jump."""
 
@@ -77,6 +85,8 @@ class BlindResult:
     """Names and true values."""
     is_costly: bool
     """True if the omission of any one of them from the model exceeds a threshold."""
+    shown: tuple[float, ...]
+    """Predictive log-likelihood that each one gains, all at their true values; see `SHOWN`."""
     drift_known_deg: float
     """Blind drift with the true sensor model."""
     verdict: str = 'diverged'
@@ -88,7 +98,7 @@ class BlindResult:
     """Description of the structure that no effect explains."""
     is_right: bool = False
     is_excused: bool = False
-    """True if not right, but all hidden effects are named or indistinguishable from named ones."""
+    """True if not right, but as right as this recording allows; see `is_excused`."""
     errors_sigma: tuple[float, ...] = ()
     """Errors of the coefficients of effects that were found, in standard deviations."""
     drift_before_deg: float = math.nan
@@ -201,22 +211,20 @@ def run_blind(
         has_run = searched is not None and searched.first.model == model
         return searched.first.run if has_run else run(model)  # type: ignore[union-attr]
 
-    known = _model_error(finished, present, hidden, scale_factor)
+    rest = [hidden[:i] + hidden[i + 1 :] for i in range(len(hidden))]
+    known, *without = (_with_truth(finished, present, items) for items in (hidden, *rest))
+    least = _model_error(known, scale_factor)
     result = BlindResult(
         case=case,
         seed=seed,
         hidden=tuple((item.effect.name, item.values) for item in hidden),
-        is_costly=all(
-            _model_error(finished, present, hidden[:i] + hidden[i + 1 :], scale_factor).is_much_worse_than(
-                known
-            )
-            for i in range(len(hidden))
-        ),
-        drift_known_deg=known.drift_deg,
+        is_costly=all(_model_error(item, scale_factor).is_much_worse_than(least) for item in without),
+        shown=tuple(float(_gain(item, known).sum()) for item in without),
+        drift_known_deg=least.drift_deg,
     )
     if searched is None:
         return result
-    return _with_diagnosis(result, hidden, searched, diagnose(searched, recorded))
+    return _with_diagnosis(result, hidden, searched, diagnose(searched, recorded), known)
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,38 +244,67 @@ class _ModelError:
         return not (cost_deg <= COSTLY_DRIFT_DEG and self.scale_error <= COSTLY_SCALE)
 
 
-def _model_error(
-    run: Callable[[SensorModel], Run],
-    model: SensorModel,
-    hidden: Sequence[HiddenEffect],
-    scale_factor: float,
-) -> _ModelError:
-    """Return the errors of the model with these effects, its prior means at their true values."""
+def _with_truth(
+    run: Callable[[SensorModel], Run], model: SensorModel, hidden: Sequence[HiddenEffect]
+) -> Run | None:
+    """Run with these effects, their prior means at the true values; None where the filter diverges."""
     for item in hidden:
-        model = with_effect(model, with_means(item.effect, item.values))
-    try:
-        finished = run(model)
-    except FilterDivergedError:
+        known = with_means(item.effect, item.values)
+        place = scanned_coefficient(known)
+        if place is not None:
+            parts = [*known.coefficients]
+            std = min(parts[place].prior_std, KNOWN_PART * abs(parts[place].prior_mean))
+            parts[place] = replace(parts[place], prior_std=std)
+            known = replace(known, coefficients=tuple(parts))  # type: ignore[type-var]
+        model = with_effect(model, known)
+    with suppress(FilterDivergedError):
+        return run(model)
+    return None
+
+
+def _model_error(run: Run | None, scale_factor: float) -> _ModelError:
+    """Return the errors of a run; NaN without one."""
+    if run is None:
         return _ModelError(math.nan, math.nan)
-    scale_error = abs((1.0 + float(finished.state.coefficients[0])) / scale_factor - 1.0)
-    return _ModelError(_drift_deg(finished), scale_error)
+    scale_error = abs((1.0 + float(run.state.coefficients[0])) / scale_factor - 1.0)
+    return _ModelError(_drift_deg(run), scale_error)
+
+
+def _gain(before: Run | None, after: Run | None) -> Array:
+    """Return the predictive log-likelihood gained in each block of time; infinite where one diverged."""
+    if before is None or after is None:
+        return np.array([math.inf if before is None else -math.inf])
+    return predictive_gain(before, after)
+
+
+def _tells_apart(searched: Search, known: Run | None) -> bool:
+    """Return True if the recording is predicted clearly better with the truth than with what was found."""
+    sigma = 0.0 if known is None else vuong_sigma(_gain(searched.last.run, known))
+    return sigma > searched.last.settings.indistinguishable_sigma
 
 
 def _with_diagnosis(
-    result: BlindResult, hidden: Sequence[HiddenEffect], searched: Search, found: Diagnosis
+    result: BlindResult,
+    hidden: Sequence[HiddenEffect],
+    searched: Search,
+    found: Diagnosis,
+    known: Run | None,
 ) -> BlindResult:
-    """Return the result with the answers of the diagnosis."""
+    """Return the result with the answers of the diagnosis; `known` is a run with the truth."""
     named = {missing.effect.name: missing.confused_with for missing in found.missing}
+    twins = {name for names in named.values() for name in names}
     right = is_right(result.case, hidden, found)
-    possible = {*named, *(name for names in named.values() for name in names)}
+    shown = [name for name, gain in zip(result.case.names, result.shown, strict=True) if gain > SHOWN]
     return replace(
         result,
         verdict=found.verdict,
         named=tuple(named),
-        excuses=tuple(sorted(possible - set(named))),
+        excuses=tuple(sorted(twins - set(named))),
         left=found.unexplained.what if found.unexplained is not None else '',
         is_right=right,
-        is_excused=not right and bool(hidden) and possible.issuperset(result.case.names),
+        is_excused=not right
+        and is_excused(result.case.names, shown, found)
+        and not _tells_apart(searched, known),
         errors_sigma=tuple(_errors_sigma(hidden, found)),
         drift_before_deg=_drift_deg(searched.first.run),
         drift_after_deg=_drift_deg(searched.last.run),
@@ -292,6 +329,18 @@ def is_right(case: Case, hidden: Sequence[HiddenEffect], found: Diagnosis) -> bo
     if named[:1] == [unknown.right_effect]:
         return True
     return structure is not None and structure.shape.signal == unknown.right_signal
+
+
+def is_excused(names: Sequence[str], shown: Sequence[str], found: Diagnosis) -> bool:
+    """Return True if a diagnosis is as right as the recording allows.
+
+    Each hidden effect that it shows is named or indistinguishable from a named one, and each one named
+    stands for a hidden one. Of one hidden effect the first one named counts, as in `is_right`.
+    """
+    missing = found.missing if len(names) > 1 else found.missing[:1]
+    stands_for = [{item.effect.name, *item.confused_with}.intersection(names) for item in missing]
+    no_other = all(stands_for) and len(missing) <= len(names)
+    return bool(names) and no_other and set().union(*stands_for) >= set(shown)
 
 
 def _errors_sigma(hidden: Sequence[HiddenEffect], found: Diagnosis) -> Iterator[float]:

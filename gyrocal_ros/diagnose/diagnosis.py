@@ -11,6 +11,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.additions import NONE, Search
 from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_heading
 from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.look_alikes import look_alikes
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds, indistinguishable
 from gyrocal_ros.diagnose.regimes import Failure, failures
@@ -143,7 +144,7 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
     def drift_deg(examined: ExaminedModel, known_from_s: float) -> float:
         return blind_drift(examined.run, reference, max(from_s, known_from_s)).rms_deg
 
-    confused = _confused(searched)
+    confused = look_alikes(searched)
     for item in searched.kept:
         values, stds = searched.last.estimate_of(item.effect.name)
         yield MissingEffect(
@@ -177,27 +178,6 @@ def _not_added(best: RankedEffect, examined: ExaminedModel) -> MissingEffect:
         drift_after_deg=float('nan'),
         confused_with=tuple(confused),
     )
-
-
-def _confused(searched: Search) -> dict[str, tuple[str, ...]]:
-    """Return the effects that each effect found may be confused with, beside the others found.
-
-    The score statistics are those of the first model; a limit has none, and was tried in a run. Effects that
-    a run of their own has told apart are not confused.
-    """
-    first = searched.first
-    outperformed = {item.effect.name: item.outperformed for item in searched.kept}
-    alike = {item.effect.name: item.alike for item in searched.kept}
-    found = {item.effect.name: item for item in first.ranked if item.effect.name in outperformed}
-    confused = {}
-    for name, effect in found.items():
-        rest = [item.fit.columns for item in found.values() if item is not effect]
-        beside = np.concatenate(rest) if rest else np.empty(0, np.int64)
-        excluded = {*outperformed, *outperformed[name]}
-        others = [item for item in first.ranked if item.effect.name not in excluded]
-        like = indistinguishable(effect, others, first.scores, beside, first.settings)
-        confused[name] = (*like, *(limit for limit in alike[name] if limit not in outperformed))
-    return confused
 
 
 def _verdict(

@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
+from gyrocal_ros.diagnose.alternatives import best_alternative
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model
 from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood
@@ -18,7 +19,8 @@ from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import white_noise
-from gyrocal_ros.effects.traits import is_noise, is_white_noise
+from gyrocal_ros.diagnose.timing import timing_fault
+from gyrocal_ros.effects.traits import is_white_noise
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel
@@ -44,13 +46,26 @@ def find_missing(
 ) -> Search:
     """Find what a model lacks: effects, or noise where nothing else explains the recording; see `search`.
 
-    Noise that is the smaller part of what is missing shows beside the effects that were found.
+    Noise that is the smaller part of what is missing shows beside the effects that were found. A noise that
+    is the larger part takes in what an effect does to the headings. So both are tried, noise beside what was
+    found and noise in its place, and the one that predicts better is returned. Neither is tried where the
+    stamps are at fault.
     """
-    searched = or_noise(search(model, recording, calibrate, most, settings), recording, calibrate, most)
-    if searched.kept and not any(is_noise(item.effect) for item in searched.kept):
-        beside = or_noise(Search(searched.last, ()), recording, calibrate, most)
-        searched = replace(searched, additions=(*searched.additions, *beside.additions))
-    return eliminate(searched, recording, calibrate)
+    found = search(model, recording, calibrate, most, settings)
+    found = best_alternative(found, recording, calibrate, most)
+    if timing_fault(found.last) is not None:
+        return eliminate(found, recording, calibrate)
+    instead = or_noise(found, recording, calibrate, most)
+    if not found.kept:
+        return eliminate(instead, recording, calibrate)
+    noise = or_noise(Search(found.last, ()), recording, calibrate, most)
+    beside = replace(found, additions=(*found.additions, *noise.additions))
+    beside = eliminate(beside, recording, calibrate)
+    if instead is found:
+        return beside
+    instead = eliminate(instead, recording, calibrate)
+    gain = float(predictive_gain(instead.last.run, beside.last.run).sum())
+    return beside if gain > MIN_GAIN else instead
 
 
 def or_noise(

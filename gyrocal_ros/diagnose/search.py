@@ -20,6 +20,7 @@ from gyrocal_ros.diagnose.examined import (
     wider_model,
     with_effect,
 )
+from gyrocal_ros.diagnose.limit_sizes import resized
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
 from gyrocal_ros.diagnose.model_fit import excess_nis
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
@@ -36,7 +37,7 @@ from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.traits import is_estimated
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
-from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
+from gyrocal_ros.model.sensor import Effect, LimitEffect, SensorModel, with_means
 from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
 
 MAX_ADDITIONS = 6
@@ -124,19 +125,29 @@ def continued(
     recording: RecordingSummary,
     calibrate: Calibrate,
     most: int,
+    without: frozenset[str] = frozenset(),
 ) -> list[Addition]:
     """Add one effect after the other, until nothing more is found or enough were tried.
 
     Coefficients that were inexact at the start of the run leave errors that look like further effects. So
     before an effect is tried that gains little beside those found, the filter runs again from the estimates.
+
+    Args:
+        additions: what was added before.
+        present: the model with it.
+        recording: summary of the recording.
+        calibrate: runs the filter.
+        most: number of additions in all.
+        without: names of effects that are not to be tried.
     """
     found = [*additions]
     is_exact = False
     while len(found) < most:
         least_gain = 0.0 if is_exact else _residual_gain(found, present.settings)
-        excluded = _not_to_try(found)
+        excluded = _not_to_try(found) | without
         following = _next_addition(present, recording, calibrate, excluded, least_gain)
         if following is not None:
+            following = _with_limits_resized(following, found, recording, calibrate)
             found.append(following)
             if following.is_kept:
                 present, is_exact = following.after, False
@@ -146,6 +157,17 @@ def continued(
         added = {item.effect.name for item in found if item.is_kept}
         present, is_exact = _relinearised(present, added, recording, calibrate), True
     return found
+
+
+def _with_limits_resized(
+    added: Addition, found: Sequence[Addition], recording: RecordingSummary, calibrate: Calibrate
+) -> Addition:
+    """Fit limits that were found before an effect again beside it."""
+    limits = {item.effect.name for item in found if item.is_kept and isinstance(item.effect, LimitEffect)}
+    if not limits or not added.is_kept:
+        return added
+    better = replace(added, after=resized(added.after, limits, recording, calibrate))
+    return better if better.is_kept else added
 
 
 def _residual_gain(found: Sequence[Addition], settings: DiagnosisSettings) -> float:

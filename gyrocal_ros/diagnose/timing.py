@@ -16,7 +16,7 @@ import numpy as np
 from gyrocal_ros.data import IntArray
 from gyrocal_ros.diagnose.candidates import columns_of
 from gyrocal_ros.diagnose.examined import ExaminedModel
-from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood
+from gyrocal_ros.diagnose.heading_filter import Headings, heading_log_likelihood
 from gyrocal_ros.diagnose.model_fit import excess_nis
 from gyrocal_ros.diagnose.noise_fit import fit_noises
 from gyrocal_ros.diagnose.ranking import explained_together
@@ -63,10 +63,16 @@ def timing_fault(examined: ExaminedModel) -> TimingFault | None:
     """Return the timing fault that explains a recording better than all effects do; None without.
 
     To first order an image that is late by dt has the innovation `G dt`, with the sensitivity G to the time
-    offset. So `E[NIS - dof] = dt^2 G^T S^-1 G`, and the score statistics give dt for each block.
+    offset. So `E[NIS - dof] = dt^2 G^T S^-1 G`, and the score statistics give dt for each block. Beside an
+    offset that the model has there are none, so only jitter is judged, by the headings.
     """
+    if not _shows_in_turns(examined):
+        return None
+    if any(effect.acts_on == 'time' for effect in examined.model.effects):
+        known = explained_together(examined.ranked, examined.scores, examined.settings)
+        return _jitter(examined, known, _heading_information(examined.seen), (0.0, 0.0))
     columns = _time_columns(examined)
-    if len(columns) != 1 or not _shows_in_turns(examined):
+    if len(columns) != 1:
         return None
     scores = examined.scores
     score = scores.score[:, columns[0]]
@@ -75,21 +81,45 @@ def timing_fault(examined: ExaminedModel) -> TimingFault | None:
     score, information = score[excited], information[excited]
     if len(score) < 2:
         return None
-    excess = excess_nis(examined.run)
     offsets_s, stds_s = score / information, 1.0 / np.sqrt(information)
     sharp = offsets_s[stds_s < MIN_STD * np.ptp(offsets_s)]
     gain = 0.5 * float(np.sum(score**2 / information))
     known = explained_together(examined.ranked, scores, examined.settings)
     spread = (float(sharp.min()), float(sharp.max())) if len(sharp) else (0.0, 0.0)
+    excess = excess_nis(examined.run)
     if 2.0 * max(gain, known) < JITTERS_PART * excess:
-        std_s = math.sqrt(excess / float(information.sum()))
-        is_jitter = std_s > MIN_CHANGE_S and _errs_by_image(examined, std_s)
-        return TimingFault('jitters', *spread, std_s, 0.5 * excess) if is_jitter else None
+        return _jitter(examined, max(gain, known), float(information.sum()), spread)
     price = examined.settings.coefficient_price * len(score)
     explains = gain - price > MARGIN * known and 2.0 * gain > CHANGES_PART * excess
     if not explains or spread[1] - spread[0] < MIN_CHANGE_S:
         return None
     return TimingFault('changes', *spread, float(np.std(sharp)), gain)
+
+
+def _jitter(
+    examined: ExaminedModel, explained: float, information: float, spread_s: tuple[float, float]
+) -> TimingFault | None:
+    """Return jitter that explains the excess of the NIS where little else does; None without.
+
+    Args:
+        examined: a model.
+        explained: log-likelihood that anything else gains.
+        information: about a constant offset, 1/s^2.
+        spread_s: lowest and highest offset over some seconds.
+    """
+    excess = excess_nis(examined.run)
+    if excess <= 0.0 or information <= 0.0 or 2.0 * explained >= JITTERS_PART * excess:
+        return None
+    std_s = math.sqrt(excess / information)
+    is_jitter = std_s > MIN_CHANGE_S and _errs_by_image(examined, std_s)
+    return TimingFault('jitters', *spread_s, std_s, 0.5 * excess) if is_jitter else None
+
+
+def _heading_information(seen: Headings) -> float:
+    """Return the information about a constant offset, 1/s^2, that the headings of the images contain."""
+    is_seen = np.isfinite(seen.seen_rad)
+    per_second = (seen.turn_rad / seen.dt_s)[is_seen] / seen.std_rad[is_seen]
+    return float(np.sum(per_second**2))
 
 
 def _time_columns(examined: ExaminedModel) -> IntArray:

@@ -30,8 +30,10 @@ DROPOUT_INTERVALS, MIN_DROPOUT_NS = 4.0, 15_000_000
 DROPOUT_S = 1.0
 """Scale of the weight of a dropout: one of length t counts as a gap of t * t / DROPOUT_S, since the rates at
 its ends are known."""
-VIBRATION_S = 0.2
-"""Time constant of the estimate of the vibration."""
+VIBRATION_S = 0.05
+"""Time constant of the estimate of the vibration. What the vibration does to the heading adds up, so a longer
+one makes nothing more certain; and where the robot starts or stops, a late estimate looks like an effect of
+the acceleration."""
 WHEEL_TIMEOUT_NS = 300_000_000
 """Maximum lag of the encoders behind the IMU; beyond it, prediction continues without them."""
 SPEED_SIGNAL = 'wheel_odometry.twist.twist.linear.x'

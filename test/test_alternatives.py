@@ -1,0 +1,72 @@
+"""Other combinations of effects than what a search found step by step, with a filter made of numbers."""
+
+from __future__ import annotations
+
+import pytest
+from test_search import AT_REST, MIN_GAIN, FakeFilter
+
+from gyrocal_ros.diagnose import alternatives
+from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.alternatives import best_alternative
+from gyrocal_ros.diagnose.search import MAX_ADDITIONS, search
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
+from gyrocal_ros.effects import default_model
+
+BOTH = 450.0
+"""Predictive log-likelihood that the two effects found gain together."""
+PRICE = DEFAULT_SETTINGS.coefficient_price + 0.5 * DEFAULT_SETTINGS.significant_sigma**2
+NAMES = ['gyro_lag', 'scale_cubic']
+
+
+def found_by(fake: FakeFilter) -> Search:
+    """Search with a filter to which the lag shows most, the cubic next; a slip shows as the cubic does."""
+    return search(default_model(), AT_REST, fake, most=2)
+
+
+def alternative(fake: FakeFilter, found: Search) -> list[str]:
+    best = best_alternative(found, AT_REST, fake, MAX_ADDITIONS)
+    return [item.effect.name for item in best.kept]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ('alone', 'is_better'), [(BOTH + 2.0 * MIN_GAIN, True), (BOTH - PRICE - MIN_GAIN, False)]
+)
+def test_an_effect_that_others_look_like_is_contested_with_all_that_follows(
+    alone: float, is_better: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without it a slip is found, which predicts as well as both."""
+    fake = FakeFilter(
+        {'gyro_lag': 3.0, 'scale_cubic': 1.0},
+        {'gyro_lag': 400.0, 'turn_slip': alone},
+        beside={'gyro_lag': BOTH - 90.0, 'scale_cubic': 90.0, 'turn_slip': 0.0},
+    )
+    found = found_by(fake)
+    assert [item.effect.name for item in found.kept] == NAMES
+    monkeypatch.setattr(alternatives, 'look_alikes', lambda searched: {'gyro_lag': ('turn_slip',)})
+    fake.hidden = {'turn_slip': 3.0}
+    without = search(default_model(), AT_REST, fake, most=1)
+    monkeypatch.setattr(alternatives, 'continued', lambda *about: without.additions)
+    assert alternative(fake, found) == (['turn_slip'] if is_better else NAMES)
+
+
+@pytest.mark.slow
+def test_an_effect_that_is_only_left_out_is_no_alternative(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = FakeFilter(
+        {'gyro_lag': 3.0, 'scale_cubic': 2.0},
+        {'gyro_lag': 400.0, 'scale_cubic': 2.0 * BOTH},
+        beside={'gyro_lag': BOTH - 90.0, 'scale_cubic': 90.0},
+    )
+    found = found_by(fake)
+    assert [item.effect.name for item in found.kept] == NAMES
+    tried = len(fake.models)
+    assert alternative(fake, found) == NAMES and len(fake.models) == tried, 'nothing looks like them'
+    monkeypatch.setattr(alternatives, 'look_alikes', lambda searched: {'gyro_lag': ('turn_slip',)})
+    assert alternative(fake, found) == NAMES
+    assert all('gyro_lag' not in names for names in fake.models[tried:]) and len(fake.models) > tried
+
+
+def test_one_effect_alone_was_contested_by_the_search() -> None:
+    fake = FakeFilter({'gyro_lag': 3.0}, {'gyro_lag': 400.0})
+    found = found_by(fake)
+    assert len(found.kept) == 1 and best_alternative(found, AT_REST, fake, MAX_ADDITIONS) is found

@@ -58,20 +58,6 @@ class TestChiSquare:
         value = chi_square_quantile(probability, dof)
         assert 1.0 - chi_square_tail(value, dof) == pytest.approx(probability, rel=1e-9)
 
-    @pytest.mark.parametrize('dof', [0.3, 1.0, 2.0, 2.7, 3.0, 6.0, 33.3, 1000.0])
-    def test_it_agrees_with_scipy(self, dof: float) -> None:
-        for probability in (0.001, 0.01, 0.2, 0.5, 0.8, 0.99, 0.999, 1.0 - 7e-6, 1.0 - 1e-12):
-            expected = special.chdtri(dof, 1.0 - probability)
-            assert chi_square_quantile(probability, dof) == pytest.approx(expected, rel=1e-12)
-        for value in (1e-3, 0.1, 1.0, 10.0, 100.0, 990.0, 1010.0):
-            expected = special.chdtrc(dof, value)
-            assert chi_square_tail(value, dof) == pytest.approx(expected, rel=1e-11, abs=SMALLEST_P_VALUE)
-
-    def test_the_ends_of_the_range(self) -> None:
-        assert chi_square_quantile(0.0, 3) == 0.0 and chi_square_quantile(1.0, 3) == math.inf
-        assert chi_square_quantile(1e-12, 2) == pytest.approx(2e-12, rel=1e-9)
-        assert chi_square_tail(math.inf, 3) == 0.0
-
 
 class TestNormal:
     def test_quantiles_from_a_table(self) -> None:
@@ -94,7 +80,6 @@ def test_trigamma() -> None:
     assert trigamma(1.0) == pytest.approx(math.pi**2 / 6.0)
     for x in (0.5, 1.3, 20.0):
         assert trigamma(x) - trigamma(x + 1.0) == pytest.approx(1.0 / x**2)
-        assert trigamma(x) == pytest.approx(float(special.polygamma(1, x)), rel=1e-12)
 
 
 def test_trigamma_is_the_variance_of_the_logarithm_of_a_mean_of_squares() -> None:

@@ -20,6 +20,7 @@ from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
 from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
+from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
 from gyrocal_ros.ekf.state import POSE, YAW, State
@@ -129,13 +130,16 @@ def update_from_image(
         drop_after = model.config.features.drop_after_rejections
         kept = count_matches(state, rows, good, observed.pixels, directions, drop_after)
     is_in_pixels = model.form.rows == 2
+    dropped = len(state.landmarks.ids) - len(kept.landmarks.ids)
+    if dropped:
+        seen = changed(seen, dropped_ids=np.setdiff1d(state.landmarks.ids, kept.landmarks.ids))
     return kept, changed(
         seen,
         slips=found.slip_std is not None,
         contradicts_turn=found.contradicts_turn,
         used=used_count,
         rejected=len(good) - used_count,
-        dropped=len(state.landmarks.ids) - len(kept.landmarks.ids),
+        dropped=dropped,
         stats=stats,
         by_feature=by_feature,
         heading_rad=heading_rad,
@@ -181,15 +185,19 @@ def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
     return Consensus(innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability))
 
 
-def unmapped(state: State, observations: FeatureObservations, map_size: int) -> list[int]:
-    """Return the indices of observed features that are not in the map and for which there is room.
+def unmapped(
+    state: State, observations: FeatureObservations, moving: MovingFeatures, map_size: int
+) -> list[int]:
+    """Return the indices of fixed features that are not in the map and for which there is room.
 
     No feature of the map that was just seen is evicted: one known for longer is worth more.
     """
     known, _ = match_ids(state.landmarks.ids, observations.ids)
     if len(known) == len(observations.ids):
         return []
-    new = np.setdiff1d(np.arange(len(observations.ids)), known).tolist()
+    is_new = np.ones(len(observations.ids), bool)
+    is_new[known] = False
+    new = np.flatnonzero(is_new & moving.are_fixed(observations.ids)).tolist()
     just_seen = int(np.count_nonzero(state.landmarks.last_seen_ns == state.t_ns))
     return new[: max(map_size - just_seen, 0)]
 

@@ -40,6 +40,8 @@ BENT = 0.1
 TURNED = 0.2
 """Share of a contradiction that a slip leaves, above which another turn is needed to explain it."""
 POSE_DOF = 6
+MIN_WITNESSES = 3
+"""Features that agree with the predicted pose and contradict another one, from which it is not that one."""
 Weighed: TypeAlias = tuple[Array, Array, Array, float, float, float]
 """What `weigh_loosely` returns."""
 MIN_FEATURES = 5
@@ -134,7 +136,8 @@ def consensus(
     an effect that the model lacks may have turned it, and those that show the effect best would be rejected
     first. They are then judged with a looser pose: by a wider gate if that explains what they show. If not,
     and most of them contradict each other, none is used: an image in the dark or of a hand still has corners.
-    Few features do not contradict the pose, for they do not determine one.
+    Few features do not contradict the pose, for they do not determine one. Features that agree with the
+    predicted pose are witnesses against any other one that contradicts them: a wrong pose has none.
 
     Args:
         innovation: of the m features.
@@ -151,30 +154,102 @@ def consensus(
     inflation, distances, noise_share, nis, whitening = weigh(innovation, *WEIGHING)
     by_pose, good = Judged(distances, noise_share, nis), distances <= gate
     # Even all features together may be closer to the prediction than a contradicted pose.
+    predicted = Consensus(_with_noise(innovation, inflation, whitening), by_pose, good)
     if m < MIN_FEATURES or nis <= pose_gate:
-        return Consensus(_with_noise(innovation, inflation, whitening), by_pose, good)
-    slip_std, loose_std = SLIP_RATE * interval_s, LOOSE_POSE_RATE * interval_s
+        return predicted
+    loose_std = LOOSE_POSE_RATE * interval_s
+    if np.count_nonzero(good) == m and looser_pose_gain(innovation, loose_std, distances) <= pose_gate:
+        return predicted  # no agreement is larger
+    agreeing = _by_largest_agreement(innovation, gate)
+    if np.count_nonzero(agreeing.good) > np.count_nonzero(good):
+        predicted = agreeing
+    half_agrees = 2 * np.count_nonzero(predicted.good) >= m
+    if half_agrees and looser_pose_gain(innovation, loose_std, predicted.judged.distances) <= pose_gate:
+        return predicted
+    slip_std = SLIP_RATE * interval_s
     slip = weigh_loosely(innovation, slip_std, *WEIGHING)
     *_, tight_nis, loose_nis = slip
     left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
-    if may_slip and left < BENT:
+    if may_slip and left < BENT and _witnesses(agreeing, slip[1], gate) < MIN_WITNESSES:
         return _slipping(innovation, slip_std, slip, gate)
-    loose_inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
-        innovation, loose_std, *WEIGHING
-    )
-    if 2 * np.count_nonzero(good) >= m and tight_nis - loose_nis <= pose_gate:
-        return Consensus(_with_noise(innovation, inflation, whitening), by_pose, good)
-    is_pose = loose_nis < BENT * tight_nis
-    if is_pose:
-        good = inliers(distances, r, outlier_probability)
-        judged = each_alone(innovation)  # the pixel noise grows where this goes on
-    else:
-        good = distances <= gate
-        good &= 2 * np.count_nonzero(good) >= m
-        judged = Judged(distances, noise_share, nis)
-    turned = left > TURNED and (is_pose or not good.any())
-    weighted = _with_noise(innovation, loose_inflation, whitening)
-    return Consensus(weighted, judged, good, contradicts_turn=turned)
+    loose = weigh_loosely(innovation, loose_std, *WEIGHING)
+    if _witnesses(agreeing, loose[1], gate) >= MIN_WITNESSES:
+        outvoted = 2 * np.count_nonzero(agreeing.good) < np.count_nonzero(loose[1] <= gate)
+        return changed(agreeing, good=np.zeros(m, bool)) if outvoted else agreeing
+    found = _by_looser_pose(innovation, whitening, loose, outlier_probability)
+    is_turned = loose[-1] < BENT * loose[-2] or found.rejects_image
+    return changed(found, contradicts_turn=left > TURNED and is_turned)
+
+
+@compiled
+def looser_pose_gain(innovation: Innovation, std: Array, distances: Array) -> float:
+    """Return by how much a looser pose explains the better half of the features better, in NIS.
+
+    Args:
+        innovation: of the m features.
+        std: (6,) standard deviations of the further errors of the pose.
+        distances: (m,) squared Mahalanobis distances that tell which features are better.
+
+    Raises:
+        FilterDivergedError: S is not positive definite.
+    """
+    m = len(innovation.rows)
+    better, loose = np.argsort(distances)[: (m + 1) // 2], _with_looser_pose(innovation, std)
+    tight_nis, loose_nis = (_squared_norm(each, np.ones(m), better) for each in (innovation, loose))
+    return tight_nis - loose_nis
+
+
+def _witnesses(agreeing: Consensus, distances: Array, gate: float) -> int:
+    """Return how many features agree with the predicted pose and contradict another one by distances (m,)."""
+    return int(np.count_nonzero(agreeing.good & (distances > gate)))
+
+
+def _by_largest_agreement(innovation: Innovation, gate: float) -> Consensus:
+    """Judge the features of an image by those of the largest agreement: Huber's weights, in one step.
+
+    Weights by iteration do not get there from those of all features, where many contradict each other. From
+    such a start one step is enough (Bickel 1975).
+    """
+    agrees = largest_agreement(innovation, gate)
+    judged = leave_one_out(innovation, np.where(agrees, 1.0, MAX_INFLATION))
+    inflation = np.clip(np.sqrt(judged.distances) / HUBER_BOUND, 1.0, MAX_INFLATION)
+    weighed = changed(innovation, covariance=_inflated(innovation, inflation))
+    return Consensus(weighed, judged, judged.distances <= gate)
+
+
+def largest_agreement(innovation: Innovation, gate: float) -> np.ndarray:
+    """Return which features (m,), bool, agree with the predicted pose and with each other.
+
+    The pose is corrected by one feature, and those that agree with it then are counted; the feature that most
+    agree with wins (one-point RANSAC, Civera et al. 2010, with every feature instead of random ones).
+    """
+    m = len(innovation.rows)
+    residual, each = innovation.residual, np.arange(m)
+    cross = innovation.covariance.transpose(0, 2, 1, 3)  # (m, m, r, r)
+    own = cross[each, each]
+    gains = cross @ np.linalg.inv(own)[None]  # of feature j by feature i
+    left = residual[:, None] - (gains @ residual[None, :, :, None])[..., 0]
+    variance = own[:, None] - gains @ cross.transpose(0, 1, 3, 2)
+    variance[each, each] = own
+    left[each, each] = residual
+    distances = np.einsum('jir,jirs,jis->ji', left, np.linalg.inv(variance), left)
+    agree = distances <= gate
+    best: np.ndarray = agree[:, np.argmax(np.count_nonzero(agree, axis=0))]
+    return best
+
+
+def _by_looser_pose(
+    innovation: Innovation, whitening: Array, weighed: Weighed, outlier_probability: float
+) -> Consensus:
+    """Return what the features say of each other where the pose is uncertain, given their weights."""
+    inflation, distances, noise_share, nis, tight_nis, loose_nis = weighed
+    weighted = _with_noise(innovation, inflation, whitening)
+    m, r = innovation.residual.shape
+    if loose_nis < BENT * tight_nis:  # the pixel noise grows where this goes on
+        return Consensus(weighted, each_alone(innovation), inliers(distances, r, outlier_probability))
+    good = distances <= chi_square_quantile(1.0 - outlier_probability, r)
+    good &= 2 * np.count_nonzero(good) >= m
+    return Consensus(weighted, Judged(distances, noise_share, nis), good)
 
 
 def _slipping(innovation: Innovation, std: Array, weighed: Weighed, gate: float) -> Consensus:

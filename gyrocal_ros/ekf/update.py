@@ -111,6 +111,8 @@ class MeasurementUpdate:
     """Numbers of features used, rejected as outliers, removed because they were outliers in several images
     (points that are not fixed in space), not used because unmoved, added to the map, and dropped by the
     tracker because they stay in the image."""
+    dropped_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    """Numbers of the features removed."""
     stats: UpdateStats = UpdateStats()
     by_feature: FeatureScores | None = None
     """Scores of the candidates by feature, where there are candidates."""

@@ -194,6 +194,10 @@ def weigh_loosely(rng: np.random.Generator, count: int, width: int = 2, outliers
     return seen, NOISE_PX * rng.uniform(0.0, 3.0, 6), *settings
 
 
+def looser_pose_gain(rng: np.random.Generator, count: int) -> Arguments:
+    return innovation(rng, count), NOISE_PX * rng.uniform(0.0, 3.0, 6), rng.uniform(size=count)
+
+
 def fit_heading(rng: np.random.Generator, count: int) -> Arguments:
     return innovation(rng, count), 5
 
@@ -327,6 +331,7 @@ MAKERS: tuple[Maker, ...] = (
     interpolate,
     intervals,
     learned_noise,
+    looser_pose_gain,
     match_ids,
     matches_counted,
     mean_at_end,

@@ -157,12 +157,14 @@ def consensus(
     predicted = Consensus(_with_noise(innovation, inflation, whitening), by_pose, good)
     if m < MIN_FEATURES or nis <= pose_gate:
         return predicted
+    loose_std = LOOSE_POSE_RATE * interval_s
+    if np.count_nonzero(good) == m and looser_pose_gain(innovation, loose_std, distances) <= pose_gate:
+        return predicted  # no agreement is larger
     agreeing = _by_largest_agreement(innovation, gate)
     if np.count_nonzero(agreeing.good) > np.count_nonzero(good):
         predicted = agreeing
-    loose_std = LOOSE_POSE_RATE * interval_s
     half_agrees = 2 * np.count_nonzero(predicted.good) >= m
-    if half_agrees and _gain(innovation, loose_std, predicted.judged) <= pose_gate:
+    if half_agrees and looser_pose_gain(innovation, loose_std, predicted.judged.distances) <= pose_gate:
         return predicted
     slip_std = SLIP_RATE * interval_s
     slip = weigh_loosely(innovation, slip_std, *WEIGHING)
@@ -179,10 +181,20 @@ def consensus(
     return changed(found, contradicts_turn=left > TURNED and is_turned)
 
 
-def _gain(innovation: Innovation, std: Array, judged: Judged) -> float:
-    """Return by how much a looser pose explains the better half of the features better, in NIS."""
+@compiled
+def looser_pose_gain(innovation: Innovation, std: Array, distances: Array) -> float:
+    """Return by how much a looser pose explains the better half of the features better, in NIS.
+
+    Args:
+        innovation: of the m features.
+        std: (6,) standard deviations of the further errors of the pose.
+        distances: (m,) squared Mahalanobis distances that tell which features are better.
+
+    Raises:
+        FilterDivergedError: S is not positive definite.
+    """
     m = len(innovation.rows)
-    better, loose = np.argsort(judged.distances)[: (m + 1) // 2], _with_looser_pose(innovation, std)
+    better, loose = np.argsort(distances)[: (m + 1) // 2], _with_looser_pose(innovation, std)
     tight_nis, loose_nis = (_squared_norm(each, np.ones(m), better) for each in (innovation, loose))
     return tight_nis - loose_nis
 

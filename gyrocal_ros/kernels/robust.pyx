@@ -8,7 +8,15 @@ import numpy as np
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
 
-TWINS = ('scale_changes', 'scores_added', 'solve', 'weigh', 'weigh_loosely', 'whitener')
+TWINS = (
+    'looser_pose_gain',
+    'scale_changes',
+    'scores_added',
+    'solve',
+    'weigh',
+    'weigh_loosely',
+    'whitener',
+)
 
 cdef double TINY = np.finfo(float).tiny
 cdef double NOT_SEPARABLE = 1e-9
@@ -223,12 +231,10 @@ def weigh(innovation, double bound, double max_inflation, int max_iterations, do
     return found.inflation, found.distances, found.noise_share, found.nis, found.whitening
 
 
-def weigh_loosely(
-    innovation, const double[:] std, double bound, double max_inflation, int max_iterations, double converged
-):
-    cdef Seen seen = Seen(innovation)
+cdef double[:, ::1] looser_pose(innovation, Seen seen, const double[:] std):
+    """Return what further errors of the pose (6,) add to the covariance, (q, q)."""
     cdef const double[:, :, :] by_pose = innovation.prediction.by_pose
-    cdef Py_ssize_t m = seen.m, r = seen.r, q = seen.q, p = std.shape[0], i, j, l
+    cdef Py_ssize_t r = seen.r, q = seen.q, p = std.shape[0], i, j, l
     cdef double sum_
     cdef double[:, ::1] loose = np.empty((q, q)), scaled = np.empty((q, p))
     for i in range(q):
@@ -239,6 +245,28 @@ def weigh_loosely(
             for l in range(p):
                 sum_ += scaled[i, l] * scaled[j, l]
             loose[i, j] = loose[j, i] = sum_
+    return loose
+
+
+def looser_pose_gain(innovation, const double[:] std, const double[:] distances):
+    cdef Seen seen = Seen(innovation)
+    cdef Py_ssize_t m = seen.m
+    cdef double[:, ::1] loose = looser_pose(innovation, seen, std)
+    cdef double[::1] uninflated = np.ones(m), sorted_by = np.array(distances)
+    cdef long[::1] closest = np.empty(m, np.int64)
+    sort(&sorted_by[0], &closest[0], m)
+    m = (m + 1) // 2
+    return squared_norm(seen, NULL, &uninflated[0], &closest[0], m) - squared_norm(
+        seen, &loose[0, 0], &uninflated[0], &closest[0], m
+    )
+
+
+def weigh_loosely(
+    innovation, const double[:] std, double bound, double max_inflation, int max_iterations, double converged
+):
+    cdef Seen seen = Seen(innovation)
+    cdef Py_ssize_t m = seen.m
+    cdef double[:, ::1] loose = looser_pose(innovation, seen, std)
     cdef Weighing found = weighed(seen, &loose[0, 0], bound, max_inflation, max_iterations, converged)
     cdef const double[::1] inflation = found.inflation, distances = found.distances
     cdef long[::1] closest = np.empty(m, np.int64)

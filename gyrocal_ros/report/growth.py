@@ -12,7 +12,7 @@ from gyrocal_ros.report.html import Section, document, gallery
 from gyrocal_ros.report.plot import GREY, STYLES, line, panels, points
 
 COSTS = {'filter_s': 'filter alone', 'replay_cpu_s': 'whole replay'}
-CAPTION = 'The dotted line is proportional growth. A whole replay includes about a second of start-up.'
+CAPTION = 'The dotted line is proportional growth. A whole replay includes about half a second of start-up.'
 
 
 def growth_page(rows: Sequence[Mapping[str, Any]], about: str) -> str:

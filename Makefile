@@ -12,6 +12,8 @@ PYTHON ?= $(firstword $(shell for python in /usr/bin/python3 python3.12 python3.
 
 # A sourced ROS would put its own packages and pytest plugins before those of .venv.
 unexport PYTHONPATH
+# Without its cache pytest rewrites the assertions of every file again, in each worker.
+unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help venv demo test quick gate audit lint types format docs transcripts clean
@@ -42,7 +44,7 @@ venv: $(READY)
 demo: $(READY)
 	$(BIN)/gyrocal demo
 
-# Files in their order: the reordering by number of tests leaves the few long tests of the browser to the end.
+# Files in the order of test/conftest.py: that by number of tests leaves the few long tests of the browser to the end.
 test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 

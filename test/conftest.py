@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import os
 import shutil
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib.util import find_spec
@@ -55,6 +56,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.parent in (ROS_TESTS, BROWSER_TESTS):
             item.add_marker(pytest.mark.slow)
+    # The files with the most slow tests come first: none is left for one worker alone at the end.
+    slow = Counter(item.path for item in items if item.get_closest_marker('slow'))
+    items.sort(key=lambda item: -slow[item.path])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Return one worker more than there are cores: some tests wait for a browser or an emulated robot."""
+    return len(os.sched_getaffinity(0)) + 1
 
 
 @pytest.fixture(scope='session')

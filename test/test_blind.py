@@ -313,7 +313,7 @@ def test_the_truth_is_known_to_the_filter_in_its_time_constants_alone() -> None:
 @pytest.fixture(scope='module')
 def short() -> BlindResult:
     """Two minutes that hide an effect: just long enough for a blind minute in the second half."""
-    scenario = replace(find_scenario('cleaning'), duration_s=124.0, imu_hz=100, camera_hz=10)
+    scenario = replace(find_scenario('cleaning'), duration_s=124.0, imu_hz=100, camera_hz=5)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, 'find_scenario', lambda name: scenario)
         return run_blind(LAG, 2)

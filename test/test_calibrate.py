@@ -24,6 +24,7 @@ from recordings import (
     with_features_of,
     without,
 )
+from synthetic import drive
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
@@ -45,7 +46,7 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.errors import ConfigError, FilterDivergedError, NotObservableError, RecordingError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibrate import calibrate, marks_on_lens
 from gyrocal_ros.pipeline.calibration import (
     Calibration,
     announcement,
@@ -59,6 +60,7 @@ from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.manoeuvres import DrivingStyle
 from gyrocal_ros.sim.sensors import SensorErrors
 from gyrocal_ros.sim.world import SimSource
+from gyrocal_ros.vision.dirty_lens import LIFETIME_S, MANY_MARKS
 
 TRUE_SCALE = SensorErrors().scale_factor
 
@@ -612,3 +614,17 @@ def test_a_stream_returns_steps_as_soon_as_the_wheels_cover_them() -> None:
             newest_ns = step.t_ns
         if isinstance(item, FeatureObservations):
             assert newest_ns == 0 or item.t_ns - newest_ns < 0.15e9
+
+
+@pytest.mark.parametrize('marks', [*range(MANY_MARKS + 2), 3 * MANY_MARKS])
+@pytest.mark.parametrize('apart_s', [10.0, LIFETIME_S])
+def test_many_marks_on_the_lens_are_told_once(marks: int, apart_s: float) -> None:
+    run = drive(duration_s=1.0).run
+    found = np.ones(marks)
+    history = replace(
+        run.history, t_ns=np.arange(marks), time_s=apart_s * np.arange(marks) / MANY_MARKS, on_lens=found
+    )
+    events = list(marks_on_lens(replace(run, history=history)))
+    assert [event.t_ns for event in events] == ([MANY_MARKS - 1] if marks >= MANY_MARKS else [])
+    scattered = replace(history, time_s=LIFETIME_S * np.arange(marks))
+    assert not list(marks_on_lens(replace(run, history=scattered)))

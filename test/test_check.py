@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import UnionType
@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from small_bags import CAMERA, RIG, START_NS, drive, turned_imu, write
 
-from gyrocal_ros.bag.check import CheckReport, check_bag
+from gyrocal_ros.bag.check import CheckReport, check_bag, checked_bag
 from gyrocal_ros.bag.rewrite import RawMessage, decode, encode, rewrite_bag
+from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
@@ -30,6 +31,7 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
+from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.issues import BagIssue, Severity, worst_per_kind
 
@@ -405,6 +407,56 @@ def test_the_command_refuses_bad_input_in_one_line(
     captured = capsys.readouterr()
     assert captured.out == ''
     assert captured.err.startswith('gyrocal: error: ') and captured.err.count('\n') == 1
+
+
+# --- a check while the recording is read ---------------------------------------------------------
+
+
+@pytest.fixture
+def passes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return the names of the topics of all messages that are read from now on."""
+    read: list[str] = []
+    raw_messages = Storage.raw_messages
+
+    def counted(storage: Storage, used: Collection[Topic]) -> Iterator[tuple[str, int, bytes]]:
+        for message in raw_messages(storage, used):
+            read.append(message[0])
+            yield message
+
+    monkeypatch.setattr(Storage, 'raw_messages', counted)
+    return read
+
+
+def test_a_bag_is_read_once_to_check_it_and_to_use_it(tmp_path: Path, passes: list[str]) -> None:
+    unmoved = with_changed(WheelSample, lambda sample: replace(sample, speed_m_s=2.0 * sample.speed_m_s))
+    path = write(tmp_path / 'bag', unmoved)
+    expected = check_bag(path, Config())
+    passes.clear()
+    with checked_bag(path, Config(), with_covariates=False) as checked:
+        measured = list(checked.source.measurements())
+        once = passes.count('/imu/data_raw')
+        assert list(checked.source.measurements()) and len(measured) > 1000
+    assert checked.issues == expected.issues
+    imu = next(topic for topic in expected.topics if topic.name == '/imu/data_raw')
+    assert imu.count < once < 1.5 * imu.count, 'beside the pass only the first seconds are read'
+
+
+def test_a_bag_that_is_not_read_to_its_end_is_checked_all_the_same(tmp_path: Path) -> None:
+    path = write(tmp_path / 'bag', with_changed(ImuSample, scale_rates(0.0)))
+    with (
+        pytest.raises(RecordingError, match='zero'),
+        checked_bag(path, Config(), with_covariates=False) as checked,
+    ):
+        next(iter(checked.source.measurements()))
+
+
+def test_an_error_of_the_recording_explains_one_of_its_use(tmp_path: Path) -> None:
+    path = write(tmp_path / 'bag', with_changed(ImuSample, scale_rates(0.0)))
+    with pytest.raises(RecordingError, match='zero'), checked_bag(path, Config(), with_covariates=False):
+        raise ZeroDivisionError
+    good = write(tmp_path / 'good')
+    with pytest.raises(ZeroDivisionError), checked_bag(good, Config(), with_covariates=False):
+        raise ZeroDivisionError
 
 
 # --- third-party recordings ----------------------------------------------------------------------

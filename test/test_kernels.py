@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contracts import CAMERA, NOISE_PX
+from contracts import CAMERA, NOISE_PX, eventful_block
 
 from gyrocal_ros import kernels
 from gyrocal_ros.data import (
@@ -25,13 +25,17 @@ from gyrocal_ros.data import (
     quickly_filled,
 )
 from gyrocal_ros.diagnose.heading_filter import INITIAL_BIAS_STD_RAD_S
+from gyrocal_ros.ekf.effects_by_place import MotionContribution
+from gyrocal_ros.ekf.process_noise import BlockNoise
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
-from gyrocal_ros.ekf.scale_watch import NOTHING, NormalEquations
+from gyrocal_ros.ekf.scale_watch import NOTHING, normal_equations
+from gyrocal_ros.ekf.state import State, no_landmarks
 from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
 from gyrocal_ros.ekf.update import Innovation
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.features.base import Prediction
+from gyrocal_ros.model.gyro import Correction
 from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
 
 Arguments = tuple[Any, ...]
@@ -50,22 +54,38 @@ def intervals_s(rng: np.random.Generator, count: int) -> Array:
     return rng.uniform(0.002, 0.012, count)
 
 
-def carry_pose(rng: np.random.Generator, count: int) -> Arguments:
-    euler_rad, rates = rng.normal(0.0, [0.1, 0.1, 2.0]), rng.normal(0.0, [0.1, 0.1, 1.5], (count, 3))
-    return rng.normal(size=3), euler_rad, rates, intervals_s(rng, count), rng.normal(0.002, 0.001, count)
+def carry(rng: np.random.Generator, count: int, eventful: bool = True) -> Arguments:
+    """Return arguments of `carry`, with effects on all that moves the robot if the block is eventful."""
+    n, k, c = count, 1 + count % 3, count % 4
+    size = 9 + k + 3 * count
+    mean = np.concatenate([rng.normal(size=3), rng.normal(0.0, [0.1, 0.1, 2.0]), rng.normal(size=size - 6)])
+    robot = State(0, mean, covariance(rng, size), k, no_landmarks(), rng.normal(size=(size, c)))
+    rates, readings = rng.normal(0.0, [0.1, 0.1, 1.5], (2, n, 3))
+    dt_s, of_interval = intervals_s(rng, n), rng.normal(0.002, 0.001, n)
+    block = replace(eventful_block(), dt_s=dt_s, rate_rad_s=readings, distance_m=of_interval)
+    correction = Correction(rng.normal(size=n), rng.normal(size=(n, k)), 0.0, ())
+    added = MotionContribution(correction, 0.0, None, 0.0, None)
+    of_wheels = (0.01, 0.02, 0.03, 0.04)
+    noise = BlockNoise(3e-4, 4e-4, 0.0, 0.0, of_wheels, 0.0, 1e-4, 2e-4, np.zeros(k), 0.1)
+    if eventful:
+        correction = changed(correction, valid=(rng.uniform(size=n) < 0.8).astype(float))
+        wheels = 0.1 * of_interval, rng.normal(size=(n, k))
+        added = MotionContribution(correction, *wheels, rng.normal(size=3), rng.normal(size=(3, k)))
+        of_tilt, of_yaw, walks = (rng.uniform(1e-4, 1e-3, width) for width in (2, n, k))
+        noise = BlockNoise(of_tilt, of_yaw, 0.01, 0.02, of_wheels, 0.03, 1e-4, 2e-4, walks, 0.1)
+    return robot, block, rates, added, noise, 0.01, 0.99
 
 
-def process_noise(rng: np.random.Generator, count: int) -> Arguments:
-    gain, (tilt, yaw) = rng.normal(size=(6, 3, count)), rng.uniform(1e-4, 1e-3, (2, count + 1))
-    rates, steps, euler = rng.normal(size=count), rng.normal(0.0, 0.01, count), rng.normal(size=(3, count))
-    wheels, walks = tuple(rng.uniform(0.0, 0.1, 4)), rng.uniform(0.0, 1e-2, 3 + count % 4)
-    motion = intervals_s(rng, count), rates, steps, euler
-    return gain, tilt[:2], yaw[1:], *motion, 0.01, 0.02, wheels, 0.03, walks
+def step_numbers(rng: np.random.Generator, count: int) -> Arguments:
+    robot, block, rates, added, *_ = carry(rng, count)
+    states = [replace(robot, mean=rng.normal(size=len(robot.mean))) for _ in range(3)]
+    return *states, block.dt_s, added.correction, rates, rng.normal(size=3)
 
 
-def transition_matrix(rng: np.random.Generator, count: int) -> Arguments:
-    gain, yaw_gain = rng.normal(size=(6, 3, count)), rng.normal(size=(6, count))
-    return rng.normal(size=(6, 6)), gain, yaw_gain, rng.normal(size=(6, count % 4)), 0.99
+def corrected_rates(rng: np.random.Generator, count: int) -> Arguments:
+    valid = (rng.uniform(size=count) < 0.8).astype(float)
+    rates, correction, bias = rng.normal(size=(count, 3)), rng.normal(size=count), rng.normal(size=3)
+    return rates, correction, valid if count % 2 else 1.0, bias
 
 
 def path_in_block(rng: np.random.Generator, count: int) -> Arguments:
@@ -143,10 +163,11 @@ def innovation_matrices(
         covariance(rng, n),
         rng.normal(size=(n, c)),
         columns,
+        rng.normal(size=(count, 2)),
         rng.normal(size=(count, 2, 6)),
         rng.normal(size=(count, 2, 3)),
-        rng.normal(size=(count, 2, k)),
-        rng.normal(size=(count, 2, of_candidates)),
+        rng.normal(size=(count, 2, k)) if k else None,
+        rng.normal(size=(count, 2, of_candidates)) if of_candidates else None,
         noises(rng, count),
     )
 
@@ -161,7 +182,7 @@ def innovation(rng: np.random.Generator, count: int, width: int = 2, outliers: i
     residual[:outliers] += 20.0 * NOISE_PX
     nothing = np.empty((count, 0))
     seen = Prediction(nothing, rng.normal(size=(count, width, 6)), nothing, nothing, nothing, nothing)
-    return Innovation(each, residual, seen, nothing, S, noise, nothing)
+    return Innovation(each, residual, seen, nothing, S, noise, 0)
 
 
 def weigh(rng: np.random.Generator, count: int, width: int = 2, outliers: int = 1) -> Arguments:
@@ -177,17 +198,7 @@ def fit_heading(rng: np.random.Generator, count: int) -> Arguments:
     return innovation(rng, count), 5
 
 
-def carry_covariance(rng: np.random.Generator, count: int) -> Arguments:
-    size = 9 + count % 4
-    return (
-        covariance(rng, size + 3 * count),
-        rng.normal(size=(size + 3 * count, count % 3)),
-        np.eye(size) + 0.1 * rng.normal(size=(size, size)),
-        covariance(rng, size),
-    )
-
-
-def find_ids(rng: np.random.Generator, count: int) -> Arguments:
+def match_ids(rng: np.random.Generator, count: int) -> Arguments:
     return rng.permutation(3 * count)[: 2 * count], rng.permutation(3 * count)[:count]
 
 
@@ -212,12 +223,22 @@ def matches_counted(rng: np.random.Generator, count: int) -> Arguments:
     return last_seen_ns, rejections, last_pixels, last_directions, 2 * 10**18, rows, accepted, *matched
 
 
-def scale_changes(rng: np.random.Generator, count: int, others_explained: float = 100.0) -> Arguments:
-    information, score, nis, dof, least = rng.uniform(0.0, 100.0, (5, count))
-    matrix, cross = covariance(rng, 4), 0.1 * np.sqrt(information)[:, None] * rng.normal(size=(count, 4))
-    direction = rng.normal(size=4)
-    scale = math.sqrt(others_explained / (direction @ np.linalg.solve(matrix, direction)))
-    return information, score, nis, dof, least, cross, NormalEquations(matrix, scale * direction)
+def scale_changes(
+    rng: np.random.Generator, count: int, others_explained: float = 100.0, others: int = 4
+) -> Arguments:
+    sums = rng.uniform(0.0, 100.0, (count, 5 + others))
+    sums[:, 5:] = 0.1 * np.sqrt(sums[:, 1:2]) * rng.normal(size=(count, others))
+    matrix, direction = covariance(rng, others), rng.normal(size=others)
+    if others:
+        direction *= math.sqrt(others_explained / (direction @ np.linalg.solve(matrix, direction)))
+    return sums, normal_equations(matrix, direction), 2e4, 300.0
+
+
+def scores_added(rng: np.random.Generator, count: int) -> Arguments:
+    others = count % 3
+    c = count + others + 2
+    sums = rng.uniform(0.0, 100.0, (count, 5 + others))
+    return sums, covariance(rng, c), rng.normal(size=c), 20.0, 30, others + 2
 
 
 def filter_headings(rng: np.random.Generator, count: int, jump_rad: float = 0.0) -> Arguments:
@@ -259,10 +280,10 @@ def pixels_by_tilt(rng: np.random.Generator, count: int) -> Arguments:
     return points(rng, count), rng.normal(size=(count, 2, 3)), float(rng.normal())
 
 
-def less_products(rng: np.random.Generator, count: int) -> Arguments:
+def corrected(rng: np.random.Generator, count: int) -> Arguments:
     n, c = 3 * count, count % 3
     mean, before, sensitivity = rng.normal(size=n), covariance(rng, n), rng.normal(size=(n, c))
-    return mean, before, sensitivity, covariance(rng, n + 1 + c)
+    return mean, before, sensitivity, covariance(rng, n + 1 + c), covariance(rng, 2 * count)
 
 
 def solve(rng: np.random.Generator, count: int) -> Arguments:
@@ -296,17 +317,17 @@ def turned_camera(rng: np.random.Generator, count: int) -> Arguments:
 
 Maker = Callable[[np.random.Generator, int], Arguments]
 MAKERS: tuple[Maker, ...] = (
-    carry_covariance,
-    carry_pose,
+    carry,
     compare_headings,
+    corrected,
+    corrected_rates,
     filter_headings,
-    find_ids,
     fit_heading,
     innovation_matrices,
     interpolate,
     intervals,
     learned_noise,
-    less_products,
+    match_ids,
     matches_counted,
     mean_at_end,
     motion_in_image,
@@ -314,13 +335,13 @@ MAKERS: tuple[Maker, ...] = (
     pixels_by_radial_coefficients,
     pixels_by_tilt,
     predict_inverse_depth,
-    process_noise,
     project_with_jacobian,
     rate_scatter,
     scale_changes,
     scaled_noise,
+    scores_added,
     solve,
-    transition_matrix,
+    step_numbers,
     turned_camera,
     weigh,
     weigh_loosely,
@@ -374,6 +395,12 @@ def test_twins_agree_behind_every_lens(lens: str) -> None:
 
 
 @needs_kernels
+@pytest.mark.parametrize('count', [1, 2, 12])
+def test_a_block_in_which_nothing_happens(count: int) -> None:
+    assert_equal_to_rounding('carry', carry(np.random.default_rng(5), count, eventful=False))
+
+
+@needs_kernels
 @pytest.mark.parametrize('widths', [(0, 0, 0), (2, 0, 0), (0, 5, 5), (2, 0, 5)])
 def test_innovations_without_coefficients_or_candidates(widths: tuple[int, int, int]) -> None:
     assert_equal_to_rounding('innovation_matrices', innovation_matrices(np.random.default_rng(2), 7, widths))
@@ -392,15 +419,14 @@ def test_weights_of_pixels_and_of_points(width: int, outliers: int) -> None:
 @pytest.mark.parametrize('others_explained', [0.0, 1e6])
 def test_changes_of_the_scale_with_and_without_other_errors(others_explained: float) -> None:
     assert_equal_to_rounding('scale_changes', scale_changes(np.random.default_rng(3), 6, others_explained))
-    none = (*scale_changes(np.random.default_rng(4), 6)[:5], np.empty((6, 0)), NOTHING)
-    assert_equal_to_rounding('scale_changes', none)
+    sums, _, *settings = scale_changes(np.random.default_rng(4), 6, others=0)
+    assert_equal_to_rounding('scale_changes', (sums, NOTHING, *settings))
 
 
 @pytest.mark.parametrize('forms', FORMS)
 def test_a_change_of_which_nothing_is_known(forms: dict[str, Callable[..., Any]]) -> None:
-    nothing = np.zeros(2)
-    arguments = (nothing, nothing, np.array([9.0, 0.0]), np.ones(2), np.ones(2), np.empty((2, 0)), NOTHING)
-    values, variances, sigmas = forms['scale_changes'](*arguments)
+    sums = np.array([[1.0, 0.0, 0.0, 9.0, 1.0], [1.0, 0.0, 0.0, 0.0, 1.0]])
+    values, variances, sigmas = forms['scale_changes'](sums, NOTHING, 1.0, 1.0)
     assert not values.any() and not sigmas.any() and (variances > 1e300).all()
 
 

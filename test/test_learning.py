@@ -25,7 +25,7 @@ from gyrocal_ros.diagnose import learning, rewriting
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, closed_forms, curve_by
 from gyrocal_ros.diagnose.drift import drift_of_both_deg
-from gyrocal_ros.diagnose.examined import examine
+from gyrocal_ros.diagnose.examined import ExaminedModel, examine
 from gyrocal_ros.diagnose.hypotheses import (
     AMPLITUDES,
     Law,
@@ -36,12 +36,14 @@ from gyrocal_ros.diagnose.hypotheses import (
 )
 from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
-from gyrocal_ros.diagnose.learning import is_missing_something, learn
-from gyrocal_ros.diagnose.rewriting import _Slopes, size_of
+from gyrocal_ros.diagnose.learning import Learned, is_missing_something, learn
+from gyrocal_ros.diagnose.rewriting import _Slopes, closed_form, size_of
+from gyrocal_ros.diagnose.search import try_effect
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.learned import curve, formula, memory, wave
+from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.effects.learned.bump import Bump
 from gyrocal_ros.effects.learned.curve import LENGTHS, prior_stds
 from gyrocal_ros.effects.learned.drives import driven, lag, since_turn
@@ -49,9 +51,11 @@ from gyrocal_ros.effects.learned.forms import FORMS
 from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS
 from gyrocal_ros.effects.learned.wave import Sine, Wave
+from gyrocal_ros.effects.registry import load_file
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
@@ -65,6 +69,7 @@ from gyrocal_ros.sim.world import SimSource
 VOLTAGE = 'battery_state.voltage'
 DEG = math.radians(1.0)
 Output = pytest.CaptureFixture[str]
+Plain = tuple[InMemorySource, RecordingSummary, ExaminedModel]
 
 
 def recording(*drawn: DrawnEffect, seconds: float = 150.0, seed: int = 1) -> InMemorySource:
@@ -378,6 +383,14 @@ class TestClosedFormsOfMemories:
         assert law.is_over_a_signal == (drive == 'start')
 
 
+@pytest.fixture(scope='module')
+def plain() -> Plain:
+    """A recording in which nothing is hidden, and its first run."""
+    source = recording()
+    recorded = summarise_recording(source)
+    return source, recorded, examine(default_model(), recorded, runner(source))
+
+
 @pytest.mark.slow
 class TestLearning:
     def test_a_bias_that_follows_the_heading_is_learned(self) -> None:
@@ -404,18 +417,14 @@ class TestLearning:
         labels = [revision.label for revision in improvement(learned.searched).revisions]
         assert labels == ['0_default', '1_bias_curve_heading', '2_bias_curve_heading_as_sine_of_the_heading']
 
-    def test_nothing_is_learned_where_nothing_is_missing(self) -> None:
-        source = recording()
-        recorded = summarise_recording(source)
-        first = examine(default_model(), recorded, runner(source))
+    def test_nothing_is_learned_where_nothing_is_missing(self, plain: Plain) -> None:
+        source, recorded, first = plain
         learned = learn(Search(first, ()), recorded, runner(source))
         assert learned.searched.additions == () and learned.ranked == ()
 
-    def test_a_law_that_is_not_there_is_rejected(self) -> None:
+    def test_a_law_that_is_not_there_is_rejected(self, plain: Plain) -> None:
         """Also where it is requested."""
-        source = recording()
-        recorded = summarise_recording(source)
-        first = examine(default_model(), recorded, runner(source))
+        source, recorded, first = plain
         learned = learn(Search(first, ()), recorded, runner(source), ['bias_curve:force_y'])
         assert learned.searched.kept == ()
         assert [item.effect.name for item in learned.ranked] == ['bias_curve:force_y']
@@ -432,7 +441,8 @@ class TestLearning:
 
 
 @pytest.mark.slow
-def test_the_period_of_a_swing_is_refined() -> None:
+@pytest.mark.usefixtures('library')
+def test_the_period_of_a_swing_is_refined(tmp_path: Path) -> None:
     """The spectrum of the errors tells it to some per cent; the likelihood does much better."""
     source = recording(DrawnEffect('stranger_swing', (0.2 * DEG, 31.0)))
     recorded = summarise_recording(source)
@@ -444,10 +454,12 @@ def test_the_period_of_a_swing_is_refined() -> None:
     assert isinstance(of_wave, Wave)
     assert abs(law.effect.period_s - 31.0) < min(0.03, abs(of_wave.period_s - 31.0))
     assert of_sine.name == of_wave.name == 'bias_wave:time'
+    assert_replaceable(learned, recorded, source, tmp_path / 'own.py', 'law_bias_time_sine')
 
 
 @pytest.mark.slow
-def test_a_bias_at_a_place_is_learned_as_a_bump() -> None:
+@pytest.mark.usefixtures('library')
+def test_a_bias_at_a_place_is_learned_as_a_bump(tmp_path: Path) -> None:
     source = recording(DrawnEffect('stranger_place', (0.6 * DEG, 0.5)), seconds=240.0)
     recorded = summarise_recording(source)
     first = examine(default_model(), recorded, runner(source))
@@ -464,12 +476,13 @@ def test_a_bias_at_a_place_is_learned_as_a_bump() -> None:
     assert summary['bump']['width_m'] == law.bump.width_m and summary['in_model_as'] == 'bump'
     words = '\n'.join(law_in_words(law))
     assert 'bump of' in words and 'in the map, width 0.' in words and 'in the model as: bump' in words
+    assert_replaceable(learned, recorded, source, tmp_path / 'own.py', 'law_bias_place_bump')
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures('library')
 def test_a_square_of_the_centripetal_acceleration_is_learned_as_such() -> None:
-    source = recording(DrawnEffect('stranger_square_force', (10.0 * DEG,)), seconds=240.0)
+    source = recording(DrawnEffect('stranger_square_force', (10.0 * DEG,)))
     recorded = summarise_recording(source)
     first = examine(default_model(), recorded, runner(source))
     learned = learn(Search(first, ()), recorded, runner(source))
@@ -687,65 +700,45 @@ def test_the_command_learns_and_writes(tmp_path: Path, capsys: Output) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures('library', 'slow_sensors')
+@pytest.mark.usefixtures('library')
 @pytest.mark.parametrize(
-    ('hidden', 'drive', 'form'),
+    ('hidden', 'drive'),
     [
-        ('stranger_turn_heat=0.015,12', 'abs_rate', 'first-order lag'),
-        ('turn_hysteresis=0.01,8', 'rate', 'first-order lag'),
+        (DrawnEffect('stranger_turn_heat', (0.015, 12.0)), 'abs_rate'),
+        (DrawnEffect('turn_hysteresis', (0.01, 8.0)), 'rate'),
     ],
 )
-def test_the_effect_of_a_memory_replaces_it(
-    hidden: str, drive: str, form: str, tmp_path: Path, capsys: Output
+def test_the_effect_of_a_memory_replaces_it(hidden: DrawnEffect, drive: str, tmp_path: Path) -> None:
+    source = recording(hidden, seed=3)
+    recorded = summarise_recording(source)
+    first = examine(default_model(), recorded, runner(source))
+    learned = learn(Search(first, ()), recorded, runner(source), [f'bias_memory:{drive}'])
+    (law,) = learned.laws
+    (size, tau_s), found = hidden.values, law.forms[0]
+    assert law.effect.name == f'bias_memory:{drive}' and found.form.name == 'first-order lag' and found.fits
+    assert found.parameter == pytest.approx(tau_s, rel=0.15)
+    assert found.values.tolist() == [pytest.approx(size, rel=0.1)]
+    assert law.curve is not None
+    assert law.curve.y[-1] == pytest.approx(size, rel=0.15), 'the response in the end'
+    assert_replaceable(learned, recorded, source, tmp_path / 'own.py', f'law_bias_{drive}')
+
+
+def assert_replaceable(
+    learned: Learned, recorded: RecordingSummary, source: InMemorySource, path: Path, name: str
 ) -> None:
-    bag, own = tmp_path / 'bag', tmp_path / 'own.py'
-    assert main(['simulate', str(bag), '--duration', '150', '--seed', '3', f'--effect={hidden}']) == 0
-    capsys.readouterr()
-    learn_it = ['learn', str(bag), '--kind', 'memory', '--follows', drive, '--as-effect', str(own), '--json']
-    assert main(learn_it) == 0
-    printed = json.loads(capsys.readouterr().out)
-    (law,) = printed['learned']
-    found = law['closed_forms'][0]
-    size, tau_s = (float(value) for value in hidden.partition('=')[2].split(','))
-    assert law['effect'] == f'bias_memory:{drive}' and found['form'] == form and found['fits']
-    assert found['p'] == pytest.approx(tau_s, rel=0.15) and found['values'] == [pytest.approx(size, rel=0.1)]
-    assert law['curve']['y'][-1] == pytest.approx(size, rel=0.15), 'the response in the end'
-    with_memory = printed['revisions'][-1]['held_out_drift_deg']['rms']
-
-    assert main(['improve', str(bag), '--effects-from', str(own), '--effect', made_in(own), '--json']) == 0
-    improved = json.loads(capsys.readouterr().out)['revisions']
-    assert improved[-1]['kept']
-    with_law = improved[-1]['held_out_drift_deg']['rms']
-    assert with_law < 1.1 * with_memory and with_law < 0.5 * improved[0]['held_out_drift_deg']['rms']
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures('library', 'slow_sensors')
-@pytest.mark.parametrize(
-    ('hidden', 'law', 'made'),
-    [
-        ('stranger_place=0.012,0.6', 'bias_map:place', 'law_bias_place_bump'),
-        ('stranger_swing=0.005,25', 'bias_wave:time', 'law_bias_time_sine'),
-    ],
-)
-def test_the_effect_of_a_place_or_a_swing_replaces_it(
-    hidden: str, law: str, made: str, tmp_path: Path, capsys: Output
-) -> None:
-    bag, own = tmp_path / 'bag', tmp_path / 'own.py'
-    assert main(['simulate', str(bag), '--duration', '200', '--seed', '3', f'--effect={hidden}']) == 0
-    capsys.readouterr()
-    shape, follows = law.removeprefix('bias_').split(':')
-    only = ['--acts-on', 'bias', '--kind', shape, '--follows', follows]
-    assert main(['learn', str(bag), *only, '--as-effect', str(own), '--json']) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert [item['effect'] for item in printed['learned']] == [law]
-    with_law = printed['revisions'][-1]['held_out_drift_deg']['rms']
-
-    assert main(['improve', str(bag), '--effects-from', str(own), '--effect', made, '--json']) == 0
-    improved = json.loads(capsys.readouterr().out)['revisions']
-    assert improved[-1]['kept']
-    with_made = improved[-1]['held_out_drift_deg']['rms']
-    assert with_made < 1.1 * with_law and with_made < 0.5 * improved[0]['held_out_drift_deg']['rms']
+    """Write the law that was learned as an effect into a file; loaded from there it is as good."""
+    searched = learned.searched
+    found = closed_form(learned.laws[0], searched.last)
+    assert found is not None
+    effect, values = found
+    path.write_text(effect_source(effect, values.tolist(), 'bag'), encoding='utf-8')
+    (own,) = load_file(path)
+    assert own.name.startswith(name)
+    tried = try_effect(searched.first.model, recorded, runner(source), own)
+    assert tried.kept
+    before_deg, with_own = drift_of_both_deg(tried.first.run, tried.last.run)
+    with_law = drift_of_both_deg(searched.first.run, searched.last.run)[1]
+    assert with_own < 1.1 * with_law and with_own < 0.5 * before_deg
 
 
 def made_in(path: Path) -> str:

@@ -26,6 +26,7 @@ from gyrocal_ros.diagnose.status import ADD_NOISE, diagnosis_status, improvement
 from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, Place, SensorModel, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
@@ -35,6 +36,7 @@ from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
 DEG = math.radians(1.0)
+Quiet = tuple[Source, RecordingSummary, ExaminedModel]
 SIZES = {'gyro_noise': 0.06 * DEG, 'rate_noise': 0.003, 'bias_instability': 0.01 * DEG}
 
 
@@ -66,6 +68,14 @@ def recording(
     hidden = (*(hide((DrawnEffect(name, values),), find_effect) if name else ()), *also)
     source, _ = preload(SimSource(scenario, seed, hidden=hidden), Config(), default_model())
     return source
+
+
+@pytest.fixture(scope='module')
+def quiet() -> Quiet:
+    """A recording in which nothing is hidden, and its first run."""
+    source = recording('', seconds=60.0)
+    recorded = summarise_recording(source)
+    return source, recorded, examine(default_model(), recorded, runner(source))
 
 
 def runner(source: Source) -> Callable[[SensorModel, tuple[Effect, ...]], Run]:
@@ -156,10 +166,10 @@ def test_noise_that_the_readings_show_is_a_verdict_though_the_filter_takes_it_ov
     assert abs(found.missing[0].values[0] - density) < 4.0 * found.missing[0].stds[0]
 
 
-def test_noise_raises_the_drift_only_beyond_what_it_explains(monkeypatch: pytest.MonkeyPatch) -> None:
-    source = recording('', seconds=60.0)
-    recorded = summarise_recording(source)
-    first = examine(default_model(), recorded, runner(source))
+def test_noise_raises_the_drift_only_beyond_what_it_explains(
+    quiet: Quiet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, recorded, first = quiet
     for name, raises in (('bias_instability', False), ('gyro_lag', True)):
         after = examine(with_effect(first.model, find_effect(name)), recorded, runner(source))
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (1.0, 4.0))
@@ -171,12 +181,10 @@ def test_noise_raises_the_drift_only_beyond_what_it_explains(monkeypatch: pytest
     ('name', 'is_white'), [('gyro_noise', True), ('rate_noise', True), ('bias_instability', False)]
 )
 def test_noisy_readings_prove_white_noise_alone(
-    name: str, is_white: bool, monkeypatch: pytest.MonkeyPatch
+    name: str, is_white: bool, quiet: Quiet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A wandering bias does not make the readings scatter: it has to predict better than what was found."""
-    source = recording('', seconds=60.0)
-    recorded = summarise_recording(source)
-    first = examine(default_model(), recorded, runner(source))
+    source, recorded, first = quiet
     searched, asked = Search(first, ()), []
     fitted = NoiseFit(with_means(find_effect(name), (SIZES[name],)), 1e3, 1e-6)
     kept = replace(addition(first, first), effect=fitted.effect, gain=1e3)

@@ -10,7 +10,14 @@ from contracts import NOISE_PX, PIXELS, view_at
 from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.robust import HUBER_BOUND, MIN_FEATURES, Consensus, consensus, each_alone, leave_one_out
+from gyrocal_ros.ekf.robust import (
+    HUBER_BOUND,
+    MIN_FEATURES,
+    Consensus,
+    consensus,
+    each_alone,
+    leave_one_out,
+)
 from gyrocal_ros.ekf.state import POSE, State
 from gyrocal_ros.ekf.update import Innovation, innovate
 
@@ -102,6 +109,28 @@ def test_a_bent_map_widens_the_gate_where_the_pose_explains_the_rest() -> None:
     turned = innovation_of(np.zeros((10, 2)), 0.01).prediction.by_pose[:, :, 5] * 0.3
     assert judged_by(innovation_of(turned + bent, 0.01)).good.sum() >= 8
     assert judged_by(innovation_of(bent, 0.01)).rejects_image, 'no pose explains it'
+
+
+def partly_moved(fixed: int, axis: int, count: int = 15) -> tuple[Innovation, np.ndarray]:
+    """Return an image whose first features are fixed and the others move by 0.1 m or rad, and which do."""
+    moved = 0.1 * innovation_of(np.zeros((count, 2)), 0.01).prediction.by_pose[:, :, axis]
+    moved[:fixed] = 0.0
+    return innovation_of(moved, 0.01), np.linalg.norm(moved, axis=1) > 10.0 * NOISE_PX
+
+
+@pytest.mark.parametrize('axis', [0, 5], ids=['shifted', 'turned'])
+@pytest.mark.parametrize('fixed', [6, 8, 11])
+def test_half_of_the_view_that_moves_is_rejected(fixed: int, axis: int) -> None:
+    innovation, moves = partly_moved(fixed, axis)
+    pass
+    found = judged_by(innovation)
+    np.testing.assert_array_equal(found.good, ~moves)
+    assert found.slip_std is None and not found.contradicts_turn
+
+
+def test_witnesses_that_are_outvoted_leave_nothing_to_use() -> None:
+    found = judged_by(partly_moved(4, 5, 25)[0])
+    assert found.rejects_image and not found.contradicts_turn
 
 
 def test_few_features_do_not_contradict_the_pose() -> None:

@@ -158,7 +158,7 @@ def test_a_covariance_that_is_not_positive_definite_raises() -> None:
 def test_an_infinite_estimate_raises() -> None:
     state, innovation = seen(INVERSE_DEPTH, np.arange(5))
     with pytest.raises(FilterDivergedError, match='no longer finite'):
-        update(state, replace(innovation, residual=np.full((5, 2), np.nan)))
+        update(state, replace(innovation, stacked=np.full_like(innovation.stacked, np.nan)))
 
 
 def still_block(rate_rad_s: float = 0.0) -> MotionBlock:

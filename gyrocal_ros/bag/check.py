@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from gyrocal_ros.bag.assess import assess
 from gyrocal_ros.bag.rig import read_rig, read_static_transforms
-from gyrocal_ros.bag.scan import BagScan, scan_bag
+from gyrocal_ros.bag.scan import BagScan, begin_scan
 from gyrocal_ros.bag.selection import Selection, select_topics
-from gyrocal_ros.bag.source import topic_options
-from gyrocal_ros.bag.storage import Storage, open_storage
+from gyrocal_ros.bag.source import BagSource, open_bag, topic_options
+from gyrocal_ros.bag.storage import Storage, Topic, open_storage
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds, seconds
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import topics
-from gyrocal_ros.msgs.issues import BagIssue, Severity
+from gyrocal_ros.msgs.issues import BagIssue, Severity, raise_first_error
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
 
@@ -55,15 +57,80 @@ class CheckReport:
         return all(issue.severity is not Severity.ERROR for issue in self.issues)
 
 
-def check_bag(
-    path: Path,
-    config: Config,
-    *,
-    remap: Mapping[str, str] | None = None,
-    namespace: str | None = None,
-    heading_reference: str | None = None,
-) -> CheckReport:
-    """Check a recording in one pass; the arguments are those of `open_bag`.
+@dataclass(slots=True)
+class Checked:
+    """A recording that is checked while it is read."""
+
+    source: BagSource
+    issues: tuple[BagIssue, ...] = ()
+    """Issues, the most severe first, once the check has ended."""
+
+
+class BagCheck:
+    """Check of a recording by its messages, which some pass over it adds.
+
+    Args:
+        path: the recording; it and the other arguments are those of `open_bag`.
+        config: the settings.
+        remap: usual name of a topic to its name in the recording.
+        namespace: namespace of the robot.
+        heading_reference: topic that provides the heading.
+
+    Raises:
+        RecordingError: there is no such recording, or it is damaged.
+        ConfigError: a remap is wrong.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        config: Config,
+        *,
+        remap: Mapping[str, str] | None = None,
+        namespace: str | None = None,
+        heading_reference: str | None = None,
+    ) -> None:
+        self._path, self._recording = path, config.recording
+        options = topic_options(config.recording, remap, namespace, heading_reference)
+        self.is_complete = False
+        """True if all messages were added."""
+        with open_storage(path) as storage:
+            self._selection = select_topics(storage.topics, options)
+            self.issues = list(self._selection.issues)
+            """Issues that were found so far, before the messages."""
+            links = read_static_transforms(storage, self._selection)
+            self.issues += _camera_issues(storage, self._selection, links, config)
+            step_ns = nanoseconds(config.recording.clock_step_s)
+            self._scan = begin_scan(storage, self._selection, links, step_ns, self.issues)
+            self._topics, self._duration_s = storage.topics, seconds(storage.end_ns - storage.start_ns)
+
+    @property
+    def used(self) -> dict[str, Topic]:
+        """Topics whose messages are to be added, by name."""
+        return self._scan.used
+
+    def add(self, name: str, recorded_ns: int, raw: bytes) -> None:
+        """Add a message, with its time of recording."""
+        self._scan.add(name, recorded_ns, raw)
+
+    def finish(self) -> None:
+        """All messages were added."""
+        self._scan.finish()
+        self.is_complete = True
+
+    def report(self) -> CheckReport:
+        """Return the topics and issues, when all messages were added."""
+        issues = [*self.issues, *assess(self._scan, reorder_window_s=self._recording.reorder_window_s)]
+        return CheckReport(
+            name=str(self._path),
+            duration_s=self._duration_s,
+            topics=tuple(_summaries(self._topics, self._duration_s, self._selection, self._scan)),
+            issues=tuple(sorted(issues, key=lambda issue: list(Severity).index(issue.severity))),
+        )
+
+
+def check_bag(path: Path, config: Config, **options: Any) -> CheckReport:
+    """Check a recording in one pass; the arguments are those of `BagCheck`.
 
     If the usual topics are missing, the topics that could replace them are checked instead.
 
@@ -71,21 +138,37 @@ def check_bag(
         RecordingError: there is no such recording, or it is damaged.
         ConfigError: a remap is wrong.
     """
-    recording = config.recording
-    options = topic_options(recording, remap, namespace, heading_reference)
+    check = BagCheck(path, config, **options)
     with open_storage(path) as storage:
-        selection = select_topics(storage.topics, options)
-        issues = list(selection.issues)
-        links = read_static_transforms(storage, selection)
-        issues += _camera_issues(storage, selection, links, config)
-        scan = scan_bag(storage, selection, links, nanoseconds(recording.clock_step_s), issues)
-        issues += assess(scan, reorder_window_s=recording.reorder_window_s)
-        return CheckReport(
-            name=str(path),
-            duration_s=seconds(storage.end_ns - storage.start_ns),
-            topics=tuple(_summaries(storage, selection, scan)),
-            issues=tuple(sorted(issues, key=lambda issue: list(Severity).index(issue.severity))),
-        )
+        for message in storage.raw_messages(check.used.values()):
+            check.add(*message)
+    check.finish()
+    return check.report()
+
+
+@contextmanager
+def checked_bag(path: Path, config: Config, *, with_covariates: bool, **options: Any) -> Iterator[Checked]:
+    """Check a recording while it is read; the arguments are those of `open_bag`.
+
+    Reading and checking share a pass. The check ends with the block, and its errors take precedence over
+    those of the block, whose cause they may be.
+
+    Raises:
+        RecordingError: there is no such recording, it is damaged, or it cannot be calibrated from.
+        ConfigError: a remap is wrong.
+    """
+    check = BagCheck(path, config, **options)
+    raise_first_error(check.issues, str(path))
+    source = open_bag(path, config, with_covariates=with_covariates, watch=check, **options)
+    checked = Checked(source)
+    try:
+        yield checked
+    except Exception:
+        raise_first_error(check_bag(path, config, **options).issues, str(path))
+        raise
+    report = check.report() if check.is_complete else check_bag(path, config, **options)
+    raise_first_error(report.issues, str(path))
+    checked.issues = report.issues
 
 
 def _camera_issues(
@@ -105,15 +188,16 @@ def _camera_issues(
     yield from assumed
 
 
-def _summaries(storage: Storage, selection: Selection, bag: BagScan) -> Iterator[TopicSummary]:
-    duration_s = seconds(storage.end_ns - storage.start_ns)
+def _summaries(
+    recorded: Mapping[str, Topic], duration_s: float, selection: Selection, bag: BagScan
+) -> Iterator[TopicSummary]:
     start_ns = min((scan.stamps.first_ns for scan in bag.topics), default=0)
     uses = {topic.name: 'covariate' for topic in selection.others.values()}
     uses |= {topic.name: topics.STATIC_TRANSFORMS for topic in selection.static_transforms}
     for role, topic in selection.topics.items():
         uses[topic.name] = f'{uses[topic.name]}, {role}' if topic.name in uses else str(role)
     stamps_of = {scan.topic.name: scan.stamps for scan in bag.topics}
-    for topic in storage.topics.values():
+    for topic in recorded.values():
         rate_hz = topic.count / duration_s if duration_s else math.nan
         start_s = end_s = longest_gap_s = math.nan
         if stamps := stamps_of.get(topic.name):

@@ -1,4 +1,4 @@
-"""Scan of a recording: one pass that collects the statistics from which a check derives its issues."""
+"""Scan of a recording: collects the statistics from which a check derives its issues, message by message."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class TopicScan:
 
 @dataclass(slots=True)
 class BagScan:
-    """Statistics of a recording after one pass."""
+    """Statistics of a recording; give it all messages of the topics in use, in one pass."""
 
     topics: list[TopicScan] = field(default_factory=list)
     imus: dict[str, ImuStats] = field(default_factory=dict)
@@ -88,20 +88,41 @@ class BagScan:
     """Turns by wheels and by heading reference."""
     feature_count: int = 0
     """Number of features in all images together."""
+    _by_topic: dict[str, list[TopicScan]] = field(default_factory=lambda: defaultdict(list))
+
+    @property
+    def used(self) -> dict[str, Topic]:
+        """Topics whose messages are scanned, by name."""
+        return {scan.topic.name: scan.topic for scan in self.topics}
+
+    def add(self, name: str, recorded_ns: int, raw: bytes) -> None:
+        """Add a message of a topic, with its time of recording."""
+        for scan in self._by_topic.get(name, ()):
+            scan.add(recorded_ns, raw)
+
+    def finish(self) -> None:
+        """Process the last messages."""
+        for scan in self.topics:
+            scan.finish()
+
+    def add_topic(self, scan: TopicScan) -> None:
+        """Add a topic to scan."""
+        self.topics.append(scan)
+        self._by_topic[scan.topic.name].append(scan)
 
     def of_role(self, role: Role) -> TopicScan | None:
         """Return the scan of the topic of a role, if there is one."""
         return next((topic for topic in self.topics if topic.role is role), None)
 
 
-def scan_bag(
+def begin_scan(
     storage: Storage,
     selection: Selection,
     links: Sequence[Transform],
     step_ns: int,
     issues: list[BagIssue],
 ) -> BagScan:
-    """Scan every message of the topics in use.
+    """Prepare the scan of every message of the topics in use.
 
     If no topic is selected as IMU, all topics of that type are scanned; if none is selected as wheel
     odometry, the only unused topic of that type is.
@@ -114,7 +135,7 @@ def scan_bag(
         issues: list to which issues of the mounting of the IMU are appended.
 
     Raises:
-        RecordingError: the recording is damaged.
+        RecordingError: the recording is damaged, or the type of a topic is unknown.
     """
     scan = BagScan()
     for role, topic in _topics_to_scan(storage, selection):
@@ -134,8 +155,7 @@ def scan_bag(
         elif role is Role.FEATURES:
             fields, handle = (*STAMP_FIELDS, 'width'), _feature_handler(scan)
         reader, stamps = storage.reader_of(topic, fields), StampStats(step_ns)
-        scan.topics.append(TopicScan(topic, role, reader, handle, stamps))
-    _read_messages(storage, scan.topics)
+        scan.add_topic(TopicScan(topic, role, reader, handle, stamps))
     return scan
 
 
@@ -150,18 +170,6 @@ def _topics_to_scan(storage: Storage, selection: Selection) -> Iterator[tuple[Ro
             unused = [topic for topic in fitting if topic not in selection.topics.values()]
             if role is Role.IMU or len(unused) == 1:
                 yield from ((role, topic) for topic in unused)
-
-
-def _read_messages(storage: Storage, scans: Sequence[TopicScan]) -> None:
-    by_topic: dict[str, list[TopicScan]] = defaultdict(list)
-    for scan in scans:
-        by_topic[scan.topic.name].append(scan)
-    used = {scan.topic.name: scan.topic for scan in scans}
-    for name, recorded_ns, raw in storage.raw_messages(used.values()):
-        for scan in by_topic[name]:
-            scan.add(recorded_ns, raw)
-    for scan in scans:
-        scan.finish()
 
 
 def _ignore(stamps_ns: IntArray, numbers: Array) -> None:

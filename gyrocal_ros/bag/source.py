@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 from gyrocal_ros.bag.decode import Decode, MessageDecoder
 from gyrocal_ros.bag.rig import Geometry, read_geometry
 from gyrocal_ros.bag.selection import Selection, TopicOptions, parse_remap, remap_roles, select_topics
-from gyrocal_ros.bag.storage import Storage, open_storage
+from gyrocal_ros.bag.storage import Storage, Topic, open_storage
 from gyrocal_ros.config.sections import Config, RecordingConfig
 from gyrocal_ros.data import NS_PER_S, ClockStep, Measurement, Rig, Span, nanoseconds
 from gyrocal_ros.msgs import topics
@@ -27,6 +28,20 @@ DROP_TEXTS = {
 """Predicate that describes messages dropped for each reason."""
 
 
+class Watch(Protocol):
+    """Something that takes the messages of some topics in the first pass over a recording."""
+
+    @property
+    def used(self) -> Mapping[str, Topic]:
+        """These topics, by name."""
+
+    def add(self, name: str, recorded_ns: int, raw: bytes) -> None:
+        """Take a message, with its time of recording."""
+
+    def finish(self) -> None:
+        """The pass has ended."""
+
+
 class BagSource:
     """Yields the measurements of one robot in a recording, sorted and in body axes."""
 
@@ -39,11 +54,13 @@ class BagSource:
         span: Span,
         *,
         with_covariates: bool,
+        watch: Watch | None = None,
     ) -> None:
         """Use `open_bag`."""
         self._path, self._recording = path, config.recording
         self._selection, self._geometry, self._span = selection, geometry, span
         self._with_covariates = with_covariates
+        self._watch = watch
         self._pass_issues: list[BagIssue] = []
 
     @property
@@ -85,7 +102,8 @@ class BagSource:
                 with_covariates=self._with_covariates,
             )
             reorderer = Reorderer[Sequence[Measurement]](window_ns, step_ns, followers=decoder.followers)
-            for samples in _read_sorted(storage, decoder, reorderer):
+            watch, self._watch = self._watch, None
+            for samples in _read_sorted(storage, decoder, reorderer, watch):
                 if isinstance(samples, ClockStep):
                     yield samples
                 else:
@@ -101,6 +119,7 @@ def open_bag(
     namespace: str | None = None,
     heading_reference: str | None = None,
     with_covariates: bool = False,
+    watch: Watch | None = None,
 ) -> BagSource:
     """Open a recording for calibration.
 
@@ -111,6 +130,7 @@ def open_bag(
         namespace: namespace of the robot, if the recording holds several.
         heading_reference: topic that provides the heading, in place of the ceiling camera.
         with_covariates: yield all other recorded numbers too.
+        watch: takes the messages of the first pass as well.
 
     Raises:
         RecordingError: there is no such recording, it is damaged, or it lacks a needed topic.
@@ -123,7 +143,7 @@ def open_bag(
         geometry = read_geometry(storage, selection, config.camera)
         start_ns = topics.stamp_ns(storage.first_message(selection.topics[Role.IMU]))
         span = Span(start_ns, start_ns + storage.end_ns - storage.start_ns)
-    return BagSource(path, config, selection, geometry, span, with_covariates=with_covariates)
+    return BagSource(path, config, selection, geometry, span, with_covariates=with_covariates, watch=watch)
 
 
 def topic_options(
@@ -146,15 +166,24 @@ def topic_options(
 
 
 def _read_sorted(
-    storage: Storage, decoder: MessageDecoder, reorderer: Reorderer[Sequence[Measurement]]
+    storage: Storage,
+    decoder: MessageDecoder,
+    reorderer: Reorderer[Sequence[Measurement]],
+    watch: Watch | None,
 ) -> Iterator[Sequence[Measurement] | ClockStep]:
     """Yield the measurements of each message, in the order of the stamps."""
     decoders: dict[str, list[tuple[int, Decode]]] = defaultdict(list)
     for stream, (topic, decode) in enumerate(decoder.streams):
         decoders[topic.name].append((stream, decode))
     used = {topic.name: topic for topic, _ in decoder.streams}
+    if watch is not None:
+        used |= watch.used
     arrival_ns = last_ns = storage.start_ns
     for name, recorded_ns, raw in storage.raw_messages(used.values()):
+        if watch is not None:
+            watch.add(name, recorded_ns, raw)
+        if name not in decoders:
+            continue
         arrival_ns += min(max(recorded_ns - last_ns, 0), MAX_PAUSE_NS)
         last_ns = recorded_ns
         for stream, decode in decoders[name]:
@@ -163,6 +192,8 @@ def _read_sorted(
                 t_ns = samples[0].t_ns
                 decoder.stamp_offset_ns = t_ns - recorded_ns
                 yield from reorderer.push(t_ns, stream, samples, arrival_ns)
+    if watch is not None:
+        watch.finish()
     yield from reorderer.finish()
 
 

@@ -41,6 +41,8 @@ HIDDEN = ('scale_cubic=0.004', 'bias_temperature=0.0005')
 """Effects of the recording that is improved."""
 MAX_DIAGNOSED_S = 300.0
 """Longest recording that is diagnosed."""
+NO_BYTECODE = 'PYTHONDONTWRITEBYTECODE'
+"""Environment variable of developers with which every start compiles all modules again."""
 SINGLE_THREAD = {'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1'}
 
 
@@ -97,10 +99,11 @@ def reading_process(bag: Path) -> Process:
 
 def _process(*words: str) -> Process:
     command = [sys.executable, *words]
+    environment = {name: value for name, value in os.environ.items() if name != NO_BYTECODE}
     launched = subprocess.run(
         [sys.executable, '-c', LAUNCHER, *command],
         stdout=subprocess.PIPE,
-        env=os.environ | SINGLE_THREAD,
+        env=environment | SINGLE_THREAD,
         check=True,
     )
     status, cpu_s, peak_kb = json.loads(launched.stdout)

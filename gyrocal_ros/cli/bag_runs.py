@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrocal_ros.bag.check import check_bag
-from gyrocal_ros.bag.source import open_bag
+from gyrocal_ros.bag.check import checked_bag
 from gyrocal_ros.cli.figures import add_picture_options, check_pictures
 from gyrocal_ros.cli.options import add_bag_options, add_images_option, bag_options, read_config
 from gyrocal_ros.cli.output import print_message, progress
@@ -18,7 +17,7 @@ from gyrocal_ros.data import Source
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.msgs.issues import raise_first_error, worst_per_kind
+from gyrocal_ros.msgs.issues import worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.pipeline.run_filter import Progress
@@ -92,14 +91,14 @@ def open_bag_runs(args: argparse.Namespace, model: SensorModel) -> BagRuns:
         GyrocalError: it cannot be used for a calibration.
     """
     config, options = read_config(args), bag_options(args)
-    issues = check_bag(args.bag, config, **options).issues
-    raise_first_error(issues, str(args.bag))
-    for issue in worst_per_kind(issues):
+    with (
+        checked_bag(args.bag, config, with_covariates=True, **options) as checked,
+        _progress_bar('reading', checked.source) as report,
+    ):
+        preloaded, config = preload(checked.source, config, model, report)
+    for issue in worst_per_kind(checked.issues):
         print_message(f'{issue.severity}: {issue}')
-    source = open_bag(args.bag, config, with_covariates=True, **options)
-    with _progress_bar('reading', source) as report:
-        preloaded, config = preload(source, config, model, report)
-    return BagRuns(preloaded, config, tuple((issue.severity, str(issue)) for issue in issues))
+    return BagRuns(preloaded, config, tuple((issue.severity, str(issue)) for issue in checked.issues))
 
 
 @contextmanager

@@ -10,8 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from gyrocal_ros.bag.check import check_bag
-from gyrocal_ros.bag.source import open_bag
+from gyrocal_ros.bag.check import checked_bag
 from gyrocal_ros.cli.figures import add_picture_options, check_pictures, draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, load_own_effects
 from gyrocal_ros.cli.options import (
@@ -23,6 +22,7 @@ from gyrocal_ros.cli.options import (
 )
 from gyrocal_ros.cli.output import print_json, print_message, progress, warn
 from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import Source
 from gyrocal_ros.diagnose.json_summary import summarise
 from gyrocal_ros.diagnose.status import Status
 from gyrocal_ros.effects.model_file import load_model
@@ -32,7 +32,7 @@ from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.msgs.issues import BagIssue, raise_first_error, worst_per_kind
+from gyrocal_ros.msgs.issues import BagIssue, worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.pipeline.run_filter import Progress
@@ -102,22 +102,16 @@ def replay(
     began_s = time.perf_counter()
     with ExitStack() as stack:
         folder = stack.enter_context(new_folder(out, overwrite=overwrite)) if out else None
-        issues = check_bag(bag, config, **options).issues
-        raise_first_error(issues, str(bag))
-        for issue in worst_per_kind(issues):
+        with_covariates = bool(followers_by_signal(model))
+        with checked_bag(bag, config, with_covariates=with_covariates, **options) as checked:
+            finished = _calibrate(checked.source, config, model, start)
+        for issue in worst_per_kind(checked.issues):
             print_message(f'{issue.severity}: {issue}')
-        try:
-            finished = _calibrate(bag, config, model, options, start)
-        except FilterDivergedError as error:
-            if start is None:
-                raise
-            todo = 'try without --start-from: it may be the calibration of another gyro'
-            raise FilterDivergedError(error.what, where=error.where, todo=todo) from error
         calibration = conclude(finished)
         for event in summarised(finished.events):
             warn(event.text)
         if folder is not None:
-            _write(folder, finished, calibration, issues, png)
+            _write(folder, finished, calibration, checked.issues, png)
             print_if_requested(pdf, folder)
     return summarise(finished, calibration) | {'wall_s': time.perf_counter() - began_s}
 
@@ -164,16 +158,19 @@ def _convergence(summary: dict[str, Any]) -> str:
     return 'no'
 
 
-def _calibrate(
-    bag: Path, config: Config, model: SensorModel, options: BagOptions, start: Start | None
-) -> Run:
-    source = open_bag(bag, config, with_covariates=bool(followers_by_signal(model)), **options)
+def _calibrate(source: Source, config: Config, model: SensorModel, start: Start | None) -> Run:
     with progress('calibrating', total=round(source.span.duration_s), unit='s') as bar:
 
         def report(state: Progress) -> None:
             bar.update(round(state.done_s) - bar.n)
 
-        return calibrate(source, config, model, start, report, follows_changes=True)
+        try:
+            return calibrate(source, config, model, start, report, follows_changes=True)
+        except FilterDivergedError as error:
+            if start is None:
+                raise
+            todo = 'try without --start-from: it may be the calibration of another gyro'
+            raise FilterDivergedError(error.what, where=error.where, todo=todo) from error
 
 
 def _write(

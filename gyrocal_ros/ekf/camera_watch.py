@@ -15,7 +15,7 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects.camera_tilt import CameraTilt
 from gyrocal_ros.effects.radial_distortion import RadialDistortion
-from gyrocal_ros.ekf.scale_watch import NormalEquations
+from gyrocal_ros.ekf.scale_watch import NormalEquations, normal_equations
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.model.sensor import Effect
@@ -49,7 +49,7 @@ class CameraWatch:
 
     def restart(self) -> None:
         """Forget what was seen so far."""
-        self.sums = NormalEquations(np.diag(PRIOR_STD**-2.0), np.zeros(self.count))
+        self.sums = normal_equations(np.diag(PRIOR_STD**-2.0), np.zeros(self.count))
         self._nis, self._dof = 0.0, 0
         self._matters_s = 0.0
 
@@ -58,7 +58,7 @@ class CameraWatch:
         for stats in updates:
             if stats.information is not None and stats.score is not None:
                 information = self.sums.information + stats.information[self._columns, self._columns]
-                self.sums = NormalEquations(information, self.sums.score + stats.score[self._columns])
+                self.sums = normal_equations(information, self.sums.score + stats.score[self._columns])
                 self._nis += stats.nis
                 self._dof += stats.dof
 
@@ -104,7 +104,7 @@ class CameraWatch:
         )
 
     def _of(self, columns: slice) -> NormalEquations:
-        return NormalEquations(self.sums.information[columns, columns], self.sums.score[columns])
+        return normal_equations(self.sums.information[columns, columns], self.sums.score[columns])
 
     def _significance(self, explained: float) -> float:
         """Return the explained part of the NIS by the part per degree of freedom that is left, 1 or more."""

@@ -32,7 +32,7 @@ class FrozenCamera:
     def move(self, block: MotionBlock) -> None:
         """Add the motion of a block."""
         self._turned_rad += float(block.rate_rad_s[:, 2] @ block.dt_s)
-        self._travelled_m += float(block.distance_m.sum())
+        self._travelled_m += sum(block.distance_m.tolist())
 
     def repeats(self, seen: FeatureObservations) -> bool:
         """Return True if an image shows all features where they were before the robot moved."""

@@ -20,6 +20,7 @@ from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
 from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
+from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
 from gyrocal_ros.ekf.state import POSE, YAW, State
@@ -93,8 +94,8 @@ def update_from_image(
         model: measurement model of the image.
         observations: features by the tracker.
     """
-    known, rows = _known(state, observations)
-    prediction = model.predict(state, state.features[rows], state.landmarks.anchors[rows])
+    known, rows = match_ids(state.landmarks.ids, observations.ids)
+    prediction = model.predict(state, state.features.take(rows, 0), state.landmarks.anchors[rows])
     observed = observations if len(known) == len(observations.ids) else observations[known]
     moved = motion(prediction.points_c, observed.pixels, state.landmarks, rows, model.view.camera.fx_px)
     directions, unmoved = moved.directions, moved.unmoved
@@ -102,7 +103,7 @@ def update_from_image(
     seen = MeasurementUpdate(unmoved=repeated, changes_px2=moved.changes_px2[unmoved])
     if repeated:
         state = mark_seen(state, rows[unmoved])
-        each = np.flatnonzero(~unmoved)
+        each = (~unmoved).nonzero()[0]
         rows, observed, prediction = rows[each], observed[each], prediction[each]
         directions, unmoved = directions[each], unmoved[each]
     if len(rows) == 0:
@@ -113,7 +114,7 @@ def update_from_image(
         state = learn_noise(state, rows, judged, DOF_PER_FEATURE)
 
     used_count = int(np.count_nonzero(good))
-    used = found.innovation if used_count == len(good) else found.innovation[np.flatnonzero(good)]
+    used = found.innovation if used_count == len(good) else found.innovation[good.nonzero()[0]]
     heading_rad, heading_std_rad = _as_heading(used)
     stats, by_feature = UpdateStats(), None
     if found.slip_std is not None:
@@ -129,13 +130,16 @@ def update_from_image(
         drop_after = model.config.features.drop_after_rejections
         kept = count_matches(state, rows, good, observed.pixels, directions, drop_after)
     is_in_pixels = model.form.rows == 2
+    dropped = len(state.landmarks.ids) - len(kept.landmarks.ids)
+    if dropped:
+        seen = changed(seen, dropped_ids=np.setdiff1d(state.landmarks.ids, kept.landmarks.ids))
     return kept, changed(
         seen,
         slips=found.slip_std is not None,
         contradicts_turn=found.contradicts_turn,
         used=used_count,
         rejected=len(good) - used_count,
-        dropped=len(state.landmarks.ids) - len(kept.landmarks.ids),
+        dropped=dropped,
         stats=stats,
         by_feature=by_feature,
         heading_rad=heading_rad,
@@ -151,18 +155,13 @@ def with_looser_pose(state: State, std: Array) -> State:
     return changed(state, covariance=covariance)
 
 
-def _known(state: State, observations: FeatureObservations) -> tuple[IntArray, IntArray]:
-    """Return which observations are of features in the map, and the indices of these features."""
-    places = find_ids(state.landmarks.ids, observations.ids)
-    known = np.flatnonzero(places >= 0)
-    return known, places[known]
-
-
 @compiled
-def find_ids(ids: IntArray, wanted: IntArray) -> IntArray:
-    """Return the index (m,) of each wanted id (m,) among ids (M,); -1 where it is not."""
+def match_ids(ids: IntArray, wanted: IntArray) -> tuple[IntArray, IntArray]:
+    """Return which of the wanted ids (m,) are among ids (M,), as indices, and the indices of those there."""
     place_of = {feature: place for place, feature in enumerate(ids.tolist())}
-    return np.array([place_of.get(feature, -1) for feature in wanted.tolist()], np.int64)
+    places = np.array([place_of.get(feature, -1) for feature in wanted.tolist()], np.int64)
+    known = (places >= 0).nonzero()[0]
+    return known, places[known]
 
 
 def _innovation(
@@ -186,15 +185,19 @@ def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
     return Consensus(innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability))
 
 
-def unmapped(state: State, observations: FeatureObservations, map_size: int) -> list[int]:
-    """Return the indices of observed features that are not in the map and for which there is room.
+def unmapped(
+    state: State, observations: FeatureObservations, moving: MovingFeatures, map_size: int
+) -> list[int]:
+    """Return the indices of fixed features that are not in the map and for which there is room.
 
     No feature of the map that was just seen is evicted: one known for longer is worth more.
     """
-    is_new = find_ids(state.landmarks.ids, observations.ids) < 0
-    if not is_new.any():
+    known, _ = match_ids(state.landmarks.ids, observations.ids)
+    if len(known) == len(observations.ids):
         return []
-    new = np.flatnonzero(is_new).tolist()
+    is_new = np.ones(len(observations.ids), bool)
+    is_new[known] = False
+    new = np.flatnonzero(is_new & moving.are_fixed(observations.ids)).tolist()
     just_seen = int(np.count_nonzero(state.landmarks.last_seen_ns == state.t_ns))
     return new[: max(map_size - just_seen, 0)]
 

@@ -72,7 +72,7 @@ def keep(state: State, kept: np.ndarray) -> State:
         state,
         mean=state.mean[entries],
         covariance=state.covariance[np.ix_(entries, entries)],
-        landmarks=state.landmarks[kept],
+        landmarks=state.landmarks[kept.nonzero()[0]],
         sensitivity=state.sensitivity[entries],
     )
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock, changed, quickly_filled
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, MotionContribution, contribute, pose_by_values
-from gyrocal_ros.ekf.process_noise import process_noise, yaw_noise
+from gyrocal_ros.ekf.process_noise import BlockNoise, process_noise, yaw_noise
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.gyro import body_rates, correct
@@ -104,23 +104,64 @@ def predict(
     correction = correct(model.effects.gyro, block, state.coefficients, memories)
     rate = body_rates(block, correction, state.bias_rad_s)
     added = contribute(model.effects, block, correction, rate, state.coefficients)
-    distance_m = block.distance_m + added.distance_m
-    motion = integrate(state.position_m, state.euler_rad, rate, block.dt_s, distance_m)
     bias, bias_kept = model.sensors.bias.step(state.bias_rad_s[2], block.duration_s)
-
-    yaw_gain = motion.rate_gain[:, 2] * correction.valid
-    by_values = pose_by_values(
-        motion, yaw_gain, _differentiated(added, block, steady, model, state, memories)
+    mean, covariance, sensitivity, matrix, yaw_gain, *motion = carry(
+        state,
+        block,
+        rate,
+        _differentiated(added, block, steady, model, state, memories),
+        _noise_of(block, model, correction.unread_rad(block.dt_s)),
+        bias,
+        bias_kept,
     )
-    matrix = transition_matrix(motion.transition, motion.rate_gain, yaw_gain, by_values, bias_kept)
-
-    mean = state.mean.copy()
-    mean[POSITION], mean[EULER], mean[YAW_BIAS] = motion.position_m + added.drift_m, motion.euler_rad, bias
-
-    noise = _noise_of(block, motion, model, correction.unread_rad(block.dt_s))
-    covariance, sensitivity = carry_covariance(state.covariance, state.sensitivity, matrix, noise)
     after = changed(state, t_ns=block.end_ns, mean=mean, covariance=covariance, sensitivity=sensitivity)
-    return after, Transition(matrix, motion, added, rate, yaw_gain)
+    return after, Transition(matrix, PoseStep(*motion), added, rate, yaw_gain)
+
+
+@compiled
+def carry(
+    state: State,
+    block: MotionBlock,
+    rate_rad_s: Array,
+    added: MotionContribution,
+    noise: BlockNoise,
+    bias_rad_s: float,
+    bias_kept: float,
+) -> tuple[Array, ...]:
+    """Carry mean and covariance over one block of N intervals.
+
+    Args:
+        state: at the start of the block.
+        block: samples up to its end.
+        rate_rad_s: (N, 3) corrected body rates.
+        added: contribution of the effects, with derivatives at the steady rate.
+        noise: of the block.
+        bias_rad_s: yaw bias at the end.
+        bias_kept: factor by which it decays.
+
+    Returns:
+        Mean (n,), covariance (n, n) and sensitivity (n, c) at the end of the block; the transition (r, r) of
+        the robot part; (6, N) d pose / d correction of the yaw rate; the fields of the `PoseStep`.
+    """
+    distance_m = block.distance_m + added.distance_m
+    motion = integrate(state.position_m, state.euler_rad, rate_rad_s, block.dt_s, distance_m)
+    yaw_gain = motion.rate_gain[:, 2] * added.correction.valid
+    by_values = pose_by_values(motion, yaw_gain, added)
+    matrix = transition_matrix(motion, yaw_gain, by_values, bias_kept)
+    covariance = process_noise(
+        noise,
+        motion.rate_gain,
+        motion.mid_euler_rad,
+        block.dt_s,
+        block.rate_rad_s[:, 2],
+        block.distance_m,
+    )
+    mean = state.mean.copy()
+    mean[POSITION], mean[EULER] = motion.position_m + added.drift_m, motion.euler_rad
+    mean[YAW_BIAS] = bias_rad_s
+    carried = carry_covariance(state.covariance, state.sensitivity, matrix, covariance)
+    step = (getattr(motion, item.name) for item in fields(motion))
+    return mean, *carried, matrix, yaw_gain, *step
 
 
 def _differentiated(
@@ -138,29 +179,24 @@ def _differentiated(
     return changed(added, correction=changed(added.correction, by_values=at_steady.by_values))
 
 
-@compiled
-def transition_matrix(
-    of_pose: Array, rate_gain: Array, yaw_gain: Array, by_values: Array, bias_kept: float
-) -> Array:
+def transition_matrix(motion: PoseStep, yaw_gain: Array, by_values: Array, bias_kept: float) -> Array:
     """Return the transition (r, r) of the robot part of the state over a block of N intervals.
 
     Args:
-        of_pose: (6, 6) d pose / d pose at the start.
-        rate_gain: (6, 3, N) d pose / d body rate of each interval.
+        motion: in the block.
         yaw_gain: (6, N) d pose / d correction of the yaw rate of each interval.
         by_values: (6, k) d pose / d coefficients.
         bias_kept: factor by which the yaw bias decays.
     """
     matrix = np.eye(COEFFICIENTS_START + by_values.shape[1])
-    matrix[POSE, POSE] = of_pose
-    matrix[POSE, BIAS] = rate_gain.sum(axis=2)
+    matrix[POSE, POSE] = motion.transition
+    matrix[POSE, BIAS] = motion.rate_gain.sum(axis=2)
     matrix[POSE, YAW_BIAS] = yaw_gain.sum(axis=1)
     matrix[POSE, COEFFICIENTS_START:] = by_values
     matrix[YAW_BIAS, YAW_BIAS] = bias_kept
     return matrix
 
 
-@compiled
 def carry_covariance(
     covariance: Array, sensitivity: Array, matrix: Array, noise: Array
 ) -> tuple[Array, Array]:
@@ -213,29 +249,27 @@ def predict_sensitivity(
     return changed(state, sensitivity=sensitivity), correction.memories
 
 
-def _noise_of(block: MotionBlock, motion: PoseStep, model: FilterModel, unknown_rad: float) -> Array:
-    """Return the covariance (9 + k, 9 + k) that one block adds; the gyro could not read some of the turn."""
-    gyro, wheels, duration_s = model.gyro, model.wheels, block.duration_s
-    tilt_density = model.tilt_rate_noise_rad_s
-    if tilt_density is None:
-        tilt_density = np.full(2, math.radians(gyro.rate_noise_deg_s))
-    yaw = yaw_noise(model.effects.noise, model.effects.prior_means, gyro, block.rate_rad_s[:, 2])
-    walks = np.empty(3 + model.effects.count)
-    walks[:2], walks[2] = math.radians(gyro.bias_walk_deg_s), yaw.bias_walk_rad_s
-    walks[3:] = model.effects.walks
-    if model.effects.count:  # the first coefficient is the scale factor
-        walks[3] = math.hypot(walks[3], gyro.scale_walk)
-    return process_noise(
-        motion.rate_gain,
-        tilt_density,
-        yaw.density_rad_s,
-        block.dt_s,
-        block.rate_rad_s[:, 2],
-        block.distance_m,
-        motion.mid_euler_rad,
+def _noise_of(block: MotionBlock, model: FilterModel, unknown_rad: float) -> BlockNoise:
+    """Return the noise of a block in which the gyro could not read some of the turn."""
+    gyro, wheels, effects = model.gyro, model.wheels, model.effects
+    density, walk = math.radians(gyro.rate_noise_deg_s), math.radians(gyro.bias_walk_deg_s)
+    yaw_density: Array | float = density
+    yaw_walk, walks = walk, effects.walks
+    if effects.noise:
+        yaw = yaw_noise(effects.noise, effects.prior_means, gyro, block.rate_rad_s[:, 2])
+        yaw_density, yaw_walk = yaw.density_rad_s, yaw.bias_walk_rad_s
+    if effects.count and gyro.scale_walk:  # the first coefficient is the scale factor
+        walks = walks.copy()
+        walks[0] = math.hypot(walks[0], gyro.scale_walk)
+    return BlockNoise(
+        density if model.tilt_rate_noise_rad_s is None else model.tilt_rate_noise_rad_s,
+        yaw_density,
         math.radians(gyro.gap_rate_std_deg_s) * block.gap_s,
         unknown_rad,
         (wheels.distance_noise_m, wheels.lateral_noise_m, wheels.vertical_noise_m, wheels.turn_noise_m),
         UNMEASURED_SPEED_M_S * block.wheel_gap_s,
-        walks * math.sqrt(duration_s),
+        walk,
+        yaw_walk,
+        walks,
+        block.duration_s,
     )

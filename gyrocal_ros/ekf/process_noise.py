@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
-from gyrocal_ros.data import Array
-from gyrocal_ros.kernels import compiled
+from gyrocal_ros.data import Array, quickly_filled
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import NoiseEffect, SensorModel, placed
 
@@ -23,6 +22,32 @@ class YawNoise:
     """(N,) density of the white noise, rad/s/sqrt(Hz)."""
     bias_walk_rad_s: float
     """Random walk of the bias, rad/s/sqrt(s)."""
+
+
+@quickly_filled
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockNoise:
+    """Noise of gyro and wheels in one block of N intervals."""
+
+    tilt_density_rad_s: Array | float
+    """(2,) densities of the white noise of the x and y gyros, or one for both, rad/s/sqrt(Hz)."""
+    yaw_density_rad_s: Array | float
+    """(N,) the same of the yaw gyro, or one for all intervals."""
+    gap_rad: float
+    """Standard deviation of each angle by times without samples."""
+    unknown_rad: float
+    """Standard deviation of the turn that the gyro could not measure."""
+    wheels: tuple[float, float, float, float]
+    """Noise along, across and up, in m per sqrt(m) of way, and of each, in m per sqrt(rad)."""
+    wheel_gap_m: float
+    """Standard deviation of the motion on the floor by times without wheel encoders."""
+    tilt_walk_rad_s: float
+    yaw_walk_rad_s: float
+    """Random walks of the biases of the x and y gyros and of the yaw gyro, rad/s/sqrt(s)."""
+    walks: Array
+    """(k,) random walks of the coefficients, per sqrt(s)."""
+    duration_s: float
+    """Length of the block."""
 
 
 def yaw_noise(
@@ -52,44 +77,36 @@ def yaw_noise_of(model: SensorModel, gyro: GyroConfig, rate_rad_s: Array) -> Yaw
     return yaw_noise(placed(model.effects, 'noise'), values, gyro, rate_rad_s)
 
 
-@compiled
 def process_noise(
+    noise: BlockNoise,
     rate_gain: Array,
-    tilt_density_rad_s: Array,
-    yaw_density_rad_s: Array,
+    mid_euler_rad: Array,
     dt_s: Array,
     yaw_rate_rad_s: Array,
     distance_m: Array,
-    mid_euler_rad: Array,
-    gap_rad: float,
-    unknown_rad: float,
-    wheel_noise: tuple[float, float, float, float],
-    wheel_gap_m: float,
-    walks: Array,
 ) -> Array:
     """Return the covariance (r, r) that one block of N intervals adds to the robot part of the state.
 
     Args:
+        noise: of the block.
         rate_gain: (6, 3, N) d pose / d body rate of each interval.
-        tilt_density_rad_s: (2,) densities of the white noise of the x and y gyros, rad/s/sqrt(Hz).
-        yaw_density_rad_s: (N,) the same of the yaw gyro.
+        mid_euler_rad: (3, N) attitude in the middle of each interval.
         dt_s: (N,)
         yaw_rate_rad_s: (N,) readings.
         distance_m: (N,) by the wheels.
-        mid_euler_rad: (3, N) attitude in the middle of each interval.
-        gap_rad: standard deviation of each angle by times without samples.
-        unknown_rad: standard deviation of the turn that the gyro could not measure.
-        wheel_noise: noise along, across and up, in m per sqrt(m) of way, and of each, in m per sqrt(rad).
-        wheel_gap_m: standard deviation of the motion on the floor by times without wheel encoders.
-        walks: (r - 6,) standard deviations of the changes of biases and coefficients in the block.
     """
-    density = np.concatenate([np.tile(tilt_density_rad_s[:, None], len(dt_s)), yaw_density_rad_s[None]])
+    density = np.empty((3, len(dt_s)))
+    density[:2] = np.reshape(noise.tilt_density_rad_s, (-1, 1))
+    density[2] = noise.yaw_density_rad_s
     by_rate = (rate_gain * (density / np.sqrt(dt_s))).reshape(6, -1)
-    along, across, up, turning = np.square(wheel_noise)
-    way_m, floor = np.abs(distance_m).sum(), turning * (np.abs(yaw_rate_rad_s) @ dt_s) + wheel_gap_m**2
+    along, across, up, turning = np.square(noise.wheels)
+    way_m = np.abs(distance_m).sum()
+    floor = turning * (np.abs(yaw_rate_rad_s) @ dt_s) + noise.wheel_gap_m**2
     R_wb = rotation_from_euler(mid_euler_rad[:, len(dt_s) // 2])
-    noise = np.diag(np.concatenate([np.zeros(3), np.full(3, gap_rad), walks]) ** 2)
-    noise[:6, :6] += by_rate @ by_rate.T
-    noise[:3, :3] += R_wb * [way_m * along + floor, way_m * across + floor, way_m * up] @ R_wb.T
-    noise[5, 5] += unknown_rad**2
-    return noise
+    of_biases = [noise.tilt_walk_rad_s, noise.tilt_walk_rad_s, noise.yaw_walk_rad_s]
+    walks = math.sqrt(noise.duration_s) * np.concatenate([of_biases, noise.walks])
+    added = np.diag(np.concatenate([np.zeros(3), np.full(3, noise.gap_rad), walks]) ** 2)
+    added[:6, :6] += by_rate @ by_rate.T
+    added[:3, :3] += R_wb * [way_m * along + floor, way_m * across + floor, way_m * up] @ R_wb.T
+    added[5, 5] += noise.unknown_rad**2
+    return added

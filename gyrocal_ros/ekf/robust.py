@@ -8,6 +8,7 @@ fixed in space, shows far more clearly than by its own innovation.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -28,6 +29,8 @@ MAX_INFLATION = 1e6
 MAX_ITERATIONS = 3
 CONVERGED = 0.05
 """Relative change of the weights at which the iteration ends."""
+WEIGHING = HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
+"""These settings, as `weigh` takes them."""
 LOOSE_POSE_RATE = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
 """Standard deviations of the errors of the motion (m/s, rad/s) of a model that lacks an effect."""
 SLIP_RATE = np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
@@ -37,6 +40,10 @@ BENT = 0.1
 TURNED = 0.2
 """Share of a contradiction that a slip leaves, above which another turn is needed to explain it."""
 POSE_DOF = 6
+MIN_WITNESSES = 3
+"""Features that agree with the predicted pose and contradict another one, from which it is not that one."""
+Weighed: TypeAlias = tuple[Array, Array, Array, float, float, float]
+"""What `weigh_loosely` returns."""
 MIN_FEATURES = 5
 """Fewest features that may contradict the pose: the better half of them determines one."""
 
@@ -116,7 +123,7 @@ class Consensus:
     @property
     def rejects_image(self) -> bool:
         """True if the image is rejected as a whole, so that no feature is at fault."""
-        return len(self.good) >= MIN_FEATURES and not self.good.any()
+        return len(self.good) >= MIN_FEATURES and not np.count_nonzero(self.good)
 
 
 def consensus(
@@ -129,7 +136,8 @@ def consensus(
     an effect that the model lacks may have turned it, and those that show the effect best would be rejected
     first. They are then judged with a looser pose: by a wider gate if that explains what they show. If not,
     and most of them contradict each other, none is used: an image in the dark or of a hand still has corners.
-    Few features do not contradict the pose, for they do not determine one.
+    Few features do not contradict the pose, for they do not determine one. Features that agree with the
+    predicted pose are witnesses against any other one that contradicts them: a wrong pose has none.
 
     Args:
         innovation: of the m features.
@@ -143,50 +151,98 @@ def consensus(
     m, r = innovation.residual.shape
     gate = chi_square_quantile(1.0 - outlier_probability, r)
     pose_gate = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
-    inflation, distances, noise_share, nis, whitening = weigh(
-        innovation, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
-    )
-    judged = Judged(distances, noise_share, nis)
-    good = judged.distances <= gate
-    by_pose = Consensus(_with_noise(innovation, inflation, whitening), judged, good)
+    inflation, distances, noise_share, nis, whitening = weigh(innovation, *WEIGHING)
+    by_pose, good = Judged(distances, noise_share, nis), distances <= gate
     # Even all features together may be closer to the prediction than a contradicted pose.
-    if m < MIN_FEATURES or judged.nis <= pose_gate:
-        return by_pose
-    slipping, left = _with_slip(innovation, gate, pose_gate, interval_s)
-    if may_slip and left < BENT:
-        return slipping
-    std = LOOSE_POSE_RATE * interval_s
-    inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
-        innovation, std, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
+    predicted = Consensus(_with_noise(innovation, inflation, whitening), by_pose, good)
+    if m < MIN_FEATURES or nis <= pose_gate:
+        return predicted
+    agreeing = _by_largest_agreement(innovation, gate)
+    if np.count_nonzero(agreeing.good) > np.count_nonzero(good):
+        predicted = agreeing
+    slip_std, loose_std = SLIP_RATE * interval_s, LOOSE_POSE_RATE * interval_s
+    half_agrees = 2 * np.count_nonzero(predicted.good) >= m
+    if half_agrees and _gain(innovation, loose_std, predicted.judged) <= pose_gate:
+        return predicted
+    slip = weigh_loosely(innovation, slip_std, *WEIGHING)
+    *_, tight_nis, loose_nis = slip
+    left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
+    if may_slip and left < BENT and _witnesses(agreeing, slip[1], gate) < MIN_WITNESSES:
+        return _slipping(innovation, slip_std, slip, gate)
+    loose_inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
+        innovation, loose_std, *WEIGHING
     )
-    judged = Judged(distances, noise_share, nis)
-    if 2 * np.count_nonzero(good) >= m and tight_nis - loose_nis <= pose_gate:
-        return by_pose
+    if _witnesses(agreeing, distances, gate) >= MIN_WITNESSES:
+        outvoted = 2 * np.count_nonzero(agreeing.good) < np.count_nonzero(distances <= gate)
+        return changed(agreeing, good=np.zeros(m, bool)) if outvoted else agreeing
     is_pose = loose_nis < BENT * tight_nis
     if is_pose:
-        good = inliers(judged.distances, r, outlier_probability)
+        good = inliers(distances, r, outlier_probability)
         judged = each_alone(innovation)  # the pixel noise grows where this goes on
     else:
-        good = judged.distances <= gate
+        good = distances <= gate
         good &= 2 * np.count_nonzero(good) >= m
+        judged = Judged(distances, noise_share, nis)
     turned = left > TURNED and (is_pose or not good.any())
-    return Consensus(_with_noise(innovation, inflation, whitening), judged, good, contradicts_turn=turned)
+    weighted = _with_noise(innovation, loose_inflation, whitening)
+    return Consensus(weighted, judged, good, contradicts_turn=turned)
 
 
-def _with_slip(
-    innovation: Innovation, gate: float, pose_gate: float, interval_s: float
-) -> tuple[Consensus, float]:
-    """Return what the features say of each other with a slip, and the share of a contradiction left."""
-    std = SLIP_RATE * interval_s
-    inflation, distances, noise_share, nis, tight_nis, loose_nis = weigh_loosely(
-        innovation, std, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS, CONVERGED
-    )
-    numerator = innovation.gain_numerator.copy()
-    numerator[:, :, POSE] += innovation.prediction.by_pose * np.square(std)
+def _gain(innovation: Innovation, std: Array, judged: Judged) -> float:
+    """Return by how much a looser pose explains the better half of the features better, in NIS."""
+    m = len(innovation.rows)
+    better, loose = np.argsort(judged.distances)[: (m + 1) // 2], _with_looser_pose(innovation, std)
+    tight_nis, loose_nis = (_squared_norm(each, np.ones(m), better) for each in (innovation, loose))
+    return tight_nis - loose_nis
+
+
+def _witnesses(agreeing: Consensus, distances: Array, gate: float) -> int:
+    """Return how many features agree with the predicted pose and contradict another one by distances (m,)."""
+    return int(np.count_nonzero(agreeing.good & (distances > gate)))
+
+
+def _by_largest_agreement(innovation: Innovation, gate: float) -> Consensus:
+    """Judge the features of an image by those of the largest agreement: Huber's weights, in one step.
+
+    Weights by iteration do not get there from those of all features, where many contradict each other. From
+    such a start one step is enough (Bickel 1975).
+    """
+    agrees = largest_agreement(innovation, gate)
+    judged = leave_one_out(innovation, np.where(agrees, 1.0, MAX_INFLATION))
+    inflation = np.clip(np.sqrt(judged.distances) / HUBER_BOUND, 1.0, MAX_INFLATION)
+    weighed = changed(innovation, covariance=_inflated(innovation, inflation))
+    return Consensus(weighed, judged, judged.distances <= gate)
+
+
+def largest_agreement(innovation: Innovation, gate: float) -> np.ndarray:
+    """Return which features (m,), bool, agree with the predicted pose and with each other.
+
+    The pose is corrected by one feature, and those that agree with it then are counted; the feature that most
+    agree with wins (one-point RANSAC, Civera et al. 2010, with every feature instead of random ones).
+    """
+    m = len(innovation.rows)
+    residual, each = innovation.residual, np.arange(m)
+    cross = innovation.covariance.transpose(0, 2, 1, 3)  # (m, m, r, r)
+    own = cross[each, each]
+    gains = cross @ np.linalg.inv(own)[None]  # of feature j by feature i
+    left = residual[:, None] - (gains @ residual[None, :, :, None])[..., 0]
+    variance = own[:, None] - gains @ cross.transpose(0, 1, 3, 2)
+    variance[each, each] = own
+    left[each, each] = residual
+    distances = np.einsum('jir,jirs,jis->ji', left, np.linalg.inv(variance), left)
+    agree = distances <= gate
+    best: np.ndarray = agree[:, np.argmax(np.count_nonzero(agree, axis=0))]
+    return best
+
+
+def _slipping(innovation: Innovation, std: Array, weighed: Weighed, gate: float) -> Consensus:
+    """Return what the features say of each other with a slip of standard deviations (6,) of the pose."""
+    inflation, distances, noise_share, nis, *_ = weighed
+    stacked = innovation.stacked.copy()  # H P begins with the pose
+    stacked[:, :, POSE] += innovation.prediction.by_pose * np.square(std)
     loose = _with_looser_pose(innovation, std)
-    slipping = changed(loose, gain_numerator=numerator, covariance=_inflated(loose, inflation))
-    left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
-    return Consensus(slipping, Judged(distances, noise_share, nis), distances <= gate, std), left
+    slipping = changed(loose, stacked=stacked, covariance=_inflated(loose, inflation))
+    return Consensus(slipping, Judged(distances, noise_share, nis), distances <= gate, std)
 
 
 @compiled
@@ -228,7 +284,7 @@ def weigh_loosely(
     max_inflation: float,
     max_iterations: int,
     converged: float,
-) -> tuple[Array, Array, Array, float, float, float]:
+) -> Weighed:
     """Weigh features as if the predicted pose had further errors.
 
     Args:

@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
-from gyrocal_ros.data import Array, changed
+from gyrocal_ros.data import Array, changed, quickly_filled
 from gyrocal_ros.ekf.positive_definite import inverse, solve
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import UpdateStats, add_lacking
@@ -47,8 +46,6 @@ LARGEST_CHANGE = 0.1
 """Change of the scale factor that a gyro may have, by age, temperature and exchange for another."""
 MAX_STD = 0.005
 """Standard deviation of a change from which its window holds part of a turn; without, it holds noise."""
-LEAST_INFORMATION = np.full(COLUMNS, MAX_STD**-2.0)
-"""The same as information; that of the ramp is for a change over `RAMP_S`."""
 CHANGE_SIGMA = 4.5
 """Significance from which a change is real."""
 CHANCE_SIGMA = 3.0
@@ -72,7 +69,8 @@ NOT_SEPARABLE = 1e-9
 """Smallest share of the information on a change that is left beside other errors, against rounding."""
 
 
-@dataclass(frozen=True, eq=False)
+@quickly_filled
+@dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
     """Sums over a run for q errors that are estimated together."""
 
@@ -80,20 +78,23 @@ class NormalEquations:
     """(q, q)"""
     score: Array
     """(q,)"""
-
-    @cached_property
-    def values(self) -> Array:
-        """(q,) estimates."""
-        return solve(self.information, self.score)
-
-    @cached_property
-    def explained(self) -> float:
-        """Part of the NIS that they explain."""
-        return float(self.score @ self.values)
+    values: Array
+    """(q,) estimates."""
+    explained: float
+    """Part of the NIS that they explain."""
 
 
-NOTHING = NormalEquations(np.empty((0, 0)), np.empty(0))
+def normal_equations(information: Array, score: Array) -> NormalEquations:
+    """Estimate errors by the information on them (q, q) and their score (q,)."""
+    values = solve(information, score)
+    return NormalEquations(information, score, values, float(score @ values))
+
+
+NOTHING = NormalEquations(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0)
 """No errors that are tested beside."""
+AGE, INFORMATION, SCORE, NIS, DOF = range(5)
+CROSS = slice(5, None)
+"""Columns of the sums of a `ScaleWatch`; the last ones hold the information together with other errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,11 +133,7 @@ class ScaleWatch:
     def __init__(self, state: State, others: int = 0, chance_drift_std: float = DRIFT_STD) -> None:
         self._chance_drift_std = chance_drift_std
         self._first = state.sensitivity.shape[1] - COLUMNS
-        self._others = slice(self._first - others, self._first)
-        self._cross = np.zeros((COLUMNS, others))
-        self._ages_s = np.zeros(COLUMNS)
-        self._information, self._score = np.zeros(COLUMNS), np.zeros(COLUMNS)
-        self._nis, self._dof = np.zeros(COLUMNS), np.zeros(COLUMNS)
+        self._sums: Array = np.zeros((COLUMNS, CROSS.start + others))
         self._ramp, self._ramp_variance, self._ramp_sigma = 0.0, math.inf, 0.0
         self._drift = 0.0
         self._running_s = self._significant_s = 0.0
@@ -165,26 +162,16 @@ class ScaleWatch:
         """
         for stats in updates:
             if stats.information is not None and stats.score is not None:
-                self._information += stats.information.diagonal()[self._first :]
-                self._score += stats.score[self._first :]
-                self._cross += stats.information[self._first :, self._others]
-                self._nis += stats.nis
-                self._dof += stats.dof
-        self._ages_s += duration_s
+                self._sums = scores_added(
+                    self._sums, stats.information, stats.score, stats.nis, stats.dof, self._first
+                )
+        self._sums[:, AGE] += duration_s
         self._unchanged_s += duration_s
         self._running_s += duration_s
         self._significant_s += duration_s if self._significant_s > 0.0 else 0.0
         self._walk *= math.exp(-0.5 * duration_s / DRIFT_MEMORY_S)
-        least = LEAST_INFORMATION.copy()
-        least[RAMP] *= (self._ages_s[RAMP] / RAMP_S) ** 2  # by the change so far, in units of the column
         values, variances, sigmas = scale_changes(
-            self._information,
-            self._score,
-            self._nis,
-            self._dof,
-            least,
-            self._cross,
-            NOTHING if others is None else others,
+            self._sums, NOTHING if others is None else others, MAX_STD**-2.0, RAMP_S
         )
         self._ramp, self._ramp_variance = float(values[RAMP]), float(variances[RAMP])
         self._ramp_sigma = float(sigmas[RAMP])
@@ -209,7 +196,7 @@ class ScaleWatch:
         1974), or every clean recording would pay. A change that was a ramp may go on.
         """
         r, v = self._ramp, self._ramp_variance
-        is_measured = self._ramp_sigma > 1.0 and self._ages_s[RAMP] >= JUMP_S
+        is_measured = self._ramp_sigma > 1.0 and self._sums[RAMP, AGE] >= JUMP_S
         largest = DRIFT_STD if self._ramp_sigma > CHANCE_SIGMA else self._chance_drift_std
         p = min(r**2 - 2.0 * v, largest**2) if is_measured else 0.0
         p = max(p, self._drift**2)
@@ -228,7 +215,7 @@ class ScaleWatch:
         if not state.coefficient_count:  # a model without a scale factor
             return state
         remaining = state.sensitivity[COEFFICIENTS_START, self._first :]
-        ended = self._ages_s >= LENGTHS_S
+        ended = self._sums[:, AGE] >= LENGTHS_S
         ended[:RAMP] |= remaining[:RAMP] < ABSORBED
         if 0.0 < self._significant_s < SETTLE_S:
             ended[:] = False  # the window that explains a change has to last until it is followed
@@ -246,7 +233,7 @@ class ScaleWatch:
         walk then covers. One since the start is a calibration that was wrong. One that a ramp explains
         as well may go on, until a new ramp shows that it does not.
         """
-        window_s = float(self._ages_s[change.column - self._first])
+        window_s = float(self._sums[change.column - self._first, AGE])
         is_drift = JUMP_S < window_s < self._running_s
         drifting_s = min(self._unchanged_s, window_s if is_drift else math.inf)
         walk = abs(change.value) / math.sqrt(max(drifting_s, SETTLE_S))
@@ -258,45 +245,57 @@ class ScaleWatch:
         return self.begin(add_lacking(state, change.column, change.value, std))
 
     def _restarted(self, state: State, chosen: np.ndarray) -> State:
-        if not chosen.any():
+        if not np.count_nonzero(chosen):
             return state
-        columns = self._first + np.flatnonzero(chosen)
+        columns = self._first + chosen.nonzero()[0]
         sensitivity = state.sensitivity.copy()
         sensitivity[:, columns] = 0.0
         if state.coefficient_count:
             sensitivity[COEFFICIENTS_START, columns] = 1.0
             if chosen[RAMP]:
                 sensitivity[COEFFICIENTS_START, RAMP] = 0.0
-        for sums in (self._ages_s, self._information, self._score, self._cross, self._nis, self._dof):
-            sums[chosen] = 0.0
+        self._sums[chosen] = 0.0
         return changed(state, sensitivity=sensitivity)
 
 
 @compiled
+def scores_added(sums: Array, information: Array, score: Array, nis: float, dof: int, first: int) -> Array:
+    """Return the sums (q, 5 + p) of `ScaleWatch` with those of an update.
+
+    Args:
+        sums: before.
+        information: (c, c) of the update, on the p other errors and then the q changes last.
+        score: (c,)
+        nis: its normalised innovation squared.
+        dof: its degrees of freedom.
+        first: index of the first change.
+    """
+    added = np.zeros_like(sums)
+    added[:, INFORMATION], added[:, SCORE] = information.diagonal()[first:], score[first:]
+    added[:, NIS], added[:, DOF] = nis, dof
+    added[:, CROSS] = information[first:, first + CROSS.start - sums.shape[1] : first]
+    return sums + added
+
+
+@compiled
 def scale_changes(
-    information: Array,
-    score: Array,
-    nis: Array,
-    dof: Array,
-    least: Array,
-    cross: Array,
-    others: NormalEquations,
+    sums: Array, others: NormalEquations, least: float, ramp_s: float
 ) -> tuple[Array, Array, Array]:
     """Return q changes, each estimated alone, their variances and their significances in sigma, (q,) each.
 
     Args:
-        information: (q,) on each change, in its window.
-        score: (q,)
-        nis: (q,) normalised innovation squared in the window.
-        dof: (q,) degrees of freedom.
-        least: (q,) information below which nothing is significant.
-        cross: (q, p) information on each change together with other errors.
+        sums: (q, 5 + p) as of `ScaleWatch`.
         others: the p other errors. Where they explain the innovations better than any change, only what they
             do not explain can be a change.
+        least: information on a change below which nothing is significant.
+        ramp_s: time in which the last change grows to one; it counts as what it is so far.
 
     Raises:
         FilterDivergedError: the information on the other errors is not positive definite.
     """
+    information, score, cross = sums[:, INFORMATION], sums[:, SCORE], sums[:, CROSS]
+    least_each = np.full(len(sums), least)
+    least_each[RAMP] *= (sums[RAMP, AGE] / ramp_s) ** 2
     information = np.maximum(information, TINY)
     explained = score**2 / information
     if others.explained > explained.max():
@@ -307,6 +306,7 @@ def scale_changes(
         score = score - by_others @ others.score
         explained = score**2 / information
     with np.errstate(over='ignore'):  # the variance of what nothing is known of is infinite
-        variances = np.maximum((nis - explained) / np.maximum(dof, 1.0), 1.0) / information
+        variances = np.maximum((sums[:, NIS] - explained) / np.maximum(sums[:, DOF], 1.0), 1.0)
+        variances /= information
     values = score / information
-    return values, variances, np.where(information < least, 0.0, np.abs(values) / np.sqrt(variances))
+    return values, variances, np.where(information < least_each, 0.0, np.abs(values) / np.sqrt(variances))

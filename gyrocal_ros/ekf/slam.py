@@ -38,6 +38,7 @@ from gyrocal_ros.ekf.image_update import (
 from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.levelling import Levelling, unlevelled
 from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch, SlipWatch
+from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector, RestNoise
@@ -113,6 +114,7 @@ class EkfSlam:
         self._motion = PoseMotion(np.zeros(6), np.zeros(6))
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
+        self._moving = MovingFeatures()
         self._steady, self._frozen = SteadyRate(), FrozenCamera()
         self._heading = HeadingReference(config.reference, config.gyro)
         at_first = config.gyro if config.reference.estimate_noise else config.rest
@@ -241,7 +243,10 @@ class EkfSlam:
         if observations.covariances_px2 is not None:
             self._typical_match.update(observations.covariances_px2)
         self.state, update = update_from_image(self.state, self._image_model(), observations)
-        new = unmapped(self.state, observations, features.map_size)
+        self._moving.update(observations.ids, update.dropped_ids)
+        known = update.used + update.rejected + update.unmoved
+        has_new = known < len(observations.ids) or update.dropped > 0
+        new = unmapped(self.state, observations, self._moving, features.map_size) if has_new else []
         if new:
             self.state = add_landmarks(self.state, self._image_model(), observations, new)
         if self.config.camera.estimate_pixel_noise:
@@ -268,7 +273,7 @@ class EkfSlam:
             candidates=self._candidates,
             scored=self._own_candidates,
             motion=self._motion,
-            interval_s=seconds(self.state.t_ns - int(self.state.landmarks.last_seen_ns.max(initial=0))),
+            interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
             errors_repeat=self._errors_repeat(),
             may_slip=self._slip_watch.may_slip(self.state.t_ns),
         )

@@ -33,7 +33,7 @@ class FeatureNoise:
     sums: Array
     """(m,) sum over them of the squared error relative to the pixel noise, 1 on average."""
 
-    def __getitem__(self, rows: np.ndarray) -> FeatureNoise:
+    def __getitem__(self, rows: IntArray) -> FeatureNoise:
         return FeatureNoise(self.weights[rows], self.sums[rows])
 
     def joined(self, more: FeatureNoise) -> FeatureNoise:
@@ -63,7 +63,7 @@ class Landmarks:
     noise: FeatureNoise
     """What was learned of their noise."""
 
-    def __getitem__(self, rows: np.ndarray) -> Landmarks:
+    def __getitem__(self, rows: IntArray) -> Landmarks:
         return Landmarks(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 

@@ -11,6 +11,8 @@ from gyrocal_ros.ekf.predict import Transition
 from gyrocal_ros.ekf.scale_watch import ScaleChange
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
+from gyrocal_ros.kernels import compiled
+from gyrocal_ros.model.gyro import Correction
 
 
 @quickly_filled
@@ -72,25 +74,22 @@ def step_record(
     suspected_std: Array,
 ) -> StepRecord:
     """Describe a step from the state before over the predicted one to the state after."""
-    before_it, variance = predicted.covariance.diagonal(), after.covariance.diagonal()
     correction = transition.contribution.correction
-    columns = block.dt_s @ correction.by_values
-    change = after.coefficients - before.coefficients
-    r = after.robot_size
-    learned = slice(YAW_BIAS, r)
-    turned_rad = transition.motion.euler_rad[2] - before.mean[YAW]
+    std, change, change_variance, columns, correction_rad, tilt_rad = step_numbers(
+        before, predicted, after, block.dt_s, correction, transition.rate_rad_s, transition.motion.euler_rad
+    )
     return StepRecord(
         t_ns=block.end_ns,
-        mean=after.mean[:r],
-        std=np.sqrt(variance[:r]),
-        change=after.mean[learned] - predicted.mean[learned],
-        change_variance=before_it[learned] - variance[learned],
+        mean=after.mean[: after.robot_size],
+        std=std,
+        change=change,
+        change_variance=change_variance,
         suspected_std=suspected_std,
         update=update,
         resting=resting,
         block=block,
-        correction_rad=float(block.dt_s @ correction.rate_rad_s + columns @ change),
-        tilt_rad=float(turned_rad - block.dt_s @ transition.rate_rad_s[:, 2]),
+        correction_rad=correction_rad,
+        tilt_rad=tilt_rad,
         columns=columns,
         gyro_valid_s=correction.valid_s(block.dt_s),
         unobserved_turn_std_rad=correction.unread_rad(block.dt_s),
@@ -98,4 +97,41 @@ def step_record(
         event=event,
         scale_change=0.0 if scale_change is None or followed else scale_change.value,
         scale_followed=followed,
+    )
+
+
+@compiled
+def step_numbers(
+    before: State,
+    predicted: State,
+    after: State,
+    dt_s: Array,
+    correction: Correction,
+    rate_rad_s: Array,
+    euler_rad: Array,
+) -> tuple[Array, Array, Array, Array, float, float]:
+    """Return the fields of `StepRecord` that follow from three states and the prediction.
+
+    Args:
+        before: state before the step.
+        predicted: the predicted one.
+        after: the one after it.
+        dt_s: (N,) lengths of its intervals.
+        correction: contributions of the gyro effects.
+        rate_rad_s: (N, 3) corrected body rates.
+        euler_rad: (3,) predicted.
+
+    Returns:
+        `std`, `change`, `change_variance`, `columns`, `correction_rad` and `tilt_rad`.
+    """
+    variance, learned = after.covariance.diagonal()[: after.robot_size], slice(YAW_BIAS, after.robot_size)
+    columns = dt_s @ correction.by_values
+    by_values = columns @ (after.coefficients - before.coefficients)
+    return (
+        np.sqrt(variance),
+        after.mean[learned] - predicted.mean[learned],
+        predicted.covariance.diagonal()[learned] - variance[learned],
+        columns,
+        float(dt_s @ correction.rate_rad_s + by_values),
+        float(euler_rad[2] - before.mean[YAW] - dt_s @ rate_rad_s[:, 2]),
     )

@@ -26,28 +26,40 @@ class Innovation:
     residual: Array
     """(m, r)"""
     prediction: Prediction
-    gain_numerator: Array
-    """(m, r, n) H P: cross-covariance of the innovation with the state."""
+    stacked: Array
+    """(m, r, n + 1 + c) `gain_numerator`, `residual` and `sensitivity` side by side."""
     covariance: Array
     """(m, r, m, r) S = H P H^T + R."""
     noise: Array
     """(m, r, r) R"""
-    sensitivity: Array
-    """(m, r, c) G = H X + dh/dtheta: minus the derivative of the innovation with respect to the
-    coefficients of effects that the model lacks."""
+    state_size: int
+    """n"""
     whitening: Array | None = None
     """(m r, m r) L^-1 with `L L^T = S`, where that is known already."""
 
     def __getitem__(self, chosen: IntArray) -> Innovation:
         return Innovation(
-            self.rows[chosen],
-            self.residual[chosen],
+            self.rows.take(chosen, 0),
+            self.residual.take(chosen, 0),
             self.prediction[chosen],
-            self.gain_numerator[chosen],
+            self.stacked.take(chosen, 0),
             self.covariance[chosen][:, :, chosen],
-            self.noise[chosen],
-            self.sensitivity[chosen],
+            self.noise.take(chosen, 0),
+            self.state_size,
         )
+
+    @property
+    def gain_numerator(self) -> Array:
+        """(m, r, n) H P: cross-covariance of the innovation with the state."""
+        return self.stacked[:, :, : self.state_size]
+
+    @property
+    def sensitivity(self) -> Array:
+        """(m, r, c) G = H X + dh/dtheta of effects that the model lacks.
+
+        It is minus the derivative of the innovation with respect to their coefficients.
+        """
+        return self.stacked[:, :, self.state_size + 1 :]
 
     def own_covariances(self) -> Array:
         """Return the diagonal blocks (m, r, r) of S: the covariance of each feature alone."""
@@ -99,6 +111,8 @@ class MeasurementUpdate:
     """Numbers of features used, rejected as outliers, removed because they were outliers in several images
     (points that are not fixed in space), not used because unmoved, added to the map, and dropped by the
     tracker because they stay in the image."""
+    dropped_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    """Numbers of the features removed."""
     stats: UpdateStats = UpdateStats()
     by_feature: FeatureScores | None = None
     """Scores of the candidates by feature, where there are candidates."""
@@ -138,20 +152,19 @@ def innovate(
         by_values: (m, r, k) derivative of the prediction by the coefficients; None for zero.
         by_candidates: (m, r, c) the same by effects that the model lacks.
     """
-    count, width = measured.shape
-    none = np.empty((count, width, 0))
-    numerator, covariance, sensitivity = innovation_matrices(
+    residual = measured - prediction.expected
+    stacked, covariance = innovation_matrices(
         state.covariance,
         state.sensitivity,
         state.robot_size + 3 * rows,
+        residual,
         prediction.by_pose,
         prediction.by_feature,
-        none if by_values is None else by_values,
-        none if by_candidates is None else by_candidates,
+        by_values,
+        by_candidates,
         noise,
     )
-    residual = measured - prediction.expected
-    return Innovation(rows, residual, prediction, numerator, covariance, noise, sensitivity)
+    return Innovation(rows, residual, prediction, stacked, covariance, noise, len(state.mean))
 
 
 @compiled
@@ -159,44 +172,46 @@ def innovation_matrices(
     covariance: Array,
     sensitivity: Array,
     columns: IntArray,
+    residual: Array,
     by_pose: Array,
     by_feature: Array,
-    by_values: Array,
-    by_candidates: Array,
+    by_values: Array | None,
+    by_candidates: Array | None,
     noise: Array,
-) -> tuple[Array, Array, Array]:
-    """Return H P (m, r, n), S (m, r, m, r) and G (m, r, c) of `Innovation`.
+) -> tuple[Array, Array]:
+    """Return H P, the innovation and G side by side (m, r, n + 1 + c), and S (m, r, m, r), see `Innovation`.
 
     Args:
         covariance: P (n, n).
         sensitivity: X (n, c).
         columns: (m,) place of each feature in the state.
+        residual: (m, r) the innovation.
         by_pose: (m, r, 6) derivative of the prediction by the pose.
         by_feature: (m, r, 3) by the feature.
-        by_values: (m, r, k) by the coefficients; k is 0 for none.
-        by_candidates: (m, r, c) by effects that the model lacks; c is 0 for none.
+        by_values: (m, r, k) by the coefficients; None for zero.
+        by_candidates: (m, r, c) by the first effects that the model lacks; None for zero.
         noise: (m, r, r) R of each.
     """
-    count, width, k = by_values.shape
-    coefficients, each = slice(COEFFICIENTS_START, COEFFICIENTS_START + k), np.arange(count)
+    (count, width), each = residual.shape, np.arange(len(residual))
     places = columns[:, None] + np.arange(3)
     numerator = by_pose @ covariance[:6] + by_feature @ covariance[places]
     G = by_pose @ sensitivity[:6] + by_feature @ sensitivity[places]
-    if k:
+    if by_values is not None:
+        coefficients = slice(COEFFICIENTS_START, COEFFICIENTS_START + by_values.shape[2])
         numerator += by_values @ covariance[coefficients]
         G += by_values @ sensitivity[coefficients]
-    if by_candidates.shape[2]:
+    if by_candidates is not None:
         G += by_candidates
     flat = numerator.reshape(count * width, len(covariance))
     S = flat[:, :6] @ by_pose.reshape(-1, 6).T
     own = flat[:, places].reshape(count * width, count, 3).transpose(1, 0, 2)
     own = (own @ by_feature.transpose(0, 2, 1)).transpose(1, 0, 2)
     S += own.reshape(S.shape)
-    if k:
-        S += flat[:, coefficients] @ by_values.reshape(count * width, k).T
+    if by_values is not None:
+        S += flat[:, coefficients] @ by_values.reshape(count * width, -1).T
     S = S.reshape(count, width, count, width)
     S[each, :, each, :] += noise
-    return numerator, S, G
+    return np.concatenate([numerator, residual[:, :, None], G], axis=2), S
 
 
 def own_precisions(innovation: Innovation) -> Array:
@@ -226,15 +241,10 @@ def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
     Raises:
         FilterDivergedError: S is not positive definite, or the estimate is no longer finite.
     """
-    rows = innovation.residual.size
-    return _correct(
-        state,
-        innovation.residual.reshape(rows),
-        innovation.gain_numerator.reshape(rows, -1),
-        innovation.covariance.reshape(rows, rows),
-        innovation.sensitivity.reshape(rows, -1),
-        innovation.whitening,
-    )
+    rows, whitening = innovation.residual.size, innovation.whitening
+    if whitening is None:
+        whitening = whitener(innovation.covariance.reshape(rows, rows))
+    return _corrected(state, innovation.stacked.reshape(rows, -1), whitening)
 
 
 def zero_rate_update(
@@ -336,55 +346,53 @@ def add_lacking(state: State, column: int, value: float, std: float) -> State:
 
 
 def _correct(
-    state: State,
-    residual: Array,
-    numerator: Array,
-    covariance: Array,
-    sensitivity: Array,
-    whitening: Array | None = None,
+    state: State, residual: Array, numerator: Array, covariance: Array, sensitivity: Array
 ) -> tuple[State, UpdateStats]:
+    """Apply the update for q measured numbers, by nu (q,), H P (q, n), S (q, q) and G (q, c)."""
+    stacked = np.concatenate([numerator, residual[:, None], sensitivity], axis=1)
+    return _corrected(state, stacked, whitener(covariance))
+
+
+def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, UpdateStats]:
     """Apply the update for q measured numbers.
 
     Args:
         state: before.
-        residual: nu (q,).
-        numerator: H P (q, n).
-        covariance: S (q, q).
-        sensitivity: G (q, c).
-        whitening: L^-1 (q, q) with `L L^T = S`, where that is known already.
+        stacked: (q, n + 1 + c) side by side H P, nu and G.
+        whitening: L^-1 (q, q) with `L L^T = S`.
     """
-    whitening, n = whitener(covariance) if whitening is None else whitening, len(state.mean)
-    whitened = whitening @ np.concatenate([numerator, residual[:, None], sensitivity], axis=1)
+    n, whitened = len(state.mean), whitening @ stacked
     products = whitened.T @ whitened
-    mean, covariance, sensitivity = less_products(state.mean, state.covariance, state.sensitivity, products)
+    mean, covariance, sensitivity, log_determinant = corrected(
+        state.mean, state.covariance, state.sensitivity, products, whitening
+    )
     if not math.isfinite(mean @ mean):
         raise FilterDivergedError('the estimate is no longer finite', todo=CHECK_THE_SENSORS)
     after = changed(state, mean=mean, covariance=covariance, sensitivity=sensitivity)
-    stats = UpdateStats(
-        nis=float(products[n, n]),
-        dof=len(residual),
-        log_determinant=-2.0 * float(np.log(whitening.diagonal()).sum()),
-        information=products[n + 1 :, n + 1 :],
-        score=products[n + 1 :, n],
-    )
-    return after, stats if sensitivity.shape[1] else stats.of_first(0)
+    nis, dof = float(products[n, n]), len(stacked)
+    if not sensitivity.shape[1]:
+        return after, UpdateStats(nis, dof, log_determinant)
+    information, score = products[n + 1 :, n + 1 :], products[n + 1 :, n]
+    return after, UpdateStats(nis, dof, log_determinant, information, score)
 
 
 @compiled
-def less_products(
-    mean: Array, covariance: Array, sensitivity: Array, products: Array
-) -> tuple[Array, Array, Array]:
-    """Return mean (n,), covariance (n, n) and sensitivity (n, c) after an update.
+def corrected(
+    mean: Array, covariance: Array, sensitivity: Array, products: Array, whitening: Array
+) -> tuple[Array, Array, Array, float]:
+    """Return mean (n,), covariance (n, n) and sensitivity (n, c) after an update, and log det S.
 
     Args:
         mean: before, (n,).
         covariance: P before, (n, n).
         sensitivity: X before, (n, c).
         products: (n + 1 + c, n + 1 + c) products with each other of the whitened `H P`, nu and G.
+        whitening: L^-1 (q, q) with `L L^T = S`.
     """
     n = len(mean)
     return (
         mean + products[:n, n],
         covariance - products[:n, :n],
         sensitivity - products[:n, n + 1 :],
+        -2.0 * float(np.log(whitening.diagonal()).sum()),
     )

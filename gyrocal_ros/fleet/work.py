@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros import __version__
-from gyrocal_ros.bag.check import check_bag
-from gyrocal_ros.bag.source import open_bag
+from gyrocal_ros.bag.check import checked_bag
 from gyrocal_ros.config.declare import to_dict
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
@@ -39,7 +38,6 @@ from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.fleet.result import CALIBRATED, BagResult, BagScores, failed
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.msgs.issues import raise_first_error
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.pipeline.in_memory import preload
@@ -134,8 +132,8 @@ def _analyse(path: Path, job: Job) -> BagResult:
         'namespace': job.namespace,
         'heading_reference': job.heading_reference,
     }
-    raise_first_error(check_bag(path, job.config, **topics).issues, str(path))
-    source, config = preload(open_bag(path, job.config, with_covariates=True, **topics), job.config, model)
+    with checked_bag(path, job.config, with_covariates=True, **topics) as checked:
+        source, config = preload(checked.source, job.config, model)
     recording = summarise_recording(source)
 
     def run_filter(wider: SensorModel, candidates: tuple[Effect, ...] = ()) -> Run:

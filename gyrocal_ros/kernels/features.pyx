@@ -1,22 +1,21 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.camera`, `effects.camera_tilt`, `model.features.inverse_depth`, `ekf.feature_noise`,
-`ekf.landmarks`, `ekf.image_update`, `ekf.repeated_errors` and `ekf.update`, which explain the equations."""
+"""Twins of `model.camera`, `effects.camera_tilt`, `model.features.inverse_depth`, `ekf.image_update` and
+`ekf.update`, which explain the equations."""
 
-from libc.math cimport atan, cos, sin, sqrt
+from libc.math cimport atan, cos, log, sin, sqrt
 
 import numpy as np
 
+from gyrocal_ros.errors import IndefiniteCovarianceError
+
 TWINS = (
-    'find_ids',
+    'corrected',
+    'fit_heading',
     'innovation_matrices',
-    'learned_noise',
-    'matches_counted',
-    'motion_in_image',
     'pixels_by_radial_coefficients',
     'pixels_by_tilt',
     'predict_inverse_depth',
     'project_with_jacobian',
-    'scaled_noise',
 )
 
 cdef enum Lens:
@@ -180,68 +179,80 @@ def predict_inverse_depth(
     return arrays
 
 
-cdef void add_row(double weight, const double* row, double* total, Py_ssize_t n) noexcept nogil:
-    cdef Py_ssize_t i
-    for i in range(n):
-        total[i] += weight * row[i]
-
-
-cdef void add_product(
-    const double[:] by_pose,
-    const double[:] by_feature,
-    const double[:] by_values,
-    Py_ssize_t column,
-    const double[:, ::1] matrix,
-    double* total,
+cdef void add_rows(
+    Py_ssize_t count, const double* weights, const double* rows, Py_ssize_t width, double* total
 ) noexcept nogil:
-    """Add one row of H, whose feature is at a column of the state, times a matrix (n, width)."""
-    cdef Py_ssize_t width = matrix.shape[1], l
-    for l in range(6):
-        add_row(by_pose[l], &matrix[l, 0], total, width)
-    for l in range(3):
-        add_row(by_feature[l], &matrix[column + l, 0], total, width)
-    for l in range(by_values.shape[0]):
-        add_row(by_values[l], &matrix[COEFFICIENTS_START + l, 0], total, width)
+    """Add a weighted sum of successive rows; three at a time, so that the total is read and written less often."""
+    cdef Py_ssize_t i, l
+    cdef double a, b, c
+    for l in range(0, count - 2, 3):
+        a, b, c = weights[l], weights[l + 1], weights[l + 2]
+        for i in range(width):
+            total[i] += a * rows[l * width + i] + b * rows[(l + 1) * width + i] + c * rows[(l + 2) * width + i]
+    for l in range(count - count % 3, count):
+        for i in range(width):
+            total[i] += weights[l] * rows[l * width + i]
 
 
 def innovation_matrices(
     const double[:, ::1] covariance,
     const double[:, ::1] sensitivity,
     const long[:] columns,
+    const double[:, :] residual,
     const double[:, :, :] by_pose,
     const double[:, :, :] by_feature,
     const double[:, :, :] by_values,
     const double[:, :, :] by_candidates,
     const double[:, :, :] noise,
 ):
-    cdef Py_ssize_t m = by_pose.shape[0], r = by_pose.shape[1], k = by_values.shape[2], c = by_candidates.shape[2]
-    cdef Py_ssize_t n = covariance.shape[0], width = sensitivity.shape[1], f, g, i, j, l
+    cdef Py_ssize_t m = by_pose.shape[0], r = by_pose.shape[1], q = m * r, n = covariance.shape[0]
+    cdef Py_ssize_t k = 0 if by_values is None else by_values.shape[2], c = sensitivity.shape[1]
+    cdef Py_ssize_t of_candidates = 0 if by_candidates is None else by_candidates.shape[2]
+    cdef Py_ssize_t f, g, i, j, l, row, column
     cdef double sum_
-    arrays = (np.zeros((m, r, n)), np.empty((m, r, m, r)), np.zeros((m, r, width)))
-    cdef double[:, :, ::1] numerator = arrays[0], G = arrays[2]
+    cdef double* total
+    cdef double* weights
+    cdef double* others
+    arrays = (np.zeros((m, r, n + 1 + c)), np.empty((m, r, m, r)))
+    cdef double[:, :, ::1] stacked = arrays[0]
     cdef double[:, :, :, ::1] S = arrays[1]
+    cdef double[:, ::1] H = np.empty((q, 9 + k))  # pose, own feature and coefficients
     for f in range(m):
+        column = columns[f]
         for i in range(r):
-            add_product(by_pose[f, i], by_feature[f, i], by_values[f, i], columns[f], covariance, &numerator[f, i, 0])
-            if width == 0:
-                continue
-            add_product(by_pose[f, i], by_feature[f, i], by_values[f, i], columns[f], sensitivity, &G[f, i, 0])
-            for l in range(c):
-                G[f, i, l] += by_candidates[f, i, l]
-    for f in range(m):
-        for i in range(r):
-            for g in range(m):
-                for j in range(r):
-                    sum_ = 0.0
-                    for l in range(6):
-                        sum_ += numerator[f, i, l] * by_pose[g, j, l]
-                    for l in range(3):
-                        sum_ += numerator[f, i, columns[g] + l] * by_feature[g, j, l]
-                    for l in range(k):
-                        sum_ += numerator[f, i, COEFFICIENTS_START + l] * by_values[g, j, l]
-                    S[f, i, g, j] = sum_
-            for j in range(r):
-                S[f, i, f, j] += noise[f, i, j]
+            weights, total = &H[f * r + i, 0], &stacked[f, i, 0]
+            for l in range(6):
+                weights[l] = by_pose[f, i, l]
+            for l in range(3):
+                weights[6 + l] = by_feature[f, i, l]
+            for l in range(k):
+                weights[9 + l] = by_values[f, i, l]
+            add_rows(6, weights, &covariance[0, 0], n, total)
+            add_rows(3, weights + 6, &covariance[column, 0], n, total)
+            total[n] = residual[f, i]
+            if c:
+                add_rows(6, weights, &sensitivity[0, 0], c, total + n + 1)
+                add_rows(3, weights + 6, &sensitivity[column, 0], c, total + n + 1)
+            if k:
+                add_rows(k, weights + 9, &covariance[COEFFICIENTS_START, 0], n, total)
+                if c:
+                    add_rows(k, weights + 9, &sensitivity[COEFFICIENTS_START, 0], c, total + n + 1)
+            for l in range(of_candidates):
+                total[n + 1 + l] += by_candidates[f, i, l]
+    for row in range(q):
+        total = &stacked[row // r, row % r, 0]
+        for column in range(row + 1):
+            g, j = column // r, column % r
+            others, sum_ = &H[column, 0], 0.0
+            for l in range(6):
+                sum_ += total[l] * others[l]
+            for l in range(3):
+                sum_ += total[columns[g] + l] * others[6 + l]
+            for l in range(k):
+                sum_ += total[COEFFICIENTS_START + l] * others[9 + l]
+            if g == row // r:
+                sum_ += noise[g, row % r, j]
+            S[row // r, row % r, g, j] = S[g, j, row // r, row % r] = sum_
     return arrays
 
 
@@ -283,111 +294,43 @@ def pixels_by_radial_coefficients(camera, const double[:, :] points_c):
     return result
 
 
-def learned_noise(
-    const double[:] weights,
-    const double[:] sums,
-    const long[:] rows,
-    const double[:] distances,
-    const double[:] noise_share,
-    double prior,
-    double min_factor,
-    double max_error,
-    double kept,
-    double dof,
+def fit_heading(innovation, Py_ssize_t yaw):
+    cdef const double[:, :, :] by_pose = innovation.prediction.by_pose, noise = innovation.noise
+    cdef const double[:, :] residual = innovation.residual
+    cdef const double[:, :, :, :] covariance = innovation.covariance
+    cdef Py_ssize_t m = residual.shape[0], f
+    cdef double information = 0.0, score = 0.0, variance = 0.0, a, b, c, determinant, u, v
+    for f in range(m):
+        a, b, c = covariance[f, 0, f, 0], covariance[f, 0, f, 1], covariance[f, 1, f, 1]
+        determinant = a * c - b * b
+        if determinant == 0.0:
+            raise IndefiniteCovarianceError
+        u = (c * by_pose[f, 0, yaw] - b * by_pose[f, 1, yaw]) / determinant
+        v = (a * by_pose[f, 1, yaw] - b * by_pose[f, 0, yaw]) / determinant
+        information += u * by_pose[f, 0, yaw] + v * by_pose[f, 1, yaw]
+        score += u * residual[f, 0] + v * residual[f, 1]
+        variance += u * (noise[f, 0, 0] * u + noise[f, 0, 1] * v) + v * (noise[f, 1, 0] * u + noise[f, 1, 1] * v)
+    return score / information, sqrt(variance) / information
+
+
+def corrected(
+    const double[:] mean,
+    const double[:, ::1] covariance,
+    const double[:, ::1] sensitivity,
+    const double[:, ::1] products,
+    const double[:, :] whitening,
 ):
-    cdef Py_ssize_t m = rows.shape[0], f, row
-    cdef double mean = 0.0, factor
-    new_weights, new_sums = np.array(weights), np.array(sums)
-    cdef double[::1] w = new_weights, s = new_sums, errors = np.empty(m)
-    for f in range(m):
-        errors[f] = noise_share[f] * min(distances[f] / dof, max_error) + 1.0 - noise_share[f]
-        mean += errors[f]
-    mean /= m
-    for f in range(m):
-        row = rows[f]
-        factor = max((prior + sums[row]) / (prior + weights[row]), min_factor)
-        w[row] = kept * weights[row] + 1.0
-        s[row] = kept * sums[row] + factor * errors[f] / mean
-    return new_weights, new_sums
-
-
-def scaled_noise(
-    const double[:, :, :] typical,
-    const double[:] weights,
-    const double[:] sums,
-    const long[:] rows,
-    double prior,
-    double min_factor,
-):
-    cdef Py_ssize_t m = rows.shape[0], f, i, j
-    cdef double factor
-    result = np.empty((m, 2, 2))
-    cdef double[:, :, ::1] noise = result
-    for f in range(m):
-        factor = max((prior + sums[rows[f]]) / (prior + weights[rows[f]]), min_factor)
-        for i in range(2):
-            for j in range(2):
-                noise[f, i, j] = factor * typical[f, i, j]
-    return result
-
-
-def find_ids(const long[:] ids, const long[:] wanted):
-    cdef Py_ssize_t M = ids.shape[0], m = wanted.shape[0], f, place
-    places = np.empty(m, np.int64)
-    cdef long[::1] found = places
-    for f in range(m):
-        found[f] = -1
-        for place in range(M):
-            if ids[place] == wanted[f]:
-                found[f] = place
-    return places
-
-
-def motion_in_image(
-    const double[:, :] points_c,
-    const double[:, :] pixels,
-    const double[:, :] last_directions,
-    const double[:, :] last_pixels,
-    const long[:] rows,
-    double focal_px,
-    double min_motion_px,
-    double min_depth,
-):
-    cdef Py_ssize_t m = rows.shape[0], f, i, row
-    cdef double expected, change, square, changes
-    directions, unmoved, changes_px2 = np.empty((m, 2)), np.empty(m, bool), np.empty(m)
-    cdef double[:, ::1] towards = directions
-    cdef unsigned char[::1] is_unmoved = unmoved.view(np.uint8)
-    cdef double[::1] out = changes_px2
-    for f in range(m):
-        row = rows[f]
-        square = changes = 0.0
-        for i in range(2):
-            towards[f, i] = points_c[f, i] / max(points_c[f, 2], min_depth)
-            expected = focal_px * (towards[f, i] - last_directions[row, i])
-            change = pixels[f, i] - last_pixels[row, i] - expected
-            square += expected * expected
-            changes += change * change
-        is_unmoved[f] = sqrt(square) < min_motion_px
-        out[f] = 0.5 * changes
-    return directions, unmoved, changes_px2
-
-
-def matches_counted(
-    last_seen_ns, rejections, last_pixels, last_directions, long t_ns, const long[:] rows, accepted, pixels, directions
-):
-    cdef Py_ssize_t m = rows.shape[0], f, i, row
-    arrays = (last_seen_ns.copy(), rejections.copy(), last_pixels.copy(), last_directions.copy())
-    cdef long[::1] seen_ns = arrays[0], misses = arrays[1]
-    cdef double[:, ::1] at = arrays[2], towards = arrays[3]
-    cdef const unsigned char[:] is_accepted = accepted.view(np.uint8)
-    cdef const double[:, :] observed = pixels, expected = directions
-    for f in range(m):
-        row = rows[f]
-        misses[row] = 0 if is_accepted[f] else misses[row] + 1
-        if is_accepted[f]:
-            seen_ns[row] = t_ns
-        for i in range(2):
-            at[row, i] = observed[f, i]
-            towards[row, i] = expected[f, i]
-    return arrays
+    cdef Py_ssize_t n = mean.shape[0], c = sensitivity.shape[1], i, j
+    cdef double determinant = 0.0
+    arrays = (np.empty(n), np.empty((n, n)), np.empty((n, c)))
+    cdef double[::1] after = arrays[0]
+    cdef double[:, ::1] P = arrays[1], X = arrays[2]
+    for i in range(n):
+        after[i] = mean[i] + products[i, n]
+        for j in range(n):
+            P[i, j] = covariance[i, j] - products[i, j]
+        for j in range(c):
+            X[i, j] = sensitivity[i, j] - products[i, n + 1 + j]
+    for i in range(whitening.shape[0]):
+        determinant -= 2.0 * log(whitening[i, i])
+    return (*arrays, determinant)

@@ -1,38 +1,51 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.rotation`, `model.kinematics`, `model.features.base`, `ekf.predict` and `ekf.process_noise`,
-which explain the equations."""
+"""Twins of `model.rotation`, `model.gyro`, `model.features.base` and `ekf.predict`, with what that is made of:
+`model.kinematics` and `ekf.process_noise`. They explain the equations."""
 
 from libc.math cimport cos, fabs, sin, sqrt, tan
 
 import numpy as np
 
 TWINS = (
-    'carry_covariance',
-    'carry_pose',
-    'process_noise',
+    'carry',
+    'corrected_rates',
     'rotation_derivatives',
     'rotation_from_euler',
-    'transition_matrix',
     'turned_camera',
 )
 
 
-def carry_pose(
+cdef class Motion:
+    """Motion in a block of N intervals, the fields of `PoseStep` in their order."""
+
+    cdef tuple arrays
+    cdef double[::1] position, euler, pose_rate
+    cdef double[:, ::1] transition, forward, mid
+    cdef double[:, :, ::1] rate_gain
+
+    def __cinit__(self, Py_ssize_t n):
+        self.arrays = (
+            np.empty(3), np.empty(3), np.eye(6), np.empty((6, 3, n)), np.empty((3, n)), np.empty((3, n)), np.empty(6)
+        )
+        self.position, self.euler, self.transition, self.rate_gain, self.forward, self.mid, self.pose_rate = self.arrays
+
+
+cdef Motion carry_pose(
     const double[:] position_m,
     const double[:] euler_rad,
     const double[:, :] rate_rad_s,
     const double[:] dt_s,
     const double[:] distance_m,
 ):
+    """Twin of `integrate`."""
     cdef Py_ssize_t n = dt_s.shape[0], i, j, k, l
-    arrays = (
-        np.empty(3), np.empty(3), np.eye(6), np.empty((6, 3, n)), np.empty((3, n)), np.empty((3, n)), np.empty(6)
-    )
-    cdef double[::1] position = arrays[0], euler = arrays[1], pose_rate = arrays[6]
-    cdef double[:, ::1] transition = arrays[2], forward = arrays[4], mid = arrays[5]
-    cdef double[:, :, ::1] rate_gain = arrays[3]
+    cdef Motion motion = Motion(n)
+    cdef double[::1] position = motion.position, euler = motion.euler, pose_rate = motion.pose_rate
+    cdef double[:, ::1] transition = motion.transition, forward = motion.forward, mid = motion.mid
+    cdef double[:, :, ::1] rate_gain = motion.rate_gain
     # Derivatives by the Euler angles, (6, 3) for each interval: rows 0 to 2 of the steps, 3 to 5 of the increments.
     cdef double[:, :, ::1] by_euler = np.zeros((n, 6, 3))
+    cdef double[:, ::1] trig = np.empty((n, 4))
     cdef double total[6][3]
     cdef double before[6][3]
     cdef double after[6][3]
@@ -84,6 +97,7 @@ def carry_pose(
         by_euler[k, 1, 1], by_euler[k, 1, 2] = -sy * sp * d, cy * cp * d
         by_euler[k, 2, 1] = -cp * d
         secant = 1.0 / cp
+        trig[k, 0], trig[k, 1], trig[k, 2], trig[k, 3] = sr, cr, sp, secant
         tp = sp * secant
         level = sr * ty + cr * tz
         across = cr * ty - sr * tz
@@ -130,7 +144,7 @@ def carry_pose(
                 for l in range(3):
                     transition[i, 3 + j] += by_euler[k, i, l] * (before[3 + l][j] - 0.5 * by_euler[k, 3 + l, j])
             after[3 + i][i] += 1.0
-        sr, cr, sp, secant = sin(mid[0, k]), cos(mid[0, k]), sin(mid[1, k]), 1.0 / cos(mid[1, k])
+        sr, cr, sp, secant = trig[k, 0], trig[k, 1], trig[k, 2], trig[k, 3]
         E[1][1], E[1][2] = cr, -sr
         E[2][1], E[2][2] = sr * secant, cr * secant
         E[0][1], E[0][2] = E[2][1] * sp, E[2][2] * sp
@@ -140,90 +154,146 @@ def carry_pose(
                 for l in range(3):
                     d += after[i][l] * E[l][j]
                 rate_gain[i, j, k] = d * dt_s[k]
-    return arrays
+    return motion
 
 
-def process_noise(
-    const double[:, :, :] rate_gain,
-    const double[:] tilt_density_rad_s,
-    const double[:] yaw_density_rad_s,
-    const double[:] dt_s,
-    const double[:] yaw_rate_rad_s,
-    const double[:] distance_m,
-    const double[:, :] mid_euler_rad,
-    double gap_rad,
-    double unknown_rad,
-    tuple wheel_noise,
-    double wheel_gap_m,
-    const double[:] walks,
+cdef void add_process_noise(
+    noise, Motion motion, const double[:] dt_s, const double[:, :] rate_rad_s, const double[:] distance_m, double[:, ::1] P
 ):
-    cdef Py_ssize_t n = dt_s.shape[0], r = 6 + walks.shape[0], i, j, k, l
-    cdef double along = wheel_noise[0], across = wheel_noise[1], up = wheel_noise[2], turning = wheel_noise[3]
-    cdef double way_m = 0.0, turn_rad = 0.0, density, weight, floor
+    """Add the twin of `process_noise` to the robot part (r, r) of a covariance."""
+    cdef Py_ssize_t n = dt_s.shape[0], i, j, k, l
+    cdef double along, across, up, turning, gap_rad = noise.gap_rad, unknown_rad = noise.unknown_rad
+    cdef double wheel_gap_m = noise.wheel_gap_m, duration_s = noise.duration_s, walk
+    cdef double way_m = 0.0, turn_rad = 0.0, weight, floor
     cdef double R[3][3]
     cdef double euler[3]
     cdef double step[3]
-    result = np.zeros((r, r))
-    cdef double[:, ::1] noise = result
+    cdef double density[3]
+    cdef double added[6][6]
+    cdef const double[:] of_tilt = None, of_yaw = None, walks = noise.walks
+    cdef double[:, :, ::1] rate_gain = motion.rate_gain
+    along, across, up, turning = noise.wheels
+    if isinstance(noise.tilt_density_rad_s, float):
+        density[0] = density[1] = noise.tilt_density_rad_s
+    else:
+        of_tilt = noise.tilt_density_rad_s
+        density[0], density[1] = of_tilt[0], of_tilt[1]
+    if isinstance(noise.yaw_density_rad_s, float):
+        density[2] = noise.yaw_density_rad_s
+    else:
+        of_yaw = noise.yaw_density_rad_s
+    for i in range(6):
+        for j in range(6):
+            added[i][j] = 0.0
     for k in range(n):
         way_m += fabs(distance_m[k])
-        turn_rad += fabs(yaw_rate_rad_s[k]) * dt_s[k]
+        turn_rad += fabs(rate_rad_s[k, 2]) * dt_s[k]
+        if of_yaw is not None:
+            density[2] = of_yaw[k]
         for l in range(3):
-            density = yaw_density_rad_s[k] if l == 2 else tilt_density_rad_s[l]
-            weight = density * density / dt_s[k]
+            weight = density[l] * density[l] / dt_s[k]
             for i in range(6):
                 for j in range(i + 1):
-                    noise[i, j] += rate_gain[i, l, k] * rate_gain[j, l, k] * weight
+                    added[i][j] += rate_gain[i, l, k] * rate_gain[j, l, k] * weight
     for i in range(3):
-        euler[i] = mid_euler_rad[i, n // 2]
+        euler[i] = motion.mid[i, n // 2]
     rotate(euler, R)
     floor = turning * turning * turn_rad + wheel_gap_m * wheel_gap_m
     step[0], step[1], step[2] = way_m * along * along + floor, way_m * across * across + floor, way_m * up * up
     for i in range(3):
-        noise[3 + i, 3 + i] += gap_rad * gap_rad
+        added[3 + i][3 + i] += gap_rad * gap_rad
         for j in range(i + 1):
             for l in range(3):
-                noise[i, j] += R[i][l] * step[l] * R[j][l]
-    noise[5, 5] += unknown_rad * unknown_rad
+                added[i][j] += R[i][l] * step[l] * R[j][l]
+    added[5][5] += unknown_rad * unknown_rad
     for i in range(6):
+        P[i, i] += added[i][i]
         for j in range(i):
-            noise[j, i] = noise[i, j]
-    for i in range(6, r):
-        noise[i, i] = walks[i - 6] * walks[i - 6]
-    return result
+            P[i, j] += added[i][j]
+            P[j, i] = P[i, j]
+    walk = noise.tilt_walk_rad_s
+    P[6, 6] += walk * walk * duration_s
+    P[7, 7] += walk * walk * duration_s
+    walk = noise.yaw_walk_rad_s
+    P[8, 8] += walk * walk * duration_s
+    for i in range(walks.shape[0]):
+        P[9 + i, 9 + i] += walks[i] * walks[i] * duration_s
 
 
-def transition_matrix(
-    const double[:, :] of_pose,
-    const double[:, :, :] rate_gain,
-    const double[:, :] yaw_gain,
-    const double[:, :] by_values,
-    double bias_kept,
-):
-    cdef Py_ssize_t n = yaw_gain.shape[1], r = 9 + by_values.shape[1], i, j, k
-    result = np.zeros((r, r))
-    cdef double[:, ::1] matrix = result
+def carry(state, block, const double[:, :] rate_rad_s, added, noise, double bias_rad_s, double bias_kept):
+    cdef const double[::1] mean = state.mean
+    cdef const double[:] dt_s = block.dt_s, by_wheels_m = block.distance_m, distance_m = by_wheels_m
+    cdef const double[:] valid = None, drift_m = None
+    cdef const double[:, :] by_values = added.correction.by_values, more
+    cdef Py_ssize_t n = dt_s.shape[0], k = by_values.shape[1], r = 9 + k, i, j, l
+    cdef double valid_everywhere = 1.0
+    if not isinstance(added.distance_m, float):
+        distance_m = block.distance_m + added.distance_m
+    if isinstance(added.correction.valid, float):
+        valid_everywhere = added.correction.valid
+    else:
+        valid = added.correction.valid
+    cdef Motion motion = carry_pose(mean[:3], mean[3:6], rate_rad_s, dt_s, distance_m)
+    gain, matrix = np.empty((6, n)), np.zeros((r, r))
+    cdef double[:, ::1] yaw_gain = gain, F = matrix
+    cdef double[:, :, ::1] rate_gain = motion.rate_gain
     for i in range(6):
         for j in range(6):
-            matrix[i, j] = of_pose[i, j]
-        for k in range(n):
-            matrix[i, 6] += rate_gain[i, 0, k]
-            matrix[i, 7] += rate_gain[i, 1, k]
-            matrix[i, 8] += yaw_gain[i, k]
-        for j in range(9, r):
-            matrix[i, j] = by_values[i, j - 9]
+            F[i, j] = motion.transition[i, j]
+        for l in range(n):
+            yaw_gain[i, l] = rate_gain[i, 2, l] * (valid_everywhere if valid is None else valid[l])
+            F[i, 6] += rate_gain[i, 0, l]
+            F[i, 7] += rate_gain[i, 1, l]
+            F[i, 8] += yaw_gain[i, l]
+            for j in range(k):
+                F[i, 9 + j] += yaw_gain[i, l] * by_values[l, j]
     for i in range(6, r):
-        matrix[i, i] = 1.0
-    matrix[8, 8] = bias_kept
+        F[i, i] = 1.0
+    F[8, 8] = bias_kept
+    if added.distance_by_values is not None:
+        more = added.distance_by_values
+        for i in range(3):
+            for l in range(n):
+                for j in range(k):
+                    F[i, 9 + j] += motion.forward[i, l] * more[l, j]
+    if added.drift_by_values is not None:
+        more = added.drift_by_values
+        for i in range(3):
+            for j in range(k):
+                F[i, 9 + j] += more[i, j]
+    carried = carry_covariance(state.covariance, state.sensitivity, F)
+    add_process_noise(noise, motion, dt_s, block.rate_rad_s, by_wheels_m, carried[0])
+    after = np.array(mean)
+    cdef double[::1] moved = after
+    for i in range(3):
+        moved[i], moved[3 + i] = motion.position[i], motion.euler[i]
+    if not isinstance(added.drift_m, float):
+        drift_m = added.drift_m
+        for i in range(3):
+            moved[i] += drift_m[i]
+    moved[8] = bias_rad_s
+    return (after, *carried, matrix, gain, *motion.arrays)
+
+
+def corrected_rates(
+    const double[:, :] rate_rad_s, const double[:] correction_rad_s, valid, const double[:] bias_rad_s
+):
+    cdef Py_ssize_t n = rate_rad_s.shape[0], k
+    cdef const double[:] acts = None if isinstance(valid, float) else valid
+    cdef double bias = bias_rad_s[2] * (valid if acts is None else 1.0)
+    result = np.empty((n, 3))
+    cdef double[:, ::1] rate = result
+    for k in range(n):
+        rate[k, 0] = rate_rad_s[k, 0] + bias_rad_s[0]
+        rate[k, 1] = rate_rad_s[k, 1] + bias_rad_s[1]
+        rate[k, 2] = rate_rad_s[k, 2] + correction_rad_s[k] + bias * (1.0 if acts is None else acts[k])
     return result
 
 
-def carry_covariance(
-    const double[:, ::1] covariance,
-    const double[:, ::1] sensitivity,
-    const double[:, ::1] matrix,
-    const double[:, ::1] noise,
+cdef tuple carry_covariance(
+    const double[:, ::1] covariance, const double[:, ::1] sensitivity, const double[:, ::1] matrix
 ):
+    """Twin of the same name, without noise."""
     cdef Py_ssize_t n = covariance.shape[0], r = matrix.shape[0], c = sensitivity.shape[1], i, j, l
     cdef double factor
     result = np.empty((n, n))
@@ -238,7 +308,7 @@ def carry_covariance(
         for j in range(r, n):
             P[i, j] = P[j, i] = FP[i, j]
         for j in range(i + 1):
-            factor = noise[i, j]
+            factor = 0.0
             for l in range(r):
                 factor += FP[i, l] * matrix[j, l]
             P[i, j] = P[j, i] = factor

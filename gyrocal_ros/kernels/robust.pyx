@@ -1,17 +1,25 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.positive_definite`, `ekf.robust`, `ekf.scale_watch`, `ekf.update` and `ekf.image_update`, which
-explain the equations."""
+"""Twins of `ekf.positive_definite`, `ekf.robust` and `ekf.scale_watch`, which explain the equations."""
 
 from libc.math cimport fabs, sqrt
+from libc.stdlib cimport abs
 
 import numpy as np
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
 
-TWINS = ('fit_heading', 'less_products', 'scale_changes', 'solve', 'weigh', 'weigh_loosely', 'whitener')
+TWINS = ('scale_changes', 'scores_added', 'solve', 'weigh', 'weigh_loosely', 'whitener')
 
 cdef double TINY = np.finfo(float).tiny
 cdef double NOT_SEPARABLE = 1e-9
+
+cdef enum:  # columns of the sums of `ScaleWatch`
+    AGE
+    INFORMATION
+    SCORE
+    NIS
+    DOF
+    CROSS
 
 
 cdef bint whiten(double[:, ::1] S, double[:, ::1] W) noexcept nogil:
@@ -131,6 +139,7 @@ cdef Weighing weighed(
     cdef Py_ssize_t m = seen.m, r = seen.r, q = seen.q, f, i, j, l
     cdef double difference[3]
     cdef double own[9]
+    cdef double block[9]
     cdef double variance[9]
     cdef double precision[9]
     cdef double sum_, of_noise, total, wanted
@@ -144,7 +153,7 @@ cdef Weighing weighed(
     cdef double[:, ::1] S = work[:q]
     cdef double* white = &work[q, 0]
     cdef double* weighted = &work[q + 1, 0]
-    cdef double* blocks = &work[q + 2, 0]
+    cdef double* beside = &work[q + 2, 0]
     cdef const double* nu = &seen.residual[0, 0]
     cdef const double* row
     for iteration in range(max_iterations):
@@ -153,11 +162,11 @@ cdef Weighing weighed(
         inflate(seen, extra, &inflation[0], &S[0, 0])
         if not whiten(S, W):
             raise IndefiniteCovarianceError
-        # y = S^-1 nu and the blocks of S^-1, by S^-1 = W^T W.
+        # y = S^-1 nu, diagonal of S^-1 and what is up to r beside it, by S^-1 = W^T W.
         for i in range(q):
             weighted[i] = 0.0
         for i in range(q * r):
-            blocks[i] = 0.0
+            beside[i] = 0.0
         for j in range(q):
             row, sum_ = &W[j, 0], 0.0
             for i in range(j + 1):
@@ -167,13 +176,15 @@ cdef Weighing weighed(
                 result.nis += sum_ * sum_
             for i in range(j + 1):
                 weighted[i] += row[i] * sum_
-            for f in range(j // r + 1):
-                for i in range(r):
-                    for l in range(r):
-                        blocks[(f * r + i) * r + l] += row[f * r + i] * row[f * r + l]
+            for l in range(r):  # beyond j the row is zero
+                for i in range(min(j + 1, q - l)):
+                    beside[l * q + i] += row[i] * row[i + l]
         is_settled = True
         for f in range(m):
-            if not invert_small(&blocks[f * r * r], r, own):
+            for i in range(r):
+                for j in range(r):
+                    block[i * r + j] = beside[abs(i - j) * q + f * r + min(i, j)]
+            if not invert_small(block, r, own):
                 raise IndefiniteCovarianceError
             of_noise = total = sum_ = 0.0
             for i in range(r):
@@ -229,21 +240,36 @@ def weigh_loosely(
                 sum_ += scaled[i, l] * scaled[j, l]
             loose[i, j] = loose[j, i] = sum_
     cdef Weighing found = weighed(seen, &loose[0, 0], bound, max_inflation, max_iterations, converged)
-    cdef const long[:] closest = np.argsort(found.distances)[: (m + 1) // 2]
-    cdef const double[::1] inflation = found.inflation
+    cdef const double[::1] inflation = found.inflation, distances = found.distances
+    cdef long[::1] closest = np.empty(m, np.int64)
+    sort(&distances[0], &closest[0], m)
+    m = (m + 1) // 2
     return (
         found.inflation,
         found.distances,
         found.noise_share,
         found.nis,
-        squared_norm(seen, NULL, &inflation[0], closest),
-        squared_norm(seen, &loose[0, 0], &inflation[0], closest),
+        squared_norm(seen, NULL, &inflation[0], &closest[0], m),
+        squared_norm(seen, &loose[0, 0], &inflation[0], &closest[0], m),
     )
 
 
-cdef double squared_norm(Seen seen, const double* extra, const double* inflation, const long[:] chosen) except -1.0:
-    """Return nu^T S^-1 nu of the features of the given indices, with S as in `inflate`."""
-    cdef Py_ssize_t r = seen.r, m = chosen.shape[0], q = m * r, f, g, i, j, l
+cdef void sort(const double* values, long* order, Py_ssize_t m) noexcept nogil:
+    """Write the indices of m values, from the smallest to the largest."""
+    cdef Py_ssize_t i, j
+    for i in range(m):
+        j = i
+        while j > 0 and values[order[j - 1]] > values[i]:
+            order[j] = order[j - 1]
+            j -= 1
+        order[j] = i
+
+
+cdef double squared_norm(
+    Seen seen, const double* extra, const double* inflation, const long* chosen, Py_ssize_t m
+) except -1.0:
+    """Return nu^T S^-1 nu of the m features of the given indices, with S as in `inflate`."""
+    cdef Py_ssize_t r = seen.r, q = m * r, f, g, i, j, l
     cdef double[:, ::1] S = np.empty((seen.q + q + 1, seen.q))
     cdef double* white = &S[seen.q, 0]
     cdef double* small = &S[seen.q + 1, 0]
@@ -266,44 +292,6 @@ cdef double squared_norm(Seen seen, const double* extra, const double* inflation
             for l in range(i, q):
                 small[i * q + l] -= factor * small[j * q + l]
     return total
-
-
-def fit_heading(innovation, Py_ssize_t yaw):
-    cdef const double[:, :, :] by_pose = innovation.prediction.by_pose, noise = innovation.noise
-    cdef const double[:, :] residual = innovation.residual
-    cdef const double[:, :, :, :] covariance = innovation.covariance
-    cdef Py_ssize_t m = residual.shape[0], f
-    cdef double information = 0.0, score = 0.0, variance = 0.0, a, b, c, determinant, u, v
-    for f in range(m):
-        a, b, c = covariance[f, 0, f, 0], covariance[f, 0, f, 1], covariance[f, 1, f, 1]
-        determinant = a * c - b * b
-        if determinant == 0.0:
-            raise IndefiniteCovarianceError
-        u = (c * by_pose[f, 0, yaw] - b * by_pose[f, 1, yaw]) / determinant
-        v = (a * by_pose[f, 1, yaw] - b * by_pose[f, 0, yaw]) / determinant
-        information += u * by_pose[f, 0, yaw] + v * by_pose[f, 1, yaw]
-        score += u * residual[f, 0] + v * residual[f, 1]
-        variance += u * (noise[f, 0, 0] * u + noise[f, 0, 1] * v) + v * (noise[f, 1, 0] * u + noise[f, 1, 1] * v)
-    return score / information, sqrt(variance) / information
-
-
-def less_products(
-    const double[:] mean,
-    const double[:, ::1] covariance,
-    const double[:, ::1] sensitivity,
-    const double[:, ::1] products,
-):
-    cdef Py_ssize_t n = mean.shape[0], c = sensitivity.shape[1], i, j
-    arrays = (np.empty(n), np.empty((n, n)), np.empty((n, c)))
-    cdef double[::1] after = arrays[0]
-    cdef double[:, ::1] P = arrays[1], X = arrays[2]
-    for i in range(n):
-        after[i] = mean[i] + products[i, n]
-        for j in range(n):
-            P[i, j] = covariance[i, j] - products[i, j]
-        for j in range(c):
-            X[i, j] = sensitivity[i, j] - products[i, n + 1 + j]
-    return arrays
 
 
 def solve(matrix, const double[:] right):
@@ -330,38 +318,55 @@ def whitener(covariance):
     return whitening
 
 
-def scale_changes(
-    const double[:] information,
+def scores_added(
+    const double[:, ::1] sums,
+    const double[:, :] information,
     const double[:] score,
-    const double[:] nis,
-    const double[:] dof,
-    const double[:] least,
-    const double[:, :] cross,
-    others,
+    double nis,
+    double dof,
+    Py_ssize_t first,
 ):
-    cdef Py_ssize_t q = score.shape[0], p = cross.shape[1], i, j, l
+    cdef Py_ssize_t q = sums.shape[0], p = sums.shape[1] - CROSS, i, j
+    result = np.array(sums)
+    cdef double[:, ::1] out = result
+    for i in range(q):
+        out[i, INFORMATION] += information[first + i, first + i]
+        out[i, SCORE] += score[first + i]
+        out[i, NIS] += nis
+        out[i, DOF] += dof
+        for j in range(p):
+            out[i, CROSS + j] += information[first + i, first - p + j]
+    return result
+
+
+def scale_changes(const double[:, ::1] sums, others, double least, double ramp_s):
+    cdef Py_ssize_t q = sums.shape[0], p = sums.shape[1] - CROSS, i, j, l
     cdef double others_explained = others.explained, explained = 0.0, known, left, weight, seen
     cdef const double[:] others_score = others.score
-    cdef double[:, ::1] precision = np.empty((p, p))
+    cdef double[:, ::1] precision = None
     arrays = (np.empty(q), np.empty(q), np.empty(q))
     cdef double[::1] values = arrays[0], variances = arrays[1], sigmas = arrays[2]
     for i in range(q):
-        explained = max(explained, score[i] * score[i] / max(information[i], TINY))
+        explained = max(explained, sums[i, SCORE] * sums[i, SCORE] / max(sums[i, INFORMATION], TINY))
     cdef bint beside = others_explained > explained
-    if beside and not invert(np.array(others.information), precision):
-        raise IndefiniteCovarianceError
+    if beside:
+        precision = np.empty((p, p))
+        if not invert(np.array(others.information), precision):
+            raise IndefiniteCovarianceError
     for i in range(q):
-        known = left = max(information[i], TINY)
-        seen = score[i]
+        known = left = max(sums[i, INFORMATION], TINY)
+        seen = sums[i, SCORE]
         if beside:
             for j in range(p):
                 weight = 0.0
                 for l in range(p):
-                    weight += cross[i, l] * precision[l, j]
-                left -= weight * cross[i, j]
+                    weight += sums[i, CROSS + l] * precision[l, j]
+                left -= weight * sums[i, CROSS + j]
                 seen -= weight * others_score[j]
             left = max(left, NOT_SEPARABLE * known)
         values[i] = seen / left
-        variances[i] = max((nis[i] - seen * values[i]) / max(dof[i], 1.0), 1.0) / left
-        sigmas[i] = 0.0 if left < least[i] else fabs(values[i]) / sqrt(variances[i])
+        variances[i] = max((sums[i, NIS] - seen * values[i]) / max(sums[i, DOF], 1.0), 1.0) / left
+        if i == q - 1:
+            least *= (sums[i, AGE] / ramp_s) * (sums[i, AGE] / ramp_s)
+        sigmas[i] = 0.0 if left < least else fabs(values[i]) / sqrt(variances[i])
     return arrays

@@ -1,11 +1,12 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.motion`, `ekf.steady_rate`, `ekf.effects_by_place` and `ekf.predict` for the samples of a block."""
+"""Twins of `ekf.motion`, `ekf.steady_rate`, `ekf.effects_by_place`, `ekf.predict` and `ekf.step_record` for the
+samples of a block."""
 
 from libc.math cimport cos, sin, sqrt
 
 import numpy as np
 
-TWINS = ('interpolate', 'intervals', 'mean_at_end', 'path_in_block', 'rate_scatter')
+TWINS = ('interpolate', 'intervals', 'mean_at_end', 'path_in_block', 'rate_scatter', 'step_numbers')
 
 
 cdef class Track:
@@ -150,3 +151,29 @@ def mean_at_end(const double[:] values, const double[:] dt_s, double length_s):
         left_s -= dt_s[k]
         k -= 1
     return total / duration_s
+
+
+def step_numbers(
+    before, predicted, after, const double[:] dt_s, correction, const double[:, :] rate_rad_s, const double[:] euler_rad
+):
+    cdef const double[:] earlier = before.mean, expected = predicted.mean, mean = after.mean
+    cdef const double[:, :] P_expected = predicted.covariance, P = after.covariance
+    cdef const double[:, :] by_values = correction.by_values
+    cdef const double[:] correction_rad_s = correction.rate_rad_s
+    cdef Py_ssize_t n = dt_s.shape[0], k = after.coefficient_count, r = 9 + k, i, j
+    cdef double corrected = 0.0, turned = 0.0
+    arrays = (np.empty(r), np.empty(1 + k), np.empty(1 + k), np.zeros(k))
+    cdef double[::1] std = arrays[0], change = arrays[1], change_variance = arrays[2], columns = arrays[3]
+    for i in range(r):
+        std[i] = sqrt(P[i, i])
+    for i in range(1 + k):
+        change[i] = mean[8 + i] - expected[8 + i]
+        change_variance[i] = P_expected[8 + i, 8 + i] - P[8 + i, 8 + i]
+    for j in range(n):
+        corrected += dt_s[j] * correction_rad_s[j]
+        turned += dt_s[j] * rate_rad_s[j, 2]
+        for i in range(k):
+            columns[i] += dt_s[j] * by_values[j, i]
+    for i in range(k):
+        corrected += columns[i] * (mean[9 + i] - earlier[9 + i])
+    return (*arrays, corrected, euler_rad[2] - earlier[5] - turned)

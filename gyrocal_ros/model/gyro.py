@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock, quickly_filled
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.sensor import GyroEffect, GyroTerm, Memory
 
 
@@ -46,7 +47,7 @@ class Correction:
 
     def valid_s(self, dt_s: Array) -> float:
         """Return the time in intervals (N,) with valid readings."""
-        return float(dt_s @ self.valid if isinstance(self.valid, np.ndarray) else dt_s.sum())
+        return float(dt_s @ self.valid) if isinstance(self.valid, np.ndarray) else sum(dt_s.tolist())
 
 
 def correct(
@@ -102,6 +103,21 @@ def body_rates(block: MotionBlock, correction: Correction, bias_rad_s: Array) ->
     The paper leaves roll and pitch rates uncorrected. Here their biases (from `bias_rad_s`, (3,)) are
     corrected, too, because otherwise the camera would have to compensate for them.
     """
-    rate = block.rate_rad_s + bias_rad_s
-    rate[:, 2] += correction.rate_rad_s + (correction.valid - 1.0) * bias_rad_s[2]
+    return corrected_rates(block.rate_rad_s, correction.rate_rad_s, correction.valid, bias_rad_s)
+
+
+@compiled
+def corrected_rates(
+    rate_rad_s: Array, correction_rad_s: Array, valid: Array | float, bias_rad_s: Array
+) -> Array:
+    """Return the true body rates (N, 3), see `body_rates`.
+
+    Args:
+        rate_rad_s: (N, 3) nominal.
+        correction_rad_s: (N,) of the yaw rate.
+        valid: (N,) 1 where the bias of the yaw rate acts, else 0, or one number for all.
+        bias_rad_s: (3,)
+    """
+    rate = rate_rad_s + bias_rad_s
+    rate[:, 2] += correction_rad_s + (valid - 1.0) * bias_rad_s[2]
     return rate

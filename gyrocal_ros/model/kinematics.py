@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from gyrocal_ros.data import Array, quickly_filled
-from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.rotation import euler_rate_matrices
 
 
@@ -67,14 +66,6 @@ def integrate(
     Returns:
         The pose at the end and its derivatives, to first order in the motion inside the block.
     """
-    return PoseStep(*carry_pose(position_m, euler_rad, rate_rad_s, dt_s, distance_m))
-
-
-@compiled
-def carry_pose(
-    position_m: Array, euler_rad: Array, rate_rad_s: Array, dt_s: Array, distance_m: Array
-) -> tuple[Array, ...]:
-    """Return the fields of a `PoseStep` in their order; see `integrate`."""
     turns = rate_rad_s.T * dt_s
     guess = _nearly_level(euler_rad, turns)
     increments = _euler_increments(guess, turns)
@@ -99,7 +90,7 @@ def carry_pose(
     rate_gain = np.einsum('ijn,jkn->ikn', after, euler_rate_matrices(mid) * dt_s)
     forward = _forward(trig)
     last_step = np.concatenate([forward[:, -1] * distance_m[-1], increments[:, -1]])
-    return (
+    return PoseStep(
         position_m + forward @ distance_m,
         euler_rad + ends[:, -1],
         transition,

@@ -60,14 +60,14 @@ def calibrate(
             source, source.measurements(), config, model, start, report, candidates, follows_changes
         )
     _require_observable(run)
-    return replace(run, events=(*run.events, *_marks_on_lens(run), *_unrecorded_signals(run)))
+    return replace(run, events=(*run.events, *marks_on_lens(run), *_unrecorded_signals(run)))
 
 
-def _marks_on_lens(run: Run) -> Iterator[RunEvent]:
+def marks_on_lens(run: Run) -> Iterator[RunEvent]:
     """Yield an event at the first time at which many features have been found on the lens."""
     history = run.history
     found_s = np.repeat(history.time_s, history.on_lens.astype(int))
-    within_s = found_s[MANY_MARKS - 1 :] - found_s[: len(found_s) - MANY_MARKS + 1]
+    within_s = found_s[MANY_MARKS - 1 :] - found_s[: 1 - MANY_MARKS]
     for index in np.flatnonzero(within_s < LIFETIME_S)[:1] + MANY_MARKS - 1:
         step = int(np.searchsorted(history.time_s, found_s[index]))
         yield RunEvent(int(history.t_ns[step]), MANY_MARKS_TEXT)

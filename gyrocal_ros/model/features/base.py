@@ -61,8 +61,8 @@ class Anchors:
     p_wc: Array
     """(m, 3)"""
 
-    def __getitem__(self, rows: np.ndarray | slice) -> Anchors:
-        return Anchors(self.R_wc[rows], self.p_wc[rows])
+    def __getitem__(self, rows: IntArray) -> Anchors:
+        return Anchors(self.R_wc.take(rows, 0), self.p_wc.take(rows, 0))
 
     def joined(self, other: Anchors) -> Anchors:
         """Return these anchors followed by the other ones."""
@@ -107,12 +107,12 @@ class Prediction:
 
     def __getitem__(self, rows: IntArray) -> Prediction:
         return Prediction(
-            self.expected[rows],
-            self.by_pose[rows],
-            self.by_feature[rows],
-            self.points_c[rows],
-            self.by_point[rows],
-            self.scale[rows],
+            self.expected.take(rows, 0),
+            self.by_pose.take(rows, 0),
+            self.by_feature.take(rows, 0),
+            self.points_c.take(rows, 0),
+            self.by_point.take(rows, 0),
+            self.scale.take(rows, 0),
         )
 
 

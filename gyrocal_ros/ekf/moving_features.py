@@ -1,0 +1,37 @@
+"""Features that are not fixed in space: they contradict the others wherever the map puts them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gyrocal_ros.data import IntArray
+
+MAX_DROPS = 2
+"""Number of times that a feature is removed from the map before it moves: the first place may be wrong."""
+MAX_SHARE = 0.5
+"""Share of the features in view beyond which not they are to blame, but the map or the model."""
+
+
+class MovingFeatures:
+    """Keeps features that were removed from the map again and again out of it while they are in view."""
+
+    def __init__(self) -> None:
+        self._drops: dict[int, int] = {}
+
+    def update(self, in_view: IntArray, dropped: IntArray) -> None:
+        """Add the features removed after an image, given those that it shows."""
+        if not self._drops and not len(dropped):
+            return
+        for feature in dropped.tolist():
+            self._drops[feature] = self._drops.get(feature, 0) + 1
+        seen = set(in_view.tolist())
+        self._drops = {feature: drops for feature, drops in self._drops.items() if feature in seen}
+        if len(self._moving()) > MAX_SHARE * len(in_view):
+            self._drops.clear()
+
+    def are_fixed(self, ids: IntArray) -> np.ndarray:
+        """Return which features (m,), bool, may be in the map."""
+        return ~np.isin(ids, self._moving())
+
+    def _moving(self) -> list[int]:
+        return [feature for feature, drops in self._drops.items() if drops >= MAX_DROPS]

@@ -31,6 +31,8 @@ SHORT = replace(SCENARIOS['cleaning'], duration_s=20.0, errors=PERFECT)
 DEG = math.radians(1.0)
 LEFT_OVER = 0.03
 """Largest root mean square of the innovations in sigma: interpolation of samples and estimates of signals."""
+VIBRATION_LEFT_OVER = 0.05
+"""The same for an effect of the vibration: a variance of the samples of 0.05 s is known to a fifth only."""
 
 HIDDEN: dict[str, tuple[Effect, tuple[float, ...]]] = {
     name: (find_effect(name), values)
@@ -118,10 +120,11 @@ def test_with_the_effect_in_the_model_the_innovations_vanish(name: str) -> None:
     source = SimSource(scenario, 3, hidden=(HiddenEffect(effect, values),))
     measured, true_scale = in_memory(source), source.truth.scale_factor
     complete = run_with(measured, known(source.hidden[0].effect, values))
-    assert left_over(complete) < LEFT_OVER
+    most = VIBRATION_LEFT_OVER if shaking else LEFT_OVER
+    assert left_over(complete) < most
     assert abs(scale_error_sigma(complete, true_scale)) < 0.3
     without = run_with(measured)
-    assert max(left_over(without) / LEFT_OVER, abs(scale_error_sigma(without, true_scale))) > 1.0
+    assert max(left_over(without) / most, abs(scale_error_sigma(without, true_scale))) > 1.0
 
 
 @pytest.mark.slow

@@ -243,6 +243,13 @@ def eventful_block(count: int = 12, seed: int = 0, start_s: float = 30.0) -> Mot
     )
 
 
+def half_slow_block() -> MotionBlock:
+    """Return a block that turns slowly in its first half, by less than 0.1 rad/s, and fast in its second."""
+    block = eventful_block()
+    yaw_rate = np.linspace(0.01, 0.1, 12) + np.repeat([0.0, 1.0], 6)
+    return replace(block, rate_rad_s=np.column_stack([block.rate_rad_s[:, :2], yaw_rate]))
+
+
 def eventful_blocks() -> list[MotionBlock]:
     """Return consecutive blocks."""
     blocks = [eventful_block()]

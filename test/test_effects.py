@@ -22,12 +22,14 @@ from contracts import (
     WheelEffectContract,
     eventful_block,
     eventful_blocks,
+    half_slow_block,
 )
 
-from gyrocal_ros.data import MotionBlock
+from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.covariate import CovariateBias
 from gyrocal_ros.effects.model_file import load_model, model_from_dict, model_to_dict, model_to_yaml
+from gyrocal_ros.effects.rate_deadband import INSIDE_STD
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import shipped
 from gyrocal_ros.model.gyro import correct
@@ -177,12 +179,33 @@ def test_clipped_rates_are_replaced_by_those_of_the_wheels() -> None:
     np.testing.assert_array_equal(found.noise_rad_s > 0.0, over)
 
 
+def block_that_turns(rate_rad_s: Array) -> MotionBlock:
+    """Return a block with these yaw rates (12,)."""
+    return replace(eventful_block(), rate_rad_s=np.stack([*np.zeros((2, 12)), rate_rad_s], axis=1))
+
+
 def test_rates_in_the_dead_band_have_a_standard_deviation() -> None:
-    block = eventful_block()
-    found = term('rate_deadband', block, 0.5)
-    assert found.noise_rad_s is not None
-    inside = np.abs(block.rate_rad_s[:, 2]) < 0.5
-    np.testing.assert_allclose(found.noise_rad_s, np.where(inside, 0.5 / math.sqrt(3.0), 0.0))
+    found = term('rate_deadband', block_that_turns(np.repeat([0.1, 5.0], 6)), 0.5)
+    assert found.noise_rad_s is not None and found.blind is not None
+    assert found.noise_rad_s[:3] == pytest.approx(INSIDE_STD * 0.5) and found.rate_rad_s[:3] == pytest.approx(
+        -0.1
+    )
+    assert not found.noise_rad_s[6:].any() and not found.rate_rad_s[6:].any()
+    np.testing.assert_array_equal(found.noise_rad_s > 0.0, found.blind)
+
+
+@pytest.mark.parametrize('rate', [0.0, 1.0])
+def test_noise_of_the_readings_does_not_decide_what_is_in_the_dead_band(rate: float) -> None:
+    """Noise that is added to the zeros takes single readings out of the band, and others into it."""
+    readings = rate + np.tile([-0.9, 0.1, 0.8], 4)
+    assert np.any(np.abs(readings) < 0.5) and np.any(np.abs(readings) > 0.5)
+    found = term('rate_deadband', block_that_turns(readings), 0.5)
+    np.testing.assert_array_equal(found.blind, np.full(12, rate == 0.0))
+
+
+def test_where_the_sensor_sets_its_noise_to_zero_larger_readings_are_real() -> None:
+    found = term('rate_deadband', block_that_turns(np.tile([0.0, 0.0, 0.6], 4)), 0.5)
+    np.testing.assert_array_equal(found.blind, np.tile([True, True, False], 4))
 
 
 @pytest.mark.parametrize(
@@ -271,7 +294,7 @@ def test_names_of_several_coefficients_contain_that_of_the_effect() -> None:
 
 
 def test_corrections_of_all_effects_add_up() -> None:
-    block, names = eventful_block(), ('scale_factor', 'turn_slip', 'cross_axis', 'rate_deadband')
+    block, names = half_slow_block(), ('scale_factor', 'turn_slip', 'cross_axis', 'rate_deadband')
     effects: tuple[Effect, ...] = tuple(map(find_effect, names))
     gyro = placed(effects, 'gyro')
     values = np.array([0.1, 9.0, 0.02, -0.03, 0.5])
@@ -279,7 +302,7 @@ def test_corrections_of_all_effects_add_up() -> None:
     assert [place for _, place in placed(effects, 'wheels')] == [slice(1, 2)]
     total = correct(gyro, block, values, (None,) * 3)
     wx, wy, wz = block.rate_rad_s.T
-    valid, zero = np.abs(wz) >= 0.5, np.zeros(12)
+    valid, zero = ~np.asarray(term('rate_deadband', block, 0.5).blind), np.zeros(12)
     assert 0 < valid.sum() < 12
     np.testing.assert_allclose(total.rate_rad_s, np.where(valid, 0.1 * wz + 0.02 * wx - 0.03 * wy, -wz))
     np.testing.assert_allclose(total.by_values, valid[:, None] * np.stack([wz, zero, wx, wy, zero], axis=1))

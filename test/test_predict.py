@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contracts import differences, eventful_block
+from contracts import differences, eventful_block, half_slow_block
 from filter_states import (
     CANDIDATES,
     EFFECTS,
@@ -23,6 +23,7 @@ from filter_states import (
 from gyrocal_ros.config.sections import Config, GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects.rate_deadband import INSIDE_STD
 from gyrocal_ros.ekf.effects_by_place import sort_effects
 from gyrocal_ros.ekf.predict import predict_sensitivity
 from gyrocal_ros.ekf.start import initial_state
@@ -140,10 +141,11 @@ def test_a_dead_band_adds_covariance_to_the_heading() -> None:
     effect = find_effect('rate_deadband')
     limit = replace(effect.coefficients[0], prior_mean=0.5)
     effect = replace(effect, coefficients=(limit,))  # type: ignore[type-var]
-    block, model = eventful_block(), replace(MODEL, effects=(find_effect('scale_factor'), effect))
+    block, model = half_slow_block(), replace(MODEL, effects=(find_effect('scale_factor'), effect))
     noise = added_noise(block, QUIET_GYRO, QUIET_WHEELS, model)
-    hidden_s = block.dt_s[np.abs(block.rate_rad_s[:, 2]) < 0.5].sum()
-    assert noise[YAW, YAW] == pytest.approx((0.5 / math.sqrt(3.0) * hidden_s) ** 2)
+    inside = effect.contribute(block, np.array([0.5]), None).blind
+    assert inside is not None and 0 < inside.sum() < 12
+    assert noise[YAW, YAW] == pytest.approx((INSIDE_STD * 0.5 * block.dt_s[inside].sum()) ** 2)
 
 
 def test_sensitivity_is_predicted_with_the_state() -> None:

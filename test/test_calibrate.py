@@ -379,6 +379,15 @@ def test_a_model_with_the_hidden_effect_estimates_it(name: str) -> None:
 
 
 @pytest.mark.slow
+def test_a_vibration_known_from_few_samples_does_not_hide_half_of_its_effect() -> None:
+    effect, fan = find_effect('vibration_rectification'), find_effect('covariate_bias:fan_speed.data')
+    hidden = HiddenEffect(effect, (-0.025,))
+    model = SensorModel('with it', BiasModel(), (find_effect('scale_factor'), fan, effect))
+    run = calibrate(SimSource(plain().scenario, 1, hidden=(hidden,)), Config(), model)
+    assert run.state.coefficients[2] == pytest.approx(-0.025, rel=0.1)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(('name', 'limit'), [('rate_saturation', 60.0), ('rate_deadband', 0.3)])
 def test_a_known_limit_does_no_harm(name: str, limit: float) -> None:
     effect: Any = find_effect(name)

@@ -3,7 +3,8 @@
 The scale factor multiplies the true nominal rate, and the filter knows only the reading. While the robot
 drives straight, the reading is noise. A derivative by the scale factor that is built from it regresses no
 rotation on noise: the estimate is pulled towards no scale factor at all, with false confidence (errors in
-variables). So the derivatives are taken at a rate whose error is independent of the noise of the block.
+variables). So the derivatives are taken at a rate whose error is independent of the noise of the block. The
+same holds for the vibration: as an instrumental variable, that of the blocks before takes its place.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import math
 from bisect import bisect_left, insort
 from collections import deque
 from dataclasses import replace
+
+import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array, MotionBlock, changed
@@ -23,6 +26,8 @@ MEMORY = 10
 """Number of blocks over which rate and noise are averaged."""
 VIBRATION_RAD_S = math.radians(2.0)
 """Change of the mean rate up to which a robot whose wheels stand still vibrates; beyond, a hand turns it."""
+VIBRATION_BLOCKS = 5
+"""Number of blocks before, but for the last, whose vibration stands for that of a block."""
 NOISE_BLOCKS = 50
 """Number of last blocks by whose median the noise of the gyro is judged."""
 NOISY = 2.0
@@ -41,6 +46,7 @@ class SteadyRate:
         self._noise_rad2_s: float | None = None
         self._seen_rad2_s: deque[float] = deque(maxlen=NOISE_BLOCKS)
         self._sorted_rad2_s: list[float] = []
+        self._vibrations_m2_s4: deque[float] = deque(maxlen=VIBRATION_BLOCKS + 1)
 
     def with_noise(self, block: MotionBlock, gyro: GyroConfig) -> GyroConfig:
         """Return the settings, with the noise of the readings where that is far above the one set.
@@ -83,14 +89,26 @@ class SteadyRate:
         if is_at_rest and self._was_at_rest:
             largest = max(largest, VIBRATION_RAD_S)
         self._was_at_rest = is_at_rest
+        vibration = self._vibration_before(block)
         if before is None or abs(mean - before) > largest:
             self._mean_rad_s, self._blocks = mean, 1
-            return block
+            return changed(block, vibration_m2_s4=vibration)
         self._blocks = self._blocks + 1 if is_at_rest else min(self._blocks + 1, MEMORY)
         self._mean_rad_s = before + (mean - before) / self._blocks
         rates = block.rate_rad_s.copy()
         rates[:, 2] = before
-        return changed(block, rate_rad_s=rates)
+        return changed(block, rate_rad_s=rates, vibration_m2_s4=vibration)
+
+    def _vibration_before(self, block: MotionBlock) -> Array:
+        """Return the mean vibration (N,) of the blocks before, and remember that of this one.
+
+        The last one is left out, since the estimate of this block still contains some of its samples.
+        """
+        known = [*self._vibrations_m2_s4]
+        self._vibrations_m2_s4.append(float(block.vibration_m2_s4[0]))
+        if len(known) <= VIBRATION_BLOCKS:
+            return block.vibration_m2_s4
+        return np.full(len(block.dt_s), sum(known[:-1]) / VIBRATION_BLOCKS)
 
     def _noise(self, count: int, seen_rad2_s: float, gyro: GyroConfig) -> float:
         """Return the white noise of the rate as a density, (rad/s)^2/Hz: that of the settings or more.

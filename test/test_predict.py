@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -138,9 +139,9 @@ def test_gaps_add_covariance() -> None:
 
 
 def test_a_dead_band_adds_covariance_to_the_heading() -> None:
-    effect = find_effect('rate_deadband')
+    effect: Any = find_effect('rate_deadband')
     limit = replace(effect.coefficients[0], prior_mean=0.5)
-    effect = replace(effect, coefficients=(limit,))  # type: ignore[type-var]
+    effect = replace(effect, coefficients=(limit,))
     block, model = half_slow_block(), replace(MODEL, effects=(find_effect('scale_factor'), effect))
     noise = added_noise(block, QUIET_GYRO, QUIET_WHEELS, model)
     inside = effect.contribute(block, np.array([0.5]), None).blind

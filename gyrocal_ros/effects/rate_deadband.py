@@ -122,4 +122,4 @@ def _is_inside(rate_rad_s: Array, width: float) -> Array:
     padded = np.pad(rate_rad_s, NEAR_SAMPLES // 2, mode='symmetric')
     mean = np.convolve(padded, np.full(NEAR_SAMPLES, 1.0 / NEAR_SAMPLES), mode='valid')
     small = np.abs(rate_rad_s) < width
-    return (np.abs(mean) < width) & (small if np.any(rate_rad_s == 0.0) else True)
+    return np.logical_and(np.abs(mean) < width, small if np.any(rate_rad_s == 0.0) else True)

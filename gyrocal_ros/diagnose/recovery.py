@@ -9,6 +9,7 @@ import numpy as np
 
 from gyrocal_ros.diagnose.additions import Addition
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
+from gyrocal_ros.diagnose.late_images import late_images
 from gyrocal_ros.diagnose.limits import detected_limits
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.effects import EFFECTS
@@ -31,9 +32,17 @@ def first_run(
 ) -> tuple[ExaminedModel, list[Addition]]:
     """Return the run with a model, or with the effect whose absence breaks the filter, and that effect.
 
+    Images that are far too late or too early break it in any case; the model then needs the offset.
+
     Raises:
         FilterDivergedError: the filter cannot run with this model, nor with such an effect.
     """
+    offset = late_images(recording)
+    if offset is not None and not any(effect.acts_on == 'time' for effect in model.effects):
+        with suppress(*CANNOT_RUN):
+            by_offset = _recovered_with(offset, model, recording, calibrate, settings)
+            if _nis(by_offset.after) < BROKEN_NIS:
+                return by_offset.after, [by_offset]
     try:
         first = examine(model, recording, calibrate, settings)
     except FilterDivergedError:
@@ -71,7 +80,16 @@ def _recover(
             likelihoods[float(history.log_likelihood.sum() / history.dof.sum())] = effect
     if not likelihoods:
         return None
-    effect = likelihoods[max(likelihoods)]
+    return _recovered_with(likelihoods[max(likelihoods)], model, recording, calibrate, settings)
+
+
+def _recovered_with(
+    effect: Effect,
+    model: SensorModel,
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    settings: DiagnosisSettings,
+) -> Addition:
     after = examine(with_effect(model, effect), recording, calibrate, settings)
     stds = np.zeros(len(effect.coefficients))
     return Addition(effect, None, after, math.inf, math.inf, 0.0, stds, strengths(effect))

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 
-from gyrocal_ros.data import NS_PER_S, CovariateSample, ImuSample, Source, TemperatureSample, WheelSample
+from gyrocal_ros.data import (
+    NS_PER_S,
+    CovariateSample,
+    FeatureObservations,
+    ImuSample,
+    Source,
+    TemperatureSample,
+    WheelSample,
+)
+from gyrocal_ros.diagnose.late_images import turn_between
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
 from gyrocal_ros.ekf.motion import SPEED_SIGNAL
-from gyrocal_ros.model.recording import TEMPERATURE, GyroReadings, RecordingSummary, Signal
+from gyrocal_ros.model.recording import TEMPERATURE, GyroReadings, ImageTurns, RecordingSummary, Signal
 from gyrocal_ros.statistics import robust_std
 
 MAX_SIGNALS = 24
@@ -66,6 +76,8 @@ def summarise_recording(source: Source) -> RecordingSummary:
     values: dict[str, list[float]] = defaultdict(list)
     rates: list[tuple[int, float]] = []
     recorded = set()
+    turns: list[tuple[int, int, float]] = []
+    image: FeatureObservations | None = None
     for sample in source.measurements():
         if isinstance(sample, ImuSample):
             rates.append((sample.t_ns, sample.rate_rad_s[2]))
@@ -75,6 +87,11 @@ def summarise_recording(source: Source) -> RecordingSummary:
             values[SPEED_SIGNAL].append(sample.speed_m_s)
         elif isinstance(sample, TemperatureSample):
             recorded.add(TEMPERATURE)
+        elif isinstance(sample, FeatureObservations):
+            turn_rad = turn_between(image, sample) if image is not None else None
+            if image is not None and turn_rad is not None:
+                turns.append((image.t_ns, sample.t_ns, turn_rad))
+            image = sample
     signals = [Signal(name, float(np.mean(column)), float(np.std(column))) for name, column in values.items()]
     varying = [signal for signal in signals if signal.spread > MIN_VARIATION * abs(signal.mean)]
     if len(varying) > MAX_SIGNALS:
@@ -88,4 +105,10 @@ def summarise_recording(source: Source) -> RecordingSummary:
         duration_s=source.span.duration_s,
         readings=GyroReadings(np.array(t_ns, np.int64), np.array(rate)),
         ranges=signal_ranges(source),
+        image_turns=_as_turns(turns) if turns else None,
     )
+
+
+def _as_turns(turns: Sequence[tuple[int, int, float]]) -> ImageTurns:
+    start_ns, end_ns, turn_rad = zip(*turns, strict=True)
+    return ImageTurns(np.array(start_ns, np.int64), np.array(end_ns, np.int64), np.array(turn_rad))

@@ -32,6 +32,17 @@ class GyroReadings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ImageTurns:
+    """Turns of the image between consecutive images, by the features that both show."""
+
+    start_ns: IntArray
+    end_ns: IntArray
+    """(m,) stamps of the two images."""
+    turn_rad: Array
+    """(m,) about the optical axis."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RecordingSummary:
     """Summary of a recording: its rig, duration, gyro readings and additional signals."""
 
@@ -46,3 +57,5 @@ class RecordingSummary:
     readings: GyroReadings
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Range of each signal that varies and that a learned law may follow, by its name there."""
+    image_turns: ImageTurns | None = None
+    """None without images."""

@@ -256,6 +256,25 @@ def test_wrong_regions_do_not_lose_the_tracks(renderer: CeilingRenderer) -> None
     assert np.abs(second.pixels[now] - first.pixels[then]).max() < 0.01
 
 
+@pytest.mark.parametrize('turn_deg', [-12.0, 8.0])
+def test_a_turn_that_the_gyro_does_not_show_at_this_time_is_followed(
+    renderer: CeilingRenderer, turn_deg: float
+) -> None:
+    """As where images are late, or a gyro is at its limit: prediction and regions are wrong."""
+    drive = RenderedDrive(renderer)
+    first = [drive.step(0.1 * k, 0.0) for k in range(3)][-1]
+    true, p_wc = attitude(math.radians(turn_deg)), np.array([0.03, 0.0, 0.1])
+    image = renderer.render(true, p_wc, exposure=1.0, rng=drive.rng)
+    wrong = attitude(0.0)
+    seen = drive.tracker.track(Frame(nanoseconds(0.3), image), wrong, drive.regions(0.3, wrong, p_wc))
+    _, before, after = np.intersect1d(first.ids, seen.ids, return_indices=True)
+    expected = project(CAMERA, (np.array([drive.points_w[i] for i in first.ids[before]]) - p_wc) @ true)
+    inside = np.all((expected > 40.0) & (expected < [600.0, 440.0]), axis=1)
+    assert len(before) >= 8
+    assert np.abs(seen.pixels[after] - expected)[inside].max() < 0.5
+    assert math.degrees(drive.tracker.yaw_error_rad) == pytest.approx(-turn_deg, abs=0.3)
+
+
 def test_one_match_outside_its_region_is_rejected(renderer: CeilingRenderer) -> None:
     tracker = Tracker(CAMERA, CONFIG)
     image = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]), rng=np.random.default_rng(0))

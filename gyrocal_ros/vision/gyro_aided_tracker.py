@@ -54,6 +54,8 @@ class _TrackedImage:
     """Corrected yaw minus the yaw of the images, since the start."""
     yaw_error_std_rad: float
     """Its standard deviation by the noise of the patches."""
+    by_flow: bool
+    """True if the gyro was so wrong that the features were found by the flow of the image."""
 
 
 class GyroAidedTracker:
@@ -122,7 +124,13 @@ class GyroAidedTracker:
         seen = self._tracker.track(frame, R_wc, self.expected)
         tracker = self._tracker
         image = _TrackedImage(
-            seen, R_wc, yaw_rad, nominal_yaw_rad, tracker.yaw_error_rad, tracker.yaw_error_std_rad
+            seen,
+            R_wc,
+            yaw_rad,
+            nominal_yaw_rad,
+            tracker.yaw_error_rad,
+            tracker.yaw_error_std_rad,
+            tracker.found_by_flow,
         )
         if last:
             self._update_gain_and_bias(last, image)
@@ -133,7 +141,8 @@ class GyroAidedTracker:
         """Estimate the image motion and the gain and bias of the gyro from two images.
 
         Gain and bias are recursive least-squares estimates over all turns, with their priors. A turn counts
-        by the noise of the patches: a gain by faint ones would lose all features for the rest of a turn.
+        by the noise of the patches: a gain by faint ones would lose all features for the rest of a turn. What
+        only the flow of the image showed is no error of gain or bias.
         """
         dt_s = seconds(image.seen.t_ns - last.seen.t_ns)
         _, before, now = np.intersect1d(last.seen.ids, image.seen.ids, return_indices=True)
@@ -142,6 +151,8 @@ class GyroAidedTracker:
             return
         moved = self._to_ceiling(image, now) - self._to_ceiling(last, before)
         self._flow_1_s = np.median(moved, axis=0) / dt_s
+        if image.by_flow:
+            return
         std_rad = math.hypot(TWIST_STD_RAD, last.yaw_error_std_rad, image.yaw_error_std_rad)
         turn = np.array([image.nominal_yaw_rad - last.nominal_yaw_rad, dt_s])
         residual = image.yaw_error_rad - last.yaw_error_rad

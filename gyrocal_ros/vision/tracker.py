@@ -29,6 +29,7 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
+from gyrocal_ros.vision.image_flow import followed
 from gyrocal_ros.vision.lens_marks import MIN_CHANGES, STAYED_PX, LensMarks, ViewChange, correlation_at
 from gyrocal_ros.vision.patches import MATCHING_PX, NODE_CENTRE, Patches, align, extract_patches, node_offsets
 from gyrocal_ros.vision.search_region import (
@@ -51,6 +52,8 @@ MAX_NOISE_PX = 0.1
 """Limit of the position noise of a new corner, as far as it is caused by the image noise."""
 
 
+AS_COMPLEX = np.array([1.0, 1.0j])
+"""Factor that turns coordinates (n, 2) into complex numbers (n,)."""
 ID_COUNT = 2**32
 """Number of ids; they are 32 bits wide in messages."""
 
@@ -143,6 +146,8 @@ class Tracker:
         self._frames_to_detection = 0
         self._yaw_error_rad = self._yaw_error_std_rad = 0.0  # see `yaw_error_rad`
         self._view, self._marks = ViewChange(), LensMarks()
+        self._last: tuple[Frame, FeatureObservations] | None = None
+        self._found_by_flow = False
         dark = np.zeros((camera.height_px, camera.width_px), np.uint8)
         self._features = self._new_features(Frame(0, dark), np.eye(3), np.zeros((0, 2), np.intp))
 
@@ -155,6 +160,11 @@ class Tracker:
     def yaw_error_std_rad(self) -> float:
         """Standard deviation of `yaw_error_rad`: patches almost without texture hardly show a rotation."""
         return self._yaw_error_std_rad
+
+    @property
+    def found_by_flow(self) -> bool:
+        """True if the predictions for the last image were so wrong that only its flow led to the features."""
+        return self._found_by_flow
 
     def track(self, frame: Frame, R_wc: Array, regions: SearchRegions | None) -> FeatureObservations:
         """Find the known features in an image, and new ones if there are too few.
@@ -186,7 +196,9 @@ class Tracker:
         if len(on_lens):
             self._features = self._features[~np.isin(np.arange(len(self._features)), on_lens)]
         pixels = np.concatenate([pixels[found], new])
-        return FeatureObservations(frame.t_ns, ids, pixels, covariances, len(on_lens))
+        observed = FeatureObservations(frame.t_ns, ids, pixels, covariances, len(on_lens))
+        self._last = frame, observed
+        return observed
 
     def _check(self, frame: Frame) -> None:
         expected = (self._camera.height_px, self._camera.width_px)
@@ -239,21 +251,59 @@ class Tracker:
         """Search for features; the pixels are as predicted where one is not found."""
         if not len(search.index):
             return _Match(search.pixels, search.covariances_px2, np.empty(0))
+        self._found_by_flow = False
         match = self._align(image, R_wc, search, search.pixels)
+        if 2 * (search.tracked & (match.score > 0.0)).sum() < search.tracked.sum():
+            search, match = self._by_flow(image, R_wc, search, match)
+        match = self._by_correlation(image, R_wc, search, match)
         score = match.score
-        searched = search.tracked if search.tracked.any() else np.ones(len(score), dtype=bool)
-        missed = searched & (score < 0.0)
-        if missed.any():  # search again by correlation, in larger regions if most predictions failed
-            again = search[missed]
-            if 2 * len(again.index) > search.tracked.sum():
-                again.covariances_px2[:] += UNPREDICTED_STD_PX**2 * np.eye(2)
-            match[missed] = self._align(image, R_wc, again, self._best_matches(image, R_wc, again))
         _reject_duplicates(match.pixels, score, 0.5 * self.config.patch_px)
         vacant = max(0, self.config.features - int((score[search.tracked] > 0.0).sum()))
         reacquired = np.flatnonzero(~search.tracked & (score > 0.0))
         score[reacquired[np.argsort(-score[reacquired], kind='stable')][vacant:]] = -1.0
         match.pixels[score < 0.0] = search.pixels[score < 0.0]
         return match
+
+    def _by_correlation(
+        self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet, match: _Match
+    ) -> _Match:
+        """Search again for what was missed, in larger regions if that is most."""
+        searched = search.tracked if search.tracked.any() else np.ones(len(match.score), dtype=bool)
+        missed = searched & (match.score < 0.0)
+        if missed.any():
+            again = search[missed]
+            if 2 * len(again.index) > search.tracked.sum():
+                again.covariances_px2[:] += UNPREDICTED_STD_PX**2 * np.eye(2)
+            match[missed] = self._align(image, R_wc, again, self._best_matches(image, R_wc, again))
+        return match
+
+    def _by_flow(
+        self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet, match: _Match
+    ) -> tuple[_SearchSet, _Match]:
+        """Search where the flow of the image leads; keep the matches if most features are found there.
+
+        The flow shows the error of the predicted yaw and the motion over the ceiling of all features.
+        """
+        assert self._last is not None
+        (last, seen), features = self._last, self._features[search.index]
+        _, rows, places = np.intersect1d(features.ids, seen.ids, return_indices=True)
+        pixels, agreeing = followed(last.image, image, seen.pixels[places])
+        if not agreeing.any():
+            return search, match
+        yaw_error_rad, yaw_error_std_rad = self._yaw_error_rad, self._yaw_error_std_rad
+        before = features.ceiling[rows[agreeing]] @ AS_COMPLEX
+        after = self._to_ceiling(pixels[agreeing], R_wc) @ AS_COMPLEX
+        self._yaw_error_rad += float(np.angle(np.vdot(before - before.mean(), after - after.mean())))
+        moved = self._to_ceiling(pixels[agreeing], R_wc) - features.ceiling[rows[agreeing]]
+        predicted = self._to_pixels(features.ceiling + np.median(moved, axis=0), R_wc)
+        covariances = np.tile(UNPREDICTED_STD_PX**2 * np.eye(2), (len(predicted), 1, 1))
+        by_flow = _SearchSet(search.index, predicted, covariances, search.tracked)
+        found = self._align(image, R_wc, by_flow, predicted)
+        if 2 * (found.score > 0.0).sum() > search.tracked.sum():
+            self._found_by_flow = True
+            return by_flow, found
+        self._yaw_error_rad, self._yaw_error_std_rad = yaw_error_rad, yaw_error_std_rad
+        return search, match
 
     def _reject_on_lens(self, frame: Frame, search: _SearchSet, match: _Match) -> IntArray:
         """Reject the matches of features that stay in the image; return the indices of these features."""

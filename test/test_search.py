@@ -209,6 +209,18 @@ class TestSearch:
         assert added.predictive_gain == pytest.approx(400.0)
         assert added.is_kept == added.stands_out == is_kept
 
+    @pytest.mark.parametrize(('factor', 'is_kept'), [(0.9, True), (1.1, False)])
+    def test_an_effect_far_below_its_usual_size_is_a_trace_of_something_else(
+        self, factor: float, is_kept: bool
+    ) -> None:
+        """However significant it is: a signal that is recorded seldom leaves some."""
+        (usual,) = find_effect('gyro_lag').coefficients
+        assert usual.typical is not None
+        strict = replace(DEFAULT_SETTINGS, min_usual_part=factor * 2.0 / usual.typical.low)
+        fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0})
+        (added,) = search(default_model(), AT_REST, fake, settings=strict).additions
+        assert added.stands_out and added.is_kept == is_kept and added.is_negligible != is_kept
+
     @pytest.mark.slow
     @pytest.mark.parametrize(('part', 'inexact', 'is_found'), [(0.5, '', True), (0.5, 'scale_cubic', False)])
     def test_an_effect_that_hardly_adds_to_what_was_found_is_tried_beside_exact_coefficients(

@@ -62,13 +62,27 @@ class Addition:
 
     @cached_property
     def is_kept(self) -> bool:
-        """True if the recording is predicted better with the effect, not zero, and drifts no more.
+        """True if the recording is predicted better with it, it is not negligible, and nothing drifts more.
 
         A closed form need only predict as well as the curve.
         """
         least = self.after.settings.min_predictive_gain
         predicts = self.predictive_gain > (-least if self.is_rewritten else least)
-        return predicts and self.stands_out and not self.is_rejected and not self.raises_drift
+        counts = self.stands_out and not self.is_negligible
+        return predicts and counts and not self.is_rejected and not self.raises_drift
+
+    @property
+    def is_negligible(self) -> bool:
+        """True if all of its strengths are far smaller than in real sensors: the trace of something else."""
+        usual = [self.effect.coefficients[place].typical for place in self.strengths]
+        if not usual:
+            return False
+        values, _ = self.after.estimate_of(self.effect.name)
+        part = self.after.settings.min_usual_part
+        return all(
+            item is not None and abs(value) < part * item.low
+            for item, value in zip(usual, values[self.strengths].tolist(), strict=True)
+        )
 
     @property
     def raises_drift(self) -> bool:

@@ -218,6 +218,8 @@ def _reason(added: Addition) -> str:
         return f'the recording is predicted better (log-likelihood +{size})'
     if not added.stands_out:
         return 'beside the other coefficients it is not significantly different from zero'
+    if added.is_negligible:
+        return 'it is far smaller than in real sensors: the trace of something that is not known exactly'
     if added.predictive_gain < 0.0:
         return f'the recording is predicted worse (log-likelihood -{size})'
     if added.raises_drift:

@@ -66,6 +66,13 @@ class DiagnosisSettings:
     nonzero_sigma: float = threshold(
         3.0, 'sigma', 'distance from zero that a coefficient must keep in the final model', 'pairs of effects'
     )
+    min_usual_part: float = threshold(
+        0.1,
+        '1',
+        'part of the least usual size below which an effect is not named: signals that are recorded late or '
+        'seldom leave such traces',
+        'pairs of effects',
+    )
     min_judgeable_part: float = threshold(
         0.5,
         '1',

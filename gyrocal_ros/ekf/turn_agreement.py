@@ -105,7 +105,8 @@ class TurnAgreement:
         if is_impossible:
             return (
                 f'no gyro has a scale factor of {scale_factor:.3g}: an axis is mirrored or swapped, or a '
-                'unit is wrong; check the transforms, the camera calibration and the unit of the gyro (rad/s)'
+                'unit is wrong, or the images are late; check the transforms, the camera calibration and the '
+                'unit of the gyro (rad/s), and let `gyrocal diagnose` look for late images'
             )
         return ''
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal_ros.data import NS_PER_S, Array, FeatureObservations
-from gyrocal_ros.effects import find_effect
+from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.model.recording import GyroReadings, ImageTurns, RecordingSummary
 from gyrocal_ros.model.sensor import Effect, with_means
 
@@ -44,7 +44,7 @@ def turn_between(before: FeatureObservations, after: FeatureObservations) -> flo
 
 
 def late_images(recording: RecordingSummary) -> Effect | None:
-    """Return the time offset of the camera, with the offset that the turns show as its mean.
+    """Return the effect on the time of the images, with the offset that the turns show as its mean.
 
     None where the images have no large offset, or do not show one.
     """
@@ -59,7 +59,8 @@ def late_images(recording: RecordingSummary) -> Effect | None:
     gains = float(errors[len(OFFSETS_S) // 2]) > MIN_GAIN * errors[best]
     if not (is_inside and explains and gains and abs(offset_s) > MIN_OFFSET_S):
         return None
-    return with_means(find_effect('camera_time_offset'), (offset_s,))
+    of_time = next(effect for effect in EFFECTS.values() if effect.acts_on == 'time')
+    return with_means(of_time, (offset_s,))
 
 
 def mean_square_errors(turns: ImageTurns, readings: GyroReadings, offsets_s: Array) -> Array:

@@ -200,6 +200,15 @@ class TestProposals:
         made = replace(made, run=replace(made.run, history=followed))
         assert len(proposed(made, structure_gain=100.0, rival_gain=1.0)) == count
 
+    @pytest.mark.parametrize(('bias_deg_s', 'count'), [(0.001, 1), (0.05, 0)])
+    def test_readings_that_hold_a_bias_are_not_dead(self, bias_deg_s: float, count: int) -> None:
+        """However much better the headings fit if a robot that turns slowly is taken not to turn."""
+        made = banded(WIDTHS_RAD_S[2])
+        history = made.run.history
+        biased = replace(history, turn_rad=history.turn_rad + deg(bias_deg_s) * history.dt_s)
+        made = replace(made, run=replace(made.run, history=biased))
+        assert len(proposed(made, structure_gain=100.0, rival_gain=1.0)) == count
+
     def test_a_clean_drive_has_no_dead_band(self) -> None:
         assert [item.effect.name for item in proposed(drive(), structure_gain=100.0, rival_gain=1.0)] == []
 

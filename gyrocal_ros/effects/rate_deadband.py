@@ -33,6 +33,9 @@ NEAR_SAMPLES = 7
 INSIDE_STD = 0.15
 """Standard deviation of the rate inside the band, as a part of its width. It is a quarter of that of a
 uniform distribution, for a robot stands or drives straight far more often than it turns so slowly."""
+MAX_MEAN_SIGMA, MAX_MEAN_PART = 5.0, 0.02
+"""Largest mean of dead readings: in its standard deviations, and besides as a part of the width. Else the
+readings hold a bias, which a dead band does not let through."""
 _WIDTHS_RAD_S = tuple(math.radians(width) for width in (0.1, 0.2, 0.3, 0.4, 0.5))
 
 
@@ -102,15 +105,17 @@ class RateDeadband:
         return -inside * rate_rad_s, -inside
 
     def is_plausible(self, readings: GyroReadings, limit: float) -> bool:
-        """Check that the readings inside are constant: they follow neither a changing bias nor slow turns."""
+        """Check that the readings inside are zero: they follow no bias and no slow turns."""
         count = max(round(MEAN_S * NS_PER_S / float(np.median(np.diff(readings.t_ns)))), 1)
         rate = readings.rate_rad_s[: len(readings.rate_rad_s) // (MEANS * count) * MEANS * count]
-        by_second = rate.reshape(-1, MEANS, count)
-        inside = by_second[np.all(np.abs(by_second) < limit, axis=(1, 2))].mean(axis=2)
+        means = rate.reshape(-1, MEANS, count).mean(axis=2)
+        inside = means[np.all(np.abs(means) < limit, axis=1)]
         if len(inside) < MIN_SECONDS:
             return True
         noise = 0.5 * float(np.mean(np.diff(inside, axis=1) ** 2)) / MEANS
-        return float(np.var(inside.mean(axis=1))) <= MAX_VARIANCE_RATIO * noise
+        is_constant = float(np.var(inside.mean(axis=1))) <= MAX_VARIANCE_RATIO * noise
+        largest = MAX_MEAN_SIGMA * math.sqrt(noise / len(inside)) + MAX_MEAN_PART * limit
+        return is_constant and abs(float(inside.mean())) <= largest
 
 
 def _is_inside(rate_rad_s: Array, width: float) -> Array:

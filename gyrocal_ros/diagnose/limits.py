@@ -127,14 +127,13 @@ def _hidden_by_noise(
     settings: DiagnosisSettings,
 ) -> float | None:
     """Return the limit of those in the effect's scan that the headings suggest, where they gain enough."""
-    scan, explained = effect.coefficients[0].scan, max(others.structure_gain, others.rival_gain)
-    if not scan or explained == 0.0 or others.has_jumped:
+    scan, is_missing = effect.coefficients[0].scan, max(others.structure_gain, others.rival_gain) > 0.0
+    if not scan or not is_missing or others.has_jumped:
         return None
     fits = [_fit_beside_scale(run, seen, _rate_error(effect, limit, run, readings)) for limit in scan]
     gains = np.array([fitted.gain if fitted is not None else 0.0 for fitted in fits])
     widest = scan[int(np.flatnonzero(gains >= settings.widest_limit_part * gains.max())[-1])]
-    least = max(settings.limit_heading_gain, settings.limit_unexplained_part * explained)
-    if gains.max() <= least or not effect.is_plausible(readings, widest):  # type: ignore[attr-defined]
+    if gains.max() <= settings.limit_heading_gain or not effect.is_plausible(readings, widest):  # type: ignore[attr-defined]
         return None
     return widest
 

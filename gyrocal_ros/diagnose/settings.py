@@ -130,12 +130,6 @@ class DiagnosisSettings:
         'some on straight drives, where it removes noise',
         'limits; none',
     )
-    limit_unexplained_part: float = threshold(
-        0.4,
-        '1',
-        'part of the unexplained structure that a limit hidden by noise must explain by the headings alone',
-        'limits',
-    )
     limit_wheel_part: float = threshold(
         0.005,
         '1',

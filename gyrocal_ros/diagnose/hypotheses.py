@@ -169,7 +169,7 @@ def _law(effect: Effect, shapes: Sequence[Array]) -> Law:
 def _curves(ranges: Mapping[str, tuple[float, float]]) -> Iterator[Law]:
     for of in KINDS:
         for name, (low, high) in (dict(ranges) | {HEADING: (-np.pi, np.pi)}).items():
-            if of == 'scale' and name in (RATE, HEADING):
+            if of == 'scale' and name == RATE:
                 continue
             shapes = [curve_stds(name, TYPICAL[of], length) for length in CURVE_LENGTHS]
             yield _law(curve(of, name, low, high), shapes)

@@ -8,6 +8,7 @@ import numpy as np
 
 from gyrocal_ros.data import CovariateSample, ImuSample, Source, TemperatureSample, WheelSample
 from gyrocal_ros.effects.learned.signals import CENTRIPETAL, RATE
+from gyrocal_ros.ekf.motion import SPEED_SIGNAL
 from gyrocal_ros.model.recording import TEMPERATURE
 
 RANGE = (0.002, 0.998)
@@ -47,7 +48,8 @@ def signal_ranges(source: Source) -> dict[str, tuple[float, float]]:
     smooth['yaw_acceleration'] = np.gradient(smooth[RATE], middle_s)
     if wheels:
         wheel_ns, speed_m_s = np.array(wheels).T
-        smooth[CENTRIPETAL] = smooth[RATE] * np.interp(middle_s, 1e-9 * (wheel_ns - times_ns[0]), speed_m_s)
+        smooth[SPEED_SIGNAL] = np.interp(middle_s, 1e-9 * (wheel_ns - times_ns[0]), speed_m_s)
+        smooth[CENTRIPETAL] = smooth[RATE] * smooth[SPEED_SIGNAL]
     every = {name: np.array(values) for name, values in columns.items()} | smooth
     ranges = {name: np.quantile(values, RANGE).tolist() for name, values in every.items()}
     return {name: (low, high) for name, (low, high) in ranges.items() if high - low > 1e-6 * abs(high + low)}

@@ -32,7 +32,7 @@ from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
-from gyrocal_ros.ekf.motion import SPEED_SIGNAL
+from gyrocal_ros.model.recording import SPEED_SIGNAL
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import LIBRARY_RANGES, NOISES, OUT_OF_LIBRARY_RANGES

@@ -635,7 +635,7 @@ class TestWhatIsRequested:
             ({'kind': 'step'}, {'bias_step:time', 'scale_step:time'}),
             ({'kind': 'step', 'acts_on': 'scale'}, {'scale_step:time'}),
             ({'kind': 'wave'}, {'bias_wave:time', 'scale_wave:time'}),
-            ({'follows': 'heading'}, {'bias_curve:heading'}),
+            ({'follows': 'heading'}, {'bias_curve:heading', 'scale_curve:heading'}),
             ({'kind': 'memory', 'follows': 'turn_side'}, {'bias_memory:turn_side'}),
             ({'kind': 'curve', 'follows': 'temperature', 'acts_on': 'scale'}, {'scale_curve:temperature'}),
             (

@@ -22,8 +22,7 @@ from gyrocal_ros.data import (
 from gyrocal_ros.diagnose.candidates import candidates_for
 from gyrocal_ros.diagnose.summarise import MAX_SIGNALS, coarse_step, summarise_recording
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.motion import SPEED_SIGNAL
-from gyrocal_ros.model.recording import TEMPERATURE
+from gyrocal_ros.model.recording import SPEED_SIGNAL, TEMPERATURE
 from gyrocal_ros.pipeline.in_memory import InMemorySource
 
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from gyrocal_ros.data import CovariateSample, ImuSample, Source, TemperatureSample, WheelSample
 from gyrocal_ros.effects.learned.signals import CENTRIPETAL, RATE
-from gyrocal_ros.ekf.motion import SPEED_SIGNAL
-from gyrocal_ros.model.recording import TEMPERATURE
+from gyrocal_ros.model.recording import SPEED_SIGNAL, TEMPERATURE
 
 RANGE = (0.002, 0.998)
 """Quantiles of a signal between which its curve is learned."""

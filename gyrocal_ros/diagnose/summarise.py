@@ -19,8 +19,14 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.diagnose.late_images import turn_between
 from gyrocal_ros.diagnose.signal_ranges import signal_ranges
-from gyrocal_ros.ekf.motion import SPEED_SIGNAL
-from gyrocal_ros.model.recording import TEMPERATURE, GyroReadings, ImageTurns, RecordingSummary, Signal
+from gyrocal_ros.model.recording import (
+    SPEED_SIGNAL,
+    TEMPERATURE,
+    GyroReadings,
+    ImageTurns,
+    RecordingSummary,
+    Signal,
+)
 from gyrocal_ros.statistics import robust_std
 
 MAX_SIGNALS = 24

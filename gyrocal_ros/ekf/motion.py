@@ -20,6 +20,7 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.kernels import compiled
+from gyrocal_ros.model.recording import SPEED_SIGNAL
 
 GAP_NS = 100_000_000
 """Maximum interval between IMU samples; a longer one is a gap."""
@@ -36,8 +37,6 @@ one makes nothing more certain; and where the robot starts or stops, a late esti
 the acceleration."""
 WHEEL_TIMEOUT_NS = 300_000_000
 """Maximum lag of the encoders behind the IMU; beyond it, prediction continues without them."""
-SPEED_SIGNAL = 'wheel_odometry.twist.twist.linear.x'
-"""Name of the forward speed as a signal that effects may follow."""
 
 
 class _Signal:

@@ -10,6 +10,9 @@ from gyrocal_ros.data import Array, IntArray, Rig
 TEMPERATURE = 'temperature'
 """Name of the temperature signal; all other signals are named by topic and field."""
 
+SPEED_SIGNAL = 'wheel_odometry.twist.twist.linear.x'
+"""Name of the forward speed as a signal that effects may follow."""
+
 
 @dataclass(frozen=True, slots=True)
 class Signal:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
-from gyrocal_ros.ekf.motion import SPEED_SIGNAL
+from gyrocal_ros.model.recording import SPEED_SIGNAL
 from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, Place, TypicalRange
 
 VOLTAGE = 'battery_state.voltage'

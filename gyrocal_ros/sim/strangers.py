@@ -11,11 +11,13 @@ import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
+from gyrocal_ros.model.recording import SPEED_SIGNAL
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place, TypicalRange
 
 DEG = math.radians(1.0)
 TURNING_RAD_S = 5.0 * DEG
 FULL_RATE_RAD_S = 100.0 * DEG
+USUAL_SPEED_M_S = 0.3
 Contribution: TypeAlias = Callable[[MotionBlock, Array, Memory], tuple[Array, Memory]]
 
 
@@ -113,6 +115,15 @@ def _by_heading_twice(block: MotionBlock, values: Array, memory: Memory) -> tupl
     assert block.heading_rad is not None
     waves = np.cos(block.heading_rad) + np.sin(2.0 * block.heading_rad + values[1])
     return 0.7 * values[0] * waves, None
+
+
+def _scale_by_heading(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
+    assert block.heading_rad is not None
+    return values[0] * np.sin(block.heading_rad + values[1]) * _rate(block), None
+
+
+def _scale_by_speed(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
+    return values[0] * np.square(block.distance_m / block.dt_s / USUAL_SPEED_M_S) * _rate(block), None
 
 
 def _by_place(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
@@ -252,6 +263,23 @@ STRANGERS: dict[str, Known] = {
             _by_fan,
             ('scale_curve:fan_speed.data', covariate_scale('fan_speed.data').name),
             'IEEE Std 1431-2004, sensitivity to vibration',
+            ('square',),
+            holds_scale=False,
+        ),
+        Stranger(
+            'stranger_scale_heading',
+            (_size(0.003, 0.02, '1'), _fixed('phase', 'rad', 0.5, 3.0)),
+            _scale_by_heading,
+            ('scale_curve:heading',),
+            'IEEE Std 952-1997, magnetic sensitivity, here of the scale factor',
+            ('sine of the heading',),
+        ),
+        Stranger(
+            'stranger_scale_speed',
+            (_size(0.003, 0.02, '1'),),
+            _scale_by_speed,
+            (f'scale_curve:{SPEED_SIGNAL}', covariate_scale(SPEED_SIGNAL).name),
+            'IEEE Std 1431-2004, sensitivity to the vibration of the wheels',
             ('square',),
             holds_scale=False,
         ),

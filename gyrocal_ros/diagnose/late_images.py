@@ -7,6 +7,8 @@ offset, without a map: two images show the same features, turned.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from gyrocal_ros.data import NS_PER_S, Array, FeatureObservations
@@ -20,6 +22,8 @@ MIN_FEATURES = 3
 """Number of features that two images have to share."""
 MIN_OFFSET_S = 0.1
 """Least offset that is looked for; the filter finds a smaller one from its start at zero."""
+AGREES = 0.01
+"""Part of the mean square turn that the gyro leaves unexplained up to which the stamps are near enough."""
 MAX_UNEXPLAINED = 0.1
 """Part of the mean square turn of the image that the gyro may leave unexplained at the best offset."""
 MIN_GAIN = 3.0
@@ -33,14 +37,14 @@ def turn_between(before: FeatureObservations, after: FeatureObservations) -> flo
 
     It is the rotation between two sets of points about their means that fits best (Kabsch 1976).
     """
-    _, first, second = np.intersect1d(before.ids, after.ids, assume_unique=True, return_indices=True)
-    if len(first) < MIN_FEATURES:
+    old, new = before.pixels, after.pixels
+    if not np.array_equal(before.ids, after.ids):  # most images show the features of the one before
+        _, first, second = np.intersect1d(before.ids, after.ids, assume_unique=True, return_indices=True)
+        old, new = old[first], new[second]
+    if len(old) < MIN_FEATURES:
         return None
-    old, new = (
-        (pixels - pixels.mean(axis=0)) @ np.array([1.0, 1.0j])
-        for pixels in (before.pixels[first], after.pixels[second])
-    )
-    return float(np.angle(np.vdot(old, new)))
+    (a, b), (c, d) = (old - old.sum(axis=0) / len(old)).T, (new - new.sum(axis=0) / len(new)).T
+    return math.atan2(a @ d - b @ c, a @ c + b @ d)
 
 
 def late_images(recording: RecordingSummary) -> Effect | None:
@@ -51,12 +55,16 @@ def late_images(recording: RecordingSummary) -> Effect | None:
     turns, readings = recording.image_turns, recording.readings
     if turns is None or np.linalg.norm(turns.turn_rad) < MIN_TURN_RAD or len(readings.t_ns) < 2:
         return None
+    power = float(np.mean(turns.turn_rad**2))
+    (at_zero,) = mean_square_errors(turns, readings, np.zeros(1))
+    if at_zero < AGREES * power:
+        return None
     errors = mean_square_errors(turns, readings, OFFSETS_S)
     best = int(np.argmin(errors))
     offset_s = float(OFFSETS_S[best])
     is_inside = 0 < best < len(OFFSETS_S) - 1
-    explains = errors[best] < MAX_UNEXPLAINED * float(np.mean(turns.turn_rad**2))
-    gains = float(errors[len(OFFSETS_S) // 2]) > MIN_GAIN * errors[best]
+    explains = errors[best] < MAX_UNEXPLAINED * power
+    gains = at_zero > MIN_GAIN * errors[best]
     if not (is_inside and explains and gains and abs(offset_s) > MIN_OFFSET_S):
         return None
     of_time = next(effect for effect in EFFECTS.values() if effect.acts_on == 'time')

@@ -249,9 +249,9 @@ class Tracker:
 
     def _match(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet) -> _Match:
         """Search for features; the pixels are as predicted where one is not found."""
+        self._found_by_flow = False
         if not len(search.index):
             return _Match(search.pixels, search.covariances_px2, np.empty(0))
-        self._found_by_flow = False
         match = self._align(image, R_wc, search, search.pixels)
         if 2 * (search.tracked & (match.score > 0.0)).sum() < search.tracked.sum():
             search, match = self._by_flow(image, R_wc, search, match)

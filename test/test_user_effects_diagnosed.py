@@ -240,7 +240,7 @@ def test_the_filter_recovers_with_a_copy() -> None:
 
 
 def test_a_dead_band_hidden_by_noise_is_proposed_from_the_scan_of_a_copy(tmp_path: Path) -> None:
-    made, others = banded(0.3 * DEG), Competition(structure_gain=100.0, rival_gain=1.0)
+    made, others = banded(0.3 * DEG), Competition(lacks_something=True)
 
     def proposed() -> tuple[str, float]:
         (found,) = propose_limits(made.run, made.seen, readings_of(made), others, DEFAULT_SETTINGS)

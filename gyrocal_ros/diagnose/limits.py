@@ -36,10 +36,8 @@ class LimitProposal:
 class Competition:
     """Other explanations of the recording that a limit is proposed for."""
 
-    structure_gain: float
-    """Log-likelihood gain of the unexplained structure; zero where there is none."""
-    rival_gain: float
-    """Log-likelihood gain of the best other effect; zero where none is significant."""
+    lacks_something: bool
+    """True if structure is unexplained, or another effect is significant."""
     contradicts: bool = False
     """True if the recording contradicts the model, whatever it lacks."""
     has_jumped: bool = False
@@ -127,15 +125,14 @@ def _hidden_by_noise(
     settings: DiagnosisSettings,
 ) -> float | None:
     """Return the limit of those in the effect's scan that the headings suggest, where they gain enough."""
-    scan, is_missing = effect.coefficients[0].scan, max(others.structure_gain, others.rival_gain) > 0.0
-    if not scan or not is_missing or others.has_jumped:
+    scan = effect.coefficients[0].scan
+    if not scan or not others.lacks_something or others.has_jumped:
         return None
     fits = [_fit_beside_scale(run, seen, _rate_error(effect, limit, run, readings)) for limit in scan]
     gains = np.array([fitted.gain if fitted is not None else 0.0 for fitted in fits])
     widest = scan[int(np.flatnonzero(gains >= settings.widest_limit_part * gains.max())[-1])]
-    if gains.max() <= settings.limit_heading_gain or not effect.is_plausible(readings, widest):  # type: ignore[attr-defined]
-        return None
-    return widest
+    is_shown = gains.max() > settings.limit_heading_gain
+    return widest if is_shown and effect.is_plausible(readings, widest) else None  # type: ignore[attr-defined]
 
 
 def _rate_error(effect: Effect, limit: float, run: Run, readings: GyroReadings) -> Array:

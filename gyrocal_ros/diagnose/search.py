@@ -111,8 +111,7 @@ def limits_to_check(
     """Return limits that the readings suggest, beside the best explanation of another kind."""
     structure = present.unexplained_structure
     others = Competition(
-        structure_gain=structure.gain if structure is not None else 0.0,
-        rival_gain=best.fit.gain if best is not None else 0.0,
+        lacks_something=structure is not None or best is not None,
         contradicts=contradicts(present),
         has_jumped=structure is not None and structure.at_s is not None,
     )

@@ -19,6 +19,7 @@ from gyrocal_ros.diagnose.ranking import (
     estimate_stds,
     indistinguishable,
     rank,
+    uneven_explanation,
     with_estimate,
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
@@ -64,6 +65,10 @@ class TestRank:
         first, second = rank(score_statistics_of(columns, measured, ONES[:2]), SETTINGS)
         assert names([first, second]) == ['scale_asymmetry', 'scale_quadratic']
         assert second.merit > first.merit and not second.is_significant
+        assert uneven_explanation([first, second], (), SETTINGS) is second
+        assert uneven_explanation([first, second], {'scale_quadratic'}, SETTINGS) is None
+        costly = replace(SETTINGS, significant_sigma=1.01 * math.sqrt(2.0 * second.merit))
+        assert uneven_explanation([first, second], (), costly) is None
 
     def test_an_effect_that_is_not_excited_is_not_ranked(self) -> None:
         columns, noise = independent(2)

@@ -71,6 +71,8 @@ class FakeFilter:
     """Time before which the coefficients are as uncertain as large."""
     unusable_with: str = ''
     """Effect with which no image can be used."""
+    shows_once: str = ''
+    """Hidden effect that shows in one block alone."""
     unbent_by: str = ''
     """Effect with which the headings show no structure."""
     models: list[tuple[str, ...]] = field(default_factory=list)
@@ -125,7 +127,10 @@ class FakeFilter:
             return rng.normal(size=(blocks, each, len(effect.coefficients)))
 
         missing = {name: size for name, size in self.hidden.items() if name not in names}
-        measured = noise + sum(size * columns(find_effect(name))[:, :, 0] for name, size in missing.items())
+        measured = noise
+        for name, size in missing.items():
+            shown = np.arange(blocks) == 3 if name == self.shows_once else np.ones(blocks, bool)
+            measured = measured + size * shown[:, None] * columns(find_effect(name))[:, :, 0]
         every = np.concatenate([columns(item) for item in candidates], axis=2)
         return score_statistics_of(every, measured, candidates)
 
@@ -238,6 +243,25 @@ class TestSearch:
         assert [item.effect.name for item in found.additions] == ['scale_cubic', 'gyro_lag'][: 1 + is_found]
         assert fake.models[1:3] == [('scale_factor', 'scale_cubic')] * 2
         assert ('gyro_lag' in fake.models[-1]) == is_found
+
+    @pytest.mark.parametrize(
+        ('gained', 'sigma', 'is_kept'),
+        [(50.0, 6.0, True), (5.0, 6.0, False), (50.0, 3.5, False)],
+    )
+    def test_a_run_decides_on_an_effect_that_few_moments_show(
+        self, gained: float, sigma: float, is_kept: bool
+    ) -> None:
+        """Beside others that were found, for their errors may have spoiled the scatter."""
+        sizes, gains = {'scale_cubic': 2.0, 'gyro_lag': 6.0}, {'scale_cubic': 300.0, 'gyro_lag': gained}
+        fake = FakeFilter(sizes, gains, ends={'gyro_lag': sigma * STD}, shows_once='gyro_lag')
+        cubic, lag = search(default_model(), AT_REST, fake).additions
+        assert cubic.is_kept and fake.models[2] == ('scale_factor', 'scale_cubic')
+        assert lag.effect.name == 'gyro_lag' and lag.is_kept == is_kept
+        assert lag.gain == pytest.approx(gained) and (lag.p_value < 1e-5) == (gained > 10.0)
+
+    def test_an_effect_that_few_moments_show_is_not_tried_alone(self) -> None:
+        fake = FakeFilter({'gyro_lag': 6.0}, {'gyro_lag': 50.0}, shows_once='gyro_lag')
+        assert search(default_model(), AT_REST, fake).additions == () and len(fake.models) == 1
 
     def test_a_rejected_effect_is_tried_again_beside_one_found_later(self) -> None:
         sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}

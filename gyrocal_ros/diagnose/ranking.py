@@ -91,6 +91,25 @@ def best_explanation(
     return best
 
 
+def uneven_explanation(
+    ranked: Sequence[RankedEffect], tried: Collection[str], settings: DiagnosisSettings
+) -> RankedEffect | None:
+    """Return the effect that gains most by the filter's own S, though its scatter says that it may be chance.
+
+    None where no effect gains that much. Effects with a scan are left out: whatever their time constant, one
+    of many explains chance well.
+
+    Args:
+        ranked: ranked effects.
+        tried: names of effects to leave out.
+        settings: thresholds.
+    """
+    least = 0.5 * settings.significant_sigma**2
+    untried = [item for item in ranked if item.effect.name not in tried and item.profile is None]
+    uneven = [item for item in untried if not item.is_significant and item.merit > least]
+    return max(uneven, key=lambda item: item.merit, default=None)
+
+
 def explained_together(
     ranked: Sequence[RankedEffect], scores: ScoreStatistics, settings: DiagnosisSettings
 ) -> float:

@@ -18,17 +18,22 @@ from gyrocal_ros.diagnose.examined import (
     contradicts,
     examine,
     wider_model,
-    with_effect,
+)
+from gyrocal_ros.diagnose.limit_runs import (
+    explains_most,
+    limit_gain,
+    limit_instead_of_timing,
+    limits_to_check,
+    with_limit,
 )
 from gyrocal_ros.diagnose.limit_sizes import resized
-from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
-from gyrocal_ros.diagnose.model_fit import excess_nis
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.ranking import (
     RankedEffect,
     best_explanation,
     explained_together,
     indistinguishable,
+    uneven_explanation,
 )
 from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
@@ -71,7 +76,7 @@ def search(
     first, additions = first_run(model, recording, calibrate, settings)
     present = first
     if timing_fault(present) is not None:
-        limited = _limit_instead_of_timing(present, recording, calibrate)
+        limited = limit_instead_of_timing(present, recording, calibrate)
         if limited is None:
             return Search(first, tuple(additions))
         additions.append(limited)
@@ -105,19 +110,6 @@ def try_effect(
     return Search(first, (addition(first, after),))
 
 
-def limits_to_check(
-    present: ExaminedModel, recording: RecordingSummary, best: RankedEffect | None
-) -> list[LimitProposal]:
-    """Return limits that the readings suggest, beside the best explanation of another kind."""
-    structure = present.unexplained_structure
-    others = Competition(
-        lacks_something=structure is not None or best is not None,
-        contradicts=contradicts(present),
-        has_jumped=structure is not None and structure.at_s is not None,
-    )
-    return list(propose_limits(present.run, present.seen, recording.readings, others, present.settings))
-
-
 def continued(
     additions: Sequence[Addition],
     present: ExaminedModel,
@@ -128,8 +120,9 @@ def continued(
 ) -> list[Addition]:
     """Add one effect after the other, until nothing more is found or enough were tried.
 
-    Coefficients that were inexact at the start of the run leave errors that look like further effects. So
-    before an effect is tried that gains little beside those found, the filter runs again from the estimates.
+    Coefficients that were inexact at the start of the run leave errors that look like further effects, and
+    spoil the scatter by which a weak one is judged. So before an effect is tried that gains little beside
+    those found, the filter runs again from the estimates.
 
     Args:
         additions: what was added before.
@@ -145,17 +138,48 @@ def continued(
         least_gain = 0.0 if is_exact else _residual_gain(found, present.settings)
         excluded = _not_to_try(found) | without
         following = _next_addition(present, recording, calibrate, excluded, least_gain)
+        if following is None and is_exact:
+            following = _uneven_addition(present, recording, calibrate, excluded)
         if following is not None:
             following = _with_limits_resized(following, found, recording, calibrate)
             found.append(following)
             if following.is_kept:
                 present, is_exact = following.after, False
             continue
-        if is_exact or best_explanation(present.ranked, present.scores, excluded, present.settings) is None:
-            break
         added = {item.effect.name for item in found if item.is_kept}
+        if is_exact or not added or not _hints_at_more(present, excluded):
+            break
         present, is_exact = _relinearised(present, added, recording, calibrate), True
     return found
+
+
+def _hints_at_more(present: ExaminedModel, excluded: set[str]) -> bool:
+    """Return True if another effect gains, evenly or not."""
+    ranked, settings = present.ranked, present.settings
+    best = best_explanation(ranked, present.scores, excluded, settings)
+    return best is not None or uneven_explanation(ranked, excluded, settings) is not None
+
+
+def _uneven_addition(
+    present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate, excluded: set[str]
+) -> Addition | None:
+    """Add the effect that gains most though its estimates scatter, if a run predicts clearly better with it.
+
+    Few moments may show an effect. Then the scatter of the blocks says little, and a run decides, where
+    nothing else contradicts the model.
+    """
+    settings = present.settings
+    uneven = uneven_explanation(present.ranked, excluded, settings)
+    if uneven is None:
+        return None
+    with suppress(*CANNOT_RUN):
+        added = _added(present, uneven, recording, calibrate)
+        gain, distance = added.predictive_gain, added.distance_from_zero(added.after)
+        is_clear = gain > 0.5 * settings.significant_sigma**2 and distance > settings.significant_sigma
+        p_value = chi_square_tail(max(2.0 * gain / settings.min_inflation, 0.0), len(added.strengths))
+        added = replace(added, gain=gain, sigma=sigma_of(p_value), p_value=p_value)
+        return replace(added, is_rejected=not is_clear or contradicts(added.after))
+    return None
 
 
 def _with_limits_resized(
@@ -228,9 +252,9 @@ def _next_addition(
     structure_gain = structure.gain if structure is not None else 0.0
     limits = [item for item in limits_to_check(present, recording, best) if item.effect.name not in excluded]
     for limit in (item for item in limits if item.is_certain):
-        gain = _gain_of(present, limit.effect, calibrate)
+        gain = limit_gain(present, limit.effect, calibrate)
         if gain >= settings.min_predictive_gain:
-            limited = _limited(present, limit.effect, gain, recording, calibrate)
+            limited = with_limit(present, limit.effect, gain, recording, calibrate)
             if limited is not None:
                 return limited
     known_gain = explained_together(present.ranked, present.scores, settings)
@@ -241,10 +265,10 @@ def _next_addition(
     rival_gain = 0.0 if rival is None else rival.predictive_gain
     alike = []
     for effect in (item.effect for item in limits if not item.is_certain):
-        gain = _gain_of(present, effect, calibrate)
+        gain = limit_gain(present, effect, calibrate)
         if gain >= rival_gain + settings.limit_margin:
-            limited = _limited(present, effect, gain, recording, calibrate)
-            if limited is not None and (rival is not None or _explains_most(limited)):
+            limited = with_limit(present, effect, gain, recording, calibrate)
+            if limited is not None and (rival is not None or explains_most(limited)):
                 return limited
         elif gain >= settings.limit_alike_part * rival_gain:
             alike.append(effect.name)
@@ -295,49 +319,6 @@ def _explains_structure(added: Addition) -> bool:
     after, settings = added.after, added.after.settings
     left = unexplained_structure(after.run, after.seen, settings)
     return left is None or left.gain <= settings.leftover_part * added.before.unexplained_structure.gain
-
-
-def _explains_most(added: Addition) -> bool:
-    """Return True if an effect leaves little of the excess of the NIS, or nothing to contradict the model."""
-    assert added.before is not None
-    before, after = (excess_nis(examined.run) for examined in (added.before, added.after))
-    return not contradicts(added.after) or after < added.after.settings.limit_leftover_part * before
-
-
-def _gain_of(present: ExaminedModel, limit: Effect, calibrate: Calibrate) -> float:
-    """Return the predictive log-likelihood that a limit gains; minus infinity where the filter cannot run."""
-    with suppress(*CANNOT_RUN):
-        return float(predictive_gain(present.run, calibrate(with_effect(present.model, limit), ())).sum())
-    return -math.inf
-
-
-def _limited(
-    present: ExaminedModel, limit: Effect, gain: float, recording: RecordingSummary, calibrate: Calibrate
-) -> Addition | None:
-    """Add a limit with which a run gains predictive log-likelihood; None where that run is not possible."""
-    settings = present.settings
-    with suppress(*CANNOT_RUN):
-        after = examine(with_effect(present.model, limit), recording, calibrate, settings)
-        p_value = chi_square_tail(2.0 * gain / settings.min_inflation, 1)
-        return Addition(limit, present, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
-    return None
-
-
-def _limit_instead_of_timing(
-    present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate
-) -> Addition | None:
-    """Return a limit that the readings show and with which the stamps look right, or None.
-
-    A missing limit spoils the turns, as wrong stamps do, and nothing depends smoothly on it.
-    """
-    for limit in detected_limits(present.model, recording.readings):
-        gain = _gain_of(present, limit, calibrate)
-        if gain < present.settings.min_predictive_gain:
-            continue
-        limited = _limited(present, limit, gain, recording, calibrate)
-        if limited is not None and limited.is_kept and timing_fault(limited.after) is None:
-            return limited
-    return None
 
 
 def _contested(

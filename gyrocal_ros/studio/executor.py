@@ -16,10 +16,10 @@ from gyrocal_ros.diagnose.error_curves import centred
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine
 from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.learning import is_missing_something, learn
+from gyrocal_ros.diagnose.limit_runs import limits_to_check
 from gyrocal_ros.diagnose.ranking import best_explanation
 from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.run_series import rows_to_draw
-from gyrocal_ros.diagnose.search import limits_to_check
 from gyrocal_ros.diagnose.shapes import shapes
 from gyrocal_ros.diagnose.validation import validate
 from gyrocal_ros.diagnose.wander import wander

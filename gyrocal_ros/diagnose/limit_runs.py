@@ -1,0 +1,76 @@
+"""Runs of the filter with limits that the readings suggest: a dead band, a saturation."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+
+import numpy as np
+
+from gyrocal_ros.diagnose.additions import NONE, Addition
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, contradicts, examine, with_effect
+from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
+from gyrocal_ros.diagnose.model_fit import excess_nis
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.ranking import RankedEffect
+from gyrocal_ros.diagnose.timing import timing_fault
+from gyrocal_ros.errors import CANNOT_RUN
+from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.statistics import chi_square_tail, sigma_of
+
+
+def limits_to_check(
+    present: ExaminedModel, recording: RecordingSummary, best: RankedEffect | None
+) -> list[LimitProposal]:
+    """Return limits that the readings suggest, beside the best explanation of another kind."""
+    structure = present.unexplained_structure
+    others = Competition(
+        lacks_something=structure is not None or best is not None,
+        contradicts=contradicts(present),
+        has_jumped=structure is not None and structure.at_s is not None,
+    )
+    return list(propose_limits(present.run, present.seen, recording.readings, others, present.settings))
+
+
+def limit_gain(present: ExaminedModel, limit: Effect, calibrate: Calibrate) -> float:
+    """Return the predictive log-likelihood that a limit gains; minus infinity where the filter cannot run."""
+    with suppress(*CANNOT_RUN):
+        return float(predictive_gain(present.run, calibrate(with_effect(present.model, limit), ())).sum())
+    return -math.inf
+
+
+def with_limit(
+    present: ExaminedModel, limit: Effect, gain: float, recording: RecordingSummary, calibrate: Calibrate
+) -> Addition | None:
+    """Add a limit with which a run gains predictive log-likelihood; None where that run is not possible."""
+    settings = present.settings
+    with suppress(*CANNOT_RUN):
+        after = examine(with_effect(present.model, limit), recording, calibrate, settings)
+        p_value = chi_square_tail(2.0 * gain / settings.min_inflation, 1)
+        return Addition(limit, present, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
+    return None
+
+
+def limit_instead_of_timing(
+    present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate
+) -> Addition | None:
+    """Return a limit that the readings show and with which the stamps look right, or None.
+
+    A missing limit spoils the turns, as wrong stamps do, and nothing depends smoothly on it.
+    """
+    for limit in detected_limits(present.model, recording.readings):
+        gain = limit_gain(present, limit, calibrate)
+        if gain < present.settings.min_predictive_gain:
+            continue
+        limited = with_limit(present, limit, gain, recording, calibrate)
+        if limited is not None and limited.is_kept and timing_fault(limited.after) is None:
+            return limited
+    return None
+
+
+def explains_most(added: Addition) -> bool:
+    """Return True if an effect leaves little of the excess of the NIS, or nothing to contradict the model."""
+    assert added.before is not None
+    before, after = (excess_nis(examined.run) for examined in (added.before, added.after))
+    return not contradicts(added.after) or after < added.after.settings.limit_leftover_part * before

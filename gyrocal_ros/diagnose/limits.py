@@ -124,15 +124,20 @@ def _hidden_by_noise(
     others: Competition,
     settings: DiagnosisSettings,
 ) -> float | None:
-    """Return the limit of those in the effect's scan that the headings suggest, where they gain enough."""
+    """Return the widest limit of those in the effect's scan that the headings and the readings allow.
+
+    None where the headings do not suggest one.
+    """
     scan = effect.coefficients[0].scan
     if not scan or not others.lacks_something or others.has_jumped:
         return None
     fits = [_fit_beside_scale(run, seen, _rate_error(effect, limit, run, readings)) for limit in scan]
     gains = np.array([fitted.gain if fitted is not None else 0.0 for fitted in fits])
-    widest = scan[int(np.flatnonzero(gains >= settings.widest_limit_part * gains.max())[-1])]
-    is_shown = gains.max() > settings.limit_heading_gain
-    return widest if is_shown and effect.is_plausible(readings, widest) else None  # type: ignore[attr-defined]
+    if gains.max() <= settings.limit_heading_gain:
+        return None
+    likely = np.flatnonzero(gains >= settings.widest_limit_part * gains.max())
+    allowed = (scan[place] for place in likely if effect.is_plausible(readings, scan[place]))  # type: ignore[attr-defined]
+    return max(allowed, default=None)
 
 
 def _rate_error(effect: Effect, limit: float, run: Run, readings: GyroReadings) -> Array:

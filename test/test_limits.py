@@ -208,6 +208,20 @@ class TestProposals:
         made = replace(made, run=replace(made.run, history=biased))
         assert len(proposed(made, lacks_something=True, contradicts=True)) == count
 
+    def test_the_widest_width_that_the_readings_allow_is_proposed(self) -> None:
+        """Readings of slow turns beyond the true width are no zeros, though the headings gain as much."""
+        made = banded(WIDTHS_RAD_S[2])
+        (free,) = proposed(made, lacks_something=True)
+        history = made.run.history
+        seconds = np.arange(len(history.time_s)) * history.dt_s // 1.0
+        slow = np.isin(seconds % 40.0, [1.0, 2.0]) * 0.5 * (WIDTHS_RAD_S[1] + WIDTHS_RAD_S[2]) * history.dt_s
+        slowly = replace(
+            made, run=replace(made.run, history=replace(history, turn_rad=history.turn_rad + slow))
+        )
+        (bound,) = proposed(slowly, lacks_something=True)
+        widths = [item.effect.coefficients[0].prior_mean for item in (bound, free)]
+        assert widths[0] <= WIDTHS_RAD_S[1] < widths[1]
+
     def test_a_clean_drive_has_no_dead_band(self) -> None:
         assert [item.effect.name for item in proposed(drive(), lacks_something=True, contradicts=True)] == []
 

@@ -441,6 +441,12 @@ class TestConclusions:
         unjudged = replace(case, fit=ModelFit((), is_judged=False))
         assert diagnosis_status(unjudged).level == 'yellow', 'too short to judge'
 
+    def test_an_effect_that_does_not_explain_evenly_is_said(self, diagnosis: Diagnosis) -> None:
+        case = replace(diagnosis, verdict='cannot_tell', missing=(), fails_where=(), uneven='scale_cubic')
+        status = diagnosis_status(case)
+        assert status.level == 'yellow' and 'gyrocal learn' in status.next_step
+        assert status.sentence.startswith('Something is missing: scale_cubic would explain much of it')
+
     def test_certain_and_uncertain_effects_are_named_apart(self, diagnosis: Diagnosis) -> None:
         sure = diagnosis.missing[0]
         uncertain = replace(sure, effect=find_effect('bias_temperature'), confused_with=('bias_warmup',))

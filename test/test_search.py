@@ -261,7 +261,11 @@ class TestSearch:
 
     def test_an_effect_that_few_moments_show_is_not_tried_alone(self) -> None:
         fake = FakeFilter({'gyro_lag': 6.0}, {'gyro_lag': 50.0}, shows_once='gyro_lag')
-        assert search(default_model(), AT_REST, fake).additions == () and len(fake.models) == 1
+        found = search(default_model(), AT_REST, fake)
+        assert found.additions == () and len(fake.models) == 1
+        diagnosed = diagnose(found, AT_REST)
+        assert diagnosed.verdict == 'cannot_tell' and diagnosed.uneven == 'gyro_lag'
+        assert diagnose(search(default_model(), AT_REST, FakeFilter({}, {})), AT_REST).uneven == ''
 
     def test_a_rejected_effect_is_tried_again_beside_one_found_later(self) -> None:
         sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}

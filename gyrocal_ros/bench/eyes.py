@@ -96,12 +96,14 @@ class EyesRun:
 def eyes(seeds: int, scenes: Sequence[str], seconds: float) -> Iterator[dict[str, Any]]:
     """Yield one row per scene as they become ready, and one for all scenes together.
 
+    No two recordings share a seed: with it they would share drive and gyro, and their errors.
+
     Args:
         seeds: number of recordings of each scene.
         scenes: names of scenes.
         seconds: length of a recording.
     """
-    tasks = [(scene, seed, seconds) for scene in scenes for seed in range(seeds)]
+    tasks = [(scene, seeds * place + k, seconds) for place, scene in enumerate(scenes) for k in range(seeds)]
     every = []
     for scene, group in groupby(in_parallel(_run_task, tasks), key=lambda run: run.scene):
         runs = list(group)

@@ -13,7 +13,13 @@ from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_h
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.look_alikes import look_alikes
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
-from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds, indistinguishable
+from gyrocal_ros.diagnose.ranking import (
+    RankedEffect,
+    estimate,
+    estimate_stds,
+    indistinguishable,
+    uneven_explanation,
+)
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
@@ -77,6 +83,8 @@ class Diagnosis:
     """Quantisation step of the gyro where it exceeds the noise: what is found may be its steps."""
     limits: tuple[str, ...] = ()
     """Limits that the readings suggest, not yet confirmed by a run."""
+    uneven: str = ''
+    """Effect that would explain much, but not in all stretches alike: something else is missing."""
     is_open: bool = False
     """True where no missing effect has been added yet: fit and structure are those of the model without."""
 
@@ -121,7 +129,10 @@ def _conclude(
     not_judged = dict(_not_judged(last, recording))
     coarse_step_rad_s = coarse_step(recording.readings)
     structure, fit, timing = last.unexplained_structure, model_fit(last.run), timing_fault(last)
+    uneven = None if missing else uneven_explanation(last.ranked, (), last.settings)
     verdict = _verdict(missing, structure, not_judged, coarse_step_rad_s is not None, fit, last.settings)
+    if verdict == 'nothing_missing' and uneven is not None:
+        verdict = 'cannot_tell'
     return Diagnosis(
         verdict='timing' if timing is not None else verdict,
         missing=tuple(missing),
@@ -133,6 +144,7 @@ def _conclude(
         drift_reference=reference_heading(last.run)[1],
         timing=timing,
         coarse_step_rad_s=coarse_step_rad_s,
+        uneven='' if uneven is None else uneven.effect.name,
     )
 
 

@@ -82,6 +82,7 @@ def summarise_diagnosis(searched: Search, diagnosis: Diagnosis) -> dict[str, Any
         'fails_where': [_failure(failure) for failure in diagnosis.fails_where],
         'timing': _timing(diagnosis.timing),
         'unexplained': _structure(diagnosis.unexplained),
+        'uneven': diagnosis.uneven or None,
         'model_fits': diagnosis.fit.fits,
         'misfits': list(diagnosis.fit.misfits),
         'advice': advice(diagnosis),

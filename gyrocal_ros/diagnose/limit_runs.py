@@ -9,10 +9,11 @@ import numpy as np
 
 from gyrocal_ros.diagnose.additions import NONE, Addition
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, contradicts, examine, with_effect
+from gyrocal_ros.diagnose.limit_sizes import resized
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
 from gyrocal_ros.diagnose.model_fit import excess_nis
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.ranking import RankedEffect
+from gyrocal_ros.diagnose.ranking import RankedEffect, uneven_explanation
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
@@ -25,8 +26,9 @@ def limits_to_check(
 ) -> list[LimitProposal]:
     """Return limits that the readings suggest, beside the best explanation of another kind."""
     structure = present.unexplained_structure
+    uneven = uneven_explanation(present.ranked, (), present.settings)
     others = Competition(
-        lacks_something=structure is not None or best is not None,
+        lacks_something=any(item is not None for item in (structure, best, uneven)),
         contradicts=contradicts(present),
         has_jumped=structure is not None and structure.at_s is not None,
     )
@@ -41,12 +43,14 @@ def limit_gain(present: ExaminedModel, limit: Effect, calibrate: Calibrate) -> f
 
 
 def with_limit(
-    present: ExaminedModel, limit: Effect, gain: float, recording: RecordingSummary, calibrate: Calibrate
+    present: ExaminedModel, limit: Effect, recording: RecordingSummary, calibrate: Calibrate
 ) -> Addition | None:
-    """Add a limit with which a run gains predictive log-likelihood; None where that run is not possible."""
+    """Add a limit, with the size with which a run predicts best; None where no run is possible."""
     settings = present.settings
     with suppress(*CANNOT_RUN):
         after = examine(with_effect(present.model, limit), recording, calibrate, settings)
+        after = resized(after, {limit.name}, recording, calibrate)
+        gain = float(predictive_gain(present.run, after.run).sum())
         p_value = chi_square_tail(2.0 * gain / settings.min_inflation, 1)
         return Addition(limit, present, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
     return None
@@ -63,7 +67,7 @@ def limit_instead_of_timing(
         gain = limit_gain(present, limit, calibrate)
         if gain < present.settings.min_predictive_gain:
             continue
-        limited = with_limit(present, limit, gain, recording, calibrate)
+        limited = with_limit(present, limit, recording, calibrate)
         if limited is not None and limited.is_kept and timing_fault(limited.after) is None:
             return limited
     return None

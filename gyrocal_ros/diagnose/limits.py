@@ -37,7 +37,7 @@ class Competition:
     """Other explanations of the recording that a limit is proposed for."""
 
     lacks_something: bool
-    """True if structure is unexplained, or another effect is significant."""
+    """True if structure is unexplained, or another effect gains, evenly or not."""
     contradicts: bool = False
     """True if the recording contradicts the model, whatever it lacks."""
     has_jumped: bool = False

@@ -254,7 +254,7 @@ def _next_addition(
     for limit in (item for item in limits if item.is_certain):
         gain = limit_gain(present, limit.effect, calibrate)
         if gain >= settings.min_predictive_gain:
-            limited = with_limit(present, limit.effect, gain, recording, calibrate)
+            limited = with_limit(present, limit.effect, recording, calibrate)
             if limited is not None:
                 return limited
     known_gain = explained_together(present.ranked, present.scores, settings)
@@ -267,7 +267,7 @@ def _next_addition(
     for effect in (item.effect for item in limits if not item.is_certain):
         gain = limit_gain(present, effect, calibrate)
         if gain >= rival_gain + settings.limit_margin:
-            limited = with_limit(present, effect, gain, recording, calibrate)
+            limited = with_limit(present, effect, recording, calibrate)
             if limited is not None and (rival is not None or explains_most(limited)):
                 return limited
         elif gain >= settings.limit_alike_part * rival_gain:

@@ -136,6 +136,8 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
         return Status('yellow', sentence, add)
     if diagnosis.limits:
         return Status('yellow', sentence, steps.add_limit)
+    if diagnosis.uneven:
+        return Status('yellow', sentence, steps.learn)
     return Status('yellow', sentence, RECORD)
 
 
@@ -161,6 +163,11 @@ def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
         otherwise = _nothing_missing(len(diagnosis.fails_where))
     elif diagnosis.limits:
         otherwise = f'The readings suggest a limit: {join([*diagnosis.limits], "or")}.'
+    elif diagnosis.uneven:
+        otherwise = (
+            f'Something is missing: {diagnosis.uneven} would explain much of it, but not in all stretches of '
+            'the recording alike.'
+        )
     elif diagnosis.fit.misfits:
         otherwise = f'The model does not fit, for a reason not found: {"; ".join(diagnosis.fit.misfits)}.'
     sentence = missing_sentence(missing, diagnosis.unexplained if is_unexplained else None, otherwise)

@@ -22,8 +22,10 @@ TEXELS_PER_PIXEL = 3.0
 which does not accumulate."""
 BLOCK_PX = 80
 """Side of the blocks of the image that are rendered one after the other."""
-_COARSE = 8
-"""Step, in pixels, of the search for the blocks that a layer covers."""
+_OUTLINE = 3
+"""Number of points along each side of a block by which the part of a layer that it sees is bounded."""
+_BEND_PX = 16.0
+"""Distance by which a block of a distorting lens may exceed the bounds of these points."""
 _SHARP_OCTAVES = 0.25
 """Ratio of texels per pixel to `TEXELS_PER_PIXEL`, in octaves, up to which the texture is not reduced."""
 
@@ -84,9 +86,9 @@ class CeilingRenderer:
         self._optical_blur_px = optical_blur_px
         self._shape = (camera.height_px, camera.width_px)
         self._blocks = _blocks(camera)
-        self._coarse = np.stack([_coarse(block.rays) for block in self._blocks])
+        self._outlines = np.stack([_outline(block.rays) for block in self._blocks])
         top_levels = np.array([max(level for level, _ in block.levels) for block in self._blocks])
-        self._reach = 2.0 * _COARSE * TEXELS_PER_PIXEL * 2.0 ** top_levels[:, None, None]
+        self._reach = _BEND_PX * TEXELS_PER_PIXEL * 2.0 ** top_levels[:, None]
         self._planes = [_plane(layer, 1 + int(top_levels.max())) for layer in layers]
 
     def render(
@@ -156,16 +158,18 @@ class CeilingRenderer:
         A repeating layer is shifted where a block sees nothing of its first period, because OpenCV is slow
         beyond the edge of a texture.
         """
-        texels = np.stack([cv2.perspectiveTransform(self._coarse, edge) for edge in to_texels])
+        texels = np.concatenate(
+            [cv2.perspectiveTransform(self._outlines, edge) for edge in to_texels], axis=1
+        )
+        low, high = texels.min(axis=1), texels.max(axis=1)
         size = np.array(layer.brightness.shape[::-1])
         if layer.opacity is None:
-            low, high = texels.min(axis=(0, 2)), texels.max(axis=(0, 2))
             periods = np.where((high < 0.0) | (low >= size), np.floor(0.5 * (low + high) / size), 0.0)
             yield from enumerate(_shifts(-periods * size))
             return
-        near = (texels > -self._reach) & (texels < size + self._reach)
-        for number in np.flatnonzero(np.any(near.all(axis=-1), axis=(0, 2))):
-            yield int(number), np.eye(3)
+        near = (high > -self._reach) & (low < size + self._reach)
+        for number in np.flatnonzero(near.all(axis=1)).tolist():
+            yield number, np.eye(3)
 
 
 def block_edges(height_px: int) -> Array:
@@ -195,11 +199,9 @@ def _slices(size_px: int) -> list[slice]:
     return [slice(start, stop) for start, stop in zip(edges[:-1], edges[1:], strict=True)]
 
 
-def _coarse(rays: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return some rays of a block (m, 2), the outermost ones included."""
-    rows, columns = (
-        np.round(np.linspace(0, size - 1, 1 + BLOCK_PX // _COARSE)).astype(int) for size in rays.shape[:2]
-    )
+def _outline(rays: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return some rays of a block (m, 2), its corners included."""
+    rows, columns = (np.linspace(0, size - 1, _OUTLINE).round().astype(int) for size in rays.shape[:2])
     return np.ascontiguousarray(rays[rows[:, None], columns]).reshape(-1, 2)
 
 

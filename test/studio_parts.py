@@ -43,8 +43,8 @@ def write_image_bag(folder: Path) -> Path:
     return _written(folder / 'pictures', hidden, images=True, camera_hz=2)
 
 
-def _written(path: Path, hidden: HiddenEffect, *, images: bool = False, camera_hz: int = 8) -> Path:
-    scenario = replace(find_scenario('demo'), duration_s=100.0, camera_hz=camera_hz)
+def _written(path: Path, hidden: HiddenEffect, *, images: bool = False, camera_hz: int = 4) -> Path:
+    scenario = replace(find_scenario('demo'), duration_s=100.0, imu_hz=100, camera_hz=camera_hz)
     source = SimSource(scenario, 3, images=images, hidden=(hidden,))
     with new_bag(path, 'mcap') as bag:
         bag.write_rig(source.rig, source.span.start_ns, R_bi=np.eye(3))

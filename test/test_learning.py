@@ -72,8 +72,10 @@ Output = pytest.CaptureFixture[str]
 Plain = tuple[InMemorySource, RecordingSummary, ExaminedModel]
 
 
-def recording(*drawn: DrawnEffect, seconds: float = 150.0, seed: int = 1) -> InMemorySource:
-    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=5)
+def recording(
+    *drawn: DrawnEffect, seconds: float = 150.0, seed: int = 1, camera_hz: int = 3
+) -> InMemorySource:
+    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=camera_hz)
     source, _ = preload(SimSource(scenario, seed, hidden=hide(drawn, find_effect)), Config(), default_model())
     assert isinstance(source, InMemorySource)
     return source
@@ -444,7 +446,7 @@ class TestLearning:
 @pytest.mark.usefixtures('library')
 def test_the_period_of_a_swing_is_refined(tmp_path: Path) -> None:
     """The spectrum of the errors tells it to some per cent; the likelihood does much better."""
-    source = recording(DrawnEffect('stranger_swing', (0.2 * DEG, 31.0)))
+    source = recording(DrawnEffect('stranger_swing', (0.2 * DEG, 31.0)), camera_hz=5)
     recorded = summarise_recording(source)
     first = examine(default_model(), recorded, runner(source))
     learned = learn(Search(first, ()), recorded, runner(source), ['bias_wave:time'])
@@ -709,7 +711,7 @@ def test_the_command_learns_and_writes(tmp_path: Path, capsys: Output) -> None:
     ],
 )
 def test_the_effect_of_a_memory_replaces_it(hidden: DrawnEffect, drive: str, tmp_path: Path) -> None:
-    source = recording(hidden, seed=3)
+    source = recording(hidden, seed=3, camera_hz=5)
     recorded = summarise_recording(source)
     first = examine(default_model(), recorded, runner(source))
     learned = learn(Search(first, ()), recorded, runner(source), [f'bias_memory:{drive}'])

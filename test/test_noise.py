@@ -64,7 +64,7 @@ class TwoLevels:
 def recording(
     name: str, *values: float, seconds: float = 100.0, seed: int = 2, also: tuple[HiddenEffect, ...] = ()
 ) -> Source:
-    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=5)
+    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=3)
     hidden = (*(hide((DrawnEffect(name, values),), find_effect) if name else ()), *also)
     source, _ = preload(SimSource(scenario, seed, hidden=hidden), Config(), default_model())
     return source

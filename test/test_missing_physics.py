@@ -49,7 +49,7 @@ DURATION_S = 120.0
 
 def bag_of(path: Path, *drawn: DrawnEffect, with_truth: bool = True) -> Path:
     """Write a short bag with hidden effects."""
-    source = recording('cleaning', 3, DURATION_S, hide(drawn, find_effect), camera_hz=10)
+    source = recording('cleaning', 3, DURATION_S, hide(drawn, find_effect), camera_hz=5)
     with new_bag(path) as bag:
         bag.write_rig(source.rig, source.span.start_ns, R_bi=np.eye(3))
         for measurement in source.measurements():
@@ -88,7 +88,7 @@ def searched() -> tuple[Search, Diagnosis]:
         3,
         DURATION_S,
         hide([DrawnEffect('scale_asymmetry', (ASYMMETRY,))], find_effect),
-        camera_hz=10,
+        camera_hz=5,
     )
     held, config = preload(source, Config(), default_model())
     recorded = summarise_recording(held)
@@ -195,7 +195,7 @@ class TestDiagnose:
     @pytest.mark.slow
     def test_a_coarse_converter_makes_the_verdict_uncertain(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched
-        source = recording('cleaning', 3, DURATION_S, camera_hz=10)
+        source = recording('cleaning', 3, DURATION_S, camera_hz=5)
         fine = summarise_recording(preload(source, Config(), default_model())[0])
         step = math.radians(0.5)
         rate = step * np.round(fine.readings.rate_rad_s / step) + math.radians(0.1)

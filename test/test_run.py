@@ -21,7 +21,7 @@ REST = UpdateStats(nis=1.0, dof=3, log_determinant=0.5)
 UPDATE = MeasurementUpdate(
     used=7,
     rejected=2,
-    dropped=3,
+    dropped_ids=np.array([4, 7, 9]),
     unmoved=1,
     added=1,
     on_lens=4,

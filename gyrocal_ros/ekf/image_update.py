@@ -130,8 +130,7 @@ def update_from_image(
         drop_after = model.config.features.drop_after_rejections
         kept = count_matches(state, rows, good, observed.pixels, directions, drop_after)
     is_in_pixels = model.form.rows == 2
-    dropped = len(state.landmarks.ids) - len(kept.landmarks.ids)
-    if dropped:
+    if len(kept.landmarks.ids) < len(state.landmarks.ids):
         seen = changed(seen, dropped_ids=np.setdiff1d(state.landmarks.ids, kept.landmarks.ids))
     return kept, changed(
         seen,
@@ -139,7 +138,6 @@ def update_from_image(
         contradicts_turn=found.contradicts_turn,
         used=used_count,
         rejected=len(good) - used_count,
-        dropped=dropped,
         stats=stats,
         by_feature=by_feature,
         heading_rad=heading_rad,

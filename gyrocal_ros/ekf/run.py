@@ -115,7 +115,7 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     'log_likelihood': lambda step: step.update.stats.log_likelihood + step.resting.log_likelihood,
     'used': lambda step: step.update.used,
     'rejected': lambda step: step.update.rejected,
-    'dropped': lambda step: step.update.dropped,
+    'dropped': lambda step: len(step.update.dropped_ids),
     'on_lens': lambda step: step.update.on_lens,
     'in_view': lambda step: step.update.used + step.update.rejected + step.update.unmoved,
     'heading_innovation_rad': lambda step: step.update.heading_rad if step.update.stats.dof else np.nan,

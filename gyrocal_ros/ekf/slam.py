@@ -245,7 +245,7 @@ class EkfSlam:
         self.state, update = update_from_image(self.state, self._image_model(), observations)
         self._moving.update(observations.ids, update.dropped_ids)
         known = update.used + update.rejected + update.unmoved
-        has_new = known < len(observations.ids) or update.dropped > 0
+        has_new = known < len(observations.ids) or len(update.dropped_ids) > 0
         new = unmapped(self.state, observations, self._moving, features.map_size) if has_new else []
         if new:
             self.state = add_landmarks(self.state, self._image_model(), observations, new)

@@ -104,15 +104,13 @@ class MeasurementUpdate:
 
     used: int = 0
     rejected: int = 0
-    dropped: int = 0
     unmoved: int = 0
     added: int = 0
     on_lens: int = 0
-    """Numbers of features used, rejected as outliers, removed because they were outliers in several images
-    (points that are not fixed in space), not used because unmoved, added to the map, and dropped by the
-    tracker because they stay in the image."""
+    """Numbers of features used, rejected as outliers, not used because unmoved, added to the map, and dropped
+    by the tracker because they stay in the image."""
     dropped_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    """Numbers of the features removed."""
+    """Features removed because they were outliers in several images: points that are not fixed in space."""
     stats: UpdateStats = UpdateStats()
     by_feature: FeatureScores | None = None
     """Scores of the candidates by feature, where there are candidates."""

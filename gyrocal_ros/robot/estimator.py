@@ -326,7 +326,7 @@ class Estimator:
         if not (np.isfinite(record.mean).all() and (record.std[YAW_BIAS:] > 0.0).all()):
             raise FilterDivergedError('the estimate is no longer finite')
         stats = record.update.stats
-        self.dropped += record.update.dropped
+        self.dropped += len(record.update.dropped_ids)
         if self._has_stepped:  # time counts from the first step, as in a replay
             self._time_s += record.block.duration_s
         self._has_stepped = True

@@ -13,20 +13,8 @@ import pytest
 from synthetic import drive
 
 from gyrocal_ros.bench import blind as bench
-from gyrocal_ros.bench.blind import (
-    MOMENT_S,
-    PAIRS,
-    TRIPLES,
-    WRONG_NOISE,
-    BlindResult,
-    Case,
-    blind,
-    cases,
-    is_excused,
-    is_right,
-    row,
-    run_blind,
-)
+from gyrocal_ros.bench.blind import MOMENT_S, BlindResult, blind, is_excused, is_right, row, run_blind
+from gyrocal_ros.bench.blind_cases import PAIRS, TRIPLES, WRONG_NOISE, Case, cases, first_seeds
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
@@ -58,9 +46,8 @@ class TestCases:
         assert len({case.label for case in every}) == len(every)
         assert cases() == every, 'the same each time'
 
-    def test_some_of_them(self) -> None:
-        assert [case.label for case in cases(['gyro_lag', 'none'])] == ['none', 'gyro_lag']
-        assert cases(['no such case']) == []
+    def test_no_two_recordings_share_a_seed(self) -> None:
+        assert first_seeds(['a', 'b', 'c'], 4) == {'a': 0, 'b': 4, 'c': 8}
 
     def test_every_effect_of_the_library_can_be_hidden(self) -> None:
         assert {name for name in LIBRARY_RANGES if ':' not in name} == set(EFFECTS) - {'scale_factor'}
@@ -257,18 +244,20 @@ class TestRow:
     def test_one_row_a_case_and_one_of_all(self, monkeypatch: pytest.MonkeyPatch) -> None:
         trials = {'none': replace(MISSED, case=Case('none'), is_right=True), 'gyro_lag': RIGHT}
 
-        scenes = []
+        scenes, seeds = [], []
 
         def in_order(
             function: object, tasks: list[tuple[Case, int, DiagnosisSettings, str | None, bool]]
         ) -> Iterator[BlindResult]:
             for case, seed, _, scene, _ in tasks:
                 scenes.append(scene)
+                seeds.append(seed)
                 yield replace(trials[case.label], case=case, seed=seed)
 
         monkeypatch.setattr(bench, 'in_parallel', in_order)
         rows = list(blind(2, ['none', 'gyro_lag']))
-        assert scenes == [None] * 4
+        place = [case.label for case in cases()].index('gyro_lag')
+        assert scenes == [None] * 4 and seeds == [0, 1, 2 * place, 2 * place + 1]
         assert [(found['hidden'], found['bags']) for found in rows] == [
             ('none', 2),
             ('gyro_lag', 2),
@@ -276,7 +265,7 @@ class TestRow:
         ]
         scenes.clear()
         list(blind(3, ['none'], scenes=['tiles', 'fisheye']))
-        assert scenes == ['tiles', 'fisheye', 'tiles'], 'one scene for each seed'
+        assert scenes == ['tiles', 'fisheye', 'tiles'], 'one scene for each recording'
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from gyrocal_ros.bench import blind as bench
-from gyrocal_ros.bench.blind import BlindResult, Case, cases, run_blind
+from gyrocal_ros.bench.blind import BlindResult, run_blind
+from gyrocal_ros.bench.blind_cases import Case, cases
 from gyrocal_ros.cli import bench as command
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.diagnose.settings import (
@@ -138,7 +139,7 @@ class TestSweep:
         args = ['bench', 'blind', '--seeds', '2', '--only', 'none', '--set', 'significant_sigma=3.5']
         assert main([*args, '--set', 'max_rivals=1', '--json']) == 0
         expected = DiagnosisSettings(significant_sigma=3.5, max_rivals=1)
-        assert trials == [(cases(['none'])[0], seed, expected, None, False) for seed in (0, 1)]
+        assert trials == [(cases()[0], seed, expected, None, False) for seed in (0, 1)]
         printed = json.loads(capsys.readouterr().out)
         assert printed['settings'] == {'significant_sigma': 3.5, 'max_rivals': 1}
         assert [row['hidden'] for row in printed['benches']['blind']] == ['none', 'all']

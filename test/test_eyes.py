@@ -46,6 +46,7 @@ def test_rows_summarise_the_seeds() -> None:
 
 def test_one_row_a_scene_and_one_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
     def in_order(function: object, tasks: list[tuple[str, int, float]]) -> Any:
+        assert [seed for _, seed, _ in tasks] == [0, 1, 2, 3]
         return (replace(RUN, scene=scene, seed=seed) for scene, seed, _ in tasks)
 
     monkeypatch.setattr(bench, 'in_parallel', in_order)

@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from gyrocal_ros.bench import blind as bench
-from gyrocal_ros.bench.blind import Case, run_blind
+from gyrocal_ros.bench.blind import run_blind
+from gyrocal_ros.bench.blind_cases import Case
 from gyrocal_ros.data import ImuSample
 from gyrocal_ros.sim.varied import CAMERA_HZ, DURATION_S, IMU_HZ, varied_scenario
 from gyrocal_ros.sim.world import SimSource

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.bench.accuracy import in_parallel
+from gyrocal_ros.bench.blind_cases import Case, cases, first_seeds
 from gyrocal_ros.bench.eyes import StoredImages, model_of
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
@@ -34,9 +35,6 @@ from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import (
-    DRAWN,
-    LIBRARY_RANGES,
-    OUT_OF_LIBRARY_RANGES,
     draw_hidden,
     draw_scale_factor,
     hide,
@@ -44,7 +42,6 @@ from gyrocal_ros.sim.hidden import (
 from gyrocal_ros.sim.image_scenes import find_scene
 from gyrocal_ros.sim.out_of_library import OUT_OF_LIBRARY
 from gyrocal_ros.sim.scenarios import find_scenario
-from gyrocal_ros.sim.sensors import stream
 from gyrocal_ros.sim.varied import varied_scenario
 from gyrocal_ros.sim.world import SimSource
 from gyrocal_ros.statistics import vuong_sigma
@@ -52,27 +49,12 @@ from gyrocal_ros.statistics import vuong_sigma
 COSTLY_DRIFT_DEG = 0.5
 COSTLY_SCALE = 2e-4
 """Thresholds of blind drift and relative scale error; an effect that exceeds neither may be missed."""
-WRONG_NOISE = 2.0
-"""Factor by which the noise settings are wrong, to either side."""
-PAIRS = 20
-"""Number of cases with two effects at once."""
-TRIPLES = 10
-"""Number of cases with three effects at once; noise is none of them."""
 KNOWN_PART = 0.2
 """Prior standard deviation of a known time constant, as a part of it; a wide one may mislead the filter."""
 SHOWN = 8.0
 """Predictive log-likelihood that an effect gains where a recording shows it: that of 4 sigma."""
 MOMENT_S = 5.0
 """Maximum error of the reported time of a jump."""
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """The hidden effects, and the factor by which the noise settings of the filter are wrong."""
-
-    label: str
-    names: tuple[str, ...] = ()
-    noise: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,26 +87,6 @@ class BlindResult:
     drift_after_deg: float = math.nan
 
 
-def cases(only: Sequence[str] = ()) -> list[Case]:
-    """Return all cases, or those with the given labels.
-
-    The cases hide each effect alone, nothing, nothing with wrong noise settings, effects that the library
-    does not have, and two and three effects at once.
-    """
-    rng = stream(0, 'pairs of effects')
-    pairs = [rng.choice(list(LIBRARY_RANGES), 2, replace=False).tolist() for _ in range(PAIRS)]
-    rng = stream(0, 'triples of effects')
-    triples = [rng.choice(DRAWN, 3, replace=False).tolist() for _ in range(TRIPLES)]
-    every = [
-        Case('none'),
-        Case('none, noise set too high', noise=WRONG_NOISE),
-        Case('none, noise set too low', noise=1.0 / WRONG_NOISE),
-        *(Case(name, (name,)) for name in (*LIBRARY_RANGES, *OUT_OF_LIBRARY_RANGES)),
-        *(Case(' + '.join(several), tuple(several)) for several in (*pairs, *triples)),
-    ]
-    return [case for case in every if not only or case.label in only]
-
-
 def blind(
     seeds: int,
     only: Sequence[str] = (),
@@ -138,11 +100,16 @@ def blind(
         seeds: number of recordings of each case.
         only: labels of cases; empty for all.
         settings: thresholds of the diagnosis.
-        scenes: scenes of images, of which each seed has one; empty for tracked features.
+        scenes: scenes of images, in turn for the recordings of a case; empty for tracked features.
         varied: True to draw robot, room, drive and sensors by the seed as well.
     """
-    scene_of = [scenes[seed % len(scenes)] if scenes else None for seed in range(seeds)]
-    tasks = [(case, seed, settings, scene_of[seed], varied) for case in cases(only) for seed in range(seeds)]
+    scene_of = [scenes[k % len(scenes)] if scenes else None for k in range(seeds)]
+    tasks = [
+        (case, first + k, settings, scene_of[k], varied)
+        for case, first in first_seeds(cases(), seeds).items()
+        if not only or case.label in only
+        for k in range(seeds)
+    ]
     every = []
     for _, group in groupby(in_parallel(_run_task, tasks), key=lambda result: result.case):
         results = list(group)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.bench.accuracy import in_parallel
+from gyrocal_ros.bench.blind_cases import first_seeds
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, Frame, Measurement, Rig, Source, Span
 from gyrocal_ros.diagnose.drift import heading_rms_deg
@@ -96,14 +97,13 @@ class EyesRun:
 def eyes(seeds: int, scenes: Sequence[str], seconds: float) -> Iterator[dict[str, Any]]:
     """Yield one row per scene as they become ready, and one for all scenes together.
 
-    No two recordings share a seed: with it they would share drive and gyro, and their errors.
-
     Args:
         seeds: number of recordings of each scene.
         scenes: names of scenes.
         seconds: length of a recording.
     """
-    tasks = [(scene, seeds * place + k, seconds) for place, scene in enumerate(scenes) for k in range(seeds)]
+    first = first_seeds(scenes, seeds)
+    tasks = [(scene, first[scene] + k, seconds) for scene in scenes for k in range(seeds)]
     every = []
     for scene, group in groupby(in_parallel(_run_task, tasks), key=lambda run: run.scene):
         runs = list(group)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.bench.accuracy import in_parallel
+from gyrocal_ros.bench.blind_cases import first_seeds
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import blind_drift
 from gyrocal_ros.diagnose.learning import learn
@@ -78,7 +79,8 @@ def strangers(seeds: int, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
         seeds: number of recordings of each law, 300 s each.
         only: labels; empty for all.
     """
-    tasks = [(law, seed) for law in labels() if not only or law in only for seed in range(seeds)]
+    first = first_seeds(labels(), seeds)
+    tasks = [(law, first[law] + k) for law in labels() if not only or law in only for k in range(seeds)]
     every: list[StrangerResult] = []
     for law, group in groupby(in_parallel(_run_task, tasks), key=lambda result: result.law):
         results = list(group)

@@ -16,7 +16,7 @@ from gyrocal_ros.bench.accuracy import accuracy, in_parallel
 from gyrocal_ros.bench.accuracy import cases as accuracy_cases
 from gyrocal_ros.bench.bag_tracks import bag_rows
 from gyrocal_ros.bench.blind import blind
-from gyrocal_ros.bench.blind import cases as blind_cases
+from gyrocal_ros.bench.blind_cases import cases as blind_cases
 from gyrocal_ros.bench.camera_off import camera_off
 from gyrocal_ros.bench.eyes import eyes
 from gyrocal_ros.bench.faults.soak import SESSION_S, soak

@@ -44,7 +44,8 @@ class Addition:
     alike: tuple[str, ...] = ()
     """Limits with which a run predicts the recording nearly as well; no score statistics tell of them."""
     is_rejected: bool = False
-    """True for a learned effect with which the recording is not predicted better, or drifts more."""
+    """True for a learned effect with which the recording is not predicted better, or drifts more; and for one
+    that explains unevenly where a run does not confirm it."""
     is_rewritten: bool = False
     """True for a closed form in place of the learned curve or memory of the same name."""
 

@@ -225,7 +225,8 @@ def _reason(added: Addition) -> str:
     if added.raises_drift:
         return f'the recording is predicted better (log-likelihood +{size}), but it drifts more'
     if added.is_rejected:
-        return f'the recording is not predicted clearly better (log-likelihood +{size}), or it drifts more'
+        what = f'the recording is not predicted clearly better (log-likelihood +{size})'
+        return f'{what}, or it drifts more, or the model does not fit with it either'
     return f'the prediction of the recording hardly improves (log-likelihood +{size})'
 
 

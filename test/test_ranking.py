@@ -20,6 +20,7 @@ from gyrocal_ros.diagnose.ranking import (
     indistinguishable,
     rank,
     uneven_explanation,
+    uneven_gyro_effect,
     with_estimate,
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
@@ -69,6 +70,11 @@ class TestRank:
         assert uneven_explanation([first, second], {'scale_quadratic'}, SETTINGS) is None
         costly = replace(SETTINGS, significant_sigma=1.01 * math.sqrt(2.0 * second.merit))
         assert uneven_explanation([first, second], (), costly) is None
+        lenient = replace(SETTINGS, significant_sigma=1.9 * second.fit.sigma)
+        assert uneven_gyro_effect([first, second], SETTINGS) is None, 'less than half of a significant one'
+        assert uneven_gyro_effect([second], lenient) is second
+        of_camera = replace(second, effect=find_effect('focal_length'))
+        assert uneven_gyro_effect([of_camera], lenient) is None
 
     def test_an_effect_that_is_not_excited_is_not_ranked(self) -> None:
         columns, noise = independent(2)

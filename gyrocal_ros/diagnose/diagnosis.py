@@ -18,7 +18,7 @@ from gyrocal_ros.diagnose.ranking import (
     estimate,
     estimate_stds,
     indistinguishable,
-    uneven_explanation,
+    uneven_gyro_effect,
 )
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
@@ -129,7 +129,7 @@ def _conclude(
     not_judged = dict(_not_judged(last, recording))
     coarse_step_rad_s = coarse_step(recording.readings)
     structure, fit, timing = last.unexplained_structure, model_fit(last.run), timing_fault(last)
-    uneven = None if missing else uneven_explanation(last.ranked, (), last.settings)
+    uneven = None if missing else uneven_gyro_effect(last.ranked, last.settings)
     verdict = _verdict(missing, structure, not_judged, coarse_step_rad_s is not None, fit, last.settings)
     if verdict == 'nothing_missing' and uneven is not None:
         verdict = 'cannot_tell'

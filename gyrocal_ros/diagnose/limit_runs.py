@@ -13,7 +13,7 @@ from gyrocal_ros.diagnose.limit_sizes import resized
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
 from gyrocal_ros.diagnose.model_fit import excess_nis
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.ranking import RankedEffect, uneven_explanation
+from gyrocal_ros.diagnose.ranking import RankedEffect, uneven_gyro_effect
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
@@ -26,7 +26,7 @@ def limits_to_check(
 ) -> list[LimitProposal]:
     """Return limits that the readings suggest, beside the best explanation of another kind."""
     structure = present.unexplained_structure
-    uneven = uneven_explanation(present.ranked, (), present.settings)
+    uneven = uneven_gyro_effect(present.ranked, present.settings)
     others = Competition(
         lacks_something=any(item is not None for item in (structure, best, uneven)),
         contradicts=contradicts(present),

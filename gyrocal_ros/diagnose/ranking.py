@@ -110,6 +110,21 @@ def uneven_explanation(
     return max(uneven, key=lambda item: item.merit, default=None)
 
 
+def uneven_gyro_effect(ranked: Sequence[RankedEffect], settings: DiagnosisSettings) -> RankedEffect | None:
+    """Return the effect of the gyro that explains much, though unevenly: a sign that something is missing.
+
+    It has to be larger than its scatter by half of what makes it significant. Effects of the camera are no
+    sign: the slow errors of images look like them.
+
+    Args:
+        ranked: ranked effects.
+        settings: thresholds.
+    """
+    least = 0.5 * settings.significant_sigma
+    likely = [item for item in ranked if item.effect.acts_on == 'gyro' and item.fit.sigma > least]
+    return uneven_explanation(likely, (), settings)
+
+
 def explained_together(
     ranked: Sequence[RankedEffect], scores: ScoreStatistics, settings: DiagnosisSettings
 ) -> float:

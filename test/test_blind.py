@@ -13,8 +13,9 @@ import pytest
 from synthetic import drive
 
 from gyrocal_ros.bench import blind as bench
+from gyrocal_ros.bench.accuracy import first_seeds
 from gyrocal_ros.bench.blind import MOMENT_S, BlindResult, blind, is_excused, is_right, row, run_blind
-from gyrocal_ros.bench.blind_cases import PAIRS, TRIPLES, WRONG_NOISE, Case, cases, first_seeds
+from gyrocal_ros.bench.blind_cases import PAIRS, TRIPLES, WRONG_NOISE, Case, cases
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
 from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.settings import DiagnosisSettings

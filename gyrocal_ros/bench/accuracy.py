@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -31,6 +31,14 @@ def in_parallel(function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     with ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
         yield from pool.map(function, tasks)
+
+
+def first_seeds(labels: Sequence[T], seeds: int) -> dict[T, int]:
+    """Return the first seed of each case, of some seeds in a row.
+
+    No two recordings share a seed: what one robot shows by chance would count in every case.
+    """
+    return {label: seeds * place for place, label in enumerate(labels)}
 
 
 Case = tuple[str, Scenario, Variant, bool, bool]

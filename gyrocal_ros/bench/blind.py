@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal_ros.bench.accuracy import in_parallel
-from gyrocal_ros.bench.blind_cases import Case, cases, first_seeds
+from gyrocal_ros.bench.accuracy import first_seeds, in_parallel
+from gyrocal_ros.bench.blind_cases import Case, cases
 from gyrocal_ros.bench.eyes import StoredImages, model_of
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array

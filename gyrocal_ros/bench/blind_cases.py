@@ -1,10 +1,8 @@
-"""The cases of the blind trials: what is hidden in them, and the seeds of their recordings."""
+"""The cases of the blind trials: what is hidden in them."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 from gyrocal_ros.sim.hidden import DRAWN, LIBRARY_RANGES, OUT_OF_LIBRARY_RANGES
 from gyrocal_ros.sim.sensors import stream
@@ -15,7 +13,6 @@ PAIRS = 20
 """Number of cases with two effects at once."""
 TRIPLES = 10
 """Number of cases with three effects at once; noise is none of them."""
-_Label = TypeVar('_Label', bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +41,3 @@ def cases() -> list[Case]:
         *(Case(name, (name,)) for name in (*LIBRARY_RANGES, *OUT_OF_LIBRARY_RANGES)),
         *(Case(' + '.join(several), tuple(several)) for several in (*pairs, *triples)),
     ]
-
-
-def first_seeds(labels: Sequence[_Label], seeds: int) -> dict[_Label, int]:
-    """Return the first seed of each case, of some seeds in a row.
-
-    No two recordings share a seed: what one robot shows by chance would count in every case.
-    """
-    return {label: seeds * place for place, label in enumerate(labels)}

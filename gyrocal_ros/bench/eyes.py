@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal_ros.bench.accuracy import in_parallel
-from gyrocal_ros.bench.blind_cases import first_seeds
+from gyrocal_ros.bench.accuracy import first_seeds, in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, Frame, Measurement, Rig, Source, Span
 from gyrocal_ros.diagnose.drift import heading_rms_deg

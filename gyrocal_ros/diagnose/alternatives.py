@@ -55,5 +55,5 @@ def _advantage(present: Search, other: Search) -> float:
     if others <= names:
         return -math.inf
     gain = float(predictive_gain(present.last.run, other.last.run).sum())
-    price = settings.coefficient_price + 0.5 * settings.significant_sigma**2
+    price = settings.coefficient_price + settings.significant_gain
     return gain - price * (len(others) - len(names))

@@ -130,9 +130,8 @@ def _conclude(
     coarse_step_rad_s = coarse_step(recording.readings)
     structure, fit, timing = last.unexplained_structure, model_fit(last.run), timing_fault(last)
     uneven = None if missing else uneven_gyro_effect(last.ranked, last.settings)
-    verdict = _verdict(missing, structure, not_judged, coarse_step_rad_s is not None, fit, last.settings)
-    if verdict == 'nothing_missing' and uneven is not None:
-        verdict = 'cannot_tell'
+    is_coarse = coarse_step_rad_s is not None
+    verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
     return Diagnosis(
         verdict='timing' if timing is not None else verdict,
         missing=tuple(missing),
@@ -195,6 +194,7 @@ def _not_added(best: RankedEffect, examined: ExaminedModel) -> MissingEffect:
 def _verdict(
     missing: list[MissingEffect],
     left: UnexplainedStructure | None,
+    uneven: RankedEffect | None,
     not_judged: dict[str, str],
     is_coarse: bool,
     fit: ModelFit,
@@ -207,7 +207,7 @@ def _verdict(
     if missing:
         is_ambiguous = is_coarse or fit.fits is False or any(item.confused_with for item in missing)
         return 'cannot_tell' if is_ambiguous else 'effect_found'
-    if fit.fits is False:
+    if fit.fits is False or uneven is not None:
         return 'cannot_tell'
     basic = [name for name, effect in EFFECTS.items() if shows_in_any_turns(effect)]
     judged = [name for name in basic if name not in not_judged]

@@ -82,7 +82,7 @@ def best_explanation(
     if not alone:
         return None
     best = alone[0]
-    most = (1.0 + settings.pair_part) * best.merit + 0.5 * settings.significant_sigma**2
+    most = (1.0 + settings.pair_part) * best.merit + settings.significant_gain
     for first in alone:
         for second in untried:
             both = _pair(first, second, scores, settings) if second is not first else None
@@ -104,9 +104,8 @@ def uneven_explanation(
         tried: names of effects to leave out.
         settings: thresholds.
     """
-    least = 0.5 * settings.significant_sigma**2
     untried = [item for item in ranked if item.effect.name not in tried and item.profile is None]
-    uneven = [item for item in untried if not item.is_significant and item.merit > least]
+    uneven = [item for item in untried if not item.is_significant and item.merit > settings.significant_gain]
     return max(uneven, key=lambda item: item.merit, default=None)
 
 

@@ -175,7 +175,7 @@ def _uneven_addition(
     with suppress(*CANNOT_RUN):
         added = _added(present, uneven, recording, calibrate)
         gain, distance = added.predictive_gain, added.distance_from_zero(added.after)
-        is_clear = gain > 0.5 * settings.significant_sigma**2 and distance > settings.significant_sigma
+        is_clear = gain > settings.significant_gain and distance > settings.significant_sigma
         p_value = chi_square_tail(max(2.0 * gain / settings.min_inflation, 0.0), len(added.strengths))
         added = replace(added, gain=gain, sigma=sigma_of(p_value), p_value=p_value)
         return replace(added, is_rejected=not is_clear or contradicts(added.after))

@@ -227,6 +227,11 @@ class DiagnosisSettings:
         0.005, 'deg/sqrt(s)', "random walk of the map's own heading", 'none; recordings with images'
     )
 
+    @property
+    def significant_gain(self) -> float:
+        """Log-likelihood that an effect of the least significance gains, in nat."""
+        return 0.5 * self.significant_sigma**2
+
 
 DEFAULT_SETTINGS = DiagnosisSettings()
 

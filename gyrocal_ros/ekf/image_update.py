@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed, quickly_filled
-from gyrocal_ros.ekf.effects_by_place import (
-    EffectsByPlace,
-    PoseMotion,
-    as_exposed,
-    first_sight_by_values,
-    measurement_by_values,
-)
+from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
+from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
 from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
 from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
+from gyrocal_ros.ekf.image_model import ImageModel
+from gyrocal_ros.ekf.known_depth import with_known_depths
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
 from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
@@ -34,54 +28,12 @@ from gyrocal_ros.ekf.update import (
 )
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import bearing, project_with_jacobian
-from gyrocal_ros.model.features.base import Anchors, NewFeatures, Parametrisation, PosedCamera, Prediction
+from gyrocal_ros.model.features.base import NewFeatures, Prediction
 
 SHUTTER_ITERATIONS = 2
 """Iterations for where a new feature was at the stamp of an image with a rolling shutter."""
 DOF_PER_FEATURE = 2
 """Degrees of freedom of one observation, also where the measurement is a point of unknown range."""
-
-
-@quickly_filled
-@dataclass(frozen=True, slots=True, eq=False)
-class ImageModel:
-    """Measurement model of an image: camera, parametrisation, noise and effects."""
-
-    view: PosedCamera
-    """Camera at the pose of the state, corrected by the effects of the model."""
-    form: Parametrisation
-    config: Config
-    noise_px: float
-    """Standard deviation of the pixels of a typical feature."""
-    match_px: float
-    """Standard deviation that the tracker tells of a typical match."""
-    effects: EffectsByPlace
-    """Effects of the model."""
-    candidates: EffectsByPlace
-    """Effects that the model lacks."""
-    scored: int
-    """Number of their coefficients, the first ones, whose scores by feature are wanted."""
-    motion: PoseMotion
-    """Of the robot at the stamp of the image."""
-    interval_s: float
-    """Time since a feature of the map was seen last."""
-    errors_repeat: bool
-    """True if a feature counts only after motion in the image."""
-    may_slip: bool
-    """True if a slip of the wheels may explain what contradicts the pose."""
-
-    def predict(self, state: State, parameters: Array, anchors: Anchors) -> Prediction:
-        """Predict the measurements of features (m, 3)."""
-        prediction = self.form.predict(self.view, parameters, anchors)
-        return as_exposed(self.effects, self.view, prediction, self.motion, state.coefficients)
-
-    def by_values(self, prediction: Prediction, values: Array) -> Array | None:
-        """Return the derivative (m, r, k) of a prediction by the coefficients (k,)."""
-        return _image_derivative(self.effects, self, prediction, values)
-
-    def by_candidates(self, prediction: Prediction) -> Array | None:
-        """Return the derivative (m, r, c) of a prediction by the coefficients of the candidates."""
-        return _image_derivative(self.candidates, self, prediction, self.candidates.prior_means)
 
 
 def update_from_image(
@@ -98,8 +50,8 @@ def update_from_image(
     prediction = model.predict(state, state.features.take(rows, 0), state.landmarks.anchors[rows])
     observed = observations if len(known) == len(observations.ids) else observations[known]
     moved = motion(prediction.points_c, observed.pixels, state.landmarks, rows, model.view.camera.fx_px)
-    directions, unmoved = moved.directions, moved.unmoved
-    repeated = int(np.count_nonzero(unmoved)) if model.errors_repeat else 0
+    directions, unmoved = moved.directions, moved.unmoved | model.is_known
+    repeated = int(np.count_nonzero(unmoved)) if model.errors_repeat or model.is_known else 0
     seen = MeasurementUpdate(unmoved=repeated, changes_px2=moved.changes_px2[unmoved])
     if repeated:
         state = mark_seen(state, rows[unmoved])
@@ -124,6 +76,7 @@ def update_from_image(
             ids, scored = state.landmarks.ids[used.rows], used.sensitivity[:, :, : model.scored]
             by_feature = feature_scores(ids, used.residual, used.covariance, scored)
         state, stats = update(state, used)
+        state = with_known_depths(state, model, used)
         stats = changed(stats, dof=DOF_PER_FEATURE * len(used.rows))
     kept = state
     if not found.rejects_image:
@@ -241,14 +194,6 @@ def search_regions(state: State, model: ImageModel) -> SearchRegions:
     innovation = innovate(state, visible, seen, seen.expected, noise)
     ids, covariances = state.landmarks.ids[visible], innovation.own_covariances()
     return SearchRegions(state.t_ns, ids, seen.expected, covariances)
-
-
-def _image_derivative(
-    effects: EffectsByPlace, model: ImageModel, prediction: Prediction, values: Array
-) -> Array | None:
-    if not effects.act_on_images:
-        return None
-    return measurement_by_values(effects, model.view, prediction, model.motion, values)
 
 
 def _at_first_sight(prediction: Prediction, by_values: Array | None) -> Array | None:

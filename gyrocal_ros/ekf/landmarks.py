@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed
-from gyrocal_ros.ekf.state import POSE, Landmarks, State, unknown_noise
+from gyrocal_ros.ekf.state import POSE, POSITION, Landmarks, State, unknown_noise
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import NewFeatures
 
@@ -54,6 +54,9 @@ def augment(
         last_pixels=np.concatenate([old.last_pixels, pixels]),
         last_directions=np.concatenate([old.last_directions, directions]),
         noise=old.noise.joined(unknown_noise(count)),
+        first_variance_m2=np.concatenate(
+            [old.first_variance_m2, np.full(count, position_variance_m2(state))]
+        ),
     )
     mean = np.concatenate([state.mean, new.parameters.ravel()])
     sensitivity = by_robot @ state.sensitivity[:r]
@@ -61,6 +64,39 @@ def augment(
         sensitivity += by_candidates.reshape(size, -1)
     sensitivity = np.concatenate([state.sensitivity, sensitivity])
     return changed(state, mean=mean, covariance=covariance, landmarks=landmarks, sensitivity=sensitivity)
+
+
+def position_variance_m2(state: State) -> float:
+    """Return the variance of the position of the robot, summed over the axes."""
+    return float(state.covariance.diagonal()[POSITION].sum())
+
+
+def shift_with_camera(
+    state: State, rows: IntArray, by_pose: Array, by_values: Array | None, by_candidates: Array | None
+) -> State:
+    """Let the directions of m features err more with the pose of the robot and with the coefficients.
+
+    Args:
+        state: the state.
+        rows: (m,) indices of the features.
+        by_pose: (m, 2, 6) what is added to the derivative of their directions by the pose.
+        by_values: (m, 2, k) the same by the coefficients; None for zero.
+        by_candidates: (m, 2, c) the same for effects that the model lacks.
+    """
+    size = 2 * len(rows)
+    directions = (state.robot_size + 3 * rows[:, None] + np.arange(2)).ravel()
+    causes, by_causes = np.arange(6), by_pose.reshape(size, 6)
+    if by_values is not None:
+        k = state.coefficient_columns
+        causes = np.concatenate([causes, np.arange(k.start, k.stop)])
+        by_causes = np.concatenate([by_causes, by_values.reshape(size, -1)], axis=1)
+    covariance, sensitivity = state.covariance.copy(), state.sensitivity.copy()
+    covariance[directions] += by_causes @ covariance[causes]
+    covariance[:, directions] += covariance[:, causes] @ by_causes.T
+    sensitivity[directions] += by_causes @ sensitivity[causes]
+    if by_candidates is not None:
+        sensitivity[directions] += by_candidates.reshape(size, -1)
+    return changed(state, covariance=covariance, sensitivity=sensitivity)
 
 
 def keep(state: State, kept: np.ndarray) -> State:
@@ -75,6 +111,11 @@ def keep(state: State, kept: np.ndarray) -> State:
         landmarks=state.landmarks[kept.nonzero()[0]],
         sensitivity=state.sensitivity[entries],
     )
+
+
+def forget(state: State, ids: IntArray) -> State:
+    """Remove the features of the given ids, where they are in the map."""
+    return keep(state, ~np.isin(state.landmarks.ids, ids))
 
 
 def forget_all(state: State) -> State:

@@ -13,25 +13,34 @@ MAX_SHARE = 0.5
 
 
 class MovingFeatures:
-    """Keeps features that were removed from the map again and again out of it while they are in view."""
+    """Keeps features that move out of the map while they are in view.
+
+    Those are features that were removed from it again and again, and those that a robot at rest saw moving.
+    """
 
     def __init__(self) -> None:
         self._drops: dict[int, int] = {}
+        self._seen_moving: set[int] = set()
 
     def update(self, in_view: IntArray, dropped: IntArray) -> None:
         """Add the features removed after an image, given those that it shows."""
-        if not self._drops and not len(dropped):
+        if not self._drops and not self._seen_moving and not len(dropped):
             return
         for feature in dropped.tolist():
             self._drops[feature] = self._drops.get(feature, 0) + 1
         seen = set(in_view.tolist())
         self._drops = {feature: drops for feature, drops in self._drops.items() if feature in seen}
-        if len(self._moving()) > MAX_SHARE * len(in_view):
+        self._seen_moving &= seen
+        if len(self._removed()) > MAX_SHARE * len(in_view):
             self._drops.clear()
+
+    def add(self, moving: IntArray) -> None:
+        """Add features that a robot at rest saw moving."""
+        self._seen_moving.update(moving.tolist())
 
     def are_fixed(self, ids: IntArray) -> np.ndarray:
         """Return which features (m,), bool, may be in the map."""
-        return ~np.isin(ids, self._moving())
+        return ~np.isin(ids, [*self._removed(), *self._seen_moving])
 
-    def _moving(self) -> list[int]:
+    def _removed(self) -> list[int]:
         return [feature for feature, drops in self._drops.items() if drops >= MAX_DROPS]

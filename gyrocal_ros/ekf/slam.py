@@ -28,20 +28,16 @@ from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
 from gyrocal_ros.ekf.heading import HeadingReference
-from gyrocal_ros.ekf.image_update import (
-    ImageModel,
-    add_landmarks,
-    search_regions,
-    unmapped,
-    update_from_image,
-)
-from gyrocal_ros.ekf.landmarks import forget_all
+from gyrocal_ros.ekf.image_model import ImageModel
+from gyrocal_ros.ekf.image_update import add_landmarks, search_regions, unmapped, update_from_image
+from gyrocal_ros.ekf.landmarks import forget, forget_all
 from gyrocal_ros.ekf.levelling import Levelling, unlevelled
 from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch, SlipWatch
 from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector, RestNoise
+from gyrocal_ros.ekf.resting_view import RestingView
 from gyrocal_ros.ekf.scale_watch import COLUMNS, DRIFT_STD, USUAL_DRIFT_STD, ScaleWatch
 from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
 from gyrocal_ros.ekf.state import SCALE, YAW_BIAS, State
@@ -114,7 +110,7 @@ class EkfSlam:
         self._motion = PoseMotion(np.zeros(6), np.zeros(6))
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
-        self._moving = MovingFeatures()
+        self._moving, self._resting_view = MovingFeatures(), RestingView()
         self._steady, self._frozen = SteadyRate(), FrozenCamera()
         self._heading = HeadingReference(config.reference, config.gyro)
         at_first = config.gyro if config.reference.estimate_noise else config.rest
@@ -185,7 +181,7 @@ class EkfSlam:
         elif seen is not None and self._frozen.repeats(seen):
             event = self._frozen.event()
         elif seen is not None:
-            update = self._update_from_image(seen)
+            update = self._update_from_image(seen, is_at_rest=resting.dof > 0)
             event = self._slip_watch.event(update, self.state.t_ns)
             if self._map_watch.is_lost(update, self.pixel_noise):
                 self.state, event = forget_all(self.state), MAP_DROPPED
@@ -236,13 +232,17 @@ class EkfSlam:
         self._has_told |= bool(event)
         return std, event
 
-    def _update_from_image(self, observations: FeatureObservations) -> MeasurementUpdate:
+    def _update_from_image(self, observations: FeatureObservations, *, is_at_rest: bool) -> MeasurementUpdate:
         features = self.config.features
         if self.parametrisation.needs_motion_gate and not self._motion_gate.passes(self.state, features):
             return MeasurementUpdate()
         if observations.covariances_px2 is not None:
             self._typical_match.update(observations.covariances_px2)
-        self.state, update = update_from_image(self.state, self._image_model(), observations)
+        self._look_around(observations, is_at_rest=is_at_rest)
+        # A tracker that tells how well patches match finds them again: at rest it has nothing new to tell.
+        is_known = observations.covariances_px2 is not None and self._resting_view.is_still
+        model = self._image_model(is_known=is_known)
+        self.state, update = update_from_image(self.state, model, observations)
         self._moving.update(observations.ids, update.dropped_ids)
         known = update.used + update.rejected + update.unmoved
         has_new = known < len(observations.ids) or len(update.dropped_ids) > 0
@@ -254,6 +254,17 @@ class EkfSlam:
             self._repeated.update(update.changes_px2)
         return changed(update, added=len(new), on_lens=observations.on_lens)
 
+    def _look_around(self, observations: FeatureObservations, *, is_at_rest: bool) -> None:
+        """Remove features from the map that shift while the robot stands still."""
+        if not is_at_rest:
+            self._resting_view.leave()
+            return
+        ids, pixels = observations.ids, observations.pixels
+        shifted, moving = self._resting_view.see(ids, pixels, self.view(), self.pixel_noise.std)
+        if len(shifted) or len(moving):
+            self._moving.add(moving)
+            self.state = forget(self.state, np.union1d(shifted, moving))
+
     def _warmed(self, block: MotionBlock) -> State:
         """Return the state; at the first temperature after an earlier calibration, with its change since."""
         temperature_c = float(block.temperature_c[0])
@@ -262,7 +273,7 @@ class EkfSlam:
         start, self._to_warm = self._to_warm, None
         return warmed(self.state, self.model, start, temperature_c, self.config.gyro)
 
-    def _image_model(self) -> ImageModel:
+    def _image_model(self, *, is_known: bool = False) -> ImageModel:
         return ImageModel(
             view=self.view(),
             form=self.parametrisation,
@@ -275,6 +286,7 @@ class EkfSlam:
             motion=self._motion,
             interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
             errors_repeat=self._errors_repeat(),
+            is_known=is_known,
             may_slip=self._slip_watch.may_slip(self.state.t_ns),
         )
 

@@ -62,6 +62,8 @@ class Landmarks:
     """(m, 2) expected direction x/z, y/z in the optical frame at that time."""
     noise: FeatureNoise
     """What was learned of their noise."""
+    first_variance_m2: Array
+    """(m,) variance of the position of the robot at the first sight, summed over the axes."""
 
     def __getitem__(self, rows: IntArray) -> Landmarks:
         return Landmarks(*(getattr(self, item.name)[rows] for item in fields(self)))
@@ -127,4 +129,4 @@ def no_landmarks() -> Landmarks:
     """Return an empty map."""
     empty = np.empty(0, np.int64)
     nowhere = np.empty((0, 2))
-    return Landmarks(empty, no_anchors(0), empty, empty, nowhere, nowhere, unknown_noise(0))
+    return Landmarks(empty, no_anchors(0), empty, empty, nowhere, nowhere, unknown_noise(0), np.empty(0))

@@ -134,6 +134,10 @@ class Parametrisation(Protocol):
     def is_robust(self) -> bool:
         """True if features are judged by each other; the forms for comparison are updated as in the paper."""
 
+    @property
+    def is_anchored(self) -> bool:
+        """True if a feature is direction and inverse depth in the camera of its first sight."""
+
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig
     ) -> NewFeatures:

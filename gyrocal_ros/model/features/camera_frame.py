@@ -32,6 +32,7 @@ class CameraFramePoint:
     rows: int = 3
     needs_motion_gate: bool = True
     is_robust: bool = False
+    is_anchored: bool = False
 
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig

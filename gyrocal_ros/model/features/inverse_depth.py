@@ -28,6 +28,7 @@ class AnchoredInverseDepth:
     rows: int = 2
     needs_motion_gate: bool = False
     is_robust: bool = True
+    is_anchored: bool = True
 
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig

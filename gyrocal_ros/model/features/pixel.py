@@ -24,6 +24,7 @@ class PixelPoint:
     rows: int = 2
     needs_motion_gate: bool = False
     is_robust: bool = False
+    is_anchored: bool = False
 
     def initialise(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig

@@ -1,0 +1,63 @@
+"""Measurement model of an image: where features are expected, by the state and by the coefficients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import Array, quickly_filled
+from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, PoseMotion, as_exposed, measurement_by_values
+from gyrocal_ros.ekf.state import State
+from gyrocal_ros.model.features.base import Anchors, Parametrisation, PosedCamera, Prediction
+
+
+@quickly_filled
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageModel:
+    """Measurement model of an image: camera, parametrisation, noise and effects."""
+
+    view: PosedCamera
+    """Camera at the pose of the state, corrected by the effects of the model."""
+    form: Parametrisation
+    config: Config
+    noise_px: float
+    """Standard deviation of the pixels of a typical feature."""
+    match_px: float
+    """Standard deviation that the tracker tells of a typical match."""
+    effects: EffectsByPlace
+    """Effects of the model."""
+    candidates: EffectsByPlace
+    """Effects that the model lacks."""
+    scored: int
+    """Number of their coefficients, the first ones, whose scores by feature are wanted."""
+    motion: PoseMotion
+    """Of the robot at the stamp of the image."""
+    interval_s: float
+    """Time since a feature of the map was seen last."""
+    errors_repeat: bool
+    """True if a feature counts only after motion in the image."""
+    is_known: bool
+    """True if the image repeats what was seen before: of a robot that stays where it is."""
+    may_slip: bool
+    """True if a slip of the wheels may explain what contradicts the pose."""
+
+    def predict(self, state: State, parameters: Array, anchors: Anchors) -> Prediction:
+        """Predict the measurements of features (m, 3)."""
+        prediction = self.form.predict(self.view, parameters, anchors)
+        return as_exposed(self.effects, self.view, prediction, self.motion, state.coefficients)
+
+    def by_values(self, prediction: Prediction, values: Array) -> Array | None:
+        """Return the derivative (m, r, k) of a prediction by the coefficients (k,)."""
+        return _image_derivative(self.effects, self, prediction, values)
+
+    def by_candidates(self, prediction: Prediction) -> Array | None:
+        """Return the derivative (m, r, c) of a prediction by the coefficients of the candidates."""
+        return _image_derivative(self.candidates, self, prediction, self.candidates.prior_means)
+
+
+def _image_derivative(
+    effects: EffectsByPlace, model: ImageModel, prediction: Prediction, values: Array
+) -> Array | None:
+    if not effects.act_on_images:
+        return None
+    return measurement_by_values(effects, model.view, prediction, model.motion, values)

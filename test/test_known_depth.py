@@ -1,0 +1,70 @@
+"""A depth that becomes known tells nothing of where the robot is, nor of the size of its map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from filter_states import some_state
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import TruthSample
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.landmarks import shift_with_camera
+from gyrocal_ros.ekf.run import History
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+RNG = np.random.default_rng(4)
+PATCH_NOISE_PX = 0.05
+"""Noise of the pixels of a good tracker: the smaller, the more a wrong share tells."""
+
+
+def test_what_is_shifted_is_the_product_with_a_matrix() -> None:
+    state = some_state()
+    rows, k = np.array([1, 3]), state.coefficient_count
+    by_pose, by_values = RNG.normal(size=(2, 2, 6)), RNG.normal(size=(2, 2, k))
+    by_candidates = RNG.normal(size=(2, 2, state.sensitivity.shape[1]))
+    matrix = np.eye(len(state.mean))
+    direct = np.zeros_like(state.sensitivity)
+    for i, row in enumerate(rows):
+        at = slice(state.robot_size + 3 * row, state.robot_size + 3 * row + 2)
+        matrix[at, :6], matrix[at, state.coefficient_columns] = by_pose[i], by_values[i]
+        direct[at] = by_candidates[i]
+    shifted = shift_with_camera(state, rows, by_pose, by_values, by_candidates)
+    np.testing.assert_allclose(shifted.covariance, matrix @ state.covariance @ matrix.T, atol=1e-12)
+    np.testing.assert_allclose(shifted.sensitivity, matrix @ state.sensitivity + direct, atol=1e-12)
+
+
+def driven(seed: int) -> tuple[History, SimSource]:
+    """Return the history of a run on exact features, and its source."""
+    scenario = find_scenario('cleaning')
+    errors = replace(scenario.errors, pixel_noise_px=PATCH_NOISE_PX)
+    source = SimSource(replace(scenario, duration_s=60.0, errors=errors), seed)
+    return calibrate(source, Config(), default_model()).history, source
+
+
+def test_the_map_keeps_the_size_that_the_wheels_give_it() -> None:
+    errors = []
+    for seed in (1, 3, 4):
+        history, source = driven(seed)
+        truth = [item for item in source.measurements() if isinstance(item, TruthSample)]
+        stamps_ns = np.array([item.t_ns for item in truth], float)
+        true_m = np.array([item.position_m[:2] for item in truth])
+        late = history.time_s > 20.0
+        there = np.column_stack([np.interp(history.t_ns, stamps_ns, column) for column in true_m.T])
+        found, wanted = (path[late] - path[late].mean(axis=0) for path in (history.mean[:, :2], there))
+        errors.append(np.sqrt(np.sum(found**2) / np.sum(wanted**2)) - 1.0)
+    assert (
+        np.sqrt(np.mean(np.square(errors))) < 0.003
+    )  # by the wheels 5 mm over a metre, 1 mm per metre over 25
+
+
+def test_no_image_alone_tells_the_position() -> None:
+    """Between turns, images hold the position on the map; a new feature does not make it certain."""
+    history, _ = driven(3)
+    straight = (history.time_s > 4.0) & (history.time_s < 11.0)
+    along_m = history.std[straight, 0]
+    assert along_m[-1] > 0.003
+    assert (np.diff(along_m) > -0.3 * along_m[:-1]).all()

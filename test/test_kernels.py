@@ -227,6 +227,19 @@ def matches_counted(rng: np.random.Generator, count: int) -> Arguments:
     return last_seen_ns, rejections, last_pixels, last_directions, 2 * 10**18, rows, accepted, *matched
 
 
+def changed_depths(rng: np.random.Generator, count: int) -> Arguments:
+    mean, rows = rng.uniform(0.2, 0.6, 12 + 6 * count), rng.permutation(2 * count)[:count]
+    before = mean[14 + 3 * rows] + rng.normal(0.0, 0.01, count)
+    return mean, 12, rows, before, rng.uniform(-0.1, 1.0, (count, 3)), 0.005, 0.1
+
+
+def shift(rng: np.random.Generator, count: int) -> Arguments:
+    n = 12 + 6 * count
+    places = np.sort(rng.permutation(np.arange(12, n))[: 2 * count])
+    causes = np.array([0, 1, 2, 3, 4, 5, 9, 10])
+    return covariance(rng, n), rng.normal(size=(n, count)), places, causes, rng.normal(size=(2 * count, 8))
+
+
 def scale_changes(
     rng: np.random.Generator, count: int, others_explained: float = 100.0, others: int = 4
 ) -> Arguments:
@@ -322,6 +335,7 @@ def turned_camera(rng: np.random.Generator, count: int) -> Arguments:
 Maker = Callable[[np.random.Generator, int], Arguments]
 MAKERS: tuple[Maker, ...] = (
     carry,
+    changed_depths,
     compare_headings,
     corrected,
     corrected_rates,
@@ -345,6 +359,7 @@ MAKERS: tuple[Maker, ...] = (
     scale_changes,
     scaled_noise,
     scores_added,
+    shift,
     solve,
     step_numbers,
     turned_camera,

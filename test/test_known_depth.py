@@ -5,17 +5,23 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from filter_states import some_state
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import TruthSample
-from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.effects_by_place import move_camera, sort_effects
+from gyrocal_ros.ekf.known_depth import _directions_by_pose, _from_anchors
 from gyrocal_ros.ekf.landmarks import shift_with_camera
 from gyrocal_ros.ekf.run import History
+from gyrocal_ros.model.camera import mount_from_yaw
+from gyrocal_ros.model.features.base import posed_camera
 from gyrocal_ros.pipeline.calibrate import calibrate
-from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.scenarios import CAMERA, find_scenario
 from gyrocal_ros.sim.world import SimSource
 
+MOUNT = mount_from_yaw(0.09, 0.0, 0.1, -90.0)
 RNG = np.random.default_rng(4)
 PATCH_NOISE_PX = 0.05
 """Noise of the pixels of a good tracker: the smaller, the more a wrong share tells."""
@@ -68,3 +74,30 @@ def test_no_image_alone_tells_the_position() -> None:
     along_m = history.std[straight, 0]
     assert along_m[-1] > 0.003
     assert (np.diff(along_m) > -0.3 * along_m[:-1]).all()
+
+
+def test_directions_shift_as_pixels_tell_at_the_anchors() -> None:
+    """The closed form is that of the pixels: what a direction has to shift by so that they stay."""
+    state, change = some_state(), np.array([0.05, -0.1])
+    rows, view = np.array([1, 3]), posed_camera(CAMERA, MOUNT, state.position_m, state.euler_rad)
+    guessed, known = _from_anchors(state, view, rows, change)
+    to_direction = -np.linalg.inv(guessed.by_feature[:, :, :2])
+    closed = _directions_by_pose(state, view, rows, change)
+    np.testing.assert_allclose(closed, to_direction @ known.by_pose, atol=1e-9)
+    np.testing.assert_allclose(known.scale - guessed.scale, change, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('name', 'moves'),
+    [
+        ('camera_position', True),
+        ('wheel_scale', True),
+        ('camera_time_offset', True),
+        ('rolling_shutter', True),
+        ('radial_distortion', False),
+        ('camera_tilt', False),
+        ('scale_cubic', False),
+    ],
+)
+def test_effects_that_move_the_camera_depend_on_depth(name: str, moves: bool) -> None:
+    assert move_camera(sort_effects((find_effect(name),)), CAMERA, MOUNT) == moves

@@ -180,6 +180,20 @@ def true_camera(
     return camera, mount
 
 
+def move_camera(effects: EffectsByPlace, camera: CameraIntrinsics, mount: Mount) -> bool:
+    """Return True if an effect changes where the camera is when it takes an image.
+
+    How far that shifts a feature in the image depends on its depth.
+    """
+    if effects.time or effects.shutter:
+        return True
+    for effect, place in effects.camera:
+        values = effects.prior_means[place] + np.array([item.prior_std for item in effect.coefficients])
+        if not np.array_equal(effect.corrected(camera, mount, values)[1].p_bs, mount.p_bs):
+            return True
+    return False
+
+
 def as_exposed(
     effects: EffectsByPlace, view: PosedCamera, prediction: Prediction, motion: PoseMotion, values: Array
 ) -> Prediction:

@@ -30,6 +30,8 @@ class ImageModel:
     """Effects that the model lacks."""
     scored: int
     """Number of their coefficients, the first ones, whose scores by feature are wanted."""
+    depth_matters: bool
+    """True if the influence of some effect depends on the depth of a feature, see `move_camera`."""
     motion: PoseMotion
     """Of the robot at the stamp of the image."""
     interval_s: float

@@ -18,6 +18,7 @@ from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.landmarks import position_variance_m2, shift_with_camera
 from gyrocal_ros.ekf.state import State
 from gyrocal_ros.ekf.update import Innovation
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import project_with_jacobian
 from gyrocal_ros.model.features.base import PosedCamera, Prediction
 
@@ -43,27 +44,65 @@ def with_known_depths(state: State, model: ImageModel, used: Innovation) -> Stat
     variance_m2 = position_variance_m2(state)
     if not model.form.is_anchored or not 0.0 < variance_m2 < MAX_POSITION_STD_M**2:
         return state
-    change = state.features[used.rows, 2] - used.prediction.scale
     least = MIN_CHANGE * model.config.features.prior_inverse_depth_std
-    chosen = (np.abs(change) > least) & (used.prediction.points_c[:, 2] > MIN_AHEAD)
-    if not np.count_nonzero(chosen):
+    seen = used.prediction
+    chosen, change = changed_depths(
+        state.mean, state.robot_size, used.rows, seen.scale, seen.points_c, least, MIN_AHEAD
+    )
+    if not len(chosen):
         return state
     rows = used.rows[chosen]
-    share = np.minimum(state.landmarks.first_variance_m2[rows] / variance_m2, 1.0)
-    guessed, known = _from_anchors(state, model.view, rows, share * change[chosen])
+    change *= np.minimum(state.landmarks.first_variance_m2[rows] / variance_m2, 1.0)
+    by_pose = _directions_by_pose(state, model.view, rows, change)
+    if not model.depth_matters:
+        return shift_with_camera(state, rows, by_pose, None, None)
+    guessed, known = _from_anchors(state, model.view, rows, change)
     to_direction = -np.linalg.pinv(guessed.by_feature[:, :, :2])
 
     def more(derivative: Callable[[Prediction], Array | None]) -> Array | None:
         before, after = derivative(guessed), derivative(known)
         return None if before is None or after is None else to_direction @ (after - before)
 
-    return shift_with_camera(
-        state,
-        rows,
-        to_direction @ known.by_pose,
-        more(lambda prediction: model.by_values(prediction, state.coefficients)),
-        more(model.by_candidates),
-    )
+    by_values = more(lambda prediction: model.by_values(prediction, state.coefficients))
+    return shift_with_camera(state, rows, by_pose, by_values, more(model.by_candidates))
+
+
+@compiled
+def changed_depths(
+    mean: Array,
+    first: int,
+    rows: IntArray,
+    before: Array,
+    points_c: Array,
+    least: float,
+    min_ahead: float,
+) -> tuple[IntArray, Array]:
+    """Return which of m features have another inverse depth after an update, as indices, and its change.
+
+    Args:
+        mean: (n,) after the update.
+        first: index of the first feature in it.
+        rows: (m,) their indices in the map.
+        before: (m,) inverse depths before the update.
+        points_c: (m, 3) where they were expected, in the optical frame.
+        least: smallest change.
+        min_ahead: smallest depth.
+    """
+    change = mean[first + 3 * rows + 2] - before
+    chosen = ((np.abs(change) > least) & (points_c[:, 2] > min_ahead)).nonzero()[0]
+    return chosen, change[chosen]
+
+
+def _directions_by_pose(state: State, view: PosedCamera, rows: IntArray, change: Array) -> Array:
+    """Return what a change (m,) of inverse depths adds to the derivative of directions by the pose, (m, 2, 6)."""
+    R_aw = state.landmarks.anchors.R_wc[rows].transpose(0, 2, 1)
+    across = R_aw[:, :2] - state.features[rows, :2, None] * R_aw[:, 2:]
+    return change[:, None, None] * across @ _camera_by_pose(view)
+
+
+def _camera_by_pose(view: PosedCamera) -> Array:
+    """Return the derivative (3, 6) of the position of the camera by the pose of the robot."""
+    return np.concatenate([np.eye(3), (view.dR_wb @ view.p_bc).T], axis=1)
 
 
 def _from_anchors(
@@ -74,12 +113,11 @@ def _from_anchors(
     It has the attitude of the present camera, whose error of the position it shares. The derivative by the
     pose is what the change (m,) of the inverse depths adds to it.
     """
-    features, anchors = state.features[rows], state.landmarks.anchors[rows]
-    R_ca = view.R_wc.T @ anchors.R_wc
+    features = state.features[rows]
+    R_ca = view.R_wc.T @ state.landmarks.anchors.R_wc[rows]
     points_c = (R_ca @ np.column_stack([features[:, :2], np.ones(len(rows))])[:, :, None])[:, :, 0]
     pixels, by_point = project_with_jacobian(view.camera, points_c)
-    camera_by_pose = np.column_stack([np.eye(3), (view.dR_wb @ view.p_bc).T])
-    by_pose = -change[:, None, None] * by_point @ (view.R_wc.T @ camera_by_pose)
+    by_pose = -change[:, None, None] * by_point @ (view.R_wc.T @ _camera_by_pose(view))
     before = features[:, 2] - change
     guessed = Prediction(pixels, np.zeros_like(by_pose), by_point @ R_ca, points_c, by_point, before)
     return guessed, changed(guessed, by_pose=by_pose, scale=features[:, 2])

@@ -84,19 +84,36 @@ def shift_with_camera(
         by_candidates: (m, 2, c) the same for effects that the model lacks.
     """
     size = 2 * len(rows)
-    directions = (state.robot_size + 3 * rows[:, None] + np.arange(2)).ravel()
     causes, by_causes = np.arange(6), by_pose.reshape(size, 6)
     if by_values is not None:
         k = state.coefficient_columns
         causes = np.concatenate([causes, np.arange(k.start, k.stop)])
         by_causes = np.concatenate([by_causes, by_values.reshape(size, -1)], axis=1)
-    covariance, sensitivity = state.covariance.copy(), state.sensitivity.copy()
-    covariance[directions] += by_causes @ covariance[causes]
-    covariance[:, directions] += covariance[:, causes] @ by_causes.T
-    sensitivity[directions] += by_causes @ sensitivity[causes]
+    directions = (state.robot_size + 3 * rows[:, None] + np.arange(2)).ravel()
+    covariance, sensitivity = shift(state.covariance, state.sensitivity, directions, causes, by_causes)
     if by_candidates is not None:
         sensitivity[directions] += by_candidates.reshape(size, -1)
     return changed(state, covariance=covariance, sensitivity=sensitivity)
+
+
+@compiled
+def shift(
+    covariance: Array, sensitivity: Array, places: IntArray, causes: IntArray, by_causes: Array
+) -> tuple[Array, Array]:
+    """Return covariance (n, n) and sensitivity (n, c) where some entries of the state err more with others.
+
+    Args:
+        covariance: P before, (n, n).
+        sensitivity: X before, (n, c).
+        places: (q,) indices of the entries.
+        causes: (p,) indices of the others, none of which is among them.
+        by_causes: (q, p) what is added to their derivative by these.
+    """
+    covariance, sensitivity = covariance.copy(), sensitivity.copy()
+    covariance[places] += by_causes @ covariance[causes]
+    covariance[:, places] += covariance[:, causes] @ by_causes.T
+    sensitivity[places] += by_causes @ sensitivity[causes]
+    return covariance, sensitivity
 
 
 def keep(state: State, kept: np.ndarray) -> State:

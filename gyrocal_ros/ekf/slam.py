@@ -23,7 +23,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
-from gyrocal_ros.ekf.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
+from gyrocal_ros.ekf.effects_by_place import PoseMotion, move_camera, pose_motion, sort_effects, true_camera
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
@@ -116,6 +116,10 @@ class EkfSlam:
         at_first = config.gyro if config.reference.estimate_noise else config.rest
         self._rest_noise = RestNoise(math.radians(at_first.rate_noise_deg_s))
         self._levelling: Levelling | None = None
+        self._depth_matters = rig.camera is not None and any(
+            move_camera(effects, rig.camera, rig.camera_mount)
+            for effects in (self._effects, self._candidates)
+        )
         if rig.camera is None:
             self._levelling, self.state = Levelling(), unlevelled(self.state)
         self.expect_pixel_noise(config.camera.pixel_noise_px)
@@ -283,6 +287,7 @@ class EkfSlam:
             effects=self._effects,
             candidates=self._candidates,
             scored=self._own_candidates,
+            depth_matters=self._depth_matters,
             motion=self._motion,
             interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
             errors_repeat=self._errors_repeat(),

@@ -1,12 +1,14 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.feature_noise`, `ekf.landmarks`, `ekf.image_update` and `ekf.repeated_errors`, which explain the
-equations."""
+"""Twins of `ekf.feature_noise`, `ekf.known_depth`, `ekf.landmarks`, `ekf.image_update` and `ekf.repeated_errors`,
+which explain the equations."""
 
-from libc.math cimport sqrt
+from libc.math cimport fabs, sqrt
 
 import numpy as np
 
-TWINS = ('learned_noise', 'match_ids', 'matches_counted', 'motion_in_image', 'scaled_noise')
+TWINS = (
+    'changed_depths', 'learned_noise', 'match_ids', 'matches_counted', 'motion_in_image', 'scaled_noise', 'shift'
+)
 
 
 def learned_noise(
@@ -117,4 +119,55 @@ def matches_counted(
         for i in range(2):
             at[row, i] = observed[f, i]
             towards[row, i] = expected[f, i]
+    return arrays
+
+
+def changed_depths(
+    const double[:] mean,
+    Py_ssize_t first,
+    const long[:] rows,
+    const double[:] before,
+    const double[:, :] points_c,
+    double least,
+    double min_ahead,
+):
+    cdef Py_ssize_t m = rows.shape[0], f, count = 0
+    cdef double change
+    chosen, changes = np.empty(m, np.int64), np.empty(m)
+    cdef long[::1] which = chosen
+    cdef double[::1] by = changes
+    for f in range(m):
+        change = mean[first + 3 * rows[f] + 2] - before[f]
+        if fabs(change) > least and points_c[f, 2] > min_ahead:
+            which[count], by[count] = f, change
+            count += 1
+    return chosen[:count], changes[:count]
+
+
+def shift(
+    const double[:, ::1] covariance,
+    const double[:, ::1] sensitivity,
+    const long[:] places,
+    const long[:] causes,
+    const double[:, :] by_causes,
+):
+    cdef Py_ssize_t n = covariance.shape[0], c = sensitivity.shape[1], q = places.shape[0], p = causes.shape[0]
+    cdef Py_ssize_t i, j, l, place
+    cdef double factor, total
+    arrays = (np.array(covariance), np.array(sensitivity))
+    cdef double[:, ::1] P = arrays[0], X = arrays[1]
+    for i in range(q):
+        place = places[i]
+        for l in range(p):
+            factor = by_causes[i, l]
+            for j in range(n):
+                P[place, j] += factor * covariance[causes[l], j]
+            for j in range(c):
+                X[place, j] += factor * sensitivity[causes[l], j]
+    for j in range(n):
+        for i in range(q):
+            total = 0.0
+            for l in range(p):
+                total += P[j, causes[l]] * by_causes[i, l]
+            P[j, places[i]] += total
     return arrays

@@ -136,6 +136,7 @@ def test_a_patch_of_sun_does_not_move_a_robot_at_rest() -> None:
     config = replace(Config(), camera=replace(Config().camera, pixel_noise_px=NOISE_PX))
     stream = SlamStream(EkfSlam(default_model(), config, simulated.rig))
     first: dict[int, Array] = {}
+    dropped: list[int] = []
     for item in simulated.measurements():
         rest_s = (item.t_ns - simulated.span.start_ns) / NS_PER_S
         if rest_s > REST_S:
@@ -148,8 +149,9 @@ def test_a_patch_of_sun_does_not_move_a_robot_at_rest() -> None:
             covariances = np.broadcast_to(NOISE_PX**2 * np.eye(2), (len(pixels), 2, 2))
             item = replace(item, pixels=pixels, covariances_px2=covariances)
         if not isinstance(item, TruthSample):
-            stream.step(item)
+            dropped += [int(i) for record in stream.step(item) for i in record.update.dropped_ids]
     state = stream.slam.state
     assert not np.isin(list(first)[:5], state.landmarks.ids).any()
+    assert set(dropped) == set(list(first)[:5])
     assert np.isin(list(first)[5:], state.landmarks.ids).all()
     assert np.hypot(*state.position_m[:2]) < 1e-3

@@ -94,7 +94,7 @@ def changed_depths(
 
 
 def _directions_by_pose(state: State, view: PosedCamera, rows: IntArray, change: Array) -> Array:
-    """Return what changes (m,) of inverse depths add to the derivative of directions by the pose, (m, 2, 6)."""
+    """Return what changes (m,) of inverse depths add to d direction / d pose, (m, 2, 6)."""
     R_aw = state.landmarks.anchors.R_wc[rows].transpose(0, 2, 1)
     across = R_aw[:, :2] - state.features[rows, :2, None] * R_aw[:, 2:]
     return change[:, None, None] * across @ _camera_by_pose(view)

@@ -15,6 +15,7 @@ from gyrocal_ros.data import (
     Array,
     FeatureObservations,
     HeadingSample,
+    IntArray,
     MotionBlock,
     Rig,
     SearchRegions,
@@ -54,6 +55,7 @@ MIN_PIXEL_NOISE_PX, MAX_PIXEL_NOISE_PX = 0.02, 5.0
 """Bounds of the estimated pixel noise; at the upper one the images do not fit the estimate."""
 
 Seen = FeatureObservations | HeadingSample
+NONE: IntArray = np.empty(0, np.int64)
 
 
 class EkfSlam:
@@ -242,7 +244,7 @@ class EkfSlam:
             return MeasurementUpdate()
         if observations.covariances_px2 is not None:
             self._typical_match.update(observations.covariances_px2)
-        self._look_around(observations, is_at_rest=is_at_rest)
+        removed_ids = self._remove_shifted(observations, is_at_rest=is_at_rest)
         # A tracker that tells how well patches match finds them again: at rest it has nothing new to tell.
         is_known = observations.covariances_px2 is not None and self._resting_view.is_still
         model = self._image_model(is_known=is_known)
@@ -256,18 +258,22 @@ class EkfSlam:
         if self.config.camera.estimate_pixel_noise:
             self.pixel_noise.update(update.noise_distances, 2)
             self._repeated.update(update.changes_px2)
-        return changed(update, added=len(new), on_lens=observations.on_lens)
+        dropped_ids = (
+            np.concatenate([removed_ids, update.dropped_ids]) if len(removed_ids) else update.dropped_ids
+        )
+        return changed(update, added=len(new), on_lens=observations.on_lens, dropped_ids=dropped_ids)
 
-    def _look_around(self, observations: FeatureObservations, *, is_at_rest: bool) -> None:
-        """Remove features from the map that shift while the robot stands still."""
+    def _remove_shifted(self, observations: FeatureObservations, *, is_at_rest: bool) -> IntArray:
+        """Remove features from the map that shift while the robot stands still; return their ids."""
         if not is_at_rest:
             self._resting_view.leave()
-            return
+            return NONE
         ids, pixels = observations.ids, observations.pixels
         shifted, moving = self._resting_view.see(ids, pixels, self.view(), self.pixel_noise.std)
-        if len(shifted) or len(moving):
-            self._moving.add(moving)
-            self.state = forget(self.state, np.union1d(shifted, moving))
+        self._moving.add(moving)
+        removed = np.intersect1d(self.state.landmarks.ids, [*shifted, *moving])
+        self.state = forget(self.state, removed)
+        return removed
 
     def _warmed(self, block: MotionBlock) -> State:
         """Return the state; at the first temperature after an earlier calibration, with its change since."""

@@ -7,6 +7,8 @@ predict           prediction of state and covariance
 update            measurement updates; `image_update` for an image, `heading` for a heading reference;
                   `positive_definite` solves them
 landmarks, map    features join and leave the state; the map as points in the world
+known_depth       what the depth of a new feature changes as it becomes known
+robust            features are judged by each other; `moving_features` and `resting_view` find those that move
 gating            outlier and motion gates; `adaptive_noise`, `rest` and `map_watch` monitor the measurements
 effects_by_place  the effects of the sensor model in prediction and measurement
 step_record, run  record of a step, and history of a run; `convergence` and `score_statistics` of it

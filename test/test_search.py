@@ -262,6 +262,22 @@ class TestSearch:
         assert lag.effect.name == 'gyro_lag' and lag.is_kept == is_kept
         assert lag.gain == pytest.approx(gained) and (lag.p_value < 1e-5) == (gained > 10.0)
 
+    @pytest.mark.parametrize(('part', 'is_kept'), [(0.9, False), (1.1, True)])
+    def test_what_few_moments_show_has_to_be_of_a_usual_size(self, part: float, is_kept: bool) -> None:
+        usual = find_effect('principal_point').coefficients[0].typical
+        assert usual is not None and 0.9 * usual.low > DEFAULT_SETTINGS.significant_sigma * STD
+        fake = FakeFilter(
+            {'scale_cubic': 2.0, 'principal_point': 6.0},
+            {'scale_cubic': 300.0, 'principal_point': 50.0},
+            ends={'principal_point': part * usual.low},
+            shows_seldom='principal_point',
+        )
+        added = search(default_model(), AT_REST, fake).additions
+        assert [(item.effect.name, item.is_kept) for item in added] == [
+            ('scale_cubic', True),
+            ('principal_point', is_kept),
+        ]
+
     @pytest.mark.parametrize(('shown_in', 'uneven'), [((3,), ''), ((1, 3, 4, 6, 9), 'gyro_lag')])
     def test_an_effect_that_few_moments_show_is_not_tried_alone(
         self, shown_in: tuple[int, ...], uneven: str

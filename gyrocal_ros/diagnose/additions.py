@@ -75,11 +75,14 @@ class Addition:
     @property
     def is_negligible(self) -> bool:
         """True if all of its strengths are far smaller than in real sensors: the trace of something else."""
+        return self.is_below(self.after.settings.min_usual_part)
+
+    def is_below(self, part: float) -> bool:
+        """Return True if all of its strengths are smaller than a part of the smallest usual ones."""
         usual = [self.effect.coefficients[place].typical for place in self.strengths]
         if not usual:
             return False
         values, _ = self.after.estimate_of(self.effect.name)
-        part = self.after.settings.min_usual_part
         return all(
             item is not None and abs(value) < part * item.low
             for item, value in zip(usual, values[self.strengths].tolist(), strict=True)

@@ -166,7 +166,8 @@ def _uneven_addition(
     """Add the effect that gains most though its estimates scatter, if a run predicts clearly better with it.
 
     Few moments may show an effect. Then the scatter of the blocks says little, and a run decides, where
-    nothing else contradicts the model.
+    nothing else contradicts the model. It has to be of a usual size: slow errors of images look like small
+    errors of the camera.
     """
     settings = present.settings
     uneven = uneven_explanation(present.ranked, excluded, settings)
@@ -176,6 +177,7 @@ def _uneven_addition(
         added = _added(present, uneven, recording, calibrate)
         gain, distance = added.predictive_gain, added.distance_from_zero(added.after)
         is_clear = gain > settings.significant_gain and distance > settings.significant_sigma
+        is_clear &= not added.is_below(1.0)
         p_value = chi_square_tail(max(2.0 * gain / settings.min_inflation, 0.0), len(added.strengths))
         added = replace(added, gain=gain, sigma=sigma_of(p_value), p_value=p_value)
         return replace(added, is_rejected=not is_clear or contradicts(added.after))

@@ -275,6 +275,7 @@ def test_all_parts_of_the_page(page: Page, studio: Studio) -> None:
     page.locator('#undo').click()
     expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')
     expect(page.locator('#undo')).to_be_disabled()
+    expect(page.locator('#add')).to_have_text(f'Add {HIDDEN}')
     page.locator('#add').click()
     expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('present')
 

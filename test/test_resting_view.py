@@ -99,14 +99,14 @@ def test_a_sway_that_the_gyro_measures_is_not_motion() -> None:
         assert no_motion(resting.see(IDS, pixels, there, NOISE_PX))
 
 
-def test_a_robot_that_left_starts_anew() -> None:
+def test_a_robot_that_left_compares_with_nothing() -> None:
     resting = RestingView()
     for k in range(20):
         resting.leave()
         assert no_motion(resting.see(IDS, PIXELS + k * shifts_of(SUN), view(), NOISE_PX))
 
 
-def test_a_feature_that_shifts_starts_anew_from_where_it_is() -> None:
+def test_a_feature_that_shifts_is_compared_with_its_new_place() -> None:
     resting = RestingView()
     shifted = []
     for k in range(9):

@@ -77,7 +77,7 @@ class RestingView:
         return ids[has_shifted], ids[is_moving]
 
     def _has_shifted(self, features: list[_Feature], directions: Array) -> np.ndarray:
-        """Return which features (m,), bool, seen in directions (m, 3), have shifted; that is their first place from then on.
+        """Return which features (m,), bool, seen in directions (m, 3), have shifted since they were first seen.
 
         Only features that were seen before another one can tell that the robot has not moved since.
         """

@@ -79,8 +79,8 @@ class RestingView:
     def _has_shifted(self, features: list[_Feature], directions: Array) -> np.ndarray:
         """Return which features (m,), bool, seen in directions (m, 3), have shifted.
 
-        Only features that were seen before another one can tell that the robot has not moved since. One that has shifted is
-        compared with its new place from then on.
+        Only features that were seen before another one can tell that the robot has not moved since.
+        One that has shifted is compared with its new place from then on.
         """
         has_shifted = np.zeros(len(features), bool)
         staying = sorted(item.since for item in features if not item.elsewhere and not item.shifts)

@@ -259,6 +259,8 @@ class Mount:
     """(3, 3) rotation from sensor to body axes."""
     p_bs: Array
     """(3,) m, origin of the sensor frame in body axes."""
+    shift: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) m, part of `p_bs` by which an effect has moved the sensor from where it is said to be."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from filter_states import some_state
+from filter_states import INVERSE_DEPTH, some_state
 
-from gyrocal_ros.config.sections import Config
+from gyrocal_ros.config.sections import Config, FeatureConfig
 from gyrocal_ros.data import TruthSample
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.effects_by_place import move_camera, sort_effects
-from gyrocal_ros.ekf.known_depth import _directions_by_pose, _from_anchors
-from gyrocal_ros.ekf.landmarks import shift_with_camera
+from gyrocal_ros.ekf.known_depth import directions_by_pose
+from gyrocal_ros.ekf.landmarks import augment, shift_with_camera
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.model.camera import mount_from_yaw
 from gyrocal_ros.model.features.base import posed_camera
@@ -76,15 +76,21 @@ def test_no_image_alone_tells_the_position() -> None:
     assert (np.diff(along_m) > -0.3 * along_m[:-1]).all()
 
 
-def test_directions_shift_as_pixels_tell_at_the_anchors() -> None:
-    """The closed form is that of the pixels: what a direction has to shift by so that they stay."""
-    state, change = some_state(), np.array([0.05, -0.1])
-    rows, view = np.array([1, 3]), posed_camera(CAMERA, MOUNT, state.position_m, state.euler_rad)
-    guessed, known = _from_anchors(state, view, rows, change)
-    to_direction = -np.linalg.inv(guessed.by_feature[:, :, :2])
-    closed = _directions_by_pose(state, view, rows, change)
-    np.testing.assert_allclose(closed, to_direction @ known.by_pose, atol=1e-9)
-    np.testing.assert_allclose(known.scale - guessed.scale, change, atol=1e-12)
+def test_directions_shift_as_at_a_first_sight_with_that_depth() -> None:
+    """What a change of the depth adds is the difference of first sights with the one and the other depth."""
+    state, pixels = some_state(), np.array([[80.0, 60.0], [210.0, 150.0]])
+    view = posed_camera(CAMERA, MOUNT, state.position_m, state.euler_rad)
+    guessed, known = (
+        INVERSE_DEPTH.initialise(view, pixels, 0.1, FeatureConfig(prior_depth_m=depth))
+        for depth in (2.5, 1.8)
+    )
+    ids, first = np.array([901, 902]), len(state.landmarks.ids)
+    mapped = augment(state, ids, pixels, known.parameters[:, :2], known, None, None)
+    change = known.parameters[:, 2] - guessed.parameters[:, 2]
+    added = directions_by_pose(mapped, view, first + np.arange(2), change)
+    by_attitude = guessed.by_pose[:, :2, 3:]  # does not depend on the depth, but for the lever arm
+    np.testing.assert_allclose(added, (known.by_pose - guessed.by_pose)[:, :2], atol=1e-12)
+    assert np.abs(added[:, :, 3:]).max() < 0.1 * np.abs(by_attitude).max()
 
 
 @pytest.mark.parametrize(

@@ -289,6 +289,8 @@ class TestSearch:
         assert found.additions == () and len(fake.models) == 1
         diagnosed = diagnose(found, AT_REST)
         assert diagnosed.uneven == uneven
+        clean = search(default_model(), AT_REST, FakeFilter({}, {}), settings=judging)
+        assert diagnose(clean, AT_REST).uneven == ''
         assert diagnosed.verdict == ('cannot_tell' if uneven else 'nothing_missing')
 
     def test_a_rejected_effect_is_tried_again_beside_one_found_later(self) -> None:

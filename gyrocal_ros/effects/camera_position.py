@@ -38,8 +38,9 @@ class CameraPosition:
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array
     ) -> tuple[CameraIntrinsics, Mount]:
-        """Return the shifted mounting."""
-        return camera, replace(mount, p_bs=mount.p_bs + np.array([values[0], values[1], 0.0]))
+        """Return the shifted mounting; the offset is in metres of the odometer."""
+        shift = np.array([values[0], values[1], 0.0])
+        return camera, replace(mount, p_bs=mount.p_bs + shift, shift=mount.shift + shift)
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the shift of the points by minus the offset, in the camera's axes and the points' scale."""

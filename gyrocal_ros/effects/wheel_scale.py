@@ -52,14 +52,18 @@ class WheelScale:
     def corrected(
         self, camera: CameraIntrinsics, mount: Mount, values: Array
     ) -> tuple[CameraIntrinsics, Mount]:
-        """Return the mounting in metres of the odometer; its height stays, as that of the map is free."""
-        x, y, z = mount.p_bs
-        return camera, replace(mount, p_bs=np.array([x / (1.0 + values[0]), y / (1.0 + values[0]), z]))
+        """Return the mounting in metres of the odometer; its height stays, as that of the map is free.
+
+        An offset of the camera is in these metres already. No drive tells the two apart, whatever their size.
+        """
+        said = mount.p_bs - mount.shift
+        nearer = said / np.array([1.0 + values[0], 1.0 + values[0], 1.0])
+        return camera, replace(mount, p_bs=nearer + mount.shift)
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the shift of the points as the camera moves nearer, in its axes and the points' scale."""
-        nearer = seen.R_bc.T[:, :2] @ seen.p_bc[:2] / (1.0 + values[0])
-        return seen.by_point @ (seen.scale[:, None] * nearer)[:, :, None]
+        said = (seen.p_bc - seen.shift)[:2] / (1.0 + values[0])
+        return seen.by_point @ (seen.scale[:, None] * (seen.R_bc.T[:, :2] @ said))[:, :, None]
 
     def odometry(self, distance_m: Array, values: Array) -> Array:
         """Return the distance that the wheels report."""

@@ -238,6 +238,7 @@ def measurement_by_values(
         view.camera,
         view.R_bc,
         view.p_bc,
+        view.shift,
         prediction.points_c,
         prediction.scale,
         prediction.expected,

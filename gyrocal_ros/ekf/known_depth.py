@@ -14,6 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed
+from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.landmarks import position_variance_m2, shift_with_camera
 from gyrocal_ros.ekf.state import State
@@ -53,18 +54,19 @@ def with_known_depths(state: State, model: ImageModel, used: Innovation) -> Stat
         return state
     rows = used.rows[chosen]
     change *= np.minimum(state.landmarks.first_variance_m2[rows] / variance_m2, 1.0)
-    by_pose = _directions_by_pose(state, model.view, rows, change)
+    by_pose = directions_by_pose(state, model.view, rows, change)
     if not model.depth_matters:
         return shift_with_camera(state, rows, by_pose, None, None)
-    guessed, known = _from_anchors(state, model.view, rows, change)
-    to_direction = -np.linalg.pinv(guessed.by_feature[:, :, :2])
+    guessed, known = _from_anchors(state, model.view, rows, change, by_pose)
 
-    def more(derivative: Callable[[Prediction], Array | None]) -> Array | None:
+    def added(derivative: Callable[[Prediction], Array | None]) -> Array | None:
         before, after = derivative(guessed), derivative(known)
-        return None if before is None or after is None else to_direction @ (after - before)
+        if before is None or after is None:
+            return None
+        return first_sight_by_values(guessed, after - before)[:, :2]
 
-    by_values = more(lambda prediction: model.by_values(prediction, state.coefficients))
-    return shift_with_camera(state, rows, by_pose, by_values, more(model.by_candidates))
+    by_values = added(lambda prediction: model.by_values(prediction, state.coefficients))
+    return shift_with_camera(state, rows, by_pose, by_values, added(model.by_candidates))
 
 
 @compiled
@@ -93,31 +95,30 @@ def changed_depths(
     return chosen, change[chosen]
 
 
-def _directions_by_pose(state: State, view: PosedCamera, rows: IntArray, change: Array) -> Array:
-    """Return what changes (m,) of inverse depths add to d direction / d pose, (m, 2, 6)."""
+def directions_by_pose(state: State, view: PosedCamera, rows: IntArray, change: Array) -> Array:
+    """Return what changes (m,) of inverse depths add to d direction / d pose, (m, 2, 6).
+
+    It is d direction / d camera at the anchor, times d camera / d pose of the present camera.
+    """
     R_aw = state.landmarks.anchors.R_wc[rows].transpose(0, 2, 1)
     across = R_aw[:, :2] - state.features[rows, :2, None] * R_aw[:, 2:]
-    return change[:, None, None] * across @ _camera_by_pose(view)
-
-
-def _camera_by_pose(view: PosedCamera) -> Array:
-    """Return the derivative (3, 6) of the position of the camera by the pose of the robot."""
-    return np.concatenate([np.eye(3), (view.dR_wb @ view.p_bc).T], axis=1)
+    camera_by_pose = np.concatenate([np.eye(3), (view.dR_wb @ view.p_bc).T], axis=1)
+    return change[:, None, None] * across @ camera_by_pose
 
 
 def _from_anchors(
-    state: State, view: PosedCamera, rows: IntArray, change: Array
+    state: State, view: PosedCamera, rows: IntArray, change: Array, by_pose: Array
 ) -> tuple[Prediction, Prediction]:
     """Return features (m,) as a camera at their anchors sees them, before and after their depths changed.
 
     It has the attitude of the present camera, whose error of the position it shares. The derivative by the
-    pose is what the change (m,) of the inverse depths adds to it.
+    pose is what the change (m,) of the inverse depths adds to it, given that of the directions (m, 2, 6).
     """
     features = state.features[rows]
     R_ca = view.R_wc.T @ state.landmarks.anchors.R_wc[rows]
     points_c = (R_ca @ np.column_stack([features[:, :2], np.ones(len(rows))])[:, :, None])[:, :, 0]
     pixels, by_point = project_with_jacobian(view.camera, points_c)
-    by_pose = -change[:, None, None] * by_point @ (view.R_wc.T @ _camera_by_pose(view))
+    by_feature = by_point @ R_ca * [1.0, 1.0, 0.0]  # no pixel depends on the depth there
     before = features[:, 2] - change
-    guessed = Prediction(pixels, np.zeros_like(by_pose), by_point @ R_ca, points_c, by_point, before)
-    return guessed, changed(guessed, by_pose=by_pose, scale=features[:, 2])
+    guessed = Prediction(pixels, np.zeros((len(rows), 2, 6)), by_feature, points_c, by_point, before)
+    return guessed, changed(guessed, by_pose=-by_feature[:, :, :2] @ by_pose, scale=features[:, 2])

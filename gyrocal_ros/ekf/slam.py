@@ -244,7 +244,7 @@ class EkfSlam:
             return MeasurementUpdate()
         if observations.covariances_px2 is not None:
             self._typical_match.update(observations.covariances_px2)
-        removed_ids = self._remove_shifted(observations, is_at_rest=is_at_rest)
+        shifted_ids = self._remove_shifted(observations, is_at_rest=is_at_rest)
         # A tracker that tells how well patches match finds them again: at rest it has nothing new to tell.
         is_known = observations.covariances_px2 is not None and self._resting_view.is_still
         model = self._image_model(is_known=is_known)
@@ -258,9 +258,7 @@ class EkfSlam:
         if self.config.camera.estimate_pixel_noise:
             self.pixel_noise.update(update.noise_distances, 2)
             self._repeated.update(update.changes_px2)
-        dropped_ids = (
-            np.concatenate([removed_ids, update.dropped_ids]) if len(removed_ids) else update.dropped_ids
-        )
+        dropped_ids = np.concatenate([shifted_ids, update.dropped_ids])
         return changed(update, added=len(new), on_lens=observations.on_lens, dropped_ids=dropped_ids)
 
     def _remove_shifted(self, observations: FeatureObservations, *, is_at_rest: bool) -> IntArray:

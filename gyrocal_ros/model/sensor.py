@@ -289,7 +289,8 @@ class SeenPoints:
     camera: CameraIntrinsics
     R_bc: Array
     p_bc: Array
-    """Mounting of the camera, corrected by all effects."""
+    shift: Array
+    """Mounting of the camera, corrected by all effects; see `Mount`."""
     points_c: Array
     """(m, 3) in the optical frame, times `scale`."""
     scale: Array

@@ -31,6 +31,8 @@ class PosedCamera:
     """(3, 3, 3) its derivatives by roll, pitch, yaw."""
     R_bc: Array
     p_bc: Array
+    shift: Array
+    """Mounting, see `Mount`."""
 
     @property
     def p_wc(self) -> Array:
@@ -41,7 +43,7 @@ class PosedCamera:
 def posed_camera(camera: CameraIntrinsics, mount: Mount, position_m: Array, euler_rad: Array) -> PosedCamera:
     """Put the camera at a robot pose (position (3,), Euler angles (3,))."""
     attitudes = turned_camera(euler_rad, mount.R_bs)
-    return PosedCamera(camera, position_m, *attitudes, mount.R_bs, mount.p_bs)
+    return PosedCamera(camera, position_m, *attitudes, mount.R_bs, mount.p_bs, mount.shift)
 
 
 @compiled

@@ -22,6 +22,7 @@ from gyrocal_ros.ekf.scale_watch import (
     RAMP,
     RAMP_S,
     SCALE_CHANGED,
+    SETTLE_S,
     USUAL_DRIFT_STD,
     WINDOWS_S,
     ScaleWatch,
@@ -142,6 +143,16 @@ def test_a_change_is_significant_by_its_standard_deviation() -> None:
     assert found is not None
     assert found.value == pytest.approx(1.01e-3 * CHANGE_SIGMA)
     assert found.std == pytest.approx(1e-3)
+
+
+def test_a_change_is_not_followed_in_the_dark() -> None:
+    watch, state = some_watch()
+    assert watch.add(1.0, (stats(1e6, 0.02),)) is not None
+    assert watch.add(60.0, ()) is not None
+    assert not watch.is_settled
+    state = watch.renew(state, 60.0)
+    assert watch.add(SETTLE_S, (stats(1e6, 0.02),)) is not None, 'its window lasts'
+    assert watch.is_settled
 
 
 def test_innovations_that_no_change_explains_are_noise() -> None:

@@ -147,6 +147,15 @@ def test_what_a_change_leaves_is_consistent(jump: float) -> None:
     assert np.sqrt(np.mean(np.square(z))) < 1.15
 
 
+def test_a_change_that_shows_just_before_the_dark_leaves_nothing() -> None:
+    history = estimated(0.0, 1.5 * SETTLE_S)
+    shown = np.flatnonzero(history.scale_change)
+    dof = history.dof.copy()
+    dof[shown[len(shown) // 3] :] = 0.0
+    std = scale_std(replace(history, dof=dof))[shown[-1] + 1 :]
+    assert std.max() < 1.01 * history.std[shown[-1] + 1, COEFFICIENTS_START]
+
+
 def test_a_change_that_repeats_stays() -> None:
     stds = scale_std(estimated(0.0, 1.5 * SETTLE_S, more_at_s=(35.0,)))
     assert stds[-1] == pytest.approx(CHANGE, rel=0.01)

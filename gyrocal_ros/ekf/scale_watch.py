@@ -51,8 +51,9 @@ CHANGE_SIGMA = 4.5
 CHANCE_SIGMA = 3.0
 """Significance by which a step has to explain more than a ramp, so that it is no ramp."""
 SETTLE_S = 3.0
-"""Time for which a change has to be significant before it is followed. Windows that began before a jump
-contradict it in part; in this time one that began after it, or just before, explains more than they do."""
+"""Time of measurements for which a change has to be significant before it is followed. Windows that began
+before a jump contradict it in part; in this time one that began after it, or just before, explains more than
+they do. Darkness and rests tell nothing, so they do not count."""
 NOT_LINEAR = 0.1
 """Part of a change that may be wrong because the sensitivity is linear, and because features were rejected
 and weighted as if nothing had changed."""
@@ -157,7 +158,7 @@ class ScaleWatch:
 
         Args:
             duration_s: length of the step.
-            updates: its updates.
+            updates: its updates, the last one by the image or the heading.
             others: errors that are tested beside.
         """
         for stats in updates:
@@ -168,7 +169,8 @@ class ScaleWatch:
         self._sums[:, AGE] += duration_s
         self._unchanged_s += duration_s
         self._running_s += duration_s
-        self._significant_s += duration_s if self._significant_s > 0.0 else 0.0
+        is_measured = bool(updates and updates[-1].dof)
+        self._significant_s += duration_s if is_measured and self._significant_s > 0.0 else 0.0
         self._walk *= math.exp(-0.5 * duration_s / DRIFT_MEMORY_S)
         values, variances, sigmas = scale_changes(
             self._sums, NOTHING if others is None else others, MAX_STD**-2.0, RAMP_S

@@ -124,7 +124,8 @@ def scatter_of(history: History) -> tuple[Scatter, Array]:
 def left_of_changes(history: History, inflation: Array) -> Array:
     """Return (s,) root mean square errors of the scale factor by changes that the filter did not follow.
 
-    A change that was significant for less than `SETTLE_S`, as in a first turn, leaves nothing. Any other may
+    A change that was significant for less than `SETTLE_S` of measurements, as in a first turn or before the
+    light went out, leaves nothing. Any other may
     have left an error of its own size when it was last significant. By the measurements since, the filter
     corrects all but a share r of it, so the estimate moves by 1 - r of the error. How much it has moved
     therefore measures the error, with the change as prior; in the end, only what came later counts. The
@@ -134,10 +135,10 @@ def left_of_changes(history: History, inflation: Array) -> Array:
         history: s steps.
         inflation: (s,) factors on the standard deviations by the scatter.
     """
-    scale, time_s = COEFFICIENTS_START, history.time_s
-    change = np.abs(history.scale_change)
-    unchanged_s = np.maximum.accumulate(np.where(change > 0.0, 0.0, time_s))
-    lasting = np.where(time_s - unchanged_s >= SETTLE_S, change, 0.0)
+    scale, change = COEFFICIENTS_START, np.abs(history.scale_change)
+    measured_s = np.cumsum(np.diff(history.time_s, prepend=0.0) * (history.dof > 0))
+    unchanged_s = np.maximum.accumulate(np.where(change > 0.0, 0.0, measured_s))
+    lasting = np.where(measured_s - unchanged_s >= SETTLE_S, change, 0.0)
     last = np.maximum.accumulate(np.where(lasting > 0.0, np.arange(len(lasting)), 0))
     parts = np.split(lasting, np.flatnonzero(history.scale_followed))
     largest = np.concatenate([np.maximum.accumulate(part) for part in parts])

@@ -9,18 +9,20 @@ import pytest
 from synthetic import drive
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf import scatter as scatter_module
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.scale_watch import SETTLE_S
-from gyrocal_ros.ekf.scatter import FORMING, MAX_INFLATION, STRETCH_S, Scatter
+from gyrocal_ros.ekf.scatter import FORMING, MAX_INFLATION, STRETCH_S, TRACE, Scatter, traces
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE
 
 STEPS = 100
 
 
-def scatter_of(factors: Array, seed: int = 0, first_decrease: float = 0.2) -> Scatter:
+def scatter_of(factors: Array, seed: int = 0, first_decrease: float = 0.2, trace: float = 0.0) -> Scatter:
     """Return the scatter of an estimate whose changes are larger than expected by factors (stretches,)."""
-    rng, variance, scatter = np.random.default_rng(seed), 1.0, Scatter(1)
+    rng, variance, scatter = np.random.default_rng(seed), 1.0, Scatter(np.full(1, trace))
     dt_s = STRETCH_S / STEPS
     for stretch, factor in enumerate([1.0, *factors, 1.0]):
         part = first_decrease if stretch == 1 else 0.2
@@ -70,8 +72,24 @@ def test_few_stretches_do_not_judge() -> None:
     assert scatter_of(np.full(3, 20.0)).contradicts
 
 
+@pytest.mark.parametrize(('trace', 'contradicts'), [(0.5, True), (100.0, False)])
+def test_changes_too_small_to_matter_do_not_contradict(trace: float, contradicts: bool) -> None:
+    scatter = scatter_of(np.full(10, 20.0), trace=trace)
+    assert scatter.contradicts is contradicts
+    assert scatter.inflation[0] > 10.0, 'the standard deviation is larger all the same'
+
+
+def test_small_changes_of_what_turns_no_heading_do_not_matter() -> None:
+    model = default_model()
+    for name in ('rolling_shutter', 'scale_asymmetry'):
+        model = with_effect(model, find_effect(name))
+    readout = find_effect('rolling_shutter').coefficients[0].typical
+    assert readout is not None
+    np.testing.assert_allclose(traces(model), [0.0, 0.0, TRACE * readout.low, 0.0])
+
+
 def test_an_estimate_that_nothing_measures_is_left_alone() -> None:
-    scatter = Scatter(2)
+    scatter = Scatter(np.zeros(2))
     for step in range(100):
         scatter.add(float(step), np.array([0.0, 5.0]), np.array([0.0, 0.01]), np.array([1.0, 1.0]))
     assert scatter.inflation[0] == 1.0 and scatter.inflation[1] > 10.0
@@ -116,7 +134,8 @@ def estimated(jump: float, lasts_s: float, seed: int = 0, more_at_s: tuple[float
 
 def scale_std(history: History) -> Array:
     """Return the standard deviations (s,) of the scale factor."""
-    inflation: Array = scatter_module.scatter_of(history)[1][:, SCALE]
+    run = replace(drive(duration_s=60.0).run, history=history)
+    inflation: Array = scatter_module.scatter_of(run)[1][:, SCALE]
     return inflation * history.std[:, COEFFICIENTS_START]
 
 

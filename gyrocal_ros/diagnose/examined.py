@@ -48,7 +48,7 @@ class ExaminedModel:
         suspected of the camera does not add to them: an effect in the model is no suspicion any more.
         """
         places = coefficient_places(self.model, name)
-        inflation = scatter_of(self.run.history)[0].inflation[1:]
+        inflation = scatter_of(self.run)[0].inflation[1:]
         stds = self.run.history.std[-1, COEFFICIENTS_START:] * inflation
         return self.run.state.coefficients[places], stds[places]
 

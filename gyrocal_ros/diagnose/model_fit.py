@@ -42,7 +42,7 @@ class ModelFit:
 
 def model_fit(run: Run) -> ModelFit:
     """Compare innovations, scatter of the estimates and held-out blind drift with what noise explains."""
-    scatter, _ = scatter_of(run.history)
+    scatter, _ = scatter_of(run)
     drift = blind_drift(run, from_s=held_out_from_s(run))
     is_judged = scatter.is_judged and len(drift.error_rad) > 0
     return ModelFit(tuple(_misfits(run, scatter, drift)), is_judged)

@@ -11,9 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.run import History, Run
 from gyrocal_ros.ekf.scale_watch import SETTLE_S
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS
+from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.statistics import chi_square_tail
 
 STRETCH_S = 10.0
@@ -30,20 +31,23 @@ MAX_INFLATION = 4.0
 CHANCE = 1e-6
 """Inflation, and its probability by chance, from which the model does not fit. Points that slide along edges
 inflate by up to 3, effects that cost half a degree of blind drift by 6 and more."""
+TRACE = 0.1
+"""Part of the least usual size of a coefficient that turns no heading, such as the readout of a camera."""
 
 
 class Scatter:
     """Compares the changes of estimates with their predicted variance, in constant memory.
 
     Args:
-        count: number of estimates.
+        traces: (count,) changes of the estimates up to which they do not matter, see `traces`.
     """
 
-    def __init__(self, count: int) -> None:
-        self._stretch = 0
-        self._change, self._decrease = np.zeros(count), np.zeros(count)
-        self._variance: Array = np.zeros(count)
-        self._ratios, self._stretches = np.zeros(count), np.zeros(count)
+    def __init__(self, traces: Array) -> None:
+        self._traces, self._stretch = traces, 0
+        self._change, self._decrease = np.zeros_like(traces), np.zeros_like(traces)
+        self._variance: Array = np.zeros_like(traces)
+        self._ratios, self._stretches = np.zeros_like(traces), np.zeros_like(traces)
+        self._squares = np.zeros_like(traces)
 
     def add(self, time_s: float, change: Array, decrease: Array, variance: Array) -> None:
         """Add one step of the filter.
@@ -87,6 +91,7 @@ class Scatter:
         """True if some estimate scatters far more than the filter expects: the model lacks something."""
         ratios, stretches = PRIOR_STRETCHES + self._ratios, PRIOR_STRETCHES + self._stretches
         large = (ratios > MAX_INFLATION**2 * stretches) & (self._stretches >= MIN_STRETCHES)
+        large &= self._squares > self._traces**2 * self._stretches
         tails = (
             chi_square_tail(float(self._ratios[i]), float(self._stretches[i])) for i in np.flatnonzero(large)
         )
@@ -96,22 +101,38 @@ class Scatter:
         before = self._variance + self._decrease
         counts = (self._decrease > 0.0) & (self._decrease < FORMING * before) & (self._stretch > 0)
         self._ratios[counts] += self._change[counts] ** 2 / self._decrease[counts]
+        self._squares[counts] += self._change[counts] ** 2
         self._stretches[counts] += 1.0
         self._change, self._decrease = np.zeros_like(self._change), np.zeros_like(self._decrease)
 
 
-def scatter_of(history: History) -> tuple[Scatter, Array]:
+def traces(model: SensorModel) -> Array:
+    """Return the changes (1 + k,) of bias and coefficients that do not matter.
+
+    Zero for bias and gyro, whose errors turn the heading. What a camera or wheels have may be known to a
+    thousandth, less than the slow errors of a tracker.
+    """
+    usual = [
+        item.typical.low if effect.acts_on != 'gyro' and item.typical is not None else 0.0
+        for effect in model.effects
+        for item in effect.coefficients
+    ]
+    return TRACE * np.array([0.0, *usual])
+
+
+def scatter_of(run: Run) -> tuple[Scatter, Array]:
     """Return the scatter of yaw bias and coefficients over a run, and the inflation (s, 1 + k) of their stds.
 
     By how much the scale factor has changed adds to its standard deviation, if the filter did not follow; so
     does what is suspected of the camera and of a drift.
     """
+    history, least = run.history, traces(run.model)
     variances = history.std[:, YAW_BIAS:] ** 2
-    scatter, inflations = Scatter(variances.shape[1]), np.ones_like(variances)
+    scatter, inflations = Scatter(least), np.ones_like(variances)
     columns = (history.time_s, history.change, history.change_variance, variances)
     for i, step in enumerate(zip(*columns, strict=True)):
         if history.scale_followed[i]:
-            scatter = Scatter(variances.shape[1])
+            scatter = Scatter(least)
         else:
             scatter.add(*step)
         inflations[i] = scatter.inflation

@@ -90,7 +90,7 @@ def conclude(run: Run) -> Calibration:
     are larger than expected enlarge the standard deviations.
     """
     history, criteria = run.history, run.config.convergence
-    convergence, (scatter, inflations) = Convergence(), scatter_of(history)
+    convergence, (scatter, inflations) = Convergence(), scatter_of(run)
     scale_stds = history.std[:, COEFFICIENTS_START] * inflations[:, SCALE]
     columns = (history.scale_followed, history.time_s, scale_stds, history.nis, history.dof)
     for followed, time_s, std, nis, dof in step_by_step(*columns):

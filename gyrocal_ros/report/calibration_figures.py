@@ -118,7 +118,7 @@ def coefficients(run: Run, start: int = 0, truth: Mapping[str, float] = {}) -> g
         truth: true values of coefficients by name, where they are known.
     """
     history = run.history
-    reaches = SIGMAS * history.std[:, YAW_BIAS:] * scatter_of(history)[1]
+    reaches = SIGMAS * history.std[:, YAW_BIAS:] * scatter_of(run)[1]
     names = ('bias', *run.model.coefficient_names)
     units = ('rad/s', *(item.unit for item in run.model.coefficients))
     shown = [(i, names[i], *shown_in(units[i])) for i in range(start, len(names))]

@@ -13,7 +13,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, Rig, seconds
 from gyrocal_ros.ekf.convergence import Convergence
 from gyrocal_ros.ekf.map_watch import LOSES_MAPS, MAP_DROPPED, LostMaps
-from gyrocal_ros.ekf.scatter import Scatter, with_suspected
+from gyrocal_ros.ekf.scatter import Scatter, traces, with_suspected
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start, initial_state
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS, State
@@ -290,7 +290,7 @@ class Estimator:
         return seconds(newest_ns - self._stream.slam.state.t_ns)
 
     def _reset_watch(self) -> None:
-        self.watch, self._scatter = Convergence(), Scatter(1 + len(self.model.coefficients))
+        self.watch, self._scatter = Convergence(), Scatter(traces(self.model))
         self._inflation = self._trusted_inflation = self._scatter.inflation
         self._time_s = self._checkpoint_s = self._consistent_s = 0.0
         self._has_stepped = False
@@ -359,7 +359,7 @@ class Estimator:
     def _begin_anew(self) -> None:
         """Judge the filter by what comes after a change of the scale factor, and do not go back behind it."""
         assert self.slam is not None
-        self.watch, self._scatter = Convergence(after_change=True), Scatter(1 + len(self.model.coefficients))
+        self.watch, self._scatter = Convergence(after_change=True), Scatter(traces(self.model))
         self._checkpoint = self._candidate = self.slam.state
         self._checkpoint_s = self._consistent_s = self._time_s
         if self._prior is not None:

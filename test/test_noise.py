@@ -166,17 +166,6 @@ def test_noise_that_the_readings_show_is_a_verdict_though_the_filter_takes_it_ov
     assert abs(found.missing[0].values[0] - density) < 4.0 * found.missing[0].stds[0]
 
 
-def test_noise_raises_the_drift_only_beyond_what_it_explains(
-    quiet: Quiet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source, recorded, first = quiet
-    for name, raises in (('bias_instability', False), ('gyro_lag', True)):
-        after = examine(with_effect(first.model, find_effect(name)), recorded, runner(source))
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (1.0, 4.0))
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 3.0)
-        assert addition(first, after).raises_drift == raises
-
-
 @pytest.mark.parametrize(
     ('name', 'is_white'), [('gyro_noise', True), ('rate_noise', True), ('bias_instability', False)]
 )

@@ -71,10 +71,11 @@ class TestRank:
         costly = replace(SETTINGS, significant_sigma=1.01 * math.sqrt(2.0 * second.merit))
         assert uneven_explanation([first, second], (), costly) is None
         lenient = replace(SETTINGS, significant_sigma=1.9 * second.fit.sigma)
-        assert uneven_gyro_effect([first, second], SETTINGS) is None, 'less than half of a significant one'
-        assert uneven_gyro_effect([second], lenient) is second
+        found = uneven_gyro_effect([first, second], (), SETTINGS)
+        assert found is None, 'less than half of a significant one'
+        assert uneven_gyro_effect([second], (), lenient) is second
         of_camera = replace(second, effect=find_effect('focal_length'))
-        assert uneven_gyro_effect([of_camera], lenient) is None
+        assert uneven_gyro_effect([of_camera], (), lenient) is None
 
     def test_an_effect_that_is_not_excited_is_not_ranked(self) -> None:
         columns, noise = independent(2)

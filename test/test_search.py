@@ -159,12 +159,16 @@ class TestSearch:
         assert found.last.model.version == default_model().version + 2
         assert found.additions[1].before is found.additions[0].after
 
-    @pytest.mark.parametrize(('rise', 'is_kept'), [(1.4, True), (1.6, False), (math.nan, True)])
+    @pytest.mark.parametrize(
+        ('rise', 'expected', 'is_kept'),
+        [(1.4, 0.5, True), (1.6, 0.5, False), (1.6, 2.0, True), (3.1, 2.0, False), (math.nan, 0.5, True)],
+    )
     def test_an_effect_that_raises_the_drift_is_not_kept(
-        self, rise: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
+        self, rise: float, expected: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """However much better it predicts; where no drift can be measured, it cannot rise."""
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (1.0, rise))
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: expected)
         found = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}))
         (added,) = found.additions
         assert added.is_kept == is_kept and added.raises_drift != is_kept
@@ -181,6 +185,7 @@ class TestSearch:
             return (math.nan, math.nan) if from_s > 0.5 * DURATION_S else (1.0, 9.0)
 
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', drifts)
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 0.5)
         fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}, known_from_s=known_s)
         (added,) = search(default_model(), AT_REST, fake).additions
         assert added.known_from_s == pytest.approx(known_s, abs=1.0) and added.is_kept == is_kept
@@ -278,20 +283,36 @@ class TestSearch:
             ('principal_point', is_kept),
         ]
 
-    @pytest.mark.parametrize(('shown_in', 'uneven'), [((3,), ''), ((1, 3, 4, 6, 9), 'gyro_lag')])
-    def test_an_effect_that_few_moments_show_is_not_tried_alone(
-        self, shown_in: tuple[int, ...], uneven: str
+    @pytest.mark.parametrize(
+        ('gained', 'sigma', 'is_kept'), [(50.0, 6.0, True), (10.0, 6.0, False), (50.0, 3.0, False)]
+    )
+    def test_an_effect_of_the_gyro_that_some_moments_show_is_tried_alone(
+        self, gained: float, sigma: float, is_kept: bool
     ) -> None:
-        """Where it is no mere chance, something is missing, and the diagnosis says so."""
-        fake = FakeFilter({'gyro_lag': 6.0}, {'gyro_lag': 50.0}, shows_seldom='gyro_lag', shown_in=shown_in)
+        """A run decides; without it something is missing all the same, and the diagnosis says so."""
+        fake = FakeFilter(
+            {'gyro_lag': 6.0},
+            {'gyro_lag': gained},
+            ends={'gyro_lag': sigma * STD},
+            shows_seldom='gyro_lag',
+            shown_in=(1, 3, 4, 6, 9),
+        )
+        judging = replace(DEFAULT_SETTINGS, min_judgeable_part=0.0)
+        found = search(default_model(), AT_REST, fake, settings=judging)
+        assert [(item.effect.name, item.is_kept) for item in found.additions] == [('gyro_lag', is_kept)]
+        diagnosed = diagnose(found, AT_REST)
+        assert [item.effect.name for item in diagnosed.missing] == ['gyro_lag'] * is_kept
+        assert diagnosed.uneven == ('' if is_kept else 'gyro_lag')
+        assert diagnosed.verdict == ('effect_found' if is_kept else 'cannot_tell')
+
+    @pytest.mark.parametrize('hidden', [{'gyro_lag': 6.0}, {}])
+    def test_an_effect_that_one_moment_shows_is_not_tried_alone(self, hidden: dict[str, float]) -> None:
+        fake = FakeFilter(hidden, {'gyro_lag': 50.0}, shows_seldom='gyro_lag')
         judging = replace(DEFAULT_SETTINGS, min_judgeable_part=0.0)
         found = search(default_model(), AT_REST, fake, settings=judging)
         assert found.additions == () and len(fake.models) == 1
         diagnosed = diagnose(found, AT_REST)
-        assert diagnosed.uneven == uneven
-        clean = search(default_model(), AT_REST, FakeFilter({}, {}), settings=judging)
-        assert diagnose(clean, AT_REST).uneven == ''
-        assert diagnosed.verdict == ('cannot_tell' if uneven else 'nothing_missing')
+        assert diagnosed.uneven == '' and diagnosed.verdict == 'nothing_missing'
 
     def test_a_rejected_effect_is_tried_again_beside_one_found_later(self) -> None:
         sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}

@@ -13,7 +13,6 @@ from gyrocal_ros.diagnose.drift import blind_drift, drift_of_both_deg, held_out_
 from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.effects.traits import is_noise
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.model.sensor import Effect
 
@@ -92,18 +91,17 @@ class Addition:
     def raises_drift(self) -> bool:
         """True if the held-out drift rises with the effect by more than chance does where it is harmless.
 
-        A noise corrects nothing. With it the filter follows the bias faster and expects more drift, so only
-        drift that the noise does not explain counts against it. Of an effect only spans count that begin when
-        it is known: a coefficient that nothing has shown yet makes any heading drift.
+        Only spans count that begin when the effect is known: a coefficient that nothing has shown yet makes
+        any heading drift. Drift that the model expects does not count against it: with a noise the filter
+        follows the bias faster, and in a short recording a span begins while the scale factor is a guess.
         """
         if self.before is None:
             return False
-        before_deg, after_deg = drift_of_both_deg(self.before.run, self.after.run, self.known_from_s)
-        if is_noise(self.effect):
-            run = self.after.run
-            expected_deg = drift_by_noise_deg(run, blind_drift(run, from_s=held_out_from_s(run)))
-            before_deg = max(before_deg, expected_deg)
-        return after_deg > self.after.settings.max_drift_rise * before_deg
+        run, from_s = self.after.run, self.known_from_s
+        before_deg, after_deg = drift_of_both_deg(self.before.run, run, from_s)
+        drift = blind_drift(run, from_s=max(held_out_from_s(run), from_s))
+        least_deg = max(before_deg, drift_by_noise_deg(run, drift))
+        return after_deg > self.after.settings.max_drift_rise * least_deg
 
     @property
     def known_from_s(self) -> float:

@@ -129,7 +129,7 @@ def _conclude(
     not_judged = dict(_not_judged(last, recording))
     coarse_step_rad_s = coarse_step(recording.readings)
     structure, fit, timing = last.unexplained_structure, model_fit(last.run), timing_fault(last)
-    uneven = None if missing else uneven_gyro_effect(last.ranked, last.settings)
+    uneven = None if missing else uneven_gyro_effect(last.ranked, (), last.settings)
     is_coarse = coarse_step_rad_s is not None
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
     return Diagnosis(

@@ -26,7 +26,7 @@ def limits_to_check(
 ) -> list[LimitProposal]:
     """Return limits that the readings suggest, beside the best explanation of another kind."""
     structure = present.unexplained_structure
-    uneven = uneven_gyro_effect(present.ranked, present.settings)
+    uneven = uneven_gyro_effect(present.ranked, (), present.settings)
     others = Competition(
         lacks_something=any(item is not None for item in (structure, best, uneven)),
         contradicts=contradicts(present),

@@ -109,7 +109,9 @@ def uneven_explanation(
     return max(uneven, key=lambda item: item.merit, default=None)
 
 
-def uneven_gyro_effect(ranked: Sequence[RankedEffect], settings: DiagnosisSettings) -> RankedEffect | None:
+def uneven_gyro_effect(
+    ranked: Sequence[RankedEffect], tried: Collection[str], settings: DiagnosisSettings
+) -> RankedEffect | None:
     """Return the effect of the gyro that explains much, though unevenly: a sign that something is missing.
 
     It has to be larger than its scatter by half of what makes it significant. Effects of the camera are no
@@ -117,11 +119,12 @@ def uneven_gyro_effect(ranked: Sequence[RankedEffect], settings: DiagnosisSettin
 
     Args:
         ranked: ranked effects.
+        tried: names of effects to leave out.
         settings: thresholds.
     """
     least = 0.5 * settings.significant_sigma
     likely = [item for item in ranked if item.effect.acts_on == 'gyro' and item.fit.sigma > least]
-    return uneven_explanation(likely, (), settings)
+    return uneven_explanation(likely, tried, settings)
 
 
 def explained_together(

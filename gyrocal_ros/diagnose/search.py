@@ -34,6 +34,7 @@ from gyrocal_ros.diagnose.ranking import (
     explained_together,
     indistinguishable,
     uneven_explanation,
+    uneven_gyro_effect,
 )
 from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
@@ -138,8 +139,8 @@ def continued(
         least_gain = 0.0 if is_exact else _residual_gain(found, present.settings)
         excluded = _not_to_try(found) | without
         following = _next_addition(present, recording, calibrate, excluded, least_gain)
-        if following is None and is_exact:
-            following = _uneven_addition(present, recording, calibrate, excluded)
+        if following is None and (is_exact or not found):
+            following = _uneven_addition(present, recording, calibrate, excluded, is_first=not found)
         if following is not None:
             following = _with_limits_resized(following, found, recording, calibrate)
             found.append(following)
@@ -161,25 +162,30 @@ def _hints_at_more(present: ExaminedModel, excluded: set[str]) -> bool:
 
 
 def _uneven_addition(
-    present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate, excluded: set[str]
+    present: ExaminedModel,
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    excluded: set[str],
+    *,
+    is_first: bool,
 ) -> Addition | None:
     """Add the effect that gains most though its estimates scatter, if a run predicts clearly better with it.
 
     Few moments may show an effect. Then the scatter of the blocks says little, and a run decides, where
     nothing else contradicts the model. It has to be of a usual size: slow errors of images look like small
-    errors of the camera.
+    errors of the camera. Where it would be the first one, it acts on the gyro.
     """
-    settings = present.settings
-    uneven = uneven_explanation(present.ranked, excluded, settings)
+    settings, ranked = present.settings, present.ranked
+    explanation = uneven_gyro_effect if is_first else uneven_explanation
+    uneven = explanation(ranked, excluded, settings)
     if uneven is None:
         return None
     with suppress(*CANNOT_RUN):
         added = _added(present, uneven, recording, calibrate)
         gain, distance = added.predictive_gain, added.distance_from_zero(added.after)
-        is_clear = gain > settings.significant_gain and distance > settings.significant_sigma
-        is_clear &= not added.is_below(1.0)
         p_value = chi_square_tail(max(2.0 * gain / settings.min_inflation, 0.0), len(added.strengths))
         added = replace(added, gain=gain, sigma=sigma_of(p_value), p_value=p_value)
+        is_clear = min(added.sigma, distance) > settings.significant_sigma and not added.is_below(1.0)
         return replace(added, is_rejected=not is_clear or contradicts(added.after))
     return None
 

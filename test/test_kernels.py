@@ -233,6 +233,22 @@ def changed_depths(rng: np.random.Generator, count: int) -> Arguments:
     return mean, 12, rows, before, rng.uniform(-0.1, 1.0, (count, 3)), 0.005, 0.1
 
 
+def compared_depths(rng: np.random.Generator, count: int) -> Arguments:
+    known, ids = rng.permutation(2 * count)[:count], rng.permutation(2 * count)[:count]
+    known_variances, variances = rng.uniform(1e-6, 1e-4, (2, count))
+    variances *= rng.choice([0.1, 0.5, 1.0], count)
+    return (
+        known,
+        rng.uniform(0.2, 0.6, count),
+        known_variances,
+        ids,
+        rng.uniform(0.2, 0.6, count),
+        variances,
+        0.5,
+        8.0,
+    )
+
+
 def shift(rng: np.random.Generator, count: int) -> Arguments:
     n = 12 + 6 * count
     places = np.sort(rng.permutation(np.arange(12, n))[: 2 * count])
@@ -336,6 +352,7 @@ Maker = Callable[[np.random.Generator, int], Arguments]
 MAKERS: tuple[Maker, ...] = (
     carry,
     changed_depths,
+    compared_depths,
     compare_headings,
     corrected,
     corrected_rates,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed
-from gyrocal_ros.ekf.state import POSE, POSITION, Landmarks, State, unknown_noise
+from gyrocal_ros.ekf.state import POSE, Landmarks, State, unknown_noise
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import NewFeatures
 
@@ -68,7 +68,8 @@ def augment(
 
 def position_variance_m2(state: State) -> float:
     """Return the variance of the position of the robot, summed over the axes."""
-    return float(state.covariance.diagonal()[POSITION].sum())
+    P = state.covariance
+    return float(P[0, 0] + P[1, 1] + P[2, 2])
 
 
 def shift_with_camera(

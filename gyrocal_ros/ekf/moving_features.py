@@ -15,7 +15,8 @@ MAX_SHARE = 0.5
 class MovingFeatures:
     """Keeps features that move out of the map while they are in view.
 
-    Those are features that were removed from it again and again, and those that a robot at rest saw moving.
+    Those are features that were removed from it again and again, and those that were seen moving: by a robot
+    at rest, or by their depth.
     """
 
     def __init__(self) -> None:
@@ -35,7 +36,7 @@ class MovingFeatures:
             self._drops.clear()
 
     def add(self, moving: IntArray) -> None:
-        """Add features that a robot at rest saw moving."""
+        """Add features that were seen moving."""
         self._seen_moving.update(moving.tolist())
 
     def are_fixed(self, ids: IntArray) -> np.ndarray:

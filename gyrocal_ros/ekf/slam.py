@@ -40,6 +40,7 @@ from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector, RestNoise
 from gyrocal_ros.ekf.resting_view import RestingView
 from gyrocal_ros.ekf.scale_watch import COLUMNS, DRIFT_STD, USUAL_DRIFT_STD, ScaleWatch
+from gyrocal_ros.ekf.sliding import SlidingPoints
 from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
 from gyrocal_ros.ekf.state import SCALE, YAW_BIAS, State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
@@ -113,6 +114,7 @@ class EkfSlam:
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
         self._moving, self._resting_view = MovingFeatures(), RestingView()
+        self._sliding = SlidingPoints()
         self._steady, self._frozen = SteadyRate(), FrozenCamera()
         self._heading = HeadingReference(config.reference, config.gyro)
         at_first = config.gyro if config.reference.estimate_noise else config.rest
@@ -244,11 +246,14 @@ class EkfSlam:
             return MeasurementUpdate()
         if observations.covariances_px2 is not None:
             self._typical_match.update(observations.covariances_px2)
-        shifted_ids = self._remove_shifted(observations, is_at_rest=is_at_rest)
+        gone_ids = self._remove_shifted(observations, is_at_rest=is_at_rest)
         # A tracker that tells how well patches match finds them again: at rest it has nothing new to tell.
         is_known = observations.covariances_px2 is not None and self._resting_view.is_still
         model = self._image_model(is_known=is_known)
         self.state, update = update_from_image(self.state, model, observations)
+        if self.parametrisation.is_anchored and not is_at_rest and len(ids := self._sliding.find(self.state)):
+            self._moving.add(ids)
+            self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])
         self._moving.update(observations.ids, update.dropped_ids)
         known = update.used + update.rejected + update.unmoved
         has_new = known < len(observations.ids) or len(update.dropped_ids) > 0
@@ -258,7 +263,7 @@ class EkfSlam:
         if self.config.camera.estimate_pixel_noise:
             self.pixel_noise.update(update.noise_distances, 2)
             self._repeated.update(update.changes_px2)
-        dropped_ids = np.concatenate([shifted_ids, update.dropped_ids])
+        dropped_ids = np.concatenate([gone_ids, update.dropped_ids])
         return changed(update, added=len(new), on_lens=observations.on_lens, dropped_ids=dropped_ids)
 
     def _remove_shifted(self, observations: FeatureObservations, *, is_at_rest: bool) -> IntArray:

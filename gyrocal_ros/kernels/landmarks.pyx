@@ -1,13 +1,20 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.feature_noise`, `ekf.known_depth`, `ekf.landmarks`, `ekf.image_update` and `ekf.repeated_errors`,
-which explain the equations."""
+"""Twins of `ekf.feature_noise`, `ekf.known_depth`, `ekf.landmarks`, `ekf.image_update`, `ekf.repeated_errors` and
+`ekf.sliding`, which explain the equations."""
 
 from libc.math cimport fabs, sqrt
 
 import numpy as np
 
 TWINS = (
-    'changed_depths', 'learned_noise', 'match_ids', 'matches_counted', 'motion_in_image', 'scaled_noise', 'shift'
+    'changed_depths',
+    'compared_depths',
+    'learned_noise',
+    'match_ids',
+    'matches_counted',
+    'motion_in_image',
+    'scaled_noise',
+    'shift',
 )
 
 
@@ -170,4 +177,32 @@ def shift(
             for l in range(p):
                 total += P[j, causes[l]] * by_causes[i, l]
             P[j, places[i]] += total
+    return arrays
+
+
+def compared_depths(
+    const long[:] known_ids,
+    const double[:] known_depths,
+    const double[:] known_variances,
+    const long[:] ids,
+    const double[:] depths,
+    const double[:] variances,
+    double min_learned,
+    double renewed,
+):
+    cdef Py_ssize_t n = known_ids.shape[0], m = ids.shape[0], f, place
+    cdef double before, variance, learned
+    arrays = (np.empty(m), np.empty(m), np.empty(m))
+    cdef double[::1] surprises = arrays[0], kept = arrays[1], kept_variances = arrays[2]
+    for f in range(m):
+        before, variance = depths[f], variances[f]
+        for place in range(n):
+            if known_ids[place] == ids[f]:
+                before, variance = known_depths[place], known_variances[place]
+                break
+        learned = variance - variances[f]
+        surprises[f] = (depths[f] - before) ** 2 / learned if learned > min_learned * variance else -1.0
+        if renewed * variances[f] < variance or variances[f] > variance:
+            before, variance = depths[f], variances[f]
+        kept[f], kept_variances[f] = before, variance
     return arrays

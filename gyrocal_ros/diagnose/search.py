@@ -41,7 +41,7 @@ from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import unexplained_structure
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.traits import is_estimated
-from gyrocal_ros.errors import CANNOT_RUN
+from gyrocal_ros.errors import CANNOT_RUN, FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, LimitEffect, SensorModel, with_means
 from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
@@ -50,6 +50,8 @@ MAX_ADDITIONS = 6
 """Number of effects that a search tries to add."""
 MAX_TRIES = 2
 """Number of times that one effect is tried: one that was rejected may help beside others found since."""
+NEARER = 0.25
+"""Factor on the prior standard deviations of an effect with which the filter diverges from a wider start."""
 
 
 def search(
@@ -317,8 +319,22 @@ def _added(
     Raises:
         FilterDivergedError: the filter cannot run with it.
     """
-    wider = wider_model(present, ranked.effect)
-    return addition(present, examine(wider, recording, calibrate, present.settings))
+    wider, settings = wider_model(present, ranked.effect), present.settings
+    try:
+        return addition(present, examine(wider, recording, calibrate, settings))
+    except FilterDivergedError:
+        if ranked.profile is None:
+            raise
+        # With a wide prior, strength and time constant can lead each other astray.
+        return addition(present, examine(_nearer(wider), recording, calibrate, settings))
+
+
+def _nearer(model: SensorModel) -> SensorModel:
+    """Return a model whose last effect starts nearer to its estimate."""
+    *others, last = model.effects
+    items = [replace(item, prior_std=NEARER * item.prior_std) for item in last.coefficients]
+    nearer = replace(last, coefficients=tuple(items))  # type: ignore[type-var]
+    return replace(model, effects=(*others, nearer))
 
 
 def _explains_structure(added: Addition) -> bool:

@@ -251,7 +251,7 @@ class EkfSlam:
         is_known = observations.covariances_px2 is not None and self._resting_view.is_still
         model = self._image_model(is_known=is_known)
         self.state, update = update_from_image(self.state, model, observations)
-        if self.parametrisation.is_anchored and not is_at_rest and len(ids := self._sliding.find(self.state)):
+        if not is_at_rest and self._agrees(update) and len(ids := self._sliding.find(self.state)):
             self._moving.add(ids)
             self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])
         self._moving.update(observations.ids, update.dropped_ids)
@@ -265,6 +265,11 @@ class EkfSlam:
             self._repeated.update(update.changes_px2)
         dropped_ids = np.concatenate([gone_ids, update.dropped_ids])
         return changed(update, added=len(new), on_lens=observations.on_lens, dropped_ids=dropped_ids)
+
+    def _agrees(self, update: MeasurementUpdate) -> bool:
+        """Return True if an image agrees with the map: a depth that changes is then no fault of the map."""
+        largest = self.config.convergence.nis_high * update.stats.dof
+        return self.parametrisation.is_anchored and 0.0 < update.stats.nis < largest
 
     def _remove_shifted(self, observations: FeatureObservations, *, is_at_rest: bool) -> IntArray:
         """Remove features from the map that shift while the robot stands still; return their ids."""

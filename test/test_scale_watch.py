@@ -145,10 +145,12 @@ def test_a_change_is_significant_by_its_standard_deviation() -> None:
     assert found.std == pytest.approx(1e-3)
 
 
-def test_a_change_is_not_followed_in_the_dark() -> None:
+@pytest.mark.parametrize('updates', [(), (UpdateStats(0.0, 3), UpdateStats())])
+def test_a_change_is_not_followed_in_the_dark(updates: tuple[UpdateStats, ...]) -> None:
+    """Nor where the robot only rests there."""
     watch, state = some_watch()
     assert watch.add(1.0, (stats(1e6, 0.02),)) is not None
-    assert watch.add(60.0, ()) is not None
+    assert watch.add(60.0, updates) is not None
     assert not watch.is_settled
     state = watch.renew(state, 60.0)
     assert watch.add(SETTLE_S, (stats(1e6, 0.02),)) is not None, 'its window lasts'

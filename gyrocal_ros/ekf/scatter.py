@@ -146,10 +146,10 @@ def left_of_changes(history: History, inflation: Array) -> Array:
     """Return (s,) root mean square errors of the scale factor by changes that the filter did not follow.
 
     A change that was significant for less than `SETTLE_S` of measurements, as in a first turn or before the
-    light went out, leaves nothing. Any other may
-    have left an error of its own size when it was last significant. By the measurements since, the filter
-    corrects all but a share r of it, so the estimate moves by 1 - r of the error. How much it has moved
-    therefore measures the error, with the change as prior; in the end, only what came later counts. The
+    light went out, leaves nothing. Any other may have left an error of its own size when it was last
+    significant. By the measurements since, the filter corrects all but a share r of it, so the estimate
+    moves by 1 - r of the error. How much it has moved therefore measures the error, with the change as
+    prior; in the end, only what came later counts. The
     largest of several changes stays: a scale factor that changes again is not constant.
 
     Args:

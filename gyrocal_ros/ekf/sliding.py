@@ -76,9 +76,9 @@ def compared_depths(
         renewed: factor by which its variance falls before the present one takes its place.
     """
     place_of = {feature: place for place, feature in enumerate(known_ids.tolist())}
-    places = [place_of.get(feature, -1) for feature in ids.tolist()]
-    before = np.where(np.array(places) < 0, depths, np.append(known_depths, 0.0)[places])
-    variance = np.where(np.array(places) < 0, variances, np.append(known_variances, 0.0)[places])
+    places = np.array([place_of.get(feature, -1) for feature in ids.tolist()], np.int64)
+    before = np.where(places < 0, depths, np.append(known_depths, 0.0)[places])
+    variance = np.where(places < 0, variances, np.append(known_variances, 0.0)[places])
     learned = variance - variances
     tells = learned > min_learned * variance
     surprises = np.where(tells, (depths - before) ** 2 / np.where(tells, learned, 1.0), -1.0)

@@ -26,6 +26,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.diagnose.heading_filter import INITIAL_BIAS_STD_RAD_S
 from gyrocal_ros.ekf.effects_by_place import MotionContribution
+from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.process_noise import BlockNoise
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
@@ -202,6 +203,11 @@ def fit_heading(rng: np.random.Generator, count: int) -> Arguments:
     return innovation(rng, count), 5
 
 
+def given_others(rng: np.random.Generator, count: int) -> Arguments:
+    rows = 1 + count % 3
+    return rng.normal(size=(count, rows)), whitener(covariance(rng, rows * count))
+
+
 def match_ids(rng: np.random.Generator, count: int) -> Arguments:
     return rng.permutation(3 * count)[: 2 * count], rng.permutation(3 * count)[:count]
 
@@ -358,6 +364,7 @@ MAKERS: tuple[Maker, ...] = (
     corrected_rates,
     filter_headings,
     fit_heading,
+    given_others,
     innovation_matrices,
     interpolate,
     intervals,

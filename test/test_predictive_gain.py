@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from synthetic import DT_S, drive
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.ekf.feature_likelihoods import FeatureLikelihoods
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S
 
@@ -36,6 +38,47 @@ def test_more_features_are_no_gain() -> None:
     np.testing.assert_allclose(predictive_gain(run_with(-2.0, 4.0), run_with(-4.0, 8.0)), 0.0, atol=1e-9)
     better = predictive_gain(run_with(-2.0, 4.0), run_with(-3.0, 8.0))
     assert better.sum() == pytest.approx(1000.0)
+
+
+class TestFeaturesOfTwoRuns:
+    """Runs whose images each have features of some log-likelihood, independent of each other."""
+
+    @staticmethod
+    def run_of(features: Mapping[int, float], steps: slice = slice(None)) -> Run:
+        """Return a run of which some steps use features, by id; the others have a usual measurement."""
+        run = run_with(-2.0, 2.0)
+        log_likelihood, dof = run.history.log_likelihood.copy(), run.history.dof.copy()
+        log_likelihood[steps], dof[steps] = sum(features.values()), 2.0 * len(features)
+        numbers = np.arange(len(dof))[steps]
+        likelihoods = FeatureLikelihoods(
+            np.repeat(numbers, len(features)),
+            np.tile(np.array([*features], np.int64), len(numbers)),
+            np.tile([*features.values()], len(numbers)),
+        )
+        history = replace(run.history, log_likelihood=log_likelihood, dof=dof)
+        return replace(run, history=history, features=likelihoods)
+
+    def test_those_count_that_both_use(self) -> None:
+        before = self.run_of({1: -2.0, 2: -2.0, 3: -2.0, 7: -9.0})
+        after = self.run_of({1: -1.9, 2: -2.0, 3: -2.0, 9: 5.0})
+        gains = predictive_gain(before, after)
+        np.testing.assert_allclose(gains, 0.1 * BLOCK_S / DT_S, rtol=1e-5)
+        np.testing.assert_allclose(predictive_gain(after, before), -gains)
+
+    def test_by_image(self) -> None:
+        before = self.run_of({1: -2.0, 2: -2.0, 3: -5.0}, slice(0, None, 2))
+        after = self.run_of({1: -2.0, 2: -1.5}, slice(0, None, 2))
+        np.testing.assert_allclose(predictive_gain(before, after), 0.25 * BLOCK_S / DT_S, rtol=1e-5)
+
+    def test_all_count_as_usual_where_few_are_shared(self) -> None:
+        before, after = self.run_of({1: -2.0, 2: -2.0, 3: -2.0}), self.run_of({1: -1.0, 8: -2.5, 9: -2.5})
+        np.testing.assert_allclose(predictive_gain(before, after), 0.0, atol=1e-3)
+        kept = replace(after, features=None)
+        np.testing.assert_allclose(predictive_gain(before, after), predictive_gain(before, kept))
+
+    def test_an_image_that_one_run_rejects_tells_nothing(self) -> None:
+        none = self.run_of({}, slice(0, None, 2))
+        np.testing.assert_allclose(predictive_gain(self.run_of({1: -2.0, 2: -2.0}), none), 0.0, atol=1e-3)
 
 
 def test_a_run_that_ended_earlier_gains_nothing_later() -> None:

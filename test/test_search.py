@@ -28,7 +28,7 @@ from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import examine, with_effect
 from gyrocal_ros.diagnose.improvement import improvement
-from gyrocal_ros.diagnose.search import NEARER, _added, _predicts_better, continued, search, try_effect
+from gyrocal_ros.diagnose.search import NEARER, _added, continued, search, try_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.traits import is_limit, may_break_the_filter
@@ -338,21 +338,6 @@ class TestSearch:
         profile: Any = SimpleNamespace()
         added = _added(present, replace(ranked, profile=profile), AT_REST, calibrate)
         assert added.is_kept and stds[1] == pytest.approx(NEARER * stds[0])
-
-    @pytest.mark.parametrize(
-        ('gain', 'log_likelihood', 'is_better'),
-        [(50.0, 10.0, True), (50.0, -1.0, False), (-1.0, 50.0, False)],
-    )
-    def test_a_rival_has_to_predict_better_whichever_features_count(
-        self, gain: float, log_likelihood: float, is_better: bool
-    ) -> None:
-        def added(gain: float, log_likelihood: float) -> Any:
-            history = SimpleNamespace(log_likelihood=np.full(10, 0.1 * log_likelihood))
-            run = SimpleNamespace(history=history)
-            return SimpleNamespace(predictive_gain=gain, after=SimpleNamespace(run=run))
-
-        rival, last = added(400.0 + gain, 900.0 + log_likelihood), added(400.0, 900.0)
-        assert _predicts_better(rival, last, DEFAULT_SETTINGS) == is_better
 
     def test_a_rejected_effect_is_tried_again_beside_one_found_later(self) -> None:
         sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}

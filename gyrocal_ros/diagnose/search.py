@@ -359,8 +359,12 @@ def _contested(
     for rival in _rivals(last.before, last.effect.name, tried):
         with suppress(*CANNOT_RUN):
             additions.append(_added(last.before, rival, recording, calibrate))
-    better = (item for item in additions[1:] if item.is_kept and _predicts_better(item, last, settings))
-    best = max(better, key=lambda item: item.predictive_gain, default=last)
+
+    def gain(item: Addition) -> float:
+        return float(predictive_gain(last.after.run, item.after.run).sum())
+
+    better = (item for item in additions[1:] if item.is_kept and gain(item) > settings.min_predictive_gain)
+    best = max(better, key=gain, default=last)
     outperformed = (
         item.effect.name
         for item in additions
@@ -368,16 +372,6 @@ def _contested(
         and vuong_sigma(predictive_gain(item.after.run, best.after.run)) > settings.indistinguishable_sigma
     )
     return replace(best, outperformed=tuple(outperformed))
-
-
-def _predicts_better(rival: Addition, last: Addition, settings: DiagnosisSettings) -> bool:
-    """Return True if a run with another effect predicts better, whichever features of the images it used.
-
-    The predictive gain counts each of them as a usual one, the log-likelihood as it is.
-    """
-    logs = [item.after.run.history.log_likelihood.sum() for item in (rival, last)]
-    gained = rival.predictive_gain - last.predictive_gain
-    return bool(gained > settings.min_predictive_gain and logs[0] > logs[1])
 
 
 def _rivals(present: ExaminedModel, name: str, tried: set[str]) -> list[RankedEffect]:

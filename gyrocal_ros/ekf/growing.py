@@ -35,7 +35,7 @@ class GrowingColumn:
         self._rows[self._count] = row
         self._count += 1
 
-    def extend(self, rows: Array) -> None:
+    def extend(self, rows: np.ndarray) -> None:
         """Add several rows (n, ...)."""
         self._make_room(len(rows))
         self._rows[self._count : self._count + len(rows)] = rows

@@ -8,6 +8,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
 from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
+from gyrocal_ros.ekf.feature_likelihoods import given_others
 from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
 from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
@@ -72,10 +73,12 @@ def update_from_image(
     if found.slip_std is not None:
         state = with_looser_pose(state, found.slip_std)
     if used_count:
+        whitening, used_ids = used.find_whitening(), state.landmarks.ids[used.rows]
         if model.scored:
-            ids, scored = state.landmarks.ids[used.rows], used.sensitivity[:, :, : model.scored]
-            by_feature = feature_scores(ids, used.residual, used.covariance, scored)
-        state, stats = update(state, used)
+            scored = used.sensitivity[:, :, : model.scored]
+            by_feature = feature_scores(used_ids, used.residual, used.covariance, scored)
+        seen = changed(seen, used_ids=used_ids, given_others=given_others(used.residual, whitening))
+        state, stats = update(state, changed(used, whitening=whitening))
         state = with_known_depths(state, model, used)
         stats = changed(stats, dof=DOF_PER_FEATURE * len(used.rows))
     kept = state

@@ -12,6 +12,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ClockStep, IntArray, Rig, Span, TruthSample, seconds
+from gyrocal_ros.ekf.feature_likelihoods import FeatureLikelihoodRecorder, FeatureLikelihoods
 from gyrocal_ros.ekf.growing import GrowingColumn
 from gyrocal_ros.ekf.score_statistics import ScoreRecorder, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
@@ -183,6 +184,8 @@ class Run:
     """Score statistics of the candidate effects, where there were any."""
     signal_names: tuple[str, ...] = ()
     """Names of the q other recorded numbers of the history."""
+    features: FeatureLikelihoods | None = None
+    """Features that the steps have used, for the comparison of models."""
 
     def signal(self, name: str) -> Array:
         """Return one of the other recorded numbers (s,)."""
@@ -190,10 +193,19 @@ class Run:
 
 
 class Recorder:
-    """Collects the steps of a run in memory that grows by some 450 bytes a step."""
+    """Collects the steps of a run in memory that grows by some 450 bytes a step.
 
-    def __init__(self, coefficient_count: int, candidates: tuple[Effect, ...] = ()) -> None:
+    Args:
+        coefficient_count: k.
+        candidates: effects that the model lacks.
+        keeps_features: True to keep what the comparison of models takes: 16 bytes more for each feature.
+    """
+
+    def __init__(
+        self, coefficient_count: int, candidates: tuple[Effect, ...] = (), *, keeps_features: bool = False
+    ) -> None:
         self._scores = ScoreRecorder(candidates) if candidates else None
+        self._features = FeatureLikelihoodRecorder() if keeps_features else None
         robot, learned = COEFFICIENTS_START + coefficient_count, 1 + coefficient_count
         widths = dict(zip(VECTORS, (robot, robot, learned, learned, learned, coefficient_count), strict=True))
         ends = np.cumsum([0, *widths.values()]).tolist()
@@ -236,6 +248,8 @@ class Recorder:
             column = self._signals[name]
             column.pad(len(self._t_ns))
             column.append(values[-1])
+        if self._features:
+            self._features.add(len(self._t_ns), record.update)
         self._t_ns.append(record.t_ns)
         if record.event:
             self._events.append(RunEvent(record.t_ns, record.event))
@@ -291,6 +305,10 @@ class Recorder:
     def scores(self) -> ScoreStatistics | None:
         """Return the score statistics of the candidates so far; None without candidates."""
         return self._scores.scores() if self._scores else None
+
+    def features(self) -> FeatureLikelihoods | None:
+        """Return the features used so far; None where they are not kept."""
+        return self._features.likelihoods() if self._features else None
 
     def truth(self) -> GroundTruth | None:
         """Return the ground truth so far; None without any."""

@@ -61,6 +61,11 @@ class Innovation:
         """
         return self.stacked[:, :, self.state_size + 1 :]
 
+    def find_whitening(self) -> Array:
+        """Return L^-1, computed where it is not known yet."""
+        rows = self.residual.size
+        return whitener(self.covariance.reshape(rows, rows)) if self.whitening is None else self.whitening
+
     def own_covariances(self) -> Array:
         """Return the diagonal blocks (m, r, r) of S: the covariance of each feature alone."""
         each = np.arange(len(self.rows))
@@ -114,6 +119,9 @@ class MeasurementUpdate:
     stats: UpdateStats = UpdateStats()
     by_feature: FeatureScores | None = None
     """Scores of the candidates by feature, where there are candidates."""
+    used_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    given_others: Array = field(default_factory=lambda: np.empty(0))
+    """Numbers of the features used, and the log-likelihood of each given the others."""
     heading_rad: float = 0.0
     """The innovation as a heading: the rotation about the vertical that fits it best."""
     heading_std_rad: float = float('nan')
@@ -239,10 +247,8 @@ def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
     Raises:
         FilterDivergedError: S is not positive definite, or the estimate is no longer finite.
     """
-    rows, whitening = innovation.residual.size, innovation.whitening
-    if whitening is None:
-        whitening = whitener(innovation.covariance.reshape(rows, rows))
-    return _corrected(state, innovation.stacked.reshape(rows, -1), whitening)
+    stacked = innovation.stacked.reshape(innovation.residual.size, -1)
+    return _corrected(state, stacked, innovation.find_whitening())
 
 
 def zero_rate_update(
@@ -292,7 +298,7 @@ def heading_innovation(state: State, yaw_rad: float, by_values: Array) -> tuple[
 def heading_update(
     state: State, yaw_rad: float, std_rad: float, by_values: Array, by_candidates: Array
 ) -> tuple[State, UpdateStats, float]:
-    """Update with a heading by another reference, aligned to the map's frame.
+    """Update with a heading by another reference; return the state, the statistics and the innovation in rad.
 
     Args:
         state: predicted to the time of the heading.
@@ -300,9 +306,6 @@ def heading_update(
         std_rad: its noise.
         by_values: (k,) derivative of the expected heading by the coefficients.
         by_candidates: (c,) the same by effects that the model lacks.
-
-    Returns:
-        The state after, the statistics and the innovation in rad.
     """
     residual, variance = heading_innovation(state, yaw_rad, by_values)
     variance += std_rad**2

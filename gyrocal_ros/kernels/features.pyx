@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.camera`, `effects.camera_tilt`, `model.features.inverse_depth`, `ekf.image_update` and
-`ekf.update`, which explain the equations."""
+"""Twins of `model.camera`, `effects.camera_tilt`, `model.features.inverse_depth`, `ekf.image_update`,
+`ekf.feature_likelihoods` and `ekf.update`, which explain the equations."""
 
-from libc.math cimport atan, cos, log, sin, sqrt
+from libc.math cimport M_PI, atan, cos, log, sin, sqrt
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from gyrocal_ros.errors import IndefiniteCovarianceError
 TWINS = (
     'corrected',
     'fit_heading',
+    'given_others',
     'innovation_matrices',
     'pixels_by_radial_coefficients',
     'pixels_by_tilt',
@@ -334,3 +335,42 @@ def corrected(
     for i in range(whitening.shape[0]):
         determinant -= 2.0 * log(whitening[i, i])
     return (*arrays, determinant)
+
+
+def given_others(const double[:, ::1] residual, const double[:, ::1] whitening):
+    cdef Py_ssize_t m = residual.shape[0], r = residual.shape[1], q = m * r, f, i, j, l, first
+    cdef double own[3][3]
+    cdef double weighted[3]
+    cdef double total, distance, log_determinant
+    cdef double[::1] white = np.empty(q)
+    result = np.empty(m)
+    cdef double[::1] out = result
+    for i in range(q):
+        white[i] = 0.0
+        for j in range(i + 1):
+            white[i] += whitening[i, j] * residual[j // r, j % r]
+    for f in range(m):
+        first = f * r
+        distance, log_determinant = 0.0, 0.0
+        for i in range(r):  # L^-1 is lower triangular
+            weighted[i] = 0.0
+            for l in range(first + i, q):
+                weighted[i] += whitening[l, first + i] * white[l]
+            for j in range(i + 1):
+                total = 0.0
+                for l in range(first + i, q):
+                    total += whitening[l, first + i] * whitening[l, first + j]
+                own[i][j] = total
+        for i in range(r):  # Cholesky's factor of the own block, and y whitened by it
+            for j in range(i + 1):
+                total = own[i][j]
+                for l in range(j):
+                    total -= own[i][l] * own[j][l]
+                own[i][j] = sqrt(total) if i == j else total / own[j][j]
+            for l in range(i):
+                weighted[i] -= own[i][l] * weighted[l]
+            weighted[i] /= own[i][i]
+            distance += weighted[i] * weighted[i]
+            log_determinant += 2.0 * log(own[i][i])
+        out[f] = -0.5 * (distance - log_determinant + r * log(2.0 * M_PI))
+    return result

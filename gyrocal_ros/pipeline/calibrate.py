@@ -46,7 +46,7 @@ def calibrate(
         report: called with the progress about once a second of recorded time.
         candidates: effects that the model lacks, to collect score statistics of.
         follows_changes: True to follow a scale factor that changes, as on the robot; False to estimate one
-            for the whole recording, as a diagnosis has to.
+            for the whole recording and to keep what compares models, for a diagnosis.
 
     Raises:
         FilterDivergedError: the measurements contradict the model beyond repair.

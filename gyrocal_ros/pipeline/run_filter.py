@@ -52,14 +52,14 @@ def run_filter(
         start: result of an earlier calibration.
         report: called with the progress about once a second of recorded time.
         candidates: effects that the model lacks, to collect score statistics of.
-        follows_changes: True to follow a scale factor that changes, see `ekf.slam`.
+        follows_changes: True to follow a scale factor that changes, see `ekf.slam`; False to compare models.
 
     Raises:
         FilterDivergedError: the measurements contradict the model beyond repair.
     """
     slam = EkfSlam(model, config, source.rig, start, candidates, follows_changes)
     visual = VisualSlam(slam)
-    recorder = Recorder(len(model.coefficients), candidates)
+    recorder = Recorder(len(model.coefficients), candidates, keeps_features=not follows_changes)
     span, reported_ns = source.span, source.span.start_ns
 
     def so_far() -> Run:
@@ -75,6 +75,7 @@ def run_filter(
             events=recorder.events,
             scores=recorder.scores(),
             signal_names=recorder.signal_names,
+            features=recorder.features(),
         )
 
     try:

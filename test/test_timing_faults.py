@@ -57,6 +57,7 @@ def examined_with(offsets_s: Array, jitter_s: float, effects: tuple[str, ...]) -
         run=run,
         scores=scores,
         ranked=tuple(rank(scores, DEFAULT_SETTINGS)),
+        disturbed={},
         seen=replace(seen, seen_rad=seen.seen_rad + late_rad),
         unexplained_structure=None,
         settings=DEFAULT_SETTINGS,

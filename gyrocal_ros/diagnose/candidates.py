@@ -12,6 +12,7 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.covariate import covariate_bank, covariate_effects
+from gyrocal_ros.effects.library import DISTURBANCES
 from gyrocal_ros.effects.traits import (
     forms_of,
     is_estimated,
@@ -134,6 +135,14 @@ def candidates_for(model: SensorModel, recording: RecordingSummary) -> Candidate
     if recording.signals:
         found.extend(item for item in _covariates(recording.signals) if item.effect.name not in present)
     return CandidateSet(tuple(found))
+
+
+def with_disturbances(found: CandidateSet, recording: RecordingSummary) -> CandidateSet:
+    """Return the candidates, and beside them what images show that is no fault of a sensor."""
+    if recording.rig.camera is None:
+        return found
+    more = (Candidate(effect, effect, np.eye(len(effect.coefficients))) for effect in DISTURBANCES)
+    return CandidateSet((*found.candidates, *more))
 
 
 def columns_of(effects: Sequence[Effect]) -> list[IntArray]:

@@ -222,6 +222,8 @@ def _not_judged(examined: ExaminedModel, recording: RecordingSummary) -> Iterato
         reason, judged = why_unobservable(effect, recording), examined.find(name)
         if reason:
             yield name, reason
+        elif name in examined.disturbed:
+            yield name, examined.disturbed[name]
         elif judged is None:
             yield name, 'nothing in this recording depends on it'
         elif not (judged.could_show or judged.is_significant):

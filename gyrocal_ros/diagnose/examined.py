@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.candidates import candidates_for
+from gyrocal_ros.diagnose.candidates import candidates_for, with_disturbances
 from gyrocal_ros.diagnose.heading_filter import Headings, headings
 from gyrocal_ros.diagnose.model_fit import model_fit
-from gyrocal_ros.diagnose.ranking import RankedEffect, rank, with_estimate
+from gyrocal_ros.diagnose.ranking import RankedEffect, rank, with_estimate, without_disturbed
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, confirmed, unexplained_structure
 from gyrocal_ros.ekf.run import Run
@@ -32,6 +32,8 @@ class ExaminedModel:
     scores: ScoreStatistics
     ranked: tuple[RankedEffect, ...]
     """Candidate effects, the best first."""
+    disturbed: dict[str, str]
+    """Effects that are not among them because what the camera sees explains more, and what that is."""
     seen: Headings
     unexplained_structure: UnexplainedStructure | None
     """Structure left over as a function of something recorded; None where it may be chance."""
@@ -60,14 +62,14 @@ def examine(
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> ExaminedModel:
     """Run the filter with a model and with everything else as candidates."""
-    candidates = candidates_for(model, recording)
+    candidates = with_disturbances(candidates_for(model, recording), recording)
     run = calibrate(model, candidates.carried)
     assert run.scores is not None
     scores, seen = candidates.project(run.scores), headings(run, settings)
-    ranked = tuple(rank(scores, settings))
+    ranked, disturbed = without_disturbed(rank(scores, settings), settings)
     most_gained = max((item.fit.gain for item in ranked), default=0.0)
     structure = confirmed(unexplained_structure(run, seen, settings), most_gained, settings)
-    return ExaminedModel(model, run, scores, ranked, seen, structure, settings)
+    return ExaminedModel(model, run, scores, tuple(ranked), disturbed, seen, structure, settings)
 
 
 def contradicts(examined: ExaminedModel) -> bool:

@@ -12,7 +12,7 @@ from gyrocal_ros.diagnose.candidate_fit import Fit, fit, preference
 from gyrocal_ros.diagnose.candidates import columns_of
 from gyrocal_ros.diagnose.profile import Profile, profile
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
-from gyrocal_ros.effects.traits import scanned_coefficient, strengths
+from gyrocal_ros.effects.traits import is_disturbance, scanned_coefficient, strengths, why_disturbed
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.sensor import Effect, with_means
 
@@ -58,6 +58,34 @@ def rank(scores: ScoreStatistics, settings: DiagnosisSettings) -> list[RankedEff
             variants.setdefault(effect.name, []).append(_ranked(effect, columns, fitted, settings))
     best = [_best_of(items, scores, settings) for items in variants.values()]
     return sorted(best, key=_order, reverse=True)
+
+
+def without_disturbed(
+    ranked: Sequence[RankedEffect], settings: DiagnosisSettings
+) -> tuple[list[RankedEffect], dict[str, str]]:
+    """Leave out what is no fault of a sensor, and the effects that cannot be judged because of it.
+
+    A disturbance may explain unevenly: half of what makes an effect significant is enough for it, where it
+    explains more than the effect.
+
+    Args:
+        ranked: ranked effects and disturbances.
+        settings: thresholds.
+
+    Returns:
+        The effects that are judged, in the same order, and of each one that is not the reason, by name.
+    """
+    least = 0.5 * settings.significant_sigma
+    shown = [item for item in ranked if is_disturbance(item.effect) and item.fit.sigma > least]
+    judged, disturbed = [], {}
+    for item in ranked:
+        stronger = (other.effect for other in shown if other.merit > item.merit)
+        why = next(filter(None, (why_disturbed(item.effect, other) for other in stronger)), '')
+        if why:
+            disturbed[item.effect.name] = why
+        elif not is_disturbance(item.effect):
+            judged.append(item)
+    return judged, disturbed
 
 
 def best_explanation(

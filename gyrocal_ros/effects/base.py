@@ -54,6 +54,10 @@ class Explanation:
     """True if every recording with turns can judge the effect."""
     may_break_the_filter: bool = False
     """True if the filter may diverge where a large effect of this kind is missing in the model."""
+    disturbs: tuple[Place, ...] = ()
+    """For what is no fault of a sensor: where effects act that cannot be judged while this explains more."""
+    in_short: str = ''
+    """The same in a few words, as the reason why an effect is not judged."""
 
 
 @runtime_checkable

@@ -27,6 +27,7 @@ from gyrocal_ros.effects.rolling_shutter import RollingShutter
 from gyrocal_ros.effects.scale import scale_power
 from gyrocal_ros.effects.scale_asymmetry import ScaleAsymmetry
 from gyrocal_ros.effects.scale_temperature import ScaleTemperature
+from gyrocal_ros.effects.stretched_path import StretchedPath
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
 from gyrocal_ros.effects.turn_slip import TurnSlip
 from gyrocal_ros.effects.vibration_rectification import VibrationRectification
@@ -61,6 +62,9 @@ SHIPPED: tuple[LibraryEffect, ...] = (
     RateNoise(),
     BiasInstability(),
 )
+
+DISTURBANCES: tuple[LibraryEffect, ...] = (StretchedPath(),)
+"""What images show that is no fault of a sensor: a diagnosis tries them, and does not name them."""
 
 COVARIATE_EFFECTS: dict[str, Callable[[str], LibraryEffect]] = {
     'covariate_bias': covariate_bias,

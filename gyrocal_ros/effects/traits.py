@@ -79,6 +79,17 @@ def shows_in_any_turns(effect: Effect) -> bool:
     return isinstance(effect, LibraryEffect) and effect.about.shows_in_any_turns
 
 
+def why_disturbed(effect: Effect, by: Effect) -> str:
+    """Return why an effect cannot be judged where another one, no fault of a sensor, is there; or nothing."""
+    disturbs = isinstance(by, LibraryEffect) and effect.acts_on in by.about.disturbs
+    return by.about.in_short if disturbs else ''  # type: ignore[attr-defined]
+
+
+def is_disturbance(effect: Effect) -> bool:
+    """Return True for what images show that is no fault of a sensor."""
+    return isinstance(effect, LibraryEffect) and len(effect.about.disturbs) > 0
+
+
 def scanned_coefficient(effect: Effect) -> int | None:
     """Return the index of the coefficient that has a scan; None where all are linear."""
     return next((place for place, item in enumerate(effect.coefficients) if item.scan), None)

@@ -75,8 +75,10 @@ class TestWithoutDisturbed:
         assert names == ['turn_slip', 'scale_cubic']
         assert disturbed == {'focal_length': STRETCHED.about.in_short}
 
-    def test_a_weak_one_disturbs_nothing(self) -> None:
-        names, disturbed = judged((0.3, 0.0, 0.0, 0.01))
+    @pytest.mark.parametrize('size', [0.0, 0.009])
+    def test_a_weak_one_disturbs_nothing(self, size: float) -> None:
+        """Also one that is significant, but smaller than usual."""
+        names, disturbed = judged((0.03, 0.0, 0.0, size), noise=0.01)
         assert set(names) == {'scale_cubic', 'focal_length', 'turn_slip'}
         assert disturbed == {}
 

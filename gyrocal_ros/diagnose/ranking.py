@@ -12,7 +12,7 @@ from gyrocal_ros.diagnose.candidate_fit import Fit, fit, preference
 from gyrocal_ros.diagnose.candidates import columns_of
 from gyrocal_ros.diagnose.profile import Profile, profile
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
-from gyrocal_ros.effects.traits import is_disturbance, scanned_coefficient, strengths, why_disturbed
+from gyrocal_ros.effects.traits import is_disturbance, is_usual, scanned_coefficient, strengths, why_disturbed
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.sensor import Effect, with_means
 
@@ -66,7 +66,7 @@ def without_disturbed(
     """Leave out what is no fault of a sensor, and the effects that cannot be judged because of it.
 
     A disturbance may explain unevenly: half of what makes an effect significant is enough for it, where it
-    explains more than the effect.
+    has a usual size and explains more than the effect.
 
     Args:
         ranked: ranked effects and disturbances.
@@ -76,7 +76,8 @@ def without_disturbed(
         The effects that are judged, in the same order, and of each one that is not the reason, by name.
     """
     least = 0.5 * settings.significant_sigma
-    shown = [item for item in ranked if is_disturbance(item.effect) and item.fit.sigma > least]
+    likely = [item for item in ranked if is_disturbance(item.effect) and item.fit.sigma > least]
+    shown = [item for item in likely if is_usual(item.effect, estimate(item))]
     judged, disturbed = [], {}
     for item in ranked:
         stronger = (other.effect for other in shown if other.merit > item.merit)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gyrocal_ros.data import IntArray
+from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import (
@@ -88,6 +88,12 @@ def why_disturbed(effect: Effect, by: Effect) -> str:
 def is_disturbance(effect: Effect) -> bool:
     """Return True for what images show that is no fault of a sensor."""
     return isinstance(effect, LibraryEffect) and len(effect.about.disturbs) > 0
+
+
+def is_usual(effect: Effect, values: Array) -> bool:
+    """Return True if any of its coefficients (k,) is as large as the smallest usual one."""
+    usual = zip(effect.coefficients, values.tolist(), strict=True)
+    return any(item.typical is not None and abs(value) >= item.typical.low for item, value in usual)
 
 
 def scanned_coefficient(effect: Effect) -> int | None:

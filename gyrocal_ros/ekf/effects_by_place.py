@@ -70,6 +70,13 @@ class EffectsByPlace:
         """True if any effect changes images."""
         return bool(self.camera or self.time or self.shutter)
 
+    def not_of_view(self) -> Array:
+        """Return (K,) 0 for coefficients that shift features by their depth or with the way, 1 for others."""
+        weights = np.ones(self.count)
+        for _, place in (*self.camera, *self.wheels, *self.ground):
+            weights[place] = 0.0
+        return weights
+
     def no_memories(self) -> tuple[Memory, ...]:
         """Return the memories of the gyro effects before the first block."""
         return (None,) * len(self.gyro)

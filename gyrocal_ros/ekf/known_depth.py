@@ -18,7 +18,7 @@ from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.landmarks import position_variance_m2, shift_with_camera
 from gyrocal_ros.ekf.state import State
-from gyrocal_ros.ekf.update import Innovation
+from gyrocal_ros.ekf.update import Innovation, UpdateStats
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import project_with_jacobian
 from gyrocal_ros.model.features.base import PosedCamera, Prediction
@@ -27,6 +27,9 @@ MIN_CHANGE = 0.003
 """Change of an inverse depth, relative to its prior standard deviation, that matters."""
 MAX_POSITION_STD_M = 0.1
 """Uncertainty of the position, as after a pause, from which terms of second order would matter more."""
+MAX_DEPTH_STD = 0.02
+"""Relative standard deviation of a known depth. A turn or a metre of driving tells depths to some
+thousandths, spins about a camera near the turning centre to some hundredths or worse."""
 MIN_AHEAD = 0.1
 """Smallest depth of a feature, as its point is scaled: 1 where it is as far ahead as at its first sight."""
 
@@ -67,6 +70,33 @@ def with_known_depths(state: State, model: ImageModel, used: Innovation) -> Stat
 
     by_values = added(lambda prediction: model.by_values(prediction, state.coefficients))
     return shift_with_camera(state, rows, by_pose, by_values, added(model.by_candidates))
+
+
+def tell_of_view(state: State, model: ImageModel, used: Innovation) -> bool:
+    """Return False while the depths of most features used are unknown.
+
+    Position, depth and camera then explain the same shifts of the features, and the filter, which is linear,
+    is too certain of their products: innovations seem to show a camera that is mounted elsewhere. That lasts
+    where a robot does nothing but spin about its camera.
+
+    Args:
+        state: before the update.
+        model: measurement model of the image.
+        used: the innovation.
+    """
+    if not model.form.is_anchored:
+        return True
+    places = state.robot_size + 3 * used.rows + 2
+    stds = np.sqrt(state.covariance[places, places])
+    return bool(np.median(stds / np.abs(state.mean[places])) < MAX_DEPTH_STD)
+
+
+def weighted_scores(stats: UpdateStats, weights: Array) -> UpdateStats:
+    """Return the statistics of an update with the scores of the candidates times weights (c,)."""
+    if stats.information is None or stats.score is None:
+        return stats
+    information = stats.information * np.outer(weights, weights)
+    return changed(stats, information=information, score=stats.score * weights)
 
 
 @compiled

@@ -75,7 +75,7 @@ def update_from_image(
     if used_count:
         whitening, used_ids = used.find_whitening(), state.landmarks.ids[used.rows]
         weights = None
-        if model.candidates.count and not tell_of_view(state, model, used):
+        if model.scored and not tell_of_view(state, model, used):
             weights = model.candidates.not_of_view()
         if model.scored:
             scored = used.sensitivity[:, :, : model.scored]

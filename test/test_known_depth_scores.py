@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gyrocal_ros.config.sections import Config
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose_before_adding
 from gyrocal_ros.diagnose.examined import ExaminedModel, examine
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
@@ -39,7 +40,7 @@ def test_weights_are_those_of_the_scores() -> None:
     assert weighted_scores(without, np.ones(3)) is without
 
 
-def spinning(lever_m: float, seed: int) -> ExaminedModel:
+def spinning(lever_m: float, seed: int) -> tuple[ExaminedModel, Diagnosis]:
     """Examine a robot that spins on the spot, with nothing hidden."""
     usual = find_scenario('spins')
     errors = replace(usual.errors, pixel_noise_px=0.5)
@@ -47,17 +48,22 @@ def spinning(lever_m: float, seed: int) -> ExaminedModel:
     source = SimSource(replace(usual, mount_xyz_m=(lever_m, 0.0, 0.1), **changes), seed)  # type: ignore[arg-type]
     recorded = summarise_recording(source)
     config = Config()
-    return examine(
+    examined = examine(
         default_model(), recorded, lambda model, tried: calibrate(source, config, model, candidates=tried)
     )
+    return examined, diagnose_before_adding(examined, None, (), recorded)
 
 
 @pytest.mark.parametrize('seed', [2, 5])
 def test_spins_about_the_camera_accuse_nothing(seed: int) -> None:
     """The principal point seemed 4 to 5 sigma off."""
-    assert [item.effect.name for item in spinning(0.012, seed).ranked if item.is_significant] == []
+    examined, found = spinning(0.012, seed)
+    assert [item.effect.name for item in examined.ranked if item.is_significant] == []
+    assert found.not_judged.keys() >= {'wheel_scale', 'focal_length'}
 
 
 def test_spins_beside_the_camera_judge_its_position() -> None:
-    found = spinning(0.09, 2).find('camera_position')
-    assert found is not None and found.could_show
+    examined, found = spinning(0.09, 2)
+    judged = examined.find('camera_position')
+    assert judged is not None and judged.could_show
+    assert 'camera_position' not in found.not_judged

@@ -72,12 +72,12 @@ def with_known_depths(state: State, model: ImageModel, used: Innovation) -> Stat
     return shift_with_camera(state, rows, by_pose, by_values, added(model.by_candidates))
 
 
-def tell_of_view(state: State, model: ImageModel, used: Innovation) -> bool:
-    """Return False while the depths of most features used are unknown.
+def score_weights(state: State, model: ImageModel, used: Innovation) -> Array | None:
+    """Return the weights (c,) of the scores of candidates in an image; None where all count.
 
-    Position, depth and camera then explain the same shifts of the features, and the filter, which is linear,
-    is too certain of their products: innovations seem to show a camera that is mounted elsewhere. That lasts
-    where a robot does nothing but spin about its camera.
+    While the depths of most features are unknown, position, depth and camera explain the same shifts of the
+    features, and the filter, which is linear, is too certain of their products: innovations seem to show a
+    camera that is mounted elsewhere. That lasts where a robot does nothing but spin about its camera.
 
     Args:
         state: before the update.
@@ -85,10 +85,11 @@ def tell_of_view(state: State, model: ImageModel, used: Innovation) -> bool:
         used: the innovation.
     """
     if not model.form.is_anchored:
-        return True
+        return None
     places = state.robot_size + 3 * used.rows + 2
     stds = np.sqrt(state.covariance[places, places])
-    return bool(np.median(stds / np.abs(state.mean[places])) < MAX_DEPTH_STD)
+    are_known = np.median(stds / np.abs(state.mean[places])) < MAX_DEPTH_STD
+    return None if are_known else model.candidates.not_of_view()
 
 
 def weighted_scores(stats: UpdateStats, weights: Array) -> UpdateStats:

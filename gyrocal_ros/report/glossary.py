@@ -37,8 +37,8 @@ TERMS: dict[str, str] = {
     'not judged': 'Effects that this recording cannot show, because the robot did not move as it takes '
     'or a signal was not recorded. They may be present or absent.',
     'predictive gain': 'Increase of the log-likelihood where each measurement is predicted from those '
-    'before it only. A useless coefficient does not raise it, unlike the fit. Of an image, the features count '
-    'that both models use.',
+    'before it only. A useless coefficient does not raise it, unlike the fit. Of an image, the features '
+    'count that both models use.',
     'residual': 'Difference between measurement and model after the fit.',
     'revision': 'Sensor model after one more effect was tried, with its errors.',
     'scale factor': 'True rate divided by the rate that the gyro shows. 0.98 means that the gyro shows '

@@ -38,6 +38,7 @@ def heading(angle_rad: float, values: tuple[float, float]) -> Array:
     )
     moved, by_values = STRETCHED.contribute(block, np.array(values))
     np.testing.assert_allclose(by_values @ values, moved)
+    assert not by_values[2].any(), 'no height'
     return moved[:2]
 
 

@@ -64,12 +64,15 @@ class Studio:
         self.address = found[0]
 
     def kill(self) -> None:
-        self._process.send_signal(signal.SIGKILL)
-        self._process.wait()
+        self._end_by(signal.SIGKILL)
 
     def end(self) -> None:
-        self._process.terminate()
-        self._process.wait(20)
+        self._end_by(signal.SIGTERM)
+
+    def _end_by(self, sent: signal.Signals) -> None:
+        with self._process:  # closes what it prints to, too
+            self._process.send_signal(sent)
+            self._process.wait(20)
 
 
 @pytest.fixture(scope='module')

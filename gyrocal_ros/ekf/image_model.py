@@ -34,6 +34,8 @@ class ImageModel:
     """True if the influence of some effect depends on the depth of a feature, see `move_camera`."""
     motion: PoseMotion
     """Of the robot at the stamp of the image."""
+    way_noise_m: Array | None
+    """(3,) displacement since the last image that may be noise of the wheels; None without any."""
     interval_s: float
     """Time since a feature of the map was seen last."""
     errors_repeat: bool

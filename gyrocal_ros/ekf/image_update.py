@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
+from gyrocal_ros.ekf.certain_way import at_certain_way
 from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
 from gyrocal_ros.ekf.feature_likelihoods import given_others
 from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
@@ -49,6 +50,8 @@ def update_from_image(
     """
     known, rows = match_ids(state.landmarks.ids, observations.ids)
     prediction = model.predict(state, state.features.take(rows, 0), state.landmarks.anchors[rows])
+    if model.way_noise_m is not None and model.form.is_anchored:
+        prediction = at_certain_way(state, model.view, rows, prediction, model.way_noise_m)
     observed = observations if len(known) == len(observations.ids) else observations[known]
     moved = motion(prediction.points_c, observed.pixels, state.landmarks, rows, model.view.camera.fx_px)
     directions, unmoved = moved.directions, moved.unmoved | model.is_known

@@ -27,9 +27,9 @@ MIN_CHANGE = 0.003
 """Change of an inverse depth, relative to its prior standard deviation, that matters."""
 MAX_POSITION_STD_M = 0.1
 """Uncertainty of the position, as after a pause, from which terms of second order would matter more."""
-MAX_DEPTH_STD = 0.02
-"""Relative standard deviation of a known depth. A turn or a metre of driving tells depths to some
-thousandths, spins about a camera near the turning centre to some hundredths or worse."""
+MIN_BASELINE = 0.1
+"""Way of the camera since the first sight of a feature, relative to its depth, from which it tells the depth.
+Spins move a camera on the robot by less."""
 MIN_AHEAD = 0.1
 """Smallest depth of a feature, as its point is scaled: 1 where it is as far ahead as at its first sight."""
 
@@ -75,9 +75,10 @@ def with_known_depths(state: State, model: ImageModel, used: Innovation) -> Stat
 def score_weights(state: State, model: ImageModel, used: Innovation) -> Array | None:
     """Return the weights (c,) of the scores of candidates in an image; None where all count.
 
-    While the depths of most features are unknown, position, depth and camera explain the same shifts of the
-    features, and the filter, which is linear, is too certain of their products: innovations seem to show a
-    camera that is mounted elsewhere. That lasts where a robot does nothing but spin about its camera.
+    As long as the camera stays where it saw most features first, position, depth and camera explain the same
+    shifts of the features. The filter, which is linear, is too certain of their products; and where the
+    wheels tell noise while the robot does not move, a ceiling farther away fits better. So the camera seems
+    to be mounted elsewhere. That lasts where a robot does nothing but spin on the spot.
 
     Args:
         state: before the update.
@@ -86,10 +87,9 @@ def score_weights(state: State, model: ImageModel, used: Innovation) -> Array | 
     """
     if not model.form.is_anchored:
         return None
-    places = state.robot_size + 3 * used.rows + 2
-    stds = np.sqrt(state.covariance[places, places])
-    are_known = np.median(stds / np.abs(state.mean[places])) < MAX_DEPTH_STD
-    return None if are_known else model.candidates.not_of_view()
+    way_m = np.linalg.norm(state.landmarks.anchors.p_wc[used.rows] - model.view.p_wc, axis=1)
+    moved = np.median(way_m * np.abs(used.prediction.scale)) > MIN_BASELINE
+    return None if moved else model.candidates.not_of_view()
 
 
 def weighted_scores(stats: UpdateStats, weights: Array) -> UpdateStats:

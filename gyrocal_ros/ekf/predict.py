@@ -98,8 +98,8 @@ def predict(
         block: samples up to its end.
         model: sensor model and noise.
         memories: memories of the gyro effects.
-        steady: the block with the rate at which the effects are differentiated, see `ekf.steady_rate`; None
-            for the block itself.
+        steady: the block with the rate and the way at which the effects are differentiated, see
+            `ekf.steady_rate` and `ekf.certain_way`; None for the block itself.
     """
     correction = correct(model.effects.gyro, block, state.coefficients, memories)
     rate = body_rates(block, correction, state.bias_rad_s)
@@ -109,7 +109,7 @@ def predict(
         state,
         block,
         rate,
-        _differentiated(added, block, steady, model, state, memories),
+        _differentiated(added, block, steady, model, state, memories, rate),
         _noise_of(block, model, correction.unread_rad(block.dt_s)),
         bias,
         bias_kept,
@@ -171,12 +171,24 @@ def _differentiated(
     model: FilterModel,
     state: State,
     memories: Sequence[Memory],
+    rate_rad_s: Array,
 ) -> MotionContribution:
-    """Return the contributions of a block with derivatives at the steady rate."""
+    """Return the contributions of a block with derivatives at the steady rate and the certain way."""
     if steady is None or steady is block:
         return added
-    at_steady = correct(model.effects.gyro, steady, state.coefficients, memories)
-    return changed(added, correction=changed(added.correction, by_values=at_steady.by_values))
+    at_steady = contribute(
+        model.effects,
+        steady,
+        correct(model.effects.gyro, steady, state.coefficients, memories),
+        rate_rad_s,
+        state.coefficients,
+    )
+    return changed(
+        added,
+        correction=changed(added.correction, by_values=at_steady.correction.by_values),
+        distance_by_values=at_steady.distance_by_values,
+        drift_by_values=at_steady.drift_by_values,
+    )
 
 
 def transition_matrix(motion: PoseStep, yaw_gain: Array, by_values: Array, bias_kept: float) -> Array:
@@ -233,7 +245,7 @@ def predict_sensitivity(
     Args:
         state: already predicted, with F X as its sensitivity.
         transition: transition of that prediction.
-        block: the block, with the rate at which effects are differentiated.
+        block: the block, with the rate and the way at which effects are differentiated.
         candidates: effects that the model lacks.
         memories: their memories.
 

@@ -24,6 +24,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
+from gyrocal_ros.ekf.certain_way import is_certain, without_way
 from gyrocal_ros.ekf.effects_by_place import PoseMotion, move_camera, pose_motion, sort_effects, true_camera
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
@@ -111,6 +112,7 @@ class EkfSlam:
         """Memories of the gyro effects at the present state."""
         self._candidate_memories = self._candidates.no_memories()
         self._motion = PoseMotion(np.zeros(6), np.zeros(6))
+        self._way_noise_m: Array | None = None
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
         self._moving, self._resting_view = MovingFeatures(), RestingView()
@@ -149,6 +151,9 @@ class EkfSlam:
             gyro = self._steady.with_noise(block, gyro)
         gyro = self._scale_watch.walk(gyro)
         steady = self._steady.without_noise(block, gyro, is_at_rest=is_at_rest)
+        is_way_noise = not is_certain(block, self.config.wheels)
+        if is_way_noise:
+            steady = without_way(steady)
         sway_rad = math.radians(self.config.rest.rotation_noise_deg)
         sway: Array | float = sway_rad
         if self._levelling is not None:
@@ -162,6 +167,9 @@ class EkfSlam:
         self.state, transition = predict(before, block, model, self.memories, steady)
         self.memories = transition.contribution.correction.memories
         self._motion = pose_motion(transition.motion, block)
+        if is_way_noise:
+            noise_m = transition.motion.forward @ block.distance_m
+            self._way_noise_m = noise_m if self._way_noise_m is None else self._way_noise_m + noise_m
         self.state, self._candidate_memories = predict_sensitivity(
             self.state, transition, steady, self._candidates, self._candidate_memories
         )
@@ -251,6 +259,7 @@ class EkfSlam:
         is_known = observations.covariances_px2 is not None and self._resting_view.is_still
         model = self._image_model(is_known=is_known)
         self.state, update = update_from_image(self.state, model, observations)
+        self._way_noise_m = None
         if not is_at_rest and self._agrees(update) and len(ids := self._sliding.find(self.state)):
             self._moving.add(ids)
             self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])
@@ -303,6 +312,7 @@ class EkfSlam:
             scored=self._own_candidates,
             depth_matters=self._depth_matters,
             motion=self._motion,
+            way_noise_m=self._way_noise_m,
             interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
             errors_repeat=self._errors_repeat(),
             is_known=is_known,

@@ -12,11 +12,11 @@ from gyrocal_ros.config.sections import Config, FeatureConfig
 from gyrocal_ros.data import TruthSample
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.effects_by_place import move_camera, sort_effects
-from gyrocal_ros.ekf.known_depth import directions_by_pose
+from gyrocal_ros.ekf.known_depth import directions_by_pose, has_moved
 from gyrocal_ros.ekf.landmarks import augment, shift_with_camera
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.model.camera import mount_from_yaw
-from gyrocal_ros.model.features.base import posed_camera
+from gyrocal_ros.model.features.base import Anchors, posed_camera
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import CAMERA, find_scenario
 from gyrocal_ros.sim.world import SimSource
@@ -107,3 +107,30 @@ def test_directions_shift_as_at_a_first_sight_with_that_depth() -> None:
 )
 def test_effects_that_move_the_camera_depend_on_depth(name: str, moves: bool) -> None:
     assert move_camera(sort_effects((find_effect(name),)), CAMERA, MOUNT) == moves
+
+
+@pytest.mark.parametrize(
+    ('ways_m', 'last_seen_s', 'expected'),
+    [
+        ((0.3, 0.3, 0.3, 0.3, 0.3), (1, 1, 1, 1, 1), True),
+        ((0.2, 0.2, 0.2, 0.2, 0.2), (1, 1, 1, 1, 1), False),
+        ((0.0, 0.0, 0.3, 0.3, 0.3), (1, 1, 1, 1, 1), True),
+        ((0.0, 0.0, 0.0, 0.3, 0.3), (1, 1, 1, 1, 1), False),
+        ((0.0, 0.0, 0.0, 0.0, 0.3), (0, 0, 0, 0, 1), True),  # the others were not seen
+        ((0.3, 0.3, 0.3, 0.3, 0.3), (0, 0, 0, 0, 0), False),
+    ],
+)
+def test_the_camera_has_moved_by_a_tenth_of_the_depth(
+    ways_m: tuple[float, ...], last_seen_s: tuple[int, ...], expected: bool
+) -> None:
+    state = some_state()
+    view = posed_camera(CAMERA, MOUNT, state.position_m, state.euler_rad)
+    anchors_m = view.p_wc + np.array([[0.6 * way_m, 0.8 * way_m, 0.0] for way_m in ways_m])
+    landmarks = replace(
+        state.landmarks,
+        anchors=Anchors(state.landmarks.anchors.R_wc, anchors_m),
+        last_seen_ns=np.array(last_seen_s),
+    )
+    mean = state.mean.copy()
+    mean[state.robot_size + 2 :: 3] = 1.0 / 2.5
+    assert has_moved(replace(state, t_ns=1, mean=mean, landmarks=landmarks), view) == expected

@@ -33,7 +33,7 @@ def test_a_clean_recording_fits() -> None:
     run = simulated(())
     assert model_fit(run).fits is True
     assert conclude(run).converged
-    change = str(ScaleChange(0, 0.01, 0.001, 10.0))
+    change = str(ScaleChange(0, 0.01, 0.001, 10.0, was_calibrated=True))
     for time_s, is_misfit in ((20.0, False), (80.0, True)):
         event = RunEvent(run.span.start_ns + nanoseconds(time_s), change)
         misfits = model_fit(replace(run, events=(event,))).misfits

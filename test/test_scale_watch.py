@@ -297,3 +297,54 @@ def test_candidates_keep_their_statistics() -> None:
     assert kept.information is not None and kept.score is not None
     assert np.diagonal(kept.information).tolist() == [1.0, 2.0] and kept.score.tolist() == [0.0, 1.0]
     assert whole.of_first(0).information is None
+
+
+KNOWN_STD = 5e-4
+
+
+def told_after(std: float, known_s: float, *, is_stored: bool = False) -> bool:
+    """Return whether a change was calibrated before it, by the std of the scale factor until then."""
+    state = initial_state(default_model(), Config(), None, COLUMNS)
+    watch = ScaleWatch(state, known_std=KNOWN_STD, is_stored=is_stored)
+    state = watch.begin(state)
+    covariance = state.covariance.copy()
+    covariance[COEFFICIENTS_START, COEFFICIENTS_START] = std**2
+    state = replace(state, covariance=covariance)
+    for _ in range(10):
+        watch.add(0.1 * known_s, ())
+        state = watch.renew(state, 0.1 * known_s)
+    state = watch.begin(state)
+    change = watch.add(1.0, (stats(1e6, 0.02),))
+    assert change is not None
+    return change.was_calibrated
+
+
+def test_a_change_is_news_where_the_scale_factor_was_known() -> None:
+    """In a first turn it was not: its early images may contradict the late ones."""
+    assert told_after(0.9 * KNOWN_STD, 1.1 * SETTLE_S)
+    assert not told_after(1.1 * KNOWN_STD, 10.0 * SETTLE_S)
+    assert not told_after(0.9 * KNOWN_STD, 0.9 * SETTLE_S)
+    assert told_after(1.1 * KNOWN_STD, 1.0, is_stored=True)
+
+
+def test_a_stored_calibration_that_was_dropped_is_none() -> None:
+    state = initial_state(default_model(), Config(), None, COLUMNS)
+    watch = ScaleWatch(state, known_std=KNOWN_STD, is_stored=True)
+    state = watch.begin(state)
+    first = watch.add(SETTLE_S, (stats(1e6, 0.02),))
+    assert first is not None and first.was_calibrated
+    watch.follow(state, first)
+    again = watch.add(1.0, (stats(1e6, 0.02),))
+    assert again is not None and not again.was_calibrated
+
+
+def test_what_a_first_turn_contradicts_is_followed_and_not_told() -> None:
+    """The readings of the first part of the first turn are 2 % too large."""
+    source = recording('cleaning', 3, 30.0)
+    run = calibrate(source, Config(), default_model(), follows_changes=True)
+    turned = np.cumsum(np.abs(run.history.turn_rad))
+    middle_s = float(run.history.time_s[np.searchsorted(turned, 0.3)])
+    first_part = with_gain(source, lambda s: 1.02 if s < middle_s else 1.0)
+    run = calibrate(first_part, Config(), default_model(), follows_changes=True)
+    assert run.history.scale_followed.any()
+    assert not any(SCALE_CHANGED in event.text for event in run.events)

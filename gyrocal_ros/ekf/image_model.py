@@ -38,6 +38,8 @@ class ImageModel:
     """(3,) displacement since the last image that may be noise of the wheels; None without any."""
     interval_s: float
     """Time since a feature of the map was seen last."""
+    has_moved: bool
+    """True if the way of the camera tells how far the features are, see `known_depth.has_moved`."""
     errors_repeat: bool
     """True if a feature counts only after motion in the image."""
     is_known: bool

@@ -14,7 +14,7 @@ from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
 from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.image_model import ImageModel
-from gyrocal_ros.ekf.known_depth import score_weights, weighted_scores, with_known_depths
+from gyrocal_ros.ekf.known_depth import weighted_scores, with_known_depths
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
 from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
@@ -77,7 +77,7 @@ def update_from_image(
         state = with_looser_pose(state, found.slip_std)
     if used_count:
         whitening, used_ids = used.find_whitening(), state.landmarks.ids[used.rows]
-        weights = score_weights(state, model, used) if model.scored else None
+        weights = model.candidates.not_of_view() if model.scored and not model.has_moved else None
         if model.scored:
             scored = used.sensitivity[:, :, : model.scored]
             scored = scored if weights is None else scored * weights[: model.scored]

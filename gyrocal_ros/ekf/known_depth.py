@@ -28,8 +28,8 @@ MIN_CHANGE = 0.003
 MAX_POSITION_STD_M = 0.1
 """Uncertainty of the position, as after a pause, from which terms of second order would matter more."""
 MIN_BASELINE = 0.1
-"""Way of the camera since the first sight of a feature, relative to its depth, from which it tells the depth.
-Spins move a camera on the robot by less."""
+"""Way of the camera since the first sight of a feature, relative to its depth, from which it tells the depth
+whatever the wheels' noise is. Spins move a camera on a robot by less."""
 MIN_AHEAD = 0.1
 """Smallest depth of a feature, as its point is scaled: 1 where it is as far ahead as at its first sight."""
 
@@ -72,24 +72,24 @@ def with_known_depths(state: State, model: ImageModel, used: Innovation) -> Stat
     return shift_with_camera(state, rows, by_pose, by_values, added(model.by_candidates))
 
 
-def score_weights(state: State, model: ImageModel, used: Innovation) -> Array | None:
-    """Return the weights (c,) of the scores of candidates in an image; None where all count.
+def has_moved(state: State, view: PosedCamera) -> bool:
+    """Return True if the camera has moved enough since it saw its features first to tell how far they are.
 
-    As long as the camera stays where it saw most features first, position, depth and camera explain the same
-    shifts of the features. The filter, which is linear, is too certain of their products; and where the
-    wheels tell noise while the robot does not move, a ceiling farther away fits better. So the camera seems
-    to be mounted elsewhere. That lasts where a robot does nothing but spin on the spot.
+    Before, position, depth and camera explain the same shifts of the features. The filter, which is linear,
+    is too certain of their products; and where the wheels tell noise while the robot does not move, a ceiling
+    farther away fits better. So the camera seems to be mounted elsewhere. That lasts where a robot does
+    nothing but spin on the spot. Once the size of the map is known, it tells the depth of a new feature.
 
     Args:
-        state: before the update.
-        model: measurement model of the image.
-        used: the innovation.
+        state: after an update.
+        view: the camera.
     """
-    if not model.form.is_anchored:
-        return None
-    way_m = np.linalg.norm(state.landmarks.anchors.p_wc[used.rows] - model.view.p_wc, axis=1)
-    moved = np.median(way_m * np.abs(used.prediction.scale)) > MIN_BASELINE
-    return None if moved else model.candidates.not_of_view()
+    landmarks = state.landmarks
+    seen = (landmarks.last_seen_ns == state.t_ns).nonzero()[0]
+    if not len(seen):
+        return False
+    way_m = np.linalg.norm(landmarks.anchors.p_wc[seen] - view.p_wc, axis=1)
+    return bool(np.median(way_m * state.features[seen, 2]) > MIN_BASELINE)
 
 
 def weighted_scores(stats: UpdateStats, weights: Array) -> UpdateStats:

@@ -108,6 +108,8 @@ class ScaleChange:
     std: float
     sigma: float
     """Significance."""
+    was_calibrated: bool
+    """True if the scale factor was known before; what matches of a first turn contradict is no news."""
 
     def __str__(self) -> str:
         """Return the event; other effects may look like a change of the scale factor."""
@@ -129,12 +131,24 @@ class ScaleWatch:
         state: initial state of the filter.
         others: number of columns before, of errors that are tested beside, as those of the camera.
         chance_drift_std: bound of a drift that chance explains, see `USUAL_DRIFT_STD`.
+        known_std: standard deviation of a scale factor that is calibrated.
+        is_stored: True if the first one is that of an earlier calibration.
     """
 
-    def __init__(self, state: State, others: int = 0, chance_drift_std: float = DRIFT_STD) -> None:
+    def __init__(
+        self,
+        state: State,
+        others: int = 0,
+        chance_drift_std: float = DRIFT_STD,
+        known_std: float = math.inf,
+        *,
+        is_stored: bool = False,
+    ) -> None:
         self._chance_drift_std = chance_drift_std
         self._first = state.sensitivity.shape[1] - COLUMNS
         self._sums: Array = np.zeros((COLUMNS, CROSS.start + others))
+        self._known_std, self._is_stored = known_std, is_stored
+        self._was_calibrated, self._calibrated_s = np.full(COLUMNS, is_stored), 0.0
         self._ramp, self._ramp_variance, self._ramp_sigma = 0.0, math.inf, 0.0
         self._drift = 0.0
         self._running_s = self._significant_s = 0.0
@@ -183,7 +197,8 @@ class ScaleWatch:
             self._significant_s = 0.0
             return None
         self._significant_s = self._significant_s or duration_s
-        return ScaleChange(self._first + best, float(values[best]), math.sqrt(variances[best]), sigma)
+        std, was_calibrated = math.sqrt(variances[best]), bool(self._was_calibrated[best])
+        return ScaleChange(self._first + best, float(values[best]), std, sigma, was_calibrated)
 
     @property
     def is_settled(self) -> bool:
@@ -216,6 +231,8 @@ class ScaleWatch:
         """
         if not state.coefficient_count:  # a model without a scale factor
             return state
+        is_known = state.covariance[COEFFICIENTS_START, COEFFICIENTS_START] < self._known_std**2
+        self._calibrated_s = self._calibrated_s + duration_s if is_known else 0.0
         remaining = state.sensitivity[COEFFICIENTS_START, self._first :]
         ended = self._sums[:, AGE] >= LENGTHS_S
         ended[:RAMP] |= remaining[:RAMP] < ABSORBED
@@ -243,6 +260,7 @@ class ScaleWatch:
         is_ramp = self._ramp_sigma**2 > change.sigma**2 - CHANCE_SIGMA**2
         self._drift = abs(self._ramp) if is_ramp and abs(self._ramp) < FASTEST_DRIFT else 0.0
         self._unchanged_s = self._significant_s = 0.0
+        self._is_stored = False
         std = math.hypot(change.std, NOT_LINEAR * change.value)
         return self.begin(add_lacking(state, change.column, change.value, std))
 
@@ -257,6 +275,7 @@ class ScaleWatch:
             if chosen[RAMP]:
                 sensitivity[COEFFICIENTS_START, RAMP] = 0.0
         self._sums[chosen] = 0.0
+        self._was_calibrated[chosen] = self._is_stored or self._calibrated_s > SETTLE_S
         return changed(state, sensitivity=sensitivity)
 
 

@@ -32,6 +32,7 @@ from gyrocal_ros.ekf.gating import MotionGate
 from gyrocal_ros.ekf.heading import HeadingReference
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.image_update import add_landmarks, search_regions, unmapped, update_from_image
+from gyrocal_ros.ekf.known_depth import has_moved
 from gyrocal_ros.ekf.landmarks import forget, forget_all
 from gyrocal_ros.ekf.levelling import Levelling, unlevelled
 from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch, SlipWatch
@@ -101,7 +102,13 @@ class EkfSlam:
         self._to_age = self._to_warm = start
         self._camera_watch = CameraWatch(self._own_candidates) if tests_camera else None
         chance_drift_std = USUAL_DRIFT_STD if rig.camera is None else DRIFT_STD
-        self._scale_watch = ScaleWatch(self.state, CameraWatch.count if tests_camera else 0, chance_drift_std)
+        self._scale_watch = ScaleWatch(
+            self.state,
+            CameraWatch.count if tests_camera else 0,
+            chance_drift_std,
+            config.convergence.scale_std,
+            is_stored=start is not None,
+        )
         self._follows_changes = follows_changes
         self.state = self._scale_watch.begin(self.state)
         self._pause = ''
@@ -113,6 +120,7 @@ class EkfSlam:
         self._candidate_memories = self._candidates.no_memories()
         self._motion = PoseMotion(np.zeros(6), np.zeros(6))
         self._way_noise_m: Array | None = None
+        self._has_moved = not self.parametrisation.is_anchored
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
         self._moving, self._resting_view = MovingFeatures(), RestingView()
@@ -201,6 +209,7 @@ class EkfSlam:
             event = self._slip_watch.event(update, self.state.t_ns)
             if self._map_watch.is_lost(update, self.pixel_noise):
                 self.state, event = forget_all(self.state), MAP_DROPPED
+                self._has_moved = not self.parametrisation.is_anchored
 
         # Test of the scale factor: it may have changed, or an earlier calibration may be wrong.
         camera, updates = self._camera_watch, (resting, update.stats)
@@ -212,7 +221,8 @@ class EkfSlam:
             self.state = self._scale_watch.follow(self.state, change)
             if camera is not None:
                 camera.restart()
-            event = '; '.join(filter(None, (event, str(change))))
+            if change.was_calibrated:
+                event = '; '.join(filter(None, (event, str(change))))
         # Errors that are suspected, of the camera and of the scale factor, add to the standard deviations.
         suspected_std, finding = self._suspect(block.duration_s)
         pause, self._pause = self._pause, ''
@@ -260,6 +270,7 @@ class EkfSlam:
         model = self._image_model(is_known=is_known)
         self.state, update = update_from_image(self.state, model, observations)
         self._way_noise_m = None
+        self._has_moved = self._has_moved or has_moved(self.state, model.view)
         if not is_at_rest and self._agrees(update) and len(ids := self._sliding.find(self.state)):
             self._moving.add(ids)
             self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])
@@ -314,6 +325,7 @@ class EkfSlam:
             motion=self._motion,
             way_noise_m=self._way_noise_m,
             interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
+            has_moved=self._has_moved,
             errors_repeat=self._errors_repeat(),
             is_known=is_known,
             may_slip=self._slip_watch.may_slip(self.state.t_ns),
@@ -375,5 +387,6 @@ class EkfSlam:
     def start_new_time_base(self, t_ns: int) -> None:
         """Keep the calibration and drop the map: the motion during the step of the clock is unknown."""
         self._rest, self._steady = RestDetector(), SteadyRate()
+        self._has_moved, self._way_noise_m = not self.parametrisation.is_anchored, None
         self._heading.forget_alignment()
         self.state = inflate_after_gap(forget_all(self.state), t_ns)

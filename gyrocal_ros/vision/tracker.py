@@ -30,7 +30,14 @@ from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
 from gyrocal_ros.vision.image_flow import followed
-from gyrocal_ros.vision.lens_marks import MIN_CHANGES, STAYED_PX, LensMarks, ViewChange, correlation_at
+from gyrocal_ros.vision.lens_marks import (
+    MIN_CHANGES,
+    MOVED_PX,
+    STAYED_PX,
+    LensMarks,
+    ViewChange,
+    correlation_at,
+)
 from gyrocal_ros.vision.patches import MATCHING_PX, NODE_CENTRE, Patches, align, extract_patches, node_offsets
 from gyrocal_ros.vision.search_region import (
     approximate_ceiling,
@@ -72,7 +79,7 @@ class _Features:
     first_pixels: IntArray
     """(n, 2) their first observation."""
     first_view: IntArray
-    """(n,) number of its view, see `ViewChange`."""
+    """(n,) number of its view, see `ViewChange`, or of the last one in which they were elsewhere."""
     patches: Patches
 
     def __len__(self) -> int:
@@ -308,11 +315,11 @@ class Tracker:
     def _reject_on_lens(self, frame: Frame, search: _SearchSet, match: _Match) -> IntArray:
         """Reject the matches of features that stay in the image; return the indices of these features."""
         features = self._features
-        has_stayed = np.linalg.norm(match.pixels - features.first_pixels[search.index], axis=1) < STAYED_PX
+        moved_px = np.linalg.norm(match.pixels - features.first_pixels[search.index], axis=1)
+        features.first_view[search.index[(moved_px > MOVED_PX) & (match.score > 0.0)]] = self._view.number
+        has_stayed = (moved_px < STAYED_PX) | (match.score < 0.0)
         changes = self._view.number - features.first_view[search.index]
-        suspects = np.flatnonzero(
-            (changes >= MIN_CHANGES) & (has_stayed | (match.score < 0.0)) & search.tracked
-        )
+        suspects = np.flatnonzero((changes >= MIN_CHANGES) & has_stayed & search.tracked)
         if not len(suspects):
             return suspects
         first = features[search.index[suspects]]

@@ -36,8 +36,8 @@ ceiling: only points within a few pixels of the centre of a turn stay so long.""
 STAYED_PX = 1.5
 """Distance from its first place within which a feature has stayed."""
 MOVED_PX = 5.0
-"""Distance from its first place at which a feature is elsewhere: a point of the ceiling, which comes back when
-the robot has spun by a full turn."""
+"""Distance from its first place at which a feature is elsewhere: a point of the ceiling, which comes back
+when the robot has spun by a full turn."""
 
 
 class ViewChange:

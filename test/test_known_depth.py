@@ -112,15 +112,15 @@ def test_effects_that_move_the_camera_depend_on_depth(name: str, moves: bool) ->
 @pytest.mark.parametrize(
     ('ways_m', 'last_seen_s', 'expected'),
     [
-        ((0.3, 0.3, 0.3, 0.3, 0.3), (1, 1, 1, 1, 1), True),
-        ((0.2, 0.2, 0.2, 0.2, 0.2), (1, 1, 1, 1, 1), False),
-        ((0.0, 0.0, 0.3, 0.3, 0.3), (1, 1, 1, 1, 1), True),
-        ((0.0, 0.0, 0.0, 0.3, 0.3), (1, 1, 1, 1, 1), False),
-        ((0.0, 0.0, 0.0, 0.0, 0.3), (0, 0, 0, 0, 1), True),  # the others were not seen
-        ((0.3, 0.3, 0.3, 0.3, 0.3), (0, 0, 0, 0, 0), False),
+        ((0.45, 0.45, 0.45, 0.45, 0.45), (1, 1, 1, 1, 1), True),
+        ((0.3, 0.3, 0.3, 0.3, 0.3), (1, 1, 1, 1, 1), False),
+        ((0.0, 0.0, 0.45, 0.45, 0.45), (1, 1, 1, 1, 1), True),
+        ((0.0, 0.0, 0.0, 0.45, 0.45), (1, 1, 1, 1, 1), False),
+        ((0.0, 0.0, 0.0, 0.0, 0.45), (0, 0, 0, 0, 1), True),  # the others were not seen
+        ((0.45, 0.45, 0.45, 0.45, 0.45), (0, 0, 0, 0, 0), False),
     ],
 )
-def test_the_camera_has_moved_by_a_tenth_of_the_depth(
+def test_the_camera_has_moved_by_a_part_of_the_depth(
     ways_m: tuple[float, ...], last_seen_s: tuple[int, ...], expected: bool
 ) -> None:
     state = some_state()

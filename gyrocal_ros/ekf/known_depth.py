@@ -27,9 +27,9 @@ MIN_CHANGE = 0.003
 """Change of an inverse depth, relative to its prior standard deviation, that matters."""
 MAX_POSITION_STD_M = 0.1
 """Uncertainty of the position, as after a pause, from which terms of second order would matter more."""
-MIN_BASELINE = 0.1
+MIN_BASELINE = 0.15
 """Way of the camera since the first sight of a feature, relative to its depth, from which it tells the depth
-whatever the wheels' noise is. Spins move a camera on a robot by less."""
+whatever the noise of the wheels is. Spins move a camera on a robot by less."""
 MIN_AHEAD = 0.1
 """Smallest depth of a feature, as its point is scaled: 1 where it is as far ahead as at its first sight."""
 

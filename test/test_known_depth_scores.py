@@ -14,6 +14,8 @@ from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.effects_by_place import sort_effects
 from gyrocal_ros.ekf.known_depth import weighted_scores
+from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import find_scenario
@@ -67,3 +69,16 @@ def test_a_drive_judges_the_camera() -> None:
     judged = examined.find('camera_position')
     assert judged is not None and judged.could_show
     assert 'camera_position' not in found.not_judged
+
+
+def test_a_new_map_has_to_be_measured_again() -> None:
+    source = SimSource(replace(find_scenario('lanes'), duration_s=12.0), 2)
+    slam = EkfSlam(default_model(), Config(), source.rig)
+    stream = SlamStream(slam)
+    has_moved = []
+    for measurement in source.measurements():
+        stream.step(measurement)
+        has_moved.append(slam._image_model().has_moved)
+    assert not has_moved[0] and has_moved[-1] and sorted(has_moved) == has_moved, 'once it has moved it has'
+    slam.start_new_time_base(slam.state.t_ns)
+    assert not slam._image_model().has_moved

@@ -120,7 +120,7 @@ class EkfSlam:
         self._candidate_memories = self._candidates.no_memories()
         self._motion = PoseMotion(np.zeros(6), np.zeros(6))
         self._way_noise_m: Array | None = None
-        self._has_moved = not self.parametrisation.is_anchored
+        self._has_moved = False
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
         self._moving, self._resting_view = MovingFeatures(), RestingView()
@@ -209,7 +209,7 @@ class EkfSlam:
             event = self._slip_watch.event(update, self.state.t_ns)
             if self._map_watch.is_lost(update, self.pixel_noise):
                 self.state, event = forget_all(self.state), MAP_DROPPED
-                self._has_moved = not self.parametrisation.is_anchored
+                self._has_moved = False
 
         # Test of the scale factor: it may have changed, or an earlier calibration may be wrong.
         camera, updates = self._camera_watch, (resting, update.stats)
@@ -270,7 +270,7 @@ class EkfSlam:
         model = self._image_model(is_known=is_known)
         self.state, update = update_from_image(self.state, model, observations)
         self._way_noise_m = None
-        self._has_moved = self._has_moved or has_moved(self.state, model.view)
+        self._has_moved = model.has_moved or has_moved(self.state, model.view)
         if not is_at_rest and self._agrees(update) and len(ids := self._sliding.find(self.state)):
             self._moving.add(ids)
             self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])
@@ -325,7 +325,7 @@ class EkfSlam:
             motion=self._motion,
             way_noise_m=self._way_noise_m,
             interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
-            has_moved=self._has_moved,
+            has_moved=self._has_moved or not self.parametrisation.is_anchored,
             errors_repeat=self._errors_repeat(),
             is_known=is_known,
             may_slip=self._slip_watch.may_slip(self.state.t_ns),
@@ -387,6 +387,6 @@ class EkfSlam:
     def start_new_time_base(self, t_ns: int) -> None:
         """Keep the calibration and drop the map: the motion during the step of the clock is unknown."""
         self._rest, self._steady = RestDetector(), SteadyRate()
-        self._has_moved, self._way_noise_m = not self.parametrisation.is_anchored, None
+        self._has_moved, self._way_noise_m = False, None
         self._heading.forget_alignment()
         self.state = inflate_after_gap(forget_all(self.state), t_ns)

@@ -194,6 +194,8 @@ class Tracker:
         pixels, found = match.pixels, match.score > 0.0
         seen = search.index[found]
         self._features.seen_ns[seen] = frame.t_ns
+        moved_px = np.linalg.norm(pixels[found] - self._features.first_pixels[seen], axis=1)
+        self._features.first_view[seen[moved_px > MOVED_PX]] = self._view.number
         self._features.ceiling[seen] = self._to_ceiling(pixels[found], R_wc)
         new = self._detect(frame, R_wc, pixels, len(seen))
         self._last_ns = frame.t_ns
@@ -316,7 +318,6 @@ class Tracker:
         """Reject the matches of features that stay in the image; return the indices of these features."""
         features = self._features
         moved_px = np.linalg.norm(match.pixels - features.first_pixels[search.index], axis=1)
-        features.first_view[search.index[(moved_px > MOVED_PX) & (match.score > 0.0)]] = self._view.number
         has_stayed = (moved_px < STAYED_PX) | (match.score < 0.0)
         changes = self._view.number - features.first_view[search.index]
         suspects = np.flatnonzero((changes >= MIN_CHANGES) & has_stayed & search.tracked)

@@ -255,6 +255,16 @@ def compared_depths(rng: np.random.Generator, count: int) -> Arguments:
     )
 
 
+def moved_anchors(rng: np.random.Generator, count: int) -> Arguments:
+    n = 12 + 3 * count
+    mean_before = rng.uniform(0.2, 0.6, n)
+    mean = mean_before + rng.normal(0.0, 0.02, n)
+    mean_before[14::9] = 30.0  # so near that the camera would pass them
+    variances, lever_m = rng.uniform(1e-6, 1e-3, count), rng.normal(0.0, 0.05, 3)
+    anchors = rng.normal(size=(count, 3, 3)), rng.normal(size=(count, 3))
+    return mean, 12, mean_before, rng.choice([0.0, 3e-4]), variances, lever_m, *anchors, 0.1
+
+
 def shift(rng: np.random.Generator, count: int) -> Arguments:
     n = 12 + 6 * count
     places = np.sort(rng.permutation(np.arange(12, n))[: 2 * count])
@@ -374,6 +384,7 @@ MAKERS: tuple[Maker, ...] = (
     matches_counted,
     mean_at_end,
     motion_in_image,
+    moved_anchors,
     path_in_block,
     pixels_by_radial_coefficients,
     pixels_by_tilt,

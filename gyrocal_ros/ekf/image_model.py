@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array, quickly_filled
+from gyrocal_ros.data import Array, Rig, quickly_filled
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, PoseMotion, as_exposed, measurement_by_values
 from gyrocal_ros.ekf.state import State
 from gyrocal_ros.model.features.base import Anchors, Parametrisation, PosedCamera, Prediction
@@ -18,6 +18,8 @@ class ImageModel:
 
     view: PosedCamera
     """Camera at the pose of the state, corrected by the effects of the model."""
+    rig: Rig
+    """Camera and its mounting, as assumed."""
     form: Parametrisation
     config: Config
     noise_px: float

@@ -8,6 +8,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
 from gyrocal_ros.ekf.certain_way import at_certain_way
+from gyrocal_ros.ekf.considered import with_considered_view
 from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
 from gyrocal_ros.ekf.feature_likelihoods import given_others
 from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
@@ -16,6 +17,7 @@ from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.known_depth import weighted_scores, with_known_depths
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
+from gyrocal_ros.ekf.moved_anchors import with_moved_anchors
 from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
@@ -83,9 +85,8 @@ def update_from_image(
             scored = scored if weights is None else scored * weights[: model.scored]
             by_feature = feature_scores(used_ids, used.residual, used.covariance, scored)
         seen = changed(seen, used_ids=used_ids, given_others=given_others(used.residual, whitening))
-        state, stats = update(state, changed(used, whitening=whitening))
+        state, stats = _corrected(state, model, changed(used, whitening=whitening))
         stats = stats if weights is None else weighted_scores(stats, weights)
-        state = with_known_depths(state, model, used)
         stats = changed(stats, dof=DOF_PER_FEATURE * len(used.rows))
     kept = state
     if not found.rejects_image:
@@ -106,6 +107,15 @@ def update_from_image(
         heading_std_rad=heading_std_rad,
         noise_distances=_noise_dominated(judged, unmoved) if is_in_pixels else np.empty(0),
     )
+
+
+def _corrected(state: State, model: ImageModel, used: Innovation) -> tuple[State, UpdateStats]:
+    """Return the state after the update by the features used."""
+    after, stats = update(state, used)
+    if not model.has_moved:
+        after = with_considered_view(state, after, model.effects)
+    after = with_moved_anchors(state, after, model)
+    return with_known_depths(after, model, used), stats
 
 
 def with_looser_pose(state: State, std: Array) -> State:

@@ -2,9 +2,9 @@
 
 A feature is put where the camera sees it, so its direction errs with the position of the camera, by that
 error times the inverse depth. At the first sight the depth is a guess. Where the share by that guess stays,
-the next image that corrects the depth seems to tell where the robot is: positions and the size of the map
-become certain without reason (Julier and Uhlmann 2001, A counter example to the theory of simultaneous
-localization and map building).
+the next image that corrects the depth seems to tell where the robot is: positions, the size of the map and
+effects of the camera become certain without reason (Julier and Uhlmann 2001, A counter example to the theory
+of simultaneous localization and map building).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from collections.abc import Callable
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed
-from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
+from gyrocal_ros.ekf.effects_by_place import first_sight_by_values, moves_mount
 from gyrocal_ros.ekf.image_model import ImageModel
-from gyrocal_ros.ekf.landmarks import position_variance_m2, shift_with_camera
+from gyrocal_ros.ekf.landmarks import position_variance_m2, with_shared_errors
 from gyrocal_ros.ekf.state import State
 from gyrocal_ros.ekf.update import Innovation, UpdateStats
 from gyrocal_ros.kernels import compiled
@@ -35,41 +35,101 @@ MIN_AHEAD = 0.1
 
 
 def with_known_depths(state: State, model: ImageModel, used: Innovation) -> State:
-    """Let the directions of features whose depth has changed share the error of the camera by the new depth.
-
-    The present error of the position stands for that at the first sight, by the part of its variance that it
-    had then.
+    """Let what a depth multiplies err by the depth that is known now.
 
     Args:
         state: after the update.
         model: measurement model of the image.
         used: the innovation of the update.
     """
+    if not model.form.is_anchored:
+        return state
+    state = _shared_with_position(state, model, used)
+    if model.depth_matters:
+        state = _shared_with_effects(state, model, used)
+    if len(places := _fixed_camera_places(state, model)):
+        state = with_scaled_shares(state, used.rows, used.prediction.scale, places)
+    return state
+
+
+def _shared_with_position(state: State, model: ImageModel, used: Innovation) -> State:
+    """Let directions share the error of the position by the new depth.
+
+    The present error of the position stands for that at the first sight, by the part of its variance that it
+    had then.
+    """
     variance_m2 = position_variance_m2(state)
-    if not model.form.is_anchored or not 0.0 < variance_m2 < MAX_POSITION_STD_M**2:
+    if not 0.0 < variance_m2 < MAX_POSITION_STD_M**2:
         return state
     least = MIN_CHANGE * model.config.features.prior_inverse_depth_std
-    seen = used.prediction
-    chosen, change = changed_depths(
-        state.mean, state.robot_size, used.rows, seen.scale, seen.points_c, least, MIN_AHEAD
-    )
-    if not len(chosen):
+    rows, change = _changed(state, used, least)
+    if not len(rows):
         return state
-    rows = used.rows[chosen]
     change *= np.minimum(state.landmarks.first_variance_m2[rows] / variance_m2, 1.0)
-    by_pose = directions_by_pose(state, model.view, rows, change)
-    if not model.depth_matters:
-        return shift_with_camera(state, rows, by_pose, None, None)
-    guessed, known = _from_anchors(state, model.view, rows, change, by_pose)
+    R_aw = state.landmarks.anchors.R_wc[rows].transpose(0, 2, 1)
+    by_pose = directions_by_pose(state.features[rows], R_aw, model.view, change)
+    return with_shared_errors(state, _directions(state, rows), np.arange(6), by_pose.reshape(-1, 6))
+
+
+def _shared_with_effects(state: State, model: ImageModel, used: Innovation) -> State:
+    """Let directions share the error of effects that move the camera, by the new depth.
+
+    A coefficient is the same at the first sight and now, so its whole error is shared, however small the
+    change. The motion of the robot at the first sight is taken to be the present one.
+    """
+    rows, change = _changed(state, used, 0.0)
+    if not len(rows):
+        return state
+    guessed, known = _from_anchors(state.features[rows], model.view, change)
 
     def added(derivative: Callable[[Prediction], Array | None]) -> Array | None:
         before, after = derivative(guessed), derivative(known)
         if before is None or after is None:
             return None
-        return first_sight_by_values(guessed, after - before)[:, :2]
+        by_values = first_sight_by_values(guessed, after - before)[:, :2]
+        return by_values.reshape(2 * len(rows), -1)
 
+    places, k = _directions(state, rows), state.coefficient_columns
     by_values = added(lambda prediction: model.by_values(prediction, state.coefficients))
-    return shift_with_camera(state, rows, by_pose, by_values, added(model.by_candidates))
+    if by_values is not None:
+        state = with_shared_errors(state, places, np.arange(k.start, k.stop), by_values)
+    if (by_candidates := added(model.by_candidates)) is not None:
+        sensitivity = state.sensitivity.copy()
+        sensitivity[places] += by_candidates
+        state = changed(state, sensitivity=sensitivity)
+    return state
+
+
+def with_scaled_shares(state: State, rows: IntArray, before: Array, places: IntArray) -> State:
+    """Scale the errors of inverse depths that are shared with some coefficients, as the depths were.
+
+    A focal length that is too large by one per cent is made up for by inverse depths that are too small by
+    one per cent, of whatever they are. Without this, each depth that is corrected would tell of it.
+
+    Args:
+        state: after an update.
+        rows: (m,) indices of the features used.
+        before: (m,) inverse depths before the update.
+        places: (p,) indices of the coefficients in the state.
+    """
+    depths = state.feature_columns(rows)[:, 2]
+    P, ratio = state.covariance, state.mean[depths] / before
+    known = np.linalg.pinv(P[np.ix_(places, places)], hermitian=True)  # a coefficient may be exact
+    shares = P[np.ix_(depths, places)] @ known
+    added = np.where((ratio > 0.0) & (before > 0.0), ratio - 1.0, 0.0)[:, None] * shares
+    return with_shared_errors(state, depths, places, added)
+
+
+def _fixed_camera_places(state: State, model: ImageModel) -> IntArray:
+    """Return the indices in the state of coefficients of the camera that leave it where it is."""
+    rig, start = model.rig, state.coefficient_columns.start
+    assert rig.camera is not None
+    places = [
+        np.arange(start + place.start, start + place.stop)
+        for effect, place in model.effects.camera
+        if not moves_mount(effect, rig.camera, rig.camera_mount)
+    ]
+    return np.concatenate(places) if places else np.empty(0, np.int64)
 
 
 def has_moved(state: State, view: PosedCamera) -> bool:
@@ -126,30 +186,47 @@ def changed_depths(
     return chosen, change[chosen]
 
 
-def directions_by_pose(state: State, view: PosedCamera, rows: IntArray, change: Array) -> Array:
+def _changed(state: State, used: Innovation, least: float) -> tuple[IntArray, Array]:
+    """Return the indices of the features used whose inverse depth changed by more, and its changes."""
+    seen = used.prediction
+    chosen, change = changed_depths(
+        state.mean, state.robot_size, used.rows, seen.scale, seen.points_c, least, MIN_AHEAD
+    )
+    return used.rows[chosen], change
+
+
+def _directions(state: State, rows: IntArray) -> IntArray:
+    """Return the indices (2 m,) in the state of the directions of features (m,)."""
+    directions: IntArray = state.feature_columns(rows)[:, :2].ravel()
+    return directions
+
+
+def directions_by_pose(features: Array, R_aw: Array, view: PosedCamera, change: Array) -> Array:
     """Return what changes (m,) of inverse depths add to d direction / d pose, (m, 2, 6).
 
     It is d direction / d camera at the anchor, times d camera / d pose of the present camera.
+
+    Args:
+        features: (m, 3)
+        R_aw: (m, 3, 3) or (3, 3) from the world to the axes of the anchors.
+        view: the present camera.
+        change: (m,)
     """
-    R_aw = state.landmarks.anchors.R_wc[rows].transpose(0, 2, 1)
-    across = R_aw[:, :2] - state.features[rows, :2, None] * R_aw[:, 2:]
+    across = R_aw[..., :2, :] - features[:, :2, None] * R_aw[..., 2:, :]
     camera_by_pose = np.concatenate([np.eye(3), (view.dR_wb @ view.p_bc).T], axis=1)
     return change[:, None, None] * across @ camera_by_pose
 
 
-def _from_anchors(
-    state: State, view: PosedCamera, rows: IntArray, change: Array, by_pose: Array
-) -> tuple[Prediction, Prediction]:
-    """Return features (m,) as a camera at their anchors sees them, before and after their depths changed.
+def _from_anchors(features: Array, view: PosedCamera, change: Array) -> tuple[Prediction, Prediction]:
+    """Return features (m, 3) as a camera at their anchors sees them, before and after their depths changed.
 
-    It has the attitude of the present camera, whose error of the position it shares. The derivative by the
-    pose is what the change (m,) of the inverse depths adds to it, given that of the directions (m, 2, 6).
+    It moves as the present camera does in its own axes. The derivative by the pose is what the change (m,)
+    of the inverse depths adds to it.
     """
-    features = state.features[rows]
-    R_ca = view.R_wc.T @ state.landmarks.anchors.R_wc[rows]
-    points_c = (R_ca @ np.column_stack([features[:, :2], np.ones(len(rows))])[:, :, None])[:, :, 0]
+    points_c = np.column_stack([features[:, :2], np.ones(len(features))])
     pixels, by_point = project_with_jacobian(view.camera, points_c)
-    by_feature = by_point @ R_ca * [1.0, 1.0, 0.0]  # no pixel depends on the depth there
+    by_feature = by_point * [1.0, 1.0, 0.0]  # no pixel depends on the depth there
+    by_pose = -by_feature[:, :, :2] @ directions_by_pose(features, view.R_wc.T, view, change)
     before = features[:, 2] - change
-    guessed = Prediction(pixels, np.zeros((len(rows), 2, 6)), by_feature, points_c, by_point, before)
-    return guessed, changed(guessed, by_pose=-by_feature[:, :, :2] @ by_pose, scale=features[:, 2])
+    guessed = Prediction(pixels, np.zeros((len(change), 2, 6)), by_feature, points_c, by_point, before)
+    return guessed, changed(guessed, by_pose=by_pose, scale=features[:, 2])

@@ -72,28 +72,9 @@ def position_variance_m2(state: State) -> float:
     return float(P[0, 0] + P[1, 1] + P[2, 2])
 
 
-def shift_with_camera(
-    state: State, rows: IntArray, by_pose: Array, by_values: Array | None, by_candidates: Array | None
-) -> State:
-    """Let the directions of m features err more with the pose of the robot and with the coefficients.
-
-    Args:
-        state: the state.
-        rows: (m,) indices of the features.
-        by_pose: (m, 2, 6) what is added to the derivative of their directions by the pose.
-        by_values: (m, 2, k) the same by the coefficients; None for zero.
-        by_candidates: (m, 2, c) the same for effects that the model lacks.
-    """
-    size = 2 * len(rows)
-    causes, by_causes = np.arange(6), by_pose.reshape(size, 6)
-    if by_values is not None:
-        k = state.coefficient_columns
-        causes = np.concatenate([causes, np.arange(k.start, k.stop)])
-        by_causes = np.concatenate([by_causes, by_values.reshape(size, -1)], axis=1)
-    directions = (state.robot_size + 3 * rows[:, None] + np.arange(2)).ravel()
-    covariance, sensitivity = shift(state.covariance, state.sensitivity, directions, causes, by_causes)
-    if by_candidates is not None:
-        sensitivity[directions] += by_candidates.reshape(size, -1)
+def with_shared_errors(state: State, places: IntArray, causes: IntArray, by_causes: Array) -> State:
+    """Let q entries of the state err more with p others, see `shift`."""
+    covariance, sensitivity = shift(state.covariance, state.sensitivity, places, causes, by_causes)
     return changed(state, covariance=covariance, sensitivity=sensitivity)
 
 

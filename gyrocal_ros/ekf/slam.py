@@ -314,6 +314,7 @@ class EkfSlam:
     def _image_model(self, *, is_known: bool = False) -> ImageModel:
         return ImageModel(
             view=self.view(),
+            rig=self.rig,
             form=self.parametrisation,
             config=self.config,
             noise_px=self.pixel_noise.std,

@@ -1,4 +1,4 @@
-"""Measurement updates. Only this module, predict and landmarks change the covariance."""
+"""Measurement updates. Only this module, considered, predict and landmarks change the covariance."""
 
 from __future__ import annotations
 

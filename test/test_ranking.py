@@ -20,12 +20,14 @@ from gyrocal_ros.diagnose.ranking import (
     indistinguishable,
     rank,
     uneven_explanation,
+    uneven_first_effect,
     uneven_gyro_effect,
     with_estimate,
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
+from gyrocal_ros.effects.covariate import covariate_bias
 from gyrocal_ros.effects.scale_asymmetry import ScaleAsymmetry
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.sensor import Coefficient, with_means
@@ -48,6 +50,16 @@ def names(ranked: list[RankedEffect]) -> list[str]:
 
 def named(ranked: list[RankedEffect], name: str) -> RankedEffect:
     return next(item for item in ranked if item.effect.name == name)
+
+
+def scattered(item: RankedEffect, sigma: float, merit: float) -> RankedEffect:
+    """Return an effect of one coefficient that is not significant: with another scatter and another merit."""
+    dof = item.fit.clusters - 1
+    wald = dof * math.expm1(sigma**2 / dof)
+    covariance = np.array([[item.fit.values[0] ** 2 / wald]])
+    fitted = replace(item.fit, covariance=covariance, gain=merit + SETTINGS.coefficient_price)
+    assert fitted.sigma == pytest.approx(sigma)
+    return replace(item, fit=fitted, merit=merit, is_significant=False)
 
 
 class TestRank:
@@ -76,6 +88,20 @@ class TestRank:
         assert uneven_gyro_effect([second], (), lenient) is second
         of_camera = replace(second, effect=find_effect('focal_length'))
         assert uneven_gyro_effect([of_camera], (), lenient) is None
+
+    def test_an_effect_of_the_camera_is_tried_first_where_it_gains_far_more_than_images_err(
+        self,
+    ) -> None:
+        columns, noise = independent(2)
+        best, _ = rank(score_statistics_of(columns, columns @ [0.5, 0.1] + noise, ONES[:2]), SETTINGS)
+        best = replace(best, effect=find_effect('focal_length'))
+        lens = scattered(best, 3.5, 150.0)
+        assert uneven_first_effect([lens], (), SETTINGS) is lens
+        assert uneven_first_effect([lens], {'focal_length'}, SETTINGS) is None
+        assert uneven_first_effect([scattered(best, 3.5, 90.0)], (), SETTINGS) is None
+        assert uneven_first_effect([scattered(best, 2.9, 150.0)], (), SETTINGS) is None
+        gyro = replace(scattered(best, 2.5, 20.0), effect=find_effect('gyro_lag'))
+        assert uneven_first_effect([lens, gyro], (), SETTINGS) is gyro
 
     def test_an_effect_that_is_not_excited_is_not_ranked(self) -> None:
         columns, noise = independent(2)
@@ -163,6 +189,42 @@ class TestBestExplanation:
         scores = score_statistics_of(columns, 2.0 * columns[:, :, 2] + noise, ONES[:3])
         best = best_explanation(rank(scores, SETTINGS), scores, (), SETTINGS)
         assert best is not None and best.effect.name == 'scale_cubic'
+
+    @pytest.mark.parametrize(('more', 'expected'), [(2.5, 'scale_quadratic'), (1.5, 'scale_asymmetry')])
+    def test_a_much_larger_gain_tells_what_is_missing_also_where_it_is_less_even(
+        self, more: float, expected: str
+    ) -> None:
+        columns, noise = independent(2)
+        scores = score_statistics_of(columns, columns @ [1.0, 0.8] + noise, ONES[:2])
+        even, second = rank(scores, SETTINGS)
+        uneven = scattered(second, 3.5, more * even.merit)
+        best = best_explanation([even, uneven], scores, (), SETTINGS)
+        assert best is not None and best.effect.name == expected
+        hardly = scattered(second, 0.9 * SETTINGS.uneven_sigma, more * even.merit)
+        best = best_explanation([even, hardly], scores, (), SETTINGS)
+        assert best is not None and best.effect.name == 'scale_asymmetry'
+        assert best_explanation([uneven], scores, (), SETTINGS) is None, 'nothing is certain to be missing'
+
+    @pytest.mark.parametrize(
+        ('signals', 'expected'), [(('fan', 'speed'), 'scale_cubic'), (('fan', ''), 'scale_asymmetry')]
+    )
+    def test_two_signals_must_explain_far_more_than_one_law(
+        self, signals: tuple[str, str], expected: str
+    ) -> None:
+        """The law is fitted to a noisy measure: a tenth of its column is noise."""
+        columns, noise = independent(3)
+        law = columns[:, :, 0] + 0.7 * columns[:, :, 1]
+        columns[:, :, 2] = law + 0.25 * columns[:, :, 2]
+        followers = [
+            covariate_bias(name, 0.0, 1.0) if name else effect
+            for name, effect in zip(signals, ONES[:2], strict=True)
+        ]
+        scores = score_statistics_of(columns, 2.0 * law + noise, (*followers, ONES[2]))
+        ranked = rank(scores, SETTINGS)
+        assert names(ranked)[0] == 'scale_cubic'
+        best = best_explanation(ranked, scores, (), SETTINGS)
+        named_first = followers[0].name if expected == 'scale_asymmetry' else expected
+        assert best is not None and best.effect.name == named_first
 
     def test_effects_that_were_tried_are_left_out(self) -> None:
         scores = self.mixture(3.0, 0.0)

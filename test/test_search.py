@@ -73,8 +73,8 @@ class FakeFilter:
     """Time before which the coefficients are as uncertain as large."""
     unusable_with: str = ''
     """Effect with which no image can be used."""
-    shows_seldom: str = ''
-    """Hidden effect that shows in some blocks alone."""
+    shows_seldom: tuple[str, ...] = ()
+    """Hidden effects that show in some blocks alone."""
     shown_in: tuple[int, ...] = (3,)
     unbent_by: str = ''
     """Effect with which the headings show no structure."""
@@ -133,7 +133,7 @@ class FakeFilter:
         measured = noise
         for name, size in missing.items():
             shown = np.isin(
-                np.arange(blocks), self.shown_in if name == self.shows_seldom else np.arange(blocks)
+                np.arange(blocks), self.shown_in if name in self.shows_seldom else np.arange(blocks)
             )
             measured = measured + size * shown[:, None] * columns(find_effect(name))[:, :, 0]
         every = np.concatenate([columns(item) for item in candidates], axis=2)
@@ -263,7 +263,7 @@ class TestSearch:
     ) -> None:
         """Beside others that were found, for their errors may have spoiled the scatter."""
         sizes, gains = {'scale_cubic': 2.0, 'gyro_lag': 6.0}, {'scale_cubic': 300.0, 'gyro_lag': gained}
-        fake = FakeFilter(sizes, gains, ends={'gyro_lag': sigma * STD}, shows_seldom='gyro_lag')
+        fake = FakeFilter(sizes, gains, ends={'gyro_lag': sigma * STD}, shows_seldom=('gyro_lag',))
         cubic, lag = search(default_model(), AT_REST, fake).additions
         assert cubic.is_kept and fake.models[2] == ('scale_factor', 'scale_cubic')
         assert lag.effect.name == 'gyro_lag' and lag.is_kept == is_kept
@@ -277,7 +277,7 @@ class TestSearch:
             {'scale_cubic': 2.0, 'principal_point': 6.0},
             {'scale_cubic': 300.0, 'principal_point': 50.0},
             ends={'principal_point': part * usual.low},
-            shows_seldom='principal_point',
+            shows_seldom=('principal_point',),
         )
         added = search(default_model(), AT_REST, fake).additions
         assert [(item.effect.name, item.is_kept) for item in added] == [
@@ -296,7 +296,7 @@ class TestSearch:
             {'gyro_lag': 6.0},
             {'gyro_lag': gained},
             ends={'gyro_lag': sigma * STD},
-            shows_seldom='gyro_lag',
+            shows_seldom=('gyro_lag',),
             shown_in=(1, 3, 4, 6, 9),
         )
         judging = replace(DEFAULT_SETTINGS, min_judgeable_part=0.0)
@@ -307,9 +307,21 @@ class TestSearch:
         assert diagnosed.uneven == ('' if is_kept else 'gyro_lag')
         assert diagnosed.verdict == ('effect_found' if is_kept else 'cannot_tell')
 
+    def test_after_one_that_a_run_rejects_the_next_is_tried(self) -> None:
+        sizes = {'gyro_lag': 6.0, 'scale_cubic': 5.8}
+        fake = FakeFilter(
+            sizes,
+            {'gyro_lag': -9.0, 'scale_cubic': 90.0},
+            shows_seldom=('gyro_lag', 'scale_cubic'),
+            shown_in=(1, 3, 4, 6, 9),
+        )
+        found = search(default_model(), AT_REST, fake)
+        names = [(item.effect.name, item.is_kept) for item in found.additions]
+        assert names[:2] == [('gyro_lag', False), ('scale_cubic', True)]
+
     @pytest.mark.parametrize('hidden', [{'gyro_lag': 6.0}, {}])
     def test_an_effect_that_one_moment_shows_is_not_tried_alone(self, hidden: dict[str, float]) -> None:
-        fake = FakeFilter(hidden, {'gyro_lag': 50.0}, shows_seldom='gyro_lag')
+        fake = FakeFilter(hidden, {'gyro_lag': 50.0}, shows_seldom=('gyro_lag',))
         judging = replace(DEFAULT_SETTINGS, min_judgeable_part=0.0)
         found = search(default_model(), AT_REST, fake, settings=judging)
         assert found.additions == () and len(fake.models) == 1

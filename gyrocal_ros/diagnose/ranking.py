@@ -12,10 +12,19 @@ from gyrocal_ros.diagnose.candidate_fit import Fit, fit, preference
 from gyrocal_ros.diagnose.candidates import columns_of
 from gyrocal_ros.diagnose.profile import Profile, profile
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
-from gyrocal_ros.effects.traits import is_disturbance, is_usual, scanned_coefficient, strengths, why_disturbed
+from gyrocal_ros.effects.traits import (
+    follows_signal,
+    is_disturbance,
+    is_usual,
+    scanned_coefficient,
+    strengths,
+    why_disturbed,
+)
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.model.sensor import Effect, with_means
 
+MUCH_MORE = 2.0
+"""Gain relative to that of a significant effect from which one that explains less evenly is the likelier."""
 MAX_TOGETHER = 3
 """Number of effects that may explain a recording together."""
 
@@ -98,7 +107,8 @@ def best_explanation(
     """Return the effect that explains most; None where nothing is significant.
 
     Two effects at once may look like a third. So where two together explain significantly more than the
-    best alone, the stronger of the two is returned.
+    best alone, the stronger of the two is returned. Two recorded signals must explain more than that in place
+    of a law: that of a vibration is fitted to a noisy measure of it.
 
     Args:
         ranked: ranked effects, the best first.
@@ -110,14 +120,36 @@ def best_explanation(
     alone = [item for item in untried if item.is_significant]
     if not alone:
         return None
-    best = alone[0]
-    most = (1.0 + settings.pair_part) * best.merit + settings.significant_gain
+    best = single = _much_likelier(alone[0], untried, settings)
+    most = single.merit
     for first in alone:
         for second in untried:
             both = _pair(first, second, scores, settings) if second is not first else None
-            if both is not None and both.merit > most:
+            if both is None or both.merit <= most:
+                continue
+            are_signals = follows_signal(first.effect) and follows_signal(second.effect)
+            is_law = are_signals and not follows_signal(single.effect)
+            part = settings.signals_part if is_law else settings.pair_part
+            if both.merit > (1.0 + part) * single.merit + settings.significant_gain:
                 best, most = both.stronger, both.merit
     return best
+
+
+def _much_likelier(
+    best: RankedEffect, untried: Sequence[RankedEffect], settings: DiagnosisSettings
+) -> RankedEffect:
+    """Return the significant effect that explains most, or one that gains much more though less evenly.
+
+    That something is missing is certain; what it is, so large a difference of the gains tells.
+    """
+    much = [
+        item
+        for item in untried
+        if item.profile is None
+        and item.fit.sigma > settings.uneven_sigma
+        and item.merit > MUCH_MORE * best.merit
+    ]
+    return max(much, key=lambda item: item.merit, default=best)
 
 
 def uneven_explanation(
@@ -154,6 +186,24 @@ def uneven_gyro_effect(
     least = 0.5 * settings.significant_sigma
     likely = [item for item in ranked if item.effect.acts_on == 'gyro' and item.fit.sigma > least]
     return uneven_explanation(likely, tried, settings)
+
+
+def uneven_first_effect(
+    ranked: Sequence[RankedEffect], tried: Collection[str], settings: DiagnosisSettings
+) -> RankedEffect | None:
+    """Return the effect that explains so much, though unevenly, that a run has to decide beside no other one.
+
+    It acts on the gyro, or gains more than the slow errors of images do.
+
+    Args:
+        ranked: ranked effects.
+        tried: names of effects to leave out.
+        settings: thresholds.
+    """
+    least = settings.uneven_sigma
+    strong = [item for item in ranked if item.merit > settings.uneven_view_gain and item.fit.sigma > least]
+    of_gyro = uneven_gyro_effect(ranked, tried, settings)
+    return uneven_explanation(strong, tried, settings) if of_gyro is None else of_gyro
 
 
 def explained_together(

@@ -34,7 +34,7 @@ from gyrocal_ros.diagnose.ranking import (
     explained_together,
     indistinguishable,
     uneven_explanation,
-    uneven_gyro_effect,
+    uneven_first_effect,
 )
 from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
@@ -141,8 +141,9 @@ def continued(
         least_gain = 0.0 if is_exact else _residual_gain(found, present.settings)
         excluded = _not_to_try(found) | without
         following = _next_addition(present, recording, calibrate, excluded, least_gain)
-        if following is None and (is_exact or not found):
-            following = _uneven_addition(present, recording, calibrate, excluded, is_first=not found)
+        is_first = not any(item.is_kept for item in found)
+        if following is None and (is_exact or is_first):
+            following = _uneven_addition(present, recording, calibrate, excluded, is_first=is_first)
         if following is not None:
             following = _with_limits_resized(following, found, recording, calibrate)
             found.append(following)
@@ -175,10 +176,10 @@ def _uneven_addition(
 
     Few moments may show an effect. Then the scatter of the blocks says little, and a run decides, where
     nothing else contradicts the model. It has to be of a usual size: slow errors of images look like small
-    errors of the camera. Where it would be the first one, it acts on the gyro.
+    errors of the camera. Where it would be the first one, it acts on the gyro, or gains much more than those.
     """
     settings, ranked = present.settings, present.ranked
-    explanation = uneven_gyro_effect if is_first else uneven_explanation
+    explanation = uneven_first_effect if is_first else uneven_explanation
     uneven = explanation(ranked, excluded, settings)
     if uneven is None:
         return None

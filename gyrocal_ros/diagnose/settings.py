@@ -50,6 +50,12 @@ class DiagnosisSettings:
         'part by which two effects together must explain more than the best one alone',
         'pairs of effects',
     )
+    signals_part: float = threshold(
+        0.15,
+        '1',
+        'the same for two effects that follow recorded signals, in place of one that does not',
+        'vibration_rectification; signals',
+    )
     residual_part: float = threshold(
         0.004,
         '1',
@@ -79,6 +85,21 @@ class DiagnosisSettings:
         'part of the effects that show in any turns which a recording must be able to judge for the verdict '
         '`nothing_missing`',
         'none',
+    )
+
+    uneven_view_gain: float = threshold(
+        100.0,
+        'nat',
+        'log-likelihood that an effect which does not act on the gyro must gain to be tried in a run though '
+        'its estimates scatter: slow errors of images gain up to some forty',
+        'none; single effects',
+    )
+    uneven_sigma: float = threshold(
+        3.0,
+        'sigma',
+        'significance by the scatter of its estimates that an effect must have, if it is to be tried because '
+        'it gains much',
+        'none; single effects',
     )
 
     # --- effects that look alike

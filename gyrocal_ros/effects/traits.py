@@ -27,6 +27,11 @@ def required_signals(effect: Effect) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*declared, *((followed,) if followed else ()))))
 
 
+def follows_signal(effect: Effect) -> bool:
+    """Return True if the effect follows a recorded signal, whatever law may be behind it."""
+    return bool(getattr(effect, 'signal', None))
+
+
 def followers_by_signal(model: SensorModel) -> dict[str, list[str]]:
     """Return the signals that effects of the model require, each with the names of these effects."""
     followers: dict[str, list[str]] = {}

@@ -10,11 +10,14 @@ from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.config.sections import Config, FeatureConfig
 from gyrocal_ros.data import TruthSample
+from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.effects_by_place import move_camera, sort_effects
-from gyrocal_ros.ekf.known_depth import directions_by_pose, has_moved
+from gyrocal_ros.ekf.known_depth import directions_by_pose, has_moved, relative_growth
 from gyrocal_ros.ekf.landmarks import augment, with_shared_errors
 from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.model.camera import mount_from_yaw
 from gyrocal_ros.model.features.base import Anchors, posed_camera
 from gyrocal_ros.pipeline.calibrate import calibrate
@@ -130,3 +133,17 @@ def test_the_camera_has_moved_by_a_part_of_the_depth(
     mean = state.mean.copy()
     mean[state.robot_size + 2 :: 3] = 1.0 / 2.5
     assert has_moved(replace(state, t_ns=1, mean=mean, landmarks=landmarks), view) == expected
+
+
+@pytest.mark.parametrize(('effect', 'growth'), [('focal_length', -1.0), ('principal_point', 0.0)])
+def test_a_longer_focal_length_makes_directions_smaller(effect: str, growth: float) -> None:
+    source = SimSource(replace(find_scenario('cleaning'), duration_s=2.0), 1)
+    slam = EkfSlam(with_effect(default_model(), find_effect(effect)), Config(), source.rig)
+    stream = SlamStream(slam)
+    for measurement in source.measurements():
+        stream.step(measurement)
+    rows = np.arange(len(slam.state.landmarks.ids))
+    found = relative_growth(slam.state, slam._image_model(), rows)
+    np.testing.assert_array_equal(found[:, 0], 0.0)  # a gyro has no image
+    per_unit = 1.0 if effect == 'focal_length' else CAMERA.fx_px  # of coefficients in pixels
+    np.testing.assert_allclose(per_unit * found[:, 1:], growth, atol=0.05)

@@ -194,13 +194,11 @@ def move_camera(effects: EffectsByPlace, camera: CameraIntrinsics, mount: Mount)
     """
     if effects.time or effects.shutter:
         return True
-    return any(moves_mount(effect, camera, mount) for effect, _ in effects.camera)
-
-
-def moves_mount(effect: CameraEffect, camera: CameraIntrinsics, mount: Mount) -> bool:
-    """Return True if an effect on the camera changes where it is on the robot."""
-    values = np.array([item.prior_mean + item.prior_std for item in effect.coefficients])
-    return not np.array_equal(effect.corrected(camera, mount, values)[1].p_bs, mount.p_bs)
+    for effect, place in effects.camera:
+        values = effects.prior_means[place] + np.array([item.prior_std for item in effect.coefficients])
+        if not np.array_equal(effect.corrected(camera, mount, values)[1].p_bs, mount.p_bs):
+            return True
+    return False
 
 
 def as_exposed(

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed
-from gyrocal_ros.ekf.effects_by_place import first_sight_by_values, moves_mount
+from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.landmarks import position_variance_m2, with_shared_errors
 from gyrocal_ros.ekf.state import State
@@ -47,8 +47,8 @@ def with_known_depths(state: State, model: ImageModel, used: Innovation) -> Stat
     state = _shared_with_position(state, model, used)
     if model.depth_matters:
         state = _shared_with_effects(state, model, used)
-    if len(places := _fixed_camera_places(state, model)):
-        state = with_scaled_shares(state, used.rows, used.prediction.scale, places)
+    if model.effects.camera:
+        state = _shared_with_lens(state, model, used)
     return state
 
 
@@ -100,36 +100,36 @@ def _shared_with_effects(state: State, model: ImageModel, used: Innovation) -> S
     return state
 
 
-def with_scaled_shares(state: State, rows: IntArray, before: Array, places: IntArray) -> State:
-    """Scale the errors of inverse depths that are shared with some coefficients, as the depths were.
+def _shared_with_lens(state: State, model: ImageModel, used: Innovation) -> State:
+    """Let depths share the error of effects that make the image larger, by the new depth.
 
-    A focal length that is too large by one per cent is made up for by inverse depths that are too small by
-    one per cent, of whatever they are. Without this, each depth that is corrected would tell of it.
-
-    Args:
-        state: after an update.
-        rows: (m,) indices of the features used.
-        before: (m,) inverse depths before the update.
-        places: (p,) indices of the coefficients in the state.
+    A focal length that is one per cent too large is made up for by inverse depths that are one per cent too
+    small, of whatever they are. Without this, each depth that is corrected would tell of it.
     """
-    depths = state.feature_columns(rows)[:, 2]
-    P, ratio = state.covariance, state.mean[depths] / before
-    known = np.linalg.pinv(P[np.ix_(places, places)], hermitian=True)  # a coefficient may be exact
-    shares = P[np.ix_(depths, places)] @ known
-    added = np.where((ratio > 0.0) & (before > 0.0), ratio - 1.0, 0.0)[:, None] * shares
-    return with_shared_errors(state, depths, places, added)
+    rows, change = _changed(state, used, 0.0)
+    if not len(rows):
+        return state
+    growth = change[:, None] * relative_growth(state, model, rows)
+    depths, k = state.feature_columns(rows)[:, 2], state.coefficient_columns
+    return with_shared_errors(state, depths, np.arange(k.start, k.stop), growth)
 
 
-def _fixed_camera_places(state: State, model: ImageModel) -> IntArray:
-    """Return the indices in the state of coefficients of the camera that leave it where it is."""
-    rig, start = model.rig, state.coefficient_columns.start
-    assert rig.camera is not None
-    places = [
-        np.arange(start + place.start, start + place.stop)
-        for effect, place in model.effects.camera
-        if not moves_mount(effect, rig.camera, rig.camera_mount)
-    ]
-    return np.concatenate(places) if places else np.empty(0, np.int64)
+def relative_growth(state: State, model: ImageModel, rows: IntArray) -> Array:
+    """Return by how much the image grows about features (m,) with the coefficients, relative to its size.
+
+    It is (m, k) half the divergence of the directions at first sight, by central differences.
+    """
+    features, step = state.features[rows], 1e-3
+    growth = np.zeros((len(rows), state.coefficient_count))
+    for axis in range(2):
+        for sign in (1.0, -1.0):
+            moved = features.copy()
+            moved[:, axis] += sign * step
+            _, seen = _from_anchors(moved, model.view, np.zeros(len(rows)))
+            by_values = model.by_values(seen, state.coefficients)
+            assert by_values is not None
+            growth += sign * first_sight_by_values(seen, by_values)[:, axis] / (4.0 * step)
+    return growth
 
 
 def has_moved(state: State, view: PosedCamera) -> bool:

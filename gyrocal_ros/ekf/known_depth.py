@@ -14,17 +14,18 @@ from collections.abc import Callable
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed
-from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.landmarks import position_variance_m2, with_shared_errors
 from gyrocal_ros.ekf.state import State
 from gyrocal_ros.ekf.update import Innovation, UpdateStats
 from gyrocal_ros.kernels import compiled
-from gyrocal_ros.model.camera import project_with_jacobian
+from gyrocal_ros.model.camera import bearing_jacobian, project_with_jacobian
 from gyrocal_ros.model.features.base import PosedCamera, Prediction
 
 MIN_CHANGE = 0.003
 """Change of an inverse depth, relative to its prior standard deviation, that matters."""
+MIN_SHARED_CHANGE = 0.0003
+"""The same for the errors of effects, which all later images share."""
 MAX_POSITION_STD_M = 0.1
 """Uncertainty of the position, as after a pause, from which terms of second order would matter more."""
 MIN_BASELINE = 0.15
@@ -77,17 +78,18 @@ def _shared_with_effects(state: State, model: ImageModel, used: Innovation) -> S
     A coefficient is the same at the first sight and now, so its whole error is shared, however small the
     change. The motion of the robot at the first sight is taken to be the present one.
     """
-    rows, change = _changed(state, used, 0.0)
+    rows, change = _changed(state, used, MIN_SHARED_CHANGE * model.config.features.prior_inverse_depth_std)
     if not len(rows):
         return state
-    guessed, known = _from_anchors(state.features[rows], model.view, change)
+    features = state.features[rows]
+    by_pixel = bearing_jacobian(model.view.camera, features[:, :2])
+    guessed, known = _from_anchors(features, model.view, change)
 
     def added(derivative: Callable[[Prediction], Array | None]) -> Array | None:
         before, after = derivative(guessed), derivative(known)
         if before is None or after is None:
             return None
-        by_values = first_sight_by_values(guessed, after - before)[:, :2]
-        return by_values.reshape(2 * len(rows), -1)
+        return (-by_pixel @ (after - before)).reshape(2 * len(rows), -1)
 
     places, k = _directions(state, rows), state.coefficient_columns
     by_values = added(lambda prediction: model.by_values(prediction, state.coefficients))
@@ -106,7 +108,7 @@ def _shared_with_lens(state: State, model: ImageModel, used: Innovation) -> Stat
     A focal length that is one per cent too large is made up for by inverse depths that are one per cent too
     small, of whatever they are. Without this, each depth that is corrected would tell of it.
     """
-    rows, change = _changed(state, used, 0.0)
+    rows, change = _changed(state, used, MIN_SHARED_CHANGE * model.config.features.prior_inverse_depth_std)
     if not len(rows):
         return state
     growth = change[:, None] * relative_growth(state, model, rows)
@@ -119,16 +121,15 @@ def relative_growth(state: State, model: ImageModel, rows: IntArray) -> Array:
 
     It is (m, k) half the divergence of the directions at first sight, by central differences.
     """
-    features, step = state.features[rows], 1e-3
-    growth = np.zeros((len(rows), state.coefficient_count))
-    for axis in range(2):
-        for sign in (1.0, -1.0):
-            moved = features.copy()
-            moved[:, axis] += sign * step
-            _, seen = _from_anchors(moved, model.view, np.zeros(len(rows)))
-            by_values = model.by_values(seen, state.coefficients)
-            assert by_values is not None
-            growth += sign * first_sight_by_values(seen, by_values)[:, axis] / (4.0 * step)
+    step = 1e-3
+    steps = step * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+    features = (state.features[rows] + steps[:, None]).reshape(-1, 3)
+    _, seen = _from_anchors(features, model.view, np.zeros(len(features)))
+    by_values = model.by_values(seen, state.coefficients)
+    assert by_values is not None
+    directions = -bearing_jacobian(model.view.camera, features[:, :2]) @ by_values
+    after_a, before_a, after_b, before_b = directions.reshape(4, len(rows), 2, -1)
+    growth: Array = ((after_a - before_a)[:, 0] + (after_b - before_b)[:, 1]) / (4.0 * step)
     return growth
 
 

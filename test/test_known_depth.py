@@ -22,6 +22,7 @@ from gyrocal_ros.model.camera import mount_from_yaw
 from gyrocal_ros.model.features.base import Anchors, posed_camera
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import CAMERA, find_scenario
+from gyrocal_ros.sim.trajectory import Leg
 from gyrocal_ros.sim.world import SimSource
 
 MOUNT = mount_from_yaw(0.09, 0.0, 0.1, -90.0)
@@ -147,3 +148,25 @@ def test_a_longer_focal_length_makes_directions_smaller(effect: str, growth: flo
     np.testing.assert_array_equal(found[:, 0], 0.0)  # a gyro has no image
     per_unit = 1.0 if effect == 'focal_length' else CAMERA.fx_px  # of coefficients in pixels
     np.testing.assert_allclose(per_unit * found[:, 1:], growth, atol=0.05)
+
+
+def test_directions_depend_on_an_effect_that_the_model_lacks_by_the_depth_that_is_known() -> None:
+    """A camera that is d elsewhere saw a feature of inverse depth r in a direction r d from the anchor."""
+    legs = (Leg(1.0), Leg(0.5, 0.3), Leg(60.0, 0.3))
+    drive = replace(find_scenario('cleaning'), duration_s=7.0, legs=legs, bumps=0, floor_tilt_deg=0.0)
+    errors = replace(drive.errors, pixel_noise_px=PATCH_NOISE_PX)
+    source, config = SimSource(replace(drive, errors=errors), 1), Config()
+    config = replace(config, features=replace(config.features, prior_depth_m=1.6))
+    slam = EkfSlam(default_model(), config, source.rig, candidates=(find_effect('camera_position'),))
+    stream = SlamStream(slam)
+    for measurement in source.measurements():
+        stream.step(measurement)
+    state = slam.state
+    columns = state.feature_columns(np.arange(len(state.landmarks.ids)))
+    known = np.sqrt(state.covariance[columns[:, 2], columns[:, 2]]) < 0.05 * state.mean[columns[:, 2]]
+    columns = columns[known]
+    assert len(columns) > 8 and np.median(state.mean[columns[:, 2]]) < 1.0 / 1.9, (
+        'not where they are expected'
+    )
+    expected = state.mean[columns[:, 2], None, None] * source.rig.camera_mount.R_bs.T[:2, :2]
+    np.testing.assert_allclose(state.sensitivity[columns[:, :2], :2], expected, atol=0.01)

@@ -46,10 +46,13 @@ def with_known_depths(state: State, model: ImageModel, used: Innovation) -> Stat
     if not model.form.is_anchored:
         return state
     state = _shared_with_position(state, model, used)
-    if model.depth_matters:
-        state = _shared_with_effects(state, model, used)
-    if model.effects.camera:
-        state = _shared_with_lens(state, model, used)
+    if not model.depth_matters and not model.effects.camera:
+        return state
+    rows, change = _changed(state, model, used, MIN_SHARED_CHANGE)
+    if len(rows) and model.depth_matters:
+        state = _shared_with_effects(state, model, rows, change)
+    if len(rows) and model.effects.camera:
+        state = _shared_with_lens(state, model, rows, change)
     return state
 
 
@@ -62,8 +65,7 @@ def _shared_with_position(state: State, model: ImageModel, used: Innovation) -> 
     variance_m2 = position_variance_m2(state)
     if not 0.0 < variance_m2 < MAX_POSITION_STD_M**2:
         return state
-    least = MIN_CHANGE * model.config.features.prior_inverse_depth_std
-    rows, change = _changed(state, used, least)
+    rows, change = _changed(state, model, used, MIN_CHANGE)
     if not len(rows):
         return state
     change *= np.minimum(state.landmarks.first_variance_m2[rows] / variance_m2, 1.0)
@@ -72,15 +74,12 @@ def _shared_with_position(state: State, model: ImageModel, used: Innovation) -> 
     return with_shared_errors(state, _directions(state, rows), np.arange(6), by_pose.reshape(-1, 6))
 
 
-def _shared_with_effects(state: State, model: ImageModel, used: Innovation) -> State:
+def _shared_with_effects(state: State, model: ImageModel, rows: IntArray, change: Array) -> State:
     """Let directions share the error of effects that move the camera, by the new depth.
 
-    A coefficient is the same at the first sight and now, so its whole error is shared, however small the
-    change. The motion of the robot at the first sight is taken to be the present one.
+    A coefficient is the same at the first sight and now, so its whole error is shared. The motion of the
+    robot at the first sight is taken to be the present one.
     """
-    rows, change = _changed(state, used, MIN_SHARED_CHANGE * model.config.features.prior_inverse_depth_std)
-    if not len(rows):
-        return state
     features = state.features[rows]
     by_pixel = bearing_jacobian(model.view.camera, features[:, :2])
     guessed, known = _from_anchors(features, model.view, change)
@@ -102,24 +101,21 @@ def _shared_with_effects(state: State, model: ImageModel, used: Innovation) -> S
     return state
 
 
-def _shared_with_lens(state: State, model: ImageModel, used: Innovation) -> State:
+def _shared_with_lens(state: State, model: ImageModel, rows: IntArray, change: Array) -> State:
     """Let depths share the error of effects that make the image larger, by the new depth.
 
     A focal length that is one per cent too large is made up for by inverse depths that are one per cent too
     small, of whatever they are. Without this, each depth that is corrected would tell of it.
     """
-    rows, change = _changed(state, used, MIN_SHARED_CHANGE * model.config.features.prior_inverse_depth_std)
-    if not len(rows):
-        return state
     growth = change[:, None] * relative_growth(state, model, rows)
     depths, k = state.feature_columns(rows)[:, 2], state.coefficient_columns
     return with_shared_errors(state, depths, np.arange(k.start, k.stop), growth)
 
 
 def relative_growth(state: State, model: ImageModel, rows: IntArray) -> Array:
-    """Return by how much the image grows about features (m,) with the coefficients, relative to its size.
+    """Return by how much directions about features (m,) grow with the coefficients, relative to their size.
 
-    It is (m, k) half the divergence of the directions at first sight, by central differences.
+    The pixels stay. It is (m, k) half the divergence of the directions, by central differences.
     """
     step = 1e-3
     steps = step * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
@@ -187,9 +183,13 @@ def changed_depths(
     return chosen, change[chosen]
 
 
-def _changed(state: State, used: Innovation, least: float) -> tuple[IntArray, Array]:
-    """Return the indices of the features used whose inverse depth changed by more, and its changes."""
+def _changed(state: State, model: ImageModel, used: Innovation, least: float) -> tuple[IntArray, Array]:
+    """Return the indices of the features used whose inverse depth changed, and its changes.
+
+    Changes count from the least one, relative to the prior standard deviation.
+    """
     seen = used.prediction
+    least *= model.config.features.prior_inverse_depth_std
     chosen, change = changed_depths(
         state.mean, state.robot_size, used.rows, seen.scale, seen.points_c, least, MIN_AHEAD
     )

@@ -102,6 +102,14 @@ def rate_scatter(rng: np.random.Generator, count: int) -> Arguments:
     return rng.normal(size=count), intervals_s(rng, count)
 
 
+def fading_memory(rng: np.random.Generator, count: int) -> Arguments:
+    return rng.normal(size=count), intervals_s(rng, count), rng.uniform(0.1, 40.0, 3), rng.normal(size=3)
+
+
+def low_pass(rng: np.random.Generator, count: int) -> Arguments:
+    return rng.normal(size=(count, 3)), rng.uniform(0.0, 1.0, (count, 3)), rng.normal(size=3)
+
+
 def intervals(rng: np.random.Generator, count: int) -> Arguments:
     times_ns = (10**18 + rng.integers(1, 10**7, count + 1).cumsum()).tolist()
     nodes = [tuple(row) for row in rng.normal(size=(count + 1, 6)).tolist()]
@@ -372,6 +380,7 @@ MAKERS: tuple[Maker, ...] = (
     compare_headings,
     corrected,
     corrected_rates,
+    fading_memory,
     filter_headings,
     fit_heading,
     given_others,
@@ -380,6 +389,7 @@ MAKERS: tuple[Maker, ...] = (
     intervals,
     learned_noise,
     looser_pose_gain,
+    low_pass,
     match_ids,
     matches_counted,
     mean_at_end,

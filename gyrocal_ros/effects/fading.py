@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.kernels import compiled
 
 
+@compiled
 def fading_memory(drive: Array, dt_s: Array, tau_s: Array, start: Array) -> tuple[Array, Array]:
     """Solve `dh/dt = (u - h) / tau` for a drive that is constant in each interval.
 

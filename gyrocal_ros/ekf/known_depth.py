@@ -9,8 +9,6 @@ of simultaneous localization and map building).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed
@@ -19,7 +17,7 @@ from gyrocal_ros.ekf.landmarks import position_variance_m2, with_shared_errors
 from gyrocal_ros.ekf.state import State
 from gyrocal_ros.ekf.update import Innovation, UpdateStats
 from gyrocal_ros.kernels import compiled
-from gyrocal_ros.model.camera import bearing_jacobian, project_with_jacobian
+from gyrocal_ros.model.camera import project_with_jacobian
 from gyrocal_ros.model.features.base import PosedCamera, Prediction
 
 MIN_CHANGE = 0.003
@@ -80,23 +78,21 @@ def _shared_with_effects(state: State, model: ImageModel, rows: IntArray, change
     A coefficient is the same at the first sight and now, so its whole error is shared. The motion of the
     robot at the first sight is taken to be the present one.
     """
-    features = state.features[rows]
-    by_pixel = bearing_jacobian(model.view.camera, features[:, :2])
-    guessed, known = _from_anchors(features, model.view, change)
+    m, now = len(rows), state.features[rows]
+    guessed = now - np.outer(change, [0.0, 0.0, 1.0])
+    # Both at once: those by the guessed depths come first.
+    seen = _from_anchors(np.concatenate([guessed, now]), model.view, np.concatenate([np.zeros(m), change]))
 
-    def added(derivative: Callable[[Prediction], Array | None]) -> Array | None:
-        before, after = derivative(guessed), derivative(known)
-        if before is None or after is None:
-            return None
-        return (-by_pixel @ (after - before)).reshape(2 * len(rows), -1)
+    def added(by_effects: Array) -> Array:
+        return directions_by_effects(seen, by_effects[m:] - by_effects[:m]).reshape(2 * m, -1)
 
     places, k = _directions(state, rows), state.coefficient_columns
-    by_values = added(lambda prediction: model.by_values(prediction, state.coefficients))
+    by_values = model.by_values(seen, state.coefficients)
     if by_values is not None:
-        state = with_shared_errors(state, places, np.arange(k.start, k.stop), by_values)
-    if (by_candidates := added(model.by_candidates)) is not None:
+        state = with_shared_errors(state, places, np.arange(k.start, k.stop), added(by_values))
+    if (by_candidates := model.by_candidates(seen)) is not None:
         sensitivity = state.sensitivity.copy()
-        sensitivity[places] += by_candidates
+        sensitivity[places] += added(by_candidates)
         state = changed(state, sensitivity=sensitivity)
     return state
 
@@ -120,10 +116,10 @@ def relative_growth(state: State, model: ImageModel, rows: IntArray) -> Array:
     step = 1e-3
     steps = step * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     features = (state.features[rows] + steps[:, None]).reshape(-1, 3)
-    _, seen = _from_anchors(features, model.view, np.zeros(len(features)))
+    seen = _from_anchors(features, model.view, np.zeros(len(features)))
     by_values = model.by_values(seen, state.coefficients)
     assert by_values is not None
-    directions = -bearing_jacobian(model.view.camera, features[:, :2]) @ by_values
+    directions = directions_by_effects(seen, by_values)
     after_a, before_a, after_b, before_b = directions.reshape(4, len(rows), 2, -1)
     growth: Array = ((after_a - before_a)[:, 0] + (after_b - before_b)[:, 1]) / (4.0 * step)
     return growth
@@ -218,16 +214,25 @@ def directions_by_pose(features: Array, R_aw: Array, view: PosedCamera, change: 
     return change[:, None, None] * across @ camera_by_pose
 
 
-def _from_anchors(features: Array, view: PosedCamera, change: Array) -> tuple[Prediction, Prediction]:
-    """Return features (m, 3) as a camera at their anchors sees them, before and after their depths changed.
+def directions_by_effects(seen: Prediction, by_effects: Array) -> Array:
+    """Return by how much directions (m, 2, k) make up for effects that move pixels by (m, 2, k).
 
-    It moves as the present camera does in its own axes. The derivative by the pose is what the change (m,)
-    of the inverse depths adds to it.
+    Args:
+        seen: features as a camera at their anchors sees them, of which the first m count.
+        by_effects: derivative of the pixels.
+    """
+    directions: Array = np.linalg.solve(seen.by_point[: len(by_effects), :, :2], -by_effects)
+    return directions
+
+
+def _from_anchors(features: Array, view: PosedCamera, change: Array) -> Prediction:
+    """Return features (m, 3) as a camera at their anchors sees them.
+
+    It moves as the present camera does in its own axes. The derivative by the pose is what changes (m,) of
+    the inverse depths add to it.
     """
     points_c = np.column_stack([features[:, :2], np.ones(len(features))])
     pixels, by_point = project_with_jacobian(view.camera, points_c)
     by_feature = by_point * [1.0, 1.0, 0.0]  # no pixel depends on the depth there
     by_pose = -by_feature[:, :, :2] @ directions_by_pose(features, view.R_wc.T, view, change)
-    before = features[:, 2] - change
-    guessed = Prediction(pixels, np.zeros((len(change), 2, 6)), by_feature, points_c, by_point, before)
-    return guessed, changed(guessed, by_pose=by_pose, scale=features[:, 2])
+    return Prediction(pixels, by_pose, by_feature, points_c, by_point, features[:, 2])

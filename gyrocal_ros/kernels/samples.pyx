@@ -1,12 +1,14 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.motion`, `ekf.steady_rate`, `ekf.effects_by_place`, `ekf.predict` and `ekf.step_record` for the
-samples of a block."""
+"""Twins of `ekf.motion`, `ekf.steady_rate`, `ekf.effects_by_place`, `ekf.predict`, `ekf.step_record`,
+`effects.fading` and `effects.learned.drives` for the samples of a block."""
 
-from libc.math cimport cos, sin, sqrt
+from libc.math cimport cos, exp, sin, sqrt
 
 import numpy as np
 
-TWINS = ('interpolate', 'intervals', 'mean_at_end', 'path_in_block', 'rate_scatter', 'step_numbers')
+TWINS = (
+    'fading_memory', 'interpolate', 'intervals', 'low_pass', 'mean_at_end', 'path_in_block', 'rate_scatter', 'step_numbers'
+)
 
 
 cdef class Track:
@@ -151,6 +153,32 @@ def mean_at_end(const double[:] values, const double[:] dt_s, double length_s):
         left_s -= dt_s[k]
         k -= 1
     return total / duration_s
+
+
+def fading_memory(const double[:] drive, const double[:] dt_s, const double[:] tau_s, const double[:] start):
+    cdef Py_ssize_t n = dt_s.shape[0], q = tau_s.shape[0], k, i
+    cdef double end_s, kept
+    solution, grown = np.empty((n + 1, q)), np.empty((n + 1, q))
+    cdef double[:, ::1] h = solution, growth = grown
+    for i in range(q):
+        end_s, h[0, i], growth[0, i] = 0.0, start[i], 1.0
+        for k in range(n):
+            end_s += dt_s[k]
+            kept = exp(-dt_s[k] / tau_s[i])
+            h[k + 1, i] = drive[k] + kept * (h[k, i] - drive[k])
+            growth[k + 1, i] = exp(end_s / tau_s[i])
+    return solution, grown
+
+
+def low_pass(const double[:, :] drive, const double[:, :] kept, start):
+    cdef Py_ssize_t n = drive.shape[0], q = drive.shape[1], k, i
+    solution = np.empty((n + 1, q))
+    cdef double[:, ::1] h = solution
+    solution[0] = start
+    for k in range(n):
+        for i in range(q):
+            h[k + 1, i] = drive[k, i] + kept[k, i] * (h[k, i] - drive[k, i])
+    return solution
 
 
 def step_numbers(

@@ -9,6 +9,7 @@ import numpy as np
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import recorded
 from gyrocal_ros.effects.learned.signals import RATE, values_of
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.sensor import Memory
 
 DYNAMICS, ABS_RATE, SIDE, LAST_TURN = 'dynamics', 'abs_rate', 'turn_side', 'last_turn'
@@ -93,6 +94,7 @@ def derivatives(block: MotionBlock, memory: Memory) -> tuple[Array, Array, Memor
     return first, (powers[1] + 2.0 * powers[2]) / SMOOTHED_S**2, tuple(levels)
 
 
+@compiled
 def low_pass(drive: Array, kept: Array, start: Array) -> Array:
     """Solve `dh/dt = (u - h) / tau` for drives (N, q) in intervals that keep a part (N, q) of h - u.
 

@@ -1,4 +1,4 @@
-"""What no image tells while the camera stays in place is considered, not corrected."""
+"""What images do not tell is considered, not corrected."""
 
 from __future__ import annotations
 
@@ -6,22 +6,30 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from filter_states import EFFECTS, some_state
+from filter_states import some_state
 
 from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.considered import with_considered_view
-from gyrocal_ros.ekf.effects_by_place import sort_effects
+from gyrocal_ros.ekf.considered import stretch_by_values, with_considered
+from gyrocal_ros.ekf.run import History
 from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.varied import varied_scenario
 from gyrocal_ros.sim.world import SimSource
 
-OF_VIEW = [4, 5, 6]
-"""Places of turn slip and lateral drift among the coefficients of `filter_states`."""
+COUNT = some_state().coefficient_count
+COMBINATIONS = (
+    pytest.param(np.eye(COUNT)[[4, 5, 6]], id='coefficients'),
+    pytest.param(np.linspace(-1.0, 2.0, COUNT)[None], id='a combination'),
+    pytest.param(np.eye(COUNT)[[2, 2]], id='one twice'),
+)
 
 
-def test_the_covariance_is_that_of_the_gain_without_the_considered_ones() -> None:
+@pytest.mark.parametrize('combinations', COMBINATIONS)
+def test_the_covariance_is_that_of_the_gain_without_the_considered_ones(combinations: Array) -> None:
     rng, state = np.random.default_rng(2), some_state()
     P, X = state.covariance, state.sensitivity
     H, R = rng.normal(size=(4, len(P))) / np.sqrt(P.diagonal()), 0.1 * np.eye(4)
@@ -30,17 +38,31 @@ def test_the_covariance_is_that_of_the_gain_without_the_considered_ones() -> Non
     after = replace(
         state, mean=state.mean + gain @ residual, covariance=P - gain @ H @ P, sensitivity=X - gain @ H @ X
     )
-    considered = with_considered_view(state, after, sort_effects(EFFECTS))
-    gain[state.coefficient_columns.start + np.array(OF_VIEW)] = 0.0
-    kept = np.eye(len(P)) - gain @ H
+    considered = with_considered(state, after, combinations)
+    k = state.coefficient_columns
+    kept = combinations @ considered.mean[k]
+    np.testing.assert_allclose(kept, combinations @ state.mean[k], atol=1e-12)
+    C = np.unique(combinations, axis=0)
+    np.testing.assert_allclose(C @ considered.covariance[k, k] @ C.T, C @ P[k, k] @ C.T, rtol=1e-9)
+    gain[k] -= P[k, k] @ C.T @ np.linalg.solve(C @ P[k, k] @ C.T, C @ gain[k])
+    left = np.eye(len(P)) - gain @ H
     np.testing.assert_allclose(considered.mean, state.mean + gain @ residual, atol=1e-12)
-    np.testing.assert_allclose(considered.covariance, kept @ P @ kept.T + gain @ R @ gain.T, atol=1e-12)
+    np.testing.assert_allclose(considered.covariance, left @ P @ left.T + gain @ R @ gain.T, atol=1e-12)
     np.testing.assert_allclose(considered.sensitivity, X - gain @ H @ X, atol=1e-12)
 
 
-def test_without_such_effects_nothing_changes() -> None:
+def test_without_combinations_nothing_changes() -> None:
     state, after = some_state(), some_state(seed=1)
-    assert with_considered_view(state, after, sort_effects(EFFECTS[:3])) is after
+    assert with_considered(state, after, np.empty((0, COUNT))) is after
+
+
+def test_a_stretch_is_what_lengthens_the_way() -> None:
+    drift = 0.3 * np.eye(3)[:, :2]
+    for way_m, expected in (([0.0, 0.3, 0.0], [0.0, 1.0]), ([-0.3, 0.0, 0.0], [-1.0, 0.0])):
+        stretch = stretch_by_values(np.array(way_m), drift)
+        assert stretch is not None
+        np.testing.assert_allclose(stretch, expected)
+    assert stretch_by_values(np.zeros(3), drift) is None
 
 
 @pytest.mark.parametrize('effect', ['principal_point', 'camera_position', 'focal_length'])
@@ -56,3 +78,33 @@ def test_spins_do_not_tell_where_the_camera_is(effect: str) -> None:
     assert (history.std[spun, columns] > 0.95 * history.std[0, columns]).all()
     assert (history.std[-1, columns] < 0.2 * history.std[0, columns]).all()
     assert (np.abs(history.coefficients[-1, 1:]) < 3.0 * history.std[-1, columns]).all()
+
+
+class TestDriftAcrossTheFloor:
+    """The first leg of `cleaning` goes along the x axis of the map, until 17 s; y comes next, for a metre."""
+
+    SIZE = 0.015
+
+    @pytest.fixture(scope='class')
+    def histories(self) -> list[History]:
+        pixel_px, config = 0.05, Config()
+        config = replace(config, camera=replace(config.camera, pixel_noise_px=pixel_px))
+        drive = find_scenario('cleaning')
+        drive = replace(drive, duration_s=40.0, errors=replace(drive.errors, pixel_noise_px=pixel_px))
+        effect = find_effect('lateral_drift')
+        hidden = (HiddenEffect(effect, (self.SIZE, self.SIZE)),)
+        model = with_effect(default_model(), effect)
+        return [calibrate(SimSource(drive, seed, hidden=hidden), config, model).history for seed in (1, 2, 3)]
+
+    def test_one_leg_does_not_tell_how_much_longer_it_is(self, histories: list[History]) -> None:
+        for history in histories:
+            leg = int(np.searchsorted(history.time_s, 15.0))
+            std = history.std[leg, 10:12] / history.std[0, 10:12]
+            assert std[0] > 0.9 and std[1] < 0.2
+
+    def test_across_the_leg_and_along_the_next_one_it_is_known(self, histories: list[History]) -> None:
+        """By the present depth alone, along the first leg was 3 to 11 sigma off."""
+        for history in histories:
+            error, std = history.coefficients[-1, 1:] - self.SIZE, history.std[-1, 10:12]
+            assert (np.abs(error) < 2.0 * std).all()
+            assert (np.abs(error) < 0.3 * self.SIZE).all() and (std < 0.6 * self.SIZE).all()

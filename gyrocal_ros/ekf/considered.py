@@ -1,32 +1,71 @@
 """Coefficients that are considered, but not corrected, by an update (Schmidt 1966).
 
 Until the camera has moved, no image tells an effect of camera, wheels or floor from the depths of the
-features (`known_depth.has_moved`). The noise of the wheels would nevertheless seem to tell it in spins. So
-such a coefficient keeps its value and its standard deviation, and the covariance with it goes on.
+features (`known_depth.has_moved`). The noise of the wheels would nevertheless seem to tell it in spins.
+
+An effect of the floor that lengthens the way of the robot looks like another size of the map, for as long as
+the robot drives one way. The depths are known less well than their product with the way, and each correction
+of them would seem to tell the length. What carries the robot across its way, images tell at once.
+
+So such a coefficient, or combination of them, keeps its value and its standard deviation, and the covariance
+with it goes on.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from gyrocal_ros.data import changed
-from gyrocal_ros.ekf.effects_by_place import EffectsByPlace
+from gyrocal_ros.data import Array, changed
+from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.state import State
 
+MIN_STRETCH_STD = 0.001
+"""Standard deviation of a stretch of the way, relative to it, from which the map may be of another size."""
 
-def with_considered_view(before: State, after: State, effects: EffectsByPlace) -> State:
-    """Return the state after an update that does not correct effects of camera, wheels and floor.
+
+def with_considered(before: State, after: State, combinations: Array) -> State:
+    """Return the state after an update that does not correct combinations of coefficients.
+
+    What is independent of them is corrected as by the optimal gain.
 
     Args:
         before: before the update.
         after: after the optimal one.
-        effects: effects of the model.
+        combinations: C (q, k) weights of the coefficients in each.
     """
-    places = before.coefficient_columns.start + (effects.not_of_view() == 0.0).nonzero()[0]
-    if not len(places):
+    if not len(combinations):
         return after
+    C, k = combinations, before.coefficient_columns
+    P, P_after = before.covariance[k, k], after.covariance[k, k]
+    own = C @ P @ C.T
+    by_combinations = P @ C.T @ np.linalg.pinv(own)
     mean, covariance, sensitivity = after.mean.copy(), after.covariance.copy(), after.sensitivity.copy()
-    block = np.ix_(places, places)
-    mean[places], covariance[block] = before.mean[places], before.covariance[block]
-    sensitivity[places] = before.sensitivity[places]
+    mean[k] -= by_combinations @ C @ (after.mean[k] - before.mean[k])
+    covariance[k, k] += by_combinations @ (own - C @ P_after @ C.T) @ by_combinations.T
+    sensitivity[k] -= by_combinations @ C @ (after.sensitivity[k] - before.sensitivity[k])
     return changed(after, mean=mean, covariance=covariance, sensitivity=sensitivity)
+
+
+def combinations_not_told(state: State, model: ImageModel) -> Array:
+    """Return the combinations (q, k) of the coefficients that an image cannot tell."""
+    if not model.has_moved:
+        places = (model.effects.not_of_view() == 0.0).nonzero()[0]
+        return np.eye(model.effects.count)[places]
+    stretch, k = model.stretch_by_values, state.coefficient_columns
+    if stretch is None or stretch @ state.covariance[k, k] @ stretch < MIN_STRETCH_STD**2:
+        return np.empty((0, model.effects.count))
+    return stretch[None]
+
+
+def stretch_by_values(way_m: Array, drift_by_values: Array) -> Array | None:
+    """Return by how much coefficients lengthen the way over a block, relative to it, as derivatives (k,).
+
+    Args:
+        way_m: (3,) by the wheels.
+        drift_by_values: (3, k) derivative of the displacement that no sensor measures.
+
+    Returns:
+        (k,) or None for a robot that stays where it is.
+    """
+    square_m2 = float(way_m @ way_m)
+    return way_m @ drift_by_values / square_m2 if square_m2 > 0.0 else None

@@ -38,6 +38,8 @@ class ImageModel:
     """Of the robot at the stamp of the image."""
     way_noise_m: Array | None
     """(3,) displacement since the last image that may be noise of the wheels; None without any."""
+    stretch_by_values: Array | None
+    """(k,) by how much coefficients lengthen the way, see `considered`; None without any, and at rest."""
     interval_s: float
     """Time since a feature of the map was seen last."""
     has_moved: bool

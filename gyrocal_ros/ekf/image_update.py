@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
 from gyrocal_ros.ekf.certain_way import at_certain_way
-from gyrocal_ros.ekf.considered import with_considered_view
+from gyrocal_ros.ekf.considered import combinations_not_told, with_considered
 from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
 from gyrocal_ros.ekf.feature_likelihoods import given_others
 from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
@@ -112,8 +112,7 @@ def update_from_image(
 def _corrected(state: State, model: ImageModel, used: Innovation) -> tuple[State, UpdateStats]:
     """Return the state after the update by the features used."""
     after, stats = update(state, used)
-    if not model.has_moved:
-        after = with_considered_view(state, after, model.effects)
+    after = with_considered(state, after, combinations_not_told(state, model))
     after = with_moved_anchors(state, after, model)
     return with_known_depths(after, model, used), stats
 

@@ -25,6 +25,7 @@ from gyrocal_ros.data import (
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
 from gyrocal_ros.ekf.certain_way import is_certain, without_way
+from gyrocal_ros.ekf.considered import stretch_by_values
 from gyrocal_ros.ekf.effects_by_place import PoseMotion, move_camera, pose_motion, sort_effects, true_camera
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
@@ -120,6 +121,7 @@ class EkfSlam:
         self._candidate_memories = self._candidates.no_memories()
         self._motion = PoseMotion(np.zeros(6), np.zeros(6))
         self._way_noise_m: Array | None = None
+        self._stretch_by_values: Array | None = None
         self._has_moved = False
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
@@ -178,6 +180,9 @@ class EkfSlam:
         if is_way_noise:
             noise_m = transition.motion.forward @ block.distance_m
             self._way_noise_m = noise_m if self._way_noise_m is None else self._way_noise_m + noise_m
+        self._stretch_by_values = None
+        if (drift := transition.contribution.drift_by_values) is not None and not is_way_noise:
+            self._stretch_by_values = stretch_by_values(transition.motion.forward @ block.distance_m, drift)
         self.state, self._candidate_memories = predict_sensitivity(
             self.state, transition, steady, self._candidates, self._candidate_memories
         )
@@ -325,6 +330,7 @@ class EkfSlam:
             depth_matters=self._depth_matters,
             motion=self._motion,
             way_noise_m=self._way_noise_m,
+            stretch_by_values=self._stretch_by_values,
             interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
             has_moved=self._has_moved or not self.parametrisation.is_anchored,
             errors_repeat=self._errors_repeat(),

@@ -69,6 +69,8 @@ class FakeFilter:
     """Final estimate of an effect that is the only one added."""
     beside: dict[str, float] = field(default_factory=dict)
     """Predictive log-likelihood that an effect gains where it is not the only one added."""
+    at_once: dict[str, float] = field(default_factory=dict)
+    """Predictive log-likelihood that an effect gains in a single step besides."""
     known_from_s: float = 0.0
     """Time before which the coefficients are as uncertain as large."""
     unusable_with: str = ''
@@ -104,7 +106,8 @@ class FakeFilter:
             change=np.zeros((steps, 1 + len(values))),
             change_variance=np.zeros((steps, 1 + len(values))),
             suspected_std=np.zeros((steps, 1 + len(values))),
-            log_likelihood=sum(gains.get(name, 0.0) for name in names) / steps * uneven,
+            log_likelihood=sum(gains.get(name, 0.0) for name in names) / steps * uneven
+            + sum(self.at_once.get(name, 0.0) for name in names) * (np.arange(steps) == steps // 2),
         )
         state = replace(made.run.state, mean=changed.mean[-1], coefficient_count=len(values))
         return replace(made.run, model=model, history=changed, state=state, scores=scores)
@@ -379,6 +382,16 @@ class TestSearch:
         assert added.outperformed == (('scale_cubic',) if first == 'turn_slip' else ())
         found = search(default_model(), AT_REST, fake)
         assert {item.effect.name for item in found.kept} == set(sizes), 'both are there in the end'
+
+    @pytest.mark.slow
+    def test_a_moment_does_not_decide_between_two_that_look_alike(self) -> None:
+        fake = FakeFilter(
+            {'turn_slip': 2.0, 'scale_cubic': 2.0},
+            {'turn_slip': 100.0, 'scale_cubic': 100.0},
+            at_once={'turn_slip': 50.0},
+        )
+        (added,) = search(default_model(), AT_REST, fake, most=1).additions
+        assert added.effect.name == 'scale_cubic' and added.outperformed == ()
 
     @pytest.mark.slow
     def test_the_number_of_runs_is_limited(self) -> None:

@@ -351,7 +351,8 @@ def _contested(
 ) -> Addition:
     """Return the last addition, or an effect that looks like it if a run with that predicts clearly better.
 
-    To first order the wrong effect may look like the true one, and even a little better; not in a run.
+    To first order the wrong effect may look like the true one, and even a little better; not in a run. Where
+    a few moments make the run better, it says nothing: then both stay indistinguishable.
     """
     if last.before is None:
         return last
@@ -361,11 +362,13 @@ def _contested(
         with suppress(*CANNOT_RUN):
             additions.append(_added(last.before, rival, recording, calibrate))
 
-    def gain(item: Addition) -> float:
-        return float(predictive_gain(last.after.run, item.after.run).sum())
+    def clear_gain(item: Addition) -> float:
+        gains = predictive_gain(last.after.run, item.after.run)
+        return float(gains.sum()) if vuong_sigma(gains) > settings.rival_sigma else 0.0
 
-    better = (item for item in additions[1:] if item.is_kept and gain(item) > settings.min_predictive_gain)
-    best = max(better, key=gain, default=last)
+    kept = (item for item in additions[1:] if item.is_kept)
+    better = (item for item in kept if clear_gain(item) > settings.min_predictive_gain)
+    best = max(better, key=clear_gain, default=last)
     outperformed = (
         item.effect.name
         for item in additions

@@ -122,6 +122,12 @@ class DiagnosisSettings:
         'number of effects that look like the last one found and get a run of their own',
         'single effects',
     )
+    rival_sigma: float = threshold(
+        2.0,
+        'sigma',
+        'preference (Vuong 1989) for the run with one from which it takes the place of the one found',
+        'single effects',
+    )
 
     # --- starting an effect in the filter
     start_sigma: float = threshold(

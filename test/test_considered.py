@@ -12,8 +12,9 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.considered import stretch_by_values, with_considered
+from gyrocal_ros.ekf.considered import combinations_not_told, stretch_by_values, with_considered
 from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
@@ -54,6 +55,35 @@ def test_the_covariance_is_that_of_the_gain_without_the_considered_ones(combinat
 def test_without_combinations_nothing_changes() -> None:
     state, after = some_state(), some_state(seed=1)
     assert with_considered(state, after, np.empty((0, COUNT))) is after
+
+
+def not_told(
+    *effects: str, has_moved: bool, stretch: tuple[float, ...] | None = None, std: float = 0.02
+) -> Array:
+    """Return the combinations that an image does not tell, of effects beside the scale factor."""
+    model = default_model()
+    for name in effects:
+        model = with_effect(model, find_effect(name))
+    slam = EkfSlam(model, Config(), SimSource(find_scenario('cleaning'), 1).rig)
+    k = slam.state.coefficient_columns
+    covariance = slam.state.covariance.copy()
+    covariance[k, k] = std**2 * np.eye(slam.state.coefficient_count)
+    by_values = None if stretch is None else np.array(stretch)
+    image = replace(slam._image_model(), has_moved=has_moved, stretch_by_values=by_values)
+    return combinations_not_told(replace(slam.state, covariance=covariance), image)
+
+
+def test_before_the_camera_has_moved_no_effect_of_the_view_is_told() -> None:
+    effects = ('gyro_lag', 'camera_position', 'lateral_drift')
+    np.testing.assert_array_equal(not_told(*effects, has_moved=False), np.eye(6)[2:])
+    assert not_told('gyro_lag', has_moved=False).shape == (0, 2)
+    assert not_told(*effects, has_moved=True).shape == (0, 6)
+
+
+@pytest.mark.parametrize(('std', 'is_told'), [(0.02, False), (0.0005, True)])
+def test_a_stretch_is_not_told_until_it_is_known(std: float, is_told: bool) -> None:
+    found = not_told('lateral_drift', has_moved=True, stretch=(0.0, 0.8, 0.6), std=std)
+    np.testing.assert_array_equal(found, np.empty((0, 3)) if is_told else [[0.0, 0.8, 0.6]])
 
 
 def test_a_stretch_is_what_lengthens_the_way() -> None:

@@ -362,13 +362,11 @@ def _contested(
         with suppress(*CANNOT_RUN):
             additions.append(_added(last.before, rival, recording, calibrate))
 
-    def clear_gain(item: Addition) -> float:
+    best, best_gain = last, settings.min_predictive_gain
+    for item in additions[1:]:
         gains = predictive_gain(last.after.run, item.after.run)
-        return float(gains.sum()) if vuong_sigma(gains) > settings.rival_sigma else 0.0
-
-    kept = (item for item in additions[1:] if item.is_kept)
-    better = (item for item in kept if clear_gain(item) > settings.min_predictive_gain)
-    best = max(better, key=clear_gain, default=last)
+        if item.is_kept and vuong_sigma(gains) > settings.rival_sigma and gains.sum() > best_gain:
+            best, best_gain = item, float(gains.sum())
     outperformed = (
         item.effect.name
         for item in additions

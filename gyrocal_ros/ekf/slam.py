@@ -177,12 +177,13 @@ class EkfSlam:
         self.state, transition = predict(before, block, model, self.memories, steady)
         self.memories = transition.contribution.correction.memories
         self._motion = pose_motion(transition.motion, block)
-        if is_way_noise:
-            noise_m = transition.motion.forward @ block.distance_m
-            self._way_noise_m = noise_m if self._way_noise_m is None else self._way_noise_m + noise_m
+        way_m = transition.motion.forward @ block.distance_m
+        drift_by_values = transition.contribution.drift_by_values
         self._stretch_by_values = None
-        if (drift := transition.contribution.drift_by_values) is not None and not is_way_noise:
-            self._stretch_by_values = stretch_by_values(transition.motion.forward @ block.distance_m, drift)
+        if is_way_noise:
+            self._way_noise_m = way_m if self._way_noise_m is None else self._way_noise_m + way_m
+        elif drift_by_values is not None:
+            self._stretch_by_values = stretch_by_values(way_m, drift_by_values)
         self.state, self._candidate_memories = predict_sensitivity(
             self.state, transition, steady, self._candidates, self._candidate_memories
         )

@@ -23,7 +23,7 @@ from synthetic import (
 )
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.additions import addition
+from gyrocal_ros.diagnose.additions import Addition, addition
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import examine, with_effect
@@ -238,6 +238,29 @@ class TestSearch:
         fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0})
         (added,) = search(default_model(), AT_REST, fake, settings=strict).additions
         assert added.stands_out and added.is_kept == is_kept and added.is_negligible != is_kept
+
+    @pytest.mark.parametrize(
+        ('size', 'constant', 'is_negligible'),
+        [
+            (0.5, 1.0, False),
+            (0.5, 9.0, False),
+            (0.5, 0.1, True),
+            (9.0, 0.1, False),
+            (9.0, -1.0, True),
+            (0.05, 9.0, True),
+        ],
+    )
+    @pytest.mark.parametrize('name', ['turn_hysteresis', 'bias_warmup'])
+    def test_what_fades_at_once_is_small_though_it_is_strong(
+        self, name: str, size: float, constant: float, is_negligible: bool
+    ) -> None:
+        """It leaves a heading of strength times time constant."""
+        effect = find_effect(name)
+        usual = [item.typical.low for item in effect.coefficients if item.typical is not None]
+        values = np.array([size, constant]) * usual
+        after: Any = SimpleNamespace(estimate_of=lambda _: (values, 0.0 * values), settings=DEFAULT_SETTINGS)
+        added = Addition(effect, None, after, 9.0, 9.0, 0.0, np.zeros(2), strengths=np.array([0]))
+        assert added.is_negligible == is_negligible
 
     @pytest.mark.slow
     @pytest.mark.parametrize(('part', 'inexact', 'is_found'), [(0.5, '', True), (0.5, 'scale_cubic', False)])

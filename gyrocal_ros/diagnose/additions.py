@@ -77,15 +77,26 @@ class Addition:
         return self.is_below(self.after.settings.min_usual_part)
 
     def is_below(self, part: float) -> bool:
-        """Return True if all of its strengths are smaller than a part of the smallest usual ones."""
-        usual = [self.effect.coefficients[place].typical for place in self.strengths]
-        if not usual:
-            return False
+        """Return True if all of its strengths are smaller than a part of the smallest usual ones.
+
+        What fades leaves a heading of strength times time constant, so a time constant below the usual ones
+        makes it smaller, too.
+        """
         values, _ = self.after.estimate_of(self.effect.name)
-        return all(
-            item is not None and abs(value) < part * item.low
-            for item, value in zip(usual, values[self.strengths].tolist(), strict=True)
+        usual = [item.typical for item in self.effect.coefficients]
+        sizes = [
+            math.inf if item is None else value / item.low for item, value in zip(usual, values, strict=True)
+        ]
+        memory = min(
+            (
+                max(size, 0.0)
+                for size, item in zip(sizes, usual, strict=True)
+                if item and not item.is_strength
+            ),
+            default=1.0,
         )
+        strengths = [abs(sizes[place]) * min(memory, 1.0) for place in self.strengths]
+        return len(strengths) > 0 and max(strengths) < part
 
     @property
     def raises_drift(self) -> bool:

@@ -92,6 +92,11 @@ def view_at(pose: Array) -> PosedCamera:
     return posed_camera(CAMERA, MOUNT, pose[:3], pose[3:])
 
 
+def anchor_by_pose(first: NewFeatures) -> Array:
+    """Return the derivative (3, 6) of the anchor of new features by the pose; zero without one."""
+    return np.zeros((3, 6)) if first.anchor_by_pose is None else first.anchor_by_pose
+
+
 class ParametrisationContract:
     """Contract of a feature parametrisation: initial values, predictions and all derivatives."""
 
@@ -122,25 +127,24 @@ class ParametrisationContract:
         assert np.all(np.linalg.norm(points_c, axis=1) > FEATURES.prior_depth_m - 1e-9)
 
     def test_a_new_feature_moves_with_the_pose(self, form: Parametrisation, first: NewFeatures) -> None:
-        """The derivative of the point by the pose is that of `world` times `by_pose`."""
+        """The derivative of the point by the pose is that of `world` times `by_pose`, and of its anchor."""
 
         def points(pose: Array) -> Array:
             new = form.initialise(view_at(pose), PIXELS, NOISE_PX, FEATURES)
             return form.world(new.parameters, new.anchors)[0]
 
         _, world_by_parameters = form.world(first.parameters, first.anchors)
-        np.testing.assert_allclose(
-            world_by_parameters @ first.by_pose, differences(points, FIRST_POSE), atol=1e-7
-        )
+        by_pose = world_by_parameters @ first.by_pose + anchor_by_pose(first)
+        np.testing.assert_allclose(by_pose, differences(points, FIRST_POSE), atol=1e-7)
 
     def test_a_new_feature_does_not_depend_on_the_pose_in_the_image(
         self, form: Parametrisation, first: NewFeatures
     ) -> None:
         """A robot at another pose would have initialised the feature elsewhere, at the same pixel."""
         seen = form.predict(view_at(FIRST_POSE), first.parameters, first.anchors)
-        np.testing.assert_allclose(
-            seen.by_pose + seen.by_feature @ first.by_pose, 0.0, atol=1e-9 * np.abs(seen.by_pose).max()
-        )
+        by_pose = seen.by_pose + seen.by_feature @ first.by_pose
+        by_pose -= seen.by_pose[:, :, :3] @ anchor_by_pose(first)
+        np.testing.assert_allclose(by_pose, 0.0, atol=1e-9 * np.abs(seen.by_pose).max())
 
     def test_initial_noise_is_a_covariance(self, form: Parametrisation, first: NewFeatures) -> None:
         assert first.noise.shape == (len(PIXELS), 3, 3)

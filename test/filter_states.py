@@ -43,14 +43,18 @@ QUIET_WHEELS = WheelConfig(0.0, 0.0, 0.0, 0.0)
 
 
 def some_state(form: Parametrisation = INVERSE_DEPTH, seed: int = 0, t_ns: int = 30_000_000_000) -> State:
-    """Return a state in the middle of a run: five features, everything correlated with everything."""
+    """Return a state in the middle of a run: five features, everything correlated with everything.
+
+    They were seen first in one image, so those with anchors share one.
+    """
     rng = np.random.default_rng(seed)
     state = initial_state(MODEL, Config(), None, C)
     mean = np.concatenate([LATER_POSE, [0.001, -0.002, 0.003], VALUES])
     state = replace(state, t_ns=t_ns, mean=mean)
     new = form.initialise(view_at(LATER_POSE), PIXELS, NOISE_PX, FEATURES)
     state = augment(state, np.array([3, 1, 4, 15, 9]), PIXELS, DIRECTIONS, new, None, None)
-    scale = np.concatenate([[0.02] * 3, [0.003] * 3, [1e-4] * 3, SCALES, [0.02] * 15])
+    scale = np.concatenate([[0.02] * 3, [0.003] * 3, [1e-4] * 3, SCALES])
+    scale = np.concatenate([scale, np.full(len(state.mean) - len(scale), 0.02)])
     mixing = scale[:, None] * rng.normal(size=(len(scale), len(scale))) / math.sqrt(len(scale))
     covariance = mixing @ mixing.T + np.diag((0.1 * scale) ** 2)
     return replace(state, covariance=covariance, sensitivity=rng.normal(size=(len(scale), C)))

@@ -60,7 +60,7 @@ def test_a_way_is_certain_beyond_the_noise_of_the_wheels(
 def predicted(state: State, rows: IntArray, position_m: Array) -> tuple[PosedCamera, Prediction]:
     mount = mount_from_yaw(0.09, 0.0, 0.1, -90.0)
     view = posed_camera(CAMERA, mount, position_m, state.euler_rad)
-    return view, INVERSE_DEPTH.predict(view, state.features[rows], state.landmarks.anchors[rows])
+    return view, INVERSE_DEPTH.predict(view, state.features[rows], state.anchors_of(rows))
 
 
 def test_derivatives_by_known_depths_are_those_where_the_robot_stayed() -> None:

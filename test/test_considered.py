@@ -12,7 +12,13 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.considered import combinations_not_told, stretch_by_values, with_considered
+from gyrocal_ros.ekf.considered import (
+    combinations_not_told,
+    not_told_at_rest,
+    stretch_by_values,
+    with_considered,
+    with_kept,
+)
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.pipeline.calibrate import calibrate
@@ -50,6 +56,33 @@ def test_the_covariance_is_that_of_the_gain_without_the_considered_ones(combinat
     np.testing.assert_allclose(considered.mean, state.mean + gain @ residual, atol=1e-12)
     np.testing.assert_allclose(considered.covariance, left @ P @ left.T + gain @ R @ gain.T, atol=1e-12)
     np.testing.assert_allclose(considered.sensitivity, X - gain @ H @ X, atol=1e-12)
+
+
+def test_what_is_kept_has_no_gain() -> None:
+    rng, state = np.random.default_rng(3), some_state()
+    P, X, places = state.covariance, state.sensitivity, np.array([0, 2, 10, 20, len(state.mean) - 1])
+    H, R = rng.normal(size=(4, len(P))) / np.sqrt(P.diagonal()), 0.1 * np.eye(4)
+    residual = rng.normal(size=4)
+    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    after = replace(
+        state, mean=state.mean + gain @ residual, covariance=P - gain @ H @ P, sensitivity=X - gain @ H @ X
+    )
+    kept = with_kept(state, after, places)
+    gain[places] = 0.0
+    left = np.eye(len(P)) - gain @ H
+    np.testing.assert_allclose(kept.mean, state.mean + gain @ residual, atol=1e-12)
+    np.testing.assert_allclose(kept.covariance, left @ P @ left.T + gain @ R @ gain.T, atol=1e-12)
+    np.testing.assert_allclose(kept.sensitivity, X - gain @ H @ X, atol=1e-12)
+
+
+def test_at_rest_no_image_tells_of_places_depths_and_what_moves_the_camera() -> None:
+    model = with_effect(with_effect(default_model(), find_effect('gyro_lag')), find_effect('camera_position'))
+    slam = EkfSlam(model, Config(), SimSource(find_scenario('cleaning'), 1).rig)
+    state = some_state()
+    state = replace(slam.state, landmarks=state.landmarks, mean=np.zeros(slam.state.robot_size + 18))
+    r = state.robot_size
+    expected = [0, 1, 2, 11, 12, *range(r + 2, r + 15, 3), *range(r + 15, r + 18)]
+    assert not_told_at_rest(state, slam._image_model()).tolist() == expected
 
 
 def test_without_combinations_nothing_changes() -> None:

@@ -11,7 +11,7 @@ from contracts import CAMERA, FEATURES, FIRST_POSE, LATER_POSE, PIXELS, Parametr
 from gyrocal_ros.config.declare import Setting
 from gyrocal_ros.model.camera import project
 from gyrocal_ros.model.features import PARAMETRISATIONS
-from gyrocal_ros.model.features.base import Anchors, no_anchors, points_in_camera, points_in_world
+from gyrocal_ros.model.features.base import anchors_at, no_anchors, points_in_camera, points_in_world
 from gyrocal_ros.model.features.inverse_depth import AnchoredInverseDepth
 from gyrocal_ros.model.features.rays import cross_std, ray_covariances, ray_points
 
@@ -72,7 +72,7 @@ def test_without_parallax_the_pixel_does_not_depend_on_inverse_depth() -> None:
 
 
 def test_a_nonpositive_inverse_depth_is_far_away() -> None:
-    anchors = Anchors(np.eye(3)[None], np.zeros((1, 3)))
+    anchors = anchors_at(np.eye(3)[None], np.zeros((1, 3)))
     for inverse_depth in (0.0, -0.3):
         point, by_parameters = AnchoredInverseDepth().world(np.array([[0.1, 0.2, inverse_depth]]), anchors)
         assert np.isfinite(point).all() and np.isfinite(by_parameters).all()
@@ -80,8 +80,9 @@ def test_a_nonpositive_inverse_depth_is_far_away() -> None:
 
 
 def test_anchors_are_joined_and_selected_by_rows() -> None:
-    one = Anchors(np.eye(3)[None], np.array([[1.0, 2.0, 3.0]]))
+    one = anchors_at(np.eye(3)[None], np.array([[1.0, 2.0, 3.0]]))
     both = no_anchors(2).joined(one)
+    assert no_anchors(0).joined(one) is one
     assert both.R_wc.shape == (3, 3, 3) and both.p_wc.shape == (3, 3)
     np.testing.assert_array_equal(both[np.array([2])].p_wc, one.p_wc)
     np.testing.assert_array_equal(both[np.arange(1, 3)].R_wc[1], np.eye(3))

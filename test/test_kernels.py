@@ -169,9 +169,10 @@ def innovation_matrices(
     n = 9 + k + 3 * count
     columns = 9 + k + 3 * rng.permutation(count)
     return (
-        covariance(rng, n),
-        rng.normal(size=(n, c)),
+        covariance(rng, n + 6),
+        rng.normal(size=(n + 6, c)),
         columns,
+        rng.choice([-1, n, n + 3], count),
         rng.normal(size=(count, 2)),
         rng.normal(size=(count, 2, 6)),
         rng.normal(size=(count, 2, 3)),
@@ -261,16 +262,6 @@ def compared_depths(rng: np.random.Generator, count: int) -> Arguments:
         0.5,
         8.0,
     )
-
-
-def moved_anchors(rng: np.random.Generator, count: int) -> Arguments:
-    n = 12 + 3 * count
-    mean_before = rng.uniform(0.2, 0.6, n)
-    mean = mean_before + rng.normal(0.0, 0.02, n)
-    mean_before[14::9] = 30.0  # so near that the camera would pass them
-    variances, lever_m = rng.uniform(1e-6, 1e-3, count), rng.normal(0.0, 0.05, 3)
-    anchors = rng.normal(size=(count, 3, 3)), rng.normal(size=(count, 3))
-    return mean, 12, mean_before, rng.choice([0.0, 3e-4]), variances, lever_m, *anchors, 0.1
 
 
 def shift(rng: np.random.Generator, count: int) -> Arguments:
@@ -394,7 +385,6 @@ MAKERS: tuple[Maker, ...] = (
     matches_counted,
     mean_at_end,
     motion_in_image,
-    moved_anchors,
     path_in_block,
     pixels_by_radial_coefficients,
     pixels_by_tilt,

@@ -9,20 +9,18 @@ import pytest
 from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.config.sections import Config, FeatureConfig
-from gyrocal_ros.data import TruthSample
+from gyrocal_ros.data import Array, TruthSample
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.effects_by_place import move_camera, sort_effects
 from gyrocal_ros.ekf.known_depth import directions_by_pose, has_moved, relative_growth
-from gyrocal_ros.ekf.landmarks import augment, with_shared_errors
+from gyrocal_ros.ekf.landmarks import with_shared_errors
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.model.camera import mount_from_yaw
-from gyrocal_ros.model.features.base import Anchors, posed_camera
+from gyrocal_ros.model.features.base import anchors_at, posed_camera
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import CAMERA, find_scenario
-from gyrocal_ros.sim.trajectory import Leg
 from gyrocal_ros.sim.world import SimSource
 
 MOUNT = mount_from_yaw(0.09, 0.0, 0.1, -90.0)
@@ -76,37 +74,22 @@ def test_no_image_alone_tells_the_position() -> None:
     assert (np.diff(along_m) > -0.3 * along_m[:-1]).all()
 
 
-def test_directions_shift_as_at_a_first_sight_with_that_depth() -> None:
-    """What a change of the depth adds is the difference of first sights with the one and the other depth."""
-    state, pixels = some_state(), np.array([[80.0, 60.0], [210.0, 150.0]])
-    view = posed_camera(CAMERA, MOUNT, state.position_m, state.euler_rad)
-    guessed, known = (
-        INVERSE_DEPTH.initialise(view, pixels, 0.1, FeatureConfig(prior_depth_m=depth))
-        for depth in (2.5, 1.8)
-    )
-    ids, first = np.array([901, 902]), len(state.landmarks.ids)
-    mapped = augment(state, ids, pixels, known.parameters[:, :2], known, None, None)
-    change = known.parameters[:, 2] - guessed.parameters[:, 2]
-    added = directions_by_pose(mapped.features[first:], view.R_wc.T, view, change)
-    by_attitude = guessed.by_pose[:, :2, 3:]  # does not depend on the depth, but for the lever arm
-    np.testing.assert_allclose(added, (known.by_pose - guessed.by_pose)[:, :2], atol=1e-12)
-    assert np.abs(added[:, :, 3:]).max() < 0.1 * np.abs(by_attitude).max()
+def test_directions_turn_as_the_camera_moves_by_the_depth_that_changes() -> None:
+    """A camera farther ahead sees a point of inverse depth r in another direction."""
+    state, pixels, step = some_state(), np.array([[80.0, 60.0], [210.0, 150.0]]), 1e-6
+    change = np.array([0.3, 0.5])
 
+    def directions(pose: Array) -> Array:
+        view = posed_camera(CAMERA, MOUNT, pose[:3], pose[3:])
+        rays_w = np.column_stack([features[:, :2], np.ones(2)]) @ here.R_wc.T
+        seen = (rays_w / change[:, None] + here.p_wc - view.p_wc) @ here.R_wc
+        return seen[:, :2] / seen[:, 2:]
 
-@pytest.mark.parametrize(
-    ('name', 'moves'),
-    [
-        ('camera_position', True),
-        ('wheel_scale', True),
-        ('camera_time_offset', True),
-        ('rolling_shutter', True),
-        ('radial_distortion', False),
-        ('camera_tilt', False),
-        ('scale_cubic', False),
-    ],
-)
-def test_effects_that_move_the_camera_depend_on_depth(name: str, moves: bool) -> None:
-    assert move_camera(sort_effects((find_effect(name),)), CAMERA, MOUNT) == moves
+    here = posed_camera(CAMERA, MOUNT, state.position_m, state.euler_rad)
+    features = INVERSE_DEPTH.initialise(here, pixels, 0.1, FeatureConfig()).parameters
+    steps = [(directions(state.mean[:6] + step * axis) - features[:, :2]) / step for axis in np.eye(6)]
+    found = directions_by_pose(features, here.R_wc.T, here, change)
+    np.testing.assert_allclose(found, -np.stack(steps, axis=2), atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -128,11 +111,12 @@ def test_the_camera_has_moved_by_a_part_of_the_depth(
     anchors_m = view.p_wc + np.array([[0.6 * way_m, 0.8 * way_m, 0.0] for way_m in ways_m])
     landmarks = replace(
         state.landmarks,
-        anchors=Anchors(state.landmarks.anchors.R_wc, anchors_m),
+        anchors=anchors_at(state.landmarks.anchors.R_wc, anchors_m),
+        anchor_rows=np.full(5, -1),
         last_seen_ns=np.array(last_seen_s),
     )
     mean = state.mean.copy()
-    mean[state.robot_size + 2 :: 3] = 1.0 / 2.5
+    mean[state.robot_size + 2 : state.anchors_start : 3] = 1.0 / 2.5
     assert has_moved(replace(state, t_ns=1, mean=mean, landmarks=landmarks), view) == expected
 
 
@@ -148,25 +132,3 @@ def test_a_longer_focal_length_makes_directions_smaller(effect: str, growth: flo
     np.testing.assert_array_equal(found[:, 0], 0.0)  # a gyro has no image
     per_unit = 1.0 if effect == 'focal_length' else CAMERA.fx_px  # of coefficients in pixels
     np.testing.assert_allclose(per_unit * found[:, 1:], growth, atol=0.05)
-
-
-def test_directions_depend_on_an_effect_that_the_model_lacks_by_the_depth_that_is_known() -> None:
-    """A camera that is d elsewhere saw a feature of inverse depth r in a direction r d from the anchor."""
-    legs = (Leg(1.0), Leg(0.5, 0.3), Leg(60.0, 0.3))
-    drive = replace(find_scenario('cleaning'), duration_s=7.0, legs=legs, bumps=0, floor_tilt_deg=0.0)
-    errors = replace(drive.errors, pixel_noise_px=PATCH_NOISE_PX)
-    source, config = SimSource(replace(drive, errors=errors), 1), Config()
-    config = replace(config, features=replace(config.features, prior_depth_m=1.6))
-    slam = EkfSlam(default_model(), config, source.rig, candidates=(find_effect('camera_position'),))
-    stream = SlamStream(slam)
-    for measurement in source.measurements():
-        stream.step(measurement)
-    state = slam.state
-    columns = state.feature_columns(np.arange(len(state.landmarks.ids)))
-    known = np.sqrt(state.covariance[columns[:, 2], columns[:, 2]]) < 0.05 * state.mean[columns[:, 2]]
-    columns = columns[known]
-    assert len(columns) > 8 and np.median(state.mean[columns[:, 2]]) < 1.0 / 1.9, (
-        'not where they are expected'
-    )
-    expected = state.mean[columns[:, 2], None, None] * source.rig.camera_mount.R_bs.T[:2, :2]
-    np.testing.assert_allclose(state.sensitivity[columns[:, :2], :2], expected, atol=0.01)

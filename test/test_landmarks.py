@@ -21,28 +21,37 @@ def test_new_features_join_with_all_correlations(form: Parametrisation) -> None:
     new = form.initialise(view_at(state.mean[POSE]), PIXELS[:2] + 5.0, NOISE_PX, FEATURES)
     by_values, by_candidates = derivatives(np.arange(2), 3)
     after = augment(state, np.array([20, 21]), PIXELS[:2], DIRECTIONS[:2], new, by_values, by_candidates)
-    n = len(state.mean)
-    jacobian = np.zeros((n + 6, n))
-    jacobian[:n] = np.eye(n)
-    jacobian[n:, POSE] = new.by_pose.reshape(6, 6)
-    jacobian[n:, state.coefficient_columns] = by_values.reshape(6, K)
+    n, features = len(state.mean), slice(state.anchors_start, state.anchors_start + 6)
+    behind = slice(features.stop, features.stop + n - state.anchors_start)
+    jacobian = np.zeros((len(after.mean), n))
+    jacobian[: features.start, : features.start] = np.eye(features.start)
+    jacobian[features, POSE] = new.by_pose.reshape(6, 6)
+    jacobian[features, state.coefficient_columns] = by_values.reshape(6, K)
+    jacobian[behind, features.start :] = np.eye(n - features.start)
+    if new.anchor_by_pose is not None:
+        jacobian[behind.stop :, POSE] = new.anchor_by_pose
+        np.testing.assert_array_equal(after.mean[behind.stop :], new.anchors.p_wc[0])
     sensitivity = jacobian @ state.sensitivity
-    sensitivity[n:] += by_candidates.reshape(6, C)
+    sensitivity[features] += by_candidates.reshape(6, C)
     np.testing.assert_allclose(after.sensitivity, sensitivity, rtol=1e-9, atol=1e-9)
     expected = jacobian @ state.covariance @ jacobian.T
-    expected[n:, n:] += block_diagonal(new.noise)
+    expected[features, features] += block_diagonal(new.noise)
     np.testing.assert_allclose(after.covariance, expected, rtol=1e-12, atol=1e-18)
-    np.testing.assert_array_equal(after.mean[:n], state.mean)
+    np.testing.assert_array_equal(
+        np.concatenate([after.mean[: features.start], after.mean[behind]]), state.mean
+    )
     np.testing.assert_array_equal(after.features[5:], new.parameters)
     assert after.landmarks.ids.tolist() == [3, 1, 4, 15, 9, 20, 21]
     assert after.landmarks.last_seen_ns.tolist()[5:] == [state.t_ns] * 2
-    assert_positive_definite(after.covariance)
+    # a new anchor is where the camera is
+    assert_positive_definite(after.covariance[: behind.stop, : behind.stop])
 
 
 def test_removal_leaves_the_rest_unchanged() -> None:
     state = some_state()
     after = keep(state, np.array([True, False, True, True, False]))
     kept = [*range(state.robot_size), *state.feature_columns(np.array([0, 2, 3])).ravel()]
+    kept += range(state.anchors_start, len(state.mean))
     np.testing.assert_array_equal(after.mean, state.mean[kept])
     np.testing.assert_array_equal(after.covariance, state.covariance[np.ix_(kept, kept)])
     np.testing.assert_array_equal(after.sensitivity, state.sensitivity[kept])

@@ -40,11 +40,11 @@ def test_they_are_those_of_a_frame_of_wrong_scale_that_leans() -> None:
 
 @pytest.mark.slow
 def test_the_published_covariances_hold_against_the_room() -> None:
-    """Of the features, 39 % should be inside one standard deviation on the floor plan; NEES of the pose.
+    """NEES per degree of freedom, 1 on average: of the features on the floor plan, and of the pose.
 
     The wheels are larger or smaller than assumed, by as much as the settings expect.
     """
-    alone, published, pose_nees = list[bool](), list[bool](), list[float]()
+    alone, published, pose_nees = list[float](), list[float](), list[float]()
     wheel_errors = Config().wheels.scale_std * np.random.default_rng(2).normal(size=6)
     for seed, wheel_error in enumerate(wheel_errors.tolist()):
         source = recording(seed=seed, duration_s=45.0)
@@ -74,7 +74,7 @@ def test_the_published_covariances_hold_against_the_room() -> None:
         for point, own, more in zip(ceiling.points_m, ceiling.covariances_m2, added, strict=True):
             off = point - true[np.argmin(np.linalg.norm(true - point, axis=1))]
             if np.linalg.norm(off) < 0.3:  # else it is of another feature
-                for inside, matrix in ((alone, own), (published, own + more)):
-                    inside.append(off[:2] @ np.linalg.solve(matrix[:2, :2], off[:2]) < 1.0)
-    assert np.mean(pose_nees) < 3.0
-    assert abs(np.mean(published) - 0.39) < abs(np.mean(alone) - 0.39) and 0.25 < np.mean(published) < 0.7
+                for nees, matrix in ((alone, own), (published, own + more)):
+                    nees.append(float(off[:2] @ np.linalg.solve(matrix[:2, :2], off[:2])) / 2.0)
+    assert np.mean(pose_nees) < 1.5
+    assert 0.5 < np.mean(published) < 1.5 < np.mean(alone) < 6.0

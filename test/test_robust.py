@@ -36,7 +36,7 @@ def known_map(pose_part: float = 1.0) -> State:
 def innovation_of(residual: Array, pose_part: float = 1.0) -> Innovation:
     """Return the innovation of the five features of that state, or of more observations of them."""
     state, rows = known_map(pose_part), np.arange(len(residual)) % 5
-    features, anchors = state.features[rows], state.landmarks.anchors[rows]
+    features, anchors = state.features[rows], state.anchors_of(rows)
     prediction = INVERSE_DEPTH.predict(view_at(state.mean[POSE]), features, anchors)
     noise = np.broadcast_to(NOISE_PX**2 * np.eye(2), (len(rows), 2, 2))
     return innovate(state, rows, prediction, prediction.expected + residual, noise)

@@ -30,7 +30,7 @@ IDS = STATE.landmarks.ids
 def known_to(depths: Array | float, part: float) -> State:
     """Return a state whose inverse depths have changed by so much, and are known to a part of `STD`."""
     mean, covariance = STATE.mean.copy(), STATE.covariance.copy()
-    places = np.arange(STATE.robot_size + 2, len(mean), 3)
+    places = np.arange(STATE.robot_size + 2, STATE.anchors_start, 3)
     mean[places] = 0.4 + np.asarray(depths)
     covariance[places, places] = (part * STD) ** 2
     return replace(STATE, mean=mean, covariance=covariance)

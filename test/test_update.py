@@ -23,6 +23,7 @@ from filter_states import (
 
 from gyrocal_ros.config.sections import Config, GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, IntArray, MotionBlock
+from gyrocal_ros.ekf.robust import mahalanobis
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import BIAS, EULER, POSE, YAW, State
 from gyrocal_ros.ekf.update import (
@@ -31,7 +32,6 @@ from gyrocal_ros.ekf.update import (
     heading_innovation,
     heading_update,
     innovate,
-    mahalanobis,
     own_precisions,
     update,
     zero_rate_update,
@@ -46,7 +46,7 @@ def seen(form: Parametrisation, rows: IntArray, seed: int = 1) -> tuple[State, I
     """Return a state and the innovation of some of its features."""
     state, rng = some_state(form), np.random.default_rng(seed)
     view = view_at(state.mean[POSE])
-    prediction = form.predict(view, state.features[rows], state.landmarks.anchors[rows])
+    prediction = form.predict(view, state.features[rows], state.anchors_of(rows))
     measured, noise = form.measure(view, PIXELS[rows] + rng.normal(size=(len(rows), 2)), NOISE_PX, FEATURES)
     by_values, by_candidates = derivatives(rows, form.rows)
     return state, innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
@@ -91,6 +91,8 @@ def dense_jacobian(state: State, innovation: Innovation) -> Array:
         jacobian[i, :, POSE] = innovation.prediction.by_pose[i]
         start = state.robot_size + 3 * row
         jacobian[i, :, start : start + 3] = innovation.prediction.by_feature[i]
+        if (anchor := int(state.anchor_columns(np.array([row]))[0])) >= 0:
+            jacobian[i, :, anchor : anchor + 3] = -innovation.prediction.by_pose[i, :, :3]
     jacobian[:, :, state.coefficient_columns] = derivatives(innovation.rows, width)[0]
     return jacobian.reshape(count * width, -1)
 
@@ -112,7 +114,7 @@ class TestStackedUpdate:
         state, _ = seen(form, rows)
         state = replace(state, sensitivity=state.sensitivity[:, :0])
         view = view_at(state.mean[POSE])
-        prediction = form.predict(view, state.features[rows], state.landmarks.anchors[rows])
+        prediction = form.predict(view, state.features[rows], state.anchors_of(rows))
         measured, noise = form.measure(view, PIXELS[rows] + 0.5, NOISE_PX, FEATURES)
         none = innovate(state, rows, prediction, measured, noise)
         zeros = innovate(state, rows, prediction, measured, noise, np.zeros((len(rows), form.rows, K)))

@@ -140,7 +140,8 @@ def _set_up(measurements: Iterable[Measurement], rig: Rig, config: Config) -> tu
     unknowns = np.concatenate([*poses, slam.state.coefficients, slam.state.features.ravel()])
     prior_std = model.coefficients[0].prior_std
     filter_model = FilterModel(model, sort_effects(model.effects), config.gyro, config.wheels)
-    problem = _Problem(steps, landmarks.anchors, rig, config, filter_model, prior_std)
+    anchors = slam.state.anchors_of(np.arange(len(landmarks.ids)))
+    problem = _Problem(steps, anchors, rig, config, filter_model, prior_std)
     return problem, unknowns
 
 

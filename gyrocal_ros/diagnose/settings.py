@@ -76,7 +76,7 @@ class DiagnosisSettings:
         0.1,
         '1',
         'part of the least usual size below which an effect is not named: signals that are recorded late or '
-        'seldom leave such traces',
+        'seldom leave such traces. What fades counts with strength times time constant',
         'pairs of effects',
     )
     min_judgeable_part: float = threshold(

@@ -8,16 +8,17 @@ the robot drives one way. The depths are known less well than their product with
 of them would seem to tell the length. What carries the robot across its way, images tell at once.
 
 So such a coefficient, or combination of them, keeps its value and its standard deviation, and the covariance
-with it goes on.
+with it goes on. So do the position and the depths while the robot stays: images from one place tell nothing
+of either, but each that is not quite consistent with the first would seem to.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from gyrocal_ros.data import Array, changed
+from gyrocal_ros.data import Array, IntArray, changed
 from gyrocal_ros.ekf.image_model import ImageModel
-from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION, State
 
 MIN_STRETCH_STD = 0.001
 """Standard deviation of a stretch of the way, relative to it, from which the map may be of another size."""
@@ -44,6 +45,29 @@ def with_considered(before: State, after: State, combinations: Array) -> State:
     covariance[k, k] += by_combinations @ (own - C @ P_after @ C.T) @ by_combinations.T
     sensitivity[k] -= by_combinations @ C @ (after.sensitivity[k] - before.sensitivity[k])
     return changed(after, mean=mean, covariance=covariance, sensitivity=sensitivity)
+
+
+def with_kept(before: State, after: State, places: IntArray) -> State:
+    """Return the state after an update that does not correct what is at some places (p,) of the state.
+
+    Args:
+        before: before the update.
+        after: after the optimal one.
+        places: indices of the state.
+    """
+    mean, covariance, sensitivity = after.mean.copy(), after.covariance.copy(), after.sensitivity.copy()
+    mean[places], sensitivity[places] = before.mean[places], before.sensitivity[places]
+    square = np.ix_(places, places)
+    covariance[square] = before.covariance[square]
+    return changed(after, mean=mean, covariance=covariance, sensitivity=sensitivity)
+
+
+def not_told_at_rest(state: State, model: ImageModel) -> IntArray:
+    """Return the places of position, coefficients of camera, wheels and floor, inverse depths and anchors."""
+    depths = np.arange(state.robot_size + 2, state.anchors_start, 3)
+    coefficients = COEFFICIENTS_START + (model.effects.not_of_view() == 0.0).nonzero()[0]
+    anchors = np.arange(state.anchors_start, len(state.mean))
+    return np.concatenate([np.arange(POSITION.stop), coefficients, depths, anchors])
 
 
 def combinations_not_told(state: State, model: ImageModel) -> Array:

@@ -70,6 +70,11 @@ class EffectsByPlace:
         """True if any effect changes images."""
         return bool(self.camera or self.time or self.shutter)
 
+    @property
+    def act_on_view(self) -> bool:
+        """True if any effect shifts features by their depth, or with the way."""
+        return bool(self.camera or self.time or self.shutter or self.wheels or self.ground)
+
     def not_of_view(self) -> Array:
         """Return (K,) 0 for coefficients that shift features by their depth or with the way, 1 for others."""
         weights = np.ones(self.count)
@@ -185,20 +190,6 @@ def true_camera(
     for effect, place in effects.camera:
         camera, mount = effect.corrected(camera, mount, values[place])
     return camera, mount
-
-
-def move_camera(effects: EffectsByPlace, camera: CameraIntrinsics, mount: Mount) -> bool:
-    """Return True if an effect changes where the camera is when it takes an image.
-
-    How far that shifts a feature in the image depends on its depth.
-    """
-    if effects.time or effects.shutter:
-        return True
-    for effect, place in effects.camera:
-        values = effects.prior_means[place] + np.array([item.prior_std for item in effect.coefficients])
-        if not np.array_equal(effect.corrected(camera, mount, values)[1].p_bs, mount.p_bs):
-            return True
-    return False
 
 
 def as_exposed(

@@ -32,8 +32,6 @@ class ImageModel:
     """Effects that the model lacks."""
     scored: int
     """Number of their coefficients, the first ones, whose scores by feature are wanted."""
-    depth_matters: bool
-    """True if the influence of some effect depends on the depth of a feature, see `move_camera`."""
     motion: PoseMotion
     """Of the robot at the stamp of the image."""
     way_noise_m: Array | None
@@ -48,8 +46,20 @@ class ImageModel:
     """True if a feature counts only after motion in the image."""
     is_known: bool
     """True if the image repeats what was seen before: of a robot that stays where it is."""
+    stays: bool
+    """True if the robot stands still."""
     may_slip: bool
     """True if a slip of the wheels may explain what contradicts the pose."""
+
+    @property
+    def depth_matters(self) -> bool:
+        """True if some effect, or candidate, shifts features by their depth or with the way."""
+        return self.effects.act_on_view or self.candidates.act_on_view
+
+    @property
+    def keeps_anchors(self) -> bool:
+        """True if anchors remain states: the estimates of such effects need them."""
+        return self.effects.act_on_view
 
     def predict(self, state: State, parameters: Array, anchors: Anchors) -> Prediction:
         """Predict the measurements of features (m, 3)."""

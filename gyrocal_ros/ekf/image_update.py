@@ -7,8 +7,14 @@ import math
 import numpy as np
 
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
+from gyrocal_ros.ekf.anchors import settled, with_moved_anchors, with_moving_anchors
 from gyrocal_ros.ekf.certain_way import at_certain_way
-from gyrocal_ros.ekf.considered import combinations_not_told, with_considered
+from gyrocal_ros.ekf.considered import (
+    combinations_not_told,
+    not_told_at_rest,
+    with_considered,
+    with_kept,
+)
 from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
 from gyrocal_ros.ekf.feature_likelihoods import given_others
 from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
@@ -17,7 +23,6 @@ from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.known_depth import weighted_scores, with_known_depths
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
-from gyrocal_ros.ekf.moved_anchors import with_moved_anchors
 from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
@@ -51,7 +56,7 @@ def update_from_image(
         observations: features by the tracker.
     """
     known, rows = match_ids(state.landmarks.ids, observations.ids)
-    prediction = model.predict(state, state.features.take(rows, 0), state.landmarks.anchors[rows])
+    prediction = model.predict(state, state.features.take(rows, 0), state.anchors_of(rows))
     if model.way_noise_m is not None and model.form.is_anchored:
         prediction = at_certain_way(state, model.view, rows, prediction, model.way_noise_m)
     observed = observations if len(known) == len(observations.ids) else observations[known]
@@ -79,7 +84,8 @@ def update_from_image(
         state = with_looser_pose(state, found.slip_std)
     if used_count:
         whitening, used_ids = used.find_whitening(), state.landmarks.ids[used.rows]
-        weights = model.candidates.not_of_view() if model.scored and not model.has_moved else None
+        tells_view = model.has_moved and not model.stays
+        weights = None if tells_view or not model.scored else model.candidates.not_of_view()
         if model.scored:
             scored = used.sensitivity[:, :, : model.scored]
             scored = scored if weights is None else scored * weights[: model.scored]
@@ -95,7 +101,7 @@ def update_from_image(
     is_in_pixels = model.form.rows == 2
     if len(kept.landmarks.ids) < len(state.landmarks.ids):
         seen = changed(seen, dropped_ids=np.setdiff1d(state.landmarks.ids, kept.landmarks.ids))
-    return kept, changed(
+    return kept if model.keeps_anchors else settled(kept), changed(
         seen,
         slips=found.slip_std is not None,
         contradicts_turn=found.contradicts_turn,
@@ -112,8 +118,11 @@ def update_from_image(
 def _corrected(state: State, model: ImageModel, used: Innovation) -> tuple[State, UpdateStats]:
     """Return the state after the update by the features used."""
     after, stats = update(state, used)
-    after = with_considered(state, after, combinations_not_told(state, model))
-    after = with_moved_anchors(state, after, model)
+    if model.stays:
+        after = with_kept(state, after, not_told_at_rest(state, model))
+    else:
+        after = with_considered(state, after, combinations_not_told(state, model))
+    after = with_moved_anchors(state, after)
     return with_known_depths(after, model, used), stats
 
 
@@ -143,7 +152,21 @@ def _innovation(
         noise = own_noise(noise, state.landmarks.noise, rows)
     by_values = model.by_values(prediction, state.coefficients)
     by_candidates = model.by_candidates(prediction)
+    if state.has_anchors:
+        anchors = state.landmarks.anchors
+        by_values = _with_anchors(by_values, prediction, anchors.by_values, rows)
+        by_candidates = _with_anchors(by_candidates, prediction, anchors.by_candidates, rows)
     return innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
+
+
+def _with_anchors(
+    by_effects: Array | None, prediction: Prediction, anchors_by_effects: Array, rows: IntArray
+) -> Array | None:
+    """Return the derivative (m, r, k) of a prediction by coefficients that move the anchors, too."""
+    if by_effects is None or not anchors_by_effects.shape[2]:
+        return by_effects
+    moved: Array = by_effects - prediction.by_pose[:, :, :3] @ anchors_by_effects[rows]
+    return moved
 
 
 def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
@@ -181,8 +204,14 @@ def add_landmarks(
     by_values = by_candidates = None
     if model.effects.act_on_images or model.candidates.act_on_images:
         prediction = model.predict(state, first.parameters, first.anchors)
-        by_values = _at_first_sight(prediction, model.by_values(prediction, state.coefficients))
-        by_candidates = _at_first_sight(prediction, model.by_candidates(prediction))
+        if model.depth_matters and model.form.is_anchored:
+            first = with_moving_anchors(state, model, first)
+        by_values = _at_first_sight(
+            first, prediction, model.by_values(prediction, state.coefficients), first.anchors.by_values
+        )
+        by_candidates = _at_first_sight(
+            first, prediction, model.by_candidates(prediction), first.anchors.by_candidates
+        )
     return augment(state, ids, pixels, bearing(model.view.camera, at_stamp), first, by_values, by_candidates)
 
 
@@ -198,7 +227,7 @@ def _first_sight(state: State, model: ImageModel, pixels: Array) -> tuple[Array,
 
 def search_regions(state: State, model: ImageModel) -> SearchRegions:
     """Predict where the mapped features appear, with the covariance of the innovation."""
-    prediction = model.predict(state, state.features, state.landmarks.anchors)
+    prediction = model.predict(state, state.features, state.anchors_of(np.arange(len(state.features))))
     if model.form.rows == 3:
         pixels, by_point = project_with_jacobian(model.view.camera, prediction.points_c)
         by_pose, by_feature = by_point @ prediction.by_pose, by_point @ prediction.by_feature
@@ -214,8 +243,21 @@ def search_regions(state: State, model: ImageModel) -> SearchRegions:
     return SearchRegions(state.t_ns, ids, seen.expected, covariances)
 
 
-def _at_first_sight(prediction: Prediction, by_values: Array | None) -> Array | None:
-    return None if by_values is None else first_sight_by_values(prediction, by_values)
+def _at_first_sight(
+    first: NewFeatures, prediction: Prediction, by_effects: Array | None, anchors_by_effects: Array
+) -> Array | None:
+    """Return the derivative (m, 3, k) of new features by coefficients; None for zero.
+
+    What moves their anchors does not change their directions from there.
+    """
+    if by_effects is None:
+        return None
+    by_feature = first_sight_by_values(prediction, by_effects)
+    if anchors_by_effects.shape[2]:
+        along = first.anchors.R_wc.transpose(0, 2, 1) @ anchors_by_effects
+        rays, inverse_depths = first.parameters[:, :2, None], first.parameters[:, 2, None, None]
+        by_feature[:, :2] -= inverse_depths * (along[:, :2] - rays * along[:, 2:])
+    return by_feature
 
 
 def _noise_dominated(judged: Judged, unmoved: np.ndarray) -> Array:

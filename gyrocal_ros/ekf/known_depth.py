@@ -1,20 +1,21 @@
-"""Depths that become known after the first sight of a feature, and what that changes.
+"""Depths that become known, and the errors that they share.
 
-A feature is put where the camera sees it, so its direction errs with the position of the camera, by that
-error times the inverse depth. At the first sight the depth is a guess. Where the share by that guess stays,
-the next image that corrects the depth seems to tell where the robot is: positions, the size of the map and
-effects of the camera become certain without reason (Julier and Uhlmann 2001, A counter example to the theory
-of simultaneous localization and map building).
+An image tells products: of the inverse depth and the way of the camera since the first sight, or the focal
+length. An error of the one is made up for by the other, in proportion to its size. At the first sight the
+depth is a guess. Where the proportion stays that of the guess, each image that corrects the depth seems to
+tell the other one alone: the size of the map and effects of the camera become certain without reason.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed
 from gyrocal_ros.ekf.image_model import ImageModel
-from gyrocal_ros.ekf.landmarks import position_variance_m2, with_shared_errors
-from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.landmarks import with_shared_errors
+from gyrocal_ros.ekf.state import POSITION, State
 from gyrocal_ros.ekf.update import Innovation, UpdateStats
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import project_with_jacobian
@@ -22,10 +23,8 @@ from gyrocal_ros.model.features.base import PosedCamera, Prediction
 
 MIN_CHANGE = 0.003
 """Change of an inverse depth, relative to its prior standard deviation, that matters."""
-MIN_SHARED_CHANGE = 0.0003
-"""The same for the errors of effects, which all later images share."""
-MAX_POSITION_STD_M = 0.1
-"""Uncertainty of the position, as after a pause, from which terms of second order would matter more."""
+OFF_AXIS = 0.5
+"""Direction x/z of a ray beside the optical axis."""
 MIN_BASELINE = 0.15
 """Way of the camera since the first sight of a feature, relative to its depth, from which it tells the depth
 whatever the noise of the wheels is. Spins move a camera on a robot by less."""
@@ -34,67 +33,88 @@ MIN_AHEAD = 0.1
 
 
 def with_known_depths(state: State, model: ImageModel, used: Innovation) -> State:
-    """Let what a depth multiplies err by the depth that is known now.
+    """Let what makes up for a depth err by the depth that is known now.
 
     Args:
         state: after the update.
         model: measurement model of the image.
         used: the innovation of the update.
     """
-    if not model.form.is_anchored:
+    if not state.has_anchors and not model.effects.camera:
         return state
-    state = _shared_with_position(state, model, used)
-    if not model.depth_matters and not model.effects.camera:
-        return state
-    rows, change = _changed(state, model, used, MIN_SHARED_CHANGE)
-    if len(rows) and model.depth_matters:
-        state = _shared_with_effects(state, model, rows, change)
-    if len(rows) and model.effects.camera:
-        state = _shared_with_lens(state, model, rows, change)
-    return state
-
-
-def _shared_with_position(state: State, model: ImageModel, used: Innovation) -> State:
-    """Let directions share the error of the position by the new depth.
-
-    The present error of the position stands for that at the first sight, by the part of its variance that it
-    had then.
-    """
-    variance_m2 = position_variance_m2(state)
-    if not 0.0 < variance_m2 < MAX_POSITION_STD_M**2:
-        return state
-    rows, change = _changed(state, model, used, MIN_CHANGE)
+    rows, change = _changed(state, model, used)
     if not len(rows):
         return state
-    change *= np.minimum(state.landmarks.first_variance_m2[rows] / variance_m2, 1.0)
-    R_aw = state.landmarks.anchors.R_wc[rows].transpose(0, 2, 1)
-    by_pose = directions_by_pose(state.features[rows], R_aw, model.view, change)
-    return with_shared_errors(state, _directions(state, rows), np.arange(6), by_pose.reshape(-1, 6))
+    if model.effects.camera:
+        state = _shared_with_lens(state, model, rows, change)
+    return _shared_with_way(state, model, rows, change) if state.has_anchors else state
 
 
-def _shared_with_effects(state: State, model: ImageModel, rows: IntArray, change: Array) -> State:
-    """Let directions share the error of effects that move the camera, by the new depth.
+def _shared_with_way(state: State, model: ImageModel, rows: IntArray, change: Array) -> State:
+    """Let depths share the error of the way from the anchor to the camera, by the new depth.
 
-    A coefficient is the same at the first sight and now, so its whole error is shared. The motion of the
-    robot at the first sight is taken to be the present one.
+    A way that is one per cent too long is made up for by an inverse depth that is one per cent too small, of
+    whatever it is. Without this, the size of the map stays that of its first metre.
     """
-    m, now = len(rows), state.features[rows]
-    guessed = now - np.outer(change, [0.0, 0.0, 1.0])
-    # Both at once: those by the guessed depths come first.
-    seen = _from_anchors(np.concatenate([guessed, now]), model.view, np.concatenate([np.zeros(m), change]))
-
-    def added(by_effects: Array) -> Array:
-        return directions_by_effects(seen, by_effects[m:] - by_effects[:m]).reshape(2 * m, -1)
-
-    places, k = _directions(state, rows), state.coefficient_columns
-    by_values = model.by_values(seen, state.coefficients)
-    if by_values is not None:
-        state = with_shared_errors(state, places, np.arange(k.start, k.stop), added(by_values))
-    if (by_candidates := model.by_candidates(seen)) is not None:
+    rows, by_anchor = _depths_by_anchor(state, model, rows, change)
+    if not len(rows):
+        return state
+    depths, columns = state.feature_columns(rows)[:, 2], state.anchor_columns(rows)
+    anchors, moving = np.unique(columns), state.landmarks.anchors
+    by_anchors = by_anchor[:, None, :] * (columns[:, None] == anchors)[:, :, None]
+    causes = np.concatenate([np.arange(POSITION.stop), (anchors[:, None] + np.arange(3)).ravel()])
+    by_causes = np.concatenate([-by_anchor, by_anchors.reshape(len(rows), -1)], axis=1)
+    if moving.by_values.shape[2]:
+        now = camera_by_effects(model.view, lambda seen: model.by_values(seen, state.coefficients))
+        k = state.coefficient_columns
+        causes = np.concatenate([causes, np.arange(k.start, k.stop)])
+        by_values = (by_anchor[:, None, :] @ (moving.by_values[rows] - now))[:, 0]
+        by_causes = np.concatenate([by_causes, by_values], axis=1)
+    state = with_shared_errors(state, depths, causes, by_causes)
+    if moving.by_candidates.shape[2]:
+        now = camera_by_effects(model.view, model.by_candidates)
         sensitivity = state.sensitivity.copy()
-        sensitivity[places] += added(by_candidates)
+        sensitivity[depths] += (by_anchor[:, None, :] @ (moving.by_candidates[rows] - now))[:, 0]
         state = changed(state, sensitivity=sensitivity)
     return state
+
+
+def _depths_by_anchor(
+    state: State, model: ImageModel, rows: IntArray, change: Array
+) -> tuple[IntArray, Array]:
+    """Return which features (f,) share the error of their way, and what it adds to d depth / d anchor (f, 3).
+
+    The anchor is a state, and the way long enough: a short one, as in spins, tells no depth.
+    """
+    free = (state.landmarks.anchor_rows[rows] >= 0).nonzero()[0]
+    rows, change = rows[free], change[free]
+    ways_m = state.mean[state.anchor_columns(rows)[:, None] + np.arange(3)] - model.view.p_wc
+    squares_m2 = np.sum(ways_m**2, axis=1)
+    tells = (np.sqrt(squares_m2) * state.features[rows, 2] > MIN_BASELINE).nonzero()[0]
+    return rows[tells], -(change[tells] / squares_m2[tells])[:, None] * ways_m[tells]
+
+
+def camera_by_effects(view: PosedCamera, by_effects: Callable[[Prediction], Array | None]) -> Array:
+    """Return the derivative (3, k) of the position of the camera by effects, in the world.
+
+    It is what moves a feature at unit depth, but none that is infinitely far.
+
+    Args:
+        view: the camera.
+        by_effects: returns the derivative (m, 2, k) of a prediction by coefficients; None without any.
+    """
+    rays = np.array([[0.0, 0.0, 0.0], [OFF_AXIS, 0.0, 0.0]])
+    inverse_depths = np.array([0.0, 0.0, 1.0, 1.0])
+    features = np.concatenate([rays, rays]) + inverse_depths[:, None] * [0.0, 0.0, 1.0]
+    seen = _from_anchors(features, view, inverse_depths)
+    by_values = by_effects(seen)
+    if by_values is None:
+        return np.zeros((3, 0))
+    directions = directions_by_effects(seen, by_values)
+    on_axis, off_axis = directions[2:] - directions[:2]
+    along = (on_axis[:1] - off_axis[:1]) / OFF_AXIS
+    moved: Array = view.R_wc @ np.concatenate([on_axis, along])
+    return moved
 
 
 def _shared_with_lens(state: State, model: ImageModel, rows: IntArray, change: Array) -> State:
@@ -141,7 +161,7 @@ def has_moved(state: State, view: PosedCamera) -> bool:
     seen = (landmarks.last_seen_ns == state.t_ns).nonzero()[0]
     if not len(seen):
         return False
-    way_m = np.linalg.norm(landmarks.anchors.p_wc[seen] - view.p_wc, axis=1)
+    way_m = np.linalg.norm(state.anchors_of(seen).p_wc - view.p_wc, axis=1)
     return bool(np.median(way_m * state.features[seen, 2]) > MIN_BASELINE)
 
 
@@ -179,13 +199,10 @@ def changed_depths(
     return chosen, change[chosen]
 
 
-def _changed(state: State, model: ImageModel, used: Innovation, least: float) -> tuple[IntArray, Array]:
-    """Return the indices of the features used whose inverse depth changed, and its changes.
-
-    Changes count from the least one, relative to the prior standard deviation.
-    """
+def _changed(state: State, model: ImageModel, used: Innovation) -> tuple[IntArray, Array]:
+    """Return the indices of the features used whose inverse depth changed, and its changes."""
     seen = used.prediction
-    least *= model.config.features.prior_inverse_depth_std
+    least = MIN_CHANGE * model.config.features.prior_inverse_depth_std
     chosen, change = changed_depths(
         state.mean, state.robot_size, used.rows, seen.scale, seen.points_c, least, MIN_AHEAD
     )

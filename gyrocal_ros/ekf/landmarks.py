@@ -21,6 +21,8 @@ def augment(
 ) -> State:
     """Eq. (18): add m features; the new block of P is `Jx P Jx^T + Jz R Jz^T`, with cross terms.
 
+    Features with an anchor share a new one, which follows them in the state.
+
     Args:
         state: the state before.
         ids: (m,)
@@ -30,46 +32,45 @@ def augment(
         by_values: (m, 3, k) their derivative with respect to the coefficients; None for zero.
         by_candidates: (m, 3, c) the same for effects that the model lacks.
     """
-    count, r = len(ids), state.robot_size
-    n, size = len(state.mean), 3 * count
+    count, r, old = len(ids), state.robot_size, state.landmarks
+    by_pose, parameters = new.by_pose.reshape(-1, 6), new.parameters.ravel()
+    anchor_row = -1
+    if new.anchor_by_pose is not None:
+        anchor_row = (len(state.mean) - state.anchors_start) // 3
+        by_pose = np.concatenate([by_pose, new.anchor_by_pose])
+        parameters = np.concatenate([parameters, new.anchors.p_wc[0]])
+    n, size = len(state.mean), len(parameters)
     by_robot = np.zeros((size, r))
-    by_robot[:, POSE] = new.by_pose.reshape(size, 6)
+    by_robot[:, POSE] = by_pose
     if by_values is not None:
-        by_robot[:, state.coefficient_columns] = by_values.reshape(size, -1)
+        by_robot[: 3 * count, state.coefficient_columns] = by_values.reshape(3 * count, -1)
     cross = by_robot @ state.covariance[:r]
-    covariance = np.empty((n + size, n + size))
-    covariance[:n, :n] = state.covariance
-    covariance[n:, :n] = cross
-    covariance[:n, n:] = cross.T
     own = cross[:, :r] @ by_robot.T
-    blocks = own.reshape(count, 3, count, 3)
+    blocks = own[: 3 * count, : 3 * count].reshape(count, 3, count, 3)
     blocks[np.arange(count), :, np.arange(count), :] += new.noise
-    covariance[n:, n:] = own
-    old = state.landmarks
+    sensitivity = by_robot @ state.sensitivity[:r]
+    if by_candidates is not None:
+        sensitivity[: 3 * count] += by_candidates.reshape(3 * count, -1)
     landmarks = Landmarks(
         ids=np.concatenate([old.ids, ids]),
         anchors=old.anchors.joined(new.anchors),
+        anchor_rows=np.concatenate([old.anchor_rows, np.full(count, anchor_row)]),
         last_seen_ns=np.concatenate([old.last_seen_ns, np.full(count, state.t_ns)]),
         rejections=np.concatenate([old.rejections, np.zeros(count, np.int64)]),
         last_pixels=np.concatenate([old.last_pixels, pixels]),
         last_directions=np.concatenate([old.last_directions, directions]),
         noise=old.noise.joined(unknown_noise(count)),
-        first_variance_m2=np.concatenate(
-            [old.first_variance_m2, np.full(count, position_variance_m2(state))]
-        ),
     )
-    mean = np.concatenate([state.mean, new.parameters.ravel()])
-    sensitivity = by_robot @ state.sensitivity[:r]
-    if by_candidates is not None:
-        sensitivity += by_candidates.reshape(size, -1)
-    sensitivity = np.concatenate([state.sensitivity, sensitivity])
-    return changed(state, mean=mean, covariance=covariance, landmarks=landmarks, sensitivity=sensitivity)
-
-
-def position_variance_m2(state: State) -> float:
-    """Return the variance of the position of the robot, summed over the axes."""
-    P = state.covariance
-    return float(P[0, 0] + P[1, 1] + P[2, 2])
+    # Behind the features, before the anchors.
+    order = np.insert(np.arange(n), state.anchors_start, n + np.arange(3 * count))
+    order = np.concatenate([order, np.arange(n + 3 * count, n + size)])
+    return changed(
+        state,
+        mean=np.concatenate([state.mean, parameters])[order],
+        covariance=np.block([[state.covariance, cross.T], [cross, own]])[np.ix_(order, order)],
+        landmarks=landmarks,
+        sensitivity=np.concatenate([state.sensitivity, sensitivity])[order],
+    )
 
 
 def with_shared_errors(state: State, places: IntArray, causes: IntArray, by_causes: Array) -> State:
@@ -102,12 +103,22 @@ def keep(state: State, kept: np.ndarray) -> State:
     """Remove the features that are not kept, (m,) bool, with their rows and columns."""
     if np.count_nonzero(kept) == len(kept):
         return state
-    entries = np.concatenate([np.ones(state.robot_size, bool), np.repeat(kept, 3)])
+    return with_entries(state, np.repeat(kept, 3), state.landmarks[kept.nonzero()[0]])
+
+
+def with_entries(state: State, features: np.ndarray, landmarks: Landmarks) -> State:
+    """Return the state with some entries (3 m,) of the features, and the anchors of its landmarks."""
+    is_free = landmarks.anchor_rows >= 0
+    used, places = np.unique(landmarks.anchor_rows[is_free], return_inverse=True)
+    anchor_rows = landmarks.anchor_rows.copy()
+    anchor_rows[is_free] = places
+    anchors = state.anchors_start + (3 * used[:, None] + np.arange(3)).ravel()
+    entries = np.concatenate([np.arange(state.robot_size), state.robot_size + features.nonzero()[0], anchors])
     return changed(
         state,
         mean=state.mean[entries],
         covariance=state.covariance[np.ix_(entries, entries)],
-        landmarks=state.landmarks[kept.nonzero()[0]],
+        landmarks=changed(landmarks, anchor_rows=anchor_rows),
         sensitivity=state.sensitivity[entries],
     )
 

@@ -54,9 +54,13 @@ def ceiling_map(state: State, parametrisation: str) -> CeilingMap:
         parametrisation: name of the feature parametrisation, as in `features.parametrisation`.
     """
     landmarks = state.landmarks
-    points, jacobians = PARAMETRISATIONS[parametrisation].world(state.features, landmarks.anchors)
-    places = state.feature_columns(np.arange(len(landmarks.ids)))
+    rows = np.arange(len(landmarks.ids))
+    points, by_feature = PARAMETRISATIONS[parametrisation].world(state.features, state.anchors_of(rows))
+    places, anchors = state.feature_columns(rows), state.anchor_columns(rows)
+    is_free = (anchors >= 0)[:, None]
+    places = np.concatenate([places, np.where(is_free, anchors[:, None] + np.arange(3), 0)], axis=1)
     covariances = state.covariance[places[:, :, None], places[:, None, :]]
+    jacobians = np.concatenate([by_feature, is_free[:, :, None] * np.eye(3)], axis=2)
     return CeilingMap(
         t_ns=state.t_ns,
         ids=landmarks.ids,

@@ -16,7 +16,7 @@ from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.positive_definite import inverse, whitener
 from gyrocal_ros.ekf.state import POSE
-from gyrocal_ros.ekf.update import Innovation, mahalanobis, own_precisions
+from gyrocal_ros.ekf.update import Innovation, own_precisions
 from gyrocal_ros.errors import IndefiniteCovarianceError
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.statistics import chi_square_quantile
@@ -59,6 +59,12 @@ class Judged:
     """(m,) share of the measurement noise in the variance of the difference."""
     nis: float
     """Normalised innovation squared of all features together; NaN where each is judged alone."""
+
+
+def mahalanobis(residual: Array, precisions: Array) -> Array:
+    """Return the squared Mahalanobis distance (m,) of each innovation (m, r) by its precision (m, r, r)."""
+    distances: Array = np.sum((residual[:, None, :] @ precisions)[:, 0] * residual, axis=1)
+    return distances
 
 
 def each_alone(innovation: Innovation) -> Judged:

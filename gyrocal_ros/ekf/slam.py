@@ -26,7 +26,7 @@ from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
 from gyrocal_ros.ekf.certain_way import is_certain, without_way
 from gyrocal_ros.ekf.considered import stretch_by_values
-from gyrocal_ros.ekf.effects_by_place import PoseMotion, move_camera, pose_motion, sort_effects, true_camera
+from gyrocal_ros.ekf.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
@@ -132,10 +132,6 @@ class EkfSlam:
         at_first = config.gyro if config.reference.estimate_noise else config.rest
         self._rest_noise = RestNoise(math.radians(at_first.rate_noise_deg_s))
         self._levelling: Levelling | None = None
-        self._depth_matters = rig.camera is not None and any(
-            move_camera(effects, rig.camera, rig.camera_mount)
-            for effects in (self._effects, self._candidates)
-        )
         if rig.camera is None:
             self._levelling, self.state = Levelling(), unlevelled(self.state)
         self.expect_pixel_noise(config.camera.pixel_noise_px)
@@ -273,7 +269,7 @@ class EkfSlam:
         gone_ids = self._remove_shifted(observations, is_at_rest=is_at_rest)
         # A tracker that tells how well patches match finds them again: at rest it has nothing new to tell.
         is_known = observations.covariances_px2 is not None and self._resting_view.is_still
-        model = self._image_model(is_known=is_known)
+        model = self._image_model(is_known=is_known, stays=is_at_rest)
         self.state, update = update_from_image(self.state, model, observations)
         self._way_noise_m = None
         self._has_moved = model.has_moved or has_moved(self.state, model.view)
@@ -317,7 +313,7 @@ class EkfSlam:
         start, self._to_warm = self._to_warm, None
         return warmed(self.state, self.model, start, temperature_c, self.config.gyro)
 
-    def _image_model(self, *, is_known: bool = False) -> ImageModel:
+    def _image_model(self, *, is_known: bool = False, stays: bool = False) -> ImageModel:
         return ImageModel(
             view=self.view(),
             rig=self.rig,
@@ -328,7 +324,6 @@ class EkfSlam:
             effects=self._effects,
             candidates=self._candidates,
             scored=self._own_candidates,
-            depth_matters=self._depth_matters,
             motion=self._motion,
             way_noise_m=self._way_noise_m,
             stretch_by_values=self._stretch_by_values,
@@ -336,6 +331,7 @@ class EkfSlam:
             has_moved=self._has_moved or not self.parametrisation.is_anchored,
             errors_repeat=self._errors_repeat(),
             is_known=is_known,
+            stays=stays and self.parametrisation.is_anchored,
             may_slip=self._slip_watch.may_slip(self.state.t_ns),
         )
 

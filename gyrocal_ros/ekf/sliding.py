@@ -35,8 +35,8 @@ class SlidingPoints:
         Args:
             state: after an image; features are anchored inverse depths.
         """
-        ids, depths = state.landmarks.ids, state.mean[state.robot_size + 2 :: 3]
-        variances = state.covariance.diagonal()[state.robot_size + 2 :: 3]
+        ids, places = state.landmarks.ids, slice(state.robot_size + 2, state.anchors_start, 3)
+        depths, variances = state.mean[places], state.covariance.diagonal()[places]
         surprises, self._depths, self._variances = compared_depths(
             self._ids, self._depths, self._variances, ids, depths, variances, MIN_LEARNED, RENEWED
         )

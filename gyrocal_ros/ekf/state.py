@@ -1,6 +1,6 @@
 """The state of the filter, and the only place that defines its layout.
 
-position (3)  Euler angles (3)  gyro biases (3)  coefficients (k)  features (3 each)
+position (3)  Euler angles (3)  gyro biases (3)  coefficients (k)  features (3 each)  anchors (3 each)
 """
 
 from __future__ import annotations
@@ -53,6 +53,9 @@ class Landmarks:
 
     ids: IntArray
     anchors: Anchors
+    """Poses of the camera at the first sight; see `anchor_rows` for their positions."""
+    anchor_rows: IntArray
+    """(m,) index among the anchors of the state; -1 for a constant one."""
     last_seen_ns: IntArray
     rejections: IntArray
     """Number of consecutive outliers."""
@@ -62,8 +65,6 @@ class Landmarks:
     """(m, 2) expected direction x/z, y/z in the optical frame at that time."""
     noise: FeatureNoise
     """What was learned of their noise."""
-    first_variance_m2: Array
-    """(m,) variance of the position of the robot at the first sight, summed over the axes."""
 
     def __getitem__(self, rows: IntArray) -> Landmarks:
         return Landmarks(*(getattr(self, item.name)[rows] for item in fields(self)))
@@ -71,7 +72,7 @@ class Landmarks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """Estimate and covariance at one moment. n = 9 + k + 3 m."""
+    """Estimate and covariance at one moment. n = 9 + k + 3 m + 3 a."""
 
     t_ns: int
     mean: Array
@@ -118,15 +119,44 @@ class State:
     @property
     def features(self) -> Array:
         """(m, 3) parameters of the features."""
-        return self.mean[self.robot_size :].reshape(-1, 3)
+        return self.mean[self.robot_size : self.anchors_start].reshape(-1, 3)
+
+    @property
+    def anchors_start(self) -> int:
+        """Index of the first anchor: 9 + k + 3 m."""
+        return self.robot_size + 3 * len(self.landmarks.ids)
 
     def feature_columns(self, rows: IntArray) -> IntArray:
         """Return the indices (len(rows), 3) of the parameters of the given features in the state."""
         return self.robot_size + 3 * rows[:, None] + np.arange(3)
+
+    @property
+    def has_anchors(self) -> bool:
+        """True if the anchor of any feature is a state."""
+        return len(self.mean) > self.anchors_start
+
+    def anchor_columns(self, rows: IntArray) -> IntArray:
+        """Return the index (len(rows),) of the first coordinate of the anchor of features; -1 if constant."""
+        if not self.has_anchors:
+            return np.full(len(rows), -1)
+        places = self.landmarks.anchor_rows.take(rows)
+        columns = self.anchors_start + 3 * places
+        columns[places < 0] = -1
+        return columns
+
+    def anchors_of(self, rows: IntArray) -> Anchors:
+        """Return the anchors of features at the present estimate."""
+        anchors = self.landmarks.anchors[rows]
+        if not self.has_anchors:
+            return anchors
+        columns = self.anchor_columns(rows)
+        free = (columns >= 0).nonzero()[0]
+        anchors.p_wc[free] = self.mean[columns[free, None] + np.arange(3)]
+        return anchors
 
 
 def no_landmarks() -> Landmarks:
     """Return an empty map."""
     empty = np.empty(0, np.int64)
     nowhere = np.empty((0, 2))
-    return Landmarks(empty, no_anchors(0), empty, empty, nowhere, nowhere, unknown_noise(0), np.empty(0))
+    return Landmarks(empty, no_anchors(0), empty, empty, empty, nowhere, nowhere, unknown_noise(0))

@@ -163,6 +163,7 @@ def innovate(
         state.covariance,
         state.sensitivity,
         state.robot_size + 3 * rows,
+        state.anchor_columns(rows),
         residual,
         prediction.by_pose,
         prediction.by_feature,
@@ -178,6 +179,7 @@ def innovation_matrices(
     covariance: Array,
     sensitivity: Array,
     columns: IntArray,
+    anchor_columns: IntArray,
     residual: Array,
     by_pose: Array,
     by_feature: Array,
@@ -191,6 +193,7 @@ def innovation_matrices(
         covariance: P (n, n).
         sensitivity: X (n, c).
         columns: (m,) place of each feature in the state.
+        anchor_columns: (m,) place of its anchor, whose derivative is minus that by the position; -1 for none.
         residual: (m, r) the innovation.
         by_pose: (m, r, 6) derivative of the prediction by the pose.
         by_feature: (m, r, 3) by the feature.
@@ -208,6 +211,10 @@ def innovation_matrices(
         G += by_values @ sensitivity[coefficients]
     if by_candidates is not None:
         G += by_candidates
+    free = (anchor_columns >= 0).nonzero()[0]
+    by_anchor, anchors = -by_pose[free, :, :3], anchor_columns[free, None] + np.arange(3)
+    numerator[free] += by_anchor @ covariance[anchors]
+    G[free] += by_anchor @ sensitivity[anchors]
     flat = numerator.reshape(count * width, len(covariance))
     S = flat[:, :6] @ by_pose.reshape(-1, 6).T
     own = flat[:, places].reshape(count * width, count, 3).transpose(1, 0, 2)
@@ -216,6 +223,7 @@ def innovation_matrices(
     if by_values is not None:
         S += flat[:, coefficients] @ by_values.reshape(count * width, -1).T
     S = S.reshape(count, width, count, width)
+    S[:, :, free] += np.einsum('prfi,fsi->prfs', numerator[:, :, anchors], by_anchor)
     S[each, :, each, :] += noise
     return np.concatenate([numerator, residual[:, :, None], G], axis=2), S
 
@@ -230,12 +238,6 @@ def own_precisions(innovation: Innovation) -> Array:
         return np.linalg.inv(innovation.own_covariances())
     except np.linalg.LinAlgError as error:
         raise IndefiniteCovarianceError from error
-
-
-def mahalanobis(residual: Array, precisions: Array) -> Array:
-    """Return the squared Mahalanobis distance (m,) of each innovation (m, r) by its precision (m, r, r)."""
-    distances: Array = np.sum((residual[:, None, :] @ precisions)[:, 0] * residual, axis=1)
-    return distances
 
 
 def update(state: State, innovation: Innovation) -> tuple[State, UpdateStats]:
@@ -290,8 +292,7 @@ def heading_innovation(state: State, yaw_rad: float, by_values: Array) -> tuple[
     """
     k = state.coefficient_columns
     numerator = state.covariance[YAW] + by_values @ state.covariance[k]
-    residual = yaw_rad - float(state.mean[YAW])
-    residual -= 2.0 * math.pi * round(residual / (2.0 * math.pi))
+    residual = math.remainder(yaw_rad - float(state.mean[YAW]), 2.0 * math.pi)
     return residual, float(numerator[YAW] + numerator[k] @ by_values)
 
 

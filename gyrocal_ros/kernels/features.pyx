@@ -199,6 +199,7 @@ def innovation_matrices(
     const double[:, ::1] covariance,
     const double[:, ::1] sensitivity,
     const long[:] columns,
+    const long[:] anchor_columns,
     const double[:, :] residual,
     const double[:, :, :] by_pose,
     const double[:, :, :] by_feature,
@@ -209,7 +210,7 @@ def innovation_matrices(
     cdef Py_ssize_t m = by_pose.shape[0], r = by_pose.shape[1], q = m * r, n = covariance.shape[0]
     cdef Py_ssize_t k = 0 if by_values is None else by_values.shape[2], c = sensitivity.shape[1]
     cdef Py_ssize_t of_candidates = 0 if by_candidates is None else by_candidates.shape[2]
-    cdef Py_ssize_t f, g, i, j, l, row, column
+    cdef Py_ssize_t f, g, i, j, l, row, column, anchor
     cdef double sum_
     cdef double* total
     cdef double* weights
@@ -217,7 +218,7 @@ def innovation_matrices(
     arrays = (np.zeros((m, r, n + 1 + c)), np.empty((m, r, m, r)))
     cdef double[:, :, ::1] stacked = arrays[0]
     cdef double[:, :, :, ::1] S = arrays[1]
-    cdef double[:, ::1] H = np.empty((q, 9 + k))  # pose, own feature and coefficients
+    cdef double[:, ::1] H = np.empty((q, 12 + k))  # pose, own feature, its anchor and coefficients
     for f in range(m):
         column = columns[f]
         for i in range(r):
@@ -226,18 +227,24 @@ def innovation_matrices(
                 weights[l] = by_pose[f, i, l]
             for l in range(3):
                 weights[6 + l] = by_feature[f, i, l]
+                weights[9 + l] = -by_pose[f, i, l]
             for l in range(k):
-                weights[9 + l] = by_values[f, i, l]
+                weights[12 + l] = by_values[f, i, l]
             add_rows(6, weights, &covariance[0, 0], n, total)
             add_rows(3, weights + 6, &covariance[column, 0], n, total)
             total[n] = residual[f, i]
             if c:
                 add_rows(6, weights, &sensitivity[0, 0], c, total + n + 1)
                 add_rows(3, weights + 6, &sensitivity[column, 0], c, total + n + 1)
-            if k:
-                add_rows(k, weights + 9, &covariance[COEFFICIENTS_START, 0], n, total)
+            anchor = anchor_columns[f]
+            if anchor >= 0:
+                add_rows(3, weights + 9, &covariance[anchor, 0], n, total)
                 if c:
-                    add_rows(k, weights + 9, &sensitivity[COEFFICIENTS_START, 0], c, total + n + 1)
+                    add_rows(3, weights + 9, &sensitivity[anchor, 0], c, total + n + 1)
+            if k:
+                add_rows(k, weights + 12, &covariance[COEFFICIENTS_START, 0], n, total)
+                if c:
+                    add_rows(k, weights + 12, &sensitivity[COEFFICIENTS_START, 0], c, total + n + 1)
             for l in range(of_candidates):
                 total[n + 1 + l] += by_candidates[f, i, l]
     for row in range(q):
@@ -249,8 +256,12 @@ def innovation_matrices(
                 sum_ += total[l] * others[l]
             for l in range(3):
                 sum_ += total[columns[g] + l] * others[6 + l]
+            anchor = anchor_columns[g]
+            if anchor >= 0:
+                for l in range(3):
+                    sum_ += total[anchor + l] * others[9 + l]
             for l in range(k):
-                sum_ += total[COEFFICIENTS_START + l] * others[9 + l]
+                sum_ += total[COEFFICIENTS_START + l] * others[12 + l]
             if g == row // r:
                 sum_ += noise[g, row % r, j]
             S[row // r, row % r, g, j] = S[g, j, row // r, row % r] = sum_

@@ -13,7 +13,6 @@ TWINS = (
     'match_ids',
     'matches_counted',
     'motion_in_image',
-    'moved_anchors',
     'scaled_noise',
     'shift',
 )
@@ -150,44 +149,6 @@ def changed_depths(
             which[count], by[count] = f, change
             count += 1
     return chosen[:count], changes[:count]
-
-
-def moved_anchors(
-    const double[:] mean,
-    Py_ssize_t first,
-    const double[:] mean_before,
-    double variance_m2,
-    const double[:] first_variance_m2,
-    const double[:] lever_change_m,
-    const double[:, :, :] R_wc,
-    const double[:, :] p_wc,
-    double min_ahead,
-):
-    cdef Py_ssize_t m = p_wc.shape[0], f, i, j, at
-    cdef double share, inverse_depth, ray
-    cdef double[3] way, turned
-    moved, anchors = np.array(mean), np.array(p_wc)
-    cdef double[::1] x = moved
-    cdef double[:, ::1] p = anchors
-    for f in range(m):
-        share = min(first_variance_m2[f] / variance_m2, 1.0) if variance_m2 > 0.0 else 0.0
-        at = first + 3 * f
-        inverse_depth = mean_before[at + 2]
-        for i in range(3):
-            way[i] = share * (mean[i] - mean_before[i])
-            for j in range(3):
-                way[i] += R_wc[f, i, j] * lever_change_m[j]
-        for j in range(3):
-            turned[j] = way[0] * R_wc[f, 0, j] + way[1] * R_wc[f, 1, j] + way[2] * R_wc[f, 2, j]
-        ray = 1.0 - inverse_depth * turned[2]
-        if ray <= min_ahead:
-            continue
-        x[at] = (mean[at] - inverse_depth * turned[0]) / ray
-        x[at + 1] = (mean[at + 1] - inverse_depth * turned[1]) / ray
-        x[at + 2] = mean[at + 2] / ray
-        for i in range(3):
-            p[f, i] += way[i]
-    return moved, anchors
 
 
 def shift(

@@ -29,6 +29,7 @@ AT_THE_ORIGIN = Mount(np.eye(3), np.zeros(3))
 LANDMARK_M = np.array([[0.5, 1.0, 2.5]])
 STEP_M, STEPS = 0.05, 10
 NOISE_PX = 0.5
+ROW = np.array([0])
 """Pixel noise for which eq. (21) gives the paper's e_cn of 1.25 cm; the filter assumes it in Fig. 14, too."""
 FEATURES = replace(FeatureConfig(), prior_depth_m=5.0, ray_std_m=100.0)
 """Settings with the assumed depth and e_ct of the paper, which does not give a prior of inverse depth."""
@@ -160,13 +161,13 @@ def landmark_errors_cm(form: Parametrisation, noise_px: float, seed: int) -> Arr
             new = form.initialise(view, pixels, NOISE_PX, FEATURES)
             state = augment(state, np.array([1]), pixels, bearing(CAMERA, pixels), new, None, None)
         else:
-            prediction = form.predict(view, state.features, state.landmarks.anchors)
+            prediction = form.predict(view, state.features, state.anchors_of(ROW))
             measured, noise = form.measure(view, pixels, NOISE_PX, FEATURES)
             try:
-                state, _ = update(state, innovate(state, np.array([0]), prediction, measured, noise))
+                state, _ = update(state, innovate(state, ROW, prediction, measured, noise))
             except FilterDivergedError:
                 return errors
-        found, _ = form.world(state.features, state.landmarks.anchors)
+        found, _ = form.world(state.features, state.anchors_of(ROW))
         errors[step] = 100.0 * float(np.linalg.norm(found - LANDMARK_M))
     return errors
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
@@ -56,24 +56,42 @@ def turned_camera(euler_rad: Array, R_bc: Array) -> tuple[Array, Array, Array, A
 @quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchors:
-    """Camera poses at the first observation of each feature: constants of the map, not part of the state."""
+    """Camera poses at the first observation of each feature."""
 
     R_wc: Array
     """(m, 3, 3)"""
     p_wc: Array
     """(m, 3)"""
+    by_values: Array
+    """(m, 3, k) derivative of the positions by coefficients that move the camera; k is 0 without any."""
+    by_candidates: Array
+    """(m, 3, c) the same by the coefficients of candidates."""
 
     def __getitem__(self, rows: IntArray) -> Anchors:
-        return Anchors(self.R_wc.take(rows, 0), self.p_wc.take(rows, 0))
+        return Anchors(
+            self.R_wc.take(rows, 0),
+            self.p_wc.take(rows, 0),
+            self.by_values.take(rows, 0),
+            self.by_candidates.take(rows, 0),
+        )
 
     def joined(self, other: Anchors) -> Anchors:
-        """Return these anchors followed by the other ones."""
-        return Anchors(np.concatenate([self.R_wc, other.R_wc]), np.concatenate([self.p_wc, other.p_wc]))
+        """Return these anchors followed by the other ones, whose coefficients are the same."""
+        if not len(self.p_wc):
+            return other
+        pairs = ((getattr(self, item.name), getattr(other, item.name)) for item in fields(self))
+        return Anchors(*map(np.concatenate, pairs))
+
+
+def anchors_at(R_wc: Array, p_wc: Array) -> Anchors:
+    """Return anchors that no effect moves, at attitudes (m, 3, 3) and positions (m, 3)."""
+    unmoved = np.zeros((len(p_wc), 3, 0))
+    return Anchors(R_wc, p_wc, unmoved, unmoved)
 
 
 def no_anchors(count: int) -> Anchors:
     """Return anchors without information: for an empty map, or for features that are world points."""
-    return Anchors(np.zeros((count, 3, 3)), np.zeros((count, 3)))
+    return anchors_at(np.zeros((count, 3, 3)), np.zeros((count, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +105,8 @@ class NewFeatures:
     noise: Array
     """(m, 3, 3) covariance from the measurement and the prior depth, `Jz R Jz^T`."""
     anchors: Anchors
+    anchor_by_pose: Array | None = None
+    """(3, 6) derivative of the position of the anchors; None where features have none."""
 
 
 @quickly_filled

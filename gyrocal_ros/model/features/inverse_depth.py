@@ -1,7 +1,7 @@
 """Anchored inverse depth: bearing and inverse depth in the camera frame of the first observation.
 
-After Montiel, Civera, Davison 2006, with the anchor pose as a constant: three states instead of six. The
-uncertainty of the pose at the first observation enters these three states, correlated with the robot.
+After Montiel, Civera, Davison 2006: three parameters beside the position of the anchor, which features of one
+image share. Its attitude is a constant; the error of that enters the bearing, correlated with the robot.
 """
 
 from __future__ import annotations
@@ -14,7 +14,13 @@ from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import bearing, bearing_jacobian, project_with_jacobian
-from gyrocal_ros.model.features.base import Anchors, NewFeatures, PosedCamera, Prediction, points_in_world
+from gyrocal_ros.model.features.base import (
+    Anchors,
+    NewFeatures,
+    PosedCamera,
+    Prediction,
+    anchors_at,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,22 +45,19 @@ class AnchoredInverseDepth:
         count = len(pixels)
         parameters = np.concatenate([normalised, np.full((count, 1), inverse_depth)], axis=1)
 
-        points_c = np.concatenate([normalised, np.ones((count, 1))], axis=1) / inverse_depth
-        _, point_by_pose = points_in_world(view, points_c)
-        by_point_c = np.zeros((count, 3, 3))
-        by_point_c[:, 0, 0] = by_point_c[:, 1, 1] = inverse_depth
-        by_point_c[:, :2, 2] = -inverse_depth * normalised
-        by_point_c[:, 2, 2] = -(inverse_depth**2)
-        by_pose = by_point_c @ view.R_wc.T @ point_by_pose
+        rays_c = np.concatenate([normalised, np.ones((count, 1))], axis=1)
+        turned_c = (rays_c @ (view.R_wc.T @ view.dR_wc).transpose(0, 2, 1)).transpose(1, 2, 0)
+        by_pose = np.zeros((count, 3, 6))
+        by_pose[:, :2, 3:] = turned_c[:, :2] - normalised[:, :, None] * turned_c[:, 2:]
+        by_pose[:, 2, 3:] = -inverse_depth * turned_c[:, 2]
+        anchor_by_pose = np.concatenate([np.eye(3), (view.dR_wb @ view.p_bc).T], axis=1)
 
         by_pixel = bearing_jacobian(view.camera, normalised)
         noise = np.zeros((count, 3, 3))
         noise[:, :2, :2] = noise_px**2 * by_pixel @ by_pixel.transpose(0, 2, 1)
         noise[:, 2, 2] = config.prior_inverse_depth_std**2
-        anchors = Anchors(
-            np.broadcast_to(view.R_wc, (count, 3, 3)).copy(), np.broadcast_to(view.p_wc, (count, 3)).copy()
-        )
-        return NewFeatures(parameters, by_pose, noise, anchors)
+        anchors = anchors_at(np.tile(view.R_wc, (count, 1, 1)), np.tile(view.p_wc, (count, 1)))
+        return NewFeatures(parameters, by_pose, noise, anchors, anchor_by_pose)
 
     def measure(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from gyrocal_ros.ekf.considered import (
 )
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.ekf.state import State
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
@@ -35,44 +36,66 @@ COMBINATIONS = (
 )
 
 
-@pytest.mark.parametrize('combinations', COMBINATIONS)
-def test_the_covariance_is_that_of_the_gain_without_the_considered_ones(combinations: Array) -> None:
+@dataclass(frozen=True)
+class Update:
+    """An optimal update with four measured numbers."""
+
+    before: State
+    H: Array
+    R: Array
+    residual: Array
+
+    @property
+    def gain(self) -> Array:
+        """Kalman's."""
+        P, H = self.before.covariance, self.H
+        return P @ H.T @ np.linalg.inv(H @ P @ H.T + self.R)
+
+    @property
+    def after(self) -> State:
+        """The state after it."""
+        lost = self.gain @ self.H
+        return replace(
+            self.before,
+            mean=self.before.mean + self.gain @ self.residual,
+            covariance=self.before.covariance - lost @ self.before.covariance,
+            sensitivity=self.before.sensitivity - lost @ self.before.sensitivity,
+        )
+
+    def assert_is(self, found: State, gain: Array) -> None:
+        """Check that a state is that after an update with some gain, by Joseph's form."""
+        P, X = self.before.covariance, self.before.sensitivity
+        left = np.eye(len(P)) - gain @ self.H
+        np.testing.assert_allclose(found.mean, self.before.mean + gain @ self.residual, atol=1e-12)
+        np.testing.assert_allclose(found.covariance, left @ P @ left.T + gain @ self.R @ gain.T, atol=1e-12)
+        np.testing.assert_allclose(found.sensitivity, left @ X, atol=1e-12)
+
+
+@pytest.fixture
+def update() -> Update:
     rng, state = np.random.default_rng(2), some_state()
-    P, X = state.covariance, state.sensitivity
-    H, R = rng.normal(size=(4, len(P))) / np.sqrt(P.diagonal()), 0.1 * np.eye(4)
-    residual = rng.normal(size=4)
-    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    after = replace(
-        state, mean=state.mean + gain @ residual, covariance=P - gain @ H @ P, sensitivity=X - gain @ H @ X
-    )
-    considered = with_considered(state, after, combinations)
+    H = rng.normal(size=(4, len(state.mean))) / np.sqrt(state.covariance.diagonal())
+    return Update(state, H, 0.1 * np.eye(4), rng.normal(size=4))
+
+
+@pytest.mark.parametrize('combinations', COMBINATIONS)
+def test_the_covariance_is_that_of_the_gain_without_the_considered_ones(
+    update: Update, combinations: Array
+) -> None:
+    state, P, gain = update.before, update.before.covariance, update.gain
+    considered = with_considered(state, update.after, combinations)
     k = state.coefficient_columns
-    kept = combinations @ considered.mean[k]
-    np.testing.assert_allclose(kept, combinations @ state.mean[k], atol=1e-12)
+    np.testing.assert_allclose(combinations @ considered.mean[k], combinations @ state.mean[k], atol=1e-12)
     C = np.unique(combinations, axis=0)
     np.testing.assert_allclose(C @ considered.covariance[k, k] @ C.T, C @ P[k, k] @ C.T, rtol=1e-9)
     gain[k] -= P[k, k] @ C.T @ np.linalg.solve(C @ P[k, k] @ C.T, C @ gain[k])
-    left = np.eye(len(P)) - gain @ H
-    np.testing.assert_allclose(considered.mean, state.mean + gain @ residual, atol=1e-12)
-    np.testing.assert_allclose(considered.covariance, left @ P @ left.T + gain @ R @ gain.T, atol=1e-12)
-    np.testing.assert_allclose(considered.sensitivity, X - gain @ H @ X, atol=1e-12)
+    update.assert_is(considered, gain)
 
 
-def test_what_is_kept_has_no_gain() -> None:
-    rng, state = np.random.default_rng(3), some_state()
-    P, X, places = state.covariance, state.sensitivity, np.array([0, 2, 10, 20, len(state.mean) - 1])
-    H, R = rng.normal(size=(4, len(P))) / np.sqrt(P.diagonal()), 0.1 * np.eye(4)
-    residual = rng.normal(size=4)
-    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    after = replace(
-        state, mean=state.mean + gain @ residual, covariance=P - gain @ H @ P, sensitivity=X - gain @ H @ X
-    )
-    kept = with_kept(state, after, places)
+def test_what_is_kept_has_no_gain(update: Update) -> None:
+    places, gain = np.array([0, 2, 10, 20, len(update.before.mean) - 1]), update.gain
     gain[places] = 0.0
-    left = np.eye(len(P)) - gain @ H
-    np.testing.assert_allclose(kept.mean, state.mean + gain @ residual, atol=1e-12)
-    np.testing.assert_allclose(kept.covariance, left @ P @ left.T + gain @ R @ gain.T, atol=1e-12)
-    np.testing.assert_allclose(kept.sensitivity, X - gain @ H @ X, atol=1e-12)
+    update.assert_is(with_kept(update.before, update.after, places), gain)
 
 
 def test_at_rest_no_image_tells_of_places_depths_and_what_moves_the_camera() -> None:

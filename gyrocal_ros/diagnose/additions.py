@@ -87,16 +87,9 @@ class Addition:
         sizes = [
             math.inf if item is None else value / item.low for item, value in zip(usual, values, strict=True)
         ]
-        memory = min(
-            (
-                max(size, 0.0)
-                for size, item in zip(sizes, usual, strict=True)
-                if item and not item.is_strength
-            ),
-            default=1.0,
-        )
-        strengths = [abs(sizes[place]) * min(memory, 1.0) for place in self.strengths]
-        return len(strengths) > 0 and max(strengths) < part
+        fading = [size for size, item in zip(sizes, usual, strict=True) if item and not item.is_strength]
+        memory = max(min([1.0, *fading]), 0.0)
+        return len(self.strengths) > 0 and all(abs(sizes[place]) * memory < part for place in self.strengths)
 
     @property
     def raises_drift(self) -> bool:

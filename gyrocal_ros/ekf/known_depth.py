@@ -40,7 +40,7 @@ def with_known_depths(state: State, model: ImageModel, used: Innovation) -> Stat
         model: measurement model of the image.
         used: the innovation of the update.
     """
-    if not state.has_anchors and not model.effects.camera:
+    if not model.form.is_anchored or not (state.has_anchors or model.effects.camera):
         return state
     rows, change = _changed(state, model, used)
     if not len(rows):
@@ -207,12 +207,6 @@ def _changed(state: State, model: ImageModel, used: Innovation) -> tuple[IntArra
         state.mean, state.robot_size, used.rows, seen.scale, seen.points_c, least, MIN_AHEAD
     )
     return used.rows[chosen], change
-
-
-def _directions(state: State, rows: IntArray) -> IntArray:
-    """Return the indices (2 m,) in the state of the directions of features (m,)."""
-    directions: IntArray = state.feature_columns(rows)[:, :2].ravel()
-    return directions
 
 
 def directions_by_pose(features: Array, R_aw: Array, view: PosedCamera, change: Array) -> Array:

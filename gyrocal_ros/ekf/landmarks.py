@@ -32,11 +32,9 @@ def augment(
         by_values: (m, 3, k) their derivative with respect to the coefficients; None for zero.
         by_candidates: (m, 3, c) the same for effects that the model lacks.
     """
-    count, r, old = len(ids), state.robot_size, state.landmarks
+    count, r = len(ids), state.robot_size
     by_pose, parameters = new.by_pose.reshape(-1, 6), new.parameters.ravel()
-    anchor_row = -1
     if new.anchor_by_pose is not None:
-        anchor_row = (len(state.mean) - state.anchors_start) // 3
         by_pose = np.concatenate([by_pose, new.anchor_by_pose])
         parameters = np.concatenate([parameters, new.anchors.p_wc[0]])
     n, size = len(state.mean), len(parameters)
@@ -51,7 +49,23 @@ def augment(
     sensitivity = by_robot @ state.sensitivity[:r]
     if by_candidates is not None:
         sensitivity[: 3 * count] += by_candidates.reshape(3 * count, -1)
-    landmarks = Landmarks(
+    # Behind the features, before the anchors.
+    order = np.insert(np.arange(n), state.anchors_start, n + np.arange(3 * count))
+    order = np.concatenate([order, np.arange(n + 3 * count, n + size)])
+    return changed(
+        state,
+        mean=np.concatenate([state.mean, parameters])[order],
+        covariance=np.block([[state.covariance, cross.T], [cross, own]])[np.ix_(order, order)],
+        landmarks=_joined(state, ids, pixels, directions, new),
+        sensitivity=np.concatenate([state.sensitivity, sensitivity])[order],
+    )
+
+
+def _joined(state: State, ids: IntArray, pixels: Array, directions: Array, new: NewFeatures) -> Landmarks:
+    """Return the properties of the features of the map and of new ones; see `augment`."""
+    old, count = state.landmarks, len(ids)
+    anchor_row = -1 if new.anchor_by_pose is None else (len(state.mean) - state.anchors_start) // 3
+    return Landmarks(
         ids=np.concatenate([old.ids, ids]),
         anchors=old.anchors.joined(new.anchors),
         anchor_rows=np.concatenate([old.anchor_rows, np.full(count, anchor_row)]),
@@ -60,16 +74,6 @@ def augment(
         last_pixels=np.concatenate([old.last_pixels, pixels]),
         last_directions=np.concatenate([old.last_directions, directions]),
         noise=old.noise.joined(unknown_noise(count)),
-    )
-    # Behind the features, before the anchors.
-    order = np.insert(np.arange(n), state.anchors_start, n + np.arange(3 * count))
-    order = np.concatenate([order, np.arange(n + 3 * count, n + size)])
-    return changed(
-        state,
-        mean=np.concatenate([state.mean, parameters])[order],
-        covariance=np.block([[state.covariance, cross.T], [cross, own]])[np.ix_(order, order)],
-        landmarks=landmarks,
-        sensitivity=np.concatenate([state.sensitivity, sensitivity])[order],
     )
 
 

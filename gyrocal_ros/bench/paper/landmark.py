@@ -29,10 +29,11 @@ AT_THE_ORIGIN = Mount(np.eye(3), np.zeros(3))
 LANDMARK_M = np.array([[0.5, 1.0, 2.5]])
 STEP_M, STEPS = 0.05, 10
 NOISE_PX = 0.5
-ROW = np.array([0])
 """Pixel noise for which eq. (21) gives the paper's e_cn of 1.25 cm; the filter assumes it in Fig. 14, too."""
 FEATURES = replace(FeatureConfig(), prior_depth_m=5.0, ray_std_m=100.0)
 """Settings with the assumed depth and e_ct of the paper, which does not give a prior of inverse depth."""
+ROW = np.array([0])
+"""Index of the only feature."""
 SHOWN = (1, 2, 5, 10)
 """Steps whose errors are reported: after 5, 10, 25 and 50 cm."""
 

@@ -221,8 +221,7 @@ def directions_by_pose(features: Array, R_aw: Array, view: PosedCamera, change: 
         change: (m,)
     """
     across = R_aw[..., :2, :] - features[:, :2, None] * R_aw[..., 2:, :]
-    camera_by_pose = np.concatenate([np.eye(3), (view.dR_wb @ view.p_bc).T], axis=1)
-    return change[:, None, None] * across @ camera_by_pose
+    return change[:, None, None] * across @ view.p_wc_by_pose
 
 
 def directions_by_effects(seen: Prediction, by_effects: Array) -> Array:

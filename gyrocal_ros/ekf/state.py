@@ -146,7 +146,7 @@ class State:
 
     def anchors_of(self, rows: IntArray) -> Anchors:
         """Return the anchors of features at the present estimate."""
-        anchors = self.landmarks.anchors[rows]
+        anchors = self.landmarks.anchors[rows]  # a copy
         if not self.has_anchors:
             return anchors
         columns = self.anchor_columns(rows)

@@ -39,6 +39,11 @@ class PosedCamera:
         """Position of the camera in the world."""
         return self.p_wb + self.R_wb @ self.p_bc
 
+    @property
+    def p_wc_by_pose(self) -> Array:
+        """(3, 6) its derivative by the robot pose."""
+        return np.concatenate([np.eye(3), (self.dR_wb @ self.p_bc).T], axis=1)
+
 
 def posed_camera(camera: CameraIntrinsics, mount: Mount, position_m: Array, euler_rad: Array) -> PosedCamera:
     """Put the camera at a robot pose (position (3,), Euler angles (3,))."""

@@ -50,14 +50,13 @@ class AnchoredInverseDepth:
         by_pose = np.zeros((count, 3, 6))
         by_pose[:, :2, 3:] = turned_c[:, :2] - normalised[:, :, None] * turned_c[:, 2:]
         by_pose[:, 2, 3:] = -inverse_depth * turned_c[:, 2]
-        anchor_by_pose = np.concatenate([np.eye(3), (view.dR_wb @ view.p_bc).T], axis=1)
 
         by_pixel = bearing_jacobian(view.camera, normalised)
         noise = np.zeros((count, 3, 3))
         noise[:, :2, :2] = noise_px**2 * by_pixel @ by_pixel.transpose(0, 2, 1)
         noise[:, 2, 2] = config.prior_inverse_depth_std**2
         anchors = anchors_at(np.tile(view.R_wc, (count, 1, 1)), np.tile(view.p_wc, (count, 1)))
-        return NewFeatures(parameters, by_pose, noise, anchors, anchor_by_pose)
+        return NewFeatures(parameters, by_pose, noise, anchors, view.p_wc_by_pose)
 
     def measure(
         self, view: PosedCamera, pixels: Array, noise_px: float, config: FeatureConfig

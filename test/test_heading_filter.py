@@ -27,6 +27,7 @@ from gyrocal_ros.diagnose.shapes import (
     UnexplainedStructure,
     find_jump,
     find_oscillation,
+    find_oscillations,
     shapes,
     unexplained_structure,
 )
@@ -231,10 +232,21 @@ class TestStructure:
     def test_the_period_of_a_wave(self, of: Of, period_s: float) -> None:
         time_s = times_s()
         size = 0.02 * turning_rad_s(300.0) if of == 'scale' else deg(0.2)
-        found = find_oscillation(drive(size * np.sin(2.0 * np.pi * time_s / period_s)).seen, of, 150.0)
-        assert found is not None and found[0] == pytest.approx(period_s, rel=0.02)
-        size_found = float(np.hypot(*found[1].values))
+        seen = drive(size * np.sin(2.0 * np.pi * time_s / period_s)).seen
+        (found_s, fitted), *others = find_oscillations(seen, of, 150.0, most=3)
+        assert found_s == pytest.approx(period_s, rel=0.02)
+        size_found = float(np.hypot(*fitted.values))
         assert size_found == pytest.approx(0.02 if of == 'scale' else deg(0.2), rel=0.15)
+
+    def test_the_periods_of_two_waves(self) -> None:
+        """Of equal size; a fast one turns the robot less."""
+        phase = 2.0 * np.pi * times_s()
+        both = deg(0.2) * (np.sin(phase / 31.0) + np.sin(phase / 13.0))
+        found = find_oscillations(drive(both).seen, 'bias', 150.0, most=3)
+        gains = [fitted.gain for _, fitted in found]
+        assert gains == sorted(gains, reverse=True)
+        assert found[0][0] == pytest.approx(31.0, rel=0.03)
+        assert any(period_s == pytest.approx(13.0, rel=0.03) for period_s, _ in found)
 
     def structure(self, made: Drive) -> UnexplainedStructure:
         found = structure_of(made)

@@ -20,7 +20,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.diagnose.candidates import columns_of
 from gyrocal_ros.diagnose.heading_filter import headings
-from gyrocal_ros.diagnose.shapes import find_oscillation
+from gyrocal_ros.diagnose.shapes import find_oscillations
 from gyrocal_ros.effects.base import LinearGyroEffect
 from gyrocal_ros.effects.learned import curve, memory, place_map, step, wave
 from gyrocal_ros.effects.learned.curve import LENGTHS as CURVE_LENGTHS
@@ -38,6 +38,8 @@ AMPLITUDES = np.geomspace(0.01, 100.0, 17)
 """Prior standard deviations that are tried, relative to the usual one."""
 STEP_S, FINE_STEP_S = 10.0, 0.5
 """Distance of the moments that are tried for a step, first and in the second pass."""
+MAX_WAVES = 3
+"""Number of periods that are tried at once."""
 MAX_STEPS = 20
 """Number of moments that are tried at once."""
 KINDS: tuple[Of, ...] = ('bias', 'scale')
@@ -206,10 +208,9 @@ def _steps_at(of: Of, at_s: Array) -> list[Law]:
 
 
 def _waves(run: Run) -> Iterator[Law]:
-    """Yield the waves with the periods that explain most of the headings."""
+    """Yield waves with the periods that explain most of the headings."""
     seen = headings(run)
     for of in KINDS:
-        found = find_oscillation(seen, of, SLOWEST_S)
-        if found is not None:
-            effect = wave(of, period_s=found[0])
+        for period_s, _ in find_oscillations(seen, of, SLOWEST_S, MAX_WAVES):
+            effect = wave(of, period_s=period_s)
             yield _law(effect, [np.array([item.prior_std for item in effect.coefficients])])

@@ -157,22 +157,34 @@ def find_jump(seen: Headings) -> tuple[float, Fit] | None:
     return _best_jump(seen, np.arange(max(found[0] - apart_s, first_s), found[0] + apart_s, JUMP_STEP_S))
 
 
-def find_oscillation(
-    seen: Headings, of: Of = 'bias', slowest_s: float = SLOWEST_S
-) -> tuple[float, Fit] | None:
-    """Return the period (s) of the oscillation that explains most, and the fit of sine and cosine.
+def find_oscillation(seen: Headings) -> tuple[float, Fit] | None:
+    """Return the period (s) of the oscillation of the bias that explains most, and its fit."""
+    return next(iter(find_oscillations(seen, 'bias', SLOWEST_S, most=1)), None)
+
+
+def find_oscillations(seen: Headings, of: Of, slowest_s: float, most: int) -> list[tuple[float, Fit]]:
+    """Return the periods (s) of the oscillations that explain most, and the fits of sine and cosine.
+
+    Each explains more than its neighbours: an error that the filter partly follows has several such periods,
+    and not always the best of them is that of the cause.
 
     Args:
         seen: headings.
         of: what oscillates.
         slowest_s: longest period; half the recording at most.
+        most: number of periods at most.
     """
     slowest_hz, fastest_hz = 1.0 / slowest_s, 1.0 / FASTEST_S
     apart_hz = 0.5 / float(seen.time_s[-1])
-    found = _best_oscillation(seen, np.arange(max(slowest_hz, 4.0 * apart_hz), fastest_hz, apart_hz), of)
-    if found is None:
-        return None
-    return _best_oscillation(seen, 1.0 / found[0] + apart_hz * np.linspace(-1.0, 1.0, 21), of)
+    coarse = _oscillations(seen, np.arange(max(slowest_hz, 4.0 * apart_hz), fastest_hz, apart_hz), of)
+    gains = np.array([-np.inf, *(fitted.gain for _, fitted in coarse), -np.inf])
+    peaks = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]))
+    highest = sorted(peaks.tolist(), key=lambda place: coarse[place][1].gain, reverse=True)[:most]
+    around = apart_hz * np.linspace(-1.0, 1.0, 21)
+    return [
+        max(_oscillations(seen, 1.0 / coarse[place][0] + around, of), key=lambda item: item[1].gain)
+        for place in highest
+    ]
 
 
 def _structures(
@@ -211,14 +223,24 @@ def _best_jump(seen: Headings, at_s: Array) -> tuple[float, Fit] | None:
     return _best(seen, at_s.tolist(), _after(seen, at_s)) if len(at_s) else None
 
 
-def _best_oscillation(seen: Headings, hz: Array, of: Of) -> tuple[float, Fit] | None:
+def _oscillations(seen: Headings, hz: Array, of: Of) -> list[tuple[float, Fit]]:
+    """Return the periods (s) of frequencies with a fit, and these, in the order of the frequencies."""
     parts = np.array_split(hz, max(math.ceil(2 * len(hz) / MAX_AT_ONCE), 1))
-    fits = [_best(seen, (1.0 / part).tolist(), _waves(seen, part, of)) for part in parts if len(part)]
-    return max((item for item in fits if item is not None), key=lambda item: item[1].gain, default=None)
+    return [
+        item
+        for part in parts
+        if len(part)
+        for item in _fits(seen, (1.0 / part).tolist(), _waves(seen, part, of))
+    ]
 
 
 def _best(seen: Headings, parameters: list[float], columns: Array) -> tuple[float, Fit] | None:
-    """Return the parameter (of n) whose columns explain most, and their fit.
+    """Return the parameter whose columns explain most, and their fit, see `_fits`."""
+    return max(_fits(seen, parameters, columns), key=lambda item: item[1].gain, default=None)
+
+
+def _fits(seen: Headings, parameters: list[float], columns: Array) -> list[tuple[float, Fit]]:
+    """Return the parameters (of n) whose columns have a fit, and these.
 
     Args:
         seen: headings.
@@ -228,8 +250,7 @@ def _best(seen: Headings, parameters: list[float], columns: Array) -> tuple[floa
     scores, count = heading_scores(seen, columns), len(parameters)
     places = [np.arange(place, columns.shape[1], count) for place in range(count)]
     fits = [(value, fit(scores, place)) for value, place in zip(parameters, places, strict=True)]
-    known = [(value, fitted) for value, fitted in fits if fitted is not None]
-    return max(known, key=lambda item: item[1].gain, default=None)
+    return [(value, fitted) for value, fitted in fits if fitted is not None]
 
 
 def _after(seen: Headings, at_s: Array) -> Array:

@@ -35,6 +35,7 @@ from gyrocal_ros.ekf.update import (
     own_precisions,
     update,
 )
+from gyrocal_ros.ekf.wheel_noise import PositionScore
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import bearing, project_with_jacobian
 from gyrocal_ros.model.features.base import NewFeatures, Prediction
@@ -91,6 +92,8 @@ def update_from_image(
             scored = scored if weights is None else scored * weights[: model.scored]
             by_feature = feature_scores(used_ids, used.residual, used.covariance, scored)
         seen = changed(seen, used_ids=used_ids, given_others=given_others(used.residual, whitening))
+        if tells_view and found.slip_std is None:
+            seen = changed(seen, by_position=position_score(used, whitening))
         state, stats = _corrected(state, model, changed(used, whitening=whitening))
         stats = stats if weights is None else weighted_scores(stats, weights)
         stats = changed(stats, dof=DOF_PER_FEATURE * len(used.rows))
@@ -124,6 +127,19 @@ def _corrected(state: State, model: ImageModel, used: Innovation) -> tuple[State
         after = with_considered(state, after, combinations_not_told(state, model))
     after = with_moved_anchors(state, after)
     return with_known_depths(after, model, used), stats
+
+
+def position_score(innovation: Innovation, whitening: Array) -> PositionScore:
+    """Return what an innovation tells of the position whatever the heading is, given L^-1 with `L L^T = S`.
+
+    An effect that the gyro model lacks turns the robot, and must not seem to be noise of the wheels.
+    """
+    rows = innovation.residual.size
+    by_pose = whitening @ innovation.prediction.by_pose.reshape(rows, -1)
+    by_position, by_yaw = by_pose[:, :2], by_pose[:, YAW]
+    by_position = by_position - np.outer(by_yaw, by_yaw @ by_position / (by_yaw @ by_yaw))
+    whitened = whitening @ innovation.residual.reshape(rows)
+    return PositionScore(by_position.T @ whitened, by_position.T @ by_position)
 
 
 def with_looser_pose(state: State, std: Array) -> State:

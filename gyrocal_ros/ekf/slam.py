@@ -45,10 +45,11 @@ from gyrocal_ros.ekf.resting_view import RestingView
 from gyrocal_ros.ekf.scale_watch import COLUMNS, DRIFT_STD, USUAL_DRIFT_STD, ScaleWatch
 from gyrocal_ros.ekf.sliding import SlidingPoints
 from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
-from gyrocal_ros.ekf.state import SCALE, YAW_BIAS, State
+from gyrocal_ros.ekf.state import SCALE, YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
 from gyrocal_ros.ekf.step_record import StepRecord, step_record
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, zero_rate_update
+from gyrocal_ros.ekf.wheel_noise import WheelNoise
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import PosedCamera, posed_camera
@@ -122,11 +123,10 @@ class EkfSlam:
         self._motion = PoseMotion(np.zeros(6), np.zeros(6))
         self._way_noise_m: Array | None = None
         self._stretch_by_values: Array | None = None
-        self._has_moved = False
+        self._has_moved, self.wheel_noise = False, WheelNoise(config.wheels)
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
-        self._moving, self._resting_view = MovingFeatures(), RestingView()
-        self._sliding = SlidingPoints()
+        self._moving, self._sliding, self._resting_view = MovingFeatures(), SlidingPoints(), RestingView()
         self._steady, self._frozen = SteadyRate(), FrozenCamera()
         self._heading = HeadingReference(config.reference, config.gyro)
         at_first = config.gyro if config.reference.estimate_noise else config.rest
@@ -167,12 +167,13 @@ class EkfSlam:
                 gyro, sway = self._rest_noise.split(gyro, sway_rad, block.duration_s)
             if self.config.reference.estimate_noise:
                 self._rest_noise.add(block, is_at_rest=is_at_rest)
-        model = FilterModel(self.model, self._effects, gyro, self.config.wheels)
+        model = FilterModel(self.model, self._effects, gyro, self.wheel_noise.config)
         if self._levelling is not None:
             model = changed(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
         self.state, transition = predict(before, block, model, self.memories, steady)
         self.memories = transition.contribution.correction.memories
         self._motion = pose_motion(transition.motion, block)
+        self.wheel_noise.move(block)
         way_m = transition.motion.forward @ block.distance_m
         drift_by_values = transition.contribution.drift_by_values
         self._stretch_by_values = None
@@ -272,6 +273,8 @@ class EkfSlam:
         model = self._image_model(is_known=is_known, stays=is_at_rest)
         self.state, update = update_from_image(self.state, model, observations)
         self._way_noise_m = None
+        if update.used:
+            self.wheel_noise.learn(update.by_position, float(self.state.mean[YAW]))
         self._has_moved = model.has_moved or has_moved(self.state, model.view)
         if not is_at_rest and self._agrees(update) and len(ids := self._sliding.find(self.state)):
             self._moving.add(ids)
@@ -392,5 +395,6 @@ class EkfSlam:
         """Keep the calibration and drop the map: the motion during the step of the clock is unknown."""
         self._rest, self._steady = RestDetector(), SteadyRate()
         self._has_moved, self._way_noise_m = False, None
+        self.wheel_noise.forget()
         self._heading.forget_alignment()
         self.state = inflate_after_gap(forget_all(self.state), t_ns)

@@ -11,6 +11,7 @@ from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.ekf.feature_scores import FeatureScores
 from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, EULER, YAW, State
+from gyrocal_ros.ekf.wheel_noise import PositionScore
 from gyrocal_ros.errors import CHECK_THE_SENSORS, FilterDivergedError, IndefiniteCovarianceError
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import Prediction
@@ -92,8 +93,7 @@ class UpdateStats:
         """Return the statistics of the first candidates alone."""
         if self.information is None or self.score is None or count == 0:
             return UpdateStats(self.nis, self.dof, self.log_determinant)
-        kept = slice(count)
-        information, score = self.information[kept, kept], self.score[kept]
+        information, score = self.information[:count, :count], self.score[:count]
         return UpdateStats(self.nis, self.dof, self.log_determinant, information, score)
 
     @property
@@ -122,6 +122,8 @@ class MeasurementUpdate:
     used_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     given_others: Array = field(default_factory=lambda: np.empty(0))
     """Numbers of the features used, and the log-likelihood of each given the others."""
+    by_position: PositionScore | None = None
+    """What the image tells of the noise of the wheels; None where it tells nothing."""
     heading_rad: float = 0.0
     """The innovation as a heading: the rotation about the vertical that fits it best."""
     heading_std_rad: float = float('nan')
@@ -351,8 +353,7 @@ def _correct(
     state: State, residual: Array, numerator: Array, covariance: Array, sensitivity: Array
 ) -> tuple[State, UpdateStats]:
     """Apply the update for q measured numbers, by nu (q,), H P (q, n), S (q, q) and G (q, c)."""
-    stacked = np.concatenate([numerator, residual[:, None], sensitivity], axis=1)
-    return _corrected(state, stacked, whitener(covariance))
+    return _corrected(state, np.column_stack([numerator, residual, sensitivity]), whitener(covariance))
 
 
 def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, UpdateStats]:
@@ -363,7 +364,7 @@ def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, U
         stacked: (q, n + 1 + c) side by side H P, nu and G.
         whitening: L^-1 (q, q) with `L L^T = S`.
     """
-    n, whitened = len(state.mean), whitening @ stacked
+    n, dof, whitened = len(state.mean), len(stacked), whitening @ stacked
     products = whitened.T @ whitened
     mean, covariance, sensitivity, log_determinant = corrected(
         state.mean, state.covariance, state.sensitivity, products, whitening
@@ -371,10 +372,9 @@ def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, U
     if not math.isfinite(mean @ mean):
         raise FilterDivergedError('the estimate is no longer finite', todo=CHECK_THE_SENSORS)
     after = changed(state, mean=mean, covariance=covariance, sensitivity=sensitivity)
-    nis, dof = float(products[n, n]), len(stacked)
+    nis, information, score = float(products[n, n]), products[n + 1 :, n + 1 :], products[n + 1 :, n]
     if not sensitivity.shape[1]:
         return after, UpdateStats(nis, dof, log_determinant)
-    information, score = products[n + 1 :, n + 1 :], products[n + 1 :, n]
     return after, UpdateStats(nis, dof, log_determinant, information, score)
 
 

@@ -255,6 +255,7 @@ class Estimator:
             'overall_nis': round(self.watch.overall_nis, 3),
             'model_fits': not self._scatter.contradicts if self._scatter.is_judged else 'unknown',
             'pixel_noise_px': round(math.nan if slam is None else slam.pixel_noise.std, 3),
+            'wheel_noise_m': round(math.nan if slam is None else slam.wheel_noise.config.distance_noise_m, 4),
             'map_size': 0 if slam is None else len(slam.state.landmarks.ids),
             'features_dropped': self.dropped,
             **(slam.reference_numbers() if slam is not None else {}),

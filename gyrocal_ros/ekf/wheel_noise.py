@@ -1,0 +1,135 @@
+"""The noise of the wheels, learned from the images; that of the settings is the least.
+
+Once the depths are known, an image tells the way since the last one far better than the wheels do. So its
+innovation shows how much these err, along the way and across it: the derivative of the log-likelihood by the
+logarithm of each variance is followed to where it is zero on average (Fisher scoring; Myers and Tapley 1976).
+Encoders that send less often than the camera err alike in several images, so those of some time count
+together. A map of another size errs alike for longer, so only what changes from one time to the next counts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrocal_ros.config.sections import WheelConfig
+from gyrocal_ros.data import Array, MotionBlock, quickly_filled
+
+BATCH_S = 0.5
+"""Time over which the errors of the wheels may be alike."""
+MAX_RATIO = 9.0
+"""Square of an error, relative to its expected value, beyond which it counts no more: it is not noise."""
+MEMORY = 200.0
+"""Number of batches over which the noise is averaged."""
+PRIOR_BATCHES = 5.0
+"""Number of batches that the settings are worth."""
+MAX_STEP = 0.5
+"""Largest change of the logarithm of a variance by one batch."""
+MAX_LOG_VARIANCE = math.log(400.0)
+"""Largest logarithm of a variance, relative to that of the settings."""
+
+
+@quickly_filled
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionScore:
+    """What the innovation of an image tells of the position on the floor before the update."""
+
+    score: Array
+    """(2,) A^T S^-1 nu, with A the derivative of the prediction by the position."""
+    information: Array
+    """(2, 2) A^T S^-1 A."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Batch:
+    """Errors of the wheels along the way and across it, in some images."""
+
+    errors: Array
+    """(2,) sum of the scores by errors of one expected standard deviation each."""
+    expected: Array
+    """(2,) expected squares of these sums."""
+    images: int
+    duration_s: float
+
+
+_EMPTY = _Batch(np.zeros(2), np.zeros(2), 0, 0.0)
+
+
+class WheelNoise:
+    """Learns the noise along the way, turns included, and across it.
+
+    Args:
+        settings: the least noise.
+    """
+
+    def __init__(self, settings: WheelConfig) -> None:
+        self.config = settings
+        """The settings with the noise that is known now."""
+        self._settings = settings
+        self._log_variances, self._information = np.zeros(2), np.full(2, PRIOR_BATCHES)
+        self._before, self._batch = _EMPTY, _EMPTY
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the way since the last image."""
+        self._way_m = self._turn_rad = self._since_s = 0.0
+
+    def move(self, block: MotionBlock) -> None:
+        """Add the way of a block to that since the last image."""
+        self._way_m += float(np.abs(block.distance_m).sum())
+        self._turn_rad += float(np.abs(block.rate_rad_s[:, 2]) @ block.dt_s)
+        self._since_s += block.duration_s
+
+    def learn(self, told: PositionScore | None, yaw_rad: float) -> None:
+        """Learn from an image, and begin the way to the next one.
+
+        Args:
+            told: by the image; None where it does not tell of the noise of the wheels.
+            yaw_rad: heading.
+        """
+        if told is not None and self._way_m > 0.0:
+            self._add(told, yaw_rad)
+        self.forget()
+        if self._batch.duration_s >= BATCH_S:
+            self._follow(self._before, self._batch)
+            self._before, self._batch = self._batch, _EMPTY
+
+    def _add(self, told: PositionScore, yaw_rad: float) -> None:
+        """Add an image to the batch, by what its wheels err by: the columns of `errors_m`."""
+        wheels, cos, sin = self.config, math.cos(yaw_rad), math.sin(yaw_rad)
+        along_m = math.sqrt(
+            wheels.distance_noise_m**2 * self._way_m + wheels.turn_noise_m**2 * self._turn_rad
+        )
+        across_m = wheels.lateral_noise_m * math.sqrt(self._way_m)
+        errors_m = np.array([[cos, -sin], [sin, cos]]) * [along_m, across_m]
+        information = errors_m.T @ told.information @ errors_m
+        batch = self._batch
+        self._batch = _Batch(
+            batch.errors + told.score @ errors_m,
+            batch.expected + information.diagonal(),
+            batch.images + 1,
+            batch.duration_s + self._since_s,
+        )
+
+    def _follow(self, before: _Batch, batch: _Batch) -> None:
+        """Follow the noise by the change of the errors from one batch to the next."""
+        if not before.images:
+            return
+        images = before.images + batch.images
+        squares = (batch.errors - before.errors) ** 2 / images
+        expected = (batch.expected + before.expected) / images
+        scores = np.minimum(squares, MAX_RATIO * expected) - expected
+        fading = 1.0 - 1.0 / MEMORY
+        self._information = np.maximum(fading * self._information, PRIOR_BATCHES) + expected**2
+        steps = np.clip(scores / self._information, -MAX_STEP, MAX_STEP)
+        self._log_variances = np.clip(self._log_variances + steps, 0.0, MAX_LOG_VARIANCE)
+        along, across = np.exp(0.5 * self._log_variances).tolist()
+        settings = self._settings
+        self.config = replace(
+            settings,
+            distance_noise_m=along * settings.distance_noise_m,
+            lateral_noise_m=across * settings.lateral_noise_m,
+            turn_noise_m=along * settings.turn_noise_m,
+        )

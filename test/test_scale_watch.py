@@ -22,6 +22,7 @@ from gyrocal_ros.ekf.scale_watch import (
     RAMP,
     RAMP_S,
     SCALE_CHANGED,
+    NOTICED_S,
     SETTLE_S,
     USUAL_DRIFT_STD,
     WINDOWS_S,
@@ -143,6 +144,17 @@ def test_a_change_is_significant_by_its_standard_deviation() -> None:
     assert found is not None
     assert found.value == pytest.approx(1.01e-3 * CHANGE_SIGMA)
     assert found.std == pytest.approx(1e-3)
+
+
+def test_a_change_counts_once_it_has_been_significant_for_some_images() -> None:
+    watch, _ = some_watch()
+    first, others = (stats(1e6, 0.02),), (stats(1.0, 0.02),)
+    assert watch.add(0.6 * NOTICED_S, first) is None
+    assert watch.add(0.6 * NOTICED_S, others) is not None
+    watch, _ = some_watch()
+    assert watch.add(0.6 * NOTICED_S, first) is None
+    assert watch.add(0.6 * NOTICED_S, (stats(1e6, -0.02),)) is None, 'the next image contradicts it'
+    assert watch.add(0.6 * NOTICED_S, first) is None
 
 
 @pytest.mark.parametrize('updates', [(), (UpdateStats(0.0, 3), UpdateStats())])

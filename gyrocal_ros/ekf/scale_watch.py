@@ -50,6 +50,9 @@ CHANGE_SIGMA = 4.5
 """Significance from which a change is real."""
 CHANCE_SIGMA = 3.0
 """Significance by which a step has to explain more than a ramp, so that it is no ramp."""
+NOTICED_S = 0.5
+"""Time of measurements for which a change has to be significant before it counts: of all images of a drive, a
+few that err alike may seem to show one."""
 SETTLE_S = 3.0
 """Time of measurements for which a change has to be significant before it is followed. Windows that began
 before a jump contradict it in part; in this time one that began after it, or just before, explains more than
@@ -165,7 +168,7 @@ class ScaleWatch:
     def add(
         self, duration_s: float, updates: tuple[UpdateStats, ...], others: NormalEquations | None = None
     ) -> ScaleChange | None:
-        """Add the updates of one step; return the most significant change, None if none is significant.
+        """Add the updates of one step; return the most significant change, None before it is noticed.
 
         Innovations that a change does not explain count as noise: what contradicts the filter otherwise, such
         as images of something else, is no change of the scale factor.
@@ -197,6 +200,8 @@ class ScaleWatch:
             self._significant_s = 0.0
             return None
         self._significant_s = self._significant_s or duration_s
+        if self._significant_s < NOTICED_S:
+            return None
         std, was_calibrated = math.sqrt(variances[best]), bool(self._was_calibrated[best])
         return ScaleChange(self._first + best, float(values[best]), std, sigma, was_calibrated)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.run import History, Run
-from gyrocal_ros.ekf.scale_watch import SETTLE_S
+from gyrocal_ros.ekf.scale_watch import NOTICED_S, SETTLE_S
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.statistics import chi_square_tail
@@ -159,7 +159,7 @@ def left_of_changes(history: History, inflation: Array) -> Array:
     scale, change = COEFFICIENTS_START, np.abs(history.scale_change)
     measured_s = np.cumsum(np.diff(history.time_s, prepend=0.0) * (history.dof > 0))
     unchanged_s = np.maximum.accumulate(np.where(change > 0.0, 0.0, measured_s))
-    lasting = np.where(measured_s - unchanged_s >= SETTLE_S, change, 0.0)
+    lasting = np.where(measured_s - unchanged_s >= SETTLE_S - NOTICED_S, change, 0.0)
     last = np.maximum.accumulate(np.where(lasting > 0.0, np.arange(len(lasting)), 0))
     parts = np.split(lasting, np.flatnonzero(history.scale_followed))
     largest = np.concatenate([np.maximum.accumulate(part) for part in parts])

@@ -71,6 +71,20 @@ def test_noisy_wheels_on_a_straight_lane_hide_no_turn() -> None:
     assert agreement.ratio == pytest.approx(1.0, abs=0.3)
 
 
+@pytest.mark.parametrize(
+    ('ratio', 'cause'), [(1.0, ''), (0.0, 'the gyro does not follow the turns of the wheels')]
+)
+@pytest.mark.parametrize('rate_rad_s', [0.3, 1.0])
+def test_a_long_turn_to_one_side(rate_rad_s: float, ratio: float, cause: str) -> None:
+    """Gyro and wheels are then constant but for their noise, which tells nothing of each other."""
+    agreement, rng = turned(ratio), np.random.default_rng(2)
+    for _ in range(1200):
+        gyro, wheels = ratio * rate_rad_s + 0.03, rate_rad_s + 0.3 * rng.standard_normal()
+        agreement.add((gyro + 1e-3 * rng.standard_normal()) * STEP_S, wheels * STEP_S, STEP_S)
+        found = agreement.fault(1.0, 1e-4)
+        assert found.startswith(cause) and bool(found) == bool(cause)
+
+
 def test_nothing_is_said_before_the_wheels_have_turned_or_the_scale_factor_is_known() -> None:
     agreement = TurnAgreement()
     for _ in range(500):

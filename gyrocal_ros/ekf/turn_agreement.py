@@ -23,6 +23,9 @@ MEMORY_RAD = 6.0
 MIN_RATIO = 0.5
 """Rate of the gyro, per rate of the wheels, from which both turn the same way; below its negative, opposite
 ways."""
+VARIED = 0.25
+"""Variance of the rate of the wheels, per mean square, below which they turn one way all the time. Their noise
+is then most of the variance, and a bias of the gyro would explain all that it reads."""
 DEAF_RATIO = 0.2
 """Rate of the gyro, per rate of the wheels, below which it does not follow turns."""
 STUCK_RAD, STUCK_RAD_S = 1.0, 1e-6
@@ -67,11 +70,16 @@ class TurnAgreement:
 
     @property
     def ratio(self) -> float:
-        """Rate of the gyro per rate of the wheels, without biases; NaN while unknown."""
+        """Rate of the gyro per rate of the wheels; NaN while unknown.
+
+        It is without biases, unless the wheels turn one way all the time.
+        """
         if not self.is_known:
             return math.nan
-        covariance = self._product - self._gyro_rad * self._wheels_rad / self._time_s
-        return covariance / (self._square - self._wheels_rad**2 / self._time_s)
+        variation = self._square - self._wheels_rad**2 / self._time_s
+        if variation < VARIED * self._square:
+            return self._product / self._square
+        return (self._product - self._gyro_rad * self._wheels_rad / self._time_s) / variation
 
     def fault(self, scale_factor: float, scale_std: float) -> str:
         """Return what is wrong, with its likely cause and remedy; empty where nothing is.

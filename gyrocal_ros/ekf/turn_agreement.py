@@ -24,7 +24,7 @@ MIN_RATIO = 0.5
 """Rate of the gyro, per rate of the wheels, from which both turn the same way; below its negative, opposite
 ways."""
 VARIED = 0.25
-"""Variance of the rate of the wheels, per mean square, below which they turn one way all the time. Their noise
+"""Variance of the rate of the wheels, per mean square, below which they turn one way only. Their noise
 is then most of the variance, and a bias of the gyro would explain all that it reads."""
 DEAF_RATIO = 0.2
 """Rate of the gyro, per rate of the wheels, below which it does not follow turns."""

@@ -168,7 +168,8 @@ def left_of_changes(history: History, inflation: Array) -> Array:
 
     variance, decrease = history.std[:, scale] ** 2, history.change_variance[:, SCALE]
     logarithm = np.cumsum(np.log(variance / (variance + decrease)))
-    share = np.exp(logarithm - logarithm[last])
+    # An update that considers effects, and does not correct them, may know less than before.
+    share = np.minimum(np.exp(logarithm - logarithm[last]), 1.0)
     moved, variance_then = history.mean[:, scale] - history.mean[last, scale], inflation**2 * variance[last]
     gain = largest**2 / (largest**2 * (1.0 - share) + variance_then)
     fading = share * np.sqrt(gain * variance_then + (gain * moved) ** 2)

@@ -233,7 +233,7 @@ class TestStructure:
         time_s = times_s()
         size = 0.02 * turning_rad_s(300.0) if of == 'scale' else deg(0.2)
         seen = drive(size * np.sin(2.0 * np.pi * time_s / period_s)).seen
-        (found_s, fitted), *others = find_oscillations(seen, of, 150.0, most=3)
+        (found_s, fitted), *_ = find_oscillations(seen, of, 150.0, most=3)
         assert found_s == pytest.approx(period_s, rel=0.02)
         size_found = float(np.hypot(*fitted.values))
         assert size_found == pytest.approx(0.02 if of == 'scale' else deg(0.2), rel=0.15)

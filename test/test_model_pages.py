@@ -448,7 +448,7 @@ class TestConclusions:
         assert status.sentence.startswith('Something is missing: scale_cubic would explain much of it')
 
     def test_certain_and_uncertain_effects_are_named_apart(self, diagnosis: Diagnosis) -> None:
-        sure = diagnosis.missing[0]
+        sure = replace(diagnosis.missing[0], confused_with=())
         uncertain = replace(sure, effect=find_effect('bias_temperature'), confused_with=('bias_warmup',))
         case = replace(diagnosis, verdict='cannot_tell', missing=(sure, uncertain))
         assert diagnosis_report.conclusion(case).headline == (

@@ -26,7 +26,7 @@ from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.rate_deadband import INSIDE_STD
 from gyrocal_ros.ekf.effects_by_place import sort_effects
-from gyrocal_ros.ekf.predict import predict_sensitivity
+from gyrocal_ros.ekf.predict import MISALIGNMENT_RAD, FilterModel, predict, predict_sensitivity
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import BIAS, EULER, POSE, POSITION, YAW
 from gyrocal_ros.model.bias import BiasModel
@@ -129,6 +129,18 @@ def test_random_walks_grow_with_time() -> None:
     noise = np.diagonal(added_noise(block, gyro, QUIET_WHEELS, model))
     np.testing.assert_allclose(noise[BIAS], math.radians(0.01) ** 2 * block.duration_s)
     assert noise[9] == pytest.approx(1e-8 * block.duration_s)
+
+
+def test_another_rate_leaves_the_biases_of_the_x_and_y_gyros_less_known() -> None:
+    block, effects = eventful_block(), sort_effects(MODEL.effects)
+    state = replace(initial_state(MODEL, Config(), None), t_ns=block.start_ns)
+    model = FilterModel(MODEL, effects, QUIET_GYRO, QUIET_WHEELS)
+    before, after = (
+        predict(state, block, replace(model, rate_change_rad_s=change), effects.no_memories())[0]
+        for change in (0.0, -0.5)
+    )
+    added = (after.covariance - before.covariance).diagonal()[BIAS]
+    np.testing.assert_allclose(added, [(0.5 * MISALIGNMENT_RAD) ** 2] * 2 + [0.0], rtol=1e-6)
 
 
 def test_gaps_add_covariance() -> None:

@@ -84,6 +84,14 @@ def test_a_turn_is_taken_as_it_is_read() -> None:
         np.testing.assert_array_equal(used.rate_rad_s, read.rate_rad_s)
 
 
+def test_the_change_of_the_rate_is_known_where_it_is_not_steady() -> None:
+    rng, steady = np.random.default_rng(1), SteadyRate()
+    for rate, change in [(0.0, 0.0)] * 10 + [(40.0, 40.0)] + [(40.0, 0.0)] * 10 + [(-10.0, -50.0)]:
+        steady.without_noise(noisy(rng, rate * DEG), GYRO)
+        assert steady.change_rad_s == pytest.approx(change * DEG, abs=0.5 * DEG)
+        assert (steady.change_rad_s == 0.0) == (change == 0.0)
+
+
 def test_a_slow_change_is_followed() -> None:
     rng, steady = np.random.default_rng(2), SteadyRate()
     for rate in np.linspace(0.0, 2.0, 600) * DEG:

@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array, FeatureObservations, IntArray, Measurement, MotionBlock, Rig
+from gyrocal_ros.data import Array, FeatureObservations, IntArray, Measurement, MotionBlock, Rig, changed
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.effects_by_place import sort_effects
 from gyrocal_ros.ekf.predict import FilterModel, predict
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, State, no_landmarks
+from gyrocal_ros.ekf.steady_rate import SteadyRate
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.errors import GyrocalError
@@ -53,6 +54,8 @@ class _BatchStep:
     """One step of the recording."""
 
     block: MotionBlock
+    rate_change_rad_s: float
+    """As for the filter, see `FilterModel`."""
     is_resting: bool
     features: IntArray
     """(m,) indices of the features that were observed at its end."""
@@ -126,14 +129,16 @@ def _set_up(measurements: Iterable[Measurement], rig: Rig, config: Config) -> tu
     records += stream.finish()
     landmarks = slam.state.landmarks
     row_of = {feature: row for row, feature in enumerate(landmarks.ids.tolist())}
-    steps = []
+    steps, steady = [], SteadyRate()
     for record in records:
+        is_resting = record.resting.dof > 0
+        steady.without_noise(record.block, config.gyro, is_at_rest=is_resting)
         observed = seen.get(record.t_ns)
         ids = [] if observed is None else observed.ids.tolist()
         known = [i for i, feature in enumerate(ids) if feature in row_of]
         rows = np.array([row_of[ids[i]] for i in known], np.int64)
         pixels = np.empty((0, 2)) if observed is None else observed.pixels[known]
-        steps.append(_BatchStep(record.block, record.resting.dof > 0, rows, pixels))
+        steps.append(_BatchStep(record.block, steady.change_rad_s, is_resting, rows, pixels))
     start = np.zeros(POSE_AND_BIAS)
     start[BIAS] = records[0].mean[BIAS]
     poses = [start, *(record.mean[:POSE_AND_BIAS] for record in records)]
@@ -195,7 +200,8 @@ def _motion(problem: _Problem, unknowns: Array, number: int, step: _BatchStep) -
     mean = np.append(unknowns[before], unknowns[place])
     state = State(step.block.start_ns, mean, np.zeros((r, r)), 1, no_landmarks(), np.zeros((r, 0)))
     memories = problem.model.effects.no_memories()
-    predicted, transition = predict(state, step.block, problem.model, memories)
+    model = changed(problem.model, rate_change_rad_s=step.rate_change_rad_s)
+    predicted, transition = predict(state, step.block, model, memories)
     noise = predicted.covariance[:POSE_AND_BIAS, :POSE_AND_BIAS] + FLOOR_STD**2 * np.diag(
         [1.0] * 6 + [FLOOR_STD**2] * 3
     )

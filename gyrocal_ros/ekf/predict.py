@@ -20,6 +20,10 @@ from gyrocal_ros.model.sensor import Memory, SensorModel
 
 UNMEASURED_SPEED_M_S = 0.5
 """Standard deviation of the speed while the wheel encoders send nothing."""
+MISALIGNMENT_RAD = 0.003
+"""Standard deviation of the angle between camera and x and y gyros. In a turn, these miss that part of the
+yaw rate, which looks like a bias while the rate lasts. Taken for one that stays, it would tilt the robot for
+long after the turn."""
 
 
 @quickly_filled
@@ -34,6 +38,8 @@ class FilterModel:
     wheels: WheelConfig
     tilt_rate_noise_rad_s: Array | None = None
     """(2,) white noise densities of the x and y gyros; None where they are like the yaw gyro's."""
+    rate_change_rad_s: float = 0.0
+    """Change of the yaw rate since the last block, see `MISALIGNMENT_RAD`."""
 
 
 @quickly_filled
@@ -273,6 +279,7 @@ def _noise_of(block: MotionBlock, model: FilterModel, unknown_rad: float) -> Blo
     if effects.count and gyro.scale_walk:  # the first coefficient is the scale factor
         walks = walks.copy()
         walks[0] = math.hypot(walks[0], gyro.scale_walk)
+    tilt_walk = math.hypot(walk, MISALIGNMENT_RAD * model.rate_change_rad_s / math.sqrt(block.duration_s))
     return BlockNoise(
         density if model.tilt_rate_noise_rad_s is None else model.tilt_rate_noise_rad_s,
         yaw_density,
@@ -280,7 +287,7 @@ def _noise_of(block: MotionBlock, model: FilterModel, unknown_rad: float) -> Blo
         unknown_rad,
         (wheels.distance_noise_m, wheels.lateral_noise_m, wheels.vertical_noise_m, wheels.turn_noise_m),
         UNMEASURED_SPEED_M_S * block.wheel_gap_s,
-        walk,
+        tilt_walk,
         yaw_walk,
         walks,
         block.duration_s,

@@ -158,8 +158,7 @@ class EkfSlam:
         gyro = self._scale_watch.walk(gyro)
         steady = self._steady.without_noise(block, gyro, is_at_rest=is_at_rest)
         is_way_noise = not is_certain(block, self.config.wheels)
-        if is_way_noise:
-            steady = without_way(steady)
+        steady = without_way(steady) if is_way_noise else steady
         sway_rad = math.radians(self.config.rest.rotation_noise_deg)
         sway: Array | float = sway_rad
         if self._levelling is not None:
@@ -168,7 +167,9 @@ class EkfSlam:
             if self.config.reference.estimate_noise:
                 self._rest_noise.add(block, is_at_rest=is_at_rest)
         model = FilterModel(self.model, self._effects, gyro, self.wheel_noise.config)
-        if self._levelling is not None:
+        if self._levelling is None:
+            model = changed(model, rate_change_rad_s=self._steady.change_rad_s)
+        else:
             model = changed(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
         self.state, transition = predict(before, block, model, self.memories, steady)
         self.memories = transition.contribution.correction.memories
@@ -339,8 +340,8 @@ class EkfSlam:
         )
 
     def _errors_repeat(self) -> bool:
-        is_learned = self.parametrisation.is_robust and self.config.camera.estimate_pixel_noise
-        return is_learned and self._repeated.are_expected(self.pixel_noise.std)
+        learns = self.parametrisation.is_robust and self.config.camera.estimate_pixel_noise
+        return learns and self._repeated.are_expected(self.pixel_noise.std)
 
     # --- queries and settings for other rooms -----------------------------------------------------
 
@@ -368,8 +369,7 @@ class EkfSlam:
 
     def expect_pixel_noise(self, std_px: float) -> None:
         """Restart the estimation of the pixel noise at this standard deviation."""
-        max_px = max(MAX_PIXEL_NOISE_PX, 5.0 * std_px)
-        self.pixel_noise = AdaptiveNoise(std_px, MIN_PIXEL_NOISE_PX, max_px)
+        self.pixel_noise = AdaptiveNoise(std_px, MIN_PIXEL_NOISE_PX, max(MAX_PIXEL_NOISE_PX, 5.0 * std_px))
         self._repeated = RepeatedErrors(std_px)
         self._typical_match = TypicalMatch()
 

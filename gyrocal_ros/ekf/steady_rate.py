@@ -42,6 +42,8 @@ class SteadyRate:
     def __init__(self) -> None:
         self._mean_rad_s: float | None = None
         self._blocks = 0
+        self.change_rad_s = 0.0
+        """Change of the mean rate to the last block; zero while it is steady."""
         self._was_at_rest = False
         self._noise_rad2_s: float | None = None
         self._seen_rad2_s: deque[float] = deque(maxlen=NOISE_BLOCKS)
@@ -90,7 +92,9 @@ class SteadyRate:
             largest = max(largest, VIBRATION_RAD_S)
         self._was_at_rest = is_at_rest
         vibration = self._vibration_before(block)
-        if before is None or abs(mean - before) > largest:
+        is_steady = before is not None and abs(mean - before) <= largest
+        self.change_rad_s = 0.0 if before is None or is_steady else mean - before
+        if before is None or not is_steady:
             self._mean_rad_s, self._blocks = mean, 1
             return changed(block, vibration_m2_s4=vibration)
         self._blocks = self._blocks + 1 if is_at_rest else min(self._blocks + 1, MEMORY)

@@ -18,17 +18,25 @@ from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
 EFFECTS = tuple(
-    map(find_effect, ('scale_cubic', 'camera_position', 'turn_slip', 'lateral_drift', 'camera_time_offset'))
+    map(
+        find_effect,
+        ('scale_cubic', 'camera_position', 'turn_slip', 'lateral_drift', 'camera_time_offset', 'camera_tilt'),
+    )
 )
 
 
 def test_effects_of_camera_wheels_and_ground_depend_on_depths() -> None:
-    weights = sort_effects(EFFECTS, more=2).not_of_view()
-    assert weights.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
+    effects = sort_effects(EFFECTS, more=2)
+    depth_or_way, others = [0.0] * 5, [1.0, 1.0]
+    at_rest = effects.shown_on_the_spot(turns=False)
+    assert at_rest.tolist() == [1.0, *depth_or_way, 1.0, 0.0, 0.0, *others], 'a tilt is that of the robot'
+    in_spins = effects.shown_on_the_spot(turns=True)
+    assert in_spins.tolist() == [1.0, *depth_or_way, 1.0, 1.0, 1.0, *others]
 
 
 def test_weights_are_those_of_the_scores() -> None:
@@ -42,12 +50,14 @@ def test_weights_are_those_of_the_scores() -> None:
     assert weighted_scores(without, np.ones(3)) is without
 
 
-def spinning(lever_m: float, seed: int, drive: str = 'spins') -> tuple[ExaminedModel, Diagnosis]:
-    """Examine a robot that spins on the spot, with nothing hidden."""
+def spinning(
+    lever_m: float, seed: int, drive: str = 'spins', hidden: tuple[HiddenEffect, ...] = ()
+) -> tuple[ExaminedModel, Diagnosis]:
+    """Examine a robot that spins on the spot."""
     usual = find_scenario(drive)
     errors = replace(usual.errors, pixel_noise_px=0.5, wheel_noise_m=0.01)
     changes = {'duration_s': 120.0, 'imu_hz': 100, 'camera_hz': 5, 'features': 30, 'errors': errors}
-    source = SimSource(replace(usual, mount_xyz_m=(lever_m, 0.0, 0.1), **changes), seed)  # type: ignore[arg-type]
+    source = SimSource(replace(usual, mount_xyz_m=(lever_m, 0.0, 0.1), **changes), seed, hidden=hidden)  # type: ignore[arg-type]
     recorded = summarise_recording(source)
     config = Config()
     examined = examine(
@@ -62,6 +72,14 @@ def test_spins_accuse_nothing(lever_m: float, seed: int) -> None:
     examined, found = spinning(lever_m, seed)
     assert [item.effect.name for item in examined.ranked if item.is_significant] == []
     assert found.not_judged.keys() >= {'wheel_scale', 'focal_length'}
+
+
+@pytest.mark.parametrize('tilt_rad', [0.01, -0.04])
+def test_spins_show_a_tilted_camera(tilt_rad: float) -> None:
+    hidden = HiddenEffect(find_effect('camera_tilt'), (tilt_rad, -0.5 * tilt_rad))
+    examined, found = spinning(0.06, 2, hidden=(hidden,))
+    assert examined.ranked[0].effect.name == 'camera_tilt' and examined.ranked[0].is_significant
+    assert 'camera_position' in found.not_judged
 
 
 def test_a_drive_judges_the_camera() -> None:

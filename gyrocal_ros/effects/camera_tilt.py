@@ -37,6 +37,7 @@ class CameraTilt:
         shown_against='image',
     )
     acts_on: ClassVar[Place] = 'camera'
+    rotates_camera: ClassVar[bool] = True
     name: str = 'camera_tilt'
     coefficients: tuple[Coefficient, ...] = (
         Coefficient(

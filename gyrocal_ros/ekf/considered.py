@@ -1,7 +1,8 @@
 """Coefficients that are considered, but not corrected, by an update (Schmidt 1966).
 
 Until the camera has moved, no image tells an effect of camera, wheels or floor from the depths of the
-features (`known_depth.has_moved`). The noise of the wheels would nevertheless seem to tell it in spins.
+features (`known_depth.has_moved`), but for a rotation of the camera. The noise of the wheels would
+nevertheless seem to tell it in spins.
 
 An effect of the floor that lengthens the way of the robot looks like another size of the map, for as long as
 the robot drives one way. The depths are known less well than their product with the way, and each correction
@@ -65,7 +66,7 @@ def with_kept(before: State, after: State, places: IntArray) -> State:
 def not_told_at_rest(state: State, model: ImageModel) -> IntArray:
     """Return the places of position, coefficients of camera, wheels and floor, inverse depths and anchors."""
     depths = np.arange(state.robot_size + 2, state.anchors_start, 3)
-    coefficients = COEFFICIENTS_START + (model.effects.not_of_view() == 0.0).nonzero()[0]
+    coefficients = COEFFICIENTS_START + (model.effects.shown_on_the_spot(turns=False) == 0.0).nonzero()[0]
     anchors = np.arange(state.anchors_start, len(state.mean))
     return np.concatenate([np.arange(POSITION.stop), coefficients, depths, anchors])
 
@@ -73,7 +74,7 @@ def not_told_at_rest(state: State, model: ImageModel) -> IntArray:
 def combinations_not_told(state: State, model: ImageModel) -> Array:
     """Return the combinations (q, k) of the coefficients that an image cannot tell."""
     if not model.has_moved:
-        places = (model.effects.not_of_view() == 0.0).nonzero()[0]
+        places = (model.effects.shown_on_the_spot(turns=True) == 0.0).nonzero()[0]
         return np.eye(model.effects.count)[places]
     stretch, k = model.stretch_by_values, state.coefficient_columns
     if stretch is None or stretch @ state.covariance[k, k] @ stretch < MIN_STRETCH_STD**2:

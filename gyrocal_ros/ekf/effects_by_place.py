@@ -20,6 +20,7 @@ from gyrocal_ros.model.sensor import (
     GyroEffect,
     Memory,
     NoiseEffect,
+    RotatesCamera,
     SeenPoints,
     ShutterEffect,
     WheelEffect,
@@ -75,11 +76,17 @@ class EffectsByPlace:
         """True if any effect shifts features by their depth, or with the way."""
         return bool(self.camera or self.time or self.shutter or self.wheels or self.ground)
 
-    def not_of_view(self) -> Array:
-        """Return (K,) 0 for coefficients that shift features by their depth or with the way, 1 for others."""
+    def shown_on_the_spot(self, *, turns: bool) -> Array:
+        """Return (K,) 1 for coefficients that images from one place show, 0 for others.
+
+        Those shift features by their depth or with the way.
+
+        Args:
+            turns: True for a robot that turns there, False for one at rest.
+        """
         weights = np.ones(self.count)
-        for _, place in (*self.camera, *self.wheels, *self.ground):
-            weights[place] = 0.0
+        for effect, place in (*self.camera, *self.wheels, *self.ground):
+            weights[place] = float(turns and isinstance(effect, RotatesCamera))
         return weights
 
     def no_memories(self) -> tuple[Memory, ...]:

@@ -86,7 +86,9 @@ def update_from_image(
     if used_count:
         whitening, used_ids = used.find_whitening(), state.landmarks.ids[used.rows]
         tells_view = model.has_moved and not model.stays
-        weights = None if tells_view or not model.scored else model.candidates.not_of_view()
+        weights = None
+        if model.scored and not tells_view:
+            weights = model.candidates.shown_on_the_spot(turns=not model.stays)
         if model.scored:
             scored = used.sensitivity[:, :, : model.scored]
             scored = scored if weights is None else scored * weights[: model.scored]

@@ -249,6 +249,17 @@ class CameraEffect(Effect, Protocol):
         """Return the derivative (m, 2, k) of predicted pixels with respect to the coefficients."""
 
 
+@runtime_checkable
+class RotatesCamera(Protocol):
+    """Optional part of a camera effect that turns the camera against the gyros.
+
+    A turn on the spot shows it, whatever the depth of the features; others need the camera to move.
+    """
+
+    @property
+    def rotates_camera(self) -> bool: ...
+
+
 class ShutterEffect(Effect, Protocol):
     """Lets the rows of an image be exposed one after the other, at a constant pace about the stamp."""
 

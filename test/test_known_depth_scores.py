@@ -25,18 +25,22 @@ from gyrocal_ros.sim.world import SimSource
 EFFECTS = tuple(
     map(
         find_effect,
-        ('scale_cubic', 'camera_position', 'turn_slip', 'lateral_drift', 'camera_time_offset', 'camera_tilt'),
+        ('scale_cubic', 'camera_position', 'turn_slip', 'lateral_drift', 'rolling_shutter', 'camera_tilt'),
     )
 )
 
 
-def test_effects_of_camera_wheels_and_ground_depend_on_depths() -> None:
+def test_what_images_show_depends_on_the_motion() -> None:
     effects = sort_effects(EFFECTS, more=2)
-    depth_or_way, others = [0.0] * 5, [1.0, 1.0]
-    at_rest = effects.shown_on_the_spot(turns=False)
-    assert at_rest.tolist() == [1.0, *depth_or_way, 1.0, 0.0, 0.0, *others], 'a tilt is that of the robot'
-    in_spins = effects.shown_on_the_spot(turns=True)
-    assert in_spins.tolist() == [1.0, *depth_or_way, 1.0, 1.0, 1.0, *others]
+    scale, more = [1.0], [1.0, 1.0]
+
+    def shown(depth_or_way: float, delay: float, tilt: float) -> list[float]:
+        return [*scale, *[depth_or_way] * 5, delay, tilt, tilt, *more]
+
+    assert effects.shown(moves=False, turns=False).tolist() == shown(0.0, 0.0, 0.0)
+    assert effects.shown(moves=False, turns=True).tolist() == shown(0.0, 1.0, 1.0), 'spins show a tilt'
+    assert effects.shown(moves=True, turns=False).tolist() == shown(1.0, 0.0, 1.0)
+    assert effects.shown(moves=True, turns=True).tolist() == shown(1.0, 1.0, 1.0)
 
 
 def test_weights_are_those_of_the_scores() -> None:

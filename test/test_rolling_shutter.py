@@ -76,3 +76,17 @@ def test_a_known_readout_leaves_the_scale_factor_as_it_is() -> None:
     rolling = calibrate(recording(**images, hidden=(HiddenEffect(SHUTTER, (READOUT_S,)),)), Config(), model)
     scales = [1.0 + run.state.mean[COEFFICIENTS_START] for run in (plain, rolling)]
     assert scales[1] == pytest.approx(scales[0], rel=1e-5)
+
+
+def test_only_turns_tell_the_readout() -> None:
+    """What the rows do straight on looks like other depths."""
+    source = recording('lanes', 2, 40.0, (HiddenEffect(SHUTTER, (READOUT_S,)),))
+    base = default_model()
+    history = calibrate(source, Config(), replace(base, effects=(*base.effects, SHUTTER))).history
+    readout_s, std_s = history.mean[:, -1], history.std[:, -1]
+    way_m_s = history.distance_m / history.dt_s
+    turned_rad = np.abs(history.turn_rad).cumsum()
+    before = np.flatnonzero(turned_rad < 0.05)[-1]
+    assert history.distance_m[:before].sum() > 0.5 and way_m_s[before] > 0.0
+    assert std_s[before] > 0.9 * SHUTTER.coefficients[0].prior_std
+    assert std_s[-1] < 0.001 and abs(readout_s[-1] - READOUT_S) < 3.0 * std_s[-1]

@@ -9,7 +9,7 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.statistics import chi_square_quantile
 
-MIN_GAIN, MAX_GAIN = 1.0 / 2000.0, 1.0 / 50.0
+MIN_GAIN, MAX_GAIN = 1.0 / 1000.0, 1.0 / 50.0
 """Bounds of the gain of a single innovation."""
 MAX_STEP = 0.5
 """Largest gain of all innovations of one measurement together."""

@@ -4,6 +4,9 @@ Until the camera has moved, no image tells an effect of camera, wheels or floor 
 features (`known_depth.has_moved`), but for a rotation of the camera. The noise of the wheels would
 nevertheless seem to tell it in spins.
 
+A delay from row to row hardly shifts features while the robot drives straight on, and what it does looks like
+other depths. Slow errors of the tracks would seem to tell it.
+
 An effect of the floor that lengthens the way of the robot looks like another size of the map, for as long as
 the robot drives one way. The depths are known less well than their product with the way, and each correction
 of them would seem to tell the length. What carries the robot across its way, images tell at once.
@@ -66,20 +69,22 @@ def with_kept(before: State, after: State, places: IntArray) -> State:
 def not_told_at_rest(state: State, model: ImageModel) -> IntArray:
     """Return the places of position, coefficients of camera, wheels and floor, inverse depths and anchors."""
     depths = np.arange(state.robot_size + 2, state.anchors_start, 3)
-    coefficients = COEFFICIENTS_START + (model.effects.shown_on_the_spot(turns=False) == 0.0).nonzero()[0]
+    coefficients = COEFFICIENTS_START + (model.effects.shown(moves=False, turns=False) == 0.0).nonzero()[0]
     anchors = np.arange(state.anchors_start, len(state.mean))
     return np.concatenate([np.arange(POSITION.stop), coefficients, depths, anchors])
 
 
 def combinations_not_told(state: State, model: ImageModel) -> Array:
     """Return the combinations (q, k) of the coefficients that an image cannot tell."""
-    if not model.has_moved:
-        places = (model.effects.shown_on_the_spot(turns=True) == 0.0).nonzero()[0]
-        return np.eye(model.effects.count)[places]
-    stretch, k = model.stretch_by_values, state.coefficient_columns
-    if stretch is None or stretch @ state.covariance[k, k] @ stretch < MIN_STRETCH_STD**2:
-        return np.empty((0, model.effects.count))
-    return stretch[None]
+    effects, stretch, k = model.effects, model.stretch_by_values, state.coefficient_columns
+    not_told = np.eye(effects.count)[effects.shown(moves=model.has_moved, turns=model.turns) == 0.0]
+    if (
+        not model.has_moved
+        or stretch is None
+        or stretch @ state.covariance[k, k] @ stretch < MIN_STRETCH_STD**2
+    ):
+        return not_told
+    return np.concatenate([not_told, stretch[None]])
 
 
 def stretch_by_values(way_m: Array, drift_by_values: Array) -> Array | None:

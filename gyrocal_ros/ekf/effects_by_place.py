@@ -76,17 +76,19 @@ class EffectsByPlace:
         """True if any effect shifts features by their depth, or with the way."""
         return bool(self.camera or self.time or self.shutter or self.wheels or self.ground)
 
-    def shown_on_the_spot(self, *, turns: bool) -> Array:
-        """Return (K,) 1 for coefficients that images from one place show, 0 for others.
-
-        Those shift features by their depth or with the way.
+    def shown(self, *, moves: bool, turns: bool) -> Array:
+        """Return (K,) 1 for coefficients that images show, 0 for others.
 
         Args:
-            turns: True for a robot that turns there, False for one at rest.
+            moves: True if the camera moves, and has moved enough to tell the depths. Otherwise what shifts
+                features by their depth or with the way does not show, but for a rotation of the camera.
+            turns: True if the robot turns. Otherwise delays from row to row hardly shift features.
         """
         weights = np.ones(self.count)
         for effect, place in (*self.camera, *self.wheels, *self.ground):
-            weights[place] = float(turns and isinstance(effect, RotatesCamera))
+            weights[place] = float(moves or (turns and isinstance(effect, RotatesCamera)))
+        for _, place in self.shutter:
+            weights[place] = float(turns)
         return weights
 
     def no_memories(self) -> tuple[Memory, ...]:

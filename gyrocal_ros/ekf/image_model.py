@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from gyrocal_ros.config.sections import Config
@@ -50,6 +51,18 @@ class ImageModel:
     """True if the robot stands still."""
     may_slip: bool
     """True if a slip of the wheels may explain what contradicts the pose."""
+
+    @property
+    def moves(self) -> bool:
+        """True if the image tells of depths and of the way."""
+        return self.has_moved and not self.stays
+
+    @property
+    def turns(self) -> bool:
+        """True if features move by the turn of the robot more than by its way."""
+        x_m_s, y_m_s, *_, yaw_rad_s = self.motion.rate.tolist()
+        way_m_s = math.hypot(x_m_s, y_m_s)
+        return not self.stays and abs(yaw_rad_s) * self.config.features.prior_depth_m > way_m_s
 
     @property
     def depth_matters(self) -> bool:

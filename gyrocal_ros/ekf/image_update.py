@@ -85,16 +85,13 @@ def update_from_image(
         state = with_looser_pose(state, found.slip_std)
     if used_count:
         whitening, used_ids = used.find_whitening(), state.landmarks.ids[used.rows]
-        tells_view = model.has_moved and not model.stays
         weights = None
-        if model.scored and not tells_view:
-            weights = model.candidates.shown_on_the_spot(turns=not model.stays)
         if model.scored:
-            scored = used.sensitivity[:, :, : model.scored]
-            scored = scored if weights is None else scored * weights[: model.scored]
+            weights = model.candidates.shown(moves=model.moves, turns=model.turns)
+            scored = used.sensitivity[:, :, : model.scored] * weights[: model.scored]
             by_feature = feature_scores(used_ids, used.residual, used.covariance, scored)
         seen = changed(seen, used_ids=used_ids, given_others=given_others(used.residual, whitening))
-        if tells_view and found.slip_std is None:
+        if model.moves and found.slip_std is None:
             seen = changed(seen, by_position=position_score(used, whitening))
         state, stats = _corrected(state, model, changed(used, whitening=whitening))
         stats = stats if weights is None else weighted_scores(stats, weights)

@@ -67,7 +67,7 @@ def with_kept(before: State, after: State, places: IntArray) -> State:
 
 
 def not_told_at_rest(state: State, model: ImageModel) -> IntArray:
-    """Return the places of position, coefficients of camera, wheels and floor, inverse depths and anchors."""
+    """Return the places of position, coefficients that images at rest do not show, depths and anchors."""
     depths = np.arange(state.robot_size + 2, state.anchors_start, 3)
     coefficients = COEFFICIENTS_START + (model.effects.shown(moves=False, turns=False) == 0.0).nonzero()[0]
     anchors = np.arange(state.anchors_start, len(state.mean))
@@ -78,11 +78,10 @@ def combinations_not_told(state: State, model: ImageModel) -> Array:
     """Return the combinations (q, k) of the coefficients that an image cannot tell."""
     effects, stretch, k = model.effects, model.stretch_by_values, state.coefficient_columns
     not_told = np.eye(effects.count)[effects.shown(moves=model.has_moved, turns=model.turns) == 0.0]
-    if (
-        not model.has_moved
-        or stretch is None
-        or stretch @ state.covariance[k, k] @ stretch < MIN_STRETCH_STD**2
-    ):
+    if not model.has_moved or stretch is None:
+        return not_told
+    variance = float(stretch @ state.covariance[k, k] @ stretch)
+    if variance < MIN_STRETCH_STD**2:
         return not_told
     return np.concatenate([not_told, stretch[None]])
 

@@ -25,17 +25,18 @@ from gyrocal_ros.sim.world import SimSource
 EFFECTS = tuple(
     map(
         find_effect,
-        ('scale_cubic', 'camera_position', 'turn_slip', 'lateral_drift', 'rolling_shutter', 'camera_tilt'),
+        ('scale_cubic', 'camera_position', 'turn_slip', 'lateral_drift', 'camera_time_offset')
+        + ('rolling_shutter', 'camera_tilt'),
     )
 )
 
 
 def test_what_images_show_depends_on_the_motion() -> None:
     effects = sort_effects(EFFECTS, more=2)
-    scale, more = [1.0], [1.0, 1.0]
+    scale, offset, more = 1.0, 1.0, [1.0, 1.0]
 
-    def shown(depth_or_way: float, delay: float, tilt: float) -> list[float]:
-        return [*scale, *[depth_or_way] * 5, delay, tilt, tilt, *more]
+    def shown(depth_or_way: float, readout: float, tilt: float) -> list[float]:
+        return [scale, *[depth_or_way] * 5, offset, readout, tilt, tilt, *more]
 
     assert effects.shown(moves=False, turns=False).tolist() == shown(0.0, 0.0, 0.0)
     assert effects.shown(moves=False, turns=True).tolist() == shown(0.0, 1.0, 1.0), 'spins show a tilt'

@@ -454,8 +454,7 @@ def test_the_period_of_a_swing_is_refined(tmp_path: Path) -> None:
     assert isinstance(law.effect, Sine) and law.in_model_as == 'sine'
     of_wave, of_sine = (item.effect for item in learned.searched.additions[:2])
     assert isinstance(of_wave, Wave)
-    error_s = abs(law.effect.period_s - 31.0)
-    assert error_s < 0.002 * 31.0 and 10.0 * error_s < abs(of_wave.period_s - 31.0)
+    assert abs(law.effect.period_s - 31.0) < min(0.03, abs(of_wave.period_s - 31.0))
     assert of_sine.name == of_wave.name == 'bias_wave:time'
     assert_replaceable(learned, recorded, source, tmp_path / 'own.py', 'law_bias_time_sine')
 

@@ -78,6 +78,7 @@ def test_a_known_readout_leaves_the_scale_factor_as_it_is() -> None:
     assert scales[1] == pytest.approx(scales[0], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_only_turns_tell_the_readout() -> None:
     """What the rows do straight on looks like other depths."""
     source = recording('lanes', 2, 40.0, (HiddenEffect(SHUTTER, (READOUT_S,)),))

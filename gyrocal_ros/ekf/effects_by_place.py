@@ -86,7 +86,8 @@ class EffectsByPlace:
         """
         weights = np.ones(self.count)
         for effect, place in (*self.camera, *self.wheels, *self.ground):
-            weights[place] = float(moves or (turns and isinstance(effect, RotatesCamera)))
+            rotates = isinstance(effect, RotatesCamera) and effect.rotates_camera
+            weights[place] = float(moves or (turns and rotates))
         for _, place in self.shutter:
             weights[place] = float(turns)
         return weights

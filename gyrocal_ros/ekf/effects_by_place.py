@@ -29,6 +29,8 @@ from gyrocal_ros.model.sensor import (
 
 TURN_CHANGE_S = 0.02
 """Time before an image over which the yaw acceleration is averaged: about that of a readout."""
+BY_DEPTH_OR_WAY = ('camera', 'wheels', 'ground')
+"""Places of effects that shift features by their depth, or with the way."""
 DELAY_STEPS = 2
 """Newton's steps for the time at which a row meets a feature; the first one is exact at constant speed."""
 
@@ -53,6 +55,12 @@ class EffectsByPlace:
     prior_means: Array
     walks: Array
     """(K,) prior means and random walks of the coefficients."""
+    shown_by_moves: np.ndarray
+    """(K,) True for coefficients that images show while the camera moves: they shift features by their depth,
+    or with the way."""
+    shown_by_turns: np.ndarray
+    """(K,) the same while the robot turns: rotations of the camera, and delays from row to row. Coefficients
+    in neither always show."""
     gyro: Sequence[tuple[GyroEffect, slice]]
     wheels: Sequence[tuple[WheelEffect, slice]]
     ground: Sequence[tuple[GroundEffect, slice]]
@@ -80,17 +88,15 @@ class EffectsByPlace:
         """Return (K,) 1 for coefficients that images show, 0 for others.
 
         Args:
-            moves: True if the camera moves, and has moved enough to tell the depths. Otherwise what shifts
-                features by their depth or with the way does not show, but for a rotation of the camera.
-            turns: True if the robot turns. Otherwise delays from row to row hardly shift features.
+            moves: True if the camera moves, and has moved enough to tell the depths.
+            turns: True if the robot turns.
         """
-        weights = np.ones(self.count)
-        for effect, place in (*self.camera, *self.wheels, *self.ground):
-            rotates = isinstance(effect, RotatesCamera) and effect.rotates_camera
-            weights[place] = float(moves or (turns and rotates))
-        for _, place in self.shutter:
-            weights[place] = float(turns)
-        return weights
+        shown = ~(self.shown_by_moves | self.shown_by_turns)
+        if moves:
+            shown |= self.shown_by_moves
+        if turns:
+            shown |= self.shown_by_turns
+        return shown.astype(float)
 
     def no_memories(self) -> tuple[Memory, ...]:
         """Return the memories of the gyro effects before the first block."""
@@ -100,10 +106,15 @@ class EffectsByPlace:
 def sort_effects(effects: tuple[Effect, ...], more: int = 0) -> EffectsByPlace:
     """Sort effects by place, with a number of further coefficients behind theirs, which act nowhere."""
     coefficients = [item for effect in effects for item in effect.coefficients]
+    none = [False] * more
+    by_moves = [effect.acts_on in BY_DEPTH_OR_WAY for effect in effects for _ in effect.coefficients]
+    by_turns = [_shown_by_turns(effect) for effect in effects for _ in effect.coefficients]
     return EffectsByPlace(
         count=len(coefficients) + more,
         prior_means=np.array([item.prior_mean for item in coefficients] + [0.0] * more, float),
         walks=np.array([item.walk for item in coefficients] + [0.0] * more, float),
+        shown_by_moves=np.array(by_moves + none, bool),
+        shown_by_turns=np.array(by_turns + none, bool),
         gyro=placed(effects, 'gyro'),
         wheels=placed(effects, 'wheels'),
         ground=placed(effects, 'ground'),
@@ -112,6 +123,11 @@ def sort_effects(effects: tuple[Effect, ...], more: int = 0) -> EffectsByPlace:
         shutter=placed(effects, 'shutter'),
         noise=placed(effects, 'noise'),
     )
+
+
+def _shown_by_turns(effect: Effect) -> bool:
+    rotates = isinstance(effect, RotatesCamera) and effect.rotates_camera
+    return effect.acts_on == 'shutter' or rotates
 
 
 @quickly_filled

@@ -13,6 +13,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.limit_sizes import possible_sizes
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
@@ -190,6 +191,21 @@ class TestProposals:
         assert proposal.effect.coefficients[0].prior_mean in WIDTHS_RAD_S
         assert proposed(made, lacks_something=True, has_jumped=True) == [], 'no dead band makes the bias jump'
 
+    def test_a_bias_that_shows_in_turns_alone_suggests_one(self) -> None:
+        """The filter takes it for zero, as the readings of straight drives say."""
+        made = drive(np.where(turning_rad_s(300.0) == 0.0, 0.0, 0.2 * WIDTHS_RAD_S[2]))
+        (proposal,) = proposed(made, lacks_something=True)
+        assert proposal.effect.name == 'rate_deadband' and not proposal.is_certain
+
+    def test_readings_that_are_hardly_inside_suggest_none(self) -> None:
+        """A robot that rests or drives straight on for 3 s of 300."""
+        rate = turning_rad_s(300.0)
+        seconds = np.arange(len(rate)) * DT_S
+        turned = np.where((rate == 0.0) & (seconds > 8.0), 0.2, rate)
+        bias = 0.2 * WIDTHS_RAD_S[2]
+        made = drive(np.where(turned == 0.0, 0.0, bias), read_rad_s=turned)
+        assert proposed(made, lacks_something=True) == []
+
     @pytest.mark.parametrize(('swing_deg_s', 'count'), [(0.005, 1), (0.05, 0)])
     def test_readings_that_follow_something_are_not_dead(self, swing_deg_s: float, count: int) -> None:
         made = banded(WIDTHS_RAD_S[2])
@@ -208,19 +224,18 @@ class TestProposals:
         made = replace(made, run=replace(made.run, history=biased))
         assert len(proposed(made, lacks_something=True, contradicts=True)) == count
 
-    def test_the_widest_width_that_the_readings_allow_is_proposed(self) -> None:
-        """Readings of slow turns beyond the true width are no zeros, though the headings gain as much."""
+    def test_a_run_tries_the_widths_that_the_readings_allow(self) -> None:
+        """Readings of slow turns beyond the true width are no zeros."""
         made = banded(WIDTHS_RAD_S[2])
-        (free,) = proposed(made, lacks_something=True)
         history = made.run.history
         seconds = np.arange(len(history.time_s)) * history.dt_s // 1.0
         slow = np.isin(seconds % 40.0, [1.0, 2.0]) * 0.5 * (WIDTHS_RAD_S[1] + WIDTHS_RAD_S[2]) * history.dt_s
-        slowly = replace(
-            made, run=replace(made.run, history=replace(history, turn_rad=history.turn_rad + slow))
-        )
-        (bound,) = proposed(slowly, lacks_something=True)
-        widths = [item.effect.coefficients[0].prior_mean for item in (bound, free)]
-        assert widths[0] <= WIDTHS_RAD_S[1] < widths[1]
+        turned = replace(history, turn_rad=history.turn_rad + slow)
+        slowly = replace(made, run=replace(made.run, history=turned))
+        band = find_effect('rate_deadband')
+        assert possible_sizes(band, readings_of(made)) == list(WIDTHS_RAD_S)
+        assert possible_sizes(band, readings_of(slowly)) == list(WIDTHS_RAD_S[:2])
+        assert possible_sizes(with_means(find_effect('rate_saturation'), (TOP,)), readings_of(made)) == [TOP]
 
     def test_a_clean_drive_has_no_dead_band(self) -> None:
         assert [item.effect.name for item in proposed(drive(), lacks_something=True, contradicts=True)] == []

@@ -88,6 +88,9 @@ class TestRank:
         assert uneven_gyro_effect([second], (), lenient) is second
         of_camera = replace(second, effect=find_effect('focal_length'))
         assert uneven_gyro_effect([of_camera], (), lenient) is None
+        part, fitted = 1e-4, second.fit
+        small = replace(fitted, values=part * fitted.values, covariance=part**2 * fitted.covariance)
+        assert uneven_gyro_effect([replace(second, fit=small)], (), lenient) is None, 'smaller than is usual'
 
     def test_an_effect_of_the_camera_is_tried_first_where_it_gains_far_more_than_images_err(
         self,

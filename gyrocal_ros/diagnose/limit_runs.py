@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import suppress
 
 import numpy as np
 
 from gyrocal_ros.diagnose.additions import NONE, Addition
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, contradicts, examine, with_effect
-from gyrocal_ros.diagnose.limit_sizes import resized
+from gyrocal_ros.diagnose.limit_sizes import best_size, possible_sizes
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
 from gyrocal_ros.diagnose.model_fit import excess_nis
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
@@ -35,21 +34,20 @@ def limits_to_check(
     return list(propose_limits(present.run, present.seen, recording.readings, others, present.settings))
 
 
-def limit_gain(present: ExaminedModel, limit: Effect, calibrate: Calibrate) -> float:
-    """Return the predictive log-likelihood that a limit gains; minus infinity where the filter cannot run."""
-    with suppress(*CANNOT_RUN):
-        return float(predictive_gain(present.run, calibrate(with_effect(present.model, limit), ())).sum())
-    return -math.inf
+def tried_limit(
+    present: ExaminedModel, limit: Effect, recording: RecordingSummary, calibrate: Calibrate
+) -> tuple[Effect, float]:
+    """Return a limit with the best size that the readings allow, and the log-likelihood that it gains."""
+    return best_size(present, limit, possible_sizes(limit, recording.readings), calibrate)
 
 
 def with_limit(
     present: ExaminedModel, limit: Effect, recording: RecordingSummary, calibrate: Calibrate
 ) -> Addition | None:
-    """Add a limit, with the size with which a run predicts best; None where no run is possible."""
+    """Add a limit; None where no run is possible."""
     settings = present.settings
     with suppress(*CANNOT_RUN):
         after = examine(with_effect(present.model, limit), recording, calibrate, settings)
-        after = resized(after, {limit.name}, recording, calibrate)
         gain = float(predictive_gain(present.run, after.run).sum())
         p_value = chi_square_tail(2.0 * gain / settings.min_inflation, 1)
         return Addition(limit, present, after, gain, sigma_of(p_value), p_value, np.zeros(1), NONE)
@@ -64,7 +62,7 @@ def limit_instead_of_timing(
     A missing limit spoils the turns, as wrong stamps do, and nothing depends smoothly on it.
     """
     for limit in detected_limits(present.model, recording.readings):
-        gain = limit_gain(present, limit, calibrate)
+        _, gain = tried_limit(present, limit, recording, calibrate)
         if gain < present.settings.min_predictive_gain:
             continue
         limited = with_limit(present, limit, recording, calibrate)

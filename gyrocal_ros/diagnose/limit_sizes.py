@@ -1,13 +1,13 @@
-"""Sizes of limits that noise hides in the readings: fitted again beside what was found since."""
+"""Sizes of limits that noise hides in the readings: a run decides, again once something else is found."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
@@ -28,40 +28,51 @@ def resized(
         recording: summary of the recording.
         calibrate: runs the filter.
     """
-    limits = [item for item in present.model.effects if item.name in names]
-    for limit in (item for item in limits if _is_hidden(item, recording.readings)):
-        sizes = [
-            size for size in limit.coefficients[0].scan if _is_plausible(limit, size, recording.readings)
-        ]
-        models = [_with_size(present.model, limit, size) for size in sizes]
-        gains = [_gain(present, model, calibrate) for model in models]
-        if max(gains, default=-math.inf) > present.settings.min_predictive_gain:
+    for limit in [item for item in present.model.effects if item.name in names]:
+        own = limit.coefficients[0].prior_mean
+        sizes = [size for size in possible_sizes(limit, recording.readings) if size != own]
+        sized, gain = best_size(present, limit, sizes, calibrate)
+        if gain > present.settings.min_predictive_gain:
             with suppress(*CANNOT_RUN):
-                best = models[gains.index(max(gains))]
-                present = examine(best, recording, calibrate, present.settings)
+                present = examine(_with_limit(present.model, sized), recording, calibrate, present.settings)
     return present
 
 
-def _is_hidden(effect: Effect, readings: GyroReadings) -> bool:
-    """Return True for a limit whose size is one of a scan, for the readings do not show it."""
-    return (
-        isinstance(effect, LimitEffect)
-        and bool(effect.coefficients[0].scan)
-        and effect.detect(readings) is None
-    )
-
-
-def _is_plausible(limit: Effect, size: float, readings: GyroReadings) -> bool:
+def possible_sizes(limit: Effect, readings: GyroReadings) -> list[float]:
+    """Return the sizes that the readings allow: those of a scan where noise hides the limit, else its own."""
     assert isinstance(limit, LimitEffect)
-    return limit.coefficients[0].prior_mean != size and limit.is_plausible(readings, size)
+    scan = limit.coefficients[0].scan
+    if not scan or limit.detect(readings) is not None:
+        return [limit.coefficients[0].prior_mean]
+    return [size for size in scan if limit.is_plausible(readings, size)]
 
 
-def _with_size(model: SensorModel, limit: Effect, size: float) -> SensorModel:
-    effects = (with_means(item, (size,)) if item is limit else item for item in model.effects)
-    return replace(model, effects=tuple(effects))
+def best_size(
+    present: ExaminedModel, limit: Effect, sizes: Sequence[float], calibrate: Calibrate
+) -> tuple[Effect, float]:
+    """Return a limit with the size with which a run predicts best, and what the run gains.
+
+    Args:
+        present: the model without the limit, or with another size of it.
+        limit: the limit.
+        sizes: sizes to try.
+        calibrate: runs the filter.
+
+    Returns:
+        The limit, and the predictive log-likelihood that it gains; minus infinity where no run is possible.
+    """
+    best, largest = limit, -math.inf
+    for sized in (with_means(limit, (size,)) for size in sizes):
+        with suppress(*CANNOT_RUN):
+            run = calibrate(_with_limit(present.model, sized), ())
+            gain = float(predictive_gain(present.run, run).sum())
+            if gain > largest:
+                best, largest = sized, gain
+    return best, largest
 
 
-def _gain(present: ExaminedModel, model: SensorModel, calibrate: Calibrate) -> float:
-    with suppress(*CANNOT_RUN):
-        return float(predictive_gain(present.run, calibrate(model, ())).sum())
-    return -math.inf
+def _with_limit(model: SensorModel, limit: Effect) -> SensorModel:
+    """Return the model with a limit, in the place of one of the same name."""
+    if all(item.name != limit.name for item in model.effects):
+        return with_effect(model, limit)
+    return replace(model, effects=tuple(limit if item.name == limit.name else item for item in model.effects))

@@ -22,6 +22,9 @@ from gyrocal_ros.ekf.state import YAW_BIAS
 from gyrocal_ros.model.recording import GyroReadings
 from gyrocal_ros.model.sensor import Effect, LimitEffect, SensorModel, with_means
 
+MIN_LOST_S = 10.0
+"""Minimum time for which a limit that noise hides loses the readings: less does not show that it does."""
+
 
 @dataclass(frozen=True, slots=True)
 class LimitProposal:
@@ -124,20 +127,25 @@ def _hidden_by_noise(
     others: Competition,
     settings: DiagnosisSettings,
 ) -> float | None:
-    """Return the widest limit of those in the effect's scan that the headings and the readings allow.
+    """Return a limit of those in the effect's scan that the headings suggest and the readings allow, or None.
 
-    None where the headings do not suggest one.
+    A run decides about its size.
     """
-    scan = effect.coefficients[0].scan
-    if not scan or not others.lacks_something or others.has_jumped:
+    if not others.lacks_something or others.has_jumped:
         return None
-    fits = [_fit_beside_scale(run, seen, _rate_error(effect, limit, run, readings)) for limit in scan]
-    gains = np.array([fitted.gain if fitted is not None else 0.0 for fitted in fits])
-    if gains.max() <= settings.limit_heading_gain:
+    scan = [size for size in effect.coefficients[0].scan if _lost_s(effect, size, run, readings) > MIN_LOST_S]
+    gains = np.array([_gain_with_bias(effect, limit, run, seen, readings) for limit in scan])
+    if gains.max(initial=0.0) <= settings.limit_heading_gain:
         return None
-    likely = np.flatnonzero(gains >= settings.widest_limit_part * gains.max())
-    allowed = (scan[place] for place in likely if effect.is_plausible(readings, scan[place]))  # type: ignore[attr-defined]
-    return max(allowed, default=None)
+    best_first = (scan[place] for place in np.argsort(-gains))
+    return next((size for size in best_first if effect.is_plausible(readings, size)), None)  # type: ignore[attr-defined]
+
+
+def _lost_s(effect: Effect, limit: float, run: Run, readings: GyroReadings) -> float:
+    """Return the time of the steps in which most readings hold no bias."""
+    _, bias_part = effect.rate_error(readings.rate_rad_s, limit)  # type: ignore[attr-defined]
+    is_lost = _mean_over_steps(run, readings, bias_part) < -0.5
+    return float(run.history.dt_s[is_lost].sum())
 
 
 def _rate_error(effect: Effect, limit: float, run: Run, readings: GyroReadings) -> Array:
@@ -148,11 +156,24 @@ def _rate_error(effect: Effect, limit: float, run: Run, readings: GyroReadings) 
     return scale * _mean_over_steps(run, readings, lost) + by_bias
 
 
-def _fit_beside_scale(run: Run, seen: Headings, error_rad_s: Array) -> Fit | None:
-    """Fit an error of the rate (s,) together with an error of the scale factor."""
+def _gain_with_bias(effect: Effect, limit: float, run: Run, seen: Headings, readings: GyroReadings) -> float:
+    """Return the gain of what a limit loses, and of a bias that shows outside of it alone.
+
+    The readings inside say that there is no bias, so the filter lacks it in turns. That alone looks like an
+    uneven scale factor.
+    """
+    _, bias_part = effect.rate_error(readings.rate_rad_s, limit)  # type: ignore[attr-defined]
+    outside = 1.0 + _mean_over_steps(run, readings, bias_part)
+    fitted = _fit_beside_scale(run, seen, _rate_error(effect, limit, run, readings), outside)
+    return fitted.gain if fitted is not None else 0.0
+
+
+def _fit_beside_scale(run: Run, seen: Headings, *errors_rad_s: Array) -> Fit | None:
+    """Fit errors of the rate, (s,) each, together with an error of the scale factor."""
     rate = run.history.turn_rad / run.history.dt_s
-    scores = heading_scores(seen, np.stack([error_rad_s, rate], axis=1))
-    return fit(scores, np.array([0]), given=np.array([1]))
+    scores = heading_scores(seen, np.stack([*errors_rad_s, rate], axis=1))
+    count = len(errors_rad_s)
+    return fit(scores, np.arange(count), given=np.array([count]))
 
 
 def _mean_over_steps(run: Run, readings: GyroReadings, values: Array) -> Array:

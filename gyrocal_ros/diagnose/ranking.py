@@ -175,8 +175,8 @@ def uneven_gyro_effect(
 ) -> RankedEffect | None:
     """Return the effect of the gyro that explains much, though unevenly: a sign that something is missing.
 
-    It has to be larger than its scatter by half of what makes it significant. Effects of the camera are no
-    sign: the slow errors of images look like them.
+    It has to be of a usual size, and larger than its scatter by half of what makes it significant. Effects of
+    the camera are no sign: the slow errors of images look like them.
 
     Args:
         ranked: ranked effects.
@@ -185,7 +185,8 @@ def uneven_gyro_effect(
     """
     least = 0.5 * settings.significant_sigma
     likely = [item for item in ranked if item.effect.acts_on == 'gyro' and item.fit.sigma > least]
-    return uneven_explanation(likely, tried, settings)
+    usual = [item for item in likely if is_usual(item.effect, estimate(item))]
+    return uneven_explanation(usual, tried, settings)
 
 
 def uneven_first_effect(

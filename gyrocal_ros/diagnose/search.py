@@ -21,9 +21,9 @@ from gyrocal_ros.diagnose.examined import (
 )
 from gyrocal_ros.diagnose.limit_runs import (
     explains_most,
-    limit_gain,
     limit_instead_of_timing,
     limits_to_check,
+    tried_limit,
     with_limit,
 )
 from gyrocal_ros.diagnose.limit_sizes import resized
@@ -262,10 +262,10 @@ def _next_addition(
     structure = present.unexplained_structure
     structure_gain = structure.gain if structure is not None else 0.0
     limits = [item for item in limits_to_check(present, recording, best) if item.effect.name not in excluded]
-    for limit in (item for item in limits if item.is_certain):
-        gain = limit_gain(present, limit.effect, calibrate)
+    for effect in (item.effect for item in limits if item.is_certain):
+        sized, gain = tried_limit(present, effect, recording, calibrate)
         if gain >= settings.min_predictive_gain:
-            limited = with_limit(present, limit.effect, recording, calibrate)
+            limited = with_limit(present, sized, recording, calibrate)
             if limited is not None:
                 return limited
     known_gain = explained_together(present.ranked, present.scores, settings)
@@ -276,9 +276,9 @@ def _next_addition(
     rival_gain = 0.0 if rival is None else rival.predictive_gain
     alike = []
     for effect in (item.effect for item in limits if not item.is_certain):
-        gain = limit_gain(present, effect, calibrate)
+        sized, gain = tried_limit(present, effect, recording, calibrate)
         if gain >= rival_gain + settings.limit_margin:
-            limited = with_limit(present, effect, recording, calibrate)
+            limited = with_limit(present, sized, recording, calibrate)
             if limited is not None and (rival is not None or explains_most(limited)):
                 return limited
         elif gain >= settings.limit_alike_part * rival_gain:

@@ -151,10 +151,10 @@ class DiagnosisSettings:
 
     # --- effects that enter by a limit
     limit_heading_gain: float = threshold(
-        40.0,
+        45.0,
         'nat',
-        'log-likelihood that a limit must gain by the headings alone to be tried in a run: a dead band gains '
-        'some on straight drives, where it removes noise',
+        'log-likelihood that a limit must gain by the headings alone to be tried in a run, with the bias '
+        'that shows outside of a dead band; the band gains some on straight drives, where it removes noise',
         'limits; none',
     )
     limit_wheel_part: float = threshold(
@@ -184,12 +184,6 @@ class DiagnosisSettings:
         'largest part of the excess of the NIS that may be left with a limit, where nothing else explains it '
         'and the recording still contradicts the model',
         'limits; pairs of effects',
-    )
-    widest_limit_part: float = threshold(
-        0.97,
-        '1',
-        'part of the largest gain from which a larger limit is preferred: noise blurs the edge inwards',
-        'limits',
     )
 
     # --- unexplained structure

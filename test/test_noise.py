@@ -19,7 +19,7 @@ from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate, without_harm
 from gyrocal_ros.diagnose.examined import ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.improvement import improvement
-from gyrocal_ros.diagnose.noise import MIN_GAIN, find_missing, or_noise
+from gyrocal_ros.diagnose.noise import MIN_GAIN, MORE_DRIFT, find_missing, or_noise
 from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.search import continued
 from gyrocal_ros.diagnose.status import ADD_NOISE, diagnosis_status, improvement_status
@@ -194,17 +194,21 @@ def test_noisy_readings_prove_white_noise_alone(
 
 
 @pytest.mark.parametrize(
-    ('gain', 'at_fault', 'named'),
+    ('gain', 'more_drift', 'at_fault', 'named'),
     [
-        (2.0 * MIN_GAIN, False, ['gyro_lag', 'rate_noise']),
-        (0.5 * MIN_GAIN, False, ['bias_instability']),
-        (0.5 * MIN_GAIN, True, ['gyro_lag']),
+        (2.0 * MIN_GAIN, 1.0, False, ['gyro_lag', 'rate_noise']),
+        (0.5 * MIN_GAIN, 0.9 * MORE_DRIFT, False, ['bias_instability']),
+        (0.5 * MIN_GAIN, 1.1 * MORE_DRIFT, False, ['gyro_lag', 'rate_noise']),
+        (0.5 * MIN_GAIN, 1.0, True, ['gyro_lag']),
     ],
 )
 def test_noise_beside_what_was_found_and_noise_in_its_place(
-    gain: float, at_fault: bool, named: list[str], monkeypatch: pytest.MonkeyPatch
+    gain: float, more_drift: float, at_fault: bool, named: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The one that predicts better is returned; neither where the stamps are at fault."""
+    """The one that predicts better is returned, unless the robot drifts far less with what was found.
+
+    Neither is returned where the stamps are at fault.
+    """
     source = recording('', seconds=60.0)
     recorded, run = summarise_recording(source), runner(source)
     first = examine(default_model(), recorded, run)
@@ -227,6 +231,7 @@ def test_noise_beside_what_was_found_and_noise_in_its_place(
     monkeypatch.setattr(noise, 'or_noise', with_noise_for)
     monkeypatch.setattr(noise, 'eliminate', lambda searched, *about: searched)
     monkeypatch.setattr(noise, 'predictive_gain', gained)
+    monkeypatch.setattr(noise, 'drift_of_both_deg', lambda before, after: (more_drift, 1.0))
     monkeypatch.setattr(noise, 'timing_fault', lambda examined: 'jitter' if at_fault else None)
     found = find_missing(default_model(), recorded, run)
     assert [item.effect.name for item in found.kept] == named

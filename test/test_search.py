@@ -28,7 +28,7 @@ from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import examine, with_effect
 from gyrocal_ros.diagnose.improvement import improvement
-from gyrocal_ros.diagnose.search import NEARER, _added, continued, search, try_effect
+from gyrocal_ros.diagnose.search import continued, search, try_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.traits import is_limit, may_break_the_filter
@@ -353,29 +353,6 @@ class TestSearch:
         assert found.additions == () and len(fake.models) == 1
         diagnosed = diagnose(found, AT_REST)
         assert diagnosed.uneven == '' and diagnosed.verdict == 'nothing_missing'
-
-    @pytest.mark.parametrize('is_scanned', [True, False])
-    def test_an_effect_with_a_time_constant_may_start_nearer_where_the_filter_diverges(
-        self, is_scanned: bool
-    ) -> None:
-        fake, stds = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}), []
-
-        def calibrate(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
-            stds.append(model.effects[-1].coefficients[0].prior_std)
-            if len(stds) == 1:
-                raise FilterDivergedError('lost the measurements')
-            return fake(model, candidates)
-
-        present = examine(default_model(), AT_REST, fake, DEFAULT_SETTINGS)
-        ranked = present.find('gyro_lag')
-        assert ranked is not None and ranked.profile is None
-        if not is_scanned:
-            with pytest.raises(FilterDivergedError):
-                _added(present, ranked, AT_REST, calibrate)
-            return
-        profile: Any = SimpleNamespace()
-        added = _added(present, replace(ranked, profile=profile), AT_REST, calibrate)
-        assert added.is_kept and stds[1] == pytest.approx(NEARER * stds[0])
 
     def test_a_rejected_effect_is_tried_again_beside_one_found_later(self) -> None:
         sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.alternatives import best_alternative
+from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model
 from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood
@@ -33,6 +34,9 @@ RIVAL_PART = 0.85
 """Part of the best gain above which another noise is tried, where the robot drifts more with the best."""
 EFFECT_PART = 0.5
 """Part of the gain of a noise from which the best effect, significant or not, gets a run beside it."""
+MORE_DRIFT = 2.0
+"""Held-out drift with a noise, relative to that with effects, from which these are no chance: a filter that
+follows the bias predicts the next image as well, but no law."""
 SHOWN_NOISE = 3.0
 """Noise of the readings, relative to the settings, from which they show it; twice is common among parts."""
 
@@ -48,8 +52,8 @@ def find_missing(
 
     Noise that is the smaller part of what is missing shows beside the effects that were found. A noise that
     is the larger part takes in what an effect does to the headings. So both are tried, noise beside what was
-    found and noise in its place, and the one that predicts better is returned. Neither is tried where the
-    stamps are at fault.
+    found and noise in its place, and the one that predicts better is returned; that with the effects, too,
+    where the robot drifts far less with them. Neither is tried where the stamps are at fault.
     """
     found = search(model, recording, calibrate, most, settings)
     found = best_alternative(found, recording, calibrate, most)
@@ -65,7 +69,8 @@ def find_missing(
         return beside
     instead = eliminate(instead, recording, calibrate)
     gain = float(predictive_gain(instead.last.run, beside.last.run).sum())
-    return beside if gain > MIN_GAIN else instead
+    noise_deg, beside_deg = drift_of_both_deg(instead.last.run, beside.last.run)
+    return beside if gain > MIN_GAIN or noise_deg > MORE_DRIFT * beside_deg else instead
 
 
 def or_noise(

@@ -10,14 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrocal_ros.diagnose.additions import NONE, Addition, Search, addition
+from gyrocal_ros.diagnose.additions import NONE, Addition, Search
 from gyrocal_ros.diagnose.examined import (
     Calibrate,
     ExaminedModel,
     coefficient_places,
     contradicts,
     examine,
-    wider_model,
 )
 from gyrocal_ros.diagnose.limit_runs import (
     explains_most,
@@ -27,6 +26,7 @@ from gyrocal_ros.diagnose.limit_runs import (
     with_limit,
 )
 from gyrocal_ros.diagnose.limit_sizes import resized
+from gyrocal_ros.diagnose.one_more import with_one_more
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.ranking import (
     RankedEffect,
@@ -41,7 +41,7 @@ from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import unexplained_structure
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.traits import is_estimated
-from gyrocal_ros.errors import CANNOT_RUN, FilterDivergedError
+from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, LimitEffect, SensorModel, with_means
 from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
@@ -50,8 +50,6 @@ MAX_ADDITIONS = 6
 """Number of effects that a search tries to add."""
 MAX_TRIES = 2
 """Number of times that one effect is tried: one that was rejected may help beside others found since."""
-NEARER = 0.25
-"""Factor on the prior standard deviations of an effect with which the filter diverges from a wider start."""
 
 
 def search(
@@ -109,8 +107,7 @@ def try_effect(
         FilterDivergedError: the filter cannot run with this model, or not with the effect.
     """
     first = examine(model, recording, calibrate, settings)
-    after = examine(wider_model(first, effect), recording, calibrate, settings)
-    return Search(first, (addition(first, after),))
+    return Search(first, (with_one_more(first, effect, recording, calibrate),))
 
 
 def continued(
@@ -184,7 +181,7 @@ def _uneven_addition(
     if uneven is None:
         return None
     with suppress(*CANNOT_RUN):
-        added = _added(present, uneven, recording, calibrate)
+        added = with_one_more(present, uneven.effect, recording, calibrate)
         gain, distance = added.predictive_gain, added.distance_from_zero(added.after)
         p_value = chi_square_tail(max(2.0 * gain / settings.min_inflation, 0.0), len(added.strengths))
         added = replace(added, gain=gain, sigma=sigma_of(p_value), p_value=p_value)
@@ -301,41 +298,15 @@ def _with_best(
     """
     if not is_strange:
         with suppress(*CANNOT_RUN):
-            return _added(present, best, recording, calibrate)
+            return with_one_more(present, best.effect, recording, calibrate)
         return None
     others = [item for item in present.ranked if item.is_significant and item.effect.name not in excluded]
     for item in [best, *(item for item in others if item is not best)][: 1 + present.settings.max_rivals]:
         with suppress(*CANNOT_RUN):
-            added = _added(present, item, recording, calibrate)
+            added = with_one_more(present, item.effect, recording, calibrate)
             if _explains_structure(added):
                 return added
     return None
-
-
-def _added(
-    present: ExaminedModel, ranked: RankedEffect, recording: RecordingSummary, calibrate: Calibrate
-) -> Addition:
-    """Run the filter with one more effect.
-
-    Raises:
-        FilterDivergedError: the filter cannot run with it.
-    """
-    wider, settings = wider_model(present, ranked.effect), present.settings
-    try:
-        return addition(present, examine(wider, recording, calibrate, settings))
-    except FilterDivergedError:
-        if ranked.profile is None:
-            raise
-        # With a wide prior, strength and time constant can lead each other astray.
-        return addition(present, examine(_nearer(wider), recording, calibrate, settings))
-
-
-def _nearer(model: SensorModel) -> SensorModel:
-    """Return a model whose last effect starts nearer to its estimate."""
-    *others, last = model.effects
-    items = [replace(item, prior_std=NEARER * item.prior_std) for item in last.coefficients]
-    nearer = replace(last, coefficients=tuple(items))  # type: ignore[type-var]
-    return replace(model, effects=(*others, nearer))
 
 
 def _explains_structure(added: Addition) -> bool:
@@ -360,7 +331,7 @@ def _contested(
     additions = [last]
     for rival in _rivals(last.before, last.effect.name, tried):
         with suppress(*CANNOT_RUN):
-            additions.append(_added(last.before, rival, recording, calibrate))
+            additions.append(with_one_more(last.before, rival.effect, recording, calibrate))
 
     best, best_gain = last, settings.min_predictive_gain
     for item in additions[1:]:

@@ -1,0 +1,124 @@
+"""Runs of the filter with one more effect.
+
+The filter is linear in the strength of an effect, not in a time constant: with both unknown, each can lead
+the other astray, and neither finds back. So runs with known time constants decide between these, and between
+the forms of an effect.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+
+from gyrocal_ros.diagnose.additions import Addition, addition
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.effects.traits import forms_of, scanned_coefficient
+from gyrocal_ros.errors import CANNOT_RUN
+from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.model.sensor import Effect, SensorModel
+
+STEP = 1.25
+"""Ratio of two time constants that are tried."""
+MAX_STEPS = 4
+"""Largest number of steps from the estimate by the score statistics."""
+KNOWN_PART = 1e-3
+"""Prior standard deviation of a known time constant, as a part of it."""
+LEAST_PART = 0.1
+"""Smallest prior standard deviation of the one that was found, as a part of it."""
+
+
+def with_one_more(
+    present: ExaminedModel, effect: Effect, recording: RecordingSummary, calibrate: Calibrate
+) -> Addition:
+    """Run the filter with one more effect, which starts at its estimate by the score statistics.
+
+    Args:
+        present: the model so far.
+        effect: the effect.
+        recording: summary of the recording.
+        calibrate: runs the filter.
+
+    Raises:
+        FilterDivergedError: the filter cannot run with it.
+    """
+    wider = wider_model(present, effect)
+    place = scanned_coefficient(effect)
+    if place is not None and present.find(effect.name) is not None:
+        wider = _from_likeliest(
+            _in_likeliest_form(wider, place, present, calibrate), place, present, calibrate
+        )
+    return addition(present, examine(wider, recording, calibrate, present.settings))
+
+
+def _in_likeliest_form(
+    wider: SensorModel, place: int, present: ExaminedModel, calibrate: Calibrate
+) -> SensorModel:
+    """Return the model with the form of its last effect with which a run predicts best.
+
+    Args:
+        wider: the model with the effect, which starts at its estimate by the score statistics.
+        place: index of its time constant among its coefficients.
+        present: the model without.
+        calibrate: runs the filter.
+    """
+    *others, last = wider.effects
+    value = last.coefficients[place].prior_mean
+    models = [replace(wider, effects=(*others, form)) for form in forms_of(last)]
+    if len(models) == 1:
+        return wider
+    known = [_starting(model, place, value, KNOWN_PART * value) for model in models]
+    gains = [_gain(present, model, calibrate) for model in known]
+    return models[gains.index(max(gains))]
+
+
+def _from_likeliest(
+    wider: SensorModel, place: int, present: ExaminedModel, calibrate: Calibrate
+) -> SensorModel:
+    """Return the model whose last effect starts at the time constant with which runs predict best.
+
+    Args:
+        wider: the model with the effect, which starts at its estimate by the score statistics.
+        place: index of its time constant among its coefficients.
+        present: the model without.
+        calibrate: runs the filter.
+    """
+    item = wider.effects[-1].coefficients[place]
+    low, high = min(item.scan), max(item.scan)
+    gains: dict[int, float] = {}
+
+    def gain(step: int) -> float:
+        value = item.prior_mean * STEP**step
+        if step not in gains:
+            known = _starting(wider, place, value, KNOWN_PART * value)
+            gains[step] = _gain(present, known, calibrate) if low <= value <= high else -math.inf
+        return gains[step]
+
+    best = max((0, -1, 1), key=gain)
+    way = best
+    while 0 < abs(best) < MAX_STEPS and gain(best + way) > gain(best):
+        best += way
+    if not math.isfinite(gain(best)):
+        return wider
+    before, after = gain(best - 1), gain(best + 1)
+    curvature = 2.0 * gain(best) - before - after
+    offset = part = 0.0
+    if 0.0 < curvature < math.inf:
+        offset, part = 0.5 * (after - before) / curvature, math.log(STEP) / math.sqrt(curvature)
+    value = item.prior_mean * STEP ** (best + offset)
+    return _starting(wider, place, value, min(max(LEAST_PART, 2.0 * part) * value, item.prior_std))
+
+
+def _starting(model: SensorModel, place: int, value: float, std: float) -> SensorModel:
+    """Return the model with another prior of one coefficient of its last effect."""
+    *others, last = model.effects
+    items = list(last.coefficients)
+    items[place] = replace(items[place], prior_mean=value, prior_std=std)
+    return replace(model, effects=(*others, replace(last, coefficients=tuple(items))))  # type: ignore[type-var]
+
+
+def _gain(present: ExaminedModel, model: SensorModel, calibrate: Calibrate) -> float:
+    with suppress(*CANNOT_RUN):
+        return float(predictive_gain(present.run, calibrate(model, ())).sum())
+    return -math.inf

@@ -8,8 +8,10 @@ the forms of an effect.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 
 from gyrocal_ros.diagnose.additions import Addition, addition
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model
@@ -46,9 +48,8 @@ def with_one_more(
     wider = wider_model(present, effect)
     place = scanned_coefficient(effect)
     if place is not None and present.find(effect.name) is not None:
-        wider = _from_likeliest(
-            _in_likeliest_form(wider, place, present, calibrate), place, present, calibrate
-        )
+        wider = _in_likeliest_form(wider, place, present, calibrate)
+        wider = _from_likeliest(wider, place, present, calibrate)
     return addition(present, examine(wider, recording, calibrate, present.settings))
 
 
@@ -85,29 +86,37 @@ def _from_likeliest(
         calibrate: runs the filter.
     """
     item = wider.effects[-1].coefficients[place]
-    low, high = min(item.scan), max(item.scan)
-    gains: dict[int, float] = {}
 
+    @cache
     def gain(step: int) -> float:
         value = item.prior_mean * STEP**step
-        if step not in gains:
-            known = _starting(wider, place, value, KNOWN_PART * value)
-            gains[step] = _gain(present, known, calibrate) if low <= value <= high else -math.inf
-        return gains[step]
+        if not min(item.scan) <= value <= max(item.scan):
+            return -math.inf
+        return _gain(present, _starting(wider, place, value, KNOWN_PART * value), calibrate)
 
-    best = max((0, -1, 1), key=gain)
-    way = best
+    step, std = _maximum(gain)
+    if not math.isfinite(step):
+        return wider
+    value = item.prior_mean * STEP**step
+    part = max(LEAST_PART, 2.0 * std * math.log(STEP))
+    return _starting(wider, place, value, min(part * value, item.prior_std))
+
+
+def _maximum(gain: Callable[[int], float]) -> tuple[float, float]:
+    """Return where a log-likelihood is largest, climbing from zero, and its standard deviation there.
+
+    NaN where it is minus infinity all about; the standard deviation is 0 at an end.
+    """
+    best = way = max((0, -1, 1), key=gain)
     while 0 < abs(best) < MAX_STEPS and gain(best + way) > gain(best):
         best += way
     if not math.isfinite(gain(best)):
-        return wider
+        return math.nan, math.nan
     before, after = gain(best - 1), gain(best + 1)
     curvature = 2.0 * gain(best) - before - after
-    offset = part = 0.0
-    if 0.0 < curvature < math.inf:
-        offset, part = 0.5 * (after - before) / curvature, math.log(STEP) / math.sqrt(curvature)
-    value = item.prior_mean * STEP ** (best + offset)
-    return _starting(wider, place, value, min(max(LEAST_PART, 2.0 * part) * value, item.prior_std))
+    if not 0.0 < curvature < math.inf:
+        return best, 0.0
+    return best + 0.5 * (after - before) / curvature, 1.0 / math.sqrt(curvature)
 
 
 def _starting(model: SensorModel, place: int, value: float, std: float) -> SensorModel:

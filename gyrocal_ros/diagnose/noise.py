@@ -35,8 +35,8 @@ RIVAL_PART = 0.85
 EFFECT_PART = 0.5
 """Part of the gain of a noise from which the best effect, significant or not, gets a run beside it."""
 MORE_DRIFT = 2.0
-"""Held-out drift with a noise, relative to that with effects, from which these are no chance: a filter that
-follows the bias predicts the next image as well, but no law."""
+"""Held-out drift with a noise, relative to that with effects, from which it does not take their place: a
+filter that follows the bias predicts the next image as well as the law behind it."""
 SHOWN_NOISE = 3.0
 """Noise of the readings, relative to the settings, from which they show it; twice is common among parts."""
 

@@ -49,9 +49,9 @@ class FakeFilter:
         return replace(MADE, history=replace(MADE.history, log_likelihood=values))
 
 
-def model_with(effect: Effect) -> SensorModel:
+def model_with(effect: Effect, start_s: float = START_S) -> SensorModel:
     model = default_model()
-    return replace(model, effects=(*model.effects, with_means(effect, (0.01, START_S))))
+    return replace(model, effects=(*model.effects, with_means(effect, (0.01, start_s))))
 
 
 def tau_s(effect: Effect) -> float:
@@ -69,6 +69,14 @@ def test_a_time_constant_starts_where_runs_predict_best(true_s: float, part: flo
     assert after[TIME_CONSTANT].prior_std == pytest.approx(expected)
     assert after[STRENGTH] == before[STRENGTH]
     assert fake.runs <= 2 * MAX_STEPS
+
+
+def test_a_time_constant_may_be_beyond_the_scan() -> None:
+    """There the effect is negligible, or not that effect, which the run has to show."""
+    least_s = min(EFFECT.coefficients[TIME_CONSTANT].scan)
+    fake = FakeFilter(lambda effect: -0.5 * (math.log(tau_s(effect) / (0.6 * least_s)) / 0.1) ** 2)
+    started = _from_likeliest(model_with(EFFECT, least_s), TIME_CONSTANT, PRESENT, fake)
+    assert tau_s(started.effects[-1]) == pytest.approx(0.6 * least_s)
 
 
 def test_the_search_for_a_time_constant_ends() -> None:

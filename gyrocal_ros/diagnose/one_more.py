@@ -90,8 +90,6 @@ def _from_likeliest(
     @cache
     def gain(step: int) -> float:
         value = item.prior_mean * STEP**step
-        if not min(item.scan) <= value <= max(item.scan):
-            return -math.inf
         return _gain(present, _starting(wider, place, value, KNOWN_PART * value), calibrate)
 
     step, std = _maximum(gain)

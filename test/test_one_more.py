@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from synthetic import drive
 
+from gyrocal_ros.diagnose import one_more
 from gyrocal_ros.diagnose.one_more import (
     KNOWN_PART,
     LEAST_PART,
@@ -18,7 +19,9 @@ from gyrocal_ros.diagnose.one_more import (
     STEP,
     _from_likeliest,
     _in_likeliest_form,
+    with_one_more,
 )
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.traits import forms_of
 from gyrocal_ros.ekf.run import Run
@@ -101,6 +104,32 @@ def test_a_time_constant_with_which_the_filter_diverges_is_not_taken() -> None:
 
     wider = model_with(EFFECT)
     assert _from_likeliest(wider, TIME_CONSTANT, PRESENT, FakeFilter(never)) is wider
+
+
+@pytest.mark.parametrize(
+    ('part', 'diverges', 'is_free'), [(0.9, False, True), (0.9, True, False), (1.1, False, False)]
+)
+def test_slow_errors_of_images_are_no_reason_to_know_a_time_constant(
+    part: float, diverges: bool, is_free: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that is free finds that they have none; where it diverges, a known one is nearer."""
+    examined: list[SensorModel] = []
+
+    def examine(model: SensorModel, *about: object) -> SensorModel:
+        examined.append(model)
+        if diverges and len(examined) == 1:
+            raise FilterDivergedError('lost the measurements')
+        return model
+
+    monkeypatch.setattr(one_more, 'wider_model', lambda present, effect: model_with(effect))
+    monkeypatch.setattr(one_more, 'examine', examine)
+    monkeypatch.setattr(one_more, 'addition', lambda present, after: after)
+    gained = SimpleNamespace(merit=part * DEFAULT_SETTINGS.uneven_view_gain)
+    present: Any = SimpleNamespace(run=MADE, settings=DEFAULT_SETTINGS, find=lambda name: gained)
+    fake, recording = FakeFilter(lambda effect: -((math.log(tau_s(effect) / 17.0) / 0.1) ** 2)), Any
+    started: Any = with_one_more(present, EFFECT, recording, fake)  # type: ignore[arg-type]
+    assert tau_s(started.effects[-1]) == pytest.approx(START_S if is_free else 17.0)
+    assert (fake.runs == 0) == is_free
 
 
 def test_runs_decide_between_the_forms_of_an_effect() -> None:

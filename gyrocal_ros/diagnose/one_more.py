@@ -17,7 +17,7 @@ from gyrocal_ros.diagnose.additions import Addition, addition
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.effects.traits import forms_of, scanned_coefficient
-from gyrocal_ros.errors import CANNOT_RUN
+from gyrocal_ros.errors import CANNOT_RUN, FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
@@ -45,12 +45,17 @@ def with_one_more(
     Raises:
         FilterDivergedError: the filter cannot run with it.
     """
-    wider = wider_model(present, effect)
-    place = scanned_coefficient(effect)
-    if place is not None and present.find(effect.name) is not None:
-        wider = _in_likeliest_form(wider, place, present, calibrate)
-        wider = _from_likeliest(wider, place, present, calibrate)
-    return addition(present, examine(wider, recording, calibrate, present.settings))
+    wider, place, settings = wider_model(present, effect), scanned_coefficient(effect), present.settings
+    found = present.find(effect.name)
+    if place is None or found is None:
+        return addition(present, examine(wider, recording, calibrate, settings))
+    if found.merit <= settings.uneven_view_gain:
+        # Slow errors of images gain that much. They have no time constant: a run that is free to says so.
+        with suppress(FilterDivergedError):
+            return addition(present, examine(wider, recording, calibrate, settings))
+    wider = _in_likeliest_form(wider, place, present, calibrate)
+    wider = _from_likeliest(wider, place, present, calibrate)
+    return addition(present, examine(wider, recording, calibrate, settings))
 
 
 def _in_likeliest_form(

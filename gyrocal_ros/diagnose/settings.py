@@ -91,7 +91,8 @@ class DiagnosisSettings:
         100.0,
         'nat',
         'log-likelihood that an effect which does not act on the gyro must gain to be tried in a run though '
-        'its estimates scatter: slow errors of images gain up to some forty',
+        'its estimates scatter, and any effect for runs to decide about its time constant: slow errors of '
+        'images gain up to some forty',
         'none; single effects',
     )
     uneven_sigma: float = threshold(

@@ -18,7 +18,6 @@ from gyrocal_ros.diagnose.one_more import (
     MAX_STEPS,
     STEP,
     _from_likeliest,
-    _in_likeliest_form,
     with_one_more,
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
@@ -137,11 +136,13 @@ def test_runs_decide_between_the_forms_of_an_effect() -> None:
     for likelier in (first, second):
         name = likelier.driven_by  # type: ignore[attr-defined]
         fake = FakeFilter(lambda effect, name=name: 5.0 * (effect.driven_by == name))  # type: ignore[misc]
-        wider = _in_likeliest_form(model_with(first), TIME_CONSTANT, PRESENT, fake)
-        assert wider.effects[-1].driven_by == name  # type: ignore[attr-defined]
-        assert tau_s(wider.effects[-1]) == START_S
+        started = _from_likeliest(model_with(first), TIME_CONSTANT, PRESENT, fake)
+        assert started.effects[-1].driven_by == name  # type: ignore[attr-defined]
+        assert tau_s(started.effects[-1]) == START_S
+        assert fake.runs == 4, 'each form once, and the time constants on both sides'
 
 
 def test_an_effect_of_one_form_needs_no_run_for_it() -> None:
-    fake, wider = FakeFilter(tau_s), model_with(find_effect('bias_warmup'))
-    assert _in_likeliest_form(wider, TIME_CONSTANT, PRESENT, fake) is wider and fake.runs == 0
+    fake = FakeFilter(lambda effect: 0.0)
+    _from_likeliest(model_with(find_effect('bias_warmup')), TIME_CONSTANT, PRESENT, fake)
+    assert fake.runs == 3

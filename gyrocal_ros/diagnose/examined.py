@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidates import candidates_for, with_disturbances
 from gyrocal_ros.diagnose.heading_filter import Headings, headings
 from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.ranking import RankedEffect, rank, with_estimate, without_disturbed
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, confirmed, unexplained_structure
@@ -16,6 +19,7 @@ from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.scatter import scatter_of
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
@@ -75,6 +79,13 @@ def examine(
 def contradicts(examined: ExaminedModel) -> bool:
     """Return True if the recording contradicts a model, whatever it lacks."""
     return examined.unexplained_structure is not None or model_fit(examined.run).fits is False
+
+
+def gain_of_run(present: ExaminedModel, model: SensorModel, calibrate: Calibrate) -> float:
+    """Return the predictive log-likelihood that a run with a model gains; minus infinity without a run."""
+    with suppress(*CANNOT_RUN):
+        return float(predictive_gain(present.run, calibrate(model, ())).sum())
+    return -math.inf
 
 
 def wider_model(present: ExaminedModel, effect: Effect) -> SensorModel:

@@ -62,10 +62,10 @@ def limit_instead_of_timing(
     A missing limit spoils the turns, as wrong stamps do, and nothing depends smoothly on it.
     """
     for limit in detected_limits(present.model, recording.readings):
-        _, gain = tried_limit(present, limit, recording, calibrate)
+        sized, gain = tried_limit(present, limit, recording, calibrate)
         if gain < present.settings.min_predictive_gain:
             continue
-        limited = with_limit(present, limit, recording, calibrate)
+        limited = with_limit(present, sized, recording, calibrate)
         if limited is not None and limited.is_kept and timing_fault(limited.after) is None:
             return limited
     return None

@@ -6,9 +6,9 @@ import math
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from operator import itemgetter
 
-from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
-from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, gain_of_run, with_effect
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 from gyrocal_ros.model.sensor import Effect, LimitEffect, SensorModel, with_means
@@ -61,14 +61,9 @@ def best_size(
     Returns:
         The limit, and the predictive log-likelihood that it gains; minus infinity where no run is possible.
     """
-    best, largest = limit, -math.inf
-    for sized in (with_means(limit, (size,)) for size in sizes):
-        with suppress(*CANNOT_RUN):
-            run = calibrate(_with_limit(present.model, sized), ())
-            gain = float(predictive_gain(present.run, run).sum())
-            if gain > largest:
-                best, largest = sized, gain
-    return best, largest
+    limits = [with_means(limit, (size,)) for size in sizes]
+    gains = [gain_of_run(present, _with_limit(present.model, item), calibrate) for item in limits]
+    return max(zip(limits, gains, strict=True), key=itemgetter(1), default=(limit, -math.inf))
 
 
 def _with_limit(model: SensorModel, limit: Effect) -> SensorModel:

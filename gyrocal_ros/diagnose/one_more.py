@@ -11,13 +11,12 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 from gyrocal_ros.diagnose.additions import Addition, addition
-from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model
-from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, gain_of_run, wider_model
 from gyrocal_ros.effects.traits import forms_of, scanned_coefficient
-from gyrocal_ros.errors import CANNOT_RUN, FilterDivergedError
+from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
@@ -53,15 +52,14 @@ def with_one_more(
         # Slow errors of images gain that much. They have no time constant: a run that is free to says so.
         with suppress(FilterDivergedError):
             return addition(present, examine(wider, recording, calibrate, settings))
-    wider = _in_likeliest_form(wider, place, present, calibrate)
-    wider = _from_likeliest(wider, place, present, calibrate)
-    return addition(present, examine(wider, recording, calibrate, settings))
+    likeliest = _from_likeliest(wider, place, present, calibrate)
+    return addition(present, examine(likeliest, recording, calibrate, settings))
 
 
-def _in_likeliest_form(
+def _from_likeliest(
     wider: SensorModel, place: int, present: ExaminedModel, calibrate: Calibrate
 ) -> SensorModel:
-    """Return the model with the form of its last effect with which a run predicts best.
+    """Return the model whose last effect has the form, and starts at the time constant, that predict best.
 
     Args:
         wider: the model with the effect, which starts at its estimate by the score statistics.
@@ -70,39 +68,21 @@ def _in_likeliest_form(
         calibrate: runs the filter.
     """
     *others, last = wider.effects
-    value = last.coefficients[place].prior_mean
+    item = last.coefficients[place]
     models = [replace(wider, effects=(*others, form)) for form in forms_of(last)]
-    if len(models) == 1:
-        return wider
-    known = [_starting(model, place, value, KNOWN_PART * value) for model in models]
-    gains = [_gain(present, model, calibrate) for model in known]
-    return models[gains.index(max(gains))]
-
-
-def _from_likeliest(
-    wider: SensorModel, place: int, present: ExaminedModel, calibrate: Calibrate
-) -> SensorModel:
-    """Return the model whose last effect starts at the time constant with which runs predict best.
-
-    Args:
-        wider: the model with the effect, which starts at its estimate by the score statistics.
-        place: index of its time constant among its coefficients.
-        present: the model without.
-        calibrate: runs the filter.
-    """
-    item = wider.effects[-1].coefficients[place]
 
     @cache
-    def gain(step: int) -> float:
+    def gain(form: int, step: int) -> float:
         value = item.prior_mean * STEP**step
-        return _gain(present, _starting(wider, place, value, KNOWN_PART * value), calibrate)
+        return gain_of_run(present, _starting(models[form], place, value, KNOWN_PART * value), calibrate)
 
-    step, std = _maximum(gain)
+    form = max(range(len(models)), key=lambda form: gain(form, 0))
+    step, std = _maximum(partial(gain, form))
     if not math.isfinite(step):
         return wider
     value = item.prior_mean * STEP**step
     part = max(LEAST_PART, 2.0 * std * math.log(STEP))
-    return _starting(wider, place, value, min(part * value, item.prior_std))
+    return _starting(models[form], place, value, min(part * value, item.prior_std))
 
 
 def _maximum(gain: Callable[[int], float]) -> tuple[float, float]:
@@ -128,9 +108,3 @@ def _starting(model: SensorModel, place: int, value: float, std: float) -> Senso
     items = list(last.coefficients)
     items[place] = replace(items[place], prior_mean=value, prior_std=std)
     return replace(model, effects=(*others, replace(last, coefficients=tuple(items))))  # type: ignore[type-var]
-
-
-def _gain(present: ExaminedModel, model: SensorModel, calibrate: Calibrate) -> float:
-    with suppress(*CANNOT_RUN):
-        return float(predictive_gain(present.run, calibrate(model, ())).sum())
-    return -math.inf

@@ -217,6 +217,11 @@ def given_others(rng: np.random.Generator, count: int) -> Arguments:
     return rng.normal(size=(count, rows)), whitener(covariance(rng, rows * count))
 
 
+def position_score(rng: np.random.Generator, count: int) -> Arguments:
+    residual, whitening = given_others(rng, count)
+    return rng.normal(size=(*residual.shape, 6)), residual, whitening, 5
+
+
 def match_ids(rng: np.random.Generator, count: int) -> Arguments:
     return rng.permutation(3 * count)[: 2 * count], rng.permutation(3 * count)[:count]
 
@@ -388,6 +393,7 @@ MAKERS: tuple[Maker, ...] = (
     path_in_block,
     pixels_by_radial_coefficients,
     pixels_by_tilt,
+    position_score,
     predict_inverse_depth,
     project_with_jacobian,
     rate_scatter,

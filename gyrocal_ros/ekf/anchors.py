@@ -56,8 +56,8 @@ def settled(state: State) -> State:
     if not state.has_anchors:
         return state
     rows = (state.landmarks.anchor_rows >= 0).nonzero()[0]
-    depths = state.feature_columns(rows)[:, 2]
-    stds = np.sqrt(state.covariance[depths, depths])
+    depths = state.robot_size + 3 * rows + 2
+    stds = np.sqrt(state.covariance.diagonal()[depths])
     known = rows[stds < KNOWN_DEPTH * np.abs(state.mean[depths])]
     return with_constant_anchors(state, known) if len(known) else state
 

@@ -77,6 +77,8 @@ def not_told_at_rest(state: State, model: ImageModel) -> IntArray:
 def combinations_not_told(state: State, model: ImageModel) -> Array:
     """Return the combinations (q, k) of the coefficients that an image cannot tell."""
     effects, stretch, k = model.effects, model.stretch_by_values, state.coefficient_columns
+    if not effects.act_on_view:  # always shown
+        return np.empty((0, effects.count))
     not_told = np.eye(effects.count)[effects.shown(moves=model.has_moved, turns=model.turns) == 0.0]
     if not model.has_moved or stretch is None:
         return not_told

@@ -92,7 +92,10 @@ def update_from_image(
             by_feature = feature_scores(used_ids, used.residual, used.covariance, scored)
         seen = changed(seen, used_ids=used_ids, given_others=given_others(used.residual, whitening))
         if model.moves and found.slip_std is None:
-            seen = changed(seen, by_position=position_score(used, whitening))
+            by_pose, residual = used.prediction.by_pose, used.residual
+            seen = changed(
+                seen, by_position=PositionScore(*position_score(by_pose, residual, whitening, YAW))
+            )
         state, stats = _corrected(state, model, changed(used, whitening=whitening))
         stats = stats if weights is None else weighted_scores(stats, weights)
         stats = changed(stats, dof=DOF_PER_FEATURE * len(used.rows))
@@ -128,17 +131,23 @@ def _corrected(state: State, model: ImageModel, used: Innovation) -> tuple[State
     return with_known_depths(after, model, used), stats
 
 
-def position_score(innovation: Innovation, whitening: Array) -> PositionScore:
-    """Return what an innovation tells of the position whatever the heading is, given L^-1 with `L L^T = S`.
+@compiled
+def position_score(by_pose: Array, residual: Array, whitening: Array, yaw: int) -> tuple[Array, Array]:
+    """Return what an innovation tells of the position whatever the heading is: the fields of `PositionScore`.
 
     An effect that the gyro model lacks turns the robot, and must not seem to be noise of the wheels.
+
+    Args:
+        by_pose: (m, r, 6) derivative of the prediction by the pose.
+        residual: (m, r) innovation.
+        whitening: L^-1 (m r, m r) with `L L^T = S`.
+        yaw: index of the heading in the pose.
     """
-    rows = innovation.residual.size
-    by_pose = whitening @ innovation.prediction.by_pose.reshape(rows, -1)
-    by_position, by_yaw = by_pose[:, :2], by_pose[:, YAW]
+    whitened = whitening @ residual.reshape(residual.size)
+    whitened_by_pose = whitening @ by_pose.reshape(residual.size, -1)
+    by_position, by_yaw = whitened_by_pose[:, :2], whitened_by_pose[:, yaw]
     by_position = by_position - np.outer(by_yaw, by_yaw @ by_position / (by_yaw @ by_yaw))
-    whitened = whitening @ innovation.residual.reshape(rows)
-    return PositionScore(by_position.T @ whitened, by_position.T @ by_position)
+    return by_position.T @ whitened, by_position.T @ by_position
 
 
 def with_looser_pose(state: State, std: Array) -> State:

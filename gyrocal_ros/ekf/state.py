@@ -146,12 +146,12 @@ class State:
 
     def anchors_of(self, rows: IntArray) -> Anchors:
         """Return the anchors of features at the present estimate."""
-        anchors = self.landmarks.anchors[rows]  # a copy
-        if not self.has_anchors:
+        anchors, start = self.landmarks.anchors[rows], self.anchors_start  # a copy
+        if len(self.mean) == start:
             return anchors
-        columns = self.anchor_columns(rows)
-        free = (columns >= 0).nonzero()[0]
-        anchors.p_wc[free] = self.mean[columns[free, None] + np.arange(3)]
+        places = self.landmarks.anchor_rows.take(rows)
+        free = (places >= 0).nonzero()[0]
+        anchors.p_wc[free] = self.mean[start:].reshape(-1, 3)[places[free]]
         return anchors
 
 

@@ -15,6 +15,7 @@ TWINS = (
     'innovation_matrices',
     'pixels_by_radial_coefficients',
     'pixels_by_tilt',
+    'position_score',
     'predict_inverse_depth',
     'project_with_jacobian',
 )
@@ -346,6 +347,38 @@ def corrected(
     for i in range(whitening.shape[0]):
         determinant -= 2.0 * log(whitening[i, i])
     return (*arrays, determinant)
+
+
+def position_score(
+    const double[:, :, ::1] by_pose, const double[:, ::1] residual, const double[:, ::1] whitening, Py_ssize_t yaw
+):
+    cdef Py_ssize_t r = residual.shape[1], q = residual.shape[0] * r, i, j
+    cdef const double* derivative
+    cdef double weight, white, x, y, turn
+    # Sums of the products of what is whitened: by x, y and yaw, with each other and with the innovation.
+    cdef double xx = 0.0, xy = 0.0, yy = 0.0, xt = 0.0, yt = 0.0, tt = 0.0, xn = 0.0, yn = 0.0, tn = 0.0
+    for i in range(q):
+        white = x = y = turn = 0.0
+        for j in range(i + 1):  # L^-1 is lower triangular
+            weight, derivative = whitening[i, j], &by_pose[j // r, j % r, 0]
+            white += weight * residual[j // r, j % r]
+            x += weight * derivative[0]
+            y += weight * derivative[1]
+            turn += weight * derivative[yaw]
+        xx += x * x
+        xy += x * y
+        yy += y * y
+        xt += x * turn
+        yt += y * turn
+        tt += turn * turn
+        xn += x * white
+        yn += y * white
+        tn += turn * white
+    score, information = np.empty(2), np.empty((2, 2))
+    score[0], score[1] = xn - xt * tn / tt, yn - yt * tn / tt
+    information[0, 0], information[1, 1] = xx - xt * xt / tt, yy - yt * yt / tt
+    information[0, 1] = information[1, 0] = xy - xt * yt / tt
+    return score, information
 
 
 def given_others(const double[:, ::1] residual, const double[:, ::1] whitening):

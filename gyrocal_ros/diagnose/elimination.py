@@ -21,8 +21,8 @@ SMALLER = 0.7
 def eliminate(searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:
     """Return a search from whose final model every effect was removed that does not earn its place.
 
-    An effect that was added early may have stood for another one that was found later. The effect closest to
-    zero is removed first, for the others may gain by that. A limit, or a noise, has no distance from zero: a
+    An effect that was added early, or with which the filter ran at all, may have stood for another one that
+    was found later. The effect closest to zero is removed first, for the others may gain by that. A limit, or a noise, has no distance from zero: a
     run without it decides. A noise that was as large because an effect was missing is added again, smaller.
 
     Args:
@@ -76,11 +76,7 @@ def _weakest(searched: Search, needed: set[str]) -> Addition | None:
     """
     kept = searched.kept if searched.removals else searched.kept[:-1]
     last = searched.last
-    distances = [
-        (item.distance_from_zero(last), item)
-        for item in kept
-        if item.before is not None and item.effect.name not in needed
-    ]
+    distances = [(item.distance_from_zero(last), item) for item in kept if item.effect.name not in needed]
     doubtful = [
         (distance, item)
         for distance, item in distances

@@ -21,9 +21,10 @@ SMALLER = 0.7
 def eliminate(searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:
     """Return a search from whose final model every effect was removed that does not earn its place.
 
-    An effect that was added early, or with which the filter ran at all, may have stood for another one that
-    was found later. The effect closest to zero is removed first, for the others may gain by that. A limit, or a noise, has no distance from zero: a
-    run without it decides. A noise that was as large because an effect was missing is added again, smaller.
+    An effect that was added early, or that the filter could not run without, may have stood for another one
+    that was found later. The effect closest to zero is removed first, for the others may gain by that. A
+    limit, or a noise, has no distance from zero: a run without it decides. A noise that was as large because
+    an effect was missing is added again, smaller.
 
     Args:
         searched: a finished search.

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed
+from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed, quickly_filled
 from gyrocal_ros.ekf.anchors import settled, with_moved_anchors, with_moving_anchors
 from gyrocal_ros.ekf.certain_way import at_certain_way
 from gyrocal_ros.ekf.considered import (
@@ -46,6 +47,33 @@ DOF_PER_FEATURE = 2
 """Degrees of freedom of one observation, also where the measurement is a point of unknown range."""
 
 
+@quickly_filled
+@dataclass(frozen=True, slots=True, eq=False)
+class _Matches:
+    """Features of the map that an image shows, m of them."""
+
+    rows: IntArray
+    """(m,) indices in the map."""
+    observed: FeatureObservations
+    prediction: Prediction
+    directions: Array
+    """(m, 2) expected x/z, y/z in the optical frame."""
+    unmoved: np.ndarray
+    """(m,) True for features that are expected where they were seen last."""
+    changes_px2: Array
+    """(m,) see `repeated_errors.Motion`."""
+
+    def __getitem__(self, each: IntArray) -> _Matches:
+        return _Matches(
+            self.rows[each],
+            self.observed[each],
+            self.prediction[each],
+            self.directions[each],
+            self.unmoved[each],
+            self.changes_px2[each],
+        )
+
+
 def update_from_image(
     state: State, model: ImageModel, observations: FeatureObservations
 ) -> tuple[State, MeasurementUpdate]:
@@ -56,67 +84,79 @@ def update_from_image(
         model: measurement model of the image.
         observations: features by the tracker.
     """
+    matches = _match(state, model, observations)
+    unmoved, changes_px2, repeated = matches.unmoved, matches.changes_px2[matches.unmoved], 0
+    if model.errors_repeat or model.is_known:
+        repeated = int(np.count_nonzero(unmoved))
+    if repeated:
+        state, matches = mark_seen(state, matches.rows[unmoved]), matches[(~unmoved).nonzero()[0]]
+    if len(matches.rows) == 0:
+        return state, MeasurementUpdate(unmoved=repeated, changes_px2=changes_px2)
+    found = _consensus(_innovation(state, model, matches), model)
+    judged, good = found.judged, found.good & (matches.prediction.points_c[:, 2] > MIN_DEPTH)
+    if model.form.is_robust and model.config.camera.estimate_pixel_noise:
+        state = learn_noise(state, matches.rows, judged, DOF_PER_FEATURE)
+    used = found.innovation if good.all() else found.innovation[good.nonzero()[0]]
+    if found.slip_std is not None:
+        state = with_looser_pose(state, found.slip_std)
+    state, told = _updated(state, model, used, may_tell_wheels=found.slip_std is None)
+    kept, dropped_ids = state, told.dropped_ids
+    if not found.rejects_image:
+        drop_after, pixels = model.config.features.drop_after_rejections, matches.observed.pixels
+        kept = count_matches(state, matches.rows, good, pixels, matches.directions, drop_after)
+    if len(kept.landmarks.ids) < len(state.landmarks.ids):
+        dropped_ids = np.setdiff1d(state.landmarks.ids, kept.landmarks.ids)
+    is_in_pixels = model.form.rows == 2
+    return kept if model.keeps_anchors else settled(kept), changed(
+        told,
+        unmoved=repeated,
+        changes_px2=changes_px2,
+        slips=found.slip_std is not None,
+        contradicts_turn=found.contradicts_turn,
+        rejected=len(good) - told.used,
+        noise_distances=_noise_dominated(judged, matches.unmoved) if is_in_pixels else np.empty(0),
+        dropped_ids=dropped_ids,
+    )
+
+
+def _match(state: State, model: ImageModel, observations: FeatureObservations) -> _Matches:
+    """Find the features of the map that an image shows, and predict them."""
     known, rows = match_ids(state.landmarks.ids, observations.ids)
     prediction = model.predict(state, state.features.take(rows, 0), state.anchors_of(rows))
     if model.way_noise_m is not None and model.form.is_anchored:
         prediction = at_certain_way(state, model.view, rows, prediction, model.way_noise_m)
     observed = observations if len(known) == len(observations.ids) else observations[known]
     moved = motion(prediction.points_c, observed.pixels, state.landmarks, rows, model.view.camera.fx_px)
-    directions, unmoved = moved.directions, moved.unmoved | model.is_known
-    repeated = int(np.count_nonzero(unmoved)) if model.errors_repeat or model.is_known else 0
-    seen = MeasurementUpdate(unmoved=repeated, changes_px2=moved.changes_px2[unmoved])
-    if repeated:
-        state = mark_seen(state, rows[unmoved])
-        each = (~unmoved).nonzero()[0]
-        rows, observed, prediction = rows[each], observed[each], prediction[each]
-        directions, unmoved = directions[each], unmoved[each]
-    if len(rows) == 0:
-        return state, seen
-    found = _consensus(_innovation(state, model, rows, prediction, observed), model)
-    judged, good = found.judged, found.good & (prediction.points_c[:, 2] > MIN_DEPTH)
-    if model.form.is_robust and model.config.camera.estimate_pixel_noise:
-        state = learn_noise(state, rows, judged, DOF_PER_FEATURE)
+    unmoved = moved.unmoved | model.is_known
+    return _Matches(rows, observed, prediction, moved.directions, unmoved, moved.changes_px2)
 
-    used_count = int(np.count_nonzero(good))
-    used = found.innovation if used_count == len(good) else found.innovation[good.nonzero()[0]]
+
+def _updated(
+    state: State, model: ImageModel, used: Innovation, *, may_tell_wheels: bool
+) -> tuple[State, MeasurementUpdate]:
+    """Return the state after the update by the features used, and what these tell."""
     heading_rad, heading_std_rad = _as_heading(used)
-    stats, by_feature = UpdateStats(), None
-    if found.slip_std is not None:
-        state = with_looser_pose(state, found.slip_std)
-    if used_count:
-        whitening, used_ids = used.find_whitening(), state.landmarks.ids[used.rows]
-        weights = None
-        if model.scored:
-            weights = model.candidates.shown(moves=model.moves, turns=model.turns)
-            scored = used.sensitivity[:, :, : model.scored] * weights[: model.scored]
-            by_feature = feature_scores(used_ids, used.residual, used.covariance, scored)
-        seen = changed(seen, used_ids=used_ids, given_others=given_others(used.residual, whitening))
-        if model.moves and found.slip_std is None:
-            by_pose, residual = used.prediction.by_pose, used.residual
-            seen = changed(
-                seen, by_position=PositionScore(*position_score(by_pose, residual, whitening, YAW))
-            )
-        state, stats = _corrected(state, model, changed(used, whitening=whitening))
-        stats = stats if weights is None else weighted_scores(stats, weights)
-        stats = changed(stats, dof=DOF_PER_FEATURE * len(used.rows))
-    kept = state
-    if not found.rejects_image:
-        drop_after = model.config.features.drop_after_rejections
-        kept = count_matches(state, rows, good, observed.pixels, directions, drop_after)
-    is_in_pixels = model.form.rows == 2
-    if len(kept.landmarks.ids) < len(state.landmarks.ids):
-        seen = changed(seen, dropped_ids=np.setdiff1d(state.landmarks.ids, kept.landmarks.ids))
-    return kept if model.keeps_anchors else settled(kept), changed(
-        seen,
-        slips=found.slip_std is not None,
-        contradicts_turn=found.contradicts_turn,
-        used=used_count,
-        rejected=len(good) - used_count,
-        stats=stats,
+    told = MeasurementUpdate(used=len(used.rows), heading_rad=heading_rad, heading_std_rad=heading_std_rad)
+    if not told.used:
+        return state, told
+    whitening, ids = used.find_whitening(), state.landmarks.ids[used.rows]
+    weights = by_feature = by_position = None
+    if model.scored:
+        weights = model.candidates.shown(moves=model.moves, turns=model.turns)
+        scored = used.sensitivity[:, :, : model.scored] * weights[: model.scored]
+        by_feature = feature_scores(ids, used.residual, used.covariance, scored)
+    if model.moves and may_tell_wheels:
+        by_pose = used.prediction.by_pose
+        by_position = PositionScore(*position_score(by_pose, used.residual, whitening, YAW))
+    state, stats = _corrected(state, model, changed(used, whitening=whitening))
+    stats = stats if weights is None else weighted_scores(stats, weights)
+    return state, changed(
+        told,
+        stats=changed(stats, dof=DOF_PER_FEATURE * told.used),
+        used_ids=ids,
+        given_others=given_others(used.residual, whitening),
+        by_position=by_position,
         by_feature=by_feature,
-        heading_rad=heading_rad,
-        heading_std_rad=heading_std_rad,
-        noise_distances=_noise_dominated(judged, unmoved) if is_in_pixels else np.empty(0),
     )
 
 
@@ -166,9 +206,8 @@ def match_ids(ids: IntArray, wanted: IntArray) -> tuple[IntArray, IntArray]:
     return known, places[known]
 
 
-def _innovation(
-    state: State, model: ImageModel, rows: IntArray, prediction: Prediction, observed: FeatureObservations
-) -> Innovation:
+def _innovation(state: State, model: ImageModel, matches: _Matches) -> Innovation:
+    rows, prediction, observed = matches.rows, matches.prediction, matches.observed
     measured, noise = model.form.measure(model.view, observed.pixels, model.noise_px, model.config.features)
     if model.form.is_robust:
         if observed.covariances_px2 is not None:

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from gyrocal_ros.config.sections import Config
+from gyrocal_ros.config.sections import Config, GyroConfig
 from gyrocal_ros.data import (
     Array,
     FeatureObservations,
@@ -23,6 +23,7 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
+from gyrocal_ros.ekf.calibration_watch import CalibrationWatch
 from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
 from gyrocal_ros.ekf.certain_way import is_certain, without_way
 from gyrocal_ros.ekf.considered import stretch_by_values
@@ -38,14 +39,14 @@ from gyrocal_ros.ekf.landmarks import forget, forget_all
 from gyrocal_ros.ekf.levelling import Levelling, unlevelled
 from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch, SlipWatch
 from gyrocal_ros.ekf.moving_features import MovingFeatures
-from gyrocal_ros.ekf.predict import FilterModel, predict, predict_sensitivity, with_pose
+from gyrocal_ros.ekf.predict import FilterModel, Transition, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector, RestNoise
 from gyrocal_ros.ekf.resting_view import RestingView
-from gyrocal_ros.ekf.scale_watch import COLUMNS, DRIFT_STD, USUAL_DRIFT_STD, ScaleWatch
+from gyrocal_ros.ekf.scale_watch import COLUMNS
 from gyrocal_ros.ekf.sliding import SlidingPoints
 from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
-from gyrocal_ros.ekf.state import SCALE, YAW, YAW_BIAS, State
+from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
 from gyrocal_ros.ekf.step_record import StepRecord, step_record
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, zero_rate_update
@@ -100,23 +101,9 @@ class EkfSlam:
                 todo='use inverse_depth',
             )
         self.state: State = initial_state(model, config, start, self._candidates.count)
-        self._unknown_std = np.sqrt(initial_state(model, config, None, 0).covariance.diagonal()[YAW_BIAS:])
         self._to_age = self._to_warm = start
-        self._camera_watch = CameraWatch(self._own_candidates) if tests_camera else None
-        chance_drift_std = USUAL_DRIFT_STD if rig.camera is None else DRIFT_STD
-        self._scale_watch = ScaleWatch(
-            self.state,
-            CameraWatch.count if tests_camera else 0,
-            chance_drift_std,
-            config.convergence.scale_std,
-            is_stored=start is not None,
-        )
-        self._follows_changes = follows_changes
-        self.state = self._scale_watch.begin(self.state)
         self._pause = ''
         """Event of a time without measurements, for the next step."""
-        self._has_told, self.finding = False, ''
-        """What is wrong with the camera or the heading reference; empty where nothing is."""
         self.memories = self._effects.no_memories()
         """Memories of the gyro effects at the present state."""
         self._candidate_memories = self._candidates.no_memories()
@@ -134,6 +121,17 @@ class EkfSlam:
         self._levelling: Levelling | None = None
         if rig.camera is None:
             self._levelling, self.state = Levelling(), unlevelled(self.state)
+        unknown = initial_state(model, config, None, 0)
+        self._watch = CalibrationWatch(
+            self.state,
+            CameraWatch(self._own_candidates) if tests_camera else None,
+            self._heading if rig.camera is None else None,
+            np.sqrt(unknown.covariance.diagonal()[YAW_BIAS:]),
+            config.convergence.scale_std,
+            is_stored=start is not None,
+            follows_changes=follows_changes,
+        )
+        self.state = self._watch.begin(self.state)
         self.expect_pixel_noise(config.camera.pixel_noise_px)
 
     def step(self, block: MotionBlock, seen: Seen | None = None) -> StepRecord:
@@ -142,9 +140,8 @@ class EkfSlam:
         Raises:
             FilterDivergedError: the measurements contradict the estimate beyond repair.
         """
-        before, update, event = self._warmed(block), MeasurementUpdate(), ''
+        before = self._warmed(block)
         is_at_rest = self._rest.is_at_rest(block, self.config.rest.settle_s)
-
         if self._levelling is None:
             self._frozen.move(block)
         else:
@@ -152,39 +149,10 @@ class EkfSlam:
 
         # Prediction: eq. (10) for the robot, eq. (11) for the features; sensitivities of the candidates.
         block = with_pose(block, before)
-        gyro = self.config.gyro
-        if self._levelling is None:  # the noise of a heading reference is learned with that of the gyro
-            gyro = self._steady.with_noise(block, gyro)
-        gyro = self._scale_watch.walk(gyro)
+        gyro = self._gyro_noise(block)
         steady = self._steady.without_noise(block, gyro, is_at_rest=is_at_rest)
-        is_way_noise = not is_certain(block, self.config.wheels)
-        steady = without_way(steady) if is_way_noise else steady
-        sway_rad = math.radians(self.config.rest.rotation_noise_deg)
-        sway: Array | float = sway_rad
-        if self._levelling is not None:
-            if is_at_rest:  # images see the sway between them; beside headings it is noise of the gyro
-                gyro, sway = self._rest_noise.split(gyro, sway_rad, block.duration_s)
-            if self.config.reference.estimate_noise:
-                self._rest_noise.add(block, is_at_rest=is_at_rest)
-        model = FilterModel(self.model, self._effects, gyro, self.wheel_noise.config)
-        if self._levelling is None:
-            model = changed(model, rate_change_rad_s=self._steady.change_rad_s)
-        else:
-            model = changed(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
-        self.state, transition = predict(before, block, model, self.memories, steady)
-        self.memories = transition.contribution.correction.memories
-        self._motion = pose_motion(transition.motion, block)
-        self.wheel_noise.move(block)
-        way_m = transition.motion.forward @ block.distance_m
-        drift_by_values = transition.contribution.drift_by_values
-        self._stretch_by_values = None
-        if is_way_noise:
-            self._way_noise_m = way_m if self._way_noise_m is None else self._way_noise_m + way_m
-        elif drift_by_values is not None:
-            self._stretch_by_values = stretch_by_values(way_m, drift_by_values)
-        self.state, self._candidate_memories = predict_sensitivity(
-            self.state, transition, steady, self._candidates, self._candidate_memories
-        )
+        gyro, sway = self._noise_at_rest(block, gyro, is_at_rest=is_at_rest)
+        transition = self._predict(before, block, steady, gyro)
         predicted = self.state
 
         # Zero-rate update: a robot that stands still does not turn.
@@ -201,37 +169,12 @@ class EkfSlam:
             self.state = self._levelling.update(self.state, block)
 
         # Measurement update: eqs. (12) to (14), or a heading; new features join the map: eqs. (15) to (22).
-        if isinstance(seen, HeadingSample):
-            self.state, update = self._heading.update(
-                self.state, seen, self._effects, self._candidates, self._motion.rate
-            )
-            event = update.event
-        elif seen is not None and self._frozen.repeats(seen):
-            event = self._frozen.event()
-        elif seen is not None:
-            update = self._update_from_image(seen, is_at_rest=resting.dof > 0)
-            event = self._slip_watch.event(update, self.state.t_ns)
-            if self._map_watch.is_lost(update, self.pixel_noise):
-                self.state, event = forget_all(self.state), MAP_DROPPED
-                self._has_moved = False
+        update, event = self._measure(seen, is_at_rest=resting.dof > 0)
 
-        # Test of the scale factor: it may have changed, or an earlier calibration may be wrong.
-        camera, updates = self._camera_watch, (resting, update.stats)
-        if camera is not None:
-            camera.add(updates)
-        change = self._scale_watch.add(block.duration_s, updates, None if camera is None else camera.sums)
-        follows = self._follows_changes and self._scale_watch.is_settled
-        if change is not None and follows:
-            self.state = self._scale_watch.follow(self.state, change)
-            if camera is not None:
-                camera.restart()
-            if change.was_calibrated:
-                event = '; '.join(filter(None, (event, str(change))))
-        # Errors that are suspected, of the camera and of the scale factor, add to the standard deviations.
-        suspected_std, finding = self._suspect(block.duration_s)
+        # Tests: the scale factor may have changed, an earlier calibration or the camera may be wrong.
+        self.state, suspicions = self._watch.test(self.state, block.duration_s, (resting, update.stats))
+
         pause, self._pause = self._pause, ''
-        self.state = self._scale_watch.renew(self.state, block.duration_s)
-
         return step_record(
             before,
             predicted,
@@ -241,26 +184,79 @@ class EkfSlam:
             changed(update, stats=update.stats.of_first(self._own_candidates)),
             resting.of_first(self._own_candidates),
             self.pixel_noise.std,
-            '; '.join(filter(None, (pause, event, finding))),
-            change,
-            follows,
-            suspected_std,
+            '; '.join(filter(None, (pause, event, suspicions.event))),
+            suspicions,
         )
 
-    def _suspect(self, duration_s: float) -> tuple[Array, str]:
-        """Return stds (1 + k,) of yaw bias and coefficients by suspected errors, and an event."""
-        std = np.zeros(1 + self.state.coefficient_count)
-        std[SCALE : SCALE + 1] = self._scale_watch.suspected_std(self.state)
-        if self._camera_watch is not None:
-            shift = self._camera_watch.shift(self.state)
-            self.finding = self._camera_watch.finding(duration_s, self.state, shift)
-            std = np.hypot(std, shift)
+    @property
+    def finding(self) -> str:
+        """What is wrong with the camera or the heading reference; empty where nothing is."""
+        return self._watch.finding
+
+    def _gyro_noise(self, block: MotionBlock) -> GyroConfig:
+        """Return the noise of the gyro in motion."""
+        gyro = self.config.gyro
+        if self._levelling is None:  # the noise of a heading reference is learned with that of the gyro
+            gyro = self._steady.with_noise(block, gyro)
+        return self._watch.walk(gyro)
+
+    def _noise_at_rest(
+        self, block: MotionBlock, gyro: GyroConfig, *, is_at_rest: bool
+    ) -> tuple[GyroConfig, Array | float]:
+        """Return the noise of the gyro, which may be another at rest, and the std (rad) of the sway there."""
+        sway_rad = math.radians(self.config.rest.rotation_noise_deg)
+        sway: Array | float = sway_rad
+        if self._levelling is None:
+            return gyro, sway
+        if is_at_rest:  # images see the sway between them; beside headings it is noise of the gyro
+            gyro, sway = self._rest_noise.split(gyro, sway_rad, block.duration_s)
+        if self.config.reference.estimate_noise:
+            self._rest_noise.add(block, is_at_rest=is_at_rest)
+        return gyro, sway
+
+    def _predict(
+        self, before: State, block: MotionBlock, steady: MotionBlock, gyro: GyroConfig
+    ) -> Transition:
+        """Predict state and sensitivity, and note the motion that the next image needs."""
+        is_way_noise = not is_certain(block, self.config.wheels)
+        steady = without_way(steady) if is_way_noise else steady
+        model = FilterModel(self.model, self._effects, gyro, self.wheel_noise.config)
+        if self._levelling is None:
+            model = changed(model, rate_change_rad_s=self._steady.change_rad_s)
         else:
-            self.finding = self._heading.finding
-            std = np.hypot(std, self._heading.suspected_std(self._unknown_std))
-        event = '' if self._has_told else self.finding
-        self._has_told |= bool(event)
-        return std, event
+            model = changed(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
+        self.state, transition = predict(before, block, model, self.memories, steady)
+        self.memories = transition.contribution.correction.memories
+        self.state, self._candidate_memories = predict_sensitivity(
+            self.state, transition, steady, self._candidates, self._candidate_memories
+        )
+        self._motion = pose_motion(transition.motion, block)
+        self.wheel_noise.move(block)
+        way_m = transition.motion.forward @ block.distance_m
+        drift_by_values = transition.contribution.drift_by_values
+        self._stretch_by_values = None
+        if is_way_noise:
+            self._way_noise_m = way_m if self._way_noise_m is None else self._way_noise_m + way_m
+        elif drift_by_values is not None:
+            self._stretch_by_values = stretch_by_values(way_m, drift_by_values)
+        return transition
+
+    def _measure(self, seen: Seen | None, *, is_at_rest: bool) -> tuple[MeasurementUpdate, str]:
+        """Update by a heading or an image; return what was updated, and an event."""
+        if seen is None:
+            return MeasurementUpdate(), ''
+        if isinstance(seen, HeadingSample):
+            self.state, update = self._heading.update(
+                self.state, seen, self._effects, self._candidates, self._motion.rate
+            )
+            return update, update.event
+        if self._frozen.repeats(seen):
+            return MeasurementUpdate(), self._frozen.event()
+        update = self._update_from_image(seen, is_at_rest=is_at_rest)
+        event = self._slip_watch.event(update, self.state.t_ns)
+        if self._map_watch.is_lost(update, self.pixel_noise):
+            self.state, event, self._has_moved = forget_all(self.state), MAP_DROPPED, False
+        return update, event
 
     def _update_from_image(self, observations: FeatureObservations, *, is_at_rest: bool) -> MeasurementUpdate:
         features = self.config.features

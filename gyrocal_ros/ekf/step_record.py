@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock, quickly_filled
+from gyrocal_ros.ekf.calibration_watch import Suspicions
 from gyrocal_ros.ekf.predict import Transition
-from gyrocal_ros.ekf.scale_watch import ScaleChange
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
 from gyrocal_ros.kernels import compiled
@@ -69,9 +69,7 @@ def step_record(
     resting: UpdateStats,
     pixel_noise_px: float,
     event: str,
-    scale_change: ScaleChange | None,
-    followed: bool,
-    suspected_std: Array,
+    suspicions: Suspicions,
 ) -> StepRecord:
     """Describe a step from the state before over the predicted one to the state after."""
     correction = transition.contribution.correction
@@ -84,7 +82,7 @@ def step_record(
         std=std,
         change=change,
         change_variance=change_variance,
-        suspected_std=suspected_std,
+        suspected_std=suspicions.std,
         update=update,
         resting=resting,
         block=block,
@@ -95,8 +93,8 @@ def step_record(
         unobserved_turn_std_rad=correction.unread_rad(block.dt_s),
         pixel_noise_px=pixel_noise_px,
         event=event,
-        scale_change=0.0 if scale_change is None or followed else scale_change.value,
-        scale_followed=followed,
+        scale_change=0.0 if suspicions.change is None or suspicions.followed else suspicions.change.value,
+        scale_followed=suspicions.followed,
     )
 
 

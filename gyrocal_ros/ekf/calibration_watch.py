@@ -1,0 +1,118 @@
+"""What speaks against the calibration: a changed scale factor, a wrong camera, a wrong heading reference.
+
+Each is tested at every step by the innovations. What is suspected adds to the standard deviations, and a
+scale factor that has changed is followed where that is wanted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.config.sections import GyroConfig
+from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.camera_watch import CameraWatch
+from gyrocal_ros.ekf.heading import HeadingReference
+from gyrocal_ros.ekf.scale_watch import DRIFT_STD, USUAL_DRIFT_STD, ScaleChange, ScaleWatch
+from gyrocal_ros.ekf.state import SCALE, State
+from gyrocal_ros.ekf.update import UpdateStats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspicions:
+    """What the tests of one step have found."""
+
+    std: Array
+    """(1 + k,) standard deviations of yaw bias and coefficients by errors that are suspected."""
+    change: ScaleChange | None
+    """Significant change of the scale factor."""
+    followed: bool
+    """True if the state follows it."""
+    event: str
+    """What is new to the user."""
+
+
+class CalibrationWatch:
+    """Tests the scale factor, and the camera or the heading reference.
+
+    Args:
+        state: initial state of the filter.
+        camera: test of the camera; None for a robot without one, or without features in pixels.
+        heading: the heading reference; None for a robot with a camera.
+        unknown_std: (1 + k,) standard deviations of yaw bias and coefficients where nothing is known.
+        known_std: standard deviation of a scale factor that is calibrated.
+        is_stored: True if the first scale factor is that of an earlier calibration.
+        follows_changes: True to let the state follow a changed scale factor.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        camera: CameraWatch | None,
+        heading: HeadingReference | None,
+        unknown_std: Array,
+        known_std: float,
+        *,
+        is_stored: bool,
+        follows_changes: bool,
+    ) -> None:
+        self._camera, self._heading, self._unknown_std = camera, heading, unknown_std
+        self._scale = ScaleWatch(
+            state,
+            CameraWatch.count if camera is not None else 0,
+            DRIFT_STD if heading is None else USUAL_DRIFT_STD,
+            known_std,
+            is_stored=is_stored,
+        )
+        self._follows_changes = follows_changes
+        self._has_told, self.finding = False, ''
+        """What is wrong with the camera or the heading reference; empty where nothing is."""
+
+    def begin(self, state: State) -> State:
+        """Return the state from which changes of the scale factor are tested."""
+        return self._scale.begin(state)
+
+    def walk(self, gyro: GyroConfig) -> GyroConfig:
+        """Return settings with the random walk of the scale factor that repeated changes show."""
+        return self._scale.walk(gyro)
+
+    def test(
+        self, state: State, duration_s: float, updates: tuple[UpdateStats, ...]
+    ) -> tuple[State, Suspicions]:
+        """Return the state after the tests of one step, and what they have found.
+
+        Args:
+            state: after the updates.
+            duration_s: length of the step.
+            updates: its updates, the last one by the image or the heading.
+        """
+        camera = self._camera
+        if camera is not None:
+            camera.add(updates)
+        change = self._scale.add(duration_s, updates, None if camera is None else camera.sums)
+        follows, events = self._follows_changes and self._scale.is_settled, []
+        if change is not None and follows:
+            state = self._scale.follow(state, change)
+            if camera is not None:
+                camera.restart()
+            events += [str(change)] if change.was_calibrated else []
+        std = self._suspected_std(state, duration_s)
+        if self.finding and not self._has_told:
+            events.append(self.finding)
+            self._has_told = True
+        state = self._scale.renew(state, duration_s)
+        return state, Suspicions(std, change, follows, '; '.join(events))
+
+    def _suspected_std(self, state: State, duration_s: float) -> Array:
+        """Return the standard deviations by suspected errors, and note what is wrong."""
+        std = np.zeros(1 + state.coefficient_count)
+        std[SCALE : SCALE + 1] = self._scale.suspected_std(state)
+        if self._camera is not None:
+            shift = self._camera.shift(state)
+            self.finding = self._camera.finding(duration_s, state, shift)
+            std = np.hypot(std, shift)
+        elif self._heading is not None:
+            self.finding = self._heading.finding
+            std = np.hypot(std, self._heading.suspected_std(self._unknown_std))
+        return std

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
@@ -144,6 +145,18 @@ def test_a_change_is_significant_by_its_standard_deviation() -> None:
     assert found is not None
     assert found.value == pytest.approx(1.01e-3 * CHANGE_SIGMA)
     assert found.std == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(('turned_rad', 'is_change'), [(0.1, False), (1.0, True)])
+def test_an_error_that_headings_have_in_common_is_no_change(turned_rad: float, is_change: bool) -> None:
+    """Its standard deviation, over the turn, is one of the change besides that by the innovations."""
+    watch, _ = some_watch()
+    change, repeated_rad = 0.005, 2e-4
+    found = watch.add(1.0, (stats(1e6, change),), None, turned_rad, repeated_rad)
+    assert (found is not None) == is_change
+    if found is not None:
+        assert found.std == pytest.approx(math.hypot(1e-3, repeated_rad / turned_rad))
+        assert found.sigma == pytest.approx(change / found.std)
 
 
 def test_a_change_counts_once_it_has_been_significant_for_some_images() -> None:

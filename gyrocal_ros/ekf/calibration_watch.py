@@ -18,6 +18,10 @@ from gyrocal_ros.ekf.scale_watch import DRIFT_STD, USUAL_DRIFT_STD, ScaleChange,
 from gyrocal_ros.ekf.state import SCALE, State
 from gyrocal_ros.ekf.update import UpdateStats
 
+REPEATED_PART, MAX_REPEATED_PX = 0.8, 0.12
+"""Standard deviation of an error that all matches of a turn have in common where motion blurs the images:
+relative to the noise of one feature, and at most. What is learned of that grows with a wrong scale factor."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspicions:
@@ -42,6 +46,7 @@ class CalibrationWatch:
         heading: the heading reference; None for a robot with a camera.
         unknown_std: (1 + k,) standard deviations of yaw bias and coefficients where nothing is known.
         known_std: standard deviation of a scale factor that is calibrated.
+        focal_px: focal length of the camera; infinite without one.
         is_stored: True if the first scale factor is that of an earlier calibration.
         follows_changes: True to let the state follow a changed scale factor.
     """
@@ -53,11 +58,13 @@ class CalibrationWatch:
         heading: HeadingReference | None,
         unknown_std: Array,
         known_std: float,
+        focal_px: float,
         *,
         is_stored: bool,
         follows_changes: bool,
     ) -> None:
         self._camera, self._heading, self._unknown_std = camera, heading, unknown_std
+        self._focal_px = focal_px
         self._scale = ScaleWatch(
             state,
             CameraWatch.count if camera is not None else 0,
@@ -78,7 +85,12 @@ class CalibrationWatch:
         return self._scale.walk(gyro)
 
     def test(
-        self, state: State, duration_s: float, updates: tuple[UpdateStats, ...]
+        self,
+        state: State,
+        duration_s: float,
+        updates: tuple[UpdateStats, ...],
+        turned_rad: float,
+        pixel_noise_px: float,
     ) -> tuple[State, Suspicions]:
         """Return the state after the tests of one step, and what they have found.
 
@@ -86,11 +98,15 @@ class CalibrationWatch:
             state: after the updates.
             duration_s: length of the step.
             updates: its updates, the last one by the image or the heading.
+            turned_rad: by how much the robot has turned in it.
+            pixel_noise_px: learned noise of a feature.
         """
         camera = self._camera
         if camera is not None:
             camera.add(updates)
-        change = self._scale.add(duration_s, updates, None if camera is None else camera.sums)
+        sums = None if camera is None else camera.sums
+        repeated_rad = min(REPEATED_PART * pixel_noise_px, MAX_REPEATED_PX) / self._focal_px
+        change = self._scale.add(duration_s, updates, sums, turned_rad, repeated_rad)
         follows, events = self._follows_changes and self._scale.is_settled, []
         if change is not None and follows:
             state = self._scale.follow(state, change)

@@ -57,6 +57,8 @@ SETTLE_S = 3.0
 """Time of measurements for which a change has to be significant before it is followed. Windows that began
 before a jump contradict it in part; in this time one that began after it, or just before, explains more than
 they do. Darkness and rests tell nothing, so they do not count."""
+MIN_TURN_RAD = 0.01
+"""Smallest turn by which an error of the heading is divided."""
 NOT_LINEAR = 0.1
 """Part of a change that may be wrong because the sensitivity is linear, and because features were rejected
 and weighted as if nothing had changed."""
@@ -155,6 +157,7 @@ class ScaleWatch:
         self._ramp, self._ramp_variance, self._ramp_sigma = 0.0, math.inf, 0.0
         self._drift = 0.0
         self._running_s = self._significant_s = 0.0
+        self._turned_rad = np.zeros(COLUMNS)
         self._unchanged_s, self._walk = math.inf, 0.0
 
     def walk(self, gyro: GyroConfig) -> GyroConfig:
@@ -166,17 +169,25 @@ class ScaleWatch:
         return self._restarted(state, np.ones(COLUMNS, bool))
 
     def add(
-        self, duration_s: float, updates: tuple[UpdateStats, ...], others: NormalEquations | None = None
+        self,
+        duration_s: float,
+        updates: tuple[UpdateStats, ...],
+        others: NormalEquations | None = None,
+        turned_rad: float = 0.0,
+        repeated_rad: float = 0.0,
     ) -> ScaleChange | None:
         """Add the updates of one step; return the most significant change, None before it is noticed.
 
         Innovations that a change does not explain count as noise: what contradicts the filter otherwise, such
-        as images of something else, is no change of the scale factor.
+        as images of something else, is no change of the scale factor. Nor is an error of a heading that
+        images of a turn have in common: it makes a change that is the smaller, the more has been turned.
 
         Args:
             duration_s: length of the step.
             updates: its updates, the last one by the image or the heading.
             others: errors that are tested beside.
+            turned_rad: by how much the robot has turned in the step.
+            repeated_rad: standard deviation of an error that several headings have in common.
         """
         for stats in updates:
             if stats.information is not None and stats.score is not None:
@@ -184,6 +195,7 @@ class ScaleWatch:
                     self._sums, stats.information, stats.score, stats.nis, stats.dof, self._first
                 )
         self._sums[:, AGE] += duration_s
+        self._turned_rad += turned_rad
         self._unchanged_s += duration_s
         self._running_s += duration_s
         is_measured = bool(updates and updates[-1].dof)
@@ -194,6 +206,8 @@ class ScaleWatch:
         )
         self._ramp, self._ramp_variance = float(values[RAMP]), float(variances[RAMP])
         self._ramp_sigma = float(sigmas[RAMP])
+        repeated = (repeated_rad / np.maximum(self._turned_rad, MIN_TURN_RAD)) ** 2
+        sigmas, variances = sigmas / np.sqrt(1.0 + repeated / variances), variances + repeated
         best = int(sigmas[:RAMP].argmax())
         sigma = float(sigmas[best])
         if sigma < CHANGE_SIGMA:
@@ -279,7 +293,7 @@ class ScaleWatch:
             sensitivity[COEFFICIENTS_START, columns] = 1.0
             if chosen[RAMP]:
                 sensitivity[COEFFICIENTS_START, RAMP] = 0.0
-        self._sums[chosen] = 0.0
+        self._sums[chosen] = self._turned_rad[chosen] = 0.0
         self._was_calibrated[chosen] = self._is_stored or self._calibrated_s > SETTLE_S
         return changed(state, sensitivity=sensitivity)
 

@@ -128,6 +128,7 @@ class EkfSlam:
             self._heading if rig.camera is None else None,
             np.sqrt(unknown.covariance.diagonal()[YAW_BIAS:]),
             config.convergence.scale_std,
+            math.inf if rig.camera is None else rig.camera.fx_px,
             is_stored=start is not None,
             follows_changes=follows_changes,
         )
@@ -172,7 +173,10 @@ class EkfSlam:
         update, event = self._measure(seen, is_at_rest=resting.dof > 0)
 
         # Tests: the scale factor may have changed, an earlier calibration or the camera may be wrong.
-        self.state, suspicions = self._watch.test(self.state, block.duration_s, (resting, update.stats))
+        turned_rad = abs(float(predicted.mean[YAW] - before.mean[YAW]))
+        self.state, suspicions = self._watch.test(
+            self.state, block.duration_s, (resting, update.stats), turned_rad, self.pixel_noise.std
+        )
 
         pause, self._pause = self._pause, ''
         return step_record(

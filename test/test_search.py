@@ -600,21 +600,6 @@ class TestElimination:
         found = eliminate(both, summary_of(made), fake)
         assert [item.effect.name for item in found.removals] == ['rate_saturation'] * (not is_needed)
 
-    @pytest.mark.parametrize('still_diverges', [False, True])
-    def test_what_a_run_recovered_with_is_tested_again_beside_what_was_found(
-        self, still_diverges: bool
-    ) -> None:
-        hidden, gains = {'scale_cubic': 2.0}, {'scale_cubic': 400.0}
-        recovering = 'camera_time_offset'
-        fake = FakeFilter(hidden, gains, diverges_without=recovering, ends={recovering: STD})
-        both = search(default_model(), AT_REST, fake)
-        vars(both.additions[0])['is_kept'] = True  # it stood for the cubic as long as that was missing
-        assert [item.effect.name for item in both.kept] == [recovering, 'scale_cubic']
-        fake.diverges_without = recovering if still_diverges else ''
-        found = eliminate(both, AT_REST, fake)
-        assert [item.effect.name for item in found.removals] == [recovering] * (not still_diverges)
-        assert [item.effect.name for item in found.kept][-1] == 'scale_cubic'
-
     def test_an_effect_without_which_the_filter_diverges_stays(self) -> None:
         sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}
         fake = FakeFilter(sizes, {'gyro_lag': 400.0, 'scale_cubic': 90.0}, alone={'gyro_lag': 2.0})

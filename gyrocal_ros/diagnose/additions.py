@@ -64,8 +64,10 @@ class Addition:
     def is_kept(self) -> bool:
         """True if the recording is predicted better with it, it is not negligible, and nothing drifts more.
 
-        A closed form need only predict as well as the curve.
+        A closed form need only predict as well as the curve. What the filter cannot run without is kept.
         """
+        if self.before is None:
+            return True
         least = self.after.settings.min_predictive_gain
         predicts = self.predictive_gain > (-least if self.is_rewritten else least)
         counts = self.stands_out and not self.is_negligible

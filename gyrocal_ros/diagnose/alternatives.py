@@ -10,6 +10,7 @@ import math
 from dataclasses import replace
 
 from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.elimination import without_addition
 from gyrocal_ros.diagnose.examined import Calibrate
 from gyrocal_ros.diagnose.look_alikes import look_alikes
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
@@ -42,6 +43,31 @@ def best_alternative(found: Search, recording: RecordingSummary, calibrate: Cali
         if _advantage(best, other) > found.first.settings.min_predictive_gain:
             best = other
     return best
+
+
+def found_anew(found: Search, recording: RecordingSummary, calibrate: Calibrate, most: int) -> Search:
+    """Return a search without the effect with which a filter that had diverged ran at all.
+
+    It was the one with which the filter ran best while everything else was missing, so it may stand for what
+    was found later, or for an effect that looks like it. Where the filter runs without it by now, the search
+    goes on from there, and finds it again if it is there.
+
+    Args:
+        found: a finished search.
+        recording: summary of the recording.
+        calibrate: runs the filter.
+        most: number of effects to try.
+    """
+    recovered = next((item for item in found.additions if item.before is None), None)
+    if recovered is None or len(found.kept) < 2:
+        return found
+    removal = without_addition(found.last, recovered, recording, calibrate)
+    if removal is None:
+        return found
+    additions = continued(found.additions, removal.after, recording, calibrate, most + 1)
+    other = replace(found, additions=tuple(additions), removals=(*found.removals, removal))
+    gain = float(predictive_gain(found.last.run, other.last.run).sum())
+    return other if gain > -found.first.settings.min_predictive_gain else found
 
 
 def _advantage(present: Search, other: Search) -> float:

@@ -21,10 +21,9 @@ SMALLER = 0.7
 def eliminate(searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:
     """Return a search from whose final model every effect was removed that does not earn its place.
 
-    An effect that was added early, or that the filter could not run without, may have stood for another one
-    that was found later. The effect closest to zero is removed first, for the others may gain by that. A
-    limit, or a noise, has no distance from zero: a run without it decides. A noise that was as large because
-    an effect was missing is added again, smaller.
+    An effect that was added early may have stood for another one that was found later. The effect closest to
+    zero is removed first, for the others may gain by that. A limit, or a noise, has no distance from zero: a
+    run without it decides. A noise that was as large because an effect was missing is added again, smaller.
 
     Args:
         searched: a finished search.
@@ -36,7 +35,7 @@ def eliminate(searched: Search, recording: RecordingSummary, calibrate: Calibrat
         weakest = _weakest(searched, needed)
         if weakest is None:
             return searched
-        removal = _without(searched.last, weakest, recording, calibrate)
+        removal = without_addition(searched.last, weakest, recording, calibrate)
         if removal is not None and not removal.is_needed:
             searched = replace(searched, removals=(*searched.removals, removal))
             continue
@@ -61,7 +60,7 @@ def without_harm(searched: Search, recording: RecordingSummary, calibrate: Calib
         before_deg, present_deg = drift_of_both_deg(searched.first.run, searched.last.run)
         if not present_deg > before_deg:
             break
-        removal = _without(searched.last, noise, recording, calibrate)
+        removal = without_addition(searched.last, noise, recording, calibrate)
         if removal is None:
             continue
         present_deg, after_deg = drift_of_both_deg(searched.last.run, removal.after.run)
@@ -77,7 +76,11 @@ def _weakest(searched: Search, needed: set[str]) -> Addition | None:
     """
     kept = searched.kept if searched.removals else searched.kept[:-1]
     last = searched.last
-    distances = [(item.distance_from_zero(last), item) for item in kept if item.effect.name not in needed]
+    distances = [
+        (item.distance_from_zero(last), item)
+        for item in kept
+        if item.before is not None and item.effect.name not in needed
+    ]
     doubtful = [
         (distance, item)
         for distance, item in distances
@@ -86,16 +89,16 @@ def _weakest(searched: Search, needed: set[str]) -> Addition | None:
     return min(doubtful, key=lambda pair: pair[0], default=(0.0, None))[1]
 
 
-def _without(
-    last: ExaminedModel, weakest: Addition, recording: RecordingSummary, calibrate: Calibrate
+def without_addition(
+    last: ExaminedModel, added: Addition, recording: RecordingSummary, calibrate: Calibrate
 ) -> Removal | None:
-    """Run the filter without an effect; return None where it cannot run."""
-    model, distance = without_effect(last.model, weakest.effect.name), weakest.distance_from_zero(last)
+    """Run the filter without an effect that was added; return None where it cannot run."""
+    model, distance = without_effect(last.model, added.effect.name), added.distance_from_zero(last)
     try:
         after = examine(model, recording, calibrate, last.settings)
     except CANNOT_RUN:
         return None
-    return Removal(weakest.effect, last, after, distance)
+    return Removal(added.effect, last, after, distance)
 
 
 def _smaller_noise(removal: Removal, recording: RecordingSummary, calibrate: Calibrate) -> Addition | None:

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.additions import NONE, Search
 from gyrocal_ros.diagnose.ranking import indistinguishable
 
 
 def look_alikes(searched: Search) -> dict[str, tuple[str, ...]]:
     """Return the effects that each effect found may be confused with, beside the others found.
 
-    The score statistics are those of the first model; a limit has none, and was tried in a run. Effects that
-    a run of their own has told apart are not confused.
+    The score statistics are those of the first model, or of the last one that lacked the effect where the
+    first could not run without it; a limit has none, and was tried in a run. Effects that a run of their own
+    has told apart are not confused.
     """
-    first = searched.first
-    outperformed = {item.effect.name: item.outperformed for item in searched.kept}
-    alike = {item.effect.name: item.alike for item in searched.kept}
-    found = {item.effect.name: item for item in first.ranked if item.effect.name in outperformed}
+    names = {item.effect.name for item in searched.kept}
     confused = {}
-    for name, effect in found.items():
-        rest = [item.fit.columns for item in found.values() if item is not effect]
-        beside = np.concatenate(rest) if rest else np.empty(0, np.int64)
-        excluded = {*outperformed, *outperformed[name]}
-        others = [item for item in first.ranked if item.effect.name not in excluded]
-        like = indistinguishable(effect, others, first.scores, beside, first.settings)
-        confused[name] = (*like, *(limit for limit in alike[name] if limit not in outperformed))
+    for item in searched.kept:
+        name, first = item.effect.name, searched.first
+        lacking = item.before if first.find(name) is None and item.before is not None else first
+        found = {other.effect.name: other for other in lacking.ranked if other.effect.name in names}
+        if name not in found:
+            continue
+        rest = [other.fit.columns for other in found.values() if other is not found[name]]
+        beside = np.concatenate(rest) if rest else NONE
+        excluded = {*names, *item.outperformed}
+        others = [other for other in lacking.ranked if other.effect.name not in excluded]
+        like = indistinguishable(found[name], others, lacking.scores, beside, first.settings)
+        confused[name] = (*like, *(limit for limit in item.alike if limit not in names))
     return confused

@@ -206,9 +206,11 @@ class ScaleWatch:
         )
         self._ramp, self._ramp_variance = float(values[RAMP]), float(variances[RAMP])
         self._ramp_sigma = float(sigmas[RAMP])
-        repeated = (repeated_rad / np.maximum(self._turned_rad, MIN_TURN_RAD)) ** 2
-        sigmas, variances = sigmas / np.sqrt(1.0 + repeated / variances), variances + repeated
         best = int(sigmas[:RAMP].argmax())
+        if sigmas[best] >= CHANGE_SIGMA:
+            repeated = (repeated_rad / np.maximum(self._turned_rad, MIN_TURN_RAD)) ** 2
+            sigmas, variances = sigmas / np.sqrt(1.0 + repeated / variances), variances + repeated
+            best = int(sigmas[:RAMP].argmax())
         sigma = float(sigmas[best])
         if sigma < CHANGE_SIGMA:
             self._significant_s = 0.0

@@ -96,7 +96,8 @@ def update_from_image(
     judged, good = found.judged, found.good & (matches.prediction.points_c[:, 2] > MIN_DEPTH)
     if model.form.is_robust and model.config.camera.estimate_pixel_noise:
         state = learn_noise(state, matches.rows, judged, DOF_PER_FEATURE)
-    used = found.innovation if good.all() else found.innovation[good.nonzero()[0]]
+    all_good = np.count_nonzero(good) == len(good)
+    used = found.innovation if all_good else found.innovation[good.nonzero()[0]]
     if found.slip_std is not None:
         state = with_looser_pose(state, found.slip_std)
     state, told = _updated(state, model, used, may_tell_wheels=found.slip_std is None)

@@ -12,7 +12,7 @@ from gyrocal_ros.config.sections import Config, FeatureConfig
 from gyrocal_ros.data import Array, TruthSample
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.known_depth import directions_by_pose, has_moved, relative_growth
+from gyrocal_ros.ekf.known_depth import TellingWay, directions_by_pose, relative_growth
 from gyrocal_ros.ekf.landmarks import with_shared_errors
 from gyrocal_ros.ekf.run import History
 from gyrocal_ros.ekf.slam import EkfSlam
@@ -117,7 +117,7 @@ def test_the_camera_has_moved_by_a_part_of_the_depth(
     )
     mean = state.mean.copy()
     mean[state.robot_size + 2 : state.anchors_start : 3] = 1.0 / 2.5
-    assert has_moved(replace(state, t_ns=1, mean=mean, landmarks=landmarks), view) == expected
+    assert TellingWay().tells(replace(state, t_ns=1, mean=mean, landmarks=landmarks), view) == expected
 
 
 @pytest.mark.parametrize(('effect', 'growth'), [('focal_length', -1.0), ('principal_point', 0.0)])

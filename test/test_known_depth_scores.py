@@ -13,7 +13,8 @@ from gyrocal_ros.diagnose.examined import ExaminedModel, examine
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.effects_by_place import sort_effects
-from gyrocal_ros.ekf.known_depth import weighted_scores
+from gyrocal_ros.ekf.known_depth import TellingWay, weighted_scores
+from gyrocal_ros.ekf.landmarks import forget_all
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.ekf.update import UpdateStats
@@ -105,3 +106,26 @@ def test_a_new_map_has_to_be_measured_again() -> None:
     assert not has_moved[0] and has_moved[-1] and sorted(has_moved) == has_moved, 'once it has moved it has'
     slam.start_new_time_base(slam.state.t_ns)
     assert not slam._image_model().has_moved
+
+
+@pytest.mark.parametrize(('new', 'tells'), [(0.4, True), (0.6, False)])
+def test_the_way_tells_as_long_as_most_features_have_seen_it(new: float, tells: bool) -> None:
+    """A robot that spins after a drive loses the features of the drive one by one."""
+    source = SimSource(replace(find_scenario('lanes'), duration_s=12.0), 2)
+    slam = EkfSlam(default_model(), Config(), source.rig)
+    stream = SlamStream(slam)
+    for measurement in source.measurements():
+        stream.step(measurement)
+    state, view, way = slam.state, slam.view(), TellingWay()
+    count = len(state.landmarks.ids)
+    spun = replace(state.landmarks, last_seen_ns=np.full(count, state.t_ns), anchor_rows=np.full(count, -1))
+    anchors = replace(spun.anchors, p_wc=np.tile(view.p_wc - [2.0, 0.0, 0.0], (count, 1)))
+    assert way.tells(replace(state, landmarks=replace(spun, anchors=anchors)), view)
+    here = replace(anchors, p_wc=np.tile(view.p_wc, (count, 1)))
+    is_new = np.arange(count) < new * count
+    ids = np.where(is_new, spun.ids + 10**6, spun.ids)
+    state = replace(state, landmarks=replace(spun, anchors=here, ids=ids))
+    assert way.tells(state, view) == tells
+    unseen = replace(state, t_ns=state.t_ns + 1)
+    assert way.tells(unseen, view) == tells, 'an image without features changes nothing'
+    assert not way.tells(forget_all(unseen), view), 'a new map does'

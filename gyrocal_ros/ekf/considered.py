@@ -1,7 +1,7 @@
 """Coefficients that are considered, but not corrected, by an update (Schmidt 1966).
 
 Until the camera has moved, no image tells an effect of camera, wheels or floor from the depths of the
-features (`known_depth.has_moved`), but for a rotation of the camera. The noise of the wheels would
+features (`known_depth.TellingWay`), but for a rotation of the camera. The noise of the wheels would
 nevertheless seem to tell it in spins.
 
 A delay from row to row hardly shifts features while the robot drives straight on, and what it does looks like

@@ -42,7 +42,7 @@ class ImageModel:
     interval_s: float
     """Time since a feature of the map was seen last."""
     has_moved: bool
-    """True if the way of the camera tells how far the features are, see `known_depth.has_moved`."""
+    """True if the way of the camera tells how far the features are, see `known_depth.TellingWay`."""
     errors_repeat: bool
     """True if a feature counts only after motion in the image."""
     is_known: bool

@@ -145,24 +145,36 @@ def relative_growth(state: State, model: ImageModel, rows: IntArray) -> Array:
     return growth
 
 
-def has_moved(state: State, view: PosedCamera) -> bool:
-    """Return True if the camera has moved enough since it saw its features first to tell how far they are.
+class TellingWay:
+    """Follows whether the way of the camera tells how far its features are.
 
     Before, position, depth and camera explain the same shifts of the features. The filter, which is linear,
     is too certain of their products; and where the wheels tell noise while the robot does not move, a ceiling
     farther away fits better. So the camera seems to be mounted elsewhere. That lasts where a robot does
-    nothing but spin on the spot. Once the size of the map is known, it tells the depth of a new feature.
-
-    Args:
-        state: after an update.
-        view: the camera.
+    nothing but spin on the spot, and begins again once it has spun until most features are new.
     """
-    landmarks = state.landmarks
-    seen = (landmarks.last_seen_ns == state.t_ns).nonzero()[0]
-    if not len(seen):
-        return False
-    way_m = np.linalg.norm(state.anchors_of(seen).p_wc - view.p_wc, axis=1)
-    return bool(np.median(way_m * state.features[seen, 2]) > MIN_BASELINE)
+
+    def __init__(self) -> None:
+        self._told: set[int] = set()
+        self._tells = False
+
+    def tells(self, state: State, view: PosedCamera) -> bool:
+        """Return True if the camera has moved enough since it saw most of its features first.
+
+        Args:
+            state: after an update.
+            view: the camera.
+        """
+        landmarks = state.landmarks
+        self._told.intersection_update(landmarks.ids.tolist())
+        seen = (landmarks.last_seen_ns == state.t_ns).nonzero()[0]
+        if not len(seen):  # as before, but for a new map
+            return self._tells and len(self._told) > 0
+        ids = landmarks.ids[seen]
+        way_m = np.linalg.norm(state.anchors_of(seen).p_wc - view.p_wc, axis=1)
+        self._told.update(ids[way_m * state.features[seen, 2] > MIN_BASELINE].tolist())
+        self._tells = sum(feature in self._told for feature in ids.tolist()) > len(seen) / 2
+        return self._tells
 
 
 def weighted_scores(stats: UpdateStats, weights: Array) -> UpdateStats:

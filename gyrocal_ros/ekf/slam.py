@@ -34,7 +34,7 @@ from gyrocal_ros.ekf.gating import MotionGate
 from gyrocal_ros.ekf.heading import HeadingReference
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.image_update import add_landmarks, search_regions, unmapped, update_from_image
-from gyrocal_ros.ekf.known_depth import has_moved
+from gyrocal_ros.ekf.known_depth import TellingWay
 from gyrocal_ros.ekf.landmarks import forget, forget_all
 from gyrocal_ros.ekf.levelling import Levelling, unlevelled
 from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch, SlipWatch
@@ -110,7 +110,7 @@ class EkfSlam:
         self._motion = PoseMotion(np.zeros(6), np.zeros(6))
         self._way_noise_m: Array | None = None
         self._stretch_by_values: Array | None = None
-        self._has_moved, self.wheel_noise = False, WheelNoise(config.wheels)
+        self._has_moved, self._telling_way, self.wheel_noise = False, TellingWay(), WheelNoise(config.wheels)
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
         self._moving, self._sliding, self._resting_view = MovingFeatures(), SlidingPoints(), RestingView()
@@ -276,7 +276,7 @@ class EkfSlam:
         self._way_noise_m = None
         if update.used:
             self.wheel_noise.learn(update.by_position, float(self.state.mean[YAW]))
-        self._has_moved = model.has_moved or has_moved(self.state, model.view)
+        self._has_moved = self._telling_way.tells(self.state, model.view)
         if not is_at_rest and self._agrees(update) and len(ids := self._sliding.find(self.state)):
             self._moving.add(ids)
             self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])

@@ -9,7 +9,7 @@ from test_search import AT_REST, MIN_GAIN, FakeFilter
 
 from gyrocal_ros.diagnose import alternatives
 from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.alternatives import best_alternative, found_anew
+from gyrocal_ros.diagnose.alternatives import best_alternative, searched_again
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
@@ -90,27 +90,27 @@ def recovered(hidden: dict[str, float], gains: dict[str, float]) -> tuple[FakeFi
 def test_what_a_run_recovered_with_goes_where_it_is_not_needed_any_more() -> None:
     fake, found = recovered({}, {'scale_cubic': 400.0})
     fake.diverges_without = ''
-    anew = found_anew(found, AT_REST, fake, MAX_ADDITIONS)
-    assert [item.effect.name for item in anew.removals] == [RECOVERED]
-    assert [item.effect.name for item in anew.kept] == ['scale_cubic']
-    assert [effect.name for effect in anew.last.model.effects] == ['scale_factor', 'scale_cubic']
+    again = searched_again(found, AT_REST, fake, MAX_ADDITIONS)
+    assert [item.effect.name for item in again.removals] == [RECOVERED]
+    assert [item.effect.name for item in again.kept] == ['scale_cubic']
+    assert [effect.name for effect in again.last.model.effects] == ['scale_factor', 'scale_cubic']
 
 
 def test_what_a_run_recovered_with_is_found_again_where_it_shows() -> None:
     fake, found = recovered({RECOVERED: 2.0}, {'scale_cubic': 400.0, RECOVERED: 90.0})
     fake.diverges_without = ''
-    anew = found_anew(found, AT_REST, fake, MAX_ADDITIONS)
-    assert [item.effect.name for item in anew.kept] == ['scale_cubic', RECOVERED]
-    assert anew.kept[-1].before is not None and anew.kept[-1].gain < math.inf
-    assert [item.effect.name for item in diagnose(anew, AT_REST).missing] == ['scale_cubic', RECOVERED]
+    again = searched_again(found, AT_REST, fake, MAX_ADDITIONS)
+    assert [item.effect.name for item in again.kept] == ['scale_cubic', RECOVERED]
+    assert again.kept[-1].before is not None and again.kept[-1].gain < math.inf
+    assert [item.effect.name for item in diagnose(again, AT_REST).missing] == ['scale_cubic', RECOVERED]
 
 
 def test_what_a_run_recovered_with_stays_where_the_rest_predicts_worse() -> None:
     fake, found = recovered({}, {'scale_cubic': 400.0, RECOVERED: 90.0})
     fake.diverges_without = ''
-    assert found_anew(found, AT_REST, fake, MAX_ADDITIONS) is found
+    assert searched_again(found, AT_REST, fake, MAX_ADDITIONS) is found
 
 
 def test_what_the_filter_cannot_run_without_stays() -> None:
     fake, found = recovered({}, {'scale_cubic': 400.0})
-    assert found_anew(found, AT_REST, fake, MAX_ADDITIONS) is found
+    assert searched_again(found, AT_REST, fake, MAX_ADDITIONS) is found

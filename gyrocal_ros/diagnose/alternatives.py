@@ -45,7 +45,7 @@ def best_alternative(found: Search, recording: RecordingSummary, calibrate: Cali
     return best
 
 
-def found_anew(found: Search, recording: RecordingSummary, calibrate: Calibrate, most: int) -> Search:
+def searched_again(found: Search, recording: RecordingSummary, calibrate: Calibrate, most: int) -> Search:
     """Return a search without the effect with which a filter that had diverged ran at all.
 
     It was the one with which the filter ran best while everything else was missing, so it may stand for what

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
-from gyrocal_ros.diagnose.alternatives import best_alternative, found_anew
+from gyrocal_ros.diagnose.alternatives import best_alternative, searched_again
 from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model
@@ -57,7 +57,7 @@ def find_missing(
     """
     found = search(model, recording, calibrate, most, settings)
     if timing_fault(found.last) is None:
-        found = found_anew(found, recording, calibrate, most)
+        found = searched_again(found, recording, calibrate, most)
     found = best_alternative(found, recording, calibrate, most)
     if timing_fault(found.last) is not None:
         return eliminate(found, recording, calibrate)

@@ -117,7 +117,9 @@ def test_the_camera_has_moved_by_a_part_of_the_depth(
     )
     mean = state.mean.copy()
     mean[state.robot_size + 2 : state.anchors_start : 3] = 1.0 / 2.5
-    assert TellingWay().tells(replace(state, t_ns=1, mean=mean, landmarks=landmarks), view) == expected
+    way = TellingWay()
+    way.see(replace(state, t_ns=1, mean=mean, landmarks=landmarks), view)
+    assert way.tells == expected
 
 
 @pytest.mark.parametrize(('effect', 'growth'), [('focal_length', -1.0), ('principal_point', 0.0)])

@@ -156,25 +156,25 @@ class TellingWay:
 
     def __init__(self) -> None:
         self._told: set[int] = set()
-        self._tells = False
+        self.tells = False
+        """True if the camera has moved enough since it saw most of its features first."""
 
-    def tells(self, state: State, view: PosedCamera) -> bool:
-        """Return True if the camera has moved enough since it saw most of its features first.
+    def see(self, state: State, view: PosedCamera) -> None:
+        """Take one image; one without features of the map changes nothing.
 
         Args:
-            state: after an update.
+            state: after its update.
             view: the camera.
         """
         landmarks = state.landmarks
-        self._told.intersection_update(landmarks.ids.tolist())
         seen = (landmarks.last_seen_ns == state.t_ns).nonzero()[0]
-        if not len(seen):  # as before, but for a new map
-            return self._tells and len(self._told) > 0
+        if not len(seen):
+            return
         ids = landmarks.ids[seen]
         way_m = np.linalg.norm(state.anchors_of(seen).p_wc - view.p_wc, axis=1)
+        self._told.intersection_update(landmarks.ids.tolist())
         self._told.update(ids[way_m * state.features[seen, 2] > MIN_BASELINE].tolist())
-        self._tells = sum(feature in self._told for feature in ids.tolist()) > len(seen) / 2
-        return self._tells
+        self.tells = sum(feature in self._told for feature in ids.tolist()) > len(seen) / 2
 
 
 def weighted_scores(stats: UpdateStats, weights: Array) -> UpdateStats:

@@ -110,7 +110,7 @@ class EkfSlam:
         self._motion = PoseMotion(np.zeros(6), np.zeros(6))
         self._way_noise_m: Array | None = None
         self._stretch_by_values: Array | None = None
-        self._has_moved, self._telling_way, self.wheel_noise = False, TellingWay(), WheelNoise(config.wheels)
+        self._telling_way, self.wheel_noise = TellingWay(), WheelNoise(config.wheels)
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
         self._moving, self._sliding, self._resting_view = MovingFeatures(), SlidingPoints(), RestingView()
@@ -259,7 +259,7 @@ class EkfSlam:
         update = self._update_from_image(seen, is_at_rest=is_at_rest)
         event = self._slip_watch.event(update, self.state.t_ns)
         if self._map_watch.is_lost(update, self.pixel_noise):
-            self.state, event, self._has_moved = forget_all(self.state), MAP_DROPPED, False
+            self.state, event, self._telling_way = forget_all(self.state), MAP_DROPPED, TellingWay()
         return update, event
 
     def _update_from_image(self, observations: FeatureObservations, *, is_at_rest: bool) -> MeasurementUpdate:
@@ -276,7 +276,7 @@ class EkfSlam:
         self._way_noise_m = None
         if update.used:
             self.wheel_noise.learn(update.by_position, float(self.state.mean[YAW]))
-        self._has_moved = self._telling_way.tells(self.state, model.view)
+        self._telling_way.see(self.state, model.view)
         if not is_at_rest and self._agrees(update) and len(ids := self._sliding.find(self.state)):
             self._moving.add(ids)
             self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])
@@ -332,7 +332,7 @@ class EkfSlam:
             way_noise_m=self._way_noise_m,
             stretch_by_values=self._stretch_by_values,
             interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
-            has_moved=self._has_moved or not self.parametrisation.is_anchored,
+            has_moved=self._telling_way.tells or not self.parametrisation.is_anchored,
             errors_repeat=self._errors_repeat(),
             is_known=is_known,
             stays=stays and self.parametrisation.is_anchored,
@@ -394,7 +394,7 @@ class EkfSlam:
     def start_new_time_base(self, t_ns: int) -> None:
         """Keep the calibration and drop the map: the motion during the step of the clock is unknown."""
         self._rest, self._steady = RestDetector(), SteadyRate()
-        self._has_moved, self._way_noise_m = False, None
+        self._telling_way, self._way_noise_m = TellingWay(), None
         self.wheel_noise.forget()
         self._heading.forget_alignment()
         self.state = inflate_after_gap(forget_all(self.state), t_ns)

@@ -14,8 +14,9 @@ from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.camera_watch import CameraWatch
 from gyrocal_ros.ekf.heading import HeadingReference
+from gyrocal_ros.ekf.noise_bank import NoiseBank
 from gyrocal_ros.ekf.scale_watch import DRIFT_STD, USUAL_DRIFT_STD, ScaleChange, ScaleWatch
-from gyrocal_ros.ekf.state import SCALE, State
+from gyrocal_ros.ekf.state import SCALE, YAW, State
 from gyrocal_ros.ekf.update import UpdateStats
 
 REPEATED_PART, MAX_REPEATED_PX = 0.8, 0.12
@@ -72,6 +73,7 @@ class CalibrationWatch:
             known_std,
             is_stored=is_stored,
         )
+        self._noise = NoiseBank(state) if heading is None else None  # beside a heading the filter learns it
         self._follows_changes = follows_changes
         self._has_told, self.finding = False, ''
         """What is wrong with the camera or the heading reference; empty where nothing is."""
@@ -86,25 +88,28 @@ class CalibrationWatch:
 
     def test(
         self,
+        before: State,
+        predicted: State,
         state: State,
         duration_s: float,
         updates: tuple[UpdateStats, ...],
-        turned_rad: float,
         pixel_noise_px: float,
     ) -> tuple[State, Suspicions]:
         """Return the state after the tests of one step, and what they have found.
 
         Args:
-            state: after the updates.
+            before: state before the step.
+            predicted: the predicted one.
+            state: the one after the updates.
             duration_s: length of the step.
             updates: its updates, the last one by the image or the heading.
-            turned_rad: by how much the robot has turned in it.
             pixel_noise_px: learned noise of a feature.
         """
         camera = self._camera
         if camera is not None:
             camera.add(updates)
         sums = None if camera is None else camera.sums
+        turned_rad = abs(float(predicted.mean[YAW] - before.mean[YAW]))
         repeated_rad = min(REPEATED_PART * pixel_noise_px, MAX_REPEATED_PX) / self._focal_px
         change = self._scale.add(duration_s, updates, sums, turned_rad, repeated_rad)
         follows, events = self._follows_changes and self._scale.is_settled, []
@@ -113,6 +118,8 @@ class CalibrationWatch:
             if camera is not None:
                 camera.restart()
             events += [str(change)] if change.was_calibrated else []
+        if self._noise is not None:
+            self._noise.add(before, predicted, state, duration_s)
         std = self._suspected_std(state, duration_s)
         if self.finding and not self._has_told:
             events.append(self.finding)
@@ -131,4 +138,4 @@ class CalibrationWatch:
         elif self._heading is not None:
             self.finding = self._heading.finding
             std = np.hypot(std, self._heading.suspected_std(self._unknown_std))
-        return std
+        return std if self._noise is None else np.hypot(std, self._noise.unexpected_std(state))

@@ -173,9 +173,9 @@ class EkfSlam:
         update, event = self._measure(seen, is_at_rest=resting.dof > 0)
 
         # Tests: the scale factor may have changed, an earlier calibration or the camera may be wrong.
-        turned_rad = abs(float(predicted.mean[YAW] - before.mean[YAW]))
+        stats = resting, update.stats
         self.state, suspicions = self._watch.test(
-            self.state, block.duration_s, (resting, update.stats), turned_rad, self.pixel_noise.std
+            before, predicted, self.state, block.duration_s, stats, self.pixel_noise.std
         )
 
         pause, self._pause = self._pause, ''

@@ -1,0 +1,140 @@
+"""Is the gyro noisier than the settings say? Filters with other noise, side by side with the filter.
+
+The filter believes the noise of its settings, and its standard deviations are as wrong as these. What the
+measurements of a few seconds say of yaw bias and coefficients follows from the estimates before and after
+them. Small filters of these alone take it in, one for each of several alternatives of the white noise and of
+the random walk of the bias (multiple-model estimation, Magill 1965). The estimate of the filter stays as it
+is. Its expected squared error over the alternatives, each as likely as it predicts the measurements, tells by
+how much its variance is too small.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.positive_definite import whitener
+from gyrocal_ros.ekf.state import YAW_BIAS, State
+from gyrocal_ros.statistics import chi_square_quantile
+
+WINDOW_S = 5.0
+"""Time whose measurements count together: errors of the heading at its ends hardly matter then."""
+WHITE, WALK = (0.25, 0.5, 1.0, 2.0, 4.0), (1.0, 4.0, 16.0, 64.0)
+"""Variances of the white noise and of the random walk of the bias, relative to those of the filter."""
+USUAL_FACTOR = 2.0
+"""Factor on a standard deviation of the settings within which most gyros are: one standard deviation."""
+FORMING = 0.75
+"""Part of a variance by which a window, such as the first turn, forms an estimate. The filter is not linear
+there, so it says nothing of the noise."""
+LEAST_TOLD = 1e-6
+"""Part of a variance that a window has to take away to say anything."""
+OUTLYING = 1e-4
+"""Probability by chance of what the measurements of a window say, from which they count no more."""
+GROWN = 1.5
+"""Variance, relative to the expected one, from which the filter has let an estimate go."""
+
+_WHITE, _WALK = (axis.ravel() for axis in np.meshgrid(WHITE, WALK))
+_LOG_PRIOR = -0.5 * sum((0.5 * np.log(ratio) / math.log(USUAL_FACTOR)) ** 2 for ratio in (_WHITE, _WALK))
+
+
+class NoiseBank:
+    """Compares a = 20 alternatives of the noise of the gyro.
+
+    Args:
+        state: initial state of the filter.
+    """
+
+    def __init__(self, state: State) -> None:
+        self._log_likelihoods = np.zeros(len(_WHITE))
+        self._time_s = 0.0
+        self._relative_std: Array = np.zeros(1 + state.coefficient_count)
+        self._free = np.flatnonzero(state.covariance.diagonal()[YAW_BIAS : state.robot_size])
+        self._begin(*self._learned(state))
+
+    @property
+    def weights(self) -> Array:
+        """(a,) probabilities of the alternatives."""
+        log_weights = _LOG_PRIOR + self._log_likelihoods
+        weights: Array = np.exp(log_weights - log_weights.max())
+        return weights / weights.sum()
+
+    def add(self, before: State, predicted: State, state: State, duration_s: float) -> None:
+        """Take a step of the filter: the state before it, the predicted one and that after it; its length."""
+        grown = predicted.covariance.diagonal() - before.covariance.diagonal()
+        self._grown += grown[YAW_BIAS + self._free]  # the random walks
+        self._time_s += duration_s
+        if self._time_s < WINDOW_S:
+            return
+        self._time_s = 0.0
+        mean, covariance = self._learned(state)
+        expected = self._covariance + np.diag(self._grown)
+        if (covariance.diagonal() > GROWN * expected.diagonal()).any():
+            self._begin(mean, covariance)
+            self._relative_std[:] = 0.0
+            return
+        self._update(mean - self._mean, covariance, expected)
+        self._expect(mean, covariance)
+        errors = self._covariances.diagonal(axis1=1, axis2=2) + (self._means - mean) ** 2
+        excess = self.weights @ errors / covariance.diagonal() - 1.0
+        self._relative_std[self._free] = np.sqrt(np.maximum(excess, 0.0))
+
+    def unexpected_std(self, state: State) -> Array:
+        """Return the standard deviations (1 + k,) of the errors by noise that the filter does not expect."""
+        std: Array = self._relative_std * np.sqrt(state.covariance.diagonal()[YAW_BIAS : state.robot_size])
+        return std
+
+    def _learned(self, state: State) -> tuple[Array, Array]:
+        """Return mean (d,) and covariance of yaw bias and coefficients that are not known exactly."""
+        places = YAW_BIAS + self._free
+        return state.mean[places], state.covariance[np.ix_(places, places)]
+
+    def _begin(self, mean: Array, covariance: Array) -> None:
+        """Begin with an estimate that holds for all alternatives."""
+        self._expect(mean, covariance)
+        self._means: Array = np.tile(mean, (len(_WHITE), 1))
+        self._covariances: Array = np.tile(covariance, (len(_WHITE), 1, 1))
+
+    def _expect(self, mean: Array, covariance: Array) -> None:
+        """Remember the estimate of the filter before the measurements of a window."""
+        self._mean: Array = mean
+        self._covariance: Array = covariance
+        self._grown: Array = np.zeros_like(mean)
+
+    def _update(self, change: Array, covariance: Array, expected: Array) -> None:
+        """Update all alternatives by what the measurements of a window say.
+
+        In coordinates T x in which `expected` is the unit matrix and `covariance` is diagonal, with b < 1 on
+        the diagonal, each is measured by itself: with variance b / (1 - b), and the value that moves the
+        estimate of the filter by its change.
+
+        Args:
+            change: (d,) of that estimate.
+            covariance: (d, d) after the measurements.
+            expected: (d, d) before them.
+
+        Raises:
+            FilterDivergedError: `expected` is not positive definite.
+        """
+        whitening = whitener(expected)
+        left, axes = np.linalg.eigh(whitening @ covariance @ whitening.T)
+        told = left < 1.0 - LEAST_TOLD
+        left, T = np.maximum(left[told], LEAST_TOLD), axes.T[told] @ whitening
+
+        grown, each = np.tile(self._grown, (len(_WALK), 1)), np.arange(len(change))
+        grown[:, 0] *= _WALK  # the bias is the first
+        self._covariances[:, each, each] += grown
+        residual = T @ change / (1.0 - left) - (self._means - self._mean) @ T.T
+        numerator = T @ self._covariances
+        S = numerator @ T.T + (_WHITE[:, None] * left / (1.0 - left))[:, :, None] * np.eye(len(left))
+        precision = np.linalg.inv(S)
+        gain = numerator.transpose(0, 2, 1) @ precision
+        self._means = self._means + (gain @ residual[:, :, None])[:, :, 0]
+        self._covariances = self._covariances - gain @ numerator
+
+        if len(left) and (left > 1.0 - FORMING).all():
+            distances = np.einsum('ai,aij,aj->a', residual, precision, residual)
+            largest = chi_square_quantile(1.0 - OUTLYING, len(left))
+            log_determinants = np.linalg.slogdet(S)[1]
+            self._log_likelihoods -= 0.5 * (np.minimum(distances, largest) + log_determinants)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,11 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.noise_bank import WALK, WHITE, NoiseBank
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import SCALE, YAW_BIAS, State
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import conclude
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.sensors import with_bias_walk
+from gyrocal_ros.sim.world import SimSource
 
 WALK_RAD_S, WHITE_RAD_S = 4e-6, 1e-4
 """Random walk in a second and noise of the mean rate of a second that the filter expects."""
@@ -91,6 +97,31 @@ def test_the_likeliest_alternative_is_the_true_noise() -> None:
     by_walk, by_white = weights.reshape(len(WALK), len(WHITE)).sum(axis=1), weights.reshape(-1, len(WHITE))
     assert WALK[int(np.argmax(by_walk))] == 16.0
     assert WHITE[int(np.argmax(by_white.sum(axis=0)))] == 1.0
+
+
+@pytest.mark.parametrize(('walk', 'least'), [(1.0, 1.0), (8.0, 2.0)])
+def test_a_walk_is_told_where_it_is_certain(walk: float, least: float) -> None:
+    told = []
+    for seed in range(10):
+        bank = NoiseBank(initial())
+        for before, predicted, state, _ in filtered(walk, 1.0, seed):
+            bank.add(before, predicted, state, 1.0)
+        told.append(bank.least_walk)
+    assert np.median(told) >= least
+    assert max(told) <= walk
+
+
+@pytest.mark.slow
+def test_a_robot_reports_that_its_bias_walks_more_than_set() -> None:
+    """Once for each factor, and its standard deviation is larger than that of the filter."""
+    scenario, set_walk = replace(find_scenario('cleaning'), duration_s=120.0), Config().gyro.bias_walk_deg_s
+    errors = with_bias_walk(scenario.errors, 16.0 * set_walk, bounded_s=1e5)
+    simulated = SimSource(replace(scenario, errors=errors), seed=1)
+    run = calibrate(simulated, Config(), default_model(), follows_changes=True)
+    events = [event.text for event in run.events if 'bias_walk_deg_s' in event.text]
+    assert events
+    assert len(events) == len(set(events))
+    assert conclude(run).stds[0] > 1.5 * run.history.std[-1, YAW_BIAS]
 
 
 def test_a_coefficient_that_is_not_measured_keeps_its_standard_deviation() -> None:

@@ -6,6 +6,7 @@ scale factor that has changed is followed where that is wanted.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,6 +75,7 @@ class CalibrationWatch:
             is_stored=is_stored,
         )
         self._noise = NoiseBank(state) if heading is None else None  # beside a heading the filter learns it
+        self._least_walk = 1.0
         self._follows_changes = follows_changes
         self._has_told, self.finding = False, ''
         """What is wrong with the camera or the heading reference; empty where nothing is."""
@@ -120,12 +122,22 @@ class CalibrationWatch:
             events += [str(change)] if change.was_calibrated else []
         if self._noise is not None:
             self._noise.add(before, predicted, state, duration_s)
+            events += self._told_walk(self._noise.least_walk)
         std = self._suspected_std(state, duration_s)
         if self.finding and not self._has_told:
             events.append(self.finding)
             self._has_told = True
         state = self._scale.renew(state, duration_s)
         return state, Suspicions(std, change, follows, '; '.join(events))
+
+    def _told_walk(self, least: float) -> Iterator[str]:
+        """Yield the random walk of the bias, relative to the settings, if it is larger than before."""
+        if least > self._least_walk:
+            self._least_walk = least
+            yield (
+                f'the bias of the gyro walks at least {least:.0f} times as much as the setting '
+                'gyro.bias_walk_deg_s; `gyrocal diagnose` looks for the cause'
+            )
 
     def _suspected_std(self, state: State, duration_s: float) -> Array:
         """Return the standard deviations by suspected errors, and note what is wrong."""

@@ -32,6 +32,8 @@ LEAST_TOLD = 1e-6
 """Part of a variance that a window has to take away to say anything."""
 OUTLYING = 1e-4
 """Probability by chance of what the measurements of a window say, from which they count no more."""
+CERTAIN = 0.99
+"""Probability from which the bias is said to walk more than the settings say."""
 GROWN = 1.5
 """Variance, relative to the expected one, from which the filter has let an estimate go."""
 
@@ -49,6 +51,8 @@ class NoiseBank:
     def __init__(self, state: State) -> None:
         self._log_likelihoods = np.zeros(len(_WHITE))
         self._time_s = 0.0
+        self.least_walk = 1.0
+        """Random walk of the bias, relative to that of the filter, that is certain; 1 or more."""
         self._relative_std: Array = np.zeros(1 + state.coefficient_count)
         self._free = np.flatnonzero(state.covariance.diagonal()[YAW_BIAS : state.robot_size])
         self._begin(*self._learned(state))
@@ -77,7 +81,10 @@ class NoiseBank:
         self._update(mean - self._mean, covariance, expected)
         self._expect(mean, covariance)
         errors = self._covariances.diagonal(axis1=1, axis2=2) + (self._means - mean) ** 2
-        excess = self.weights @ errors / covariance.diagonal() - 1.0
+        weights = self.weights
+        certain = [walk for walk in WALK if weights[walk <= _WALK].sum() >= CERTAIN]
+        self.least_walk = math.sqrt(max(certain, default=1.0))
+        excess = weights @ errors / covariance.diagonal() - 1.0
         self._relative_std[self._free] = np.sqrt(np.maximum(excess, 0.0))
 
     def unexpected_std(self, state: State) -> Array:

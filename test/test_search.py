@@ -28,6 +28,7 @@ from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import examine, with_effect
 from gyrocal_ros.diagnose.improvement import improvement
+from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.search import continued, search, try_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
@@ -423,6 +424,24 @@ class TestSearch:
         assert found.first.ranked[0].effect.name == 'gyro_lag'
         assert found.additions[0].effect.name == unbent_by and found.additions[0].is_kept
         assert found.first.unexplained_structure is not None and found.last.unexplained_structure is None
+
+    @pytest.mark.parametrize(
+        ('fit', 'is_added'),
+        [
+            (ModelFit((), True, 1.0), True),
+            (ModelFit((), True, 2.0), False),
+            (ModelFit(('the estimates change',), True, 1.0), False),
+            (ModelFit((), False), False),
+        ],
+    )
+    def test_an_effect_that_leaves_only_noise_is_added_whatever_structure_is_left(
+        self, fit: ModelFit, is_added: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.model_fit', lambda run: fit)
+        fake = FakeFilter({'gyro_lag': 0.8}, {'gyro_lag': 40.0}, knocked())
+        found = search(default_model(), AT_REST, fake)
+        assert found.first.unexplained_structure is not None
+        assert [item.effect.name for item in found.additions] == ['gyro_lag'] * is_added
 
     def test_structure_that_the_headings_alone_show_is_ignored(self) -> None:
         found = search(default_model(), AT_REST, FakeFilter({}, {}, knocked()))

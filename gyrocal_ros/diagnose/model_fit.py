@@ -33,6 +33,8 @@ class ModelFit:
     """Contradictions, as clauses; empty without."""
     is_judged: bool
     """True if the recording is long enough to tell."""
+    drift_ratio: float = math.nan
+    """Held-out blind drift relative to what noise explains; NaN where there is no span."""
 
     @property
     def fits(self) -> bool | None:
@@ -44,8 +46,10 @@ def model_fit(run: Run) -> ModelFit:
     """Compare innovations, scatter of the estimates and held-out blind drift with what noise explains."""
     scatter, _ = scatter_of(run)
     drift = blind_drift(run, from_s=held_out_from_s(run))
+    by_noise_deg = drift_by_noise_deg(run, drift)
     is_judged = scatter.is_judged and len(drift.error_rad) > 0
-    return ModelFit(tuple(_misfits(run, scatter, drift)), is_judged)
+    misfits = tuple(_misfits(run, scatter, drift.rms_deg, by_noise_deg))
+    return ModelFit(misfits, is_judged, drift.rms_deg / by_noise_deg)
 
 
 def excess_nis(run: Run) -> float:
@@ -77,7 +81,7 @@ def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
     return float(np.degrees(np.sqrt(np.mean(variance)))) if len(variance) else math.nan
 
 
-def _misfits(run: Run, scatter: Scatter, drift: BlindDrift) -> Iterator[str]:
+def _misfits(run: Run, scatter: Scatter, drift_deg: float, by_noise_deg: float) -> Iterator[str]:
     if fault := mounting_fault(run):
         yield fault
     nis, limit = nis_per_dof(run.history.nis, run.history.dof), run.config.convergence.nis_high
@@ -95,9 +99,8 @@ def _misfits(run: Run, scatter: Scatter, drift: BlindDrift) -> Iterator[str]:
             'from stretch to stretch the estimates change by '
             f'{scatter.inflation.max():.0f} times what the filter expects'
         )
-    by_noise_deg = drift_by_noise_deg(run, drift)
-    if drift.rms_deg > MAX_DRIFT_RATIO * by_noise_deg:
+    if drift_deg > MAX_DRIFT_RATIO * by_noise_deg:
         yield (
-            f'the heading drifts by {drift.rms_deg:.2f} deg in {SPAN_S:.0f} s without the camera, of which '
-            f'noise explains {by_noise_deg:.2f} deg'
+            f'the heading drifts by {drift_deg:.2f} deg in {SPAN_S:.0f} s without the camera, of which noise '
+            f'explains {by_noise_deg:.2f} deg'
         )

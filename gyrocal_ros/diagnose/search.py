@@ -26,6 +26,7 @@ from gyrocal_ros.diagnose.limit_runs import (
     with_limit,
 )
 from gyrocal_ros.diagnose.limit_sizes import resized
+from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.one_more import with_one_more
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.ranking import (
@@ -48,6 +49,8 @@ from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
 
 MAX_ADDITIONS = 6
 """Number of effects that a search tries to add."""
+DRIFT_BY_NOISE = 1.2
+"""Held-out drift, relative to what noise explains, up to which noise explains all of it."""
 MAX_TRIES = 2
 """Number of times that one effect is tried: one that was rejected may help beside others found since."""
 
@@ -310,9 +313,15 @@ def _with_best(
 
 
 def _explains_structure(added: Addition) -> bool:
-    """Return True if a run with an effect leaves little of the unexplained structure."""
+    """Return True if a run with an effect leaves little of the unexplained structure, or only noise.
+
+    The headings of a robot whose map is uncertain for long contain structure of the map.
+    """
     assert added.before is not None and added.before.unexplained_structure is not None
     after, settings = added.after, added.after.settings
+    judged = model_fit(after.run)
+    if judged.fits and judged.drift_ratio <= DRIFT_BY_NOISE:
+        return True
     left = unexplained_structure(after.run, after.seen, settings)
     return left is None or left.gain <= settings.leftover_part * added.before.unexplained_structure.gain
 

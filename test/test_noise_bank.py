@@ -37,8 +37,8 @@ def with_bias(state: State, mean: float, variance: float) -> State:
     return changed(state, mean=means, covariance=covariance)
 
 
-def filtered(walk: float, white: float, seed: int) -> Iterator[tuple[State, State, State, float]]:
-    """Yield the states before, predicted and after each step of a filter of the bias, and the true bias.
+def filtered(walk: float, white: float, seed: int) -> Iterator[tuple[State, State, float]]:
+    """Yield the states predicted and after each step of a filter of the bias, and the true bias.
 
     Args:
         walk: factor on the true random walk, relative to the expected one.
@@ -49,12 +49,12 @@ def filtered(walk: float, white: float, seed: int) -> Iterator[tuple[State, Stat
     for _ in range(STEPS):
         bias += walk * WALK_RAD_S * rng.normal()
         measured = bias + white * WHITE_RAD_S * rng.normal()
-        before, mean = state, state.mean[YAW_BIAS]
+        mean = state.mean[YAW_BIAS]
         variance = state.covariance[YAW_BIAS, YAW_BIAS] + WALK_RAD_S**2
         predicted = with_bias(state, mean, variance)
         gain = variance / (variance + WHITE_RAD_S**2)
         state = with_bias(state, mean + gain * (measured - mean), (1.0 - gain) * variance)
-        yield before, predicted, state, bias
+        yield predicted, state, bias
 
 
 def errors(walk: float, white: float) -> np.ndarray:
@@ -63,9 +63,9 @@ def errors(walk: float, white: float) -> np.ndarray:
     for seed in range(40):
         bank = NoiseBank(initial())
         steps = [*filtered(walk, white, seed)]
-        for before, predicted, state, _ in steps:
-            bank.add(before, predicted, state, 1.0)
-        state, bias = steps[-1][2:]
+        for predicted, state, _ in steps:
+            bank.add(predicted, state, 1.0)
+        state, bias = steps[-1][1:]
         error, std = state.mean[YAW_BIAS] - bias, math.sqrt(state.covariance[YAW_BIAS, YAW_BIAS])
         found.append((error / std, error / math.hypot(std, bank.unexpected_std(state)[0])))
     return np.array(found)
@@ -91,8 +91,8 @@ def test_the_likeliest_alternative_is_the_true_noise() -> None:
     weights = np.zeros(len(WHITE) * len(WALK))
     for seed in range(20):
         bank = NoiseBank(initial())
-        for before, predicted, state, _ in filtered(4.0, 1.0, seed):
-            bank.add(before, predicted, state, 1.0)
+        for predicted, state, _ in filtered(4.0, 1.0, seed):
+            bank.add(predicted, state, 1.0)
         weights += bank.weights / 20
     by_walk, by_white = weights.reshape(len(WALK), len(WHITE)).sum(axis=1), weights.reshape(-1, len(WHITE))
     assert WALK[int(np.argmax(by_walk))] == 16.0
@@ -104,8 +104,8 @@ def test_a_walk_is_told_where_it_is_certain(walk: float, least: float) -> None:
     told = []
     for seed in range(10):
         bank = NoiseBank(initial())
-        for before, predicted, state, _ in filtered(walk, 1.0, seed):
-            bank.add(before, predicted, state, 1.0)
+        for predicted, state, _ in filtered(walk, 1.0, seed):
+            bank.add(predicted, state, 1.0)
         told.append(bank.least_walk)
     assert np.median(told) >= least
     assert max(told) <= walk
@@ -126,8 +126,8 @@ def test_a_robot_reports_that_its_bias_walks_more_than_set() -> None:
 
 def test_a_coefficient_that_is_not_measured_keeps_its_standard_deviation() -> None:
     bank = NoiseBank(initial())
-    for before, predicted, state, _ in filtered(4.0, 1.0, seed=0):
-        bank.add(before, predicted, state, 1.0)
+    for predicted, state, _ in filtered(4.0, 1.0, seed=0):
+        bank.add(predicted, state, 1.0)
     assert bank.unexpected_std(state)[0] > 0.0
     assert bank.unexpected_std(state)[SCALE] < 1e-6 * math.sqrt(
         state.covariance[YAW_BIAS + SCALE, YAW_BIAS + SCALE]
@@ -136,8 +136,8 @@ def test_a_coefficient_that_is_not_measured_keeps_its_standard_deviation() -> No
 
 def test_a_window_that_forms_the_estimate_says_nothing() -> None:
     bank, start = NoiseBank(initial()), NoiseBank(initial()).weights
-    for step, (before, predicted, state, _) in enumerate(filtered(64.0, 1.0, seed=0)):
-        bank.add(before, predicted, state, 1.0)
+    for step, (predicted, state, _) in enumerate(filtered(64.0, 1.0, seed=0)):
+        bank.add(predicted, state, 1.0)
         if step == 4:
             assert (bank.weights == start).all()
     assert (bank.weights != start).any()
@@ -146,10 +146,10 @@ def test_a_window_that_forms_the_estimate_says_nothing() -> None:
 def test_an_estimate_that_is_let_go_begins_again() -> None:
     """A scale factor that has changed is followed: what was known of it before says nothing any more."""
     bank = NoiseBank(initial())
-    for step, (before, predicted, state, _) in enumerate(filtered(1.0, 1.0, seed=0)):
+    for step, (predicted, state, _) in enumerate(filtered(1.0, 1.0, seed=0)):
         if step == 59:
             state = with_bias(state, 1.0, 1.0)
-        bank.add(before, predicted, state, 1.0)
+        bank.add(predicted, state, 1.0)
         if step == 59:
             break
     assert (bank.unexpected_std(state) == 0.0).all()
@@ -160,7 +160,15 @@ def test_a_coefficient_that_is_known_exactly_stays_so() -> None:
     known = start.covariance.copy()
     known[YAW_BIAS + SCALE] = known[:, YAW_BIAS + SCALE] = 0.0
     bank = NoiseBank(changed(start, covariance=known))
-    for before, predicted, state, _ in filtered(4.0, 1.0, seed=0):
-        bank.add(before, predicted, changed(state, covariance=state.covariance * (known > 0.0)), 1.0)
+    for predicted, state, _ in filtered(4.0, 1.0, seed=0):
+        bank.add(predicted, changed(state, covariance=state.covariance * (known > 0.0)), 1.0)
     assert bank.unexpected_std(state)[0] > 0.0
     assert bank.unexpected_std(state)[SCALE] == 0.0
+
+
+def test_what_is_added_to_an_earlier_calibration_is_uncertain_with_any_noise() -> None:
+    """A bias that was known before the robot was off is not known any more."""
+    bank = NoiseBank(with_bias(initial(), 0.01, 1e-14))
+    for predicted, state, _ in filtered(1.0, 1.0, seed=0):
+        bank.add(predicted, state, 1.0)
+    assert bank.unexpected_std(state)[0] < math.sqrt(state.covariance[YAW_BIAS, YAW_BIAS])

@@ -119,9 +119,11 @@ class CalibrationWatch:
             state = self._scale.follow(state, change)
             if camera is not None:
                 camera.restart()
+            if self._noise is not None:
+                self._noise.begin(state)
             events += [str(change)] if change.was_calibrated else []
         if self._noise is not None:
-            self._noise.add(before, predicted, state, duration_s)
+            self._noise.add(predicted, state, duration_s)
             events += self._told_walk(self._noise.least_walk)
         std = self._suspected_std(state, duration_s)
         if self.finding and not self._has_told:

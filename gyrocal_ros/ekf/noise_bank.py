@@ -50,12 +50,12 @@ class NoiseBank:
 
     def __init__(self, state: State) -> None:
         self._log_likelihoods = np.zeros(len(_WHITE))
-        self._time_s = 0.0
         self.least_walk = 1.0
         """Random walk of the bias, relative to that of the filter, that is certain; 1 or more."""
         self._relative_std: Array = np.zeros(1 + state.coefficient_count)
         self._free = np.flatnonzero(state.covariance.diagonal()[YAW_BIAS : state.robot_size])
-        self._begin(*self._learned(state))
+        self._last: Array = self._variances(state)
+        self.begin(state)
 
     @property
     def weights(self) -> Array:
@@ -64,22 +64,31 @@ class NoiseBank:
         weights: Array = np.exp(log_weights - log_weights.max())
         return weights / weights.sum()
 
-    def add(self, before: State, predicted: State, state: State, duration_s: float) -> None:
-        """Take a step of the filter: the state before it, the predicted one and that after it; its length."""
-        grown = predicted.covariance.diagonal() - before.covariance.diagonal()
-        self._grown += grown[YAW_BIAS + self._free]  # the random walks
+    def begin(self, state: State) -> None:
+        """Begin with an estimate of the filter that holds whatever the noise is."""
+        mean, covariance = self._learned(state)
+        self._expect(mean, covariance)
+        self._means: Array = np.tile(mean, (len(_WHITE), 1))
+        self._covariances: Array = np.tile(covariance, (len(_WHITE), 1, 1))
+        self._relative_std[:] = 0.0
+        self._time_s = 0.0
+
+    def add(self, predicted: State, state: State, duration_s: float) -> None:
+        """Take a step of the filter: the predicted state and that after the measurements, and its length."""
+        # Random walks, and what ageing and warming add at the start.
+        self._grown += np.maximum(self._variances(predicted) - self._last, 0.0)
+        self._last = self._variances(state)
         self._time_s += duration_s
         if self._time_s < WINDOW_S:
             return
-        self._time_s = 0.0
         mean, covariance = self._learned(state)
         expected = self._covariance + np.diag(self._grown)
         if (covariance.diagonal() > GROWN * expected.diagonal()).any():
-            self._begin(mean, covariance)
-            self._relative_std[:] = 0.0
+            self.begin(state)
             return
         self._update(mean - self._mean, covariance, expected)
         self._expect(mean, covariance)
+        self._time_s = 0.0
         errors = self._covariances.diagonal(axis1=1, axis2=2) + (self._means - mean) ** 2
         weights = self.weights
         certain = [walk for walk in WALK if weights[walk <= _WALK].sum() >= CERTAIN]
@@ -97,16 +106,15 @@ class NoiseBank:
         places = YAW_BIAS + self._free
         return state.mean[places], state.covariance[np.ix_(places, places)]
 
-    def _begin(self, mean: Array, covariance: Array) -> None:
-        """Begin with an estimate that holds for all alternatives."""
-        self._expect(mean, covariance)
-        self._means: Array = np.tile(mean, (len(_WHITE), 1))
-        self._covariances: Array = np.tile(covariance, (len(_WHITE), 1, 1))
+    def _variances(self, state: State) -> Array:
+        """Return the variances (d,) of the same."""
+        return state.covariance.diagonal()[YAW_BIAS + self._free]
 
     def _expect(self, mean: Array, covariance: Array) -> None:
         """Remember the estimate of the filter before the measurements of a window."""
         self._mean: Array = mean
         self._covariance: Array = covariance
+        self._last = covariance.diagonal()
         self._grown: Array = np.zeros_like(mean)
 
     def _update(self, change: Array, covariance: Array, expected: Array) -> None:

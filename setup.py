@@ -6,6 +6,7 @@ from pathlib import Path
 from setuptools import Extension, find_packages, setup
 
 try:
+    import numpy
     from Cython.Build import cythonize
 except ImportError:  # the NumPy forms are used
     cythonize = None
@@ -31,9 +32,13 @@ def kernels() -> list[Extension]:
     if cythonize is None:
         return []
     files = sorted(Path(NAME, 'kernels').glob('*.pyx'))
+    settings = {
+        'include_dirs': [numpy.get_include()],
+        'define_macros': [('NPY_NO_DEPRECATED_API', 'NPY_1_7_API_VERSION')],
+        'extra_compile_args': ['-O3'],
+    }
     twins = [
-        Extension(f'{NAME}.kernels.{file.stem}', [str(file)], extra_compile_args=['-O3'], optional=True)
-        for file in files
+        Extension(f'{NAME}.kernels.{file.stem}', [str(file)], **settings, optional=True) for file in files
     ]
     return cythonize(twins, build_dir='build', quiet=True)  # colcon reads what is printed
 
@@ -70,6 +75,7 @@ setup(
             'py.typed',
             'bench/kept.json',
             'diagnose/separability.json',
+            'kernels/*.pxd',
             'kernels/*.pyx',
             'studio/assets/*',
         ]

@@ -20,6 +20,7 @@ from gyrocal_ros import kernels
 from gyrocal_ros.data import (
     Array,
     CameraIntrinsics,
+    Mount,
     WheelSample,
     changed,
     quickly_filled,
@@ -35,9 +36,9 @@ from gyrocal_ros.ekf.state import State, no_landmarks
 from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
 from gyrocal_ros.ekf.update import Innovation
 from gyrocal_ros.errors import FilterDivergedError
-from gyrocal_ros.model.features.base import Prediction
+from gyrocal_ros.model.features.base import Anchors, Prediction, posed_camera
 from gyrocal_ros.model.gyro import Correction
-from gyrocal_ros.model.rotation import rotation_derivatives, rotation_from_euler
+from gyrocal_ros.model.rotation import rotation_from_euler
 
 Arguments = tuple[Any, ...]
 ROUNDING = 1e-12
@@ -141,16 +142,47 @@ def project_with_jacobian(
 def predict_inverse_depth(
     rng: np.random.Generator, count: int, camera: CameraIntrinsics = CAMERA
 ) -> Arguments:
-    euler_rad = rng.normal(0.0, 0.1, 3)
+    mount = Mount(rotation_from_euler(rng.normal(0.0, 0.1, 3)), rng.normal(0.0, 0.1, 3))
+    view = posed_camera(camera, mount, rng.normal(0.0, 0.1, 3), rng.normal(0.0, 0.1, 3))
     parameters = np.column_stack([rng.uniform(-1.0, 1.0, (count, 2)), rng.uniform(0.0, 1.0, count)])
-    anchors_R = np.array([rotation_from_euler(rng.normal(0.0, 0.1, 3)) for _ in range(count)])
-    anchors_p, lever, position = (
-        rng.normal(0.0, 0.1, (count, 3)),
-        rng.normal(0.0, 0.1, 3),
-        rng.normal(0.0, 0.1, 3),
+    return view, parameters, anchors(rng, count)
+
+
+def anchors(rng: np.random.Generator, count: int, widths: tuple[int, int] = (0, 0)) -> Anchors:
+    """Return anchors that coefficients of two kinds move, as many as the widths tell."""
+    attitudes = np.array([rotation_from_euler(rng.normal(0.0, 0.1, 3)) for _ in range(count)])
+    by_effects = (rng.normal(size=(count, 3, width)) for width in widths)
+    return Anchors(attitudes, rng.normal(0.0, 0.1, (count, 3)), *by_effects)
+
+
+def mapped(rng: np.random.Generator, count: int, widths: tuple[int, int, int] = (3, 4, 4)) -> State:
+    """Return a state of twice as many features, half of them seen now, and two anchors.
+
+    Its k, width of the candidates that move anchors, and c are given.
+    """
+    (k, of_candidates, c), m = widths, 2 * count
+    size = 9 + k + 3 * m + 6
+    landmarks = replace(
+        no_landmarks(),
+        ids=rng.permutation(3 * m)[:m],
+        anchors=anchors(rng, m, (k, of_candidates)),
+        anchor_rows=rng.choice([-1, 0, 1], m),
+        last_seen_ns=rng.permutation(m) % 2,
     )
-    matrices = rotation_from_euler(euler_rad), rotation_derivatives(euler_rad)
-    return camera, *matrices, position, lever, parameters, anchors_R, anchors_p
+    mean = rng.uniform(0.2, 0.6, size)
+    return State(1, mean, covariance(rng, size), k, landmarks, rng.normal(size=(size, c)))
+
+
+def features_seen(rng: np.random.Generator, count: int) -> Arguments:
+    return mapped(rng, count), rng.permutation(2 * count)[:count]
+
+
+def ids_by_way(rng: np.random.Generator, count: int) -> Arguments:
+    return mapped(rng, count), rng.normal(size=3), 0.5
+
+
+def known_anchored(rng: np.random.Generator, count: int) -> Arguments:
+    return mapped(rng, count), 2.0
 
 
 def covariance(rng: np.random.Generator, size: int) -> Array:
@@ -165,20 +197,17 @@ def noises(rng: np.random.Generator, count: int, width: int = 2) -> Array:
 def innovation_matrices(
     rng: np.random.Generator, count: int, widths: tuple[int, int, int] = (3, 4, 4)
 ) -> Arguments:
-    k, of_candidates, c = widths
-    n = 9 + k + 3 * count
-    columns = 9 + k + 3 * rng.permutation(count)
+    k, of_candidates, _ = widths
+    nothing = np.empty(0)
+    by_pose, by_feature = rng.normal(size=(count, 2, 6)), rng.normal(size=(count, 2, 3))
     return (
-        covariance(rng, n + 6),
-        rng.normal(size=(n + 6, c)),
-        columns,
-        rng.choice([-1, n, n + 3], count),
+        mapped(rng, count, widths),
+        rng.permutation(2 * count)[:count],
+        Prediction(rng.normal(size=(count, 2)), by_pose, by_feature, nothing, nothing, nothing),
         rng.normal(size=(count, 2)),
-        rng.normal(size=(count, 2, 6)),
-        rng.normal(size=(count, 2, 3)),
+        noises(rng, count),
         rng.normal(size=(count, 2, k)) if k else None,
         rng.normal(size=(count, 2, of_candidates)) if of_candidates else None,
-        noises(rng, count),
     )
 
 
@@ -365,7 +394,8 @@ def scaled_noise(rng: np.random.Generator, count: int) -> Arguments:
 
 
 def turned_camera(rng: np.random.Generator, count: int) -> Arguments:
-    return rng.normal(size=3), rotation_from_euler(rng.normal(size=3))
+    position, euler, lever = rng.normal(size=(3, 3))
+    return position, euler, rotation_from_euler(rng.normal(size=3)), lever
 
 
 Maker = Callable[[np.random.Generator, int], Arguments]
@@ -377,12 +407,15 @@ MAKERS: tuple[Maker, ...] = (
     corrected,
     corrected_rates,
     fading_memory,
+    features_seen,
     filter_headings,
     fit_heading,
     given_others,
+    ids_by_way,
     innovation_matrices,
     interpolate,
     intervals,
+    known_anchored,
     learned_noise,
     looser_pose_gain,
     low_pass,

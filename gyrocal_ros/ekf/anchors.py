@@ -19,6 +19,7 @@ from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.known_depth import camera_by_effects
 from gyrocal_ros.ekf.landmarks import with_entries, with_shared_errors
 from gyrocal_ros.ekf.state import State
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import NewFeatures
 
 KNOWN_DEPTH = 0.005
@@ -55,11 +56,22 @@ def settled(state: State) -> State:
     """Take anchors as constants where the depth of a feature is known: fewer states make a step faster."""
     if not state.has_anchors:
         return state
+    known = known_anchored(state, KNOWN_DEPTH)
+    return with_constant_anchors(state, known) if len(known) else state
+
+
+@compiled
+def known_anchored(state: State, known: float) -> IntArray:
+    """Return the features, as indices, whose anchor is a state and whose depth is known.
+
+    Args:
+        state: after an update.
+        known: relative standard deviation of a known depth.
+    """
     rows = (state.landmarks.anchor_rows >= 0).nonzero()[0]
     depths = state.robot_size + 3 * rows + 2
     stds = np.sqrt(state.covariance.diagonal()[depths])
-    known = rows[stds < KNOWN_DEPTH * np.abs(state.mean[depths])]
-    return with_constant_anchors(state, known) if len(known) else state
+    return rows[stds < known * np.abs(state.mean[depths])]
 
 
 def with_constant_anchors(state: State, rows: IntArray) -> State:

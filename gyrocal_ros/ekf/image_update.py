@@ -27,7 +27,7 @@ from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark
 from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
-from gyrocal_ros.ekf.state import POSE, YAW, State
+from gyrocal_ros.ekf.state import POSE, YAW, State, features_seen
 from gyrocal_ros.ekf.update import (
     Innovation,
     MeasurementUpdate,
@@ -39,7 +39,7 @@ from gyrocal_ros.ekf.update import (
 from gyrocal_ros.ekf.wheel_noise import PositionScore
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import bearing, project_with_jacobian
-from gyrocal_ros.model.features.base import NewFeatures, Prediction
+from gyrocal_ros.model.features.base import Anchors, NewFeatures, Prediction
 
 SHUTTER_ITERATIONS = 2
 """Iterations for where a new feature was at the stamp of an image with a rolling shutter."""
@@ -123,7 +123,8 @@ def update_from_image(
 def _match(state: State, model: ImageModel, observations: FeatureObservations) -> _Matches:
     """Find the features of the map that an image shows, and predict them."""
     known, rows = match_ids(state.landmarks.ids, observations.ids)
-    prediction = model.predict(state, state.features.take(rows, 0), state.anchors_of(rows))
+    parameters, *anchors = features_seen(state, rows)
+    prediction = model.predict(state, parameters, Anchors(*anchors))
     if model.way_noise_m is not None and model.form.is_anchored:
         prediction = at_certain_way(state, model.view, rows, prediction, model.way_noise_m)
     observed = observations if len(known) == len(observations.ids) else observations[known]
@@ -216,21 +217,7 @@ def _innovation(state: State, model: ImageModel, matches: _Matches) -> Innovatio
         noise = own_noise(noise, state.landmarks.noise, rows)
     by_values = model.by_values(prediction, state.coefficients)
     by_candidates = model.by_candidates(prediction)
-    if state.has_anchors:
-        anchors = state.landmarks.anchors
-        by_values = _with_anchors(by_values, prediction, anchors.by_values, rows)
-        by_candidates = _with_anchors(by_candidates, prediction, anchors.by_candidates, rows)
     return innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
-
-
-def _with_anchors(
-    by_effects: Array | None, prediction: Prediction, anchors_by_effects: Array, rows: IntArray
-) -> Array | None:
-    """Return the derivative (m, r, k) of a prediction by coefficients that move the anchors, too."""
-    if by_effects is None or not anchors_by_effects.shape[2]:
-        return by_effects
-    moved: Array = by_effects - prediction.by_pose[:, :, :3] @ anchors_by_effects[rows]
-    return moved
 
 
 def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:

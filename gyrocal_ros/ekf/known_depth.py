@@ -166,15 +166,27 @@ class TellingWay:
             state: after its update.
             view: the camera.
         """
-        landmarks = state.landmarks
-        seen = (landmarks.last_seen_ns == state.t_ns).nonzero()[0]
+        seen, telling = ids_by_way(state, view.p_wc, MIN_BASELINE)
         if not len(seen):
             return
-        ids = landmarks.ids[seen]
-        way_m = np.linalg.norm(state.anchors_of(seen).p_wc - view.p_wc, axis=1)
-        self._told.intersection_update(landmarks.ids.tolist())
-        self._told.update(ids[way_m * state.features[seen, 2] > MIN_BASELINE].tolist())
-        self.tells = sum(feature in self._told for feature in ids.tolist()) > len(seen) / 2
+        self._told.intersection_update(state.landmarks.ids.tolist())
+        self._told.update(telling.tolist())
+        self.tells = len(self._told.intersection(seen.tolist())) > len(seen) / 2
+
+
+@compiled
+def ids_by_way(state: State, camera_m: Array, least: float) -> tuple[IntArray, IntArray]:
+    """Return the ids of the features seen now, and of those since whose first sight the way is long enough.
+
+    Args:
+        state: after an image.
+        camera_m: (3,) where the camera is.
+        least: smallest way, relative to the depth.
+    """
+    seen = (state.landmarks.last_seen_ns == state.t_ns).nonzero()[0]
+    way_m = np.linalg.norm(state.anchors_of(seen).p_wc - camera_m, axis=1)
+    ids = state.landmarks.ids[seen]
+    return ids, ids[way_m * state.features[seen, 2] > least]
 
 
 def weighted_scores(stats: UpdateStats, weights: Array) -> UpdateStats:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, quickly_filled
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import Anchors, no_anchors
 
 POSITION = slice(0, 3)
@@ -146,13 +147,18 @@ class State:
 
     def anchors_of(self, rows: IntArray) -> Anchors:
         """Return the anchors of features at the present estimate."""
-        anchors, start = self.landmarks.anchors[rows], self.anchors_start  # a copy
-        if len(self.mean) == start:
-            return anchors
-        places = self.landmarks.anchor_rows.take(rows)
-        free = (places >= 0).nonzero()[0]
-        anchors.p_wc[free] = self.mean[start:].reshape(-1, 3)[places[free]]
-        return anchors
+        _, *anchors = features_seen(self, rows)
+        return Anchors(*anchors)
+
+
+@compiled
+def features_seen(state: State, rows: IntArray) -> tuple[Array, ...]:
+    """Return parameters (m, 3) and the fields of `Anchors` of features (m,) at the present estimate."""
+    anchors, start = state.landmarks.anchors[rows], state.anchors_start  # a copy
+    places = state.landmarks.anchor_rows[rows]
+    free = (places >= 0).nonzero()[0]
+    anchors.p_wc[free] = state.mean[start:].reshape(-1, 3)[places[free]]
+    return state.features[rows], *(getattr(anchors, item.name) for item in fields(anchors))
 
 
 def no_landmarks() -> Landmarks:

@@ -102,6 +102,11 @@ class UpdateStats:
         return -0.5 * (self.nis + self.log_determinant + self.dof * math.log(2.0 * math.pi))
 
 
+NOTHING: Array = np.empty(0)
+NO_FEATURES: IntArray = np.empty(0, np.int64)
+"""Numbers of an update that has none."""
+
+
 @quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasurementUpdate:
@@ -114,13 +119,13 @@ class MeasurementUpdate:
     on_lens: int = 0
     """Numbers of features used, rejected as outliers, not used because unmoved, added to the map, and dropped
     by the tracker because they stay in the image."""
-    dropped_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    dropped_ids: IntArray = field(default_factory=lambda: NO_FEATURES)
     """Features removed because they were outliers in several images: points that are not fixed in space."""
     stats: UpdateStats = UpdateStats()
     by_feature: FeatureScores | None = None
     """Scores of the candidates by feature, where there are candidates."""
-    used_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    given_others: Array = field(default_factory=lambda: np.empty(0))
+    used_ids: IntArray = field(default_factory=lambda: NO_FEATURES)
+    given_others: Array = field(default_factory=lambda: NOTHING)
     """Numbers of the features used, and the log-likelihood of each given the others."""
     by_position: PositionScore | None = None
     """What the image tells of the noise of the wheels; None where it tells nothing."""
@@ -128,9 +133,9 @@ class MeasurementUpdate:
     """The innovation as a heading: the rotation about the vertical that fits it best."""
     heading_std_rad: float = float('nan')
     """Its standard deviation by the measurement noise."""
-    noise_distances: Array = field(default_factory=lambda: np.empty(0))
+    noise_distances: Array = field(default_factory=lambda: NOTHING)
     """Squared distances of the features that the pixel noise dominates, see `robust.Judged`."""
-    changes_px2: Array = field(default_factory=lambda: np.empty(0))
+    changes_px2: Array = field(default_factory=lambda: NOTHING)
     """Changes of unmoved features, see `repeated_errors.Motion`."""
     slips: bool = False
     """True if the features of the image contradict the way by the wheels alone, see `robust.consensus`."""
@@ -157,66 +162,52 @@ def innovate(
         prediction: prediction of them by the map.
         measured: (m, r)
         noise: (m, r, r) R of each.
-        by_values: (m, r, k) derivative of the prediction by the coefficients; None for zero.
+        by_values: (m, r, k) derivative of the prediction by the coefficients, with the anchors where they
+            are; None for zero.
         by_candidates: (m, r, c) the same by effects that the model lacks.
     """
-    residual = measured - prediction.expected
-    stacked, covariance = innovation_matrices(
-        state.covariance,
-        state.sensitivity,
-        state.robot_size + 3 * rows,
-        state.anchor_columns(rows),
-        residual,
-        prediction.by_pose,
-        prediction.by_feature,
-        by_values,
-        by_candidates,
-        noise,
+    residual, stacked, covariance = innovation_matrices(
+        state, rows, prediction, measured, noise, by_values, by_candidates
     )
     return Innovation(rows, residual, prediction, stacked, covariance, noise, len(state.mean))
 
 
 @compiled
 def innovation_matrices(
-    covariance: Array,
-    sensitivity: Array,
-    columns: IntArray,
-    anchor_columns: IntArray,
-    residual: Array,
-    by_pose: Array,
-    by_feature: Array,
+    state: State,
+    rows: IntArray,
+    prediction: Prediction,
+    measured: Array,
+    noise: Array,
     by_values: Array | None,
     by_candidates: Array | None,
-    noise: Array,
-) -> tuple[Array, Array]:
-    """Return H P, the innovation and G side by side (m, r, n + 1 + c), and S (m, r, m, r), see `Innovation`.
+) -> tuple[Array, Array, Array]:
+    """Return the innovation (m, r), then H P, it and G side by side (m, r, n + 1 + c), and S (m, r, m, r).
 
-    Args:
-        covariance: P (n, n).
-        sensitivity: X (n, c).
-        columns: (m,) place of each feature in the state.
-        anchor_columns: (m,) place of its anchor, whose derivative is minus that by the position; -1 for none.
-        residual: (m, r) the innovation.
-        by_pose: (m, r, 6) derivative of the prediction by the pose.
-        by_feature: (m, r, 3) by the feature.
-        by_values: (m, r, k) by the coefficients; None for zero.
-        by_candidates: (m, r, c) by the first effects that the model lacks; None for zero.
-        noise: (m, r, r) R of each.
+    The arguments are those of `innovate`.
     """
+    by_pose, by_feature, covariance = prediction.by_pose, prediction.by_feature, state.covariance
+    residual, sensitivity, anchors = (
+        measured - prediction.expected,
+        state.sensitivity,
+        state.landmarks.anchors,
+    )
     (count, width), each = residual.shape, np.arange(len(residual))
-    places = columns[:, None] + np.arange(3)
+    places = state.feature_columns(rows)
     numerator = by_pose @ covariance[:6] + by_feature @ covariance[places]
     G = by_pose @ sensitivity[:6] + by_feature @ sensitivity[places]
     if by_values is not None:
         coefficients = slice(COEFFICIENTS_START, COEFFICIENTS_START + by_values.shape[2])
+        by_values = _with_moved(state, by_values, prediction, anchors.by_values[rows])
         numerator += by_values @ covariance[coefficients]
         G += by_values @ sensitivity[coefficients]
     if by_candidates is not None:
-        G += by_candidates
-    free = (anchor_columns >= 0).nonzero()[0]
-    by_anchor, anchors = -by_pose[free, :, :3], anchor_columns[free, None] + np.arange(3)
-    numerator[free] += by_anchor @ covariance[anchors]
-    G[free] += by_anchor @ sensitivity[anchors]
+        G += _with_moved(state, by_candidates, prediction, anchors.by_candidates[rows])
+    columns = state.anchor_columns(rows)
+    free = (columns >= 0).nonzero()[0]
+    by_anchor, of_anchors = -by_pose[free, :, :3], columns[free, None] + np.arange(3)
+    numerator[free] += by_anchor @ covariance[of_anchors]
+    G[free] += by_anchor @ sensitivity[of_anchors]
     flat = numerator.reshape(count * width, len(covariance))
     S = flat[:, :6] @ by_pose.reshape(-1, 6).T
     own = flat[:, places].reshape(count * width, count, 3).transpose(1, 0, 2)
@@ -225,9 +216,17 @@ def innovation_matrices(
     if by_values is not None:
         S += flat[:, coefficients] @ by_values.reshape(count * width, -1).T
     S = S.reshape(count, width, count, width)
-    S[:, :, free] += np.einsum('prfi,fsi->prfs', numerator[:, :, anchors], by_anchor)
+    S[:, :, free] += np.einsum('prfi,fsi->prfs', numerator[:, :, of_anchors], by_anchor)
     S[each, :, each, :] += noise
-    return np.concatenate([numerator, residual[:, :, None], G], axis=2), S
+    return residual, np.concatenate([numerator, residual[:, :, None], G], axis=2), S
+
+
+def _with_moved(state: State, by_effects: Array, prediction: Prediction, anchors_by_effects: Array) -> Array:
+    """Return the derivative (m, r, k) of a prediction by effects that move the anchors by (m, 3, k), too."""
+    if not state.has_anchors or not anchors_by_effects.shape[2]:
+        return by_effects
+    moved: Array = by_effects - prediction.by_pose[:, :, :3] @ anchors_by_effects
+    return moved
 
 
 def own_precisions(innovation: Innovation) -> Array:

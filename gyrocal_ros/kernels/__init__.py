@@ -18,7 +18,17 @@ R = TypeVar('R')
 
 CHOICE = 'GYROCAL_KERNELS'
 """Name of the environment variable that selects the NumPy forms."""
-SUBJECTS = ('features', 'headings', 'landmarks', 'motion', 'records', 'references', 'robust', 'samples')
+SUBJECTS = (
+    'cameras',
+    'headings',
+    'innovations',
+    'landmarks',
+    'motion',
+    'records',
+    'references',
+    'robust',
+    'samples',
+)
 """Files of twins in this room."""
 REFERENCES: dict[str, Callable[..., Any]] = {}
 """NumPy forms by name, as they are marked."""

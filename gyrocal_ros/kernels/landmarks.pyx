@@ -1,14 +1,25 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.feature_noise`, `ekf.known_depth`, `ekf.landmarks`, `ekf.image_update`, `ekf.repeated_errors` and
-`ekf.sliding`, which explain the equations."""
+"""Twins of `ekf.state`, `ekf.anchors`, `ekf.feature_noise`, `ekf.known_depth`, `ekf.landmarks`, `ekf.image_update`,
+`ekf.repeated_errors` and `ekf.sliding`, which explain the equations."""
 
 from libc.math cimport fabs, sqrt
+from libc.string cimport memcpy
 
-import numpy as np
+cimport numpy as cnp
+from numpy cimport ndarray as Array
+
+from gyrocal_ros.kernels.arrays cimport (
+    at, at_integers, copied, cube, doubles, flags, indices, integers, length, matrix, vector
+)
+
+cnp.import_array()
 
 TWINS = (
     'changed_depths',
     'compared_depths',
+    'features_seen',
+    'ids_by_way',
+    'known_anchored',
     'learned_noise',
     'match_ids',
     'matches_counted',
@@ -17,192 +28,250 @@ TWINS = (
     'shift',
 )
 
+cdef Py_ssize_t COEFFICIENTS_START = 9
+
+
+cdef Array first_of(Array values, Py_ssize_t count):
+    """Return the first of some integers (n,)."""
+    return values if count == length(values) else values[:count]
+
+
+cdef void take(const double* rows_of, const long* rows, Py_ssize_t m, Py_ssize_t width, double* taken) noexcept nogil:
+    cdef Py_ssize_t f
+    for f in range(m):
+        memcpy(taken + f * width, rows_of + rows[f] * width, width * sizeof(double))
+
+
+def features_seen(state, rows):
+    landmarks = state.landmarks
+    anchors = landmarks.anchors
+    cdef Array mean = doubles(state.mean), which = integers(rows), anchor_rows = integers(landmarks.anchor_rows)
+    cdef Array R_wc = doubles(anchors.R_wc), p_wc = doubles(anchors.p_wc)
+    cdef Array by_values = doubles(anchors.by_values), by_candidates = doubles(anchors.by_candidates)
+    cdef Py_ssize_t M = length(anchor_rows), m = length(which), k = length(by_values, 2), c = length(by_candidates, 2)
+    cdef Py_ssize_t robot = COEFFICIENTS_START + <Py_ssize_t>state.coefficient_count, f, i
+    cdef Py_ssize_t start = robot + 3 * M, count = length(mean), place
+    cdef Array parameters = matrix(m, 3), R = cube(m, 3, 3), p = matrix(m, 3)
+    cdef Array own_values = cube(m, 3, k), own_candidates = cube(m, 3, c)
+    cdef const double* x = at(mean)
+    cdef const long* row = at_integers(which)
+    cdef const long* anchor = at_integers(anchor_rows)
+    cdef double* position = at(p)
+    take(x + robot, row, m, 3, at(parameters))
+    take(at(R_wc), row, m, 9, at(R))
+    take(at(p_wc), row, m, 3, position)
+    take(at(by_values), row, m, 3 * k, at(own_values))
+    take(at(by_candidates), row, m, 3 * c, at(own_candidates))
+    if count > start:
+        for f in range(m):
+            place = anchor[row[f]]
+            if place >= 0:
+                for i in range(3):
+                    position[3 * f + i] = x[start + 3 * place + i]
+    return parameters, R, p, own_values, own_candidates
+
+
+def ids_by_way(state, camera_m, double least):
+    landmarks = state.landmarks
+    cdef Array mean = doubles(state.mean), ids = integers(landmarks.ids), seen_ns = integers(landmarks.last_seen_ns)
+    cdef Array anchor_rows = integers(landmarks.anchor_rows), constant = doubles(landmarks.anchors.p_wc)
+    cdef Array camera = doubles(camera_m)
+    cdef Py_ssize_t M = length(ids), robot = COEFFICIENTS_START + <Py_ssize_t>state.coefficient_count, f, i
+    cdef Py_ssize_t in_view = 0, count = 0, start = robot + 3 * M
+    cdef long t_ns = state.t_ns
+    cdef double way, square
+    cdef const double* x = at(mean)
+    cdef const double* anchor
+    cdef const double* here = at(camera)
+    cdef Array seen = indices(M), far = indices(M)
+    for f in range(M):
+        if at_integers(seen_ns)[f] != t_ns:
+            continue
+        at_integers(seen)[in_view] = at_integers(ids)[f]
+        in_view += 1
+        anchor = at(constant) + 3 * f
+        if at_integers(anchor_rows)[f] >= 0:
+            anchor = x + start + 3 * at_integers(anchor_rows)[f]
+        square = 0.0
+        for i in range(3):
+            way = anchor[i] - here[i]
+            square += way * way
+        if sqrt(square) * x[robot + 3 * f + 2] > least:
+            at_integers(far)[count] = at_integers(ids)[f]
+            count += 1
+    return first_of(seen, in_view), first_of(far, count)
+
+
+def known_anchored(state, double known):
+    cdef Array mean = doubles(state.mean), P = doubles(state.covariance)
+    cdef Array anchor_rows = integers(state.landmarks.anchor_rows), rows = indices(length(anchor_rows))
+    cdef Py_ssize_t n = length(mean), depth = COEFFICIENTS_START + <Py_ssize_t>state.coefficient_count + 2, f, count = 0
+    for f in range(length(anchor_rows)):
+        if at_integers(anchor_rows)[f] >= 0 and sqrt(at(P)[depth * (n + 1)]) < known * fabs(at(mean)[depth]):
+            at_integers(rows)[count] = f
+            count += 1
+        depth += 3
+    return first_of(rows, count)
+
 
 def learned_noise(
-    const double[:] weights,
-    const double[:] sums,
-    const long[:] rows,
-    const double[:] distances,
-    const double[:] noise_share,
+    weights,
+    sums,
+    rows,
+    distances,
+    noise_share,
     double prior,
     double min_factor,
     double max_error,
     double kept,
     double dof,
 ):
-    cdef Py_ssize_t m = rows.shape[0], f, row
+    cdef Array which = integers(rows), squares = doubles(distances), shares = doubles(noise_share)
+    cdef Array new_weights = copied(doubles(weights)), new_sums = copied(doubles(sums))
+    cdef Py_ssize_t m = length(which), f, row
     cdef double mean = 0.0, factor
-    new_weights, new_sums = np.array(weights), np.array(sums)
-    cdef double[::1] w = new_weights, s = new_sums, errors = np.empty(m)
+    cdef Array errors = vector(m)
+    cdef double* w = at(new_weights)
+    cdef double* s = at(new_sums)
+    cdef double* error = at(errors)
     for f in range(m):
-        errors[f] = noise_share[f] * min(distances[f] / dof, max_error) + 1.0 - noise_share[f]
-        mean += errors[f]
+        error[f] = at(shares)[f] * min(at(squares)[f] / dof, max_error) + 1.0 - at(shares)[f]
+        mean += error[f]
     mean /= m
     for f in range(m):
-        row = rows[f]
-        factor = max((prior + sums[row]) / (prior + weights[row]), min_factor)
-        w[row] = kept * weights[row] + 1.0
-        s[row] = kept * sums[row] + factor * errors[f] / mean
+        row = at_integers(which)[f]
+        factor = max((prior + s[row]) / (prior + w[row]), min_factor)
+        w[row] = kept * w[row] + 1.0
+        s[row] = kept * s[row] + factor * error[f] / mean
     return new_weights, new_sums
 
 
-def scaled_noise(
-    const double[:, :, :] typical,
-    const double[:] weights,
-    const double[:] sums,
-    const long[:] rows,
-    double prior,
-    double min_factor,
-):
-    cdef Py_ssize_t m = rows.shape[0], f, i, j
+def scaled_noise(typical, weights, sums, rows, double prior, double min_factor):
+    cdef Array usual = doubles(typical), w = doubles(weights), s = doubles(sums), which = integers(rows)
+    cdef Py_ssize_t m = length(which), f, i, row
     cdef double factor
-    result = np.empty((m, 2, 2))
-    cdef double[:, :, ::1] noise = result
+    cdef Array noise = cube(m, 2, 2)
     for f in range(m):
-        factor = max((prior + sums[rows[f]]) / (prior + weights[rows[f]]), min_factor)
-        for i in range(2):
-            for j in range(2):
-                noise[f, i, j] = factor * typical[f, i, j]
-    return result
+        row = at_integers(which)[f]
+        factor = max((prior + at(s)[row]) / (prior + at(w)[row]), min_factor)
+        for i in range(4):
+            at(noise)[4 * f + i] = factor * at(usual)[4 * f + i]
+    return noise
 
 
-def match_ids(const long[:] ids, const long[:] wanted):
-    cdef Py_ssize_t M = ids.shape[0], m = wanted.shape[0], f, place, count = 0
-    known, places = np.empty(m, np.int64), np.empty(m, np.int64)
-    cdef long[::1] which = known, found = places
+def match_ids(ids, wanted):
+    cdef Array of_map = integers(ids), of_image = integers(wanted)
+    cdef Py_ssize_t M = length(of_map), m = length(of_image), f, place, count = 0
+    cdef Array known = indices(m), found = indices(m)
     for f in range(m):
         for place in range(M):
-            if ids[place] == wanted[f]:
-                which[count], found[count] = f, place
+            if at_integers(of_map)[place] == at_integers(of_image)[f]:
+                at_integers(known)[count], at_integers(found)[count] = f, place
                 count += 1
                 break
-    return known[:count], places[:count]
+    return first_of(known, count), first_of(found, count)
 
 
 def motion_in_image(
-    const double[:, :] points_c,
-    const double[:, :] pixels,
-    const double[:, :] last_directions,
-    const double[:, :] last_pixels,
-    const long[:] rows,
-    double focal_px,
-    double min_motion_px,
-    double min_depth,
+    points_c, pixels, last_directions, last_pixels, rows, double focal_px, double min_motion_px, double min_depth
 ):
-    cdef Py_ssize_t m = rows.shape[0], f, i, row
+    cdef Array points = doubles(points_c), observed = doubles(pixels), which = integers(rows)
+    cdef Array towards_before = doubles(last_directions), observed_before = doubles(last_pixels)
+    cdef Py_ssize_t m = length(which), f, i, row
     cdef double expected, change, square, changes
-    directions, unmoved, changes_px2 = np.empty((m, 2)), np.empty(m, bool), np.empty(m)
-    cdef double[:, ::1] towards = directions
-    cdef unsigned char[::1] is_unmoved = unmoved.view(np.uint8)
-    cdef double[::1] out = changes_px2
+    cdef Array directions = matrix(m, 2), unmoved = flags(m), changes_px2 = vector(m)
+    cdef double* towards = at(directions)
+    cdef unsigned char* is_unmoved = <unsigned char*>cnp.PyArray_DATA(unmoved)
     for f in range(m):
-        row = rows[f]
+        row = at_integers(which)[f]
         square = changes = 0.0
         for i in range(2):
-            towards[f, i] = points_c[f, i] / max(points_c[f, 2], min_depth)
-            expected = focal_px * (towards[f, i] - last_directions[row, i])
-            change = pixels[f, i] - last_pixels[row, i] - expected
+            towards[2 * f + i] = at(points)[3 * f + i] / max(at(points)[3 * f + 2], min_depth)
+            expected = focal_px * (towards[2 * f + i] - at(towards_before)[2 * row + i])
+            change = at(observed)[2 * f + i] - at(observed_before)[2 * row + i] - expected
             square += expected * expected
             changes += change * change
         is_unmoved[f] = sqrt(square) < min_motion_px
-        out[f] = 0.5 * changes
+        at(changes_px2)[f] = 0.5 * changes
     return directions, unmoved, changes_px2
 
 
 def matches_counted(
-    last_seen_ns, rejections, last_pixels, last_directions, long t_ns, const long[:] rows, accepted, pixels, directions
+    last_seen_ns, rejections, last_pixels, last_directions, long t_ns, rows, accepted, pixels, directions
 ):
-    cdef Py_ssize_t m = rows.shape[0], f, i, row
-    arrays = (last_seen_ns.copy(), rejections.copy(), last_pixels.copy(), last_directions.copy())
-    cdef long[::1] seen_ns = arrays[0], misses = arrays[1]
-    cdef double[:, ::1] at = arrays[2], towards = arrays[3]
-    cdef const unsigned char[:] is_accepted = accepted.view(np.uint8)
-    cdef const double[:, :] observed = pixels, expected = directions
-    for f in range(m):
-        row = rows[f]
-        misses[row] = 0 if is_accepted[f] else misses[row] + 1
+    cdef Array which = integers(rows), observed = doubles(pixels), expected = doubles(directions)
+    cdef Array seen_ns = copied(integers(last_seen_ns)), misses = copied(integers(rejections))
+    cdef Array at_pixels = copied(doubles(last_pixels)), towards = copied(doubles(last_directions))
+    cdef Py_ssize_t f, i, row
+    cdef Array good = cnp.PyArray_GETCONTIGUOUS(accepted)
+    cdef const unsigned char* is_accepted = <const unsigned char*>cnp.PyArray_DATA(good)
+    for f in range(length(which)):
+        row = at_integers(which)[f]
+        at_integers(misses)[row] = 0 if is_accepted[f] else at_integers(misses)[row] + 1
         if is_accepted[f]:
-            seen_ns[row] = t_ns
+            at_integers(seen_ns)[row] = t_ns
         for i in range(2):
-            at[row, i] = observed[f, i]
-            towards[row, i] = expected[f, i]
-    return arrays
+            at(at_pixels)[2 * row + i] = at(observed)[2 * f + i]
+            at(towards)[2 * row + i] = at(expected)[2 * f + i]
+    return seen_ns, misses, at_pixels, towards
 
 
-def changed_depths(
-    const double[:] mean,
-    Py_ssize_t first,
-    const long[:] rows,
-    const double[:] before,
-    const double[:, :] points_c,
-    double least,
-    double min_ahead,
-):
-    cdef Py_ssize_t m = rows.shape[0], f, count = 0
+def changed_depths(mean, Py_ssize_t first, rows, before, points_c, double least, double min_ahead):
+    cdef Array after = doubles(mean), which = integers(rows), earlier = doubles(before), points = doubles(points_c)
+    cdef Py_ssize_t m = length(which), f, count = 0
     cdef double change
-    chosen, changes = np.empty(m, np.int64), np.empty(m)
-    cdef long[::1] which = chosen
-    cdef double[::1] by = changes
+    cdef Array chosen = indices(m), changes = vector(m)
     for f in range(m):
-        change = mean[first + 3 * rows[f] + 2] - before[f]
-        if fabs(change) > least and points_c[f, 2] > min_ahead:
-            which[count], by[count] = f, change
+        change = at(after)[first + 3 * at_integers(which)[f] + 2] - at(earlier)[f]
+        if fabs(change) > least and at(points)[3 * f + 2] > min_ahead:
+            at_integers(chosen)[count], at(changes)[count] = f, change
             count += 1
-    return chosen[:count], changes[:count]
+    return first_of(chosen, count), first_of(changes, count)
 
 
-def shift(
-    const double[:, ::1] covariance,
-    const double[:, ::1] sensitivity,
-    const long[:] places,
-    const long[:] causes,
-    const double[:, :] by_causes,
-):
-    cdef Py_ssize_t n = covariance.shape[0], c = sensitivity.shape[1], q = places.shape[0], p = causes.shape[0]
-    cdef Py_ssize_t i, j, l, place
+def shift(covariance, sensitivity, places, causes, by_causes):
+    cdef Array before = doubles(covariance), G = doubles(sensitivity), by = doubles(by_causes)
+    cdef Array entries = integers(places), others = integers(causes)
+    cdef Py_ssize_t n = length(before), c = length(G, 1), q = length(entries), p = length(others), i, j, l
     cdef double factor, total
-    arrays = (np.array(covariance), np.array(sensitivity))
-    cdef double[:, ::1] P = arrays[0], X = arrays[1]
+    cdef Array after = copied(before), moved = copied(G)
+    cdef const double* source
+    cdef double* row
     for i in range(q):
-        place = places[i]
         for l in range(p):
-            factor = by_causes[i, l]
+            factor = at(by)[i * p + l]
+            source, row = at(before) + at_integers(others)[l] * n, at(after) + at_integers(entries)[i] * n
             for j in range(n):
-                P[place, j] += factor * covariance[causes[l], j]
+                row[j] += factor * source[j]
+            source, row = at(G) + at_integers(others)[l] * c, at(moved) + at_integers(entries)[i] * c
             for j in range(c):
-                X[place, j] += factor * sensitivity[causes[l], j]
+                row[j] += factor * source[j]
     for j in range(n):
+        row = at(after) + j * n
         for i in range(q):
             total = 0.0
             for l in range(p):
-                total += P[j, causes[l]] * by_causes[i, l]
-            P[j, places[i]] += total
-    return arrays
+                total += row[at_integers(others)[l]] * at(by)[i * p + l]
+            row[at_integers(entries)[i]] += total
+    return after, moved
 
 
-def compared_depths(
-    const long[:] known_ids,
-    const double[:] known_depths,
-    const double[:] known_variances,
-    const long[:] ids,
-    const double[:] depths,
-    const double[:] variances,
-    double min_learned,
-    double renewed,
-):
-    cdef Py_ssize_t n = known_ids.shape[0], m = ids.shape[0], f, place
-    cdef double before, variance, learned
-    arrays = (np.empty(m), np.empty(m), np.empty(m))
-    cdef double[::1] surprises = arrays[0], kept = arrays[1], kept_variances = arrays[2]
+def compared_depths(known_ids, known_depths, known_variances, ids, depths, variances, double min_learned, double renewed):
+    cdef Array known = integers(known_ids), old_depths = doubles(known_depths), old_variances = doubles(known_variances)
+    cdef Array present = integers(ids), new_depths = doubles(depths), new_variances = doubles(variances)
+    cdef Py_ssize_t n = length(known), m = length(present), f, place
+    cdef double before, variance, learned, depth, now
+    cdef Array surprises = vector(m), kept = vector(m), kept_variances = vector(m)
     for f in range(m):
-        before, variance = depths[f], variances[f]
+        depth, now = at(new_depths)[f], at(new_variances)[f]
+        before, variance = depth, now
         for place in range(n):
-            if known_ids[place] == ids[f]:
-                before, variance = known_depths[place], known_variances[place]
+            if at_integers(known)[place] == at_integers(present)[f]:
+                before, variance = at(old_depths)[place], at(old_variances)[place]
                 break
-        learned = variance - variances[f]
-        surprises[f] = (depths[f] - before) ** 2 / learned if learned > min_learned * variance else -1.0
-        if renewed * variances[f] < variance or variances[f] > variance:
-            before, variance = depths[f], variances[f]
-        kept[f], kept_variances[f] = before, variance
-    return arrays
+        learned = variance - now
+        at(surprises)[f] = (depth - before) ** 2 / learned if learned > min_learned * variance else -1.0
+        if renewed * now < variance or now > variance:
+            before, variance = depth, now
+        at(kept)[f], at(kept_variances)[f] = before, variance
+    return surprises, kept, kept_variances

@@ -1,34 +1,87 @@
 # cython: language_level=3
-"""Twins of functions of `data`."""
+"""Twins of functions of `data`. They write to the memory of records, past the interpreter."""
 
 from dataclasses import MISSING, fields
+from types import MemberDescriptorType
 
-from cpython.object cimport PyObject_GenericSetAttr
+from cpython.object cimport PyObject
+from cpython.ref cimport Py_INCREF, Py_XDECREF
 
 TWINS = ('changed', 'quickly_filled')
 
+cdef extern from "Python.h":
+    """
+    #include "structmember.h"
+    #define OFFSET(slot) (((PyMemberDescrObject *)(slot))->d_member->offset)
+    #define FIELD(record, offset) ((PyObject **)((char *)(record) + (offset)))
+    """
+    Py_ssize_t OFFSET(object slot)
+    PyObject** FIELD(object record, Py_ssize_t offset)
+
+cdef enum:
+    MOST_FIELDS = 40
+
+
+cdef class Layout:
+    """Where a frozen dataclass with slots keeps its fields, and what they are where nothing is given."""
+
+    cdef tuple names
+    cdef dict defaults, factories
+    cdef Py_ssize_t[MOST_FIELDS] offsets
+
+    def __cinit__(self, cls):
+        items = fields(cls)
+        self.names = tuple([item.name for item in items])
+        self.defaults = {item.name: item.default for item in items if item.default is not MISSING}
+        self.factories = {
+            item.name: item.default_factory for item in items if item.default_factory is not MISSING
+        }
+        if len(items) > MOST_FIELDS:
+            raise TypeError(f'{cls.__name__} has more than {MOST_FIELDS} fields')
+        for i, name in enumerate(self.names):
+            slot = getattr(cls, name, None)
+            if type(slot) is not MemberDescriptorType:
+                raise TypeError(f'{cls.__name__} has no slot for {name}')
+            self.offsets[i] = OFFSET(slot)
+
+
+cdef dict LAYOUTS = {}
+
+
+cdef Layout layout_of(cls):
+    layout = LAYOUTS.get(cls)
+    if layout is None:
+        layout = LAYOUTS[cls] = Layout(cls)
+    return <Layout>layout
+
+
+cdef inline void put(object record, Py_ssize_t offset, object value):
+    """Write a field."""
+    cdef PyObject* before = FIELD(record, offset)[0]
+    Py_INCREF(value)
+    FIELD(record, offset)[0] = <PyObject*>value
+    Py_XDECREF(before)
+
 
 def quickly_filled(cls):
-    items = fields(cls)
-    cdef tuple names = tuple([item.name for item in items])
-    cdef dict defaults = {item.name: item.default for item in items if item.default is not MISSING}
-    cdef dict factories = {item.name: item.default_factory for item in items if item.default_factory is not MISSING}
+    cdef Layout layout = Layout(cls)
+    LAYOUTS[cls] = layout
 
     def __init__(self, *args, **values):
         cdef Py_ssize_t given = len(args), used = 0, i
-        if given > len(names):
-            raise TypeError(f'{cls.__name__} has {len(names)} fields, not {given}')
+        if given > len(layout.names):
+            raise TypeError(f'{cls.__name__} has {len(layout.names)} fields, not {given}')
         for i in range(given):
-            PyObject_GenericSetAttr(self, names[i], args[i])
-        for i in range(given, len(names)):
-            name = names[i]
-            if name in values:
-                PyObject_GenericSetAttr(self, name, values[name])
+            put(self, layout.offsets[i], args[i])
+        for i in range(given, len(layout.names)):
+            name = layout.names[i]
+            if values and name in values:
+                put(self, layout.offsets[i], values[name])
                 used += 1
-            elif name in defaults:
-                PyObject_GenericSetAttr(self, name, defaults[name])
-            elif name in factories:
-                PyObject_GenericSetAttr(self, name, factories[name]())
+            elif name in layout.defaults:
+                put(self, layout.offsets[i], layout.defaults[name])
+            elif name in layout.factories:
+                put(self, layout.offsets[i], layout.factories[name]())
             else:
                 raise TypeError(f'{cls.__name__} lacks its field {name}')
         if used != len(values):
@@ -40,14 +93,16 @@ def quickly_filled(cls):
 
 def changed(item, /, **values):
     cls = type(item)
+    cdef Layout layout = layout_of(cls)
     copy = cls.__new__(cls)
-    cdef Py_ssize_t found = 0
-    for name in cls.__slots__:
+    cdef Py_ssize_t found = 0, i
+    for i in range(len(layout.names)):
+        name = layout.names[i]
         if name in values:
-            PyObject_GenericSetAttr(copy, name, values[name])
+            put(copy, layout.offsets[i], values[name])
             found += 1
         else:
-            PyObject_GenericSetAttr(copy, name, getattr(item, name))
+            put(copy, layout.offsets[i], <object>FIELD(item, layout.offsets[i])[0])
     if found != len(values):
         raise TypeError(f'{cls.__name__} has no field of one of these names: {", ".join(values)}')
     return copy

@@ -29,33 +29,32 @@ class PosedCamera:
     """(3, 3) attitude of the camera."""
     dR_wc: Array
     """(3, 3, 3) its derivatives by roll, pitch, yaw."""
+    p_wc: Array
+    """(3,) its position."""
     R_bc: Array
     p_bc: Array
     shift: Array
     """Mounting, see `Mount`."""
 
     @property
-    def p_wc(self) -> Array:
-        """Position of the camera in the world."""
-        return self.p_wb + self.R_wb @ self.p_bc
-
-    @property
     def p_wc_by_pose(self) -> Array:
-        """(3, 6) its derivative by the robot pose."""
+        """(3, 6) derivative of the position of the camera by the robot pose."""
         return np.concatenate([np.eye(3), (self.dR_wb @ self.p_bc).T], axis=1)
 
 
 def posed_camera(camera: CameraIntrinsics, mount: Mount, position_m: Array, euler_rad: Array) -> PosedCamera:
     """Put the camera at a robot pose (position (3,), Euler angles (3,))."""
-    attitudes = turned_camera(euler_rad, mount.R_bs)
-    return PosedCamera(camera, position_m, *attitudes, mount.R_bs, mount.p_bs, mount.shift)
+    turned = turned_camera(position_m, euler_rad, mount.R_bs, mount.p_bs)
+    return PosedCamera(camera, position_m, *turned, mount.R_bs, mount.p_bs, mount.shift)
 
 
 @compiled
-def turned_camera(euler_rad: Array, R_bc: Array) -> tuple[Array, Array, Array, Array]:
-    """Return `R_wb`, `dR_wb`, `R_wc` and `dR_wc` of a `PosedCamera`, at Euler angles (3,)."""
+def turned_camera(
+    position_m: Array, euler_rad: Array, R_bc: Array, p_bc: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return `R_wb`, `dR_wb`, `R_wc`, `dR_wc` and `p_wc` of a `PosedCamera`, see `posed_camera`."""
     R_wb, dR_wb = rotation_from_euler(euler_rad), rotation_derivatives(euler_rad)
-    return R_wb, dR_wb, R_wb @ R_bc, dR_wb @ R_bc
+    return R_wb, dR_wb, R_wb @ R_bc, dR_wb @ R_bc, position_m + R_wb @ p_bc
 
 
 @quickly_filled

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.config.sections import FeatureConfig
-from gyrocal_ros.data import Array, CameraIntrinsics
+from gyrocal_ros.data import Array
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import bearing, bearing_jacobian, project_with_jacobian
 from gyrocal_ros.model.features.base import (
@@ -68,19 +68,7 @@ class AnchoredInverseDepth:
 
     def predict(self, view: PosedCamera, parameters: Array, anchors: Anchors) -> Prediction:
         """Predict the pixels of `R_cw (R_a (a, b, 1) + r (p_a - p_c))`, the point scaled by r."""
-        lever_c = view.p_bc @ view.R_bc
-        return Prediction(
-            *predict_inverse_depth(
-                view.camera,
-                view.R_wc,
-                view.dR_wc,
-                view.p_wb,
-                lever_c,
-                parameters,
-                anchors.R_wc,
-                anchors.p_wc,
-            )
-        )
+        return Prediction(*predict_inverse_depth(view, parameters, anchors))
 
     def world(self, parameters: Array, anchors: Anchors) -> tuple[Array, Array]:
         """Return the point, for maps and plots; it is far away where the inverse depth is not positive."""
@@ -94,40 +82,21 @@ class AnchoredInverseDepth:
 
 
 @compiled
-def predict_inverse_depth(
-    camera: CameraIntrinsics,
-    R_wc: Array,
-    dR_wc: Array,
-    p_wb: Array,
-    lever_c: Array,
-    parameters: Array,
-    anchor_R_wc: Array,
-    anchor_p_wc: Array,
-) -> tuple[Array, ...]:
-    """Return the fields of a `Prediction` in their order; see `AnchoredInverseDepth.predict`.
-
-    Args:
-        camera: intrinsics.
-        R_wc: (3, 3) attitude of the camera.
-        dR_wc: (3, 3, 3) its derivatives by roll, pitch, yaw.
-        p_wb: (3,) position of the robot.
-        lever_c: (3,) position of the camera on the robot, in camera axes.
-        parameters: (m, 3)
-        anchor_R_wc: (m, 3, 3) attitudes of the anchors.
-        anchor_p_wc: (m, 3) their positions.
-    """
+def predict_inverse_depth(view: PosedCamera, parameters: Array, anchors: Anchors) -> tuple[Array, ...]:
+    """Return the fields of a `Prediction` in their order; see `AnchoredInverseDepth.predict`."""
+    R_wc, R_wa, lever_c = view.R_wc, anchors.R_wc, view.p_bc @ view.R_bc
     inverse_depth = parameters[:, 2:]
-    to_anchor = anchor_p_wc - p_wb
-    rays_w = (anchor_R_wc[:, :, :2] @ parameters[:, :2, None])[:, :, 0] + anchor_R_wc[:, :, 2]
+    to_anchor = anchors.p_wc - view.p_wb
+    rays_w = (R_wa[:, :, :2] @ parameters[:, :2, None])[:, :, 0] + R_wa[:, :, 2]
     from_robot = rays_w + inverse_depth * to_anchor
     points_c = from_robot @ R_wc - inverse_depth * lever_c
 
     by_pose = np.empty((len(parameters), 3, 6))
     by_pose[:, :, :3] = -inverse_depth[:, :, None] * R_wc.T
-    by_pose[:, :, 3:] = (from_robot @ dR_wc).transpose(1, 2, 0)
+    by_pose[:, :, 3:] = (from_robot @ view.dR_wc).transpose(1, 2, 0)
     by_feature = np.empty((len(parameters), 3, 3))
-    by_feature[:, :, :2] = R_wc.T @ anchor_R_wc[:, :, :2]
+    by_feature[:, :, :2] = R_wc.T @ R_wa[:, :, :2]
     by_feature[:, :, 2] = to_anchor @ R_wc - lever_c
 
-    pixels, by_point = project_with_jacobian(camera, points_c)
+    pixels, by_point = project_with_jacobian(view.camera, points_c)
     return pixels, by_point @ by_pose, by_point @ by_feature, points_c, by_point, parameters[:, 2]

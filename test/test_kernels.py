@@ -91,8 +91,11 @@ def corrected_rates(rng: np.random.Generator, count: int) -> Arguments:
 
 
 def path_in_block(rng: np.random.Generator, count: int) -> Arguments:
-    x_m, y_m, yaw_rad = rng.normal(size=3)
-    return x_m, y_m, yaw_rad, rng.normal(size=count), intervals_s(rng, count), rng.normal(0.0, 0.01, count)
+    return rng.normal(size=9), *way_and_turn(rng, count)
+
+
+def way_and_turn(rng: np.random.Generator, count: int) -> Arguments:
+    return *rate_scatter(rng, count), rng.normal(0.0, 0.01, count)
 
 
 def mean_at_end(rng: np.random.Generator, count: int) -> Arguments:
@@ -100,7 +103,7 @@ def mean_at_end(rng: np.random.Generator, count: int) -> Arguments:
 
 
 def rate_scatter(rng: np.random.Generator, count: int) -> Arguments:
-    return rng.normal(size=count), intervals_s(rng, count)
+    return rng.normal(size=(count, 3)), intervals_s(rng, count)
 
 
 def fading_memory(rng: np.random.Generator, count: int) -> Arguments:
@@ -437,6 +440,7 @@ MAKERS: tuple[Maker, ...] = (
     solve,
     step_numbers,
     turned_camera,
+    way_and_turn,
     weigh,
     weigh_loosely,
 )

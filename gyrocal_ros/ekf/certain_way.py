@@ -28,9 +28,9 @@ predicted position: the depth may change so far that another one would be off by
 
 def is_certain(block: MotionBlock, wheels: WheelConfig) -> bool:
     """Return True if the wheels stand still, or their noise does not explain the way of a block."""
-    way_m, turn_rad = abs(float(block.distance_m.sum())), abs(float(block.rate_rad_s[:, 2] @ block.dt_s))
-    variance_m2 = wheels.distance_noise_m**2 * way_m + wheels.turn_noise_m**2 * turn_rad
-    return way_m == 0.0 or way_m > NOISE_SIGMA * math.sqrt(variance_m2)
+    way_m, turn_rad, *_ = block.way_and_turn()
+    variance_m2 = wheels.distance_noise_m**2 * abs(way_m) + wheels.turn_noise_m**2 * abs(turn_rad)
+    return way_m == 0.0 or abs(way_m) > NOISE_SIGMA * math.sqrt(variance_m2)
 
 
 def without_way(block: MotionBlock) -> MotionBlock:

@@ -31,8 +31,9 @@ class FrozenCamera:
 
     def move(self, block: MotionBlock) -> None:
         """Add the motion of a block."""
-        self._turned_rad += float(block.rate_rad_s[:, 2] @ block.dt_s)
-        self._travelled_m += sum(block.distance_m.tolist())
+        way_m, turn_rad, *_ = block.way_and_turn()
+        self._travelled_m += way_m
+        self._turned_rad += turn_rad
 
     def repeats(self, seen: FeatureObservations) -> bool:
         """Return True if an image shows all features where they were before the robot moved."""

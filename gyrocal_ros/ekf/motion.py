@@ -17,6 +17,7 @@ from gyrocal_ros.data import (
     MotionBlock,
     TemperatureSample,
     WheelSample,
+    constant,
     seconds,
 )
 from gyrocal_ros.kernels import compiled
@@ -163,13 +164,13 @@ class MotionBuffer:
             rate_rad_s=rate_rad_s,
             yaw_acceleration_rad_s2=acceleration_rad_s2,
             specific_force_m_s2=force_m_s2,
-            vibration_m2_s4=_constant(self._vibration(scatter_m2_s4, seconds(end_ns - start_ns)), len(dt_s)),
+            vibration_m2_s4=constant(self._vibration(scatter_m2_s4, seconds(end_ns - start_ns)), len(dt_s)),
             distance_m=distance_m,
             wheel_turn_rad=wheel_turn_rad,
             temperature_c=(
                 self._temperature.at(start_ns, middle_ns)
                 if self._temperature.t_ns
-                else _constant(math.nan, len(dt_s))
+                else constant(math.nan, len(dt_s))
             ),
             covariates=covariates,
             gap_s=self._gap_s(start_ns, end_ns),
@@ -245,13 +246,6 @@ class MotionBuffer:
         self._temperature.forget_before(t_ns)
         for signal in self._covariates.values():
             signal.forget_before(t_ns)
-
-
-def _constant(value: float, count: int) -> Array:
-    """Return an array (count,) of equal values; for short ones `numpy.full` takes four times as long."""
-    values = np.empty(count)
-    values.fill(value)
-    return values
 
 
 @compiled

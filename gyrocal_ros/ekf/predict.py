@@ -63,31 +63,24 @@ def with_pose(block: MotionBlock, state: State) -> MotionBlock:
 
     They are those of the state, continued by the nominal rate and the wheels.
     """
-    x_m, y_m, _ = state.position_m
-    heading_rad, position_m = path_in_block(
-        x_m, y_m, state.mean[YAW], block.rate_rad_s[:, 2], block.dt_s, block.distance_m
-    )
+    heading_rad, position_m = path_in_block(state.mean, block.rate_rad_s, block.dt_s, block.distance_m)
     return changed(block, heading_rad=heading_rad, position_m=position_m)
 
 
 @compiled
-def path_in_block(
-    x_m: float, y_m: float, yaw_rad: float, rate_rad_s: Array, dt_s: Array, distance_m: Array
-) -> tuple[Array, Array]:
+def path_in_block(mean: Array, rate_rad_s: Array, dt_s: Array, distance_m: Array) -> tuple[Array, Array]:
     """Return heading (N,) and position (N, 2) in the middle of N intervals.
 
     Args:
-        x_m: position at the start.
-        y_m: the same.
-        yaw_rad: heading at the start.
-        rate_rad_s: (N,) yaw rates.
+        mean: of the state at the start.
+        rate_rad_s: (N, 3)
         dt_s: (N,)
         distance_m: (N,)
     """
-    turn_rad = rate_rad_s * dt_s
-    heading_rad = yaw_rad + turn_rad.cumsum() - 0.5 * turn_rad
+    turn_rad = rate_rad_s[:, 2] * dt_s
+    heading_rad = mean[YAW] + turn_rad.cumsum() - 0.5 * turn_rad
     ahead = np.array([np.cos(heading_rad), np.sin(heading_rad)]).T * distance_m[:, None]
-    return heading_rad, np.array([x_m, y_m]) + ahead.cumsum(axis=0) - 0.5 * ahead
+    return heading_rad, mean[:2] + ahead.cumsum(axis=0) - 0.5 * ahead
 
 
 def predict(

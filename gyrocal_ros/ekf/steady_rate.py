@@ -14,10 +14,8 @@ from bisect import bisect_left, insort
 from collections import deque
 from dataclasses import replace
 
-import numpy as np
-
 from gyrocal_ros.config.sections import GyroConfig
-from gyrocal_ros.data import Array, MotionBlock, changed
+from gyrocal_ros.data import Array, MotionBlock, changed, constant
 from gyrocal_ros.kernels import compiled
 
 CHANGE_SIGMA = 3.0
@@ -56,7 +54,7 @@ class SteadyRate:
         Second differences of the readings show it: they contain neither the rate nor its steady change. Where
         stamps are irregular, samples are out of place while the rate changes, and those of this block count.
         """
-        _, _, bends_rad2_s, irregularity = rate_scatter(block.rate_rad_s[:, 2], block.dt_s)
+        _, _, bends_rad2_s, irregularity = rate_scatter(block.rate_rad_s, block.dt_s)
         if len(block.dt_s) > 2:
             # An interval's rate is the mean of two readings r: its bend is (r3 - r2 - r1 + r0) / 2.
             self._remember(bends_rad2_s)
@@ -84,7 +82,7 @@ class SteadyRate:
             gyro: noise of the gyro.
             is_at_rest: True for a robot that stands still: small changes are vibration then.
         """
-        mean, steps_rad2_s, _, _ = rate_scatter(block.rate_rad_s[:, 2], block.dt_s)
+        mean, steps_rad2_s, _, _ = rate_scatter(block.rate_rad_s, block.dt_s)
         std = math.sqrt(self._noise(len(block.dt_s), 0.5 * steps_rad2_s, gyro) / block.duration_s)
         before = self._mean_rad_s
         largest = CHANGE_SIGMA * std * math.sqrt(1.0 + 1.0 / max(self._blocks, 1))
@@ -112,7 +110,7 @@ class SteadyRate:
         self._vibrations_m2_s4.append(float(block.vibration_m2_s4[0]))
         if len(known) <= VIBRATION_BLOCKS:
             return block.vibration_m2_s4
-        return np.full(len(block.dt_s), sum(known[:-1]) / VIBRATION_BLOCKS)
+        return constant(sum(known[:-1]) / VIBRATION_BLOCKS, len(block.dt_s))
 
     def _noise(self, count: int, seen_rad2_s: float, gyro: GyroConfig) -> float:
         """Return the white noise of the rate as a density, (rad/s)^2/Hz: that of the settings or more.
@@ -127,10 +125,10 @@ class SteadyRate:
 
 @compiled
 def rate_scatter(rate_rad_s: Array, dt_s: Array) -> tuple[float, float, float, float]:
-    """Return the mean of rates over N intervals, and how rates and intervals scatter.
+    """Return the mean of the yaw rate over N intervals, and how rates and intervals scatter.
 
     Args:
-        rate_rad_s: (N,)
+        rate_rad_s: (N, 3)
         dt_s: (N,)
 
     Returns:
@@ -138,10 +136,11 @@ def rate_scatter(rate_rad_s: Array, dt_s: Array) -> tuple[float, float, float, f
         interval ((rad/s)^2/Hz), 0 with too few; standard deviation of the intervals inside the block,
         relative to their mean, 0 with fewer than three.
     """
-    steps, inside_s, interval_s = rate_rad_s[1:] - rate_rad_s[:-1], dt_s[1:-1], float(dt_s.mean())
+    rates, inside_s, interval_s = rate_rad_s[:, 2], dt_s[1:-1], float(dt_s.mean())
+    steps = rates[1:] - rates[:-1]
     bends = steps[1:] - steps[:-1]
     return (
-        float(rate_rad_s @ dt_s) / float(dt_s.sum()),
+        float(rates @ dt_s) / float(dt_s.sum()),
         float(steps @ steps) / len(steps) * interval_s if len(steps) else 0.0,
         float(bends @ bends) / len(bends) * interval_s if len(bends) else 0.0,
         float(inside_s.std()) / float(inside_s.mean()) if len(inside_s) > 2 else 0.0,

@@ -363,25 +363,25 @@ def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, U
         stacked: (q, n + 1 + c) side by side H P, nu and G.
         whitening: L^-1 (q, q) with `L L^T = S`.
     """
-    n, dof, whitened = len(state.mean), len(stacked), whitening @ stacked
-    products = whitened.T @ whitened
-    mean, covariance, sensitivity, log_determinant = corrected(
-        state.mean, state.covariance, state.sensitivity, products, whitening
+    whitened = whitening @ stacked
+    mean, covariance, sensitivity, nis, log_determinant, information, score = corrected(
+        state.mean, state.covariance, state.sensitivity, whitened.T @ whitened, whitening
     )
     if not math.isfinite(mean @ mean):
         raise FilterDivergedError('the estimate is no longer finite', todo=CHECK_THE_SENSORS)
     after = changed(state, mean=mean, covariance=covariance, sensitivity=sensitivity)
-    nis, information, score = float(products[n, n]), products[n + 1 :, n + 1 :], products[n + 1 :, n]
     if not sensitivity.shape[1]:
-        return after, UpdateStats(nis, dof, log_determinant)
-    return after, UpdateStats(nis, dof, log_determinant, information, score)
+        return after, UpdateStats(nis, len(stacked), log_determinant)
+    return after, UpdateStats(nis, len(stacked), log_determinant, information, score)
 
 
 @compiled
 def corrected(
     mean: Array, covariance: Array, sensitivity: Array, products: Array, whitening: Array
-) -> tuple[Array, Array, Array, float]:
-    """Return mean (n,), covariance (n, n) and sensitivity (n, c) after an update, and log det S.
+) -> tuple[Array, Array, Array, float, float, Array, Array]:
+    """Return mean (n,), covariance (n, n) and sensitivity (n, c) after an update, and its `UpdateStats`.
+
+    Of these the NIS, log det S, the information (c, c) and the score (c,) of the candidates.
 
     Args:
         mean: before, (n,).
@@ -395,5 +395,8 @@ def corrected(
         mean + products[:n, n],
         covariance - products[:n, :n],
         sensitivity - products[:n, n + 1 :],
+        float(products[n, n]),
         -2.0 * float(np.log(whitening.diagonal()).sum()),
+        products[n + 1 :, n + 1 :].copy(),
+        products[n + 1 :, n].copy(),
     )

@@ -78,8 +78,9 @@ class WheelNoise:
 
     def move(self, block: MotionBlock) -> None:
         """Add the way of a block to that since the last image."""
-        self._way_m += float(np.abs(block.distance_m).sum())
-        self._turn_rad += float(np.abs(block.rate_rad_s[:, 2]) @ block.dt_s)
+        *_, way_m, turn_rad = block.way_and_turn()
+        self._way_m += way_m
+        self._turn_rad += turn_rad
         self._since_s += block.duration_s
 
     def learn(self, told: PositionScore | None, yaw_rad: float) -> None:

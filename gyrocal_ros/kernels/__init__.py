@@ -28,6 +28,7 @@ SUBJECTS = (
     'references',
     'robust',
     'samples',
+    'watches',
 )
 """Files of twins in this room."""
 REFERENCES: dict[str, Callable[..., Any]] = {}

@@ -145,7 +145,7 @@ def corrected(mean, covariance, sensitivity, products, whitening):
     cdef Array W = doubles(whitening)
     cdef Py_ssize_t n = length(x), c = length(G, 1), width = length(by, 1), q = length(W), i, j
     cdef double determinant = 0.0
-    cdef Array after = vector(n), P = matrix(n, n), X = matrix(n, c)
+    cdef Array after = vector(n), P = matrix(n, n), X = matrix(n, c), information = matrix(c, c), score = vector(c)
     cdef const double* source
     cdef const double* taken
     cdef double* row
@@ -158,9 +158,14 @@ def corrected(mean, covariance, sensitivity, products, whitening):
         source, row = at(G) + i * c, at(X) + i * c
         for j in range(c):
             row[j] = source[j] - taken[n + 1 + j]
+    for i in range(c):
+        taken = at(by) + (n + 1 + i) * width + n
+        at(score)[i] = taken[0]
+        for j in range(c):
+            at(information)[i * c + j] = taken[1 + j]
     for i in range(q):
         determinant -= 2.0 * log(at(W)[i * (q + 1)])
-    return after, P, X, determinant
+    return after, P, X, at(by)[n * (width + 1)], determinant, information, score
 
 
 def position_score(by_pose, residual, whitening, Py_ssize_t yaw):

@@ -1,82 +1,20 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.positive_definite`, `ekf.robust` and `ekf.scale_watch`, which explain the equations."""
+"""Twins of `ekf.robust`, which explains the equations."""
 
 from libc.math cimport fabs, sqrt
 from libc.stdlib cimport abs
+from libc.string cimport memcpy
 
-import numpy as np
+cimport numpy as cnp
+from numpy cimport ndarray as Array
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
+from gyrocal_ros.kernels.arrays cimport at, at_integers, doubles, indices, length, matrix, vector
+from gyrocal_ros.kernels.positive_definite cimport whiten
 
-TWINS = (
-    'looser_pose_gain',
-    'scale_changes',
-    'scores_added',
-    'solve',
-    'weigh',
-    'weigh_loosely',
-    'whitener',
-)
+cnp.import_array()
 
-cdef double TINY = np.finfo(float).tiny
-cdef double NOT_SEPARABLE = 1e-9
-
-cdef enum:  # columns of the sums of `ScaleWatch`
-    AGE
-    INFORMATION
-    SCORE
-    NIS
-    DOF
-    CROSS
-
-
-cdef bint whiten(double[:, ::1] S, double[:, ::1] W) noexcept nogil:
-    """Write L^-1 of a covariance (q, q), which is overwritten; return False where it has none.
-
-    Rows of S become rows of L^T from above, and the same steps turn the unit matrix into L^-1.
-    """
-    cdef Py_ssize_t q = S.shape[0], i, j, l
-    cdef double pivot, factor
-    for i in range(q):
-        for j in range(q):
-            W[i, j] = 0.0
-        W[i, i] = 1.0
-    for j in range(q):
-        pivot = S[j, j]
-        if not pivot > 0.0:
-            return False
-        pivot = 1.0 / sqrt(pivot)
-        for l in range(j, q):
-            S[j, l] *= pivot
-        for l in range(j + 1):
-            W[j, l] *= pivot
-        for i in range(j + 1, q):
-            factor = S[j, i]
-            for l in range(i, q):
-                S[i, l] -= factor * S[j, l]
-            for l in range(j + 1):
-                W[i, l] -= factor * W[j, l]
-    return True
-
-
-cdef bint invert(double[:, ::1] S, double[:, ::1] inverse) noexcept nogil:
-    """Write the inverse of a covariance (q, q), which is overwritten; return False where it has none."""
-    cdef Py_ssize_t q = S.shape[0], i, j, l
-    cdef double factor
-    if not whiten(S, inverse):
-        return False
-    for i in range(q):
-        for l in range(i + 1):
-            S[i, l] = 0.0
-    for j in range(q):
-        for i in range(j + 1):
-            factor = inverse[j, i]
-            for l in range(i + 1):
-                S[i, l] += factor * inverse[j, l]
-    for i in range(q):
-        for l in range(i + 1):
-            inverse[i, l] = inverse[l, i] = S[i, l]
-    return True
+TWINS = ('looser_pose_gain', 'weigh', 'weigh_loosely')
 
 
 cdef bint invert_small(double* A, Py_ssize_t r, double* inverse) noexcept nogil:
@@ -104,25 +42,23 @@ cdef bint invert_small(double* A, Py_ssize_t r, double* inverse) noexcept nogil:
 
 
 cdef class Seen:
-    """Innovation of m features, of r numbers each, without owning its arrays."""
+    """Innovation of m features, of r numbers each."""
 
-    cdef const double[:, ::1] residual
-    cdef const double[:, :, :, ::1] covariance
-    cdef const double[:, :, :] noise
+    cdef Array residual, covariance, noise
     cdef Py_ssize_t m, r, q
 
     def __cinit__(self, innovation):
-        self.residual, self.covariance, self.noise = innovation.residual, innovation.covariance, innovation.noise
-        self.m, self.r = self.residual.shape[0], self.residual.shape[1]
+        self.residual, self.covariance = doubles(innovation.residual), doubles(innovation.covariance)
+        self.noise = doubles(innovation.noise)
+        self.m, self.r = length(self.residual), length(self.residual, 1)
         self.q = self.m * self.r
 
 
-cdef void inflate(Seen seen, const double* extra, const double* inflation, double* S) noexcept nogil:
+cdef void inflate(Seen seen, const double* extra, const double* inflation, double* S) noexcept:
     """Write the covariance (q, q) with inflated noise, and with more (q, q) unless that is NULL."""
     cdef Py_ssize_t m = seen.m, r = seen.r, q = seen.q, f, i, j
-    cdef const double* covariance = &seen.covariance[0, 0, 0, 0]
-    for i in range(q * q):
-        S[i] = covariance[i]
+    cdef const double* noise = at(seen.noise)
+    memcpy(S, at(seen.covariance), q * q * sizeof(double))
     if extra != NULL:
         for i in range(q * q):
             S[i] += extra[i]
@@ -130,14 +66,22 @@ cdef void inflate(Seen seen, const double* extra, const double* inflation, doubl
         if inflation[f] != 1.0:
             for i in range(r):
                 for j in range(r):
-                    S[(f * r + i) * q + f * r + j] += (inflation[f] - 1.0) * seen.noise[f, i, j]
+                    S[(f * r + i) * q + f * r + j] += (inflation[f] - 1.0) * noise[(f * r + i) * r + j]
 
 
 cdef class Weighing:
     """What `weigh` returns, before it is arrays."""
 
-    cdef object inflation, distances, noise_share, whitening
+    cdef Array inflation, distances, noise_share, whitening
     cdef double nis
+
+
+cdef Array ones(Py_ssize_t m):
+    cdef Array values = vector(m)
+    cdef Py_ssize_t f
+    for f in range(m):
+        at(values)[f] = 1.0
+    return values
 
 
 cdef Weighing weighed(
@@ -154,21 +98,24 @@ cdef Weighing weighed(
     cdef bint is_plain = True, is_settled
     cdef int iteration
     cdef Weighing result = Weighing()
-    result.inflation, result.distances, result.noise_share = np.ones(m), np.empty(m), np.empty(m)
-    result.whitening, result.nis = np.empty((q, q)), 0.0
-    cdef double[::1] inflation = result.inflation, distances = result.distances, noise_share = result.noise_share
-    cdef double[:, ::1] first = result.whitening, W = first, work = np.empty((q + r + 2, q))
-    cdef double[:, ::1] S = work[:q]
-    cdef double* white = &work[q, 0]
-    cdef double* weighted = &work[q + 1, 0]
-    cdef double* beside = &work[q + 2, 0]
-    cdef const double* nu = &seen.residual[0, 0]
+    result.inflation, result.distances, result.noise_share = ones(m), vector(m), vector(m)
+    result.whitening, result.nis = matrix(q, q), 0.0
+    cdef double* inflation = at(result.inflation)
+    cdef double* distances = at(result.distances)
+    cdef Array work = matrix(2 * q + r + 2, q)
+    cdef double* S = at(work)
+    cdef double* white = S + q * q
+    cdef double* weighted = white + q
+    cdef double* beside = weighted + q
+    cdef double* W = at(result.whitening)
+    cdef const double* noise = at(seen.noise)
+    cdef const double* nu = at(seen.residual)
     cdef const double* row
     for iteration in range(max_iterations):
         if iteration == 1:
-            W = np.empty((q, q))
-        inflate(seen, extra, &inflation[0], &S[0, 0])
-        if not whiten(S, W):
+            W = beside + r * q
+        inflate(seen, extra, inflation, S)
+        if not whiten(S, W, q):
             raise IndefiniteCovarianceError
         # y = S^-1 nu, diagonal of S^-1 and what is up to r beside it, by S^-1 = W^T W.
         for i in range(q):
@@ -176,7 +123,7 @@ cdef Weighing weighed(
         for i in range(q * r):
             beside[i] = 0.0
         for j in range(q):
-            row, sum_ = &W[j, 0], 0.0
+            row, sum_ = W + j * q, 0.0
             for i in range(j + 1):
                 sum_ += row[i] * nu[i]
             white[j] = sum_
@@ -199,8 +146,8 @@ cdef Weighing weighed(
                 difference[i] = 0.0
                 for j in range(r):
                     difference[i] += own[i * r + j] * weighted[f * r + j]
-                    variance[i * r + j] = own[i * r + j] - (inflation[f] - 1.0) * seen.noise[f, i, j]
-                of_noise += seen.noise[f, i, i]
+                    variance[i * r + j] = own[i * r + j] - (inflation[f] - 1.0) * noise[(f * r + i) * r + j]
+                of_noise += noise[(f * r + i) * r + i]
                 total += variance[i * r + i]
             if is_plain:  # variance^-1 difference is y itself
                 for i in range(r):
@@ -214,7 +161,7 @@ cdef Weighing weighed(
             if not sum_ >= 0.0:
                 raise IndefiniteCovarianceError
             distances[f] = sum_
-            noise_share[f] = of_noise / total
+            at(result.noise_share)[f] = of_noise / total
         is_plain = True
         for f in range(m):
             wanted = min(max(sqrt(distances[f]) / bound, 1.0), max_inflation)
@@ -231,54 +178,53 @@ def weigh(innovation, double bound, double max_inflation, int max_iterations, do
     return found.inflation, found.distances, found.noise_share, found.nis, found.whitening
 
 
-cdef double[:, ::1] looser_pose(innovation, Seen seen, const double[:] std):
+cdef Array looser_pose(innovation, Seen seen, Array std):
     """Return what further errors of the pose (6,) add to the covariance, (q, q)."""
-    cdef const double[:, :, :] by_pose = innovation.prediction.by_pose
-    cdef Py_ssize_t r = seen.r, q = seen.q, p = std.shape[0], i, j, l
+    cdef Array by_pose = doubles(innovation.prediction.by_pose)
+    cdef Py_ssize_t q = seen.q, p = length(std), i, j, l
     cdef double sum_
-    cdef double[:, ::1] loose = np.empty((q, q)), scaled = np.empty((q, p))
+    cdef Array loose = matrix(q, q), scaled = matrix(q, p)
+    cdef const double* one
+    cdef const double* other
     for i in range(q):
         for l in range(p):
-            scaled[i, l] = by_pose[i // r, i % r, l] * std[l]
+            at(scaled)[i * p + l] = at(by_pose)[i * p + l] * at(std)[l]
+    for i in range(q):
+        one = at(scaled) + i * p
         for j in range(i + 1):
-            sum_ = 0.0
+            sum_, other = 0.0, at(scaled) + j * p
             for l in range(p):
-                sum_ += scaled[i, l] * scaled[j, l]
-            loose[i, j] = loose[j, i] = sum_
+                sum_ += one[l] * other[l]
+            at(loose)[i * q + j] = at(loose)[j * q + i] = sum_
     return loose
 
 
-def looser_pose_gain(innovation, const double[:] std, const double[:] distances):
+def looser_pose_gain(innovation, std, distances):
     cdef Seen seen = Seen(innovation)
     cdef Py_ssize_t m = seen.m
-    cdef double[:, ::1] loose = looser_pose(innovation, seen, std)
-    cdef double[::1] uninflated = np.ones(m), sorted_by = np.array(distances)
-    cdef long[::1] closest = np.empty(m, np.int64)
-    sort(&sorted_by[0], &closest[0], m)
+    cdef Array loose = looser_pose(innovation, seen, doubles(std)), uninflated = ones(m), squares = doubles(distances)
+    cdef Array closest = indices(m)
+    sort(at(squares), at_integers(closest), m)
     m = (m + 1) // 2
-    return squared_norm(seen, NULL, &uninflated[0], &closest[0], m) - squared_norm(
-        seen, &loose[0, 0], &uninflated[0], &closest[0], m
+    return squared_norm(seen, NULL, at(uninflated), at_integers(closest), m) - squared_norm(
+        seen, at(loose), at(uninflated), at_integers(closest), m
     )
 
 
-def weigh_loosely(
-    innovation, const double[:] std, double bound, double max_inflation, int max_iterations, double converged
-):
+def weigh_loosely(innovation, std, double bound, double max_inflation, int max_iterations, double converged):
     cdef Seen seen = Seen(innovation)
     cdef Py_ssize_t m = seen.m
-    cdef double[:, ::1] loose = looser_pose(innovation, seen, std)
-    cdef Weighing found = weighed(seen, &loose[0, 0], bound, max_inflation, max_iterations, converged)
-    cdef const double[::1] inflation = found.inflation, distances = found.distances
-    cdef long[::1] closest = np.empty(m, np.int64)
-    sort(&distances[0], &closest[0], m)
+    cdef Array loose = looser_pose(innovation, seen, doubles(std)), closest = indices(m)
+    cdef Weighing found = weighed(seen, at(loose), bound, max_inflation, max_iterations, converged)
+    sort(at(found.distances), at_integers(closest), m)
     m = (m + 1) // 2
     return (
         found.inflation,
         found.distances,
         found.noise_share,
         found.nis,
-        squared_norm(seen, NULL, &inflation[0], &closest[0], m),
-        squared_norm(seen, &loose[0, 0], &inflation[0], &closest[0], m),
+        squared_norm(seen, NULL, at(found.inflation), at_integers(closest), m),
+        squared_norm(seen, at(loose), at(found.inflation), at_integers(closest), m),
     )
 
 
@@ -297,18 +243,19 @@ cdef double squared_norm(
     Seen seen, const double* extra, const double* inflation, const long* chosen, Py_ssize_t m
 ) except -1.0:
     """Return nu^T S^-1 nu of the m features of the given indices, with S as in `inflate`."""
-    cdef Py_ssize_t r = seen.r, q = m * r, f, g, i, j, l
-    cdef double[:, ::1] S = np.empty((seen.q + q + 1, seen.q))
-    cdef double* white = &S[seen.q, 0]
-    cdef double* small = &S[seen.q + 1, 0]
+    cdef Py_ssize_t r = seen.r, q = m * r, all_ = seen.q, f, g, i, j, l
+    cdef Array work = matrix(all_ + q + 1, all_)
+    cdef double* S = at(work)
+    cdef double* white = S + all_ * all_
+    cdef double* small = white + all_
     cdef double total = 0.0, pivot, factor
-    inflate(seen, extra, inflation, &S[0, 0])
+    inflate(seen, extra, inflation, S)
     for f in range(m):
         for i in range(r):
-            white[f * r + i] = seen.residual[chosen[f], i]
+            white[f * r + i] = at(seen.residual)[chosen[f] * r + i]
             for g in range(m):
                 for j in range(r):
-                    small[(f * r + i) * q + g * r + j] = S[chosen[f] * r + i, chosen[g] * r + j]
+                    small[(f * r + i) * q + g * r + j] = S[(chosen[f] * r + i) * all_ + chosen[g] * r + j]
     for j in range(q):
         pivot = small[j * q + j]
         if not pivot > 0.0:
@@ -320,81 +267,3 @@ cdef double squared_norm(
             for l in range(i, q):
                 small[i * q + l] -= factor * small[j * q + l]
     return total
-
-
-def solve(matrix, const double[:] right):
-    cdef Py_ssize_t q = right.shape[0], i, j
-    cdef double[:, ::1] W = np.empty((q, q))
-    cdef double white
-    if not whiten(np.array(matrix), W):
-        raise IndefiniteCovarianceError
-    result = np.zeros(q)
-    cdef double[::1] solution = result
-    for j in range(q):
-        white = 0.0
-        for i in range(j + 1):
-            white += W[j, i] * right[i]
-        for i in range(j + 1):
-            solution[i] += W[j, i] * white
-    return result
-
-
-def whitener(covariance):
-    whitening = np.empty(covariance.shape)
-    if not whiten(np.array(covariance), whitening):
-        raise IndefiniteCovarianceError
-    return whitening
-
-
-def scores_added(
-    const double[:, ::1] sums,
-    const double[:, :] information,
-    const double[:] score,
-    double nis,
-    double dof,
-    Py_ssize_t first,
-):
-    cdef Py_ssize_t q = sums.shape[0], p = sums.shape[1] - CROSS, i, j
-    result = np.array(sums)
-    cdef double[:, ::1] out = result
-    for i in range(q):
-        out[i, INFORMATION] += information[first + i, first + i]
-        out[i, SCORE] += score[first + i]
-        out[i, NIS] += nis
-        out[i, DOF] += dof
-        for j in range(p):
-            out[i, CROSS + j] += information[first + i, first - p + j]
-    return result
-
-
-def scale_changes(const double[:, ::1] sums, others, double least, double ramp_s):
-    cdef Py_ssize_t q = sums.shape[0], p = sums.shape[1] - CROSS, i, j, l
-    cdef double others_explained = others.explained, explained = 0.0, known, left, weight, seen
-    cdef const double[:] others_score = others.score
-    cdef double[:, ::1] precision = None
-    arrays = (np.empty(q), np.empty(q), np.empty(q))
-    cdef double[::1] values = arrays[0], variances = arrays[1], sigmas = arrays[2]
-    for i in range(q):
-        explained = max(explained, sums[i, SCORE] * sums[i, SCORE] / max(sums[i, INFORMATION], TINY))
-    cdef bint beside = others_explained > explained
-    if beside:
-        precision = np.empty((p, p))
-        if not invert(np.array(others.information), precision):
-            raise IndefiniteCovarianceError
-    for i in range(q):
-        known = left = max(sums[i, INFORMATION], TINY)
-        seen = sums[i, SCORE]
-        if beside:
-            for j in range(p):
-                weight = 0.0
-                for l in range(p):
-                    weight += sums[i, CROSS + l] * precision[l, j]
-                left -= weight * sums[i, CROSS + j]
-                seen -= weight * others_score[j]
-            left = max(left, NOT_SEPARABLE * known)
-        values[i] = seen / left
-        variances[i] = max((sums[i, NIS] - seen * values[i]) / max(sums[i, DOF], 1.0), 1.0) / left
-        if i == q - 1:
-            least *= (sums[i, AGE] / ramp_s) * (sums[i, AGE] / ramp_s)
-        sigmas[i] = 0.0 if left < least else fabs(values[i]) / sqrt(variances[i])
-    return arrays

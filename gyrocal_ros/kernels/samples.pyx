@@ -2,12 +2,27 @@
 """Twins of `ekf.motion`, `ekf.steady_rate`, `ekf.effects_by_place`, `ekf.predict`, `ekf.step_record`,
 `effects.fading` and `effects.learned.drives` for the samples of a block."""
 
-from libc.math cimport cos, exp, sin, sqrt
+from libc.math cimport cos, exp, fabs, sin, sqrt
+
+cimport numpy as cnp
+from numpy cimport ndarray as Array
 
 import numpy as np
 
+from gyrocal_ros.kernels.arrays cimport at, clear, doubles, length, matrix, vector
+
+cnp.import_array()
+
 TWINS = (
-    'fading_memory', 'interpolate', 'intervals', 'low_pass', 'mean_at_end', 'path_in_block', 'rate_scatter', 'step_numbers'
+    'fading_memory',
+    'interpolate',
+    'intervals',
+    'low_pass',
+    'mean_at_end',
+    'path_in_block',
+    'rate_scatter',
+    'step_numbers',
+    'way_and_turn',
 )
 
 
@@ -51,13 +66,17 @@ def intervals(list times_ns, list nodes, list wheels_ns, list travelled_m, list 
     cdef double offset_ns, earlier_ns = 0.0, scatter = 0.0, step
     cdef double here[6]
     cdef double before[6]
+    cdef Array middle_ns = vector(n), dt_s = vector(n), rates = matrix(n, 3), accelerations = vector(n), forces = matrix(n, 3)
+    cdef Array ways = vector(n), turns = vector(n)
+    cdef double* dt = at(dt_s)
+    cdef double* rate = at(rates)
+    cdef double* force = at(forces)
+    cdef double* distance = at(ways)
+    cdef double* turn = at(turns)
     for i in range(6):
         before[i] = 0.0
-    arrays = (np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty((n, 3)))
-    by_wheels = (np.zeros(n), np.zeros(n))
-    cdef double[::1] middle = arrays[0], dt = arrays[1], acceleration = arrays[3]
-    cdef double[::1] distance = by_wheels[0], turn = by_wheels[1]
-    cdef double[:, ::1] rate = arrays[2], force = arrays[4]
+    clear(distance, n)
+    clear(turn, n)
     cdef bint has_wheels = len(wheels_ns) > 1
     cdef double way_m = 0.0, way_before_m = 0.0, angle_rad = 0.0, angle_before_rad = 0.0
     cdef Track travelled = None, turned = None
@@ -74,67 +93,82 @@ def intervals(list times_ns, list nodes, list wheels_ns, list travelled_m, list 
         for i in range(6):
             here[i] = node[i]
         if k > 0:
-            middle[k - 1] = 0.5 * (offset_ns + earlier_ns)
+            at(middle_ns)[k - 1] = 0.5 * (offset_ns + earlier_ns)
             dt[k - 1] = (offset_ns - earlier_ns) / 1e9
-            acceleration[k - 1] = (here[2] - before[2]) / dt[k - 1]
+            at(accelerations)[k - 1] = (here[2] - before[2]) / dt[k - 1]
             for i in range(3):
-                rate[k - 1, i] = 0.5 * (here[i] + before[i])
-                force[k - 1, i] = 0.5 * (here[3 + i] + before[3 + i])
+                rate[3 * (k - 1) + i] = 0.5 * (here[i] + before[i])
+                force[3 * (k - 1) + i] = 0.5 * (here[3 + i] + before[3 + i])
                 if 1 < k < n:  # between samples, the ends of the block are none
                     step = here[3 + i] - before[3 + i]
                     scatter += step * step
         for i in range(6):
             before[i] = here[i]
         earlier_ns = offset_ns
-    return (*arrays, 0.5 * scatter / (n - 2) if n > 2 else float('nan'), *by_wheels)
+    scatter = 0.5 * scatter / (n - 2) if n > 2 else float('nan')
+    return middle_ns, dt_s, rates, accelerations, forces, scatter, ways, turns
 
 
-def interpolate(long long start_ns, const double[:] offsets_ns, list times_ns, list values):
-    cdef Py_ssize_t k
+def interpolate(long long start_ns, offsets_ns, list times_ns, list values):
+    cdef Array offsets = doubles(offsets_ns)
+    cdef Py_ssize_t n = length(offsets), k
     cdef Track track = Track(start_ns, times_ns, values)
-    result = np.empty(offsets_ns.shape[0])
-    cdef double[::1] out = result
-    for k in range(offsets_ns.shape[0]):
-        out[k] = track.at(offsets_ns[k])
+    cdef Array result = vector(n)
+    for k in range(n):
+        at(result)[k] = track.at(at(offsets)[k])
     return result
 
 
-def path_in_block(
-    double x_m, double y_m, double yaw_rad, const double[:] rate_rad_s, const double[:] dt_s, const double[:] distance_m
-):
-    cdef Py_ssize_t n = dt_s.shape[0], k
-    cdef double turn, ahead_x, ahead_y
-    heading_rad, position_m = np.empty(n), np.empty((n, 2))
-    cdef double[::1] heading = heading_rad
-    cdef double[:, ::1] position = position_m
+def path_in_block(mean, rate_rad_s, dt_s, distance_m):
+    cdef Array x = doubles(mean), rates = doubles(rate_rad_s), dt = doubles(dt_s), distance = doubles(distance_m)
+    cdef Py_ssize_t n = length(dt), k
+    cdef double x_m = at(x)[0], y_m = at(x)[1], yaw_rad = at(x)[5], turn, ahead_x, ahead_y
+    cdef Array heading_rad = vector(n), position_m = matrix(n, 2)
+    cdef double* heading = at(heading_rad)
     for k in range(n):
-        turn = rate_rad_s[k] * dt_s[k]
+        turn = at(rates)[3 * k + 2] * at(dt)[k]
         yaw_rad += turn
         heading[k] = yaw_rad - 0.5 * turn
-        ahead_x, ahead_y = cos(heading[k]) * distance_m[k], sin(heading[k]) * distance_m[k]
+        ahead_x, ahead_y = cos(heading[k]) * at(distance)[k], sin(heading[k]) * at(distance)[k]
         x_m += ahead_x
         y_m += ahead_y
-        position[k, 0], position[k, 1] = x_m - 0.5 * ahead_x, y_m - 0.5 * ahead_y
+        at(position_m)[2 * k], at(position_m)[2 * k + 1] = x_m - 0.5 * ahead_x, y_m - 0.5 * ahead_y
     return heading_rad, position_m
 
 
-def rate_scatter(const double[:] rate_rad_s, const double[:] dt_s):
-    cdef Py_ssize_t n = dt_s.shape[0], k
+def way_and_turn(rate_rad_s, dt_s, distance_m):
+    cdef Array rates = doubles(rate_rad_s), dt = doubles(dt_s), distance = doubles(distance_m)
+    cdef Py_ssize_t k
+    cdef double way_m = 0.0, turn_rad = 0.0, whole_way_m = 0.0, whole_turn_rad = 0.0, turn
+    for k in range(length(dt)):
+        turn = at(rates)[3 * k + 2] * at(dt)[k]
+        way_m += at(distance)[k]
+        turn_rad += turn
+        whole_way_m += fabs(at(distance)[k])
+        whole_turn_rad += fabs(turn)
+    return way_m, turn_rad, whole_way_m, whole_turn_rad
+
+
+def rate_scatter(rate_rad_s, dt_s):
+    cdef Array rates = doubles(rate_rad_s), intervals_s = doubles(dt_s)
+    cdef Py_ssize_t n = length(intervals_s), k
     cdef double turned = 0.0, duration = 0.0, steps = 0.0, bends = 0.0, step = 0.0, before, inside = 0.0, square = 0.0
+    cdef const double* rate = at(rates) + 2
+    cdef const double* dt = at(intervals_s)
     for k in range(n):
-        turned += rate_rad_s[k] * dt_s[k]
-        duration += dt_s[k]
+        turned += rate[3 * k] * dt[k]
+        duration += dt[k]
         if k > 0:
-            before, step = step, rate_rad_s[k] - rate_rad_s[k - 1]
+            before, step = step, rate[3 * k] - rate[3 * (k - 1)]
             steps += step * step
             if k > 1:
                 bends += (step - before) * (step - before)
         if 0 < k < n - 1:
-            inside += dt_s[k]
+            inside += dt[k]
     if n > 2:
         inside /= n - 2
         for k in range(1, n - 1):
-            square += (dt_s[k] - inside) * (dt_s[k] - inside)
+            square += (dt[k] - inside) * (dt[k] - inside)
     return (
         turned / duration,
         steps / (n - 1) * duration / n if n > 1 else 0.0,
@@ -143,14 +177,15 @@ def rate_scatter(const double[:] rate_rad_s, const double[:] dt_s):
     )
 
 
-def mean_at_end(const double[:] values, const double[:] dt_s, double length_s):
-    cdef Py_ssize_t k = dt_s.shape[0] - 1
-    cdef double left_s = max(length_s, dt_s[k]), total = 0.0, duration_s = 0.0, within_s
+def mean_at_end(values, dt_s, double length_s):
+    cdef Array numbers = doubles(values), dt = doubles(dt_s)
+    cdef Py_ssize_t k = length(dt) - 1
+    cdef double left_s = max(length_s, at(dt)[k]), total = 0.0, duration_s = 0.0, within_s
     while k >= 0 and left_s > 0.0:
-        within_s = min(dt_s[k], left_s)
-        total += within_s * values[k]
+        within_s = min(at(dt)[k], left_s)
+        total += within_s * at(numbers)[k]
         duration_s += within_s
-        left_s -= dt_s[k]
+        left_s -= at(dt)[k]
         k -= 1
     return total / duration_s
 
@@ -181,27 +216,26 @@ def low_pass(const double[:, :] drive, const double[:, :] kept, start):
     return solution
 
 
-def step_numbers(
-    before, predicted, after, const double[:] dt_s, correction, const double[:, :] rate_rad_s, const double[:] euler_rad
-):
-    cdef const double[:] earlier = before.mean, expected = predicted.mean, mean = after.mean
-    cdef const double[:, :] P_expected = predicted.covariance, P = after.covariance
-    cdef const double[:, :] by_values = correction.by_values
-    cdef const double[:] correction_rad_s = correction.rate_rad_s
-    cdef Py_ssize_t n = dt_s.shape[0], k = after.coefficient_count, r = 9 + k, i, j
+def step_numbers(before, predicted, after, dt_s, correction, rate_rad_s, euler_rad):
+    cdef Array x_before = doubles(before.mean), x_expected = doubles(predicted.mean), x = doubles(after.mean)
+    cdef Array P_expected = doubles(predicted.covariance), P_after = doubles(after.covariance), dt = doubles(dt_s)
+    cdef Array of_correction = doubles(correction.by_values), corrections = doubles(correction.rate_rad_s)
+    cdef Array rates = doubles(rate_rad_s), euler = doubles(euler_rad)
+    cdef Py_ssize_t n = length(dt), k = after.coefficient_count, r = 9 + k, i, j
+    cdef Py_ssize_t across = length(x) + 1, across_expected = length(x_expected) + 1
     cdef double corrected = 0.0, turned = 0.0
-    arrays = (np.empty(r), np.empty(1 + k), np.empty(1 + k), np.zeros(k))
-    cdef double[::1] std = arrays[0], change = arrays[1], change_variance = arrays[2], columns = arrays[3]
+    cdef Array std = vector(r), change = vector(1 + k), change_variance = vector(1 + k), columns = vector(k)
     for i in range(r):
-        std[i] = sqrt(P[i, i])
-    for i in range(1 + k):
-        change[i] = mean[8 + i] - expected[8 + i]
-        change_variance[i] = P_expected[8 + i, 8 + i] - P[8 + i, 8 + i]
+        at(std)[i] = sqrt(at(P_after)[i * across])
+    for i in range(8, r):
+        at(change)[i - 8] = at(x)[i] - at(x_expected)[i]
+        at(change_variance)[i - 8] = at(P_expected)[i * across_expected] - at(P_after)[i * across]
+    clear(at(columns), k)
     for j in range(n):
-        corrected += dt_s[j] * correction_rad_s[j]
-        turned += dt_s[j] * rate_rad_s[j, 2]
+        corrected += at(dt)[j] * at(corrections)[j]
+        turned += at(dt)[j] * at(rates)[3 * j + 2]
         for i in range(k):
-            columns[i] += dt_s[j] * by_values[j, i]
+            at(columns)[i] += at(dt)[j] * at(of_correction)[j * k + i]
     for i in range(k):
-        corrected += columns[i] * (mean[9 + i] - earlier[9 + i])
-    return (*arrays, corrected, euler_rad[2] - earlier[5] - turned)
+        corrected += at(columns)[i] * (at(x)[9 + i] - at(x_before)[9 + i])
+    return std, change, change_variance, columns, corrected, at(euler)[2] - at(x_before)[5] - turned

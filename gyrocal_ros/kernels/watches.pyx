@@ -1,0 +1,102 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""Twins of `ekf.positive_definite` and `ekf.scale_watch`, which explain the equations."""
+
+from libc.float cimport DBL_MIN
+from libc.math cimport fabs, sqrt
+
+cimport numpy as cnp
+from numpy cimport ndarray as Array
+
+from gyrocal_ros.errors import IndefiniteCovarianceError
+from gyrocal_ros.kernels.arrays cimport at, clear, copied, doubles, length, matrix, vector
+from gyrocal_ros.kernels.positive_definite cimport invert, whiten
+
+cnp.import_array()
+
+TWINS = ('scale_changes', 'scores_added', 'solve', 'whitener')
+
+cdef double NOT_SEPARABLE = 1e-9
+
+cdef enum:  # columns of the sums of `ScaleWatch`
+    AGE
+    INFORMATION
+    SCORE
+    NIS
+    DOF
+    CROSS
+
+
+def solve(matrix_, right):
+    cdef Array work = copied(doubles(matrix_)), values = doubles(right)
+    cdef Py_ssize_t q = length(values), i, j
+    cdef Array whitening = matrix(q, q), solution = vector(q)
+    cdef const double* row
+    cdef double white
+    if not whiten(at(work), at(whitening), q):
+        raise IndefiniteCovarianceError
+    clear(at(solution), q)
+    for j in range(q):
+        row, white = at(whitening) + j * q, 0.0
+        for i in range(j + 1):
+            white += row[i] * at(values)[i]
+        for i in range(j + 1):
+            at(solution)[i] += row[i] * white
+    return solution
+
+
+def whitener(covariance):
+    cdef Array work = copied(doubles(covariance))
+    cdef Array whitening = matrix(length(work), length(work))
+    if not whiten(at(work), at(whitening), length(work)):
+        raise IndefiniteCovarianceError
+    return whitening
+
+
+def scores_added(sums, information, score, double nis, double dof, Py_ssize_t first):
+    cdef Array result = copied(doubles(sums)), added = doubles(information), by = doubles(score)
+    cdef Py_ssize_t q = length(result), width = length(result, 1), p = width - CROSS, c = length(by), i, j
+    cdef double* out
+    cdef const double* row
+    for i in range(q):
+        out, row = at(result) + i * width, at(added) + (first + i) * c
+        out[INFORMATION] += row[first + i]
+        out[SCORE] += at(by)[first + i]
+        out[NIS] += nis
+        out[DOF] += dof
+        for j in range(p):
+            out[CROSS + j] += row[first - p + j]
+    return result
+
+
+def scale_changes(sums, others, double least, double ramp_s):
+    cdef Array of_windows = doubles(sums), others_score = doubles(others.score), work, precision = None
+    cdef Py_ssize_t q = length(of_windows), width = length(of_windows, 1), p = width - CROSS, i, j, l
+    cdef double others_explained = others.explained, explained = 0.0, known, left, weight, seen
+    cdef Array values = vector(q), variances = vector(q), sigmas = vector(q)
+    cdef const double* sum_
+    for i in range(q):
+        sum_ = at(of_windows) + i * width
+        explained = max(explained, sum_[SCORE] * sum_[SCORE] / max(sum_[INFORMATION], DBL_MIN))
+    cdef bint beside = others_explained > explained
+    if beside:
+        work, precision = copied(doubles(others.information)), matrix(p, p)
+        if not invert(at(work), at(precision), p):
+            raise IndefiniteCovarianceError
+    for i in range(q):
+        sum_ = at(of_windows) + i * width
+        known = left = max(sum_[INFORMATION], DBL_MIN)
+        seen = sum_[SCORE]
+        if beside:
+            for j in range(p):
+                weight = 0.0
+                for l in range(p):
+                    weight += sum_[CROSS + l] * at(precision)[l * p + j]
+                left -= weight * sum_[CROSS + j]
+                seen -= weight * at(others_score)[j]
+            left = max(left, NOT_SEPARABLE * known)
+        at(values)[i] = seen / left
+        at(variances)[i] = max((sum_[NIS] - seen * at(values)[i]) / max(sum_[DOF], 1.0), 1.0) / left
+        if i == q - 1:
+            least *= (sum_[AGE] / ramp_s) * (sum_[AGE] / ramp_s)
+        at(sigmas)[i] = 0.0 if left < least else fabs(at(values)[i]) / sqrt(at(variances)[i])
+    return values, variances, sigmas

@@ -285,20 +285,16 @@ def changed_depths(rng: np.random.Generator, count: int) -> Arguments:
     return mean, 12, rows, before, rng.uniform(-0.1, 1.0, (count, 3)), 0.005, 0.1
 
 
+def shared_ways(rng: np.random.Generator, count: int) -> Arguments:
+    rows = rng.permutation(2 * count)[:count]
+    return mapped(rng, count), rows, rng.normal(size=count), rng.normal(size=3), 0.3
+
+
 def compared_depths(rng: np.random.Generator, count: int) -> Arguments:
-    known, ids = rng.permutation(2 * count)[:count], rng.permutation(2 * count)[:count]
-    known_variances, variances = rng.uniform(1e-6, 1e-4, (2, count))
-    variances *= rng.choice([0.1, 0.5, 1.0], count)
-    return (
-        known,
-        rng.uniform(0.2, 0.6, count),
-        known_variances,
-        ids,
-        rng.uniform(0.2, 0.6, count),
-        variances,
-        0.5,
-        8.0,
-    )
+    state = mapped(rng, count)
+    known = rng.permutation(np.concatenate([state.landmarks.ids, 6 * count + np.arange(count)]))[:count]
+    known_variances = rng.uniform(0.5, 8.0, count)
+    return known, rng.uniform(0.2, 0.6, count), known_variances, state, 0.5, 8.0
 
 
 def shift(rng: np.random.Generator, count: int) -> Arguments:
@@ -436,6 +432,7 @@ MAKERS: tuple[Maker, ...] = (
     scale_changes,
     scaled_noise,
     scores_added,
+    shared_ways,
     shift,
     solve,
     step_numbers,

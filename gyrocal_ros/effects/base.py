@@ -82,7 +82,7 @@ class LinearGyroEffect(ABC):
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Return the contribution at the coefficient values (k,)."""
         columns = self.columns(block)
-        return GyroTerm(columns @ values, columns)
+        return GyroTerm(columns.dot(values), columns)
 
 
 class LinearMemoryEffect(ABC):
@@ -102,7 +102,7 @@ class LinearMemoryEffect(ABC):
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Return the contribution at the coefficient values (k,)."""
         columns, memory = self.remembered(block, memory)
-        return GyroTerm(columns @ values, columns, memory)
+        return GyroTerm(columns.dot(values), columns, memory)
 
 
 def column(*signals: Array) -> Array:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from gyrocal_ros.data import Array
 from gyrocal_ros.statistics import chi_square_quantile
 
@@ -42,6 +40,7 @@ class AdaptiveNoise:
             return
         self._count += len(distances)
         gain = min(MAX_GAIN, max(MIN_GAIN, 1.0 / self._count)) * len(distances)
-        below = np.count_nonzero(distances < chi_square_quantile(0.5, dof)) / len(distances)
+        middle = chi_square_quantile(0.5, dof)
+        below = sum(distance < middle for distance in distances.tolist()) / len(distances)
         log_variance_step = min(gain, MAX_STEP) * (0.5 - below) / DENSITY_AT_MEDIAN
         self.std = min(self._high, max(self._low, self.std * math.exp(0.5 * log_variance_step)))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, quickly_filled
 from gyrocal_ros.ekf.camera_watch import CameraWatch
 from gyrocal_ros.ekf.heading import HeadingReference
 from gyrocal_ros.ekf.noise_bank import NoiseBank
@@ -25,6 +25,7 @@ REPEATED_PART, MAX_REPEATED_PX = 0.8, 0.12
 relative to the noise of one feature, and at most. What is learned of that grows with a wrong scale factor."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspicions:
     """What the tests of one step have found."""

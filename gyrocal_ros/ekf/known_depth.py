@@ -56,14 +56,10 @@ def _shared_with_way(state: State, model: ImageModel, rows: IntArray, change: Ar
     A way that is one per cent too long is made up for by an inverse depth that is one per cent too small, of
     whatever it is. Without this, the size of the map stays that of its first metre.
     """
-    rows, by_anchor = _depths_by_anchor(state, model, rows, change)
+    rows, by_anchor, causes, by_causes = shared_ways(state, rows, change, model.view.p_wc, MIN_BASELINE)
     if not len(rows):
         return state
-    depths, columns = state.feature_columns(rows)[:, 2], state.anchor_columns(rows)
-    anchors, moving = np.unique(columns), state.landmarks.anchors
-    by_anchors = by_anchor[:, None, :] * (columns[:, None] == anchors)[:, :, None]
-    causes = np.concatenate([np.arange(POSITION.stop), (anchors[:, None] + np.arange(3)).ravel()])
-    by_causes = np.concatenate([-by_anchor, by_anchors.reshape(len(rows), -1)], axis=1)
+    depths, moving = state.robot_size + 3 * rows + 2, state.landmarks.anchors
     if moving.by_values.shape[2]:
         now = camera_by_effects(model.view, lambda seen: model.by_values(seen, state.coefficients))
         k = state.coefficient_columns
@@ -79,19 +75,37 @@ def _shared_with_way(state: State, model: ImageModel, rows: IntArray, change: Ar
     return state
 
 
-def _depths_by_anchor(
-    state: State, model: ImageModel, rows: IntArray, change: Array
-) -> tuple[IntArray, Array]:
-    """Return which features (f,) share the error of their way, and what it adds to d depth / d anchor (f, 3).
+@compiled
+def shared_ways(
+    state: State, rows: IntArray, change: Array, camera_m: Array, least: float
+) -> tuple[IntArray, Array, IntArray, Array]:
+    """Return which features (f,) share the error of their way, and how their depths err with its ends.
 
     The anchor is a state, and the way long enough: a short one, as in spins, tells no depth.
+
+    Args:
+        state: after an update.
+        rows: (m,) indices of the features whose inverse depth has changed.
+        change: (m,) its changes.
+        camera_m: (3,) where the camera is.
+        least: smallest way, relative to the depth.
+
+    Returns:
+        Indices (f,) and what is added to d depth / d anchor (f, 3); places (p,) of the position and of the
+        anchors in the state, and what is added to d depth by them (f, p).
     """
     free = (state.landmarks.anchor_rows[rows] >= 0).nonzero()[0]
     rows, change = rows[free], change[free]
-    ways_m = state.mean[state.anchor_columns(rows)[:, None] + np.arange(3)] - model.view.p_wc
+    ways_m = state.mean[state.anchor_columns(rows)[:, None] + np.arange(3)] - camera_m
     squares_m2 = np.sum(ways_m**2, axis=1)
-    tells = (np.sqrt(squares_m2) * state.features[rows, 2] > MIN_BASELINE).nonzero()[0]
-    return rows[tells], -(change[tells] / squares_m2[tells])[:, None] * ways_m[tells]
+    tells = (np.sqrt(squares_m2) * state.features[rows, 2] > least).nonzero()[0]
+    rows, by_anchor = rows[tells], -(change[tells] / squares_m2[tells])[:, None] * ways_m[tells]
+    columns = state.anchor_columns(rows)
+    anchors = np.unique(columns)
+    by_anchors = by_anchor[:, None, :] * (columns[:, None] == anchors)[:, :, None]
+    causes = np.concatenate([np.arange(POSITION.stop), (anchors[:, None] + np.arange(3)).ravel()])
+    by_causes = np.concatenate([-by_anchor, by_anchors.reshape(len(rows), 3 * len(anchors))], axis=1)
+    return rows, by_anchor, causes, by_causes
 
 
 def camera_by_effects(view: PosedCamera, by_effects: Callable[[Prediction], Array | None]) -> Array:

@@ -334,7 +334,7 @@ def weigh_loosely(
 
 def _with_noise(innovation: Innovation, inflation: Array, whitening: Array) -> Innovation:
     """Return the innovation with inflated noise in its covariance, else with what whitens it."""
-    if not np.count_nonzero(inflation != 1.0):
+    if max(inflation.tolist()) == 1.0:
         return changed(innovation, whitening=whitening)
     return changed(innovation, covariance=_inflated(innovation, inflation))
 
@@ -349,7 +349,7 @@ def _with_looser_pose(innovation: Innovation, std: Array) -> Innovation:
 
 def _inflated(innovation: Innovation, inflation: Array) -> Array:
     """Return the covariance (m, r, m, r) with inflated noise."""
-    if not np.count_nonzero(inflation != 1.0):
+    if max(inflation.tolist()) == 1.0:
         return innovation.covariance
     each = np.arange(len(inflation))
     covariance = innovation.covariance.copy()

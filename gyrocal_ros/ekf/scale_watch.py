@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from operator import or_
 
 import numpy as np
 
@@ -29,7 +30,7 @@ WINDOWS_S = (3.0, 8.0, 20.0, 50.0, 120.0)
 """Lengths of the windows, one column each: a jump shows in a short one, a slow drift in a long one."""
 RAMP_S = 300.0
 """Length of the window of the ramp; its unit is the change over this time."""
-LENGTHS_S = np.array([*WINDOWS_S, RAMP_S])
+LENGTHS_S = *WINDOWS_S, RAMP_S
 """Lengths of the windows of all columns."""
 COLUMNS, RAMP = len(LENGTHS_S), -1
 """Number of columns, and the place of the ramp."""
@@ -206,11 +207,10 @@ class ScaleWatch:
         )
         self._ramp, self._ramp_variance = float(values[RAMP]), float(variances[RAMP])
         self._ramp_sigma = float(sigmas[RAMP])
-        best = int(sigmas[:RAMP].argmax())
-        if sigmas[best] >= CHANGE_SIGMA:
+        if max(sigmas.tolist()[:RAMP]) >= CHANGE_SIGMA:
             repeated = (repeated_rad / np.maximum(self._turned_rad, MIN_TURN_RAD)) ** 2
             sigmas, variances = sigmas / np.sqrt(1.0 + repeated / variances), variances + repeated
-            best = int(sigmas[:RAMP].argmax())
+        best = int(sigmas[:RAMP].argmax())
         sigma = float(sigmas[best])
         if sigma < CHANGE_SIGMA:
             self._significant_s = 0.0
@@ -254,17 +254,25 @@ class ScaleWatch:
             return state
         is_known = state.covariance[COEFFICIENTS_START, COEFFICIENTS_START] < self._known_std**2
         self._calibrated_s = self._calibrated_s + duration_s if is_known else 0.0
-        remaining = state.sensitivity[COEFFICIENTS_START, self._first :]
-        ended = self._sums[:, AGE] >= LENGTHS_S
-        ended[:RAMP] |= remaining[:RAMP] < ABSORBED
-        if 0.0 < self._significant_s < SETTLE_S:
-            ended[:] = False  # the window that explains a change has to last until it is followed
+        lasts = (
+            0.0 < self._significant_s < SETTLE_S
+        )  # the window that explains a change, until it is followed
+        ended = [False] * COLUMNS if lasts else self._ended(state)
         if ended[RAMP]:
             self._drift = 0.0
-        state = self._restarted(state, ended)
+        if any(ended):
+            state = self._restarted(state, np.array(ended))
         sensitivity = state.sensitivity.copy()
         sensitivity[COEFFICIENTS_START, RAMP] += duration_s / RAMP_S
         return changed(state, sensitivity=sensitivity)
+
+    def _ended(self, state: State) -> list[bool]:
+        """Return which windows have ended, or are those of a change that the filter has corrected."""
+        remaining = state.sensitivity[COEFFICIENTS_START, self._first :].tolist()
+        ages_s = self._sums[:, AGE].tolist()
+        ended = [age_s >= length_s for age_s, length_s in zip(ages_s, LENGTHS_S, strict=True)]
+        absorbed = [part < ABSORBED for part in remaining[:RAMP]]
+        return [*map(or_, ended, absorbed), ended[RAMP]]
 
     def follow(self, state: State, change: ScaleChange) -> State:
         """Return the state as if the scale factor had been unknown at the beginning of the window.
@@ -286,8 +294,6 @@ class ScaleWatch:
         return self.begin(add_lacking(state, change.column, change.value, std))
 
     def _restarted(self, state: State, chosen: np.ndarray) -> State:
-        if not np.count_nonzero(chosen):
-            return state
         columns = self._first + chosen.nonzero()[0]
         sensitivity = state.sensitivity.copy()
         sensitivity[:, columns] = 0.0

@@ -35,13 +35,11 @@ class SlidingPoints:
         Args:
             state: after an image; features are anchored inverse depths.
         """
-        ids, places = state.landmarks.ids, slice(state.robot_size + 2, state.anchors_start, 3)
-        depths, variances = state.mean[places], state.covariance.diagonal()[places]
         surprises, self._depths, self._variances = compared_depths(
-            self._ids, self._depths, self._variances, ids, depths, variances, MIN_LEARNED, RENEWED
+            self._ids, self._depths, self._variances, state, MIN_LEARNED, RENEWED
         )
-        self._ids = ids
-        if not float(surprises.max(initial=0.0)) > MAX_SURPRISE:
+        self._ids = ids = state.landmarks.ids
+        if not max(surprises.tolist(), default=0.0) > MAX_SURPRISE:
             return np.empty(0, np.int64)
         # Where all depths change, not the points are to blame.
         usual = max(float(np.median(surprises[surprises >= 0.0])), 1.0)
@@ -54,9 +52,7 @@ def compared_depths(
     known_ids: IntArray,
     known_depths: Array,
     known_variances: Array,
-    ids: IntArray,
-    depths: Array,
-    variances: Array,
+    state: State,
     min_learned: float,
     renewed: float,
 ) -> tuple[Array, Array, Array]:
@@ -69,12 +65,12 @@ def compared_depths(
         known_ids: (n,) features of earlier estimates.
         known_depths: (n,)
         known_variances: (n,)
-        ids: (m,) features of present estimates.
-        depths: (m,)
-        variances: (m,)
+        state: present estimates, of m features.
         min_learned: part of its variance that an estimate has to lose.
         renewed: factor by which its variance falls before the present one takes its place.
     """
+    ids, columns = state.landmarks.ids, slice(state.robot_size + 2, state.anchors_start, 3)
+    depths, variances = state.mean[columns], state.covariance.diagonal()[columns]
     place_of = {feature: place for place, feature in enumerate(known_ids.tolist())}
     places = np.array([place_of.get(feature, -1) for feature in ids.tolist()], np.int64)
     before = np.where(places < 0, depths, np.append(known_depths, 0.0)[places])

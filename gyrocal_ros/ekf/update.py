@@ -102,8 +102,7 @@ class UpdateStats:
         return -0.5 * (self.nis + self.log_determinant + self.dof * math.log(2.0 * math.pi))
 
 
-NOTHING: Array = np.empty(0)
-NO_FEATURES: IntArray = np.empty(0, np.int64)
+NONE, NO_FEATURES = np.empty(0), np.empty(0, np.int64)
 """Numbers of an update that has none."""
 
 
@@ -125,7 +124,7 @@ class MeasurementUpdate:
     by_feature: FeatureScores | None = None
     """Scores of the candidates by feature, where there are candidates."""
     used_ids: IntArray = field(default_factory=lambda: NO_FEATURES)
-    given_others: Array = field(default_factory=lambda: NOTHING)
+    given_others: Array = field(default_factory=lambda: NONE)
     """Numbers of the features used, and the log-likelihood of each given the others."""
     by_position: PositionScore | None = None
     """What the image tells of the noise of the wheels; None where it tells nothing."""
@@ -133,9 +132,9 @@ class MeasurementUpdate:
     """The innovation as a heading: the rotation about the vertical that fits it best."""
     heading_std_rad: float = float('nan')
     """Its standard deviation by the measurement noise."""
-    noise_distances: Array = field(default_factory=lambda: NOTHING)
+    noise_distances: Array = field(default_factory=lambda: NONE)
     """Squared distances of the features that the pixel noise dominates, see `robust.Judged`."""
-    changes_px2: Array = field(default_factory=lambda: NOTHING)
+    changes_px2: Array = field(default_factory=lambda: NONE)
     """Changes of unmoved features, see `repeated_errors.Motion`."""
     slips: bool = False
     """True if the features of the image contradict the way by the wheels alone, see `robust.consensus`."""
@@ -225,8 +224,7 @@ def _with_moved(state: State, by_effects: Array, prediction: Prediction, anchors
     """Return the derivative (m, r, k) of a prediction by effects that move the anchors by (m, 3, k), too."""
     if not state.has_anchors or not anchors_by_effects.shape[2]:
         return by_effects
-    moved: Array = by_effects - prediction.by_pose[:, :, :3] @ anchors_by_effects
-    return moved
+    return by_effects - prediction.by_pose[:, :, :3] @ anchors_by_effects
 
 
 def own_precisions(innovation: Innovation) -> Array:

@@ -42,6 +42,7 @@ class PositionScore:
     """(2, 2) A^T S^-1 A."""
 
 
+@quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class _Batch:
     """Errors of the wheels along the way and across it, in some images."""
@@ -98,18 +99,24 @@ class WheelNoise:
             self._before, self._batch = self._batch, _EMPTY
 
     def _add(self, told: PositionScore, yaw_rad: float) -> None:
-        """Add an image to the batch, by what its wheels err by: the columns of `errors_m`."""
+        """Add an image to the batch, by what its wheels err by along the way and across it."""
         wheels, cos, sin = self.config, math.cos(yaw_rad), math.sin(yaw_rad)
         along_m = math.sqrt(
             wheels.distance_noise_m**2 * self._way_m + wheels.turn_noise_m**2 * self._turn_rad
         )
         across_m = wheels.lateral_noise_m * math.sqrt(self._way_m)
-        errors_m = np.array([[cos, -sin], [sin, cos]]) * [along_m, across_m]
-        information = errors_m.T @ told.information @ errors_m
+        x, y = told.score.tolist()
+        (xx, xy), (_, yy) = told.information.tolist()
+        errors = along_m * (x * cos + y * sin), across_m * (y * cos - x * sin)
+        both = 2.0 * xy * cos * sin
+        expected = (
+            along_m**2 * (xx * cos**2 + yy * sin**2 + both),
+            across_m**2 * (xx * sin**2 + yy * cos**2 - both),
+        )
         batch = self._batch
         self._batch = _Batch(
-            batch.errors + told.score @ errors_m,
-            batch.expected + information.diagonal(),
+            batch.errors + np.array(errors),
+            batch.expected + np.array(expected),
             batch.images + 1,
             batch.duration_s + self._since_s,
         )

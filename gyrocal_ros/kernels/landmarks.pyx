@@ -9,7 +9,7 @@ cimport numpy as cnp
 from numpy cimport ndarray as Array
 
 from gyrocal_ros.kernels.arrays cimport (
-    at, at_integers, copied, cube, doubles, flags, indices, integers, length, matrix, vector
+    at, at_integers, clear, copied, cube, doubles, flags, indices, integers, length, matrix, vector
 )
 
 cnp.import_array()
@@ -25,6 +25,7 @@ TWINS = (
     'matches_counted',
     'motion_in_image',
     'scaled_noise',
+    'shared_ways',
     'shift',
 )
 
@@ -32,7 +33,7 @@ cdef Py_ssize_t COEFFICIENTS_START = 9
 
 
 cdef Array first_of(Array values, Py_ssize_t count):
-    """Return the first of some integers (n,)."""
+    """Return the first rows of an array."""
     return values if count == length(values) else values[:count]
 
 
@@ -256,14 +257,65 @@ def shift(covariance, sensitivity, places, causes, by_causes):
     return after, moved
 
 
-def compared_depths(known_ids, known_depths, known_variances, ids, depths, variances, double min_learned, double renewed):
+def shared_ways(state, rows, change, camera_m, double least):
+    cdef Array mean = doubles(state.mean), which = integers(rows), changes = doubles(change), camera = doubles(camera_m)
+    cdef Array anchor_rows = integers(state.landmarks.anchor_rows)
+    cdef Py_ssize_t robot = COEFFICIENTS_START + <Py_ssize_t>state.coefficient_count, m = length(which), f, g, i, row
+    cdef Py_ssize_t start = robot + 3 * length(anchor_rows), count = 0, anchors = 0, p
+    cdef Array told = indices(m), way = matrix(m, 3), used = indices(m)
+    cdef double* by = at(way)
+    cdef long* anchor = at_integers(used)
+    cdef const double* x = at(mean)
+    cdef double square
+    for f in range(m):
+        row = at_integers(which)[f]
+        if at_integers(anchor_rows)[row] < 0:
+            continue
+        square = 0.0
+        for i in range(3):
+            by[3 * count + i] = x[start + 3 * at_integers(anchor_rows)[row] + i] - at(camera)[i]
+            square += by[3 * count + i] * by[3 * count + i]
+        if sqrt(square) * x[robot + 3 * row + 2] > least:
+            for i in range(3):
+                by[3 * count + i] *= -(at(changes)[f] / square)
+            at_integers(told)[count] = row
+            count += 1
+    for f in range(count):  # the anchors used, each once and in order
+        row = at_integers(anchor_rows)[at_integers(told)[f]]
+        g = anchors
+        while g > 0 and anchor[g - 1] > row:
+            g -= 1
+        if g > 0 and anchor[g - 1] == row:
+            continue
+        for i in range(anchors, g, -1):
+            anchor[i] = anchor[i - 1]
+        anchor[g] = row
+        anchors += 1
+    p = 3 + 3 * anchors
+    cdef Array causes = indices(p), by_causes = matrix(count, p)
+    clear(at(by_causes), count * p)
+    for i in range(3):
+        at_integers(causes)[i] = i
+        for g in range(anchors):
+            at_integers(causes)[3 + 3 * g + i] = start + 3 * anchor[g] + i
+    for f in range(count):
+        for i in range(3):
+            at(by_causes)[f * p + i] = -by[3 * f + i]
+            for g in range(anchors):
+                if anchor[g] == at_integers(anchor_rows)[at_integers(told)[f]]:
+                    at(by_causes)[f * p + 3 + 3 * g + i] = by[3 * f + i]
+    return first_of(told, count), first_of(way, count), causes, by_causes
+
+
+def compared_depths(known_ids, known_depths, known_variances, state, double min_learned, double renewed):
     cdef Array known = integers(known_ids), old_depths = doubles(known_depths), old_variances = doubles(known_variances)
-    cdef Array present = integers(ids), new_depths = doubles(depths), new_variances = doubles(variances)
+    cdef Array present = integers(state.landmarks.ids), mean = doubles(state.mean), P = doubles(state.covariance)
     cdef Py_ssize_t n = length(known), m = length(present), f, place
+    cdef Py_ssize_t at_depth = COEFFICIENTS_START + <Py_ssize_t>state.coefficient_count + 2
     cdef double before, variance, learned, depth, now
     cdef Array surprises = vector(m), kept = vector(m), kept_variances = vector(m)
     for f in range(m):
-        depth, now = at(new_depths)[f], at(new_variances)[f]
+        depth, now = at(mean)[at_depth + 3 * f], at(P)[(at_depth + 3 * f) * (length(mean) + 1)]
         before, variance = depth, now
         for place in range(n):
             if at_integers(known)[place] == at_integers(present)[f]:

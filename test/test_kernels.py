@@ -315,6 +315,11 @@ def scale_changes(
     return sums, normal_equations(matrix, direction), 2e4, 300.0
 
 
+def equations_added(rng: np.random.Generator, count: int) -> Arguments:
+    sums = normal_equations(covariance(rng, count), rng.normal(size=count))
+    return sums, covariance(rng, count + 5), rng.normal(size=count + 5), 2
+
+
 def scores_added(rng: np.random.Generator, count: int) -> Arguments:
     others = count % 3
     c = count + others + 2
@@ -349,6 +354,10 @@ def compare_headings(rng: np.random.Generator, count: int) -> Arguments:
 
 def euler_angles(rng: np.random.Generator, count: int) -> Arguments:
     return (rng.normal(size=3),)
+
+
+def undistort_brown(rng: np.random.Generator, count: int, camera: CameraIntrinsics = CAMERA) -> Arguments:
+    return camera, rng.uniform(-0.5, 0.5, (count, 2)), 20, 1e-5
 
 
 def pixels_by_radial_coefficients(
@@ -405,6 +414,7 @@ MAKERS: tuple[Maker, ...] = (
     compare_headings,
     corrected,
     corrected_rates,
+    equations_added,
     fading_memory,
     features_seen,
     filter_headings,
@@ -437,6 +447,7 @@ MAKERS: tuple[Maker, ...] = (
     solve,
     step_numbers,
     turned_camera,
+    undistort_brown,
     way_and_turn,
     weigh,
     weigh_loosely,
@@ -485,6 +496,8 @@ def test_twins_agree_behind_every_lens(lens: str) -> None:
     rng = np.random.default_rng(1)
     assert_equal_to_rounding('project_with_jacobian', (LENSES[lens], points(rng, 20)[:-1]))
     assert_equal_to_rounding('predict_inverse_depth', predict_inverse_depth(rng, 20, LENSES[lens]))
+    if lens != 'equidistant':
+        assert_equal_to_rounding('undistort_brown', undistort_brown(rng, 20, LENSES[lens]))
     by_radial = pixels_by_radial_coefficients(rng, 20, LENSES[lens])
     assert_equal_to_rounding('pixels_by_radial_coefficients', by_radial)
 

@@ -15,7 +15,7 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects.camera_tilt import CameraTilt
 from gyrocal_ros.effects.radial_distortion import RadialDistortion
-from gyrocal_ros.ekf.scale_watch import NormalEquations, normal_equations
+from gyrocal_ros.ekf.scale_watch import NormalEquations, equations_added, normal_equations
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.model.sensor import Effect
@@ -57,19 +57,26 @@ class CameraWatch:
         """Add the updates of one step."""
         for stats in updates:
             if stats.information is not None and stats.score is not None:
-                information = self.sums.information + stats.information[self._columns, self._columns]
-                self.sums = normal_equations(information, self.sums.score + stats.score[self._columns])
+                first = self._columns.start
+                self.sums = NormalEquations(
+                    *equations_added(self.sums, stats.information, stats.score, first)
+                )
                 self._nis += stats.nis
                 self._dof += stats.dof
 
     @property
+    def _is_significant(self) -> bool:
+        return self._significance(self.sums.explained) >= GATE
+
+    @property
     def errors(self) -> Array:
         """(4,) errors of the camera if they are significant, zero otherwise."""
-        is_significant = self._significance(self.sums.explained) >= GATE
-        return self.sums.values if is_significant else np.zeros(self.count)
+        return self.sums.values if self._is_significant else np.zeros(self.count)
 
     def shift(self, state: State) -> Array:
         """Return by how much the errors change yaw bias and coefficients, (1 + k,)."""
+        if not self._is_significant:
+            return np.zeros(1 + state.coefficient_count)
         changes: Array = state.sensitivity[YAW_BIAS : state.robot_size, self._columns] @ self.errors
         return changes
 

@@ -313,7 +313,8 @@ def _at_first_sight(
 
 def _noise_dominated(judged: Judged, unmoved: np.ndarray) -> Array:
     """Return the distances of moved features whose variance is pixel noise by two thirds or more."""
-    return judged.distances[(judged.noise_share > 2.0 / 3.0) & ~unmoved]
+    features = zip(judged.distances.tolist(), judged.noise_share.tolist(), unmoved.tolist(), strict=True)
+    return np.array([distance for distance, share, stays in features if share > 2.0 / 3.0 and not stays])
 
 
 def _as_heading(innovation: Innovation) -> tuple[float, float]:

@@ -37,12 +37,12 @@ def inverse(covariance: Array) -> Array:
 
 
 @compiled
-def solve(matrix: Array, right: Array) -> Array:
+def solve(left: Array, right: Array) -> Array:
     """Return `A^-1 b` for a positive definite A (q, q) and b (q,).
 
     Raises:
         FilterDivergedError: A is not positive definite.
     """
-    whitening = whitener(matrix)
+    whitening = whitener(left)
     solution: Array = whitening.T @ (whitening @ right)
     return solution

@@ -97,6 +97,24 @@ def normal_equations(information: Array, score: Array) -> NormalEquations:
     return NormalEquations(information, score, values, float(score @ values))
 
 
+@compiled
+def equations_added(
+    sums: NormalEquations, information: Array, score: Array, first: int
+) -> tuple[Array, Array, Array, float]:
+    """Return the fields of `NormalEquations` of q errors after an update.
+
+    Args:
+        sums: before.
+        information: (c, c) of the update, on these errors and others.
+        score: (c,)
+        first: index of the first of them.
+    """
+    own = slice(first, first + len(sums.score))
+    information, score = sums.information + information[own, own], sums.score + score[own]
+    values = solve(information, score)
+    return information, score, values, float(score @ values)
+
+
 NOTHING = NormalEquations(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0)
 """No errors that are tested beside."""
 AGE, INFORMATION, SCORE, NIS, DOF = range(5)

@@ -12,8 +12,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from gyrocal_ros.config.sections import WheelConfig
 from gyrocal_ros.data import Array, MotionBlock, quickly_filled
 
@@ -47,15 +45,15 @@ class PositionScore:
 class _Batch:
     """Errors of the wheels along the way and across it, in some images."""
 
-    errors: Array
-    """(2,) sum of the scores by errors of one expected standard deviation each."""
-    expected: Array
-    """(2,) expected squares of these sums."""
+    errors: tuple[float, float]
+    """Sums of the scores by errors of one expected standard deviation each."""
+    expected: tuple[float, float]
+    """Expected squares of these sums."""
     images: int
     duration_s: float
 
 
-_EMPTY = _Batch(np.zeros(2), np.zeros(2), 0, 0.0)
+_EMPTY = _Batch((0.0, 0.0), (0.0, 0.0), 0, 0.0)
 
 
 class WheelNoise:
@@ -69,7 +67,7 @@ class WheelNoise:
         self.config = settings
         """The settings with the noise that is known now."""
         self._settings = settings
-        self._log_variances, self._information = np.zeros(2), np.full(2, PRIOR_BATCHES)
+        self._log_variances, self._information = [0.0, 0.0], [PRIOR_BATCHES, PRIOR_BATCHES]
         self._before, self._batch = _EMPTY, _EMPTY
         self.forget()
 
@@ -107,16 +105,15 @@ class WheelNoise:
         across_m = wheels.lateral_noise_m * math.sqrt(self._way_m)
         x, y = told.score.tolist()
         (xx, xy), (_, yy) = told.information.tolist()
-        errors = along_m * (x * cos + y * sin), across_m * (y * cos - x * sin)
         both = 2.0 * xy * cos * sin
-        expected = (
-            along_m**2 * (xx * cos**2 + yy * sin**2 + both),
-            across_m**2 * (xx * sin**2 + yy * cos**2 - both),
-        )
         batch = self._batch
+        (along, across), (expected_along, expected_across) = batch.errors, batch.expected
         self._batch = _Batch(
-            batch.errors + np.array(errors),
-            batch.expected + np.array(expected),
+            (along + along_m * (x * cos + y * sin), across + across_m * (y * cos - x * sin)),
+            (
+                expected_along + along_m**2 * (xx * cos**2 + yy * sin**2 + both),
+                expected_across + across_m**2 * (xx * sin**2 + yy * cos**2 - both),
+            ),
             batch.images + 1,
             batch.duration_s + self._since_s,
         )
@@ -126,14 +123,15 @@ class WheelNoise:
         if not before.images:
             return
         images = before.images + batch.images
-        squares = (batch.errors - before.errors) ** 2 / images
-        expected = (batch.expected + before.expected) / images
-        scores = np.minimum(squares, MAX_RATIO * expected) - expected
-        fading = 1.0 - 1.0 / MEMORY
-        self._information = np.maximum(fading * self._information, PRIOR_BATCHES) + expected**2
-        steps = np.clip(scores / self._information, -MAX_STEP, MAX_STEP)
-        self._log_variances = np.clip(self._log_variances + steps, 0.0, MAX_LOG_VARIANCE)
-        along, across = np.exp(0.5 * self._log_variances).tolist()
+        for axis in range(2):
+            error = batch.errors[axis] - before.errors[axis]
+            expected = (batch.expected[axis] + before.expected[axis]) / images
+            score = min(error * error / images, MAX_RATIO * expected) - expected
+            faded = (1.0 - 1.0 / MEMORY) * self._information[axis]
+            self._information[axis] = max(faded, PRIOR_BATCHES) + expected * expected
+            step = min(max(score / self._information[axis], -MAX_STEP), MAX_STEP)
+            self._log_variances[axis] = min(max(self._log_variances[axis] + step, 0.0), MAX_LOG_VARIANCE)
+        along, across = (math.exp(0.5 * log_variance) for log_variance in self._log_variances)
         settings = self._settings
         self.config = replace(
             settings,

@@ -1,12 +1,13 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.rotation`, `model.camera`, `model.features` and `effects.camera_tilt`, which explain the equations."""
+"""Twins of `model.rotation`, `model.lens`, `model.camera`, `model.features` and `effects.camera_tilt`, which explain
+the equations."""
 
-from libc.math cimport atan, cos, sin, sqrt
+from libc.math cimport atan, cos, fabs, sin, sqrt
 
 cimport numpy as cnp
 from numpy cimport ndarray as Array
 
-from gyrocal_ros.kernels.arrays cimport at, clear, cube, doubles, length, matrix, vector
+from gyrocal_ros.kernels.arrays cimport at, clear, copied, cube, doubles, length, matrix, vector
 from gyrocal_ros.kernels.rotations cimport rotate
 
 cnp.import_array()
@@ -19,6 +20,7 @@ TWINS = (
     'rotation_derivatives',
     'rotation_from_euler',
     'turned_camera',
+    'undistort_brown',
 )
 
 cdef enum Lens:
@@ -114,6 +116,31 @@ def project_with_jacobian(camera, points_c):
     for f in range(m):
         project(&lens, at(points) + 3 * f, at(pixels) + 2 * f, at(jacobian) + 6 * f)
     return pixels, jacobian
+
+
+def undistort_brown(camera, distorted, int max_steps, double last_step):
+    cdef Camera lens = camera_of(camera)
+    cdef Array wanted = doubles(distorted), normalised = copied(wanted)
+    cdef Py_ssize_t n = length(wanted), f
+    cdef double* u
+    cdef double reached[2]
+    cdef double slopes[3]
+    cdef double longest, x, y, step_x, step_y, determinant
+    cdef int iteration
+    for iteration in range(max_steps):
+        longest = 0.0
+        for f in range(n):
+            u = at(normalised) + 2 * f
+            distort(&lens, u[0], u[1], reached, slopes)
+            x, y = reached[0] - at(wanted)[2 * f], reached[1] - at(wanted)[2 * f + 1]
+            determinant = slopes[0] * slopes[2] - slopes[1] * slopes[1]
+            step_x, step_y = (slopes[2] * x - slopes[1] * y) / determinant, (slopes[0] * y - slopes[1] * x) / determinant
+            u[0] -= step_x
+            u[1] -= step_y
+            longest = max(longest, fabs(step_x), fabs(step_y))
+        if longest < last_step:
+            break
+    return normalised
 
 
 def predict_inverse_depth(view, parameters, anchors):

@@ -13,7 +13,7 @@ from gyrocal_ros.kernels.positive_definite cimport invert, whiten
 
 cnp.import_array()
 
-TWINS = ('scale_changes', 'scores_added', 'solve', 'whitener')
+TWINS = ('equations_added', 'scale_changes', 'scores_added', 'solve', 'whitener')
 
 cdef double NOT_SEPARABLE = 1e-9
 
@@ -26,22 +26,46 @@ cdef enum:  # columns of the sums of `ScaleWatch`
     CROSS
 
 
-def solve(matrix_, right):
-    cdef Array work = copied(doubles(matrix_)), values = doubles(right)
-    cdef Py_ssize_t q = length(values), i, j
-    cdef Array whitening = matrix(q, q), solution = vector(q)
+cdef bint solve_to(Array left, Array right, Array solution):
+    """Write the solution (q,) of equations with a positive definite matrix (q, q); return False where it is none."""
+    cdef Py_ssize_t q = length(right), i, j
+    cdef Array work = copied(left), whitening = matrix(q, q)
     cdef const double* row
     cdef double white
     if not whiten(at(work), at(whitening), q):
-        raise IndefiniteCovarianceError
+        return False
     clear(at(solution), q)
     for j in range(q):
         row, white = at(whitening) + j * q, 0.0
         for i in range(j + 1):
-            white += row[i] * at(values)[i]
+            white += row[i] * at(right)[i]
         for i in range(j + 1):
             at(solution)[i] += row[i] * white
+    return True
+
+
+def solve(left, right):
+    cdef Array values = doubles(right), solution = vector(length(values))
+    if not solve_to(doubles(left), values, solution):
+        raise IndefiniteCovarianceError
     return solution
+
+
+def equations_added(sums, information, score, Py_ssize_t first):
+    cdef Array summed = copied(doubles(sums.information)), total = copied(doubles(sums.score))
+    cdef Array added = doubles(information), by = doubles(score)
+    cdef Py_ssize_t q = length(total), c = length(by), i, j
+    cdef Array values = vector(q)
+    cdef double explained = 0.0
+    for i in range(q):
+        at(total)[i] += at(by)[first + i]
+        for j in range(q):
+            at(summed)[i * q + j] += at(added)[(first + i) * c + first + j]
+    if not solve_to(summed, total, values):
+        raise IndefiniteCovarianceError
+    for i in range(q):
+        explained += at(total)[i] * at(values)[i]
+    return summed, total, values, explained
 
 
 def whitener(covariance):

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics
+from gyrocal_ros.kernels import compiled
 
 COEFFICIENT_COUNTS = {'plumb_bob': 5, 'rational_polynomial': 8, 'equidistant': 4}
 """Lens models by their names in CameraInfo, with their numbers of coefficients."""
@@ -56,12 +57,25 @@ def undistort(camera: CameraIntrinsics, distorted: Array) -> Array:
         return distorted
     if camera.lens == 'equidistant':
         return _undistort_equidistant(camera.distortion, distorted)
+    return undistort_brown(camera, distorted, MAX_NEWTON_STEPS, LAST_NEWTON_STEP)
+
+
+@compiled
+def undistort_brown(camera: CameraIntrinsics, distorted: Array, max_steps: int, last_step: float) -> Array:
+    """Return the normalised coordinates (n, 2) behind a lens with radial and tangential distortion.
+
+    Args:
+        camera: intrinsics.
+        distorted: (n, 2)
+        max_steps: largest number of Newton steps.
+        last_step: length of a step below which the iteration ends.
+    """
     normalised = distorted
-    for _ in range(MAX_NEWTON_STEPS):
-        reached, slope = distort(camera, normalised)
+    for _ in range(max_steps):
+        reached, slope = _distort_brown(camera.distortion, normalised)
         step = _solve_symmetric(slope, reached - distorted)
         normalised = normalised - step
-        if np.abs(step).max(initial=0.0) < LAST_NEWTON_STEP:
+        if np.abs(step).max(initial=0.0) < last_step:
             break
     return normalised
 

@@ -50,7 +50,7 @@ def at_certain_way(
         prediction: of features by direction and inverse depth.
         noise_m: (3,) displacement since the last image that may be noise of the wheels.
     """
-    places = state.feature_columns(rows)[:, 2]
+    places = state.robot_size + 3 * rows + 2
     are_known = np.sqrt(state.covariance[places, places]) < KNOWN_DEPTH * np.abs(state.mean[places])
     by_feature = prediction.by_feature.copy()
     by_feature[:, :, 2] += are_known[:, None] * (prediction.by_point @ (view.R_wc.T @ noise_m))

@@ -85,11 +85,12 @@ def update_from_image(
         observations: features by the tracker.
     """
     matches = _match(state, model, observations)
-    unmoved, changes_px2, repeated = matches.unmoved, matches.changes_px2[matches.unmoved], 0
+    unmoved = matches.unmoved.nonzero()[0]
+    changes_px2, repeated = matches.changes_px2.take(unmoved), 0
     if model.errors_repeat or model.is_known:
-        repeated = int(np.count_nonzero(unmoved))
+        repeated = len(unmoved)
     if repeated:
-        state, matches = mark_seen(state, matches.rows[unmoved]), matches[(~unmoved).nonzero()[0]]
+        state, matches = mark_seen(state, matches.rows[unmoved]), matches[(~matches.unmoved).nonzero()[0]]
     if len(matches.rows) == 0:
         return state, MeasurementUpdate(unmoved=repeated, changes_px2=changes_px2)
     found = _consensus(_innovation(state, model, matches), model)

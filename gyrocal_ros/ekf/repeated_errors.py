@@ -104,7 +104,8 @@ class RepeatedErrors:
 
     def update(self, changes_px2: Array) -> None:
         """Learn from the changes (m,) of unmoved features."""
-        self._scatter.update(changes_px2 / self._scatter.std**2, 2)
+        if len(changes_px2):
+            self._scatter.update(changes_px2 / self._scatter.std**2, 2)
 
     def are_expected(self, noise_px: float) -> bool:
         """Return True if unmoved features scatter much less than the pixel noise (standard deviation)."""

@@ -225,17 +225,18 @@ class ScaleWatch:
         )
         self._ramp, self._ramp_variance = float(values[RAMP]), float(variances[RAMP])
         self._ramp_sigma = float(sigmas[RAMP])
-        if max(sigmas.tolist()[:RAMP]) >= CHANGE_SIGMA:
+        sigma = max(sigmas.tolist()[:RAMP])
+        if sigma >= CHANGE_SIGMA:
             repeated = (repeated_rad / np.maximum(self._turned_rad, MIN_TURN_RAD)) ** 2
             sigmas, variances = sigmas / np.sqrt(1.0 + repeated / variances), variances + repeated
-        best = int(sigmas[:RAMP].argmax())
-        sigma = float(sigmas[best])
+            sigma = max(sigmas.tolist()[:RAMP])
         if sigma < CHANGE_SIGMA:
             self._significant_s = 0.0
             return None
         self._significant_s = self._significant_s or duration_s
         if self._significant_s < NOTICED_S:
             return None
+        best = int(sigmas[:RAMP].argmax())
         std, was_calibrated = math.sqrt(variances[best]), bool(self._was_calibrated[best])
         return ScaleChange(self._first + best, float(values[best]), std, sigma, was_calibrated)
 
@@ -272,10 +273,9 @@ class ScaleWatch:
             return state
         is_known = state.covariance[COEFFICIENTS_START, COEFFICIENTS_START] < self._known_std**2
         self._calibrated_s = self._calibrated_s + duration_s if is_known else 0.0
-        lasts = (
-            0.0 < self._significant_s < SETTLE_S
-        )  # the window that explains a change, until it is followed
-        ended = [False] * COLUMNS if lasts else self._ended(state)
+        ended = self._ended(state)
+        if 0.0 < self._significant_s < SETTLE_S:
+            ended = [False] * COLUMNS  # the window that explains a change has to last until it is followed
         if ended[RAMP]:
             self._drift = 0.0
         if any(ended):

@@ -41,6 +41,8 @@ class Synchroniser:
     def __init__(self, running_s: float = 0.0) -> None:
         self.buffer = MotionBuffer(running_s)
         self._waiting: deque[Seen] = deque()
+        self._needed_ns = 0
+        """Time up to which samples are needed before the first one that waits is of use."""
         self._next: tuple[int, Seen] | None = None
 
     def add(self, measurement: Measurement, filter_ns: int) -> bool:
@@ -53,9 +55,11 @@ class Synchroniser:
         match measurement:
             case ImuSample() | WheelSample() | TemperatureSample() | CovariateSample():
                 self.buffer.add(measurement)
-                # Most samples: nothing to do until the next image.
-                return bool(self._waiting) or measurement.t_ns - filter_ns > MAX_BLOCK_NS
+                # Most samples: nothing to do until the next image, or until samples have reached it.
+                is_reached = bool(self._waiting) and measurement.t_ns >= self._needed_ns
+                return is_reached or measurement.t_ns - filter_ns > MAX_BLOCK_NS
             case FeatureObservations() | HeadingSample():
+                self._needed_ns = self._needed_ns if self._waiting else 0
                 self._waiting.append(measurement)
                 return True
             case TruthSample():
@@ -98,8 +102,9 @@ class Synchroniser:
         while True:
             if self._next is None and self._waiting:
                 moment_ns = _true_time_ns(self._waiting[0], offset_s)
+                self._needed_ns = moment_ns
                 if moment_ns <= until_ns:
-                    self._next = moment_ns, self._waiting.popleft()
+                    self._next, self._needed_ns = (moment_ns, self._waiting.popleft()), 0
             # An image that is stamped late may still come from before the latest sample.
             end_ns = until_ns - max(nanoseconds(offset_s), 0) if self._next is None else self._next[0]
             if end_ns - start_ns > MAX_BLOCK_NS:

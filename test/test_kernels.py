@@ -373,7 +373,9 @@ def pixels_by_tilt(rng: np.random.Generator, count: int) -> Arguments:
 def corrected(rng: np.random.Generator, count: int) -> Arguments:
     n, c = 3 * count, count % 3
     mean, before, sensitivity = rng.normal(size=n), covariance(rng, n), rng.normal(size=(n, c))
-    return mean, before, sensitivity, covariance(rng, n + 1 + c), covariance(rng, 2 * count)
+    whitened = rng.normal(size=(2 * count, n + 1 + c))
+    products = whitened[:, :n].T @ whitened
+    return mean, before, sensitivity, whitened, products, covariance(rng, 2 * count)
 
 
 def solve(rng: np.random.Generator, count: int) -> Arguments:

@@ -220,11 +220,11 @@ def innovation_matrices(
     return residual, np.concatenate([numerator, residual[:, :, None], G], axis=2), S
 
 
-def _with_moved(state: State, by_effects: Array, prediction: Prediction, anchors_by_effects: Array) -> Array:
+def _with_moved(state: State, by_effects: Array, prediction: Prediction, by_anchors: Array) -> Array:
     """Return the derivative (m, r, k) of a prediction by effects that move the anchors by (m, 3, k), too."""
-    if not state.has_anchors or not anchors_by_effects.shape[2]:
+    if not state.has_anchors or not by_anchors.shape[2]:
         return by_effects
-    return by_effects - prediction.by_pose[:, :, :3] @ anchors_by_effects
+    return by_effects - prediction.by_pose[:, :, :3] @ by_anchors
 
 
 def own_precisions(innovation: Innovation) -> Array:
@@ -361,9 +361,10 @@ def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, U
         stacked: (q, n + 1 + c) side by side H P, nu and G.
         whitening: L^-1 (q, q) with `L L^T = S`.
     """
-    whitened = whitening @ stacked
+    n, whitened = len(state.mean), whitening @ stacked
+    products = whitened[:, :n].T @ whitened  # BLAS takes twice as long for one that it knows to be symmetric
     mean, covariance, sensitivity, nis, log_determinant, information, score = corrected(
-        state.mean, state.covariance, state.sensitivity, whitened.T @ whitened, whitening
+        state.mean, state.covariance, state.sensitivity, whitened, products, whitening
     )
     if not math.isfinite(mean @ mean):
         raise FilterDivergedError('the estimate is no longer finite', todo=CHECK_THE_SENSORS)
@@ -375,26 +376,26 @@ def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, U
 
 @compiled
 def corrected(
-    mean: Array, covariance: Array, sensitivity: Array, products: Array, whitening: Array
+    mean: Array, covariance: Array, sensitivity: Array, whitened: Array, products: Array, whitening: Array
 ) -> tuple[Array, Array, Array, float, float, Array, Array]:
     """Return mean (n,), covariance (n, n) and sensitivity (n, c) after an update, and its `UpdateStats`.
-
-    Of these the NIS, log det S, the information (c, c) and the score (c,) of the candidates.
 
     Args:
         mean: before, (n,).
         covariance: P before, (n, n).
         sensitivity: X before, (n, c).
-        products: (n + 1 + c, n + 1 + c) products with each other of the whitened `H P`, nu and G.
+        whitened: (q, n + 1 + c) `H P`, nu and G, whitened.
+        products: (n, n + 1 + c) products of the whitened `H P` with these.
         whitening: L^-1 (q, q) with `L L^T = S`.
     """
     n = len(mean)
+    below, nu, G = np.tril(covariance - products[:, :n]), whitened[:, n], whitened[:, n + 1 :]
     return (
-        mean + products[:n, n],
-        covariance - products[:n, :n],
-        sensitivity - products[:n, n + 1 :],
-        float(products[n, n]),
+        mean + products[:, n],
+        below + np.tril(below, -1).T,
+        sensitivity - products[:, n + 1 :],
+        float(nu @ nu),
         -2.0 * float(np.log(whitening.diagonal()).sum()),
-        products[n + 1 :, n + 1 :].copy(),
-        products[n + 1 :, n].copy(),
+        G.T @ G,
+        G.T @ nu,
     )

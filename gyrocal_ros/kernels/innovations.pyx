@@ -140,32 +140,44 @@ def fit_heading(innovation, Py_ssize_t yaw):
     return score / information, sqrt(variance) / information
 
 
-def corrected(mean, covariance, sensitivity, products, whitening):
+def corrected(mean, covariance, sensitivity, whitened, products, whitening):
     cdef Array x = doubles(mean), before = doubles(covariance), G = doubles(sensitivity), by = doubles(products)
-    cdef Array W = doubles(whitening)
-    cdef Py_ssize_t n = length(x), c = length(G, 1), width = length(by, 1), q = length(W), i, j
-    cdef double determinant = 0.0
+    cdef Array white = doubles(whitened), W = doubles(whitening)
+    cdef Py_ssize_t n = length(x), c = length(G, 1), width = n + 1 + c, q = length(W), i, j, l
+    cdef double determinant = 0.0, nis = 0.0
     cdef Array after = vector(n), P = matrix(n, n), X = matrix(n, c), information = matrix(c, c), score = vector(c)
     cdef const double* source
     cdef const double* taken
     cdef double* row
     for i in range(n):
-        taken = at(by) + i * width
+        taken, source, row = at(by) + i * width, at(before) + i * n, at(P) + i * n
         at(after)[i] = at(x)[i] + taken[n]
-        source, row = at(before) + i * n, at(P) + i * n
-        for j in range(n):
+        for j in range(i + 1):
             row[j] = source[j] - taken[j]
         source, row = at(G) + i * c, at(X) + i * c
         for j in range(c):
             row[j] = source[j] - taken[n + 1 + j]
-    for i in range(c):
-        taken = at(by) + (n + 1 + i) * width + n
-        at(score)[i] = taken[0]
-        for j in range(c):
-            at(information)[i * c + j] = taken[1 + j]
-    for i in range(q):
-        determinant -= 2.0 * log(at(W)[i * (q + 1)])
-    return after, P, X, at(by)[n * (width + 1)], determinant, information, score
+    mirror(at(P), n)
+    clear(at(score), c)
+    clear(at(information), c * c)
+    for l in range(q):
+        taken = at(white) + l * width + n
+        nis += taken[0] * taken[0]
+        determinant -= 2.0 * log(at(W)[l * (q + 1)])
+        for i in range(c):
+            at(score)[i] += taken[1 + i] * taken[0]
+            for j in range(c):
+                at(information)[i * c + j] += taken[1 + i] * taken[1 + j]
+    return after, P, X, nis, determinant, information, score
+
+
+cdef void mirror(double* P, Py_ssize_t n) noexcept nogil:
+    """Copy what is below the diagonal of a matrix (n, n) to above it, by blocks that stay in the cache."""
+    cdef Py_ssize_t first, i, j
+    for first in range(0, n, 8):
+        for i in range(first, n):
+            for j in range(first, min(first + 8, i)):
+                P[j * n + i] = P[i * n + j]
 
 
 def position_score(by_pose, residual, whitening, Py_ssize_t yaw):

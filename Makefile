@@ -33,7 +33,7 @@ help:
 	@echo 'make clean   remove .venv and the caches'
 
 # The kernels are compiled where there is a compiler.
-$(READY): setup.py pyproject.toml $(wildcard gyrocal_ros/kernels/*.pyx)
+$(READY): setup.py pyproject.toml $(wildcard gyrocal_ros/kernels/*.p[xy][dx])
 	@test -n '$(PYTHON)' || { echo 'Python 3.11 or newer with venv is needed (Debian, Ubuntu: apt install python3-venv)' >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'

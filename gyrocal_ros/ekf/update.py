@@ -103,7 +103,6 @@ class UpdateStats:
 
 
 NONE, NO_FEATURES = np.empty(0), np.empty(0, np.int64)
-"""Numbers of an update that has none."""
 
 
 @quickly_filled

@@ -191,6 +191,16 @@ def test_pixel_noise_is_estimated() -> None:
         assert run.history.pixel_noise_px[-1] == pytest.approx(noise_px, rel=0.1)
 
 
+def test_pixel_noise_far_above_the_settings_is_learned_while_images_are_rejected() -> None:
+    """Then most features are rejected at first, so none becomes known well."""
+    errors = replace(SensorErrors(), pixel_noise_px=2.0)
+    source = recording(seed=3, duration_s=40.0, standing_s=0.5, camera_hz=8, errors=errors)
+    history = calibrate(source, Config(), default_model()).history
+    soon = np.searchsorted(history.time_s, 6.0)
+    assert history.pixel_noise_px[soon] == pytest.approx(2.0, rel=0.25)
+    assert history.rejected[soon:].sum() < 0.02 * history.used[soon:].sum()
+
+
 # --- recordings with missing measurements -------------------------------------------------------
 
 

@@ -41,6 +41,10 @@ from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import bearing, project_with_jacobian
 from gyrocal_ros.model.features.base import Anchors, NewFeatures, Prediction
 
+NOISE_SHARE, REJECTED_SHARE = 2.0 / 3.0, 0.4
+"""Part of pixel noise in the variance of a feature from which that is learned. Where an image is rejected as
+a whole, features seen once before count, too: half of their variance is the noise of then. If the noise is
+far above the settings, no feature becomes known, and there are no others."""
 SHUTTER_ITERATIONS = 2
 """Iterations for where a new feature was at the stamp of an image with a rolling shutter."""
 DOF_PER_FEATURE = 2
@@ -108,7 +112,7 @@ def update_from_image(
         kept = count_matches(state, matches.rows, good, pixels, matches.directions, drop_after)
     if len(kept.landmarks.ids) < len(state.landmarks.ids):
         dropped_ids = np.setdiff1d(state.landmarks.ids, kept.landmarks.ids)
-    is_in_pixels = model.form.rows == 2
+    is_in_pixels, least = model.form.rows == 2, REJECTED_SHARE if found.rejects_image else NOISE_SHARE
     return kept if model.keeps_anchors else settled(kept), changed(
         told,
         unmoved=repeated,
@@ -116,7 +120,7 @@ def update_from_image(
         slips=found.slip_std is not None,
         contradicts_turn=found.contradicts_turn,
         rejected=len(good) - told.used,
-        noise_distances=_noise_dominated(judged, matches.unmoved) if is_in_pixels else np.empty(0),
+        noise_distances=_noise_dominated(judged, matches.unmoved, least) if is_in_pixels else np.empty(0),
         dropped_ids=dropped_ids,
     )
 
@@ -312,10 +316,10 @@ def _at_first_sight(
     return by_feature
 
 
-def _noise_dominated(judged: Judged, unmoved: np.ndarray) -> Array:
-    """Return the distances of moved features whose variance is pixel noise by two thirds or more."""
+def _noise_dominated(judged: Judged, unmoved: np.ndarray, least: float) -> Array:
+    """Return the distances of moved features of whose variance at least that part is pixel noise."""
     features = zip(judged.distances.tolist(), judged.noise_share.tolist(), unmoved.tolist(), strict=True)
-    return np.array([distance for distance, share, stays in features if share > 2.0 / 3.0 and not stays])
+    return np.array([distance for distance, share, stays in features if share > least and not stays])
 
 
 def _as_heading(innovation: Innovation) -> tuple[float, float]:

@@ -55,9 +55,9 @@ cdef Camera camera_of(object intrinsics):
     return camera
 
 
-cdef void distort(const Camera* camera, double x, double y, double* at, double* slopes) noexcept nogil:
+cdef void distort(Camera* camera, double x, double y, double* at, double* slopes) noexcept nogil:
     """Write the distorted coordinates (2) and their derivative (3): by xx, xy = yx and yy."""
-    cdef const double* k = camera.k
+    cdef double* k = camera.k
     cdef double xx = x * x, yy = y * y, xy = x * y
     cdef double r2 = xx + yy
     cdef double radial, slope, denominator, angle, a2, bent, r
@@ -93,7 +93,7 @@ cdef void distort(const Camera* camera, double x, double y, double* at, double* 
     slopes[0], slopes[1], slopes[2] = radial + slope * xx, slope * xy, radial + slope * yy
 
 
-cdef void project(const Camera* camera, const double* point, double* pixel, double* jacobian) noexcept nogil:
+cdef void project(Camera* camera, const double* point, double* pixel, double* jacobian) noexcept nogil:
     """Write the pixel (2) of a point (3) and its derivative (2, 3)."""
     cdef double inverse_z = 1.0 / max(point[2], MIN_DEPTH)
     cdef double x = point[0] * inverse_z, y = point[1] * inverse_z

@@ -40,7 +40,8 @@ def kernels() -> list[Extension]:
     twins = [
         Extension(f'{NAME}.kernels.{file.stem}', [str(file)], **settings, optional=True) for file in files
     ]
-    return cythonize(twins, build_dir='build', quiet=True)  # colcon reads what is printed
+    # What Cython writes depends on the declarations that come with NumPy. colcon reads what is printed.
+    return cythonize(twins, build_dir=f'build/numpy-{numpy.__version__}', quiet=True)
 
 
 setup(

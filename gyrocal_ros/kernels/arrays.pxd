@@ -14,26 +14,25 @@ cdef extern from "numpy/arrayobject.h":
     bint PyArray_CheckExact(object values)
 
 
-cdef inline Array doubles(object values):
-    """Return numbers as a contiguous array of float64, a copy only where they are not one already."""
+cdef inline Array contiguous(object values, int kind):
+    """Return numbers as a contiguous array of a kind of NumPy, a copy only where they are not one already."""
     if (
         PyArray_CheckExact(values)
-        and cnp.PyArray_TYPE(<Array>values) == cnp.NPY_DOUBLE
+        and cnp.PyArray_TYPE(<Array>values) == kind
         and cnp.PyArray_IS_C_CONTIGUOUS(<Array>values)
     ):
         return <Array>values
-    return <Array>cnp.PyArray_FROM_OTF(values, cnp.NPY_DOUBLE, cnp.NPY_ARRAY_CARRAY_RO)
+    return <Array>cnp.PyArray_FROM_OTF(values, kind, cnp.NPY_ARRAY_CARRAY_RO)
+
+
+cdef inline Array doubles(object values):
+    """Return numbers as a contiguous array of float64."""
+    return contiguous(values, cnp.NPY_DOUBLE)
 
 
 cdef inline Array integers(object values):
-    """Return numbers as a contiguous array of int64, a copy only where they are not one already."""
-    if (
-        PyArray_CheckExact(values)
-        and cnp.PyArray_TYPE(<Array>values) == cnp.NPY_INT64
-        and cnp.PyArray_IS_C_CONTIGUOUS(<Array>values)
-    ):
-        return <Array>values
-    return <Array>cnp.PyArray_FROM_OTF(values, cnp.NPY_INT64, cnp.NPY_ARRAY_CARRAY_RO)
+    """Return numbers as a contiguous array of int64."""
+    return contiguous(values, cnp.NPY_INT64)
 
 
 cdef inline double* at(Array values) noexcept:

@@ -11,7 +11,7 @@ from synthetic import drive
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds
-from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift
+from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s
 from gyrocal_ros.diagnose.model_fit import ModelFit, drift_by_noise_deg, model_fit
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run, RunEvent
@@ -54,6 +54,15 @@ def test_a_short_recording_cannot_tell() -> None:
     assert ModelFit((), False).fits is None
     assert ModelFit((), True).fits is True
     assert ModelFit(('too large',), False).fits is False
+
+
+@pytest.mark.slow
+def test_the_drift_is_compared_with_what_noise_explains(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = simulated(())
+    drift = blind_drift(run, from_s=held_out_from_s(run))
+    assert model_fit(run).drift_ratio == pytest.approx(drift.rms_deg / drift_by_noise_deg(run, drift))
+    monkeypatch.setattr('gyrocal_ros.diagnose.model_fit.drift_by_noise_deg', lambda *_: 0.0)
+    assert math.isnan(model_fit(run).drift_ratio)
 
 
 def test_the_drift_by_noise_adds_all_its_sources() -> None:

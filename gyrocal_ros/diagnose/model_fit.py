@@ -34,7 +34,7 @@ class ModelFit:
     is_judged: bool
     """True if the recording is long enough to tell."""
     drift_ratio: float = math.nan
-    """Held-out blind drift relative to what noise explains; NaN where there is no span."""
+    """Held-out blind drift relative to what noise explains; NaN where there is no span, or no noise."""
 
     @property
     def fits(self) -> bool | None:
@@ -49,7 +49,7 @@ def model_fit(run: Run) -> ModelFit:
     by_noise_deg = drift_by_noise_deg(run, drift)
     is_judged = scatter.is_judged and len(drift.error_rad) > 0
     misfits = tuple(_misfits(run, scatter, drift.rms_deg, by_noise_deg))
-    return ModelFit(misfits, is_judged, drift.rms_deg / by_noise_deg)
+    return ModelFit(misfits, is_judged, drift.rms_deg / by_noise_deg if by_noise_deg else math.nan)
 
 
 def excess_nis(run: Run) -> float:

@@ -76,7 +76,7 @@ class CalibrationWatch:
             is_stored=is_stored,
         )
         self._noise = NoiseBank(state) if heading is None else None  # beside a heading the filter learns it
-        self._least_walk = 1.0
+        self._told_walk = 1.0
         self._follows_changes = follows_changes
         self._has_told, self.finding = False, ''
         """What is wrong with the camera or the heading reference; empty where nothing is."""
@@ -125,7 +125,7 @@ class CalibrationWatch:
             events += [str(change)] if change.was_calibrated else []
         if self._noise is not None:
             self._noise.add(predicted, state, duration_s)
-            events += self._told_walk(self._noise.least_walk)
+            events += self._walk_events(self._noise.least_walk)
         std = self._suspected_std(state, duration_s)
         if self.finding and not self._has_told:
             events.append(self.finding)
@@ -133,10 +133,10 @@ class CalibrationWatch:
         state = self._scale.renew(state, duration_s)
         return state, Suspicions(std, change, follows, '; '.join(events))
 
-    def _told_walk(self, least: float) -> Iterator[str]:
-        """Yield the random walk of the bias, relative to the settings, if it is larger than before."""
-        if least > self._least_walk:
-            self._least_walk = least
+    def _walk_events(self, least: float) -> Iterator[str]:
+        """Yield an event if the bias walks by a larger factor, relative to the settings, than was told."""
+        if least > self._told_walk:
+            self._told_walk = least
             yield (
                 f'the bias of the gyro walks at least {least:.0f} times as much as the setting '
                 'gyro.bias_walk_deg_s; `gyrocal diagnose` looks for the cause'

@@ -224,6 +224,14 @@ class TestProposals:
         made = replace(made, run=replace(made.run, history=biased))
         assert len(proposed(made, lacks_something=True, contradicts=True)) == count
 
+    @pytest.mark.parametrize(('bias_part', 'is_plausible'), [(0.98, False), (0.0, True)])
+    def test_a_bias_near_the_edge_is_none(self, bias_part: float, is_plausible: bool) -> None:
+        """With its noise it is inside now and then, but never for long."""
+        width = WIDTHS_RAD_S[2]
+        noise = np.random.default_rng(2).normal(0.0, 0.1 * width, 60 * 100)
+        readings = GyroReadings(np.arange(len(noise)) * 10**7, bias_part * width + noise)
+        assert RateDeadband().is_plausible(readings, width) == is_plausible
+
     def test_a_run_tries_the_widths_that_the_readings_allow(self) -> None:
         """Readings of slow turns beyond the true width are no zeros."""
         made = banded(WIDTHS_RAD_S[2])

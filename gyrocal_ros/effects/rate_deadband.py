@@ -26,6 +26,9 @@ MEAN_S, MEANS = 0.1, 10
 """Noise inside the band is estimated from means over 0.1 s, ten in each second."""
 MIN_SECONDS = 10
 """Minimum number of such seconds; fewer are not judged."""
+MAX_EDGE_PART = 0.5
+"""Largest mean of the readings inside, as a part of the width, where such seconds are few. A bias near an
+edge is inside now and then because of the noise, and the mean is near the edge, too."""
 MAX_VARIANCE_RATIO = 3.0
 """Largest variance of the means over a second, relative to what their noise explains, of dead readings."""
 NEAR_SAMPLES = 7
@@ -109,9 +112,11 @@ class RateDeadband:
         count = max(round(MEAN_S * NS_PER_S / float(np.median(np.diff(readings.t_ns)))), 1)
         rate = readings.rate_rad_s[: len(readings.rate_rad_s) // (MEANS * count) * MEANS * count]
         means = rate.reshape(-1, MEANS, count).mean(axis=2)
-        inside = means[np.all(np.abs(means) < limit, axis=1)]
+        is_inside = np.abs(means) < limit
+        inside, pieces = means[np.all(is_inside, axis=1)], means[is_inside]
         if len(inside) < MIN_SECONDS:
-            return True
+            is_short = MEAN_S * len(pieces) < MIN_SECONDS
+            return is_short or abs(float(pieces.mean())) <= MAX_EDGE_PART * limit
         noise = 0.5 * float(np.mean(np.diff(inside, axis=1) ** 2)) / MEANS
         is_constant = float(np.var(inside.mean(axis=1))) <= MAX_VARIANCE_RATIO * noise
         largest = MAX_MEAN_SIGMA * math.sqrt(noise / len(inside)) + MAX_MEAN_PART * limit

@@ -4,15 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from recordings import ModifiedSource, recording, with_clock_step
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import FeatureObservations, Frame, Measurement, Rig, Source, Span, nanoseconds
+from gyrocal_ros.data import (
+    FeatureObservations,
+    Frame,
+    Measurement,
+    MotionBlock,
+    Rig,
+    Source,
+    Span,
+    nanoseconds,
+)
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.ekf.step_record import StepRecord
+from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import MAX_IN_MEMORY_S, InMemorySource, preload
 from gyrocal_ros.pipeline.run_filter import Progress
@@ -115,6 +128,30 @@ class TestImages:
         np.testing.assert_array_equal(again.history.t_ns, direct.history.t_ns)
         off = abs(float(again.state.coefficients[0] - direct.state.coefficients[0]))
         assert off < 0.1 * direct.history.std[-1, 9]
+
+    @pytest.mark.slow
+    def test_features_are_tracked_on_where_the_filter_diverges(
+        self, filmed: Source, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """What the model lacks may break the filter that guides the tracker; the diagnosis is to find it."""
+        broken_ns, step = filmed.span.start_ns + nanoseconds(0.5 * FILMED_S), EkfSlam.step
+        filters: list[EkfSlam] = []
+
+        def breaking(slam: EkfSlam, block: MotionBlock, *seen: Any) -> StepRecord:
+            if slam not in filters:
+                filters.append(slam)
+            if len(filters) == 1 and block.end_ns > broken_ns:
+                raise FilterDivergedError('broken')
+            return step(slam, block, *seen)
+
+        monkeypatch.setattr(EkfSlam, 'step', breaking)
+        loaded, _ = preload(filmed, Config(), default_model())
+        seen = [item for item in loaded.measurements() if isinstance(item, FeatureObservations)]
+        images = [item.t_ns for item in filmed.measurements() if isinstance(item, Frame)]
+        assert len(filters) == 2 and [item.t_ns for item in seen] == images
+        place = next(k for k, item in enumerate(seen) if item.t_ns > broken_ns)
+        assert len(np.intersect1d(seen[place - 1].ids, seen[place].ids)) > 5
+        assert np.mean([len(item.ids) for item in seen[place:]]) > 5.0
 
     @pytest.mark.slow
     def test_a_recording_with_a_clock_step_keeps_its_images(self, filmed: Source) -> None:

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from operator import attrgetter
+
+import numpy as np
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ClockStep, Frame, Measurement, Rig, Source, Span, seconds
 from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.pipeline.run_filter import Progress, Report
 from gyrocal_ros.pipeline.visual_slam import VisualSlam
 
 MAX_IN_MEMORY_S = 1800.0
 """Maximum duration of a recording that is loaded into memory."""
+DIVERGED = (FilterDivergedError, np.linalg.LinAlgError)
+"""Errors of a filter that contradicts the measurements."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +42,9 @@ def preload(
 ) -> tuple[Source, Config]:
     """Read a source into memory and track its images.
 
+    The filter only guides the tracker. Where it diverges because of what the model lacks, a new one takes its
+    place: runs on the features decide whether the model fits.
+
     Args:
         source: a recording; one longer than `MAX_IN_MEMORY_S` is returned unchanged.
         config: settings.
@@ -44,9 +53,6 @@ def preload(
 
     Returns:
         The same recording with features in place of images, and settings with their pixel noise.
-
-    Raises:
-        FilterDivergedError: the images contradict the model beyond repair.
     """
     if source.span.duration_s > MAX_IN_MEMORY_S:
         return source, config
@@ -59,14 +65,18 @@ def preload(
             for earlier in loaded:
                 visual.step(earlier)
         if visual is not None:
-            visual.step(measurement)
+            try:
+                visual.step(measurement)
+            except DIVERGED:
+                visual.replace_filter(EkfSlam(model, config, source.rig))
         if not isinstance(measurement, Frame):
             loaded.append(measurement)
     if visual is None:
         return InMemorySource(source.name, source.rig, source.span, loaded), config
     if any(isinstance(measurement, ClockStep) for measurement in loaded):
         return source, config
-    visual.finish()
+    with suppress(*DIVERGED):
+        visual.finish()
     merged = sorted([*loaded, *tracked], key=attrgetter('t_ns'))
     noise = replace(config.camera, pixel_noise_px=config.tracker.noise_px)
     return InMemorySource(source.name, source.rig, source.span, merged), replace(config, camera=noise)

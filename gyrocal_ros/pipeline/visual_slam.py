@@ -53,6 +53,11 @@ class VisualSlam:
             self._tracker.restart()
         return records + self._step(measurement)
 
+    def replace_filter(self, slam: EkfSlam) -> None:
+        """Go on with a filter that knows nothing yet; the tracker keeps its features and their numbers."""
+        self._slam, self._stream = slam, SlamStream(slam)
+        slam.expect_pixel_noise(slam.config.tracker.noise_px)
+
     def finish(self) -> list[StepRecord]:
         """Use the images that still wait, at the end of the stream."""
         return [*self._track_all(), *self._stream.finish()]

@@ -408,6 +408,11 @@ def turned_camera(rng: np.random.Generator, count: int) -> Arguments:
     return position, euler, rotation_from_euler(rng.normal(size=3)), lever
 
 
+def split_by_feature(rng: np.random.Generator, count: int) -> Arguments:
+    whitening, both = whitener(covariance(rng, 2 * count)), rng.normal(size=(count, 2, 1 + count % 4))
+    return both, rng.normal(size=(2 * count, both.shape[2])), whitening
+
+
 Maker = Callable[[np.random.Generator, int], Arguments]
 MAKERS: tuple[Maker, ...] = (
     carry,
@@ -447,6 +452,7 @@ MAKERS: tuple[Maker, ...] = (
     shared_ways,
     shift,
     solve,
+    split_by_feature,
     step_numbers,
     turned_camera,
     undistort_brown,

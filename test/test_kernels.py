@@ -408,6 +408,11 @@ def turned_camera(rng: np.random.Generator, count: int) -> Arguments:
     return position, euler, rotation_from_euler(rng.normal(size=3)), lever
 
 
+def gained(rng: np.random.Generator, count: int) -> Arguments:
+    parts = [rng.normal(size=(count, 2)), rng.normal(size=(3, count)).T, rng.normal(size=(count, 4))[:, 2:3]]
+    return rng.normal(size=(6, count)), parts, [0, 3, 6], 8
+
+
 def split_by_feature(rng: np.random.Generator, count: int) -> Arguments:
     whitening, both = whitener(covariance(rng, 2 * count)), rng.normal(size=(count, 2, 1 + count % 4))
     return both, rng.normal(size=(2 * count, both.shape[2])), whitening
@@ -426,6 +431,7 @@ MAKERS: tuple[Maker, ...] = (
     features_seen,
     filter_headings,
     fit_heading,
+    gained,
     given_others,
     ids_by_way,
     innovation_matrices,

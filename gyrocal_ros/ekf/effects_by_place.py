@@ -191,6 +191,61 @@ def pose_by_values(motion: PoseStep, yaw_gain: Array, contribution: MotionContri
     return by_values
 
 
+def pose_by_lacking(
+    effects: EffectsByPlace,
+    block: MotionBlock,
+    motion: PoseStep,
+    yaw_gain: Array,
+    rate_rad_s: Array,
+    memories: Sequence[Memory],
+) -> tuple[Array, tuple[Memory, ...]]:
+    """Return the same derivative (6, K) by effects that the motion lacks, and their new memories.
+
+    Their coefficients stay at the prior means, so nothing but the derivatives of the contributions counts.
+
+    Args:
+        effects: effects by place.
+        block: N intervals.
+        motion: motion of the block.
+        yaw_gain: (6, N) derivative of the pose with respect to the corrected yaw rate of each interval.
+        rate_rad_s: (N, 3) corrected body rates.
+        memories: memories of the effects on the gyro.
+    """
+    means = effects.prior_means
+    terms = [
+        effect.contribute(block, means[place], memory)
+        for (effect, place), memory in zip(effects.gyro, memories, strict=True)
+    ]
+    for term in terms:
+        if term.blind is not None:  # there no effect acts
+            yaw_gain = np.where(term.blind, 0.0, yaw_gain)
+    starts = [place.start for _, place in effects.gyro]
+    by_values = gained(yaw_gain, [term.by_values for term in terms], starts, effects.count)
+    if effects.wheels or effects.ground:
+        block = changed(block, rate_rad_s=rate_rad_s)
+    for wheel_effect, place in effects.wheels:
+        by_values[:3, place] = motion.forward @ wheel_effect.contribute(block, means[place])[1]
+    for ground_effect, place in effects.ground:
+        by_values[:3, place] = ground_effect.contribute(block, means[place])[1]
+    return by_values, tuple([term.memory for term in terms])
+
+
+@compiled
+def gained(gain: Array, parts: Sequence[Array], starts: Sequence[int], count: int) -> Array:
+    """Return the products (p, count) of a gain (p, N) with columns (N, k) that belong at some of the places.
+
+    Args:
+        gain: (p, N)
+        parts: columns (N, k) each.
+        starts: place of the first of each of them.
+        count: number of places; others are zero.
+    """
+    products = np.zeros((len(gain), count))
+    for part, start in zip(parts, starts, strict=True):
+        products[:, start : start + part.shape[1]] = gain @ part
+    return products
+
+
 def pose_motion(motion: PoseStep, block: MotionBlock) -> PoseMotion:
     """Return the motion at the end of a block; of the accelerations only that of the heading counts.
 

@@ -15,6 +15,7 @@ cnp.import_array()
 
 TWINS = (
     'fading_memory',
+    'gained',
     'interpolate',
     'intervals',
     'low_pass',
@@ -203,6 +204,27 @@ def fading_memory(const double[:] drive, const double[:] dt_s, const double[:] t
             h[k + 1, i] = drive[k] + kept * (h[k, i] - drive[k])
             growth[k + 1, i] = exp(end_s / tau_s[i])
     return solution, grown
+
+
+def gained(gain, list parts, list starts, Py_ssize_t count):
+    cdef Array gains = doubles(gain), products, part
+    cdef Py_ssize_t p = length(gains), n = length(gains, 1), first, i, j, k, number
+    cdef const char* row
+    cdef double* total
+    cdef double factor
+    products = matrix(p, count)
+    clear(at(products), p * count)
+    for number in range(len(parts)):
+        # Columns are views of signals: no copies, whatever their order in memory.
+        part, first = cnp.PyArray_FROM_OTF(parts[number], cnp.NPY_DOUBLE, cnp.NPY_ARRAY_ALIGNED), starts[number]
+        for i in range(p):
+            total = at(products) + i * count + first
+            for k in range(n):
+                factor = at(gains)[i * n + k]
+                row = <const char*>cnp.PyArray_DATA(part) + k * cnp.PyArray_STRIDE(part, 0)
+                for j in range(length(part, 1)):
+                    total[j] += factor * (<const double*>(row + j * cnp.PyArray_STRIDE(part, 1)))[0]
+    return products
 
 
 def low_pass(const double[:, :] drive, const double[:, :] kept, start):

@@ -408,6 +408,11 @@ def turned_camera(rng: np.random.Generator, count: int) -> Arguments:
     return position, euler, rotation_from_euler(rng.normal(size=3)), lever
 
 
+def pixels_by_delay(rng: np.random.Generator, count: int) -> Arguments:
+    by_pose, pixels = rng.normal(size=(count, 2, 6)), rng.uniform(0.0, 480.0, (count, 2))
+    return by_pose, pixels, *rng.normal(size=(2, 6)), float(rng.normal(scale=0.03)), 480
+
+
 def gained(rng: np.random.Generator, count: int) -> Arguments:
     parts = [rng.normal(size=(count, 2)), rng.normal(size=(3, count)).T, rng.normal(size=(count, 4))[:, 2:3]]
     return rng.normal(size=(6, count)), parts, [0, 3, 6], 8
@@ -446,6 +451,7 @@ MAKERS: tuple[Maker, ...] = (
     mean_at_end,
     motion_in_image,
     path_in_block,
+    pixels_by_delay,
     pixels_by_radial_coefficients,
     pixels_by_tilt,
     position_score,

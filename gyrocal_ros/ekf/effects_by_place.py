@@ -291,11 +291,11 @@ def as_exposed(
     if not effects.shutter:
         return prediction
     velocity, acceleration = prediction.by_pose @ motion.rate, prediction.by_pose @ motion.acceleration
-    readout_s, seen = _readout_s(effects, values), prediction.expected
+    readout_s, height_px, seen = _readout_s(effects, values), view.camera.height_px, prediction.expected
     delay_s = np.zeros((len(seen), 1))
     for _ in range(DELAY_STEPS):
-        behind_s = readout_s * _rows(view, seen) - delay_s[:, 0]
-        delay_s[:, 0] += behind_s / _pace(view, velocity + acceleration * delay_s, readout_s)
+        behind_s = readout_s * _rows(seen, height_px) - delay_s[:, 0]
+        delay_s[:, 0] += behind_s / _pace(velocity + acceleration * delay_s, readout_s, height_px)
         seen = prediction.expected + (velocity + 0.5 * acceleration * delay_s) * delay_s
     return changed(prediction, expected=seen)
 
@@ -327,16 +327,38 @@ def measurement_by_values(
         by_values[:, :, place] = effect.pixels_by_values(seen, values[place])
     if not effects.time and not effects.shutter:
         return by_values
-    velocity = prediction.by_pose @ motion.rate
+    by_offset, by_readout = pixels_by_delay(
+        prediction.by_pose,
+        prediction.expected,
+        motion.rate,
+        motion.acceleration,
+        _readout_s(effects, values),
+        view.camera.height_px,
+    )
     for _, place in effects.time:
-        by_values[:, :, place] = -velocity[:, :, None]
-    if effects.shutter:
-        readout_s, rows = _readout_s(effects, values), _rows(view, prediction.expected)
-        velocity = velocity + prediction.by_pose @ motion.acceleration * (readout_s * rows)[:, None]
-        by_readout = velocity * (rows / _pace(view, velocity, readout_s))[:, None]
-        for shutter_effect, place in effects.shutter:
-            by_values[:, :, place] = by_readout[:, :, None] * shutter_effect.readout_s(values[place])[1]
+        by_values[:, :, place] = by_offset[:, :, None]
+    for shutter_effect, place in effects.shutter:
+        by_values[:, :, place] = by_readout[:, :, None] * shutter_effect.readout_s(values[place])[1]
     return by_values
+
+
+@compiled
+def pixels_by_delay(
+    by_pose: Array, pixels: Array, rate: Array, acceleration: Array, readout_s: float, height_px: int
+) -> tuple[Array, Array]:
+    """Return the derivatives (m, 2) of predicted pixels by the error of the stamp, and by the readout time.
+
+    Args:
+        by_pose: (m, 2, 6) derivative of the pixels by the pose.
+        pixels: (m, 2) as exposed.
+        rate: (6,) of the pose.
+        acceleration: (6,) of the pose.
+        readout_s: time from the first row to the last one.
+        height_px: number of rows.
+    """
+    velocity, rows = by_pose @ rate, _rows(pixels, height_px)
+    as_exposed = velocity + by_pose @ acceleration * (readout_s * rows)[:, None]
+    return -velocity, as_exposed * (rows / _pace(as_exposed, readout_s, height_px))[:, None]
 
 
 def _readout_s(effects: EffectsByPlace, values: Array) -> float:
@@ -344,18 +366,18 @@ def _readout_s(effects: EffectsByPlace, values: Array) -> float:
     return sum(effect.readout_s(values[place])[0] for effect, place in effects.shutter)
 
 
-def _pace(view: PosedCamera, velocity: Array, readout_s: float) -> Array:
+def _pace(velocity: Array, readout_s: float, height_px: int) -> Array:
     """Return the pace (m,) at which the shutter overtakes features of a velocity (m, 2) in the image.
 
     It is 1 for a feature that stays in its row, and less for one that moves along with the shutter.
     """
-    pace: Array = 1.0 - velocity[:, 1] * readout_s / view.camera.height_px
+    pace: Array = 1.0 - velocity[:, 1] * readout_s / height_px
     return pace
 
 
-def _rows(view: PosedCamera, pixels: Array) -> Array:
+def _rows(pixels: Array, height_px: int) -> Array:
     """Return the rows (m,) of pixels (m, 2), from -1/2 at the upper edge of the image to 1/2 at the lower."""
-    rows: Array = (pixels[:, 1] + 0.5) / view.camera.height_px - 0.5
+    rows: Array = (pixels[:, 1] + 0.5) / height_px - 0.5
     return rows
 
 

@@ -413,6 +413,11 @@ def pixels_by_delay(rng: np.random.Generator, count: int) -> Arguments:
     return by_pose, pixels, *rng.normal(size=(2, 6)), float(rng.normal(scale=0.03)), 480
 
 
+def cosines(rng: np.random.Generator, count: int) -> Arguments:
+    values = np.where(rng.uniform(size=count) < 0.2, np.nan, rng.uniform(-1.5, 1.5, count))
+    return values, -1.0, 1.2, rng.normal(size=(1 + count % 2, 8))
+
+
 def gained(rng: np.random.Generator, count: int) -> Arguments:
     parts = [rng.normal(size=(count, 2)), rng.normal(size=(3, count)).T, rng.normal(size=(count, 4))[:, 2:3]]
     return rng.normal(size=(6, count)), parts, [0, 3, 6], 8
@@ -431,6 +436,7 @@ MAKERS: tuple[Maker, ...] = (
     compare_headings,
     corrected,
     corrected_rates,
+    cosines,
     equations_added,
     fading_memory,
     features_seen,

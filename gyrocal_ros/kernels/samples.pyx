@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Twins of `ekf.motion`, `ekf.steady_rate`, `ekf.effects_by_place`, `ekf.predict`, `ekf.step_record`,
-`effects.fading` and `effects.learned.drives` for the samples of a block."""
+`effects.fading`, `effects.learned.curve` and `effects.learned.drives` for the samples of a block."""
 
-from libc.math cimport cos, exp, fabs, sin, sqrt
+from libc.math cimport M_PI, cos, exp, fabs, isnan, sin, sqrt
 
 cimport numpy as cnp
 from numpy cimport ndarray as Array
@@ -14,6 +14,7 @@ from gyrocal_ros.kernels.arrays cimport at, clear, doubles, length, matrix, vect
 cnp.import_array()
 
 TWINS = (
+    'cosines',
     'fading_memory',
     'gained',
     'interpolate',
@@ -189,6 +190,27 @@ def mean_at_end(values, dt_s, double length_s):
         left_s -= at(dt)[k]
         k -= 1
     return total / duration_s
+
+
+def cosines(values, double low, double high, explained):
+    cdef Array signal = doubles(values), weights = doubles(explained)
+    cdef Py_ssize_t n = length(signal), k = length(weights, 1), i, j
+    cdef Array functions = matrix(n, k)
+    cdef double* row
+    cdef double within, part
+    cdef bint with_signal = length(weights) > 1
+    for i in range(n):
+        row = at(functions) + i * k
+        if isnan(at(signal)[i]):
+            clear(row, k)
+            continue
+        within = min(max(at(signal)[i], low), high)
+        part = M_PI * ((within - low) / (high - low))
+        for j in range(k):
+            row[j] = cos((j + 1) * part) - at(weights)[j]
+            if with_signal:
+                row[j] -= within * at(weights)[k + j]
+    return functions
 
 
 def fading_memory(const double[:] drive, const double[:] dt_s, const double[:] tau_s, const double[:] start):

@@ -81,17 +81,21 @@ class Curve(LinearGyroEffect):
         """Return the functions (n, k) at values (n,) of the signal; zero where the signal is not known."""
         if self.follows != HEADING:
             return cosines(values, self.low, self.high, self._explained)
-        return np.where(np.isnan(values)[:, None], 0.0, _waves(np.nan_to_num(values)))
+        return np.where(np.isnan(values)[:, None], 0.0, _waves(values))
 
     def columns(self, block: MotionBlock) -> Array:
         """Return the functions (N, k), times the rate for a scale."""
-        functions = self.basis(values_of(self.follows, block))
-        return functions * block.rate_rad_s[:, 2:] if self.of == 'scale' else functions
+        return self._columns(values_of(self.follows, block), block)
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Return the contribution, with noise outside of the range."""
-        columns = self.columns(block)
-        return GyroTerm(columns @ values, columns, noise_rad_s=self._noise(block))
+        signal = values_of(self.follows, block)
+        columns = self._columns(signal, block)
+        return GyroTerm(columns.dot(values), columns, noise_rad_s=self._noise(signal, block))
+
+    def _columns(self, signal: Array, block: MotionBlock) -> Array:
+        functions = self.basis(signal)
+        return functions * block.rate_rad_s[:, 2:] if self.of == 'scale' else functions
 
     @cached_property
     def _explained(self) -> Array:
@@ -106,13 +110,10 @@ class Curve(LinearGyroEffect):
         constant = np.ones_like(values)
         return np.stack([constant, values] if self.follows == RATE else [constant], axis=1)
 
-    def _noise(self, block: MotionBlock) -> Array | None:
-        if self.follows == HEADING:
+    def _noise(self, signal: Array, block: MotionBlock) -> Array | None:
+        if self.follows == HEADING or not ((signal < self.low) | (signal > self.high)).any():
             return None
-        values = values_of(self.follows, block)
-        if not np.any((values < self.low) | (values > self.high)):
-            return None
-        beyond = np.maximum(np.maximum(self.low - values, values - self.high), 0.0) / (self.high - self.low)
+        beyond = np.maximum(np.maximum(self.low - signal, signal - self.high), 0.0) / (self.high - self.low)
         std = math.sqrt(0.5 * sum(item.prior_std**2 for item in self.coefficients))
         noise: Array = std * np.sqrt(-np.expm1(-np.square(np.nan_to_num(beyond) / LENGTHS[0])))
         return noise * np.abs(block.rate_rad_s[:, 2]) if self.of == 'scale' else noise

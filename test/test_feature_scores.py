@@ -9,6 +9,7 @@ from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.candidate_fit import fit
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.feature_scores import FeatureScatterRecorder, FeatureScores, feature_scores
+from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.score_statistics import ScoreRecorder, ScoreStatistics
 from gyrocal_ros.ekf.update import UpdateStats
 
@@ -27,12 +28,11 @@ def image(seed: int = 0) -> tuple[Array, Array, Array]:
 
 def test_the_scores_of_the_features_add_up_to_those_of_the_image() -> None:
     residual, covariance, sensitivity = image()
-    found = feature_scores(np.arange(5), residual, covariance, sensitivity)
+    found = feature_scores(np.arange(5), residual, whitener(covariance.reshape(10, 10)), sensitivity)
     precision, flat = np.linalg.inv(covariance.reshape(10, 10)), sensitivity.reshape(10, 3)
-    np.testing.assert_allclose(found.score.sum(axis=0), flat.T @ precision @ residual.ravel())
-    np.testing.assert_allclose(
-        found.information.sum(axis=0), np.diagonal(flat.T @ precision @ flat), rtol=1e-10
-    )
+    score, information = found.sums.sum(axis=0)
+    np.testing.assert_allclose(score, flat.T @ precision @ residual.ravel())
+    np.testing.assert_allclose(information, np.diagonal(flat.T @ precision @ flat), rtol=1e-10)
 
 
 def test_the_variance_is_that_of_the_scores() -> None:
@@ -40,11 +40,9 @@ def test_the_variance_is_that_of_the_scores() -> None:
     factor = np.linalg.cholesky(covariance.reshape(10, 10))
     rng = np.random.default_rng(1)
     drawn = (factor @ rng.normal(size=(10, 20_000))).T.reshape(-1, 5, 2)
-    squares = [
-        np.sum(feature_scores(np.arange(5), one, covariance, sensitivity).score ** 2, axis=0)
-        for one in drawn[:4000]
-    ]
-    expected = feature_scores(np.arange(5), drawn[0], covariance, sensitivity).variance
+    whitening = whitener(covariance.reshape(10, 10))
+    found = [feature_scores(np.arange(5), one, whitening, sensitivity) for one in drawn[:4000]]
+    squares, expected = [np.sum(one.sums[:, 0] ** 2, axis=0) for one in found], found[0].variance
     np.testing.assert_allclose(np.mean(squares, axis=0), expected, rtol=0.1)
 
 
@@ -63,10 +61,9 @@ def recorded(lasting: float, effect: object = CAMERA, value: float = 0.0) -> Sco
         ids: IntArray = np.arange(10) + 10 * (step // 150)
         sensitivity = rng.normal(loc=0.3, size=(10, 2, 1))
         residual = rng.normal(size=(10, 2)) + stays[ids, 0] + value * sensitivity[:, :, 0]
-        covariance = np.eye(20).reshape(10, 2, 10, 2)
         flat = sensitivity.reshape(20, 1)
         update = UpdateStats(information=flat.T @ flat, score=flat.T @ residual.ravel())
-        recorder.add(step * STEP_NS, (update,), feature_scores(ids, residual, covariance, sensitivity))
+        recorder.add(step * STEP_NS, (update,), feature_scores(ids, residual, np.eye(20), sensitivity))
     return recorder.scores()
 
 
@@ -102,7 +99,7 @@ def test_an_effect_on_the_rate_is_judged_by_blocks_of_time_alone() -> None:
 def test_lost_features_leave_their_products() -> None:
     kept, forgetful = FeatureScatterRecorder(1), FeatureScatterRecorder(1)
     for step in range(6):
-        scores = FeatureScores(np.array([step // 2]), np.full((1, 1), 2.0), np.full((1, 1), 3.0), np.ones(1))
+        scores = FeatureScores(np.array([step // 2]), np.array([[[2.0], [3.0]]]), np.ones(1))
         for recorder in (kept, forgetful):
             recorder.add(scores)
         if step % 2:

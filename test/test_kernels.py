@@ -408,6 +408,26 @@ def turned_camera(rng: np.random.Generator, count: int) -> Arguments:
     return position, euler, rotation_from_euler(rng.normal(size=3)), lever
 
 
+def pixels_by_delay(rng: np.random.Generator, count: int) -> Arguments:
+    by_pose, pixels = rng.normal(size=(count, 2, 6)), rng.uniform(0.0, 480.0, (count, 2))
+    return by_pose, pixels, *rng.normal(size=(2, 6)), float(rng.normal(scale=0.03)), 480
+
+
+def cosines(rng: np.random.Generator, count: int) -> Arguments:
+    values = np.where(rng.uniform(size=count) < 0.2, np.nan, rng.uniform(-1.5, 1.5, count))
+    return values, -1.0, 1.2, rng.normal(size=(1 + count % 2, 8))
+
+
+def gained(rng: np.random.Generator, count: int) -> Arguments:
+    parts = [rng.normal(size=(count, 2)), rng.normal(size=(3, count)).T, rng.normal(size=(count, 4))[:, 2:3]]
+    return rng.normal(size=(6, count)), parts, [0, 3, 6], 8
+
+
+def split_by_feature(rng: np.random.Generator, count: int) -> Arguments:
+    whitening, both = whitener(covariance(rng, 2 * count)), rng.normal(size=(count, 2, 1 + count % 4))
+    return both, rng.normal(size=(2 * count, both.shape[2])), whitening
+
+
 Maker = Callable[[np.random.Generator, int], Arguments]
 MAKERS: tuple[Maker, ...] = (
     carry,
@@ -416,11 +436,13 @@ MAKERS: tuple[Maker, ...] = (
     compare_headings,
     corrected,
     corrected_rates,
+    cosines,
     equations_added,
     fading_memory,
     features_seen,
     filter_headings,
     fit_heading,
+    gained,
     given_others,
     ids_by_way,
     innovation_matrices,
@@ -435,6 +457,7 @@ MAKERS: tuple[Maker, ...] = (
     mean_at_end,
     motion_in_image,
     path_in_block,
+    pixels_by_delay,
     pixels_by_radial_coefficients,
     pixels_by_tilt,
     position_score,
@@ -447,6 +470,7 @@ MAKERS: tuple[Maker, ...] = (
     shared_ways,
     shift,
     solve,
+    split_by_feature,
     step_numbers,
     turned_camera,
     undistort_brown,

@@ -179,3 +179,18 @@ def test_sensitivity_is_predicted_with_the_state() -> None:
     expected[:r] += added
     np.testing.assert_allclose(carried.sensitivity, expected, atol=2e-5)
     assert len(memories) == len(candidates.gyro)
+
+
+def test_no_candidate_acts_where_one_leaves_the_readings_blind() -> None:
+    effect: Any = find_effect('rate_deadband')
+    limit = replace(effect.coefficients[0], prior_mean=0.5)
+    state, block, gyro = some_state(), half_slow_block(), find_effect('scale_asymmetry')
+    others = state.sensitivity.shape[1] - 2
+    candidates = sort_effects((replace(effect, coefficients=(limit,)), gyro), more=others)
+    after, transition = step(state, block)
+    outside = np.abs(block.rate_rad_s[:, 2]) >= 0.5
+    assert 0 < outside.sum() < 12
+    carried, _ = predict_sensitivity(after, transition, block, candidates, candidates.no_memories())
+    expected = transition.yaw_gain[:, outside] @ np.abs(block.rate_rad_s[outside, 2])
+    added = carried.sensitivity[POSE, 1] - after.sensitivity[POSE, 1]
+    np.testing.assert_allclose(added, expected, atol=1e-12)

@@ -105,7 +105,7 @@ class ScanBank:
             columns, memory = self._at_once.columns_at(block, self.scan, memory)
         else:
             columns, memory = self._one_by_one(block, memory)
-        return GyroTerm(columns @ values, columns, memory)
+        return GyroTerm(columns.dot(values), columns, memory)
 
     def _one_by_one(self, block: MotionBlock, memory: Memory) -> tuple[Array, Memory]:
         place, linear = scanned_coefficient(self.effect), strengths(self.effect)

@@ -107,7 +107,7 @@ class LinearMemoryEffect(ABC):
 
 def column(*signals: Array) -> Array:
     """Return signals (N,) as the columns (N, k) of a linear effect."""
-    return np.array(signals).T
+    return np.array(signals).T if len(signals) > 1 else signals[0][:, None]
 
 
 def recorded(signal: Array) -> Array:

@@ -44,4 +44,4 @@ class CameraPosition:
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the shift of the points by minus the offset, in the camera's axes and the points' scale."""
-        return seen.by_point @ (-seen.scale[:, None, None] * seen.R_bc.T[:, :2])
+        return seen.by_point.dot(-seen.R_bc[:2].T) * seen.scale[:, None, None]

@@ -115,9 +115,8 @@ class CovariateBank(LinearGyroEffect):
 
     def columns(self, block: MotionBlock) -> Array:
         """Return the columns (N, 2 q) for q signals."""
-        deviations = [deviation(block, signal.name, signal.mean) for signal in self.signals]
-        stacked = np.stack(deviations, axis=1)
-        return np.concatenate([stacked, stacked * block.rate_rad_s[:, 2:]], axis=1)
+        rows = np.array([deviation(block, signal.name, signal.mean) for signal in self.signals])
+        return np.concatenate([rows, rows * block.rate_rad_s[:, 2]]).T
 
 
 def covariate_bank(signals: Sequence[Signal]) -> CovariateBank:

@@ -36,6 +36,6 @@ class LateralDrift:
 
     def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
         """Return the displacement (3,) over the block and its derivative (3, 2)."""
-        travelled = float(np.abs(block.distance_m).sum())
-        by_values = travelled * np.eye(3)[:, :2]
+        _, _, travelled_m, _ = block.way_and_turn()
+        by_values = np.array([[travelled_m, 0.0], [0.0, travelled_m], [0.0, 0.0]])
         return by_values @ values, by_values

@@ -46,4 +46,4 @@ class PrincipalPoint:
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the motion of the pixels with the principal point."""
-        return np.broadcast_to(np.eye(2), (len(seen.pixels), 2, 2))
+        return np.eye(2)[None].repeat(len(seen.pixels), axis=0)

@@ -40,6 +40,7 @@ class StretchedPath:
     def contribute(self, block: MotionBlock, values: Array) -> tuple[Array, Array]:
         """Return the displacement (3,) over the block and its derivative (3, 2)."""
         assert block.heading_rad is not None
-        x, y = block.distance_m @ np.cos(block.heading_rad), block.distance_m @ np.sin(block.heading_rad)
+        x = float(block.distance_m @ np.cos(block.heading_rad))
+        y = float(block.distance_m @ np.sin(block.heading_rad))
         by_values = np.array([[x, y], [-y, x], [0.0, 0.0]])
         return by_values @ values, by_values

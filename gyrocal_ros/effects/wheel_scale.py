@@ -63,7 +63,7 @@ class WheelScale:
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the shift of the points as the camera moves nearer, in its axes and the points' scale."""
         said = (seen.p_bc - seen.shift)[:2] / (1.0 + values[0])
-        return seen.by_point @ (seen.scale[:, None] * (seen.R_bc.T[:, :2] @ said))[:, :, None]
+        return (seen.by_point.dot(seen.R_bc[:2].T.dot(said)) * seen.scale[:, None])[:, :, None]
 
     def odometry(self, distance_m: Array, values: Array) -> Array:
         """Return the distance that the wheels report."""

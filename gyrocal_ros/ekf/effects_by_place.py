@@ -191,6 +191,61 @@ def pose_by_values(motion: PoseStep, yaw_gain: Array, contribution: MotionContri
     return by_values
 
 
+def pose_by_lacking(
+    effects: EffectsByPlace,
+    block: MotionBlock,
+    motion: PoseStep,
+    yaw_gain: Array,
+    rate_rad_s: Array,
+    memories: Sequence[Memory],
+) -> tuple[Array, tuple[Memory, ...]]:
+    """Return the same derivative (6, K) by effects that the motion lacks, and their new memories.
+
+    Their coefficients stay at the prior means, so nothing but the derivatives of the contributions counts.
+
+    Args:
+        effects: effects by place.
+        block: N intervals.
+        motion: motion of the block.
+        yaw_gain: (6, N) derivative of the pose with respect to the corrected yaw rate of each interval.
+        rate_rad_s: (N, 3) corrected body rates.
+        memories: memories of the effects on the gyro.
+    """
+    means = effects.prior_means
+    terms = [
+        effect.contribute(block, means[place], memory)
+        for (effect, place), memory in zip(effects.gyro, memories, strict=True)
+    ]
+    for term in terms:
+        if term.blind is not None:  # there no effect acts
+            yaw_gain = np.where(term.blind, 0.0, yaw_gain)
+    starts = [place.start for _, place in effects.gyro]
+    by_values = gained(yaw_gain, [term.by_values for term in terms], starts, effects.count)
+    if effects.wheels or effects.ground:
+        block = changed(block, rate_rad_s=rate_rad_s)
+    for wheel_effect, place in effects.wheels:
+        by_values[:3, place] = motion.forward @ wheel_effect.contribute(block, means[place])[1]
+    for ground_effect, place in effects.ground:
+        by_values[:3, place] = ground_effect.contribute(block, means[place])[1]
+    return by_values, tuple([term.memory for term in terms])
+
+
+@compiled
+def gained(gain: Array, parts: Sequence[Array], starts: Sequence[int], count: int) -> Array:
+    """Return the products (p, count) of a gain (p, N) with columns (N, k) that belong at some of the places.
+
+    Args:
+        gain: (p, N)
+        parts: columns (N, k) each.
+        starts: place of the first of each of them.
+        count: number of places; others are zero.
+    """
+    products = np.zeros((len(gain), count))
+    for part, start in zip(parts, starts, strict=True):
+        products[:, start : start + part.shape[1]] = gain @ part
+    return products
+
+
 def pose_motion(motion: PoseStep, block: MotionBlock) -> PoseMotion:
     """Return the motion at the end of a block; of the accelerations only that of the heading counts.
 
@@ -236,11 +291,11 @@ def as_exposed(
     if not effects.shutter:
         return prediction
     velocity, acceleration = prediction.by_pose @ motion.rate, prediction.by_pose @ motion.acceleration
-    readout_s, seen = _readout_s(effects, values), prediction.expected
+    readout_s, height_px, seen = _readout_s(effects, values), view.camera.height_px, prediction.expected
     delay_s = np.zeros((len(seen), 1))
     for _ in range(DELAY_STEPS):
-        behind_s = readout_s * _rows(view, seen) - delay_s[:, 0]
-        delay_s[:, 0] += behind_s / _pace(view, velocity + acceleration * delay_s, readout_s)
+        behind_s = readout_s * _rows(seen, height_px) - delay_s[:, 0]
+        delay_s[:, 0] += behind_s / _pace(velocity + acceleration * delay_s, readout_s, height_px)
         seen = prediction.expected + (velocity + 0.5 * acceleration * delay_s) * delay_s
     return changed(prediction, expected=seen)
 
@@ -272,16 +327,38 @@ def measurement_by_values(
         by_values[:, :, place] = effect.pixels_by_values(seen, values[place])
     if not effects.time and not effects.shutter:
         return by_values
-    velocity = prediction.by_pose @ motion.rate
+    by_offset, by_readout = pixels_by_delay(
+        prediction.by_pose,
+        prediction.expected,
+        motion.rate,
+        motion.acceleration,
+        _readout_s(effects, values),
+        view.camera.height_px,
+    )
     for _, place in effects.time:
-        by_values[:, :, place] = -velocity[:, :, None]
-    if effects.shutter:
-        readout_s, rows = _readout_s(effects, values), _rows(view, prediction.expected)
-        velocity = velocity + prediction.by_pose @ motion.acceleration * (readout_s * rows)[:, None]
-        by_readout = velocity * (rows / _pace(view, velocity, readout_s))[:, None]
-        for shutter_effect, place in effects.shutter:
-            by_values[:, :, place] = by_readout[:, :, None] * shutter_effect.readout_s(values[place])[1]
+        by_values[:, :, place] = by_offset[:, :, None]
+    for shutter_effect, place in effects.shutter:
+        by_values[:, :, place] = by_readout[:, :, None] * shutter_effect.readout_s(values[place])[1]
     return by_values
+
+
+@compiled
+def pixels_by_delay(
+    by_pose: Array, pixels: Array, rate: Array, acceleration: Array, readout_s: float, height_px: int
+) -> tuple[Array, Array]:
+    """Return the derivatives (m, 2) of predicted pixels by the error of the stamp, and by the readout time.
+
+    Args:
+        by_pose: (m, 2, 6) derivative of the pixels by the pose.
+        pixels: (m, 2) as exposed.
+        rate: (6,) of the pose.
+        acceleration: (6,) of the pose.
+        readout_s: time from the first row to the last one.
+        height_px: number of rows.
+    """
+    velocity, rows = by_pose @ rate, _rows(pixels, height_px)
+    as_exposed = velocity + by_pose @ acceleration * (readout_s * rows)[:, None]
+    return -velocity, as_exposed * (rows / _pace(as_exposed, readout_s, height_px))[:, None]
 
 
 def _readout_s(effects: EffectsByPlace, values: Array) -> float:
@@ -289,18 +366,18 @@ def _readout_s(effects: EffectsByPlace, values: Array) -> float:
     return sum(effect.readout_s(values[place])[0] for effect, place in effects.shutter)
 
 
-def _pace(view: PosedCamera, velocity: Array, readout_s: float) -> Array:
+def _pace(velocity: Array, readout_s: float, height_px: int) -> Array:
     """Return the pace (m,) at which the shutter overtakes features of a velocity (m, 2) in the image.
 
     It is 1 for a feature that stays in its row, and less for one that moves along with the shutter.
     """
-    pace: Array = 1.0 - velocity[:, 1] * readout_s / view.camera.height_px
+    pace: Array = 1.0 - velocity[:, 1] * readout_s / height_px
     return pace
 
 
-def _rows(view: PosedCamera, pixels: Array) -> Array:
+def _rows(pixels: Array, height_px: int) -> Array:
     """Return the rows (m,) of pixels (m, 2), from -1/2 at the upper edge of the image to 1/2 at the lower."""
-    rows: Array = (pixels[:, 1] + 0.5) / view.camera.height_px - 0.5
+    rows: Array = (pixels[:, 1] + 0.5) / height_px - 0.5
     return rows
 
 

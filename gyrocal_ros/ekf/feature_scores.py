@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.ekf.positive_definite import inverse
+from gyrocal_ros.kernels import compiled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,10 +24,9 @@ class FeatureScores:
 
     ids: IntArray
     """(m,)"""
-    score: Array
-    """(m, c) `G_f^T (S^-1 nu)_f`; the sum over the features is the score b of the image."""
-    information: Array
-    """(m, c) diagonal of `G_f^T (S^-1 G)_f`; the sum is that of Lambda."""
+    sums: Array
+    """(m, 2, c) score `G_f^T (S^-1 nu)_f` and information, the diagonal of `G_f^T (S^-1 G)_f`; their sums
+    over the features are the score b of the image and the diagonal of its Lambda."""
     variance: Array
     """(c,) sum over the features of the variances of their scores, the diagonal of `G_f^T (S^-1)_ff G_f`."""
 
@@ -70,30 +69,36 @@ class FeatureScatter:
         return FeatureScatter(uu, ui, ii, self.variance @ squared, self.count)
 
 
-def feature_scores(ids: IntArray, residual: Array, covariance: Array, sensitivity: Array) -> FeatureScores:
+def feature_scores(ids: IntArray, residual: Array, whitening: Array, sensitivity: Array) -> FeatureScores:
     """Split the score statistics of an update by feature.
 
     Args:
         ids: (m,) numbers of the features.
         residual: nu (m, r).
-        covariance: S (m, r, m, r).
+        whitening: L^-1 (m r, m r) with `L L^T = S`.
         sensitivity: G (m, r, c).
-
-    Raises:
-        FilterDivergedError: S is not positive definite.
     """
-    m, r, count = sensitivity.shape
-    precision = inverse(covariance.reshape(m * r, m * r))
-    weighted = precision @ sensitivity.reshape(m * r, count)
-    weighted_residual = (precision @ residual.reshape(m * r)).reshape(m, r, 1)
+    both = np.concatenate([sensitivity, residual[:, :, None]], axis=2)
+    weighted = whitening.T @ (whitening @ both.reshape(residual.size, -1))
+    return FeatureScores(ids, *split_by_feature(both, weighted, whitening))
+
+
+@compiled
+def split_by_feature(both: Array, weighted: Array, whitening: Array) -> tuple[Array, Array]:
+    """Return sums (m, 2, c) and variance (c,) of `FeatureScores`.
+
+    Args:
+        both: (m, r, c + 1) side by side G and nu.
+        weighted: (m r, c + 1) S^-1 times these.
+        whitening: L^-1 (m r, m r) with `L L^T = S`.
+    """
+    m, r, width = both.shape
+    by_feature = weighted.reshape(m, r, width)
     each = np.arange(m)
-    own = precision.reshape(m, r, m, r)[each, :, each, :]
-    return FeatureScores(
-        ids=ids,
-        score=np.sum(sensitivity * weighted_residual, axis=1),
-        information=np.sum(sensitivity * weighted.reshape(m, r, count), axis=1),
-        variance=np.sum(sensitivity * (own @ sensitivity), axis=(0, 1)),
-    )
+    own = (whitening.T @ whitening).reshape(m, r, m, r)[each, :, each, :]
+    G = both[:, :, :-1]
+    score, information = G * by_feature[:, :, -1:], G * by_feature[:, :, :-1]
+    return np.stack([score, information], axis=1).sum(axis=2), np.sum(G * (own @ G), axis=(0, 1))
 
 
 class FeatureScatterRecorder:
@@ -110,11 +115,11 @@ class FeatureScatterRecorder:
     def add(self, scores: FeatureScores) -> None:
         """Add the features of one image."""
         self._variance += scores.variance
-        both = np.stack([scores.score, scores.information], axis=1)
-        for feature, added in zip(scores.ids.tolist(), both, strict=True):
+        ids = scores.ids.tolist()
+        for feature, added in zip(ids, scores.sums, strict=True):
             before = self._seen.get(feature)
             self._seen[feature] = added.copy() if before is None else np.add(before, added, out=before)
-        self._lately.update(scores.ids.tolist())
+        self._lately.update(ids)
 
     def forget_lost(self) -> None:
         """Keep only the products of the features not seen since the last call, so that memory is bounded."""

@@ -151,7 +151,7 @@ def _updated(
     if model.scored:
         weights = model.candidates.shown(moves=model.moves, turns=model.turns)
         scored = used.sensitivity[:, :, : model.scored] * weights[: model.scored]
-        by_feature = feature_scores(ids, used.residual, used.covariance, scored)
+        by_feature = feature_scores(ids, used.residual, whitening, scored)
     if model.moves and may_tell_wheels:
         by_pose = used.prediction.by_pose
         by_position = PositionScore(*position_score(by_pose, used.residual, whitening, YAW))

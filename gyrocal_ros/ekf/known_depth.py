@@ -207,7 +207,7 @@ def weighted_scores(stats: UpdateStats, weights: Array) -> UpdateStats:
     """Return the statistics of an update with the scores of the candidates times weights (c,)."""
     if stats.information is None or stats.score is None:
         return stats
-    information = stats.information * np.outer(weights, weights)
+    information = stats.information * (weights[:, None] * weights)
     return changed(stats, information=information, score=stats.score * weights)
 
 

@@ -10,7 +10,13 @@ import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock, changed, quickly_filled
-from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, MotionContribution, contribute, pose_by_values
+from gyrocal_ros.ekf.effects_by_place import (
+    EffectsByPlace,
+    MotionContribution,
+    contribute,
+    pose_by_lacking,
+    pose_by_values,
+)
 from gyrocal_ros.ekf.process_noise import BlockNoise, process_noise, yaw_noise
 from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, POSITION, YAW, YAW_BIAS, State
 from gyrocal_ros.kernels import compiled
@@ -253,11 +259,12 @@ def predict_sensitivity(
     """
     if not candidates.act_on_motion:
         return state, tuple(memories)
-    correction = correct(candidates.gyro, block, candidates.prior_means, memories)
-    added = contribute(candidates, block, correction, transition.rate_rad_s, candidates.prior_means)
+    by_values, kept = pose_by_lacking(
+        candidates, block, transition.motion, transition.yaw_gain, transition.rate_rad_s, memories
+    )
     sensitivity = state.sensitivity.copy()
-    sensitivity[POSE] += pose_by_values(transition.motion, transition.yaw_gain, added)
-    return changed(state, sensitivity=sensitivity), correction.memories
+    sensitivity[POSE] += by_values
+    return changed(state, sensitivity=sensitivity), kept
 
 
 def _noise_of(block: MotionBlock, model: FilterModel, unknown_rad: float) -> BlockNoise:

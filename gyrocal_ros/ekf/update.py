@@ -361,8 +361,9 @@ def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, U
         whitening: L^-1 (q, q) with `L L^T = S`.
     """
     n, whitened = len(state.mean), whitening @ stacked
-    products = whitened[:, :n].T @ whitened  # BLAS takes twice as long for one that it knows to be symmetric
-    mean, covariance, sensitivity, nis, log_determinant, information, score = corrected(
+    # BLAS takes twice as long for a product that it knows to be symmetric: each of these has a column more.
+    products, scores = whitened[:, :n].T @ whitened, whitened[:, n:].T @ whitened[:, n + 1 :]
+    mean, covariance, sensitivity, nis, log_determinant = corrected(
         state.mean, state.covariance, state.sensitivity, whitened, products, whitening
     )
     if not math.isfinite(mean @ mean):
@@ -370,14 +371,14 @@ def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, U
     after = changed(state, mean=mean, covariance=covariance, sensitivity=sensitivity)
     if not sensitivity.shape[1]:
         return after, UpdateStats(nis, len(stacked), log_determinant)
-    return after, UpdateStats(nis, len(stacked), log_determinant, information, score)
+    return after, UpdateStats(nis, len(stacked), log_determinant, scores[1:], scores[0])
 
 
 @compiled
 def corrected(
     mean: Array, covariance: Array, sensitivity: Array, whitened: Array, products: Array, whitening: Array
-) -> tuple[Array, Array, Array, float, float, Array, Array]:
-    """Return mean (n,), covariance (n, n) and sensitivity (n, c) after an update, and its `UpdateStats`.
+) -> tuple[Array, Array, Array, float, float]:
+    """Return mean (n,), covariance (n, n) and sensitivity (n, c) after an update, its NIS and log det S.
 
     Args:
         mean: before, (n,).
@@ -388,13 +389,11 @@ def corrected(
         whitening: L^-1 (q, q) with `L L^T = S`.
     """
     n = len(mean)
-    below, nu, G = np.tril(covariance - products[:, :n]), whitened[:, n], whitened[:, n + 1 :]
+    below, nu = np.tril(covariance - products[:, :n]), whitened[:, n]
     return (
         mean + products[:, n],
         below + np.tril(below, -1).T,
         sensitivity - products[:, n + 1 :],
         float(nu @ nu),
         -2.0 * float(np.log(whitening.diagonal()).sum()),
-        G.T @ G,
-        G.T @ nu,
     )

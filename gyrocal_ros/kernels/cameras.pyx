@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.rotation`, `model.lens`, `model.camera`, `model.features` and `effects.camera_tilt`, which explain
-the equations."""
+"""Twins of `model.rotation`, `model.lens`, `model.camera`, `model.features`, `effects.camera_tilt` and
+`ekf.effects_by_place`, which explain the equations."""
 
 from libc.math cimport atan, cos, fabs, sin, sqrt
 
@@ -13,6 +13,7 @@ from gyrocal_ros.kernels.rotations cimport rotate
 cnp.import_array()
 
 TWINS = (
+    'pixels_by_delay',
     'pixels_by_radial_coefficients',
     'pixels_by_tilt',
     'predict_inverse_depth',
@@ -204,6 +205,29 @@ def predict_inverse_depth(view, parameters, anchors):
                     sum_ += jacobian[3 * i + l] * point_by_feature[l][j]
                 at(by_feature)[6 * f + 3 * i + j] = sum_
     return expected, by_pose, by_feature, points_c, by_point, scale
+
+
+def pixels_by_delay(by_pose, pixels, rate, acceleration, double readout_s, double height_px):
+    cdef Array poses = doubles(by_pose), seen = doubles(pixels), rates = doubles(rate), change = doubles(acceleration)
+    cdef Py_ssize_t m = length(poses), f, i, l
+    cdef Array by_offset = matrix(m, 2), by_readout = matrix(m, 2)
+    cdef const double* derivative
+    cdef double row, delay_s, velocity, turn
+    cdef double exposed[2]
+    for f in range(m):
+        row = (at(seen)[2 * f + 1] + 0.5) / height_px - 0.5
+        delay_s = readout_s * row
+        for i in range(2):
+            derivative = at(poses) + 12 * f + 6 * i
+            velocity = turn = 0.0
+            for l in range(6):
+                velocity += derivative[l] * at(rates)[l]
+                turn += derivative[l] * at(change)[l]
+            at(by_offset)[2 * f + i] = -velocity
+            exposed[i] = velocity + turn * delay_s
+        row /= 1.0 - exposed[1] * readout_s / height_px
+        at(by_readout)[2 * f], at(by_readout)[2 * f + 1] = exposed[0] * row, exposed[1] * row
+    return by_offset, by_readout
 
 
 def pixels_by_tilt(points_c, by_point, double angle_rad):

@@ -1,5 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.update`, `ekf.image_update` and `ekf.feature_likelihoods`, which explain the equations."""
+"""Twins of `ekf.update`, `ekf.image_update`, `ekf.feature_likelihoods` and `ekf.feature_scores`, which explain the
+equations."""
 
 from libc.math cimport M_PI, log, sqrt
 
@@ -11,7 +12,7 @@ from gyrocal_ros.kernels.arrays cimport at, at_integers, clear, cube, doubles, f
 
 cnp.import_array()
 
-TWINS = ('corrected', 'fit_heading', 'given_others', 'innovation_matrices', 'position_score')
+TWINS = ('corrected', 'fit_heading', 'given_others', 'innovation_matrices', 'position_score', 'split_by_feature')
 
 cdef Py_ssize_t COEFFICIENTS_START = 9
 
@@ -145,7 +146,7 @@ def corrected(mean, covariance, sensitivity, whitened, products, whitening):
     cdef Array white = doubles(whitened), W = doubles(whitening)
     cdef Py_ssize_t n = length(x), c = length(G, 1), width = n + 1 + c, q = length(W), i, j, l
     cdef double determinant = 0.0, nis = 0.0
-    cdef Array after = vector(n), P = matrix(n, n), X = matrix(n, c), information = matrix(c, c), score = vector(c)
+    cdef Array after = vector(n), P = matrix(n, n), X = matrix(n, c)
     cdef const double* source
     cdef const double* taken
     cdef double* row
@@ -158,17 +159,10 @@ def corrected(mean, covariance, sensitivity, whitened, products, whitening):
         for j in range(c):
             row[j] = source[j] - taken[n + 1 + j]
     mirror(at(P), n)
-    clear(at(score), c)
-    clear(at(information), c * c)
     for l in range(q):
-        taken = at(white) + l * width + n
-        nis += taken[0] * taken[0]
+        nis += at(white)[l * width + n] * at(white)[l * width + n]
         determinant -= 2.0 * log(at(W)[l * (q + 1)])
-        for i in range(c):
-            at(score)[i] += taken[1 + i] * taken[0]
-            for j in range(c):
-                at(information)[i * c + j] += taken[1 + i] * taken[1 + j]
-    return after, P, X, nis, determinant, information, score
+    return after, P, X, nis, determinant
 
 
 cdef void mirror(double* P, Py_ssize_t n) noexcept nogil:
@@ -253,3 +247,37 @@ def given_others(residual, whitening):
             log_determinant += 2.0 * log(own[i][i])
         at(result)[f] = -0.5 * (distance - log_determinant + r * log(2.0 * M_PI))
     return result
+
+
+def split_by_feature(both, weighted, whitening):
+    cdef Array of_both = doubles(both), of_weighted = doubles(weighted), of_whitening = doubles(whitening)
+    cdef Py_ssize_t m = length(of_both), r = length(of_both, 1), width = length(of_both, 2), c = width - 1, q = m * r
+    cdef Py_ssize_t f, i, j, l
+    cdef Array sums = cube(m, 2, c), variance = vector(c)
+    cdef const double* G
+    cdef const double* more
+    cdef const double* precise
+    cdef const double* W = at(of_whitening)
+    cdef double* score
+    cdef double* information
+    cdef double* total = at(variance)
+    cdef double own
+    clear(at(sums), m * 2 * c)
+    clear(total, c)
+    for f in range(m):
+        score, information = at(sums) + 2 * c * f, at(sums) + 2 * c * f + c
+        for i in range(r):
+            G, precise = at(of_both) + width * (r * f + i), at(of_weighted) + width * (r * f + i)
+            for j in range(c):
+                score[j] += G[j] * precise[c]
+                information[j] += G[j] * precise[j]
+            for j in range(i + 1):
+                own = 0.0  # of S^-1: W is lower triangular
+                for l in range(r * f + i, q):
+                    own += W[q * l + r * f + i] * W[q * l + r * f + j]
+                if j < i:
+                    own *= 2.0
+                more = at(of_both) + width * (r * f + j)
+                for l in range(c):
+                    total[l] += own * G[l] * more[l]
+    return sums, variance

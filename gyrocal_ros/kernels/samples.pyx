@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Twins of `ekf.motion`, `ekf.steady_rate`, `ekf.effects_by_place`, `ekf.predict`, `ekf.step_record`,
-`effects.fading` and `effects.learned.drives` for the samples of a block."""
+`effects.fading`, `effects.learned.curve` and `effects.learned.drives` for the samples of a block."""
 
-from libc.math cimport cos, exp, fabs, sin, sqrt
+from libc.math cimport M_PI, cos, exp, fabs, isnan, sin, sqrt
 
 cimport numpy as cnp
 from numpy cimport ndarray as Array
@@ -14,7 +14,9 @@ from gyrocal_ros.kernels.arrays cimport at, clear, doubles, length, matrix, vect
 cnp.import_array()
 
 TWINS = (
+    'cosines',
     'fading_memory',
+    'gained',
     'interpolate',
     'intervals',
     'low_pass',
@@ -190,6 +192,27 @@ def mean_at_end(values, dt_s, double length_s):
     return total / duration_s
 
 
+def cosines(values, double low, double high, explained):
+    cdef Array signal = doubles(values), weights = doubles(explained)
+    cdef Py_ssize_t n = length(signal), k = length(weights, 1), i, j
+    cdef Array functions = matrix(n, k)
+    cdef double* row
+    cdef double within, part
+    cdef bint with_signal = length(weights) > 1
+    for i in range(n):
+        row = at(functions) + i * k
+        if isnan(at(signal)[i]):
+            clear(row, k)
+            continue
+        within = min(max(at(signal)[i], low), high)
+        part = M_PI * ((within - low) / (high - low))
+        for j in range(k):
+            row[j] = cos((j + 1) * part) - at(weights)[j]
+            if with_signal:
+                row[j] -= within * at(weights)[k + j]
+    return functions
+
+
 def fading_memory(const double[:] drive, const double[:] dt_s, const double[:] tau_s, const double[:] start):
     cdef Py_ssize_t n = dt_s.shape[0], q = tau_s.shape[0], k, i
     cdef double end_s, kept
@@ -203,6 +226,29 @@ def fading_memory(const double[:] drive, const double[:] dt_s, const double[:] t
             h[k + 1, i] = drive[k] + kept * (h[k, i] - drive[k])
             growth[k + 1, i] = exp(end_s / tau_s[i])
     return solution, grown
+
+
+def gained(gain, list parts, list starts, Py_ssize_t count):
+    cdef Array gains = doubles(gain), products, part
+    cdef Py_ssize_t p = length(gains), n = length(gains, 1), first, i, j, k, number
+    cdef const char* row
+    cdef double* total
+    cdef double factor
+    products = matrix(p, count)
+    clear(at(products), p * count)
+    for number in range(len(parts)):
+        # Columns are views of signals: no copies, whatever their order in memory.
+        part, first = cnp.PyArray_FROM_OTF(parts[number], cnp.NPY_DOUBLE, cnp.NPY_ARRAY_ALIGNED), starts[number]
+        if cnp.PyArray_NDIM(part) != 2 or length(part) != n or first + length(part, 1) > count:
+            raise ValueError(f'columns of shape {parts[number].shape} at {first} of {count}, for {n} samples')
+        for i in range(p):
+            total = at(products) + i * count + first
+            for k in range(n):
+                factor = at(gains)[i * n + k]
+                row = <const char*>cnp.PyArray_DATA(part) + k * cnp.PyArray_STRIDE(part, 0)
+                for j in range(length(part, 1)):
+                    total[j] += factor * (<const double*>(row + j * cnp.PyArray_STRIDE(part, 1)))[0]
+    return products
 
 
 def low_pass(const double[:, :] drive, const double[:, :] kept, start):

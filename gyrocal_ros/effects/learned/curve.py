@@ -13,6 +13,7 @@ from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect
 from gyrocal_ros.effects.learned.forms import Over
 from gyrocal_ros.effects.learned.signals import HEADING, RATE, shown_against, to_record, values_of
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory
 
 Of: TypeAlias = Literal['bias', 'scale']
@@ -56,7 +57,7 @@ class Curve(LinearGyroEffect):
             shown_against=shown_against(self.follows),
         )
 
-    @property
+    @cached_property
     def follows(self) -> str:
         """Name of the signal."""
         return self.name.partition(':')[2]
@@ -78,41 +79,30 @@ class Curve(LinearGyroEffect):
 
     def basis(self, values: Array) -> Array:
         """Return the functions (n, k) at values (n,) of the signal; zero where the signal is not known."""
-        known = np.where(np.isnan(values), self.low, values)
-        functions = self._functions(known) - self._offset(known)
-        return np.where(np.isnan(values)[:, None], 0.0, functions)
+        if self.follows != HEADING:
+            return cosines(values, self.low, self.high, self._explained)
+        return np.where(np.isnan(values)[:, None], 0.0, _waves(values))
 
     def columns(self, block: MotionBlock) -> Array:
         """Return the functions (N, k), times the rate for a scale."""
-        functions = self.basis(values_of(self.follows, block))
-        return functions * block.rate_rad_s[:, 2:] if self.of == 'scale' else functions
+        return self._columns(values_of(self.follows, block), block)
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Return the contribution, with noise outside of the range."""
-        columns = self.columns(block)
-        return GyroTerm(columns @ values, columns, noise_rad_s=self._noise(block))
+        signal = values_of(self.follows, block)
+        columns = self._columns(signal, block)
+        return GyroTerm(columns.dot(values), columns, noise_rad_s=self._noise(signal, block))
 
-    def _functions(self, values: Array) -> Array:
-        order = _orders(self.follows)
-        if self.follows == HEADING:
-            half = order[: len(order) // 2] * values[:, None]
-            return np.concatenate([np.cos(half), np.sin(half)], axis=1)
-        part = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
-        cosines: Array = np.cos(np.pi * order * part[:, None])
-        return cosines
-
-    def _offset(self, values: Array) -> Array:
-        """Return the part (n, k) of the functions that is in the model already."""
-        if self.follows == HEADING:
-            return np.zeros(1)
-        offset: Array = self.present(np.clip(values, self.low, self.high)) @ self._explained
-        return offset
+    def _columns(self, signal: Array, block: MotionBlock) -> Array:
+        functions = self.basis(signal)
+        return functions * block.rate_rad_s[:, 2:] if self.of == 'scale' else functions
 
     @cached_property
     def _explained(self) -> Array:
         """(1 or 2, k) what the model has already in each function, the same for every block."""
-        grid = np.linspace(self.low, self.high, GRID)
-        weights: Array = np.linalg.lstsq(self.present(grid), self._functions(grid), rcond=None)[0]
+        grid, nothing = np.linspace(self.low, self.high, GRID), np.zeros((1, len(_orders(self.follows))))
+        functions = cosines(grid, self.low, self.high, nothing)
+        weights: Array = np.linalg.lstsq(self.present(grid), functions, rcond=None)[0]
         return weights
 
     def present(self, values: Array) -> Array:
@@ -120,16 +110,37 @@ class Curve(LinearGyroEffect):
         constant = np.ones_like(values)
         return np.stack([constant, values] if self.follows == RATE else [constant], axis=1)
 
-    def _noise(self, block: MotionBlock) -> Array | None:
-        if self.follows == HEADING:
+    def _noise(self, signal: Array, block: MotionBlock) -> Array | None:
+        if self.follows == HEADING or not ((signal < self.low) | (signal > self.high)).any():
             return None
-        values = values_of(self.follows, block)
-        beyond = np.maximum(np.maximum(self.low - values, values - self.high), 0.0) / (self.high - self.low)
-        if not np.any(beyond > 0.0):
-            return None
+        beyond = np.maximum(np.maximum(self.low - signal, signal - self.high), 0.0) / (self.high - self.low)
         std = math.sqrt(0.5 * sum(item.prior_std**2 for item in self.coefficients))
         noise: Array = std * np.sqrt(-np.expm1(-np.square(np.nan_to_num(beyond) / LENGTHS[0])))
         return noise * np.abs(block.rate_rad_s[:, 2]) if self.of == 'scale' else noise
+
+
+@compiled
+def cosines(values: Array, low: float, high: float, explained: Array) -> Array:
+    """Return the functions (n, k) of a curve without what the model has already; zero where a value is NaN.
+
+    Args:
+        values: (n,) of the signal.
+        low: lower end of the range.
+        high: upper end.
+        explained: (1 or 2, k) weights of a constant, and of the signal, in each function.
+    """
+    within = np.clip(np.where(np.isnan(values), low, values), low, high)
+    part = (within - low) / (high - low)
+    functions = np.cos(np.pi * np.arange(1.0, explained.shape[1] + 1.0) * part[:, None])
+    present = np.stack([np.ones_like(within), within], axis=1)[:, : len(explained)]
+    return np.where(np.isnan(values)[:, None], 0.0, functions - present @ explained)
+
+
+def _waves(heading_rad: Array) -> Array:
+    """Return the cosines, then the sines (n, k) of multiples of headings (n,)."""
+    order = _orders(HEADING)
+    half = order[: len(order) // 2] * heading_rad[:, None]
+    return np.concatenate([np.cos(half), np.sin(half)], axis=1)
 
 
 def curve(of: Of, signal: str, low: float = 0.0, high: float = 1.0) -> Curve:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -132,8 +133,7 @@ def fast_part(rate: Array, dt_s: Array, tau_s: Array, start: Array | None) -> tu
 
 def motion_drive(drive: str, block: MotionBlock) -> Array:
     """Return the rate, its magnitude, its side, or whether the wheels move (N,)."""
-    rate = block.rate_rad_s[:, 2]
-    return {RATE: rate, ABS_RATE: np.abs(rate), SIDE: side_of(rate), MOVING: moves(block)}[drive]
+    return _OF_MOTION[drive](block)
 
 
 def moves(block: MotionBlock) -> Array:
@@ -146,3 +146,11 @@ def moves(block: MotionBlock) -> Array:
 def side_of(rate_rad_s: Array) -> Array:
     """Return the side of the turn (N,): -1, 0 or 1."""
     return np.sign(rate_rad_s) * (np.abs(rate_rad_s) > TURNING_RAD_S)
+
+
+_OF_MOTION: dict[str, Callable[[MotionBlock], Array]] = {
+    RATE: lambda block: block.rate_rad_s[:, 2],
+    ABS_RATE: lambda block: np.abs(block.rate_rad_s[:, 2]),
+    SIDE: lambda block: side_of(block.rate_rad_s[:, 2]),
+    MOVING: moves,
+}

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearMemoryEffect, Stimulus
+from gyrocal_ros.effects.fading import fading_memory
 from gyrocal_ros.effects.learned.curve import TYPICAL, UNIT, Of
 from gyrocal_ros.effects.learned.drives import (
     ABS_RATE,
@@ -84,7 +86,7 @@ class ExponentialBank(LinearMemoryEffect):
             shown_against=memory_shown_against(self.follows),
         )
 
-    @property
+    @cached_property
     def follows(self) -> str:
         """Name of the drive, a key of `TAUS_S` or a signal."""
         return self.name.partition(':')[2]
@@ -99,7 +101,7 @@ class ExponentialBank(LinearMemoryEffect):
         """What remembers."""
         return 'scale' if self.name.startswith('scale') else 'bias'
 
-    @property
+    @cached_property
     def tau_s(self) -> Array:
         """(q,) time constants."""
         return np.array(TAUS_S.get(self.follows, OTHER_TAUS_S))
@@ -158,16 +160,13 @@ def _followed(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tupl
     if np.isnan(values).any():
         return np.zeros((len(values), len(bank.tau_s))), before
     first, start = before if before is not None else (values[0], np.zeros(len(bank.tau_s)))
-    drive = np.repeat((values - first)[:, None], len(bank.tau_s), axis=1)
-    h = low_pass(drive, kept_of_steady(block.dt_s, bank.tau_s), start)
+    h, _ = fading_memory(values - first, block.dt_s, bank.tau_s, start)
     return 0.5 * (h[1:] + h[:-1]), (first, h[-1])
 
 
 def _of_motion(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
-    drive = motion_drive(bank.follows, block)
     start = before if before is not None else np.zeros(len(bank.tau_s))
-    kept = kept_of_steady(block.dt_s, bank.tau_s)
-    h = low_pass(np.repeat(drive[:, None], len(bank.tau_s), axis=1), kept, start)
+    h, _ = fading_memory(motion_drive(bank.follows, block), block.dt_s, bank.tau_s, start)
     return 0.5 * (h[1:] + h[:-1]), h[-1]
 
 
@@ -185,14 +184,11 @@ def _fast_changes(tau_s: Array, rate: Array, dt_s: Array, before: Memory) -> tup
 
 def _after_turn(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
     """Return the side of the last turn, decaying since its end; 1 during the turn."""
-    side = side_of(block.rate_rad_s[:, 2])
-    columns = np.empty((len(side), len(bank.tau_s)))
-    now = before if before is not None else np.zeros(len(bank.tau_s))
-    kept = np.exp(-block.dt_s[:, None] / bank.tau_s)
-    for row, (turned, faded) in enumerate(zip(side.tolist(), kept, strict=True)):
-        now = np.full_like(now, turned) if turned else now * faded
-        columns[row] = now
-    return columns, now
+    side = side_of(block.rate_rad_s[:, 2])[:, None]
+    kept = np.where(side == 0.0, kept_of_steady(block.dt_s, bank.tau_s), 0.0)
+    start = before if before is not None else np.zeros(len(bank.tau_s))
+    h = low_pass(np.repeat(side, len(bank.tau_s), axis=1), kept, start)
+    return h[1:], h[-1]
 
 
 def _since_start(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:

@@ -53,9 +53,9 @@ class PlaceMap(LinearGyroEffect):
         low = np.array([self.x_low_m, self.y_low_m])
         high = np.array([self.x_high_m, self.y_high_m])
         part = np.clip((position_m - low) / (high - low), 0.0, 1.0)
-        orders = np.array(ORDERS)
-        waves: Array = np.cos(np.pi * part[:, None, :] * orders).prod(axis=2)
-        return waves
+        waves = np.cos(np.pi * part[:, :, None] * np.arange(MAX_ORDER + 1.0))
+        along_x, along_y = np.array(ORDERS).T
+        return waves[:, 0, along_x] * waves[:, 1, along_y]
 
     def present(self, position_m: Array) -> Array:
         """Return what the model has already (n, 1): a constant."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gyrocal_ros.data import Array, MotionBlock
+from gyrocal_ros.data import Array, MotionBlock, constant
 from gyrocal_ros.effects.base import Stimulus
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.recording import TEMPERATURE
@@ -20,7 +20,7 @@ CENTRIPETAL = 'centripetal_acceleration'
 
 def _mean(values: Array) -> Array:
     """Return the mean over the block for each interval: a single reading of these signals is mostly noise."""
-    return np.full(len(values), values.mean())
+    return constant(float(values.sum()) / len(values), len(values))
 
 
 def _heading(block: MotionBlock) -> Array:

@@ -572,6 +572,17 @@ def test_headings_that_jump() -> None:
 
 
 @pytest.mark.parametrize('forms', FORMS)
+@pytest.mark.parametrize('shape', [(4, 2), (6, 2), (5, 3)])
+def test_columns_of_another_shape_are_refused(
+    shape: tuple[int, int], forms: dict[str, Callable[..., Any]]
+) -> None:
+    """A user's effect may return them: for other samples, or for more coefficients than it has."""
+    assert forms['gained'](np.ones((6, 5)), [np.ones((5, 2))], [6], 8)[:, 6:].all()
+    with pytest.raises(ValueError, match='shape|dimension|broadcast'):
+        forms['gained'](np.ones((6, 5)), [np.ones(shape)], [6], 8)
+
+
+@pytest.mark.parametrize('forms', FORMS)
 def test_a_changed_copy(forms: dict[str, Callable[..., Any]]) -> None:
     sample = WheelSample(5, 0.3, 0.1)
     assert forms['changed'](sample, speed_m_s=0.4) == WheelSample(5, 0.4, 0.1)

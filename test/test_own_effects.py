@@ -10,10 +10,12 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.effects import EFFECTS, find_effect, registry
+from gyrocal_ros.effects.base import column
 from gyrocal_ros.effects.registry import load_file
 from gyrocal_ros.errors import ConfigError
 
@@ -247,3 +249,11 @@ def test_an_installed_effect_that_cannot_be_loaded_is_named(monkeypatch: pytest.
     monkeypatch.setattr(registry, 'entry_points', lambda group: [point])
     with pytest.raises(ConfigError, match='entry point not_there_at_all:Mine: cannot be loaded'):
         find_effect('mine')
+
+
+def test_columns_may_be_changed_without_changing_the_signal() -> None:
+    signal = np.array([1.0, 2.0, 3.0])
+    columns = column(signal)
+    columns -= 1.0
+    np.testing.assert_array_equal(columns[:, 0], [0.0, 1.0, 2.0])
+    np.testing.assert_array_equal(signal, [1.0, 2.0, 3.0])

@@ -106,8 +106,8 @@ class LinearMemoryEffect(ABC):
 
 
 def column(*signals: Array) -> Array:
-    """Return signals (N,) as the columns (N, k) of a linear effect."""
-    return np.array(signals).T if len(signals) > 1 else signals[0][:, None]
+    """Return signals (N,) as the columns (N, k) of a linear effect: a copy, which may be changed."""
+    return np.array(signals).T
 
 
 def recorded(signal: Array) -> Array:

@@ -25,7 +25,7 @@ even steps."""
 MEAN_S, MEANS = 0.1, 10
 """Noise inside the band is estimated from means over 0.1 s, ten in each second."""
 MIN_SECONDS = 10
-"""Minimum number of such seconds; fewer are not judged."""
+"""Minimum number of such seconds; of fewer the mean alone is judged."""
 MAX_EDGE_PART = 0.5
 """Largest mean of the readings inside, as a part of the width, where such seconds are few. A bias near an
 edge is inside now and then because of the noise, and the mean is near the edge, too."""

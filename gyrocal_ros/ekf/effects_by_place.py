@@ -357,8 +357,8 @@ def pixels_by_delay(
         height_px: number of rows.
     """
     velocity, rows = by_pose @ rate, _rows(pixels, height_px)
-    as_exposed = velocity + by_pose @ acceleration * (readout_s * rows)[:, None]
-    return -velocity, as_exposed * (rows / _pace(as_exposed, readout_s, height_px))[:, None]
+    at_exposure = velocity + by_pose @ acceleration * (readout_s * rows)[:, None]
+    return -velocity, at_exposure * (rows / _pace(at_exposure, readout_s, height_px))[:, None]
 
 
 def _readout_s(effects: EffectsByPlace, values: Array) -> float:

@@ -19,7 +19,7 @@ from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate, without_harm
 from gyrocal_ros.diagnose.examined import ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.improvement import improvement
-from gyrocal_ros.diagnose.noise import MIN_GAIN, MORE_DRIFT, find_missing, or_noise
+from gyrocal_ros.diagnose.noise import MIN_GAIN, MORE_DRIFT, find_missing, shown_noise
 from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.search import continued
 from gyrocal_ros.diagnose.status import ADD_NOISE, diagnosis_status, improvement_status
@@ -174,23 +174,19 @@ def test_noisy_readings_prove_white_noise_alone(
 ) -> None:
     """A wandering bias does not make the readings scatter: it has to predict better than what was found."""
     source, recorded, first = quiet
-    searched, asked = Search(first, ()), []
+    assert shown_noise(first, recorded, runner(source)) is None, 'these readings show none'
     fitted = NoiseFit(with_means(find_effect(name), (SIZES[name],)), 1e3, 1e-6)
-    kept = replace(addition(first, first), effect=fitted.effect, gain=1e3)
-
-    def is_proven(*about: object) -> bool:
-        asked.append(about)
-        return False
-
-    monkeypatch.setattr(noise, '_reads_noisily', lambda *about: True)
+    monkeypatch.setattr(noise, 'white_noise', lambda readings: 0.1 * DEG)
     monkeypatch.setattr(noise, 'fit_noises', lambda *about: [fitted])
-    monkeypatch.setattr(noise, '_first_kept', lambda *about: kept)
-    monkeypatch.setattr(noise, '_is_proven', is_proven)
-    monkeypatch.setattr(noise, 'continued', lambda additions, *about: additions)
-    monkeypatch.setattr(Addition, 'predictive_gain', 1e3)
-    found = or_noise(searched, recorded, runner(source), most=1)
-    assert bool(asked) != is_white
-    assert [item.effect.name for item in found.additions] == ([name] if is_white else [])
+    monkeypatch.setattr(Addition, 'predictive_gain', 0.0)
+    found = shown_noise(first, recorded, runner(source))
+    if not is_white:
+        assert found is None
+        return
+    assert found is not None and found.effect is fitted.effect
+    assert found.is_kept, 'the filter takes it over, so it need not predict better'
+    if name == 'gyro_noise':
+        assert shown_noise(found.after, recorded, runner(source)) is None, 'the model knows it'
 
 
 @pytest.mark.parametrize(
@@ -227,7 +223,7 @@ def test_noise_beside_what_was_found_and_noise_in_its_place(
     def gained(before: Run, after: Run) -> Array:
         return np.array([gain])
 
-    monkeypatch.setattr(noise, 'search', lambda *about: Search(first, (lag,)))
+    monkeypatch.setattr(noise, 'search_from', lambda *about: Search(first, (lag,)))
     monkeypatch.setattr(noise, 'or_noise', with_noise_for)
     monkeypatch.setattr(noise, 'eliminate', lambda searched, *about: searched)
     monkeypatch.setattr(noise, 'predictive_gain', gained)

@@ -11,15 +11,18 @@ from contracts import eventful_block
 
 from gyrocal_ros.config.sections import Config, GyroConfig
 from gyrocal_ros.data import MotionBlock
-from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.effects_by_place import sort_effects
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.ekf.steady_rate import SteadyRate
+from gyrocal_ros.model.sensor import with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
 DEG = math.radians(1.0)
 GYRO = GyroConfig(rate_noise_deg_s=0.0075)
+NO_EFFECTS = sort_effects(())
 COUNT, STEP_S = 14, 0.005
 
 
@@ -123,23 +126,50 @@ def test_the_noise_of_the_readings_replaces_a_setting_that_is_far_too_small(fact
     speeding_up = 500.0 * DEG * STEP_S * np.arange(COUNT)
     for _ in range(200):
         readings = factor * 0.0075 * DEG / math.sqrt(STEP_S) * rng.standard_normal(COUNT + 1)
-        used = steady.with_noise(block(speeding_up + 0.5 * (readings[1:] + readings[:-1])), GYRO)
+        used = steady.with_noise(block(speeding_up + 0.5 * (readings[1:] + readings[:-1])), GYRO, NO_EFFECTS)
     if factor < 2.0:
         assert used is GYRO
     else:
         assert used.rate_noise_deg_s == pytest.approx(factor * 0.0075, rel=0.15)
 
 
+@pytest.mark.parametrize('axis', [0, 1, 2])
+def test_each_axis_has_the_noise_of_its_own_readings(axis: int) -> None:
+    rng, steady, used = np.random.default_rng(4), SteadyRate(), GYRO
+    factors = np.ones(3)
+    factors[axis] = 10.0
+    for _ in range(200):
+        readings = factors * 0.0075 * DEG / math.sqrt(STEP_S) * rng.standard_normal((COUNT + 1, 3))
+        rates = 0.5 * (readings[1:] + readings[:-1])
+        used = steady.with_noise(replace(block(np.zeros(COUNT)), rate_rad_s=rates), GYRO, NO_EFFECTS)
+    assert steady.tilt_noise_rad_s is not None
+    noise = np.append(steady.tilt_noise_rad_s, used.rate_noise_deg_s * DEG)
+    np.testing.assert_allclose(noise, factors * 0.0075 * DEG, rtol=0.15)
+
+
+def test_noise_that_an_effect_explains_is_not_taken_over_as_well() -> None:
+    rng, steady, used = np.random.default_rng(5), SteadyRate(), GYRO
+    known = with_means(find_effect('gyro_noise'), (0.07 * DEG,))
+    for _ in range(200):
+        readings = 0.075 * DEG / math.sqrt(STEP_S) * rng.standard_normal(COUNT + 1)
+        read = block(0.5 * (readings[1:] + readings[:-1]))
+        used = steady.with_noise(read, GYRO, sort_effects((known,)))
+    assert used is GYRO
+    too_small = with_means(find_effect('gyro_noise'), (0.02 * DEG,))
+    rest = steady.with_noise(read, GYRO, sort_effects((too_small,)))
+    assert math.hypot(rest.rate_noise_deg_s, 0.02) == pytest.approx(0.075, rel=0.15)
+
+
 def test_samples_out_of_place_are_noise_while_the_rate_changes() -> None:
     """Wrong stamps put the samples of a turn that begins in a wrong order; a steady rate hides that."""
     rng, steady = np.random.default_rng(3), SteadyRate()
     for _ in range(100):
-        steady.with_noise(noisy(rng, 0.0, factor=0.3), GYRO)
+        steady.with_noise(noisy(rng, 0.0, factor=0.3), GYRO, NO_EFFECTS)
     in_order = block(300.0 * DEG * STEP_S * np.arange(COUNT))
     wrong_order = block(300.0 * DEG * STEP_S * rng.permutation(COUNT))
     irregular_s = STEP_S * rng.exponential(size=COUNT)
-    assert steady.with_noise(in_order, GYRO) is GYRO
-    assert steady.with_noise(wrong_order, GYRO) is GYRO
-    assert steady.with_noise(replace(in_order, dt_s=irregular_s), GYRO) is GYRO
-    used = steady.with_noise(replace(wrong_order, dt_s=irregular_s), GYRO)
+    assert steady.with_noise(in_order, GYRO, NO_EFFECTS) is GYRO
+    assert steady.with_noise(wrong_order, GYRO, NO_EFFECTS) is GYRO
+    assert steady.with_noise(replace(in_order, dt_s=irregular_s), GYRO, NO_EFFECTS) is GYRO
+    used = steady.with_noise(replace(wrong_order, dt_s=irregular_s), GYRO, NO_EFFECTS)
     assert used.rate_noise_deg_s > 20.0 * GYRO.rate_noise_deg_s

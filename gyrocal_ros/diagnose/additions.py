@@ -45,6 +45,8 @@ class Addition:
     is_rejected: bool = False
     """True for a learned effect with which the recording is not predicted better, or drifts more; and for one
     that explains unevenly where a run does not confirm it."""
+    is_shown: bool = False
+    """True for a noise that the readings themselves show."""
     is_rewritten: bool = False
     """True for a closed form in place of the learned curve or memory of the same name."""
 
@@ -64,12 +66,13 @@ class Addition:
     def is_kept(self) -> bool:
         """True if the recording is predicted better with it, it is not negligible, and nothing drifts more.
 
-        A closed form need only predict as well as the curve. What the filter cannot run without is kept.
+        A closed form need only predict as well as the curve. So does noise that the readings themselves show,
+        for the filter takes it over. What the filter cannot run without is kept.
         """
         if self.before is None:
             return True
         least = self.after.settings.min_predictive_gain
-        predicts = self.predictive_gain > (-least if self.is_rewritten else least)
+        predicts = self.predictive_gain > (-least if self.is_rewritten or self.is_shown else least)
         counts = self.stands_out and not self.is_negligible
         return predicts and counts and not self.is_rejected and not self.raises_drift
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+
+import numpy as np
 
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.alternatives import best_alternative, searched_again
@@ -17,11 +18,13 @@ from gyrocal_ros.diagnose.learning import is_missing_something, likeliest_law
 from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search
+from gyrocal_ros.diagnose.recovery import first_run
+from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search_from
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import white_noise
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.traits import is_white_noise
+from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel
@@ -50,12 +53,52 @@ def find_missing(
 ) -> Search:
     """Find what a model lacks: effects, or noise where nothing else explains the recording; see `search`.
 
+    White noise that the readings themselves show comes first: without it every error that it makes would look
+    like something else.
+
+    Raises:
+        FilterDivergedError: the filter cannot run with this model.
+    """
+    first, additions = first_run(model, recording, calibrate, settings)
+    shown = None if additions else shown_noise(first, recording, calibrate)
+    if shown is None:
+        return _effects_or_noise(first, additions, recording, calibrate, most)
+    found = _effects_or_noise(shown.after, [], recording, calibrate, most - 1)
+    return replace(found, first=first, additions=(shown, *found.additions))
+
+
+def shown_noise(present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate) -> Addition | None:
+    """Add white noise where the readings are far noisier than the model says; return None elsewhere.
+
+    It needs no other proof. The filter takes it over, so nothing may contradict the model.
+    """
+    known_rad_s = yaw_noise_of(present.model, present.run.config.gyro, np.zeros(1)).density_rad_s[0]
+    if not white_noise(recording.readings) > SHOWN_NOISE * known_rad_s:
+        return None
+    noises = fit_noises(present)
+    if not noises or noises[0].gain < MIN_GAIN or not is_white_noise(noises[0].effect):
+        return None
+    with suppress(*CANNOT_RUN):
+        found = replace(with_noise(present, noises[0], recording, calibrate), is_shown=True)
+        return found if found.is_kept else None
+    return None
+
+
+def _effects_or_noise(
+    first: ExaminedModel,
+    additions: list[Addition],
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    most: int,
+) -> Search:
+    """Find effects that a model lacks, or noise where nothing else explains the recording.
+
     Noise that is the smaller part of what is missing shows beside the effects that were found. A noise that
     is the larger part takes in what an effect does to the headings. So both are tried, noise beside what was
     found and noise in its place, and the one that predicts better is returned; that with the effects, too,
     where the robot drifts far less with them. Neither is tried where the stamps are at fault.
     """
-    found = search(model, recording, calibrate, most, settings)
+    found = search_from(first, additions, recording, calibrate, most)
     if timing_fault(found.last) is None:
         found = searched_again(found, recording, calibrate, most)
     found = best_alternative(found, recording, calibrate, most)
@@ -83,10 +126,10 @@ def or_noise(
 ) -> Search:
     """Return a search in which noise takes the place of what was found, where noise predicts better.
 
-    White noise that the readings themselves show needs no other proof. Other noise may be imitated by wrong
-    effects and by process noise, and an unknown law looks like noise as long as it is not known. So it has to
-    predict better than everything that was found, and not in one block of time alone, as for a jump; with it
-    the model has to fit, and no unknown law may predict better. Then the search goes on beside the noise.
+    Noise may be imitated by wrong effects and by process noise, and an unknown law looks like noise as long
+    as it is not known. So it has to predict better than everything that was found, and not in one block of
+    time alone, as for a jump; with it the model has to fit, and no unknown law may predict better. Then the
+    search goes on beside the noise.
 
     Args:
         searched: a finished search.
@@ -95,25 +138,20 @@ def or_noise(
         most: number of effects to try.
     """
     first = searched.first
-    reads_noisily = _reads_noisily(first, recording)
     is_recovered = bool(searched.additions) and searched.additions[0].before is None
-    if is_recovered or not (reads_noisily or is_missing_something(first)):
+    if is_recovered or not is_missing_something(first):
         return searched
     explained = heading_log_likelihood(searched.last.seen) - heading_log_likelihood(first.seen)
     noises, structure = fit_noises(first), first.unexplained_structure
-    if not noises:
-        return searched
-    is_shown = reads_noisily and is_white_noise(noises[0].effect)
-    if noises[0].gain < max(MIN_GAIN, 0.0 if is_shown else explained):
+    if not noises or noises[0].gain < max(MIN_GAIN, explained):
         return searched
     jump_gain = structure.gain if structure is not None and structure.at_s is not None else 0.0
-    if not is_shown and jump_gain > JUMP_PART * noises[0].gain:
+    if jump_gain > JUMP_PART * noises[0].gain:
         return searched
     found = _first_kept(first, noises, recording, calibrate)
     if found is None or found.predictive_gain < MIN_GAIN:
         return searched
-    is_shown = reads_noisily and is_white_noise(found.effect)
-    if not is_shown and not _is_proven(found, searched, recording, calibrate):
+    if not _is_proven(found, searched, recording, calibrate):
         return searched
     return Search(first, tuple(continued([found], found.after, recording, calibrate, most)))
 
@@ -145,12 +183,3 @@ def _first_kept(
             if found.is_kept:
                 return found
     return None
-
-
-def _reads_noisily(present: ExaminedModel, recording: RecordingSummary) -> bool:
-    """Return True if the readings themselves are far noisier than the settings say.
-
-    The filter takes such noise over, so nothing may contradict the model.
-    """
-    expected_rad_s = math.radians(present.run.config.gyro.rate_noise_deg_s)
-    return white_noise(recording.readings) > SHOWN_NOISE * expected_rad_s

@@ -62,9 +62,7 @@ def search(
     most: int = MAX_ADDITIONS,
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> Search:
-    """Find what a model lacks.
-
-    Where the stamps are at fault only limits are tried: other effects would gain, and none would be right.
+    """Find what a model lacks; see `search_from`.
 
     Args:
         model: the present sensor model.
@@ -77,7 +75,20 @@ def search(
     Raises:
         FilterDivergedError: the filter cannot run with this model.
     """
-    first, additions = first_run(model, recording, calibrate, settings)
+    return search_from(*first_run(model, recording, calibrate, settings), recording, calibrate, most)
+
+
+def search_from(
+    first: ExaminedModel,
+    additions: list[Addition],
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    most: int,
+) -> Search:
+    """Find what a model lacks beside what it was given to run at all, see `recovery.first_run`.
+
+    Where the stamps are at fault only limits are tried: other effects would gain, and none would be right.
+    """
     present = first
     if timing_fault(present) is not None:
         limited = limit_instead_of_timing(present, recording, calibrate)

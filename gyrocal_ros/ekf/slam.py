@@ -201,7 +201,7 @@ class EkfSlam:
         """Return the noise of the gyro in motion."""
         gyro = self.config.gyro
         if self._levelling is None:  # the noise of a heading reference is learned with that of the gyro
-            gyro = self._steady.with_noise(block, gyro)
+            gyro = self._steady.with_noise(block, gyro, self._effects)
         return self._watch.walk(gyro)
 
     def _noise_at_rest(
@@ -224,11 +224,11 @@ class EkfSlam:
         """Predict state and sensitivity, and note the motion that the next image needs."""
         is_way_noise = not is_certain(block, self.config.wheels)
         steady = without_way(steady) if is_way_noise else steady
-        model = FilterModel(self.model, self._effects, gyro, self.wheel_noise.config)
         if self._levelling is None:
-            model = changed(model, rate_change_rad_s=self._steady.change_rad_s)
+            rates = self._steady.tilt_noise_rad_s, self._steady.change_rad_s
         else:
-            model = changed(model, tilt_rate_noise_rad_s=self._levelling.rate_noise_rad_s(block))
+            rates = self._levelling.rate_noise_rad_s(block), 0.0
+        model = FilterModel(self.model, self._effects, gyro, self.wheel_noise.config, *rates)
         self.state, transition = predict(before, block, model, self.memories, steady)
         self.memories = transition.contribution.correction.memories
         self.state, self._candidate_memories = predict_sensitivity(

@@ -14,8 +14,11 @@ from bisect import bisect_left, insort
 from collections import deque
 from dataclasses import replace
 
+import numpy as np
+
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array, MotionBlock, changed, constant
+from gyrocal_ros.ekf.effects_by_place import EffectsByPlace
 from gyrocal_ros.kernels import compiled
 
 CHANGE_SIGMA = 3.0
@@ -42,37 +45,43 @@ class SteadyRate:
         self._blocks = 0
         self.change_rad_s = 0.0
         """Change of the mean rate to the last block; zero while it is steady."""
+        self.tilt_noise_rad_s: Array | None = None
+        """(2,) noise of the x and y gyros, of settings or readings; None as long as the readings are few."""
         self._was_at_rest = False
         self._noise_rad2_s: float | None = None
-        self._seen_rad2_s: deque[float] = deque(maxlen=NOISE_BLOCKS)
-        self._sorted_rad2_s: list[float] = []
+        self._seen_rad2_s = tuple(_LastMedian() for _ in range(3))
         self._vibrations_m2_s4: deque[float] = deque(maxlen=VIBRATION_BLOCKS + 1)
 
-    def with_noise(self, block: MotionBlock, gyro: GyroConfig) -> GyroConfig:
-        """Return the settings, with the noise of the readings where that is far above the one set.
+    def with_noise(self, block: MotionBlock, gyro: GyroConfig, effects: EffectsByPlace) -> GyroConfig:
+        """Return the settings, with the noise of the yaw gyro where its readings show far more than is known.
 
         Second differences of the readings show it: they contain neither the rate nor its steady change. Where
         stamps are irregular, samples are out of place while the rate changes, and those of this block count.
+        Each axis has its own noise, see `tilt_noise_rad_s` for the others.
+
+        Args:
+            block: the block.
+            gyro: settings.
+            effects: those of the model; noise among them is known.
         """
         _, _, bends_rad2_s, irregularity = rate_scatter(block.rate_rad_s, block.dt_s)
         if len(block.dt_s) > 2:
             # An interval's rate is the mean of two readings r: its bend is (r3 - r2 - r1 + r0) / 2.
-            self._remember(bends_rad2_s)
-        if len(self._seen_rad2_s) < NOISE_BLOCKS:
+            for seen, bends in zip(self._seen_rad2_s, bends_rad2_s.tolist(), strict=True):
+                seen.add(bends)
+        if not self._seen_rad2_s[0].is_full:
             return gyro
-        middle = NOISE_BLOCKS // 2
-        seen_rad2_s = 0.5 * (self._sorted_rad2_s[middle - 1] + self._sorted_rad2_s[middle])
-        if irregularity > IRREGULAR:
-            seen_rad2_s = max(seen_rad2_s, self._seen_rad2_s[-1])
-        seen = math.degrees(math.sqrt(seen_rad2_s))
-        return gyro if seen < NOISY * gyro.rate_noise_deg_s else replace(gyro, rate_noise_deg_s=seen)
-
-    def _remember(self, seen_rad2_s: float) -> None:
-        """Remember the noise of one more block, in order of time and in order of size."""
-        if len(self._seen_rad2_s) == NOISE_BLOCKS:
-            del self._sorted_rad2_s[bisect_left(self._sorted_rad2_s, self._seen_rad2_s[0])]
-        self._seen_rad2_s.append(seen_rad2_s)
-        insort(self._sorted_rad2_s, seen_rad2_s)
+        x_rad2_s, y_rad2_s, z_rad2_s = (
+            max(seen.median, seen.last) if irregularity > IRREGULAR else seen.median
+            for seen in self._seen_rad2_s
+        )
+        set_rad2_s = math.radians(gyro.rate_noise_deg_s) ** 2
+        tilt_rad2_s = [seen if _is_noisy(seen, set_rad2_s) else set_rad2_s for seen in (x_rad2_s, y_rad2_s)]
+        self.tilt_noise_rad_s = np.sqrt(tilt_rad2_s)
+        by_effects_rad2_s = _noise_of(effects, block.rate_rad_s[:, 2])
+        if not _is_noisy(z_rad2_s, set_rad2_s + by_effects_rad2_s):
+            return gyro
+        return replace(gyro, rate_noise_deg_s=math.degrees(math.sqrt(z_rad2_s - by_effects_rad2_s)))
 
     def without_noise(self, block: MotionBlock, gyro: GyroConfig, *, is_at_rest: bool = False) -> MotionBlock:
         """Return the block with the yaw rate at which derivatives are taken, and remember the block.
@@ -123,8 +132,52 @@ class SteadyRate:
         return max(math.radians(gyro.rate_noise_deg_s) ** 2, self._noise_rad2_s or 0.0)
 
 
+class _LastMedian:
+    """The median of the last `NOISE_BLOCKS` numbers."""
+
+    def __init__(self) -> None:
+        self._numbers: deque[float] = deque(maxlen=NOISE_BLOCKS)
+        self._sorted: list[float] = []
+
+    def add(self, number: float) -> None:
+        """Remember one more number, in order of time and in order of size."""
+        if self.is_full:
+            del self._sorted[bisect_left(self._sorted, self._numbers[0])]
+        self._numbers.append(number)
+        insort(self._sorted, number)
+
+    @property
+    def is_full(self) -> bool:
+        """True once there are as many numbers as are kept."""
+        return len(self._numbers) == NOISE_BLOCKS
+
+    @property
+    def median(self) -> float:
+        """Median of the numbers."""
+        middle = NOISE_BLOCKS // 2
+        return 0.5 * (self._sorted[middle - 1] + self._sorted[middle])
+
+    @property
+    def last(self) -> float:
+        """The latest number."""
+        return self._numbers[-1]
+
+
+def _is_noisy(seen_rad2_s: float, known_rad2_s: float) -> bool:
+    """Return True if a noise, (rad/s)^2/Hz, is far above the one that is known."""
+    return seen_rad2_s >= NOISY**2 * known_rad2_s
+
+
+def _noise_of(effects: EffectsByPlace, rate_rad_s: Array) -> float:
+    """Return the mean white noise, (rad/s)^2/Hz, that effects add at readings (N,) of the yaw rate."""
+    return sum(
+        float(np.mean(effect.density(rate_rad_s, effects.prior_means[place]) ** 2))
+        for effect, place in effects.noise
+    )
+
+
 @compiled
-def rate_scatter(rate_rad_s: Array, dt_s: Array) -> tuple[float, float, float, float]:
+def rate_scatter(rate_rad_s: Array, dt_s: Array) -> tuple[float, float, Array, float]:
     """Return the mean of the yaw rate over N intervals, and how rates and intervals scatter.
 
     Args:
@@ -132,16 +185,16 @@ def rate_scatter(rate_rad_s: Array, dt_s: Array) -> tuple[float, float, float, f
         dt_s: (N,)
 
     Returns:
-        Mean rate (rad/s); mean square of first and of second differences of the rates, times the mean
-        interval ((rad/s)^2/Hz), 0 with too few; standard deviation of the intervals inside the block,
-        relative to their mean, 0 with fewer than three.
+        Mean rate (rad/s); mean square of its first differences, times the mean interval ((rad/s)^2/Hz), 0
+        with too few; the same of the second differences of each axis (3,); standard deviation of the
+        intervals inside the block, relative to their mean, 0 with fewer than three.
     """
     rates, inside_s, interval_s = rate_rad_s[:, 2], dt_s[1:-1], float(dt_s.mean())
     steps = rates[1:] - rates[:-1]
-    bends = steps[1:] - steps[:-1]
+    bends = rate_rad_s[2:] - 2.0 * rate_rad_s[1:-1] + rate_rad_s[:-2]
     return (
         float(rates @ dt_s) / float(dt_s.sum()),
         float(steps @ steps) / len(steps) * interval_s if len(steps) else 0.0,
-        float(bends @ bends) / len(bends) * interval_s if len(bends) else 0.0,
+        np.square(bends).mean(axis=0) * interval_s if len(bends) else np.zeros(3),
         float(inside_s.std()) / float(inside_s.mean()) if len(inside_s) > 2 else 0.0,
     )

@@ -152,29 +152,33 @@ def way_and_turn(rate_rad_s, dt_s, distance_m):
 
 
 def rate_scatter(rate_rad_s, dt_s):
-    cdef Array rates = doubles(rate_rad_s), intervals_s = doubles(dt_s)
-    cdef Py_ssize_t n = length(intervals_s), k
-    cdef double turned = 0.0, duration = 0.0, steps = 0.0, bends = 0.0, step = 0.0, before, inside = 0.0, square = 0.0
-    cdef const double* rate = at(rates) + 2
+    cdef Array rates = doubles(rate_rad_s), intervals_s = doubles(dt_s), bends = vector(3)
+    cdef Py_ssize_t n = length(intervals_s), k, axis
+    cdef double turned = 0.0, duration = 0.0, steps = 0.0, step, bend, inside = 0.0, square = 0.0
+    cdef const double* rate = at(rates)
     cdef const double* dt = at(intervals_s)
+    clear(at(bends), 3)
     for k in range(n):
-        turned += rate[3 * k] * dt[k]
+        turned += rate[3 * k + 2] * dt[k]
         duration += dt[k]
         if k > 0:
-            before, step = step, rate[3 * k] - rate[3 * (k - 1)]
+            step = rate[3 * k + 2] - rate[3 * k - 1]
             steps += step * step
-            if k > 1:
-                bends += (step - before) * (step - before)
         if 0 < k < n - 1:
             inside += dt[k]
+            for axis in range(3):
+                bend = rate[3 * (k + 1) + axis] - 2.0 * rate[3 * k + axis] + rate[3 * (k - 1) + axis]
+                at(bends)[axis] += bend * bend
     if n > 2:
         inside /= n - 2
+        for axis in range(3):
+            at(bends)[axis] *= duration / n / (n - 2)
         for k in range(1, n - 1):
             square += (dt[k] - inside) * (dt[k] - inside)
     return (
         turned / duration,
         steps / (n - 1) * duration / n if n > 1 else 0.0,
-        bends / (n - 2) * duration / n if n > 2 else 0.0,
+        bends,
         sqrt(square / (n - 2)) / inside if n > 4 else 0.0,
     )
 

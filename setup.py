@@ -127,5 +127,6 @@ setup(
             'ceiling_emulator = gyrocal_ros.nodes.main:ceiling_emulator',
         ]
     },
+    options={'build_ext': {'parallel': True}},  # one compiler per core
     zip_safe=False,
 )

@@ -53,7 +53,7 @@ class NoiseBank:
         self.least_walk = 1.0
         """Random walk of the bias, relative to that of the filter, that is certain; 1 or more."""
         self._relative_std: Array = np.zeros(1 + state.coefficient_count)
-        self._free = np.flatnonzero(state.covariance.diagonal()[YAW_BIAS : state.robot_size])
+        self._places = YAW_BIAS + np.flatnonzero(state.covariance.diagonal()[YAW_BIAS : state.robot_size])
         self._last: Array = self._variances(state)
         self.begin(state)
 
@@ -94,7 +94,7 @@ class NoiseBank:
         certain = [walk for walk in WALK if weights[walk <= _WALK].sum() >= CERTAIN]
         self.least_walk = math.sqrt(max(certain, default=1.0))
         excess = weights @ errors / covariance.diagonal() - 1.0
-        self._relative_std[self._free] = np.sqrt(np.maximum(excess, 0.0))
+        self._relative_std[self._places - YAW_BIAS] = np.sqrt(np.maximum(excess, 0.0))
 
     def unexpected_std(self, state: State) -> Array:
         """Return the standard deviations (1 + k,) of the errors by noise that the filter does not expect."""
@@ -103,12 +103,12 @@ class NoiseBank:
 
     def _learned(self, state: State) -> tuple[Array, Array]:
         """Return mean (d,) and covariance of yaw bias and coefficients that are not known exactly."""
-        places = YAW_BIAS + self._free
+        places = self._places
         return state.mean[places], state.covariance[np.ix_(places, places)]
 
     def _variances(self, state: State) -> Array:
         """Return the variances (d,) of the same."""
-        return state.covariance.diagonal()[YAW_BIAS + self._free]
+        return state.covariance.diagonal()[self._places]
 
     def _expect(self, mean: Array, covariance: Array) -> None:
         """Remember the estimate of the filter before the measurements of a window."""

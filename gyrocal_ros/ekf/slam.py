@@ -236,13 +236,13 @@ class EkfSlam:
         )
         self._motion = pose_motion(transition.motion, block)
         self.wheel_noise.move(block)
-        way_m = transition.motion.forward @ block.distance_m
-        drift_by_values = transition.contribution.drift_by_values
+        forward, drift_by_values = transition.motion.forward, transition.contribution.drift_by_values
         self._stretch_by_values = None
         if is_way_noise:
+            way_m = forward @ block.distance_m
             self._way_noise_m = way_m if self._way_noise_m is None else self._way_noise_m + way_m
         elif drift_by_values is not None:
-            self._stretch_by_values = stretch_by_values(way_m, drift_by_values)
+            self._stretch_by_values = stretch_by_values(forward @ block.distance_m, drift_by_values)
         return transition
 
     def _measure(self, seen: Seen | None, *, is_at_rest: bool) -> tuple[MeasurementUpdate, str]:

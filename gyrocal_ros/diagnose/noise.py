@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -27,7 +28,7 @@ from gyrocal_ros.effects.traits import is_white_noise
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
-from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.model.sensor import SensorModel, with_means
 
 MIN_GAIN = 25.0
 """Log-likelihood that a noise, or a law beside it, has to gain: many are tried."""
@@ -64,7 +65,7 @@ def find_missing(
     if shown is None:
         return _effects_or_noise(first, additions, recording, calibrate, most)
     found = _effects_or_noise(shown.after, [], recording, calibrate, most - 1)
-    return replace(found, first=first, additions=(shown, *found.additions))
+    return eliminate(replace(found, first=first, additions=(shown, *found.additions)), recording, calibrate)
 
 
 def shown_noise(present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate) -> Addition | None:
@@ -72,16 +73,29 @@ def shown_noise(present: ExaminedModel, recording: RecordingSummary, calibrate: 
 
     It needs no other proof. The filter takes it over, so nothing may contradict the model.
     """
-    known_rad_s = yaw_noise_of(present.model, present.run.config.gyro, np.zeros(1)).density_rad_s[0]
-    if not white_noise(recording.readings) > SHOWN_NOISE * known_rad_s:
+    known_rad_s = float(yaw_noise_of(present.model, present.run.config.gyro, np.zeros(1)).density_rad_s[0])
+    read_rad_s = white_noise(recording.readings)
+    if not read_rad_s > SHOWN_NOISE * known_rad_s:
         return None
-    noises = fit_noises(present)
-    if not noises or noises[0].gain < MIN_GAIN or not is_white_noise(noises[0].effect):
+    noise = next((item for item in fit_noises(present) if is_white_noise(item.effect)), None)
+    if noise is None or noise.gain < MIN_GAIN:
         return None
+    noise = _no_larger(noise, math.sqrt(read_rad_s**2 - known_rad_s**2))
     with suppress(*CANNOT_RUN):
-        found = replace(with_noise(present, noises[0], recording, calibrate), is_shown=True)
+        found = replace(with_noise(present, noise, recording, calibrate), is_shown=True)
         return found if found.is_kept else None
     return None
+
+
+def _no_larger(noise: NoiseFit, read_rad_s: float) -> NoiseFit:
+    """Return a noise that makes the readings scatter by no more than they do.
+
+    One that is fitted to headings contains what other effects do to these. Readings may scatter more than it,
+    for a vibration hardly turns the robot.
+    """
+    density = noise.effect.density(np.zeros(1), np.array([noise.size]))  # type: ignore[attr-defined]
+    size = noise.size * min(1.0, read_rad_s / float(density[0]))
+    return replace(noise, effect=with_means(noise.effect, (size,)))
 
 
 def _effects_or_noise(

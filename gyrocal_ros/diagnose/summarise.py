@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrocal_ros.data import (
     NS_PER_S,
+    Array,
     CovariateSample,
     FeatureObservations,
     ImuSample,
@@ -44,6 +45,11 @@ UNEVEN, EVEN_PART = 0.02, 0.99
 REPEATED = 0.5
 """Part of slow readings that repeat the one before where the noise is below a third of a step."""
 
+MEAN_S, MIN_MEANS = 1.0, 40
+"""Time over which a vibration averages out, and the minimum number of such means."""
+VIBRATES = 0.5
+"""Noise of means over that time, relative to that of the readings, below which these vibrate."""
+
 
 def coarse_step(readings: GyroReadings) -> float | None:
     """Return the quantisation step (rad/s) of the gyro where it is wider than the noise, else None.
@@ -67,14 +73,31 @@ def coarse_step(readings: GyroReadings) -> float | None:
 def white_noise(readings: GyroReadings) -> float:
     """Return the density of the white noise of the readings, rad/s/sqrt(Hz); NaN for a few readings.
 
-    Second differences contain neither the rate nor its steady change; their median leaves out the jerks.
+    A vibration is no white noise: its means over a second scatter far less than single readings say.
     """
     rate = readings.rate_rad_s
     if len(rate) < MIN_SLOW:
         return math.nan
-    bends = rate[2:] - 2.0 * rate[1:-1] + rate[:-2]
     interval_s = float(np.median(np.diff(readings.t_ns))) / NS_PER_S
-    return robust_std(bends) * math.sqrt(interval_s / 6.0)
+    density, count = _density(rate, interval_s), round(MEAN_S / interval_s)
+    weights = np.hanning(count + 2)[1:-1]  # leaves less of a vibration than equal ones
+    weights /= weights.sum()
+    means = rate[: len(rate) // count * count].reshape(-1, count) @ weights
+    if len(means) < MIN_MEANS:
+        return density
+    of_means = _density(means, interval_s / float(weights @ weights))
+    return of_means if of_means < VIBRATES * density else density
+
+
+def _density(rate_rad_s: Array, interval_s: float) -> float:
+    """Return the density of the white noise of a rate (N,).
+
+    Second differences contain neither the rate nor its steady change; their median leaves out the jerks. The
+    slower half counts: noise may grow with the rate.
+    """
+    before, middle, after = rate_rad_s[:-2], rate_rad_s[1:-1], rate_rad_s[2:]
+    bends, speeds = after - 2.0 * middle + before, np.abs(after + middle + before)
+    return robust_std(bends[speeds <= np.median(speeds)]) * math.sqrt(interval_s / 6.0)
 
 
 def summarise_recording(source: Source) -> RecordingSummary:

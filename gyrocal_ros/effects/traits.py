@@ -62,11 +62,11 @@ def is_noise(effect: Effect) -> bool:
 
 
 def is_white_noise(effect: Effect) -> bool:
-    """Return True for a noise that makes the readings scatter, at least at some rate: no walk of the bias."""
+    """Return True for a noise that makes the readings scatter at any rate: no walk of the bias."""
     if not is_noise(effect):
         return False
     values = np.array([item.scan[-1] if item.scan else item.prior_mean for item in effect.coefficients])
-    return bool(np.any(effect.density(np.ones(1), values) > 0.0))  # type: ignore[attr-defined]
+    return bool(np.any(effect.density(np.zeros(1), values) > 0.0))  # type: ignore[attr-defined]
 
 
 def is_estimated(effect: Effect) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import os
 import shutil
 from collections import Counter
@@ -32,6 +33,13 @@ def tests_in(folder: Path) -> int:
         for module in folder.glob('test_*.py')
         for node in ast.walk(ast.parse(module.read_text(encoding='utf-8')))
     )
+
+
+def pytest_collection_finish() -> None:
+    """Let the garbage collector look at new objects alone, and less often: it took a tenth of the time."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 50, 100)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -97,9 +105,12 @@ def library() -> Iterator[None]:
 @pytest.fixture(scope='module')
 def slow_sensors() -> Iterator[None]:
     """Scenarios with few images and samples a second, so that a recording costs a third."""
+    from gyrocal_ros.sim.image_scenes import SCENES
     from gyrocal_ros.sim.scenarios import SCENARIOS
 
     with pytest.MonkeyPatch.context() as patch:
         for name, scenario in SCENARIOS.items():
             patch.setitem(SCENARIOS, name, replace(scenario, imu_hz=100, camera_hz=5))
+        for name, scene in SCENES.items():
+            patch.setitem(SCENES, name, replace(scene, camera_hz=5))
         yield

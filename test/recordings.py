@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from operator import attrgetter
 from typing import Any
 
@@ -19,6 +19,18 @@ from gyrocal_ros.sim.world import START_NS, SimSource
 Modification = Callable[[Iterable[Measurement]], Iterator[Measurement]]
 
 
+class KeptSource(SimSource):
+    """A simulated recording that is simulated once for several runs of the filter."""
+
+    def measurements(self) -> Iterator[Measurement]:
+        return iter(_measured(self))
+
+
+@lru_cache(maxsize=4)
+def _measured(source: KeptSource) -> tuple[Measurement, ...]:
+    return tuple(SimSource.measurements(source))
+
+
 @cache
 def recording(
     scenario: str = 'cleaning',
@@ -29,7 +41,7 @@ def recording(
 ) -> SimSource:
     """Return a short recording of a scenario with slow sensors and some changed fields."""
     changes = {'duration_s': duration_s, 'imu_hz': 100, 'camera_hz': 5, **changes}
-    return SimSource(replace(find_scenario(scenario), **changes), seed, hidden=hidden)
+    return KeptSource(replace(find_scenario(scenario), **changes), seed, hidden=hidden)
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,7 @@ def test_errors_agree_with_the_standard_deviation_over_many_seeds() -> None:
 
 @pytest.mark.slow
 def test_the_same_recording_gives_the_same_bits() -> None:
-    again = calibrate(plain(), Config(), default_model())
+    again = calibrate(SimSource(plain().scenario, plain().seed), Config(), default_model())
     assert same_estimates(again, plain_run())
 
 

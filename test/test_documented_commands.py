@@ -13,6 +13,7 @@ import re
 import shlex
 import shutil
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -107,6 +108,7 @@ def provide_recordings(args: argparse.Namespace) -> None:
         shutil.copy('result/calibration.yaml', start_from)
 
 
+@cache
 def can_draw() -> bool:
     try:
         try_png()

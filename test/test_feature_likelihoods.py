@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from recordings import recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
@@ -14,8 +15,6 @@ from gyrocal_ros.ekf.feature_likelihoods import FeatureLikelihoodRecorder, given
 from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.update import MeasurementUpdate
 from gyrocal_ros.pipeline.calibrate import calibrate
-from gyrocal_ros.sim.scenarios import find_scenario
-from gyrocal_ros.sim.world import SimSource
 
 COUNT = 5
 
@@ -53,7 +52,7 @@ def test_features_are_kept_by_step() -> None:
 
 @pytest.mark.parametrize('follows_changes', [False, True])
 def test_a_run_keeps_them_to_be_compared(follows_changes: bool) -> None:
-    source = SimSource(find_scenario('spins'), 0)
+    source = recording('spins', 0, 40.0)
     run = calibrate(source, Config(), default_model(), follows_changes=follows_changes)
     if follows_changes:
         assert run.features is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -41,6 +42,7 @@ def test_what_is_shared_is_the_product_with_a_matrix() -> None:
     np.testing.assert_array_equal(shared.mean, state.mean)
 
 
+@cache
 def driven(seed: int) -> tuple[History, SimSource]:
     """Return the history of a run on exact features, and its source."""
     scenario = find_scenario('cleaning')

@@ -82,7 +82,7 @@ def test_the_turn_between_two_images_is_that_of_the_features_they_share() -> Non
 @pytest.mark.parametrize('offset_s', [0.5, -0.2])
 def test_the_diagnosis_names_the_offset_and_nothing_else(offset_s: float) -> None:
     hidden = HiddenEffect(find_effect('camera_time_offset'), (offset_s,))
-    scenario = replace(find_scenario('cleaning'), duration_s=90.0)
+    scenario = replace(find_scenario('cleaning'), duration_s=90.0, imu_hz=100, camera_hz=5)
     source = SimSource(scenario, 3, hidden=(hidden,))
     summary = summarise_recording(source)
     searched = search(

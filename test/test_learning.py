@@ -396,7 +396,7 @@ def plain() -> Plain:
 @pytest.mark.slow
 class TestLearning:
     def test_a_bias_that_follows_the_heading_is_learned(self) -> None:
-        source = recording(DrawnEffect('stranger_heading', (0.2 * DEG, 0.7)))
+        source = recording(DrawnEffect('stranger_heading', (0.2 * DEG, 0.7)), seconds=100.0, camera_hz=4)
         recorded = summarise_recording(source)
         first = examine(default_model(), recorded, runner(source))
         assert is_missing_something(first)
@@ -711,7 +711,7 @@ def test_the_command_learns_and_writes(tmp_path: Path, capsys: Output) -> None:
     ],
 )
 def test_the_effect_of_a_memory_replaces_it(hidden: DrawnEffect, drive: str, tmp_path: Path) -> None:
-    source = recording(hidden, seed=3, camera_hz=5)
+    source = recording(hidden, seed=3, camera_hz=4)
     recorded = summarise_recording(source)
     first = examine(default_model(), recorded, runner(source))
     learned = learn(Search(first, ()), recorded, runner(source), [f'bias_memory:{drive}'])

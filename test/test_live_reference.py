@@ -86,7 +86,7 @@ WALK = 30.0
 @pytest.mark.parametrize('seed', [0, 4])
 @pytest.mark.parametrize('learns', [False, True], ids=['offline', 'live'])
 def test_a_bias_that_walks_more_than_the_settings_say_is_followed(seed: int, learns: bool) -> None:
-    scenario = replace(find_scenario('cleaning'), duration_s=90.0, imu_hz=50)
+    scenario = replace(find_scenario('cleaning'), duration_s=60.0, imu_hz=50)
     walk_deg_s = WALK * Config().gyro.bias_walk_deg_s
     errors = with_bias_walk(scenario.errors, walk_deg_s, bounded_s=1e5)
     walking = ReferenceSource(SimSource(replace(scenario, errors=errors), seed), 'mocap')

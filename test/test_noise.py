@@ -62,9 +62,14 @@ class TwoLevels:
 
 
 def recording(
-    name: str, *values: float, seconds: float = 100.0, seed: int = 2, also: tuple[HiddenEffect, ...] = ()
+    name: str,
+    *values: float,
+    seconds: float = 100.0,
+    camera_hz: int = 4,
+    seed: int = 2,
+    also: tuple[HiddenEffect, ...] = (),
 ) -> Source:
-    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=3)
+    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=camera_hz)
     hidden = (*(hide((DrawnEffect(name, values),), find_effect) if name else ()), *also)
     source, _ = preload(SimSource(scenario, seed, hidden=hidden), Config(), default_model())
     return source
@@ -117,7 +122,7 @@ def test_noise_is_a_verdict_of_its_own() -> None:
 @pytest.mark.slow
 def test_noise_is_found_beside_an_effect_that_explains_more() -> None:
     late = hide((DrawnEffect('camera_time_offset', (0.02,)),), find_effect)
-    found = diagnosed(recording('bias_instability', 0.015 * DEG, seconds=150.0, also=late))
+    found = diagnosed(recording('bias_instability', 0.015 * DEG, seconds=150.0, camera_hz=3, also=late))
     named = [item.effect.name for item in found.missing]
     assert named == ['camera_time_offset', 'bias_instability'], 'the one that explains more comes first'
     assert found.missing[1].values[0] == pytest.approx(0.015 * DEG, rel=0.4)
@@ -224,15 +229,19 @@ def test_noisy_readings_prove_white_noise_alone(
     ],
 )
 def test_noise_beside_what_was_found_and_noise_in_its_place(
-    gain: float, more_drift: float, at_fault: bool, named: list[str], monkeypatch: pytest.MonkeyPatch
+    gain: float,
+    more_drift: float,
+    at_fault: bool,
+    named: list[str],
+    quiet: Quiet,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The one that predicts better is returned, unless the robot drifts far less with what was found.
 
     Neither is returned where the stamps are at fault.
     """
-    source = recording('', seconds=60.0)
-    recorded, run = summarise_recording(source), runner(source)
-    first = examine(default_model(), recorded, run)
+    source, recorded, first = quiet
+    run = runner(source)
 
     def added(before: ExaminedModel, name: str) -> Addition:
         item = addition(before, replace(before, model=with_effect(before.model, find_effect(name))))
@@ -248,6 +257,7 @@ def test_noise_beside_what_was_found_and_noise_in_its_place(
     def gained(before: Run, after: Run) -> Array:
         return np.array([gain])
 
+    monkeypatch.setattr(noise, 'first_run', lambda *about: (first, []))
     monkeypatch.setattr(noise, 'search_from', lambda *about: Search(first, (lag,)))
     monkeypatch.setattr(noise, 'or_noise', with_noise_for)
     monkeypatch.setattr(noise, 'eliminate', lambda searched, *about: searched)

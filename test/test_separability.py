@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -145,7 +146,8 @@ def test_advice_on_effects_without_figures_is_their_best_motion() -> None:
 def test_a_diagnosis_on_the_advised_drive_finds_the_effect() -> None:
     effect, other = find_effect('bias_temperature'), 'bias_warmup'
     drive = TEST_DRIVES[best_drive(effect.name, other).drive]
-    source = SimSource(drive, seed=3, hidden=(HiddenEffect(effect, (math.radians(0.02),)),))
+    slow = replace(drive, imu_hz=100, camera_hz=4)
+    source = SimSource(slow, seed=3, hidden=(HiddenEffect(effect, (math.radians(0.02),)),))
     examined = examine(
         default_model(),
         summarise_recording(source),

@@ -205,7 +205,7 @@ def ids_by_way(state: State, camera_m: Array, least: float) -> tuple[IntArray, I
 
 def weighted_scores(stats: UpdateStats, weights: Array) -> UpdateStats:
     """Return the statistics of an update with the scores of the candidates times weights (c,)."""
-    if stats.information is None or stats.score is None:
+    if stats.information is None or stats.score is None or np.all(weights == 1.0):
         return stats
     information = stats.information * (weights[:, None] * weights)
     return changed(stats, information=information, score=stats.score * weights)

@@ -62,14 +62,9 @@ class TwoLevels:
 
 
 def recording(
-    name: str,
-    *values: float,
-    seconds: float = 100.0,
-    camera_hz: int = 4,
-    seed: int = 2,
-    also: tuple[HiddenEffect, ...] = (),
+    name: str, *values: float, seconds: float = 100.0, seed: int = 2, also: tuple[HiddenEffect, ...] = ()
 ) -> Source:
-    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=camera_hz)
+    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=3)
     hidden = (*(hide((DrawnEffect(name, values),), find_effect) if name else ()), *also)
     source, _ = preload(SimSource(scenario, seed, hidden=hidden), Config(), default_model())
     return source
@@ -122,7 +117,7 @@ def test_noise_is_a_verdict_of_its_own() -> None:
 @pytest.mark.slow
 def test_noise_is_found_beside_an_effect_that_explains_more() -> None:
     late = hide((DrawnEffect('camera_time_offset', (0.02,)),), find_effect)
-    found = diagnosed(recording('bias_instability', 0.015 * DEG, seconds=150.0, camera_hz=3, also=late))
+    found = diagnosed(recording('bias_instability', 0.015 * DEG, seconds=150.0, also=late))
     named = [item.effect.name for item in found.missing]
     assert named == ['camera_time_offset', 'bias_instability'], 'the one that explains more comes first'
     assert found.missing[1].values[0] == pytest.approx(0.015 * DEG, rel=0.4)

@@ -19,7 +19,7 @@ from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate, without_harm
 from gyrocal_ros.diagnose.examined import ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.improvement import improvement
-from gyrocal_ros.diagnose.noise import MIN_GAIN, MORE_DRIFT, find_missing, shown_noise
+from gyrocal_ros.diagnose.noise import MIN_GAIN, MORE_DRIFT, find_missing, or_noise, shown_noise
 from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.search import continued
 from gyrocal_ros.diagnose.status import ADD_NOISE, diagnosis_status, improvement_status
@@ -212,6 +212,31 @@ def test_noisy_readings_prove_white_noise_alone(
     assert found is not None and found.effect == fitted.effect
     assert found.is_kept, 'the filter takes it over, so it need not predict better'
     assert shown_noise(found.after, recorded, runner(source)) is None, 'the model knows it'
+
+
+@pytest.mark.parametrize('name', SIZES)
+@pytest.mark.parametrize('proven', [False, True])
+def test_noise_in_place_of_what_was_found_has_to_be_proven(
+    name: str, proven: bool, quiet: Quiet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, recorded, first = quiet
+    searched, asked = Search(first, ()), []
+    fitted = NoiseFit(with_means(find_effect(name), (SIZES[name],)), 1e3, 1e-6)
+    kept = replace(addition(first, first), effect=fitted.effect, gain=1e3)
+
+    def is_proven(*about: object) -> bool:
+        asked.append(about)
+        return proven
+
+    monkeypatch.setattr(noise, 'is_missing_something', lambda *about: True)
+    monkeypatch.setattr(noise, 'fit_noises', lambda *about: [fitted])
+    monkeypatch.setattr(noise, '_first_kept', lambda *about: kept)
+    monkeypatch.setattr(noise, '_is_proven', is_proven)
+    monkeypatch.setattr(noise, 'continued', lambda additions, *about: additions)
+    monkeypatch.setattr(Addition, 'predictive_gain', 1e3)
+    found = or_noise(searched, recorded, runner(source), most=1)
+    assert asked
+    assert [item.effect.name for item in found.additions] == ([name] if proven else [])
 
 
 @pytest.mark.parametrize(

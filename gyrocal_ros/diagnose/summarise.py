@@ -79,12 +79,12 @@ def white_noise(readings: GyroReadings) -> float:
     if len(rate) < MIN_SLOW:
         return math.nan
     interval_s = float(np.median(np.diff(readings.t_ns))) / NS_PER_S
-    density, count = _density(rate, interval_s), round(MEAN_S / interval_s)
+    density, count = _density(rate, interval_s), int(len(rate) * MEAN_S * NS_PER_S / np.ptp(readings.t_ns))
+    if count < 2 or len(rate) < MIN_MEANS * count:
+        return density
     weights = np.hanning(count + 2)[1:-1]  # leaves less of a vibration than equal ones
     weights /= weights.sum()
     means = rate[: len(rate) // count * count].reshape(-1, count) @ weights
-    if len(means) < MIN_MEANS:
-        return density
     of_means = _density(means, interval_s / float(weights @ weights))
     return of_means if of_means < VIBRATES * density else density
 

@@ -313,7 +313,7 @@ def test_the_filter_uses_images_and_their_own_noise() -> None:
         stream.step(item)
     used = sum(record.update.used for record in stream.finish())
     assert used > 10 or len(slam.state.landmarks.ids) > 10
-    assert slam.pixel_noise.std < 0.2, 'the noise of recorded features is not used'
+    assert slam.track_noise.pixel.std < 0.2, 'the noise of recorded features is not used'
 
 
 @pytest.mark.slow

@@ -268,7 +268,7 @@ def motion_in_image(rng: np.random.Generator, count: int) -> Arguments:
     rows = rng.permutation(2 * count)[:count]
     directions = last_directions[rows] + rng.normal(0.0, 0.002, (count, 2))
     points_c = rng.uniform(-0.1, 1.0, (count, 1)) * np.column_stack([directions, np.ones(count)])
-    return points_c, last_pixels[rows] + 1.0, last_directions, last_pixels, rows, 250.0, 0.5, 1e-3
+    return points_c, last_pixels[rows] + 1.0, last_directions, last_pixels, rows, 250.0, 1e-3
 
 
 def matches_counted(rng: np.random.Generator, count: int) -> Arguments:

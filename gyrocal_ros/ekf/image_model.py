@@ -43,6 +43,8 @@ class ImageModel:
     """Time since a feature of the map was seen last."""
     has_moved: bool
     """True if the way of the camera tells how far the features are, see `known_depth.TellingWay`."""
+    slow_variance_px: float
+    """Variance of the walk of features by slow errors, px^2 per px of motion, see `slow_errors`."""
     errors_repeat: bool
     """True if a feature counts only after motion in the image."""
     is_known: bool

@@ -9,6 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed, quickly_filled
 from gyrocal_ros.ekf.anchors import settled, with_moved_anchors, with_moving_anchors
+from gyrocal_ros.ekf.camera_watch import CameraWatch
 from gyrocal_ros.ekf.certain_way import at_certain_way
 from gyrocal_ros.ekf.considered import (
     combinations_not_told,
@@ -23,12 +24,14 @@ from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.known_depth import weighted_scores, with_known_depths
-from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen
+from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen, match_ids
 from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
+from gyrocal_ros.ekf.slow_errors import differences, with_slow_errors
 from gyrocal_ros.ekf.state import POSE, YAW, State, features_seen
 from gyrocal_ros.ekf.update import (
+    NO_DIFFERENCES,
     Innovation,
     MeasurementUpdate,
     UpdateStats,
@@ -64,6 +67,8 @@ class _Matches:
     """(m, 2) expected x/z, y/z in the optical frame."""
     unmoved: np.ndarray
     """(m,) True for features that are expected where they were seen last."""
+    moved_px: Array
+    """(m,) motion in the image since then."""
     changes_px2: Array
     """(m,) see `repeated_errors.Motion`."""
 
@@ -74,6 +79,7 @@ class _Matches:
             self.prediction[each],
             self.directions[each],
             self.unmoved[each],
+            self.moved_px[each],
             self.changes_px2[each],
         )
 
@@ -97,15 +103,20 @@ def update_from_image(
         state, matches = mark_seen(state, matches.rows[unmoved]), matches[(~matches.unmoved).nonzero()[0]]
     if len(matches.rows) == 0:
         return state, MeasurementUpdate(unmoved=repeated, changes_px2=changes_px2)
+    if model.slow_variance_px:
+        focal_px = model.view.camera.fx_px
+        state = with_slow_errors(state, matches.rows, matches.moved_px, model.slow_variance_px, focal_px)
     found = _consensus(_innovation(state, model, matches), model)
     judged, good = found.judged, found.good & (matches.prediction.points_c[:, 2] > MIN_DEPTH)
+    moved = None
     if model.form.is_robust and model.config.camera.estimate_pixel_noise:
         state = learn_noise(state, matches.rows, judged, DOF_PER_FEATURE)
+        moved = None if observations.covariances_px2 is None else ~matches.unmoved[good]
     all_good = np.count_nonzero(good) == len(good)
     used = found.innovation if all_good else found.innovation[good.nonzero()[0]]
     if found.slip_std is not None:
         state = with_looser_pose(state, found.slip_std)
-    state, told = _updated(state, model, used, may_tell_wheels=found.slip_std is None)
+    state, told = _updated(state, model, used, moved, may_tell_wheels=found.slip_std is None)
     kept, dropped_ids = state, told.dropped_ids
     if not found.rejects_image:
         drop_after, pixels = model.config.features.drop_after_rejections, matches.observed.pixels
@@ -135,13 +146,17 @@ def _match(state: State, model: ImageModel, observations: FeatureObservations) -
     observed = observations if len(known) == len(observations.ids) else observations[known]
     moved = motion(prediction.points_c, observed.pixels, state.landmarks, rows, model.view.camera.fx_px)
     unmoved = moved.unmoved | model.is_known
-    return _Matches(rows, observed, prediction, moved.directions, unmoved, moved.changes_px2)
+    return _Matches(rows, observed, prediction, moved.directions, unmoved, moved.moved_px, moved.changes_px2)
 
 
 def _updated(
-    state: State, model: ImageModel, used: Innovation, *, may_tell_wheels: bool
+    state: State, model: ImageModel, used: Innovation, moved: np.ndarray | None, *, may_tell_wheels: bool
 ) -> tuple[State, MeasurementUpdate]:
-    """Return the state after the update by the features used, and what these tell."""
+    """Return the state after the update by the features used, and what these tell.
+
+    Which of them have moved in the image matters to slow errors of a tracker of images, see `slow_errors`;
+    None for features that come without covariances.
+    """
     heading_rad, heading_std_rad = _as_heading(used)
     told = MeasurementUpdate(used=len(used.rows), heading_rad=heading_rad, heading_std_rad=heading_std_rad)
     if not told.used:
@@ -162,6 +177,7 @@ def _updated(
         stats=changed(stats, dof=DOF_PER_FEATURE * told.used),
         used_ids=ids,
         given_others=given_others(used.residual, whitening),
+        differences=NO_DIFFERENCES if moved is None else _differences(model, used, whitening, moved),
         by_position=by_position,
         by_feature=by_feature,
     )
@@ -176,6 +192,14 @@ def _corrected(state: State, model: ImageModel, used: Innovation) -> tuple[State
         after = with_considered(state, after, combinations_not_told(state, model))
     after = with_moved_anchors(state, after)
     return with_known_depths(after, model, used), stats
+
+
+def _differences(model: ImageModel, used: Innovation, whitening: Array, moved: np.ndarray) -> Array:
+    """Return how moved features differ from each other, whatever pose and camera are; NaN for others."""
+    watched = used.sensitivity[:, :, model.scored : model.scored + CameraWatch.count]
+    common = np.concatenate([used.prediction.by_pose, watched], axis=2)
+    found = differences(used.residual, whitening, common)
+    return np.where(moved[:, None], found, np.nan) if len(found) else found
 
 
 @compiled
@@ -202,15 +226,6 @@ def with_looser_pose(state: State, std: Array) -> State:
     covariance = state.covariance.copy()
     covariance[POSE, POSE] += np.diag(np.square(std))
     return changed(state, covariance=covariance)
-
-
-@compiled
-def match_ids(ids: IntArray, wanted: IntArray) -> tuple[IntArray, IntArray]:
-    """Return which of the wanted ids (m,) are among ids (M,), as indices, and the indices of those there."""
-    place_of = {feature: place for place, feature in enumerate(ids.tolist())}
-    places = np.array([place_of.get(feature, -1) for feature in wanted.tolist()], np.int64)
-    known = (places >= 0).nonzero()[0]
-    return known, places[known]
 
 
 def _innovation(state: State, model: ImageModel, matches: _Matches) -> Innovation:

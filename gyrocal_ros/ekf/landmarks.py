@@ -103,6 +103,19 @@ def shift(
     return covariance, sensitivity
 
 
+def with_walk(state: State, rows: IntArray, variances: Array) -> State:
+    """Let the directions of features walk at random.
+
+    Args:
+        state: features are anchored inverse depths.
+        rows: (m,) indices of the features.
+        variances: (m,) added to that of each coordinate of the direction from the anchor.
+    """
+    covariance, columns = state.covariance.copy(), state.feature_columns(rows)[:, :2]
+    covariance[columns, columns] += variances[:, None]
+    return changed(state, covariance=covariance)
+
+
 def keep(state: State, kept: np.ndarray) -> State:
     """Remove the features that are not kept, (m,) bool, with their rows and columns."""
     if np.count_nonzero(kept) == len(kept):
@@ -228,3 +241,12 @@ def evict_oldest(state: State, wanted: int, map_size: int) -> State:
     kept = np.ones(len(state.landmarks.ids), bool)
     kept[oldest] = False
     return keep(state, kept)
+
+
+@compiled
+def match_ids(ids: IntArray, wanted: IntArray) -> tuple[IntArray, IntArray]:
+    """Return which of the wanted ids (m,) are among ids (M,), as indices, and the indices of those there."""
+    place_of = {feature: place for place, feature in enumerate(ids.tolist())}
+    places = np.array([place_of.get(feature, -1) for feature in wanted.tolist()], np.int64)
+    known = (places >= 0).nonzero()[0]
+    return known, places[known]

@@ -21,7 +21,7 @@ from gyrocal_ros.statistics import chi_square_quantile
 
 WINDOW_S = 5.0
 """Time whose measurements count together: errors of the heading at its ends hardly matter then."""
-WHITE, WALK = (0.25, 0.5, 1.0, 2.0, 4.0), (1.0, 4.0, 16.0, 64.0)
+WHITE, WALK = (0.25, 0.5, 1.0, 2.0, 4.0), (1.0 / 16.0, 0.25, 1.0, 4.0, 16.0, 64.0)
 """Variances of the white noise and of the random walk of the bias, relative to those of the filter."""
 USUAL_FACTOR = 2.0
 """Factor on a standard deviation of the settings within which most gyros are: one standard deviation."""
@@ -42,7 +42,7 @@ _LOG_PRIOR = -0.5 * sum((0.5 * np.log(ratio) / math.log(USUAL_FACTOR)) ** 2 for 
 
 
 class NoiseBank:
-    """Compares a = 20 alternatives of the noise of the gyro.
+    """Compares a = 30 alternatives of the noise of the gyro.
 
     Args:
         state: initial state of the filter.
@@ -92,7 +92,7 @@ class NoiseBank:
         errors = self._covariances.diagonal(axis1=1, axis2=2) + (self._means - mean) ** 2
         weights = self.weights
         certain = [walk for walk in WALK if weights[walk <= _WALK].sum() >= CERTAIN]
-        self.least_walk = math.sqrt(max(certain, default=1.0))
+        self.least_walk = math.sqrt(max(1.0, *certain))
         excess = weights @ errors / covariance.diagonal() - 1.0
         self._relative_std[self._places - YAW_BIAS] = np.sqrt(np.maximum(excess, 0.0))
 

@@ -31,11 +31,16 @@ class Motion:
 
     directions: Array
     """(m, 2) expected x/z, y/z in the optical frame."""
-    unmoved: np.ndarray
-    """(m,) bool, True for features that are expected where they were."""
+    moved_px: Array
+    """(m,) distance between where they were and where they are expected."""
     changes_px2: Array
     """(m,) squared change of the observation beyond the expected motion, halved: the difference of two
     errors has twice the variance of one."""
+
+    @property
+    def unmoved(self) -> np.ndarray:
+        """(m,) bool, True for features that are expected where they were."""
+        return self.moved_px < MIN_MOTION_PX
 
 
 def motion(points_c: Array, pixels: Array, landmarks: Landmarks, rows: IntArray, focal_px: float) -> Motion:
@@ -56,7 +61,6 @@ def motion(points_c: Array, pixels: Array, landmarks: Landmarks, rows: IntArray,
             landmarks.last_pixels,
             rows,
             focal_px,
-            MIN_MOTION_PX,
             MIN_DEPTH,
         )
     )
@@ -70,9 +74,8 @@ def motion_in_image(
     last_pixels: Array,
     rows: IntArray,
     focal_px: float,
-    min_motion_px: float,
     min_depth: float,
-) -> tuple[Array, np.ndarray, Array]:
+) -> tuple[Array, Array, Array]:
     """Return the fields of `Motion`; see `motion`.
 
     Args:
@@ -82,14 +85,12 @@ def motion_in_image(
         last_pixels: (M, 2)
         rows: (m,) indices of the features.
         focal_px: focal length of the camera.
-        min_motion_px: smallest motion.
         min_depth: smallest depth that is divided by.
     """
     directions = points_c[:, :2] / np.maximum(points_c[:, 2:], min_depth)
     expected_px = focal_px * (directions - last_directions[rows])
     changes_px = pixels - last_pixels[rows] - expected_px
-    unmoved = np.hypot(expected_px[:, 0], expected_px[:, 1]) < min_motion_px
-    return directions, unmoved, 0.5 * (changes_px**2).sum(axis=1)
+    return directions, np.hypot(expected_px[:, 0], expected_px[:, 1]), 0.5 * (changes_px**2).sum(axis=1)
 
 
 class RepeatedErrors:

@@ -22,13 +22,11 @@ from gyrocal_ros.data import (
     changed,
     seconds,
 )
-from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.calibration_watch import CalibrationWatch
 from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
 from gyrocal_ros.ekf.certain_way import is_certain, without_way
 from gyrocal_ros.ekf.considered import stretch_by_values
 from gyrocal_ros.ekf.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
-from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
 from gyrocal_ros.ekf.heading import HeadingReference
@@ -40,7 +38,6 @@ from gyrocal_ros.ekf.levelling import Levelling, unlevelled
 from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch, SlipWatch
 from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.predict import FilterModel, Transition, predict, predict_sensitivity, with_pose
-from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.rest import RestDetector, RestNoise
 from gyrocal_ros.ekf.resting_view import RestingView
 from gyrocal_ros.ekf.scale_watch import COLUMNS
@@ -49,6 +46,7 @@ from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initi
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
 from gyrocal_ros.ekf.step_record import StepRecord, step_record
+from gyrocal_ros.ekf.track_noise import TrackNoise
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, zero_rate_update
 from gyrocal_ros.ekf.wheel_noise import WheelNoise
 from gyrocal_ros.errors import ConfigError
@@ -56,9 +54,6 @@ from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import PosedCamera, posed_camera
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.statistics import chi_square_quantile
-
-MIN_PIXEL_NOISE_PX, MAX_PIXEL_NOISE_PX = 0.02, 5.0
-"""Bounds of the estimated pixel noise; at the upper one the images do not fit the estimate."""
 
 Seen = FeatureObservations | HeadingSample
 NONE: IntArray = np.empty(0, np.int64)
@@ -175,7 +170,7 @@ class EkfSlam:
         # Tests: the scale factor may have changed, an earlier calibration or the camera may be wrong.
         stats = resting, update.stats
         self.state, suspicions = self._watch.test(
-            before, predicted, self.state, block.duration_s, stats, self.pixel_noise.std
+            before, predicted, self.state, block.duration_s, stats, self.track_noise.pixel.std
         )
 
         pause, self._pause = self._pause, ''
@@ -187,7 +182,7 @@ class EkfSlam:
             transition,
             changed(update, stats=update.stats.of_first(self._own_candidates)),
             resting.of_first(self._own_candidates),
-            self.pixel_noise.std,
+            self.track_noise.pixel.std,
             '; '.join(filter(None, (pause, event, suspicions.event))),
             suspicions,
         )
@@ -258,7 +253,7 @@ class EkfSlam:
             return MeasurementUpdate(), self._frozen.event()
         update = self._update_from_image(seen, is_at_rest=is_at_rest)
         event = self._slip_watch.event(update, self.state.t_ns)
-        if self._map_watch.is_lost(update, self.pixel_noise):
+        if self._map_watch.is_lost(update, self.track_noise.pixel):
             self.state, event, self._telling_way = forget_all(self.state), MAP_DROPPED, TellingWay()
         return update, event
 
@@ -266,8 +261,7 @@ class EkfSlam:
         features = self.config.features
         if self.parametrisation.needs_motion_gate and not self._motion_gate.passes(self.state, features):
             return MeasurementUpdate()
-        if observations.covariances_px2 is not None:
-            self._typical_match.update(observations.covariances_px2)
+        self.track_noise.see(observations.covariances_px2)
         gone_ids = self._remove_shifted(observations, is_at_rest=is_at_rest)
         # A tracker that tells how well patches match finds them again: at rest it has nothing new to tell.
         is_known = observations.covariances_px2 is not None and self._resting_view.is_still
@@ -287,8 +281,7 @@ class EkfSlam:
         if new:
             self.state = add_landmarks(self.state, self._image_model(), observations, new)
         if self.config.camera.estimate_pixel_noise:
-            self.pixel_noise.update(update.noise_distances, 2)
-            self._repeated.update(update.changes_px2)
+            self.track_noise.learn(update, agrees=self._agrees(update))
         dropped_ids = np.concatenate([gone_ids, update.dropped_ids])
         return changed(update, added=len(new), on_lens=observations.on_lens, dropped_ids=dropped_ids)
 
@@ -303,7 +296,7 @@ class EkfSlam:
             self._resting_view.leave()
             return NONE
         ids, pixels = observations.ids, observations.pixels
-        shifted, moving = self._resting_view.see(ids, pixels, self.view(), self.pixel_noise.std)
+        shifted, moving = self._resting_view.see(ids, pixels, self.view(), self.track_noise.pixel.std)
         self._moving.add(moving)
         removed = np.intersect1d(self.state.landmarks.ids, [*shifted, *moving])
         self.state = forget(self.state, removed)
@@ -323,8 +316,8 @@ class EkfSlam:
             rig=self.rig,
             form=self.parametrisation,
             config=self.config,
-            noise_px=self.pixel_noise.std,
-            match_px=self._typical_match.std_px,
+            noise_px=self.track_noise.pixel.std,
+            match_px=self.track_noise.match_px,
             effects=self._effects,
             candidates=self._candidates,
             scored=self._own_candidates,
@@ -333,15 +326,12 @@ class EkfSlam:
             stretch_by_values=self._stretch_by_values,
             interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
             has_moved=self._telling_way.tells or not self.parametrisation.is_anchored,
-            errors_repeat=self._errors_repeat(),
+            slow_variance_px=self.track_noise.slow_variance_px,
+            errors_repeat=self.track_noise.errors_repeat,
             is_known=is_known,
             stays=stays and self.parametrisation.is_anchored,
             may_slip=self._slip_watch.may_slip(self.state.t_ns),
         )
-
-    def _errors_repeat(self) -> bool:
-        learns = self.parametrisation.is_robust and self.config.camera.estimate_pixel_noise
-        return learns and self._repeated.are_expected(self.pixel_noise.std)
 
     # --- queries and settings for other rooms -----------------------------------------------------
 
@@ -369,9 +359,7 @@ class EkfSlam:
 
     def expect_pixel_noise(self, std_px: float) -> None:
         """Restart the estimation of the pixel noise at this standard deviation."""
-        self.pixel_noise = AdaptiveNoise(std_px, MIN_PIXEL_NOISE_PX, max(MAX_PIXEL_NOISE_PX, 5.0 * std_px))
-        self._repeated = RepeatedErrors(std_px)
-        self._typical_match = TypicalMatch()
+        self.track_noise = TrackNoise(std_px, is_robust=self.parametrisation.is_robust)
 
     def start_at(self, t_ns: int) -> None:
         """Set the time of the first sample, or of the first one of a new time base."""

@@ -93,8 +93,7 @@ class UpdateStats:
         """Return the statistics of the first candidates alone."""
         if self.information is None or self.score is None or count == 0:
             return UpdateStats(self.nis, self.dof, self.log_determinant)
-        information, score = self.information[:count, :count], self.score[:count]
-        return UpdateStats(self.nis, self.dof, self.log_determinant, information, score)
+        return changed(self, information=self.information[:count, :count], score=self.score[:count])
 
     @property
     def log_likelihood(self) -> float:
@@ -102,7 +101,7 @@ class UpdateStats:
         return -0.5 * (self.nis + self.log_determinant + self.dof * math.log(2.0 * math.pi))
 
 
-NONE, NO_FEATURES = np.empty(0), np.empty(0, np.int64)
+NONE, NO_FEATURES, NO_DIFFERENCES = np.empty(0), np.empty(0, np.int64), np.empty((0, 2))
 
 
 @quickly_filled
@@ -124,7 +123,9 @@ class MeasurementUpdate:
     """Scores of the candidates by feature, where there are candidates."""
     used_ids: IntArray = field(default_factory=lambda: NO_FEATURES)
     given_others: Array = field(default_factory=lambda: NONE)
-    """Numbers of the features used, and the log-likelihood of each given the others."""
+    differences: Array = field(default_factory=lambda: NO_DIFFERENCES)
+    """Numbers of the features used, the log-likelihood (m,) of each given the others, and its difference
+    (m, 2) from these, see `slow_errors`; NaN for one that has not moved in the image, empty if not known."""
     by_position: PositionScore | None = None
     """What the image tells of the noise of the wheels; None where it tells nothing."""
     heading_rad: float = 0.0

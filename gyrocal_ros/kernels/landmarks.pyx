@@ -9,7 +9,7 @@ cimport numpy as cnp
 from numpy cimport ndarray as Array
 
 from gyrocal_ros.kernels.arrays cimport (
-    at, at_integers, clear, copied, cube, doubles, flags, indices, integers, length, matrix, vector
+    at, at_integers, clear, copied, cube, doubles, indices, integers, length, matrix, vector
 )
 
 cnp.import_array()
@@ -174,15 +174,14 @@ def match_ids(ids, wanted):
 
 
 def motion_in_image(
-    points_c, pixels, last_directions, last_pixels, rows, double focal_px, double min_motion_px, double min_depth
+    points_c, pixels, last_directions, last_pixels, rows, double focal_px, double min_depth
 ):
     cdef Array points = doubles(points_c), observed = doubles(pixels), which = integers(rows)
     cdef Array towards_before = doubles(last_directions), observed_before = doubles(last_pixels)
     cdef Py_ssize_t m = length(which), f, i, row
     cdef double expected, change, square, changes
-    cdef Array directions = matrix(m, 2), unmoved = flags(m), changes_px2 = vector(m)
+    cdef Array directions = matrix(m, 2), moved_px = vector(m), changes_px2 = vector(m)
     cdef double* towards = at(directions)
-    cdef unsigned char* is_unmoved = <unsigned char*>cnp.PyArray_DATA(unmoved)
     for f in range(m):
         row = at_integers(which)[f]
         square = changes = 0.0
@@ -192,9 +191,9 @@ def motion_in_image(
             change = at(observed)[2 * f + i] - at(observed_before)[2 * row + i] - expected
             square += expected * expected
             changes += change * change
-        is_unmoved[f] = sqrt(square) < min_motion_px
+        at(moved_px)[f] = sqrt(square)
         at(changes_px2)[f] = 0.5 * changes
-    return directions, unmoved, changes_px2
+    return directions, moved_px, changes_px2
 
 
 def matches_counted(

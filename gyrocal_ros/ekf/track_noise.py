@@ -1,0 +1,61 @@
+"""What a run learns of the errors of the tracks."""
+
+from __future__ import annotations
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
+from gyrocal_ros.ekf.feature_noise import TypicalMatch
+from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
+from gyrocal_ros.ekf.slow_errors import SlowErrors
+from gyrocal_ros.ekf.update import MeasurementUpdate
+
+MIN_PIXEL_NOISE_PX, MAX_PIXEL_NOISE_PX = 0.02, 5.0
+"""Bounds of the estimated pixel noise; at the upper one the images do not fit the estimate."""
+
+
+class TrackNoise:
+    """Learns the size of the errors of the features, and how they last.
+
+    Args:
+        std_px: standard deviation of the pixels of a feature, before anything is learned.
+        is_robust: True if features are anchored inverse depths, each judged by the others.
+    """
+
+    def __init__(self, std_px: float, *, is_robust: bool) -> None:
+        self._is_robust = is_robust
+        self.pixel = AdaptiveNoise(std_px, MIN_PIXEL_NOISE_PX, max(MAX_PIXEL_NOISE_PX, 5.0 * std_px))
+        self._repeated, self._slow = RepeatedErrors(std_px), SlowErrors()
+        self._typical_match = TypicalMatch()
+
+    @property
+    def match_px(self) -> float:
+        """Standard deviation that the tracker tells of a typical match."""
+        return self._typical_match.std_px
+
+    @property
+    def slow_variance_px(self) -> float:
+        """Variance of the walk of features by slow errors, px^2 per px of motion."""
+        return self._slow.variance_px
+
+    @property
+    def errors_repeat(self) -> bool:
+        """True if the errors of unmoved features repeat."""
+        return self._is_robust and self._repeated.are_expected(self.pixel.std)
+
+    def see(self, covariances_px2: Array | None) -> None:
+        """Take what the tracker tells of the matches (m, 2, 2) of an image."""
+        if covariances_px2 is not None:
+            self._typical_match.update(covariances_px2)
+
+    def learn(self, update: MeasurementUpdate, *, agrees: bool) -> None:
+        """Learn from the update by an image.
+
+        Args:
+            update: by the image.
+            agrees: True if the image agrees with the map: errors that last are no fault of the map then.
+        """
+        self.pixel.update(update.noise_distances, 2)
+        if self._is_robust:
+            self._repeated.update(update.changes_px2)
+        if agrees and len(update.differences):
+            self._slow.learn(update.used_ids, update.differences)

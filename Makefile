@@ -32,11 +32,11 @@ help:
 	@echo 'make venv    set up .venv alone; its bin/gyrocal is the command'
 	@echo 'make clean   remove .venv and the caches'
 
-# The kernels are compiled where there is a compiler.
+# The kernels are compiled where there is a compiler; modules of Python when they are first imported.
 $(READY): setup.py pyproject.toml $(wildcard gyrocal_ros/kernels/*.p[xy][dx])
 	@test -n '$(PYTHON)' || { echo 'Python 3.11 or newer with venv is needed (Debian, Ubuntu: apt install python3-venv)' >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --no-compile --editable '.[dev]'
 	@touch $@
 
 venv: $(READY)

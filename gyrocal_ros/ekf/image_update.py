@@ -108,10 +108,11 @@ def update_from_image(
         state = with_slow_errors(state, matches.rows, matches.moved_px, model.slow_variance_px, focal_px)
     found = _consensus(_innovation(state, model, matches), model)
     judged, good = found.judged, found.good & (matches.prediction.points_c[:, 2] > MIN_DEPTH)
-    moved = None
-    if model.form.is_robust and model.config.camera.estimate_pixel_noise:
+    learns = model.form.is_robust and model.config.camera.estimate_pixel_noise
+    if learns:
         state = learn_noise(state, matches.rows, judged, DOF_PER_FEATURE)
-        moved = None if observations.covariances_px2 is None else ~matches.unmoved[good]
+    learns_slow_errors = learns and observations.covariances_px2 is not None
+    moved = ~matches.unmoved[good] if learns_slow_errors else None
     all_good = np.count_nonzero(good) == len(good)
     used = found.innovation if all_good else found.innovation[good.nonzero()[0]]
     if found.slip_std is not None:
@@ -154,8 +155,8 @@ def _updated(
 ) -> tuple[State, MeasurementUpdate]:
     """Return the state after the update by the features used, and what these tell.
 
-    Which of them have moved in the image matters to slow errors of a tracker of images, see `slow_errors`;
-    None for features that come without covariances.
+    Which of them have moved in the image matters to slow errors of the tracks, see `slow_errors`; None where
+    these are not learned, as of features that come without covariances.
     """
     heading_rad, heading_std_rad = _as_heading(used)
     told = MeasurementUpdate(used=len(used.rows), heading_rad=heading_rad, heading_std_rad=heading_std_rad)

@@ -82,13 +82,6 @@ cdef inline Array indices(Py_ssize_t n):
     return <Array>cnp.PyArray_EMPTY(1, shape, cnp.NPY_INT64, 0)
 
 
-cdef inline Array flags(Py_ssize_t n):
-    """Return a new array (n,) of bool."""
-    cdef cnp.npy_intp shape[1]
-    shape[0] = n
-    return <Array>cnp.PyArray_EMPTY(1, shape, cnp.NPY_BOOL, 0)
-
-
 cdef inline Array copied(Array values):
     """Return a copy."""
     return <Array>cnp.PyArray_NewCopy(values, cnp.NPY_CORDER)

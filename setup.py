@@ -35,7 +35,7 @@ def kernels() -> list[Extension]:
     settings = {
         'include_dirs': [numpy.get_include()],
         'define_macros': [('NPY_NO_DEPRECATED_API', 'NPY_1_7_API_VERSION')],
-        'extra_compile_args': ['-O3'],
+        'extra_compile_args': ['-O3', '-g0'],
     }
     twins = [
         Extension(f'{NAME}.kernels.{file.stem}', [str(file)], **settings, optional=True) for file in files

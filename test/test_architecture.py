@@ -46,7 +46,7 @@ FORKS = {'bench/faults/isolated.py': {'os._exit'}}
 """Modules with a process of their own, which may end it."""
 LIBRARY_HOMES = {
     'argcomplete': ('cli/completion.py',),
-    'cv2': ('vision', 'model/camera.py', 'sim/render.py', 'msgs/images.py'),
+    'cv2': ('vision', 'model/camera.py', 'sim/canvas.py', 'sim/render.py', 'msgs/images.py'),
     **dict.fromkeys(('dash', 'flask', 'werkzeug'), ('studio',)),
     'kaleido': ('report/png.py',),
     'lz4': ('bag/decompress.py',),

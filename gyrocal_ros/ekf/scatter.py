@@ -48,6 +48,8 @@ class Scatter:
         self._variance: Array = np.zeros_like(traces)
         self._ratios, self._stretches = np.zeros_like(traces), np.zeros_like(traces)
         self._squares = np.zeros_like(traces)
+        self.inflation: Array = np.ones_like(traces)
+        """(count,) factors, 1 or more, on the standard deviations of the filter."""
 
     def add(self, time_s: float, change: Array, decrease: Array, variance: Array) -> None:
         """Add one step of the filter.
@@ -65,21 +67,6 @@ class Scatter:
         self._change += change
         self._decrease += decrease
         self._variance = variance
-
-    @property
-    def inflation(self) -> Array:
-        """(count,) factors, 1 or more, on the standard deviations of the filter.
-
-        Of the excess of the mean ratio, the part that chance explains is taken away (empirical Bayes, Morris
-        1983). It counts from 1.4 times its standard deviation, the price of one more parameter (Akaike 1974),
-        or every clean recording would pay.
-        """
-        stretches = np.maximum(self._stretches, 1.0)
-        excess = self._ratios / stretches - 1.0
-        by_chance = 2.0 * (2.0 / stretches)  # 2 / n is the variance of a mean of n ratios
-        least = np.sqrt(by_chance)
-        factors: Array = np.sqrt(1.0 + np.maximum(0.0, excess - by_chance / np.maximum(excess, least)))
-        return factors
 
     @property
     def is_judged(self) -> bool:
@@ -103,7 +90,27 @@ class Scatter:
         self._ratios[counts] += self._change[counts] ** 2 / self._decrease[counts]
         self._squares[counts] += self._change[counts] ** 2
         self._stretches[counts] += 1.0
+        self.inflation = inflation(self._ratios, self._stretches)
         self._change, self._decrease = np.zeros_like(self._change), np.zeros_like(self._decrease)
+
+
+def inflation(ratios: Array, stretches: Array) -> Array:
+    """Return the factors (count,), 1 or more, on standard deviations.
+
+    Of the excess of the mean ratio, the part that chance explains is taken away (empirical Bayes, Morris
+    1983). It counts from 1.4 times its standard deviation, the price of one more parameter (Akaike 1974), or
+    every clean recording would pay.
+
+    Args:
+        ratios: (count,) sums of the squared changes over their predicted variances.
+        stretches: (count,) numbers of stretches in these sums.
+    """
+    stretches = np.maximum(stretches, 1.0)
+    excess = ratios / stretches - 1.0
+    by_chance = 2.0 * (2.0 / stretches)  # 2 / n is the variance of a mean of n ratios
+    least = np.sqrt(by_chance)
+    factors: Array = np.sqrt(1.0 + np.maximum(0.0, excess - by_chance / np.maximum(excess, least)))
+    return factors
 
 
 def traces(model: SensorModel) -> Array:

@@ -24,6 +24,22 @@ from gyrocal_ros.diagnose.run_series import rows_to_draw
 
 BLUE, VERMILLION, GREEN, PURPLE, GREY = '#0072B2', '#D55E00', '#009E73', '#CC79A7', '#808080'
 GRID, CLEAR = 'rgba(128,128,128,0.25)', 'rgba(0,0,0,0)'
+_AXIS = {'gridcolor': GRID, 'linecolor': GRID, 'zeroline': False, 'showline': True, 'automargin': True}
+TEMPLATE = go.layout.Template(
+    layout={
+        'title': {'x': 0.0, 'y': 1.0, 'yanchor': 'top', 'pad': {'t': 12}, 'font': {'size': 18}},
+        'margin': {'l': 70, 'r': 15, 't': 80, 'b': 55},
+        'font': {'family': 'system-ui, sans-serif', 'size': 13, 'color': GREY},
+        'paper_bgcolor': CLEAR,
+        'plot_bgcolor': CLEAR,
+        'legend': {'orientation': 'h', 'x': 0.0, 'y': 1.0, 'yanchor': 'bottom', 'bgcolor': CLEAR},
+        'hoverlabel': {'bgcolor': '#22262e', 'font': {'color': '#f2f2f2'}},
+        'modebar': {'bgcolor': CLEAR, 'color': GREY, 'activecolor': BLUE},
+        'xaxis': {**_AXIS, 'hoverformat': '.1f', 'title': {'standoff': 8}},
+        'yaxis': {**_AXIS, 'exponentformat': 'none'},
+    }
+)
+"""Fonts, margins and axes that all figures share."""
 TIME = 'time since the first sample (s)'
 MAX_POINTS = 1500
 """Maximum number of points of a line, about; more do not show on a screen."""
@@ -68,10 +84,11 @@ def panels(title: str, y_titles: list[str], row_px: int = 230) -> go.Figure:
     count = len(y_titles)
     figure = make_subplots(rows=count, cols=1, shared_xaxes=True, vertical_spacing=0.12 / count)
     set_style(figure, title, 130 + row_px * count)
-    figure.update_layout(hovermode='x unified')
-    figure.update_xaxes(title_text=TIME, row=count, col=1)
-    for row, text in enumerate(y_titles, start=1):
-        figure.update_yaxes(title_text=text, row=row, col=1)
+    figure.layout.hovermode = 'x unified'
+    *_, lowest = figure.select_xaxes()
+    lowest.title.text = TIME
+    for axis, text in zip(figure.select_yaxes(), y_titles, strict=True):
+        axis.title.text = text
     return figure
 
 
@@ -85,21 +102,7 @@ def floor_plan(title: str) -> go.Figure:
 
 def set_style(figure: go.Figure, title: str, height_px: int) -> go.Figure:
     """Set title, height, fonts, margins and axes of a figure."""
-    figure.update_layout(
-        template='none',
-        title={'text': title, 'x': 0.0, 'y': 1.0, 'yanchor': 'top', 'pad': {'t': 12}, 'font': {'size': 18}},
-        height=height_px,
-        margin={'l': 70, 'r': 15, 't': 80, 'b': 55},
-        font={'family': 'system-ui, sans-serif', 'size': 13, 'color': GREY},
-        paper_bgcolor=CLEAR,
-        plot_bgcolor=CLEAR,
-        legend={'orientation': 'h', 'x': 0.0, 'y': 1.0, 'yanchor': 'bottom', 'bgcolor': CLEAR},
-        hoverlabel={'bgcolor': '#22262e', 'font': {'color': '#f2f2f2'}},
-        modebar={'bgcolor': CLEAR, 'color': GREY, 'activecolor': BLUE},
-    )
-    axis = {'gridcolor': GRID, 'linecolor': GRID, 'zeroline': False, 'showline': True, 'automargin': True}
-    figure.update_xaxes(**axis, hoverformat='.1f', title_standoff=8)
-    figure.update_yaxes(**axis, exponentformat='none')
+    figure.update_layout(template=TEMPLATE, title={'text': title}, height=height_px)
     return figure
 
 

@@ -7,10 +7,11 @@ point of the texture is imaged exactly where geometry projects it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +21,8 @@ LEVELS_PER_GREY = 64
 """Number of brightness steps per grey level. The range is up to 1023 grey levels: lamps saturate the
 camera."""
 OPAQUE = 65535
-
+_REACH = 5.0
+"""Standard deviations of a blur beyond which it is zero."""
 
 Motion = Callable[[float], tuple[float, float, float]]
 """Function from a time (s) to a displacement in x and y (m) and a rotation about the centre (rad)."""
@@ -89,26 +91,28 @@ class Canvas:
 
     def add_plaster(self, rng: np.random.Generator, *, grain: float, waves: int, wave_grey: float) -> None:
         """Add plaster (grain of each texel) and slow variations of brightness."""
-        self.texels += grain * rng.standard_normal(self.texels.shape, dtype=np.float32)
+        self.texels += np.float32(grain) * rng.standard_normal(self.texels.shape, dtype=np.float32)
         rows, columns = self.texels.shape
         periods = rng.integers(-8, 9, (2, waves)) * 2.0 * np.pi
         x = np.outer(np.arange(columns) / columns, periods[0]) + rng.uniform(0.0, 2.0 * np.pi, waves)
         y = np.outer(np.arange(rows) / rows, periods[1])
-        wave = np.cos(y) @ np.cos(x).T - np.sin(y) @ np.sin(x).T  # cos(x + y) of every wave, summed
-        self.texels += (wave_grey * wave).astype(np.float32)
+        by_row = wave_grey * np.concatenate([np.cos(y), -np.sin(y)], axis=1)
+        by_column = np.concatenate([np.cos(x), np.sin(x)], axis=1)
+        # cos(x + y) of every wave, summed; in single precision, as the texels are
+        self.texels += by_row.astype(np.float32) @ by_column.astype(np.float32).T
 
     def blurred(self, scale: int = LEVELS_PER_GREY) -> NDArray[np.uint16]:
         """Return the stored texels, blurred as the grid says."""
         blurred = self._convolved(self.grid.blur_texels) if self.grid.blur_texels > 0.0 else self.texels
-        return np.rint(np.clip(scale * blurred, 0.0, 65535.0)).astype(np.uint16)
+        scaled = np.float32(scale) * blurred
+        return np.rint(np.clip(scaled, 0.0, 65535.0, out=scaled), out=scaled).astype(np.uint16)
 
-    def _convolved(self, blur_texels: float) -> NDArray[np.floating[Any]]:
+    def _convolved(self, blur_texels: float) -> NDArray[np.float32]:
         """Return the texels convolved with a Gaussian, periodically."""
-        rows, columns = self.texels.shape
-        spectrum = np.fft.rfft2(self.texels)
-        spectrum *= np.exp(-2.0 * (np.pi * blur_texels * np.fft.fftfreq(rows)[:, None]) ** 2)
-        spectrum *= np.exp(-2.0 * (np.pi * blur_texels * np.fft.rfftfreq(columns)) ** 2)
-        return np.fft.irfft2(spectrum, self.texels.shape)
+        reach = math.ceil(_REACH * blur_texels)
+        wide = np.pad(self.texels, reach, mode='wrap')
+        blurred = cv2.GaussianBlur(wide, (2 * reach + 1,) * 2, blur_texels)
+        return np.asarray(blurred[reach:-reach, reach:-reach], np.float32)
 
     def _around(
         self, centre_m: Array | tuple[float, float], reach_m: Array

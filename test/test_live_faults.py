@@ -207,6 +207,7 @@ def test_a_jump_of_the_scale_factor_is_followed_without_a_restart() -> None:
     assert status.numbers['filter_restarts'] == 0
     names = ('recent_nis', 'pixel_noise_px', 'wheel_noise_m', 'map_size')
     assert all(float(str(status.numbers[name])) > 0.0 for name in names), 'the names of the documentation'
+    assert status.numbers['stamp_noise_s'] == 0.0
     assert found.converged
     assert abs(found.scale_factor - longer.truth.scale_factor / 1.05) < 3.0 * found.scale_factor_std
 

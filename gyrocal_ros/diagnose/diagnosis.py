@@ -24,7 +24,7 @@ from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.summarise import coarse_step
-from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
+from gyrocal_ros.diagnose.timing import TimingFault, stamp_jitter, timing_fault
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import is_estimated, is_noise, shows_in_any_turns, why_unobservable
 from gyrocal_ros.model.recording import RecordingSummary
@@ -132,6 +132,8 @@ def _conclude(
     uneven = None if missing else uneven_gyro_effect(last.ranked, (), last.settings)
     is_coarse = coarse_step_rad_s is not None
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
+    if verdict == 'nothing_missing':
+        timing = timing or stamp_jitter(last.run)
     return Diagnosis(
         verdict='timing' if timing is not None else verdict,
         missing=tuple(missing),

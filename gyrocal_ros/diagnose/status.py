@@ -142,6 +142,9 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
 
 
 def _timing_status(fault: TimingFault) -> Status:
+    if fault.is_allowed_for:
+        allowed = 'The filter allows for that, and nothing else is missing.'
+        return Status('yellow', f'The time stamps are at fault: {fault}. {allowed}', MEND_STAMPS)
     return Status(
         'red',
         f'The time stamps are at fault: {fault}. Effects cannot be judged until that is mended.',

@@ -20,6 +20,7 @@ from gyrocal_ros.diagnose.heading_filter import Headings, heading_log_likelihood
 from gyrocal_ros.diagnose.model_fit import excess_nis
 from gyrocal_ros.diagnose.noise_fit import fit_noises
 from gyrocal_ros.diagnose.ranking import explained_together
+from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S
 
 TURNING_RAD_S, STRAIGHT_RAD_S = math.radians(20.0), math.radians(3.0)
@@ -49,6 +50,8 @@ class TimingFault:
     """Standard deviation from image to image, where it jitters; otherwise that between the blocks."""
     gain: float
     """Log-likelihood that knowing the offset of every block would gain; for jitter, the excess of the NIS."""
+    is_allowed_for: bool = False
+    """True if the filter has learned of it, so that effects can be judged beside; there is no gain then."""
 
     def __str__(self) -> str:
         if self.kind == 'jitters':
@@ -57,6 +60,12 @@ class TimingFault:
             'the offset between the stamps of camera and IMU changes within the recording, from '
             f'{1e3 * self.low_s:.0f} to {1e3 * self.high_s:.0f} ms'
         )
+
+
+def stamp_jitter(run: Run) -> TimingFault | None:
+    """Return the jitter of the stamps of images that the filter has learned, and allows for; None without."""
+    std_s = float(run.history.stamp_noise_s[-1])
+    return TimingFault('jitters', 0.0, 0.0, std_s, 0.0, is_allowed_for=True) if std_s > MIN_CHANGE_S else None
 
 
 def timing_fault(examined: ExaminedModel) -> TimingFault | None:

@@ -45,6 +45,8 @@ class ImageModel:
     """True if the way of the camera tells how far the features are, see `known_depth.TellingWay`."""
     slow_variance_px: float
     """Variance of the walk of features by slow errors, px^2 per px of motion, see `slow_errors`."""
+    stamp_std_s: float
+    """Noise of the stamp of the image, see `stamp_noise`."""
     errors_repeat: bool
     """True if a feature counts only after motion in the image."""
     is_known: bool

@@ -29,6 +29,7 @@ from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
 from gyrocal_ros.ekf.slow_errors import differences, with_slow_errors
+from gyrocal_ros.ekf.stamp_noise import stamp_error, with_stamp_noise
 from gyrocal_ros.ekf.state import POSE, YAW, State, features_seen
 from gyrocal_ros.ekf.update import (
     NO_DIFFERENCES,
@@ -179,6 +180,9 @@ def _updated(
         used_ids=ids,
         given_others=given_others(used.residual, whitening),
         differences=NO_DIFFERENCES if moved is None else _differences(model, used, whitening, moved),
+        stamp_error=stamp_error(
+            _velocity(model, used.prediction), float(model.motion.rate[YAW]), used.residual, whitening
+        ),
         by_position=by_position,
         by_feature=by_feature,
     )
@@ -238,7 +242,21 @@ def _innovation(state: State, model: ImageModel, matches: _Matches) -> Innovatio
         noise = own_noise(noise, state.landmarks.noise, rows)
     by_values = model.by_values(prediction, state.coefficients)
     by_candidates = model.by_candidates(prediction)
-    return innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
+    innovation = innovate(state, rows, prediction, measured, noise, by_values, by_candidates)
+    return _with_stamp_noise(innovation, model)
+
+
+def _with_stamp_noise(innovation: Innovation, model: ImageModel) -> Innovation:
+    if not model.stamp_std_s:
+        return innovation
+    velocity = _velocity(model, innovation.prediction)
+    covariance = with_stamp_noise(innovation.covariance, velocity, model.stamp_std_s)
+    return changed(innovation, covariance=covariance)
+
+
+def _velocity(model: ImageModel, prediction: Prediction) -> Array:
+    """Return the velocity (m, r) of features in the image, per s."""
+    return prediction.by_pose @ model.motion.rate
 
 
 def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
@@ -310,7 +328,7 @@ def search_regions(state: State, model: ImageModel) -> SearchRegions:
     count = len(visible)
     seen = prediction[visible]
     noise = np.broadcast_to(model.noise_px**2 * np.eye(2), (count, 2, 2))
-    innovation = innovate(state, visible, seen, seen.expected, noise)
+    innovation = _with_stamp_noise(innovate(state, visible, seen, seen.expected, noise), model)
     ids, covariances = state.landmarks.ids[visible], innovation.own_covariances()
     return SearchRegions(state.t_ns, ids, seen.expected, covariances)
 

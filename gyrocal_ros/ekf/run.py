@@ -65,6 +65,8 @@ class History:
     """(s,) NaN where nothing was measured."""
     heading_innovation_std_rad: Array
     pixel_noise_px: Array
+    stamp_noise_s: Array
+    """(s,) noise of the stamps of images that is learned, see `ekf.stamp_noise`."""
     dt_s: Array
     turn_rad: Array
     """(s,) turn of the step by the nominal gyro, without bias and coefficients."""
@@ -124,6 +126,7 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
         step.update.heading_std_rad if step.update.stats.dof else np.nan
     ),
     'pixel_noise_px': lambda step: step.pixel_noise_px,
+    'stamp_noise_s': lambda step: step.stamp_noise_s,
     'dt_s': lambda step: step.block.duration_s,
     'turn_rad': lambda step: float(step.block.rate_rad_s[:, 2] @ step.block.dt_s),
     'correction_rad': lambda step: step.correction_rad,
@@ -144,6 +147,9 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
 """Fields of `History` that hold one number a step, and how each follows from the record of the step."""
 COUNTS = ('dof', 'used', 'rejected', 'dropped', 'on_lens', 'in_view', 'resting', 'scale_followed')
 """Those that are whole numbers."""
+NOISES = ('pixel_noise_px', 'stamp_noise_s')
+"""Those that need no more than single precision."""
+_DTYPES: dict[str, type] = dict.fromkeys(COUNTS, np.int32) | dict.fromkeys(NOISES, np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,7 +221,7 @@ class Recorder:
         self._places |= {name: ends[-1] + i for i, name in enumerate(('time_s', *SCALARS))}
         self._columns = {name: GrowingColumn((width,)) for name, width in widths.items()}
         self._columns |= {
-            name: GrowingColumn(dtype=np.int32 if name in COUNTS else float) for name in ('time_s', *SCALARS)
+            name: GrowingColumn(dtype=_DTYPES.get(name, float)) for name in ('time_s', *SCALARS)
         }
         self._block, self._filled = np.empty((BLOCK_ROWS, ends[-1] + 1 + len(SCALARS))), 0
         self._t_ns = GrowingColumn(dtype=np.int64)

@@ -58,6 +58,9 @@ SETTLE_S = 3.0
 """Time of measurements for which a change has to be significant before it is followed. Windows that began
 before a jump contradict it in part; in this time one that began after it, or just before, explains more than
 they do. Darkness and rests tell nothing, so they do not count."""
+TURNING_RAD_S, PATIENCE_S = math.radians(5.0), 3.0
+"""Rate from which the robot turns, and time by which a change is followed later in a turn: until its end, the
+turn so far is explained as well by a window that began within an earlier turn."""
 MIN_TURN_RAD = 0.01
 """Smallest turn by which an error of the heading is divided."""
 NOT_LINEAR = 0.1
@@ -176,6 +179,7 @@ class ScaleWatch:
         self._ramp, self._ramp_variance, self._ramp_sigma = 0.0, math.inf, 0.0
         self._drift = 0.0
         self._running_s = self._significant_s = 0.0
+        self._is_turning = False
         self._turned_rad = np.zeros(COLUMNS)
         self._unchanged_s, self._walk = math.inf, 0.0
 
@@ -215,6 +219,7 @@ class ScaleWatch:
                 )
         self._sums[:, AGE] += duration_s
         self._turned_rad += turned_rad
+        self._is_turning = turned_rad > TURNING_RAD_S * duration_s
         self._unchanged_s += duration_s
         self._running_s += duration_s
         is_measured = bool(updates and updates[-1].dof)
@@ -243,7 +248,7 @@ class ScaleWatch:
     @property
     def is_settled(self) -> bool:
         """True if a change has been significant for long enough to be followed."""
-        return self._significant_s >= SETTLE_S
+        return self._significant_s >= SETTLE_S + (PATIENCE_S if self._is_turning else 0.0)
 
     def suspected_std(self, state: State) -> float:
         """Return what a drift that is not sure adds to the standard deviation of the scale factor.
@@ -274,7 +279,7 @@ class ScaleWatch:
         is_known = state.covariance[COEFFICIENTS_START, COEFFICIENTS_START] < self._known_std**2
         self._calibrated_s = self._calibrated_s + duration_s if is_known else 0.0
         ended = self._ended(state)
-        if 0.0 < self._significant_s < SETTLE_S:
+        if self._significant_s > 0.0 and not self.is_settled:
             ended = [False] * COLUMNS  # the window that explains a change has to last until it is followed
         if ended[RAMP]:
             self._drift = 0.0

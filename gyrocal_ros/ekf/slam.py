@@ -182,7 +182,7 @@ class EkfSlam:
             transition,
             changed(update, stats=update.stats.of_first(self._own_candidates)),
             resting.of_first(self._own_candidates),
-            self.track_noise.pixel.std,
+            self.track_noise,
             '; '.join(filter(None, (pause, event, suspicions.event))),
             suspicions,
         )
@@ -327,6 +327,7 @@ class EkfSlam:
             interval_s=seconds(self.state.t_ns - max(self.state.landmarks.last_seen_ns.tolist(), default=0)),
             has_moved=self._telling_way.tells or not self.parametrisation.is_anchored,
             slow_variance_px=self.track_noise.slow_variance_px,
+            stamp_std_s=self.track_noise.stamp_std_s,
             errors_repeat=self.track_noise.errors_repeat,
             is_known=is_known,
             stays=stays and self.parametrisation.is_anchored,
@@ -359,7 +360,8 @@ class EkfSlam:
 
     def expect_pixel_noise(self, std_px: float) -> None:
         """Restart the estimation of the pixel noise at this standard deviation."""
-        self.track_noise = TrackNoise(std_px, is_robust=self.parametrisation.is_robust)
+        is_known = not self.config.camera.estimate_pixel_noise
+        self.track_noise = TrackNoise(std_px, is_robust=self.parametrisation.is_robust, is_known=is_known)
 
     def start_at(self, t_ns: int) -> None:
         """Set the time of the first sample, or of the first one of a new time base."""

@@ -10,6 +10,7 @@ from gyrocal_ros.data import Array, MotionBlock, quickly_filled
 from gyrocal_ros.ekf.calibration_watch import Suspicions
 from gyrocal_ros.ekf.predict import Transition
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
+from gyrocal_ros.ekf.track_noise import TrackNoise
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.gyro import Correction
@@ -50,6 +51,8 @@ class StepRecord:
     """Standard deviation of the turn that the gyro could not measure, for example beyond its range."""
     pixel_noise_px: float
     """Present estimate of the pixel noise."""
+    stamp_noise_s: float
+    """Present estimate of the noise of the stamps of the images; 0 while nothing is known of it."""
     event: str = ''
     """Event to report to the user."""
     scale_change: float = 0.0
@@ -67,7 +70,7 @@ def step_record(
     transition: Transition,
     update: MeasurementUpdate,
     resting: UpdateStats,
-    pixel_noise_px: float,
+    noise: TrackNoise,
     event: str,
     suspicions: Suspicions,
 ) -> StepRecord:
@@ -91,7 +94,8 @@ def step_record(
         columns=columns,
         gyro_valid_s=correction.valid_s(block.dt_s),
         unobserved_turn_std_rad=correction.unread_rad(block.dt_s),
-        pixel_noise_px=pixel_noise_px,
+        pixel_noise_px=noise.pixel.std,
+        stamp_noise_s=noise.learned_stamp_std_s,
         event=event,
         scale_change=0.0 if suspicions.change is None or suspicions.followed else suspicions.change.value,
         scale_followed=suspicions.followed,

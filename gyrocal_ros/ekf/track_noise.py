@@ -1,4 +1,4 @@
-"""What a run learns of the errors of the tracks."""
+"""What a run learns of the errors of the tracks, and of the stamps of their images."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
 from gyrocal_ros.ekf.repeated_errors import RepeatedErrors
 from gyrocal_ros.ekf.slow_errors import SlowErrors
+from gyrocal_ros.ekf.stamp_noise import StampNoise
 from gyrocal_ros.ekf.update import MeasurementUpdate
 
 MIN_PIXEL_NOISE_PX, MAX_PIXEL_NOISE_PX = 0.02, 5.0
@@ -19,13 +20,15 @@ class TrackNoise:
     Args:
         std_px: standard deviation of the pixels of a feature, before anything is learned.
         is_robust: True if features are anchored inverse depths, each judged by the others.
+        is_known: True if the settings are the truth, and nothing is to be learned.
     """
 
-    def __init__(self, std_px: float, *, is_robust: bool) -> None:
+    def __init__(self, std_px: float, *, is_robust: bool, is_known: bool) -> None:
         self._is_robust = is_robust
         self.pixel = AdaptiveNoise(std_px, MIN_PIXEL_NOISE_PX, max(MAX_PIXEL_NOISE_PX, 5.0 * std_px))
         self._repeated, self._slow = RepeatedErrors(std_px), SlowErrors()
         self._typical_match = TypicalMatch()
+        self._stamp = StampNoise() if is_robust and not is_known else None
 
     @property
     def match_px(self) -> float:
@@ -36,6 +39,16 @@ class TrackNoise:
     def slow_variance_px(self) -> float:
         """Variance of the walk of features by slow errors, px^2 per px of motion."""
         return self._slow.variance_px
+
+    @property
+    def stamp_std_s(self) -> float:
+        """Standard deviation of the stamps of the images, as expected at first and then as learned."""
+        return self._stamp.std_s if self._stamp else 0.0
+
+    @property
+    def learned_stamp_std_s(self) -> float:
+        """That which the images show; 0 for stamps that are exact, and while nothing is known of them."""
+        return self._stamp.learned_s if self._stamp else 0.0
 
     @property
     def errors_repeat(self) -> bool:
@@ -57,5 +70,7 @@ class TrackNoise:
         self.pixel.update(update.noise_distances, 2)
         if self._is_robust:
             self._repeated.update(update.changes_px2)
+        if self._stamp:
+            self._stamp.learn(update.stamp_error)
         if agrees and len(update.differences):
             self._slow.learn(update.used_ids, update.differences)

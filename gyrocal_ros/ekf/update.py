@@ -10,6 +10,7 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.ekf.feature_scores import FeatureScores
 from gyrocal_ros.ekf.positive_definite import whitener
+from gyrocal_ros.ekf.stamp_noise import StampError
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, EULER, YAW, State
 from gyrocal_ros.ekf.wheel_noise import PositionScore
 from gyrocal_ros.errors import CHECK_THE_SENSORS, FilterDivergedError, IndefiniteCovarianceError
@@ -114,8 +115,7 @@ class MeasurementUpdate:
     unmoved: int = 0
     added: int = 0
     on_lens: int = 0
-    """Numbers of features used, rejected as outliers, not used because unmoved, added to the map, and dropped
-    by the tracker because they stay in the image."""
+    """Numbers of features used, rejected, not used as unmoved, added, and dropped by the tracker."""
     dropped_ids: IntArray = field(default_factory=lambda: NO_FEATURES)
     """Features removed because they were outliers in several images: points that are not fixed in space."""
     stats: UpdateStats = UpdateStats()
@@ -126,12 +126,12 @@ class MeasurementUpdate:
     differences: Array = field(default_factory=lambda: NO_DIFFERENCES)
     """Numbers of the features used, the log-likelihood (m,) of each given the others, and its difference
     (m, 2) from these, see `slow_errors`; NaN for one that has not moved in the image, empty if not known."""
+    stamp_error: StampError | None = None
     by_position: PositionScore | None = None
-    """What the image tells of the noise of the wheels; None where it tells nothing."""
+    """What the image tells of its stamp, and of the noise of the wheels; None where it tells nothing."""
     heading_rad: float = 0.0
-    """The innovation as a heading: the rotation about the vertical that fits it best."""
     heading_std_rad: float = float('nan')
-    """Its standard deviation by the measurement noise."""
+    """The innovation as a heading, by the rotation that fits it best, and its std by measurement noise."""
     noise_distances: Array = field(default_factory=lambda: NONE)
     """Squared distances of the features that the pixel noise dominates, see `robust.Judged`."""
     changes_px2: Array = field(default_factory=lambda: NONE)

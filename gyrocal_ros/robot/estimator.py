@@ -255,6 +255,7 @@ class Estimator:
             'overall_nis': round(self.watch.overall_nis, 3),
             'model_fits': not self._scatter.contradicts if self._scatter.is_judged else 'unknown',
             'pixel_noise_px': round(math.nan if slam is None else slam.track_noise.pixel.std, 3),
+            'stamp_noise_s': round(math.nan if slam is None else slam.track_noise.learned_stamp_std_s, 4),
             'wheel_noise_m': round(math.nan if slam is None else slam.wheel_noise.config.distance_noise_m, 4),
             'map_size': 0 if slam is None else len(slam.state.landmarks.ids),
             'features_dropped': self.dropped,

@@ -23,8 +23,9 @@ TELLING_STD_S = 0.002
 """Standard deviation up to which an image tells the error of its stamp, if it had no noise."""
 MEMORY = 60
 """Number of second differences whose median counts."""
-CLEAR = 1.0
-"""Excess over the variance expected with exact stamps, relative to it, from which the stamps have noise."""
+CLEAR = 4.0
+"""Excess over the variance expected with exact stamps, relative to it, from which the stamps have noise. With
+less, what a missing effect does at the beginning of a turn seemed to be some."""
 WEIGHTS = 1.0, 4.0, 1.0
 """Weights of three variances in that of their second difference."""
 MEDIAN = 0.4549

@@ -107,7 +107,7 @@ def test_no_noise_is_fitted_to_a_gyro_without() -> None:
 
 @pytest.mark.slow
 def test_noise_is_a_verdict_of_its_own() -> None:
-    found = diagnosed(recording('rate_noise', SIZES['rate_noise']))
+    found = diagnosed(recording('rate_noise', SIZES['rate_noise'], seconds=150.0))
     assert found.verdict == 'noise' and [item.effect.name for item in found.missing] == ['rate_noise']
     assert found.fit.fits and found.unexplained is None
     assert found.missing[0].stds[0] > 0.0

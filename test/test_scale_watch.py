@@ -25,6 +25,7 @@ from gyrocal_ros.ekf.scale_watch import (
     RAMP_S,
     SCALE_CHANGED,
     SETTLE_S,
+    TURNING_RAD_S,
     USUAL_DRIFT_STD,
     WINDOWS_S,
     ScaleWatch,
@@ -72,6 +73,21 @@ def test_a_wrong_stored_calibration_is_dropped(wrong_by: float) -> None:
     if abs(wrong_by) > 0.001:
         assert run.history.scale_followed.sum() == 1
         assert any('off what was calibrated before' in event.text for event in run.events)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('wrong_by', [-0.01, 0.01])
+def test_a_change_is_not_followed_within_a_turn(wrong_by: float) -> None:
+    """The change is significant for long enough as the second turn begins. Followed then, it was doubled."""
+    source = recording('cleaning', 1, 60.0)
+    true = source.truth.scale_factor
+    start = Start(('scale_factor',), np.array([true - 1.0 + wrong_by]), np.array([[STORED_STD**2]]), START_NS)
+    history = calibrate(source, Config(), default_model(), start, follows_changes=True).history
+    (step,) = np.flatnonzero(history.scale_followed)
+    assert abs(history.turn_rad[step]) < TURNING_RAD_S * history.dt_s[step]
+    assert np.abs(history.turn_rad / history.dt_s)[step - 8 : step].max() > 10.0 * TURNING_RAD_S, 'it waits'
+    error, std = 1.0 + history.mean[-1, COEFFICIENTS_START] - true, history.std[-1, COEFFICIENTS_START]
+    assert abs(error) < 3.0 * std and std < 1e-4
 
 
 def test_a_right_stored_calibration_is_kept() -> None:

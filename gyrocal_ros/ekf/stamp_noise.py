@@ -47,9 +47,8 @@ class _Turned(NamedTuple):
 
     turn_rad: float
     known_rad2: float
-    """Its variance with exact stamps."""
     by_stamp_rad2: float
-    """Its variance by a stamp with a noise of 1 s."""
+    """Its variance with exact stamps, and that which a stamp with a noise of 1 s adds."""
 
 
 class StampNoise:
@@ -70,15 +69,13 @@ class StampNoise:
             self._last.clear()
             return
         squared_rate = seen.yaw_rate_rad_s**2
-        turned = _Turned(seen.error_s * seen.yaw_rate_rad_s, known_s2 * squared_rate, squared_rate)
-        self._last.append(turned)
+        self._last.append(_Turned(seen.error_s * seen.yaw_rate_rad_s, known_s2 * squared_rate, squared_rate))
         if len(self._last) < len(WEIGHTS):
             return
-        (first, *_), (middle, *_), (last, *_) = self._last
-        _, known_rad2, by_stamp_rad2 = (
-            sum(weight * value for weight, value in zip(WEIGHTS, values, strict=True))
-            for values in zip(*self._last, strict=True)
-        )
+        first, middle, last = (item.turn_rad for item in self._last)
+        weighted = list(zip(WEIGHTS, self._last, strict=True))
+        known_rad2 = sum(weight * item.known_rad2 for weight, item in weighted)
+        by_stamp_rad2 = sum(weight * item.by_stamp_rad2 for weight, item in weighted)
         square = (first - 2.0 * middle + last) ** 2
         self._differences.append((square / by_stamp_rad2, known_rad2 / by_stamp_rad2))
         squares, known = map(median, zip(*self._differences, strict=True))

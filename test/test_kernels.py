@@ -254,6 +254,11 @@ def position_score(rng: np.random.Generator, count: int) -> Arguments:
     return rng.normal(size=(*residual.shape, 6)), residual, whitening, 5
 
 
+def stamp_score(rng: np.random.Generator, count: int) -> Arguments:
+    residual, whitening = given_others(rng, count)
+    return rng.normal(size=(*residual.shape, 6)), rng.normal(size=6), residual, whitening
+
+
 def match_ids(rng: np.random.Generator, count: int) -> Arguments:
     return rng.permutation(3 * count)[: 2 * count], rng.permutation(3 * count)[:count]
 
@@ -471,6 +476,7 @@ MAKERS: tuple[Maker, ...] = (
     shift,
     solve,
     split_by_feature,
+    stamp_score,
     step_numbers,
     turned_camera,
     undistort_brown,

@@ -107,30 +107,37 @@ def image(rng: np.random.Generator) -> tuple[Array, Array]:
     return 300.0 * rng.normal(size=(6, 2)), (root @ root.T + np.eye(12)).reshape(6, 2, 6, 2)
 
 
+def seen_error(velocity: Array, yaw_rate: float, residual: Array, whitening: Array) -> StampError | None:
+    """Return the error by features that move with a velocity (m, 2), as by a rate of 1 along x."""
+    by_pose = np.zeros((*velocity.shape, 6))
+    by_pose[:, :, 0] = velocity
+    return stamp_error(by_pose, np.array([1.0, 0.0, 0.0, 0.0, 0.0, yaw_rate]), residual, whitening)
+
+
 def test_the_error_that_explains_an_innovation_best() -> None:
     rng = np.random.default_rng(3)
     velocity, covariance = image(rng)
     whitening = whitener(covariance.reshape(12, 12))
-    found = stamp_error(velocity, 0.8, 0.007 * velocity, whitening)
+    found = seen_error(velocity, 0.8, 0.007 * velocity, whitening)
     assert found is not None and found.error_s == pytest.approx(0.007) and found.yaw_rate_rad_s == 0.8
     flat = velocity.ravel()
     assert found.variance_s2 == pytest.approx(
         1.0 / (flat @ np.linalg.solve(covariance.reshape(12, 12), flat))
     )
     draws = rng.multivariate_normal(np.zeros(12), covariance.reshape(12, 12), 4000)
-    errors = [stamp_error(velocity, 0.8, draw.reshape(6, 2), whitening) for draw in draws]
+    errors = [seen_error(velocity, 0.8, draw.reshape(6, 2), whitening) for draw in draws]
     assert np.var([item.error_s for item in errors if item]) == pytest.approx(found.variance_s2, rel=0.1)
 
 
 def test_an_image_at_rest_tells_no_error() -> None:
-    assert stamp_error(np.zeros((3, 2)), 0.0, np.ones((3, 2)), np.eye(6)) is None
+    assert seen_error(np.zeros((3, 2)), 0.0, np.ones((3, 2)), np.eye(6)) is None
 
 
 def test_the_noise_of_a_stamp_adds_to_the_variance_of_its_error() -> None:
     velocity, covariance = image(np.random.default_rng(4))
     noisy = with_stamp_noise(covariance, velocity, 0.005)
     before, after = (
-        stamp_error(velocity, 1.0, velocity, whitener(each.reshape(12, 12))) for each in (covariance, noisy)
+        seen_error(velocity, 1.0, velocity, whitener(each.reshape(12, 12))) for each in (covariance, noisy)
     )
     assert before is not None and after is not None
     assert after.variance_s2 == pytest.approx(before.variance_s2 + 0.005**2)

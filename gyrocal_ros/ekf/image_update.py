@@ -169,8 +169,8 @@ def _updated(
         weights = model.candidates.shown(moves=model.moves, turns=model.turns)
         scored = used.sensitivity[:, :, : model.scored] * weights[: model.scored]
         by_feature = feature_scores(ids, used.residual, whitening, scored)
+    by_pose = used.prediction.by_pose
     if model.moves and may_tell_wheels:
-        by_pose = used.prediction.by_pose
         by_position = PositionScore(*position_score(by_pose, used.residual, whitening, YAW))
     state, stats = _corrected(state, model, changed(used, whitening=whitening))
     stats = stats if weights is None else weighted_scores(stats, weights)
@@ -180,9 +180,7 @@ def _updated(
         used_ids=ids,
         given_others=given_others(used.residual, whitening),
         differences=NO_DIFFERENCES if moved is None else _differences(model, used, whitening, moved),
-        stamp_error=stamp_error(
-            _velocity(model, used.prediction), float(model.motion.rate[YAW]), used.residual, whitening
-        ),
+        stamp_error=stamp_error(by_pose, model.motion.rate, used.residual, whitening),
         by_position=by_position,
         by_feature=by_feature,
     )
@@ -249,14 +247,9 @@ def _innovation(state: State, model: ImageModel, matches: _Matches) -> Innovatio
 def _with_stamp_noise(innovation: Innovation, model: ImageModel) -> Innovation:
     if not model.stamp_std_s:
         return innovation
-    velocity = _velocity(model, innovation.prediction)
+    velocity = innovation.prediction.by_pose @ model.motion.rate
     covariance = with_stamp_noise(innovation.covariance, velocity, model.stamp_std_s)
     return changed(innovation, covariance=covariance)
-
-
-def _velocity(model: ImageModel, prediction: Prediction) -> Array:
-    """Return the velocity (m, r) of features in the image, per s."""
-    return prediction.by_pose @ model.motion.rate
 
 
 def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:

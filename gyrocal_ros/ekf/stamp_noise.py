@@ -13,6 +13,8 @@ from statistics import median
 from typing import NamedTuple
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.state import YAW
+from gyrocal_ros.kernels import compiled
 
 PRIOR_STD_S, PRIOR_WEIGHT = 0.0015, 3
 """Noise of stamps before anything is known of it, and number of images that it counts for. Without, noisy
@@ -85,22 +87,30 @@ class StampNoise:
             self.learned_s = self.std_s
 
 
-def stamp_error(
-    velocity: Array, yaw_rate_rad_s: float, residual: Array, whitening: Array
-) -> StampError | None:
+def stamp_error(by_pose: Array, rate: Array, residual: Array, whitening: Array) -> StampError | None:
     """Return the error of the stamp that explains an innovation best; None for an image without motion.
 
+    The arguments are those of `stamp_score`.
+    """
+    score, information = stamp_score(by_pose, rate, residual, whitening)
+    yaw_rate_rad_s = float(rate[YAW])
+    if information <= 0.0 or yaw_rate_rad_s == 0.0:
+        return None
+    return StampError(score / information, 1.0 / information, yaw_rate_rad_s)
+
+
+@compiled
+def stamp_score(by_pose: Array, rate: Array, residual: Array, whitening: Array) -> tuple[float, float]:
+    """Return score and information of an innovation about the error of its stamp.
+
     Args:
-        velocity: (m, r) of the features in the image, per s.
-        yaw_rate_rad_s: of the robot.
+        by_pose: (m, r, 6) derivative of the prediction by the pose.
+        rate: (6,) of the pose, per s.
         residual: nu (m, r).
         whitening: L^-1 (m r, m r) with `L L^T = S`.
     """
-    by_error, whitened = whitening @ velocity.ravel(), whitening @ residual.ravel()
-    information = float(by_error @ by_error)
-    if information <= 0.0 or yaw_rate_rad_s == 0.0:
-        return None
-    return StampError(float(by_error @ whitened) / information, 1.0 / information, yaw_rate_rad_s)
+    by_error, whitened = whitening @ (by_pose @ rate).ravel(), whitening @ residual.ravel()
+    return float(by_error @ whitened), float(by_error @ by_error)
 
 
 def with_stamp_noise(covariance: Array, velocity: Array, std_s: float) -> Array:

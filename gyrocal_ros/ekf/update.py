@@ -364,10 +364,10 @@ def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, U
     n, whitened = len(state.mean), whitening @ stacked
     # BLAS takes twice as long for a product that it knows to be symmetric: each of these has a column more.
     products, scores = whitened[:, :n].T @ whitened, whitened[:, n:].T @ whitened[:, n + 1 :]
-    mean, covariance, sensitivity, nis, log_determinant = corrected(
+    mean, covariance, sensitivity, nis, log_determinant, size = corrected(
         state.mean, state.covariance, state.sensitivity, whitened, products, whitening
     )
-    if not math.isfinite(mean @ mean):
+    if not math.isfinite(size):
         raise FilterDivergedError('the estimate is no longer finite', todo=CHECK_THE_SENSORS)
     after = changed(state, mean=mean, covariance=covariance, sensitivity=sensitivity)
     if not sensitivity.shape[1]:
@@ -378,8 +378,8 @@ def _corrected(state: State, stacked: Array, whitening: Array) -> tuple[State, U
 @compiled
 def corrected(
     mean: Array, covariance: Array, sensitivity: Array, whitened: Array, products: Array, whitening: Array
-) -> tuple[Array, Array, Array, float, float]:
-    """Return mean (n,), covariance (n, n) and sensitivity (n, c) after an update, its NIS and log det S.
+) -> tuple[Array, Array, Array, float, float, float]:
+    """Return mean x (n,), covariance (n, n) and sensitivity (n, c) after an update, NIS, log det S and x^T x.
 
     Args:
         mean: before, (n,).
@@ -390,11 +390,7 @@ def corrected(
         whitening: L^-1 (q, q) with `L L^T = S`.
     """
     n = len(mean)
-    below, nu = np.tril(covariance - products[:, :n]), whitened[:, n]
-    return (
-        mean + products[:, n],
-        below + np.tril(below, -1).T,
-        sensitivity - products[:, n + 1 :],
-        float(nu @ nu),
-        -2.0 * float(np.log(whitening.diagonal()).sum()),
-    )
+    x, below, nu = mean + products[:, n], np.tril(covariance - products[:, :n]), whitened[:, n]
+    log_determinant = -2.0 * float(np.log(whitening.diagonal()).sum())
+    P, X = below + np.tril(below, -1).T, sensitivity - products[:, n + 1 :]
+    return x, P, X, float(nu @ nu), log_determinant, float(x @ x)

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.update`, `ekf.image_update`, `ekf.feature_likelihoods` and `ekf.feature_scores`, which explain the
-equations."""
+"""Twins of `ekf.update`, `ekf.image_update`, `ekf.feature_likelihoods`, `ekf.feature_scores` and `ekf.stamp_noise`,
+which explain the equations."""
 
 from libc.math cimport M_PI, log, sqrt
 
@@ -12,7 +12,15 @@ from gyrocal_ros.kernels.arrays cimport at, at_integers, clear, cube, doubles, f
 
 cnp.import_array()
 
-TWINS = ('corrected', 'fit_heading', 'given_others', 'innovation_matrices', 'position_score', 'split_by_feature')
+TWINS = (
+    'corrected',
+    'fit_heading',
+    'given_others',
+    'innovation_matrices',
+    'position_score',
+    'split_by_feature',
+    'stamp_score',
+)
 
 cdef Py_ssize_t COEFFICIENTS_START = 9
 
@@ -145,7 +153,7 @@ def corrected(mean, covariance, sensitivity, whitened, products, whitening):
     cdef Array x = doubles(mean), before = doubles(covariance), G = doubles(sensitivity), by = doubles(products)
     cdef Array white = doubles(whitened), W = doubles(whitening)
     cdef Py_ssize_t n = length(x), c = length(G, 1), width = n + 1 + c, q = length(W), i, j, l
-    cdef double determinant = 0.0, nis = 0.0
+    cdef double determinant = 0.0, nis = 0.0, size = 0.0
     cdef Array after = vector(n), P = matrix(n, n), X = matrix(n, c)
     cdef const double* source
     cdef const double* taken
@@ -153,6 +161,7 @@ def corrected(mean, covariance, sensitivity, whitened, products, whitening):
     for i in range(n):
         taken, source, row = at(by) + i * width, at(before) + i * n, at(P) + i * n
         at(after)[i] = at(x)[i] + taken[n]
+        size += at(after)[i] * at(after)[i]
         for j in range(i + 1):
             row[j] = source[j] - taken[j]
         source, row = at(G) + i * c, at(X) + i * c
@@ -162,7 +171,7 @@ def corrected(mean, covariance, sensitivity, whitened, products, whitening):
     for l in range(q):
         nis += at(white)[l * width + n] * at(white)[l * width + n]
         determinant -= 2.0 * log(at(W)[l * (q + 1)])
-    return after, P, X, nis, determinant
+    return after, P, X, nis, determinant, size
 
 
 cdef void mirror(double* P, Py_ssize_t n) noexcept nogil:
@@ -205,6 +214,30 @@ def position_score(by_pose, residual, whitening, Py_ssize_t yaw):
     at(score)[0], at(score)[1] = xn - xt * tn / tt, yn - yt * tn / tt
     at(information)[0], at(information)[3] = xx - xt * xt / tt, yy - yt * yt / tt
     at(information)[1] = at(information)[2] = xy - xt * yt / tt
+    return score, information
+
+
+def stamp_score(by_pose, rate, residual, whitening):
+    cdef Array poses = doubles(by_pose), of_rate = doubles(rate), of_residual = doubles(residual)
+    cdef Array of_whitening = doubles(whitening)
+    cdef Py_ssize_t q = length(of_whitening), i, j
+    cdef Array of_velocity = vector(q)
+    cdef const double* nu = at(of_residual)
+    cdef const double* row
+    cdef double* velocity = at(of_velocity)
+    cdef double by_error, white, score = 0.0, information = 0.0
+    for i in range(q):
+        velocity[i] = 0.0
+        for j in range(6):
+            velocity[i] += at(poses)[6 * i + j] * at(of_rate)[j]
+    for i in range(q):
+        row = at(of_whitening) + i * q
+        by_error = white = 0.0
+        for j in range(i + 1):  # L^-1 is lower triangular
+            by_error += row[j] * velocity[j]
+            white += row[j] * nu[j]
+        score += by_error * white
+        information += by_error * by_error
     return score, information
 
 

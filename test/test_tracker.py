@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from gyrocal_ros.bench.tracker import Conditions, tracker_accuracy
 from gyrocal_ros.config.sections import TrackerConfig
@@ -19,7 +20,7 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.sim.render import CeilingRenderer, ceiling_renderer
-from gyrocal_ros.vision.corners import find_corners
+from gyrocal_ros.vision.corners import find_corners, is_of_blocks, shows_blocks
 from gyrocal_ros.vision.draw import draw_tracks
 from gyrocal_ros.vision.patches import (
     MATCHING_PX,
@@ -332,6 +333,44 @@ def test_an_image_without_features_gives_an_empty_observation(
     ceiling = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]))
     assert len(tracker.track(Frame(nanoseconds(0.4), ceiling), np.eye(3), None).ids) > 12
     assert len(tracker.track(Frame(nanoseconds(0.5), image), np.eye(3), None).ids) == 0
+
+
+def compressed(image: np.ndarray, quality: int) -> np.ndarray:
+    """Return what JPEG leaves of an image."""
+    encoded = cv2.imencode('.jpg', image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return np.asarray(cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE), np.uint8)
+
+
+@pytest.mark.parametrize('quality', [20, 30, 40, 50])
+def test_the_blocks_of_jpeg_are_no_features(renderer: CeilingRenderer, quality: int) -> None:
+    """Of a dark ceiling nothing else is left, and they stay in the image while the camera turns."""
+    rng = np.random.default_rng(quality)
+    u, v = np.meshgrid(np.arange(640), np.arange(480))
+    dark = 3.0 + 6.0 * np.exp(-((u - 300.0) ** 2 + (v - 200.0) ** 2) / 200.0**2)
+    dark = np.clip(dark + rng.normal(0.0, 1.5, dark.shape), 0, 255).astype(np.uint8)
+    lit = renderer.render(np.eye(3), np.array([0.0, 0.0, 0.1]), rng=rng)
+    found = [
+        len(Tracker(CAMERA, CONFIG).track(Frame(0, compressed(image, quality)), np.eye(3), None).ids)
+        for image in (dark, lit)
+    ]
+    assert found[0] == 0 and found[1] >= 14
+
+
+def test_hardly_any_sharp_texture_is_taken_for_blocks() -> None:
+    rng = np.random.default_rng(5)
+    corners = rng.integers(20, 440, (300, 2)).astype(np.intp)
+
+    def cells(side: int, count: int, levels: int) -> NDArray[np.uint8]:
+        values = rng.integers(0, levels, (count, count))
+        return np.kron(values, np.ones((side, side))).astype(np.uint8)
+
+    for side in (3, 5, 7):
+        image = cells(side, 490 // side, 255)
+        assert not shows_blocks(image)
+        assert np.mean([is_of_blocks(image, corner, CONFIG.patch_px) for corner in corners]) < 0.06
+    blocks = cells(8, 60, 3)
+    assert shows_blocks(blocks)
+    assert all(is_of_blocks(blocks, corner, CONFIG.patch_px) for corner in corners)
 
 
 def test_slats_and_edges_are_rejected() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,12 @@ WINDOW_PX = 14
 """Side of the window of the structure tensor: about that of a patch."""
 
 SATURATED_GREY = 250
+JPEG_BLOCK_PX = 8
+BLOCK_SHARE = 0.5
+"""Share of the squared steps of a patch at edges of JPEG blocks, from which it shows little else. Of other
+texture that is an eighth, but by chance more than half in one of 20 patches of sharp cells."""
+STEP_RATIO = 1.5
+"""Mean step at the edges of blocks, relative to that in their middle, from which an image shows blocks."""
 DISTINCT_RADIUS_PX = 16
 """Radius around a corner without similar patches: about the search radius of the tracker."""
 
@@ -75,6 +83,25 @@ def _harris(half: NDArray[np.uint8], allowed: NDArray[np.uint8], config: Tracker
     return np.zeros((0, 2), np.intp) if found is None else 2 * found.reshape(-1, 2).astype(np.intp)
 
 
+def recognisable(
+    image: NDArray[np.uint8], corners: NDArray[np.intp], size: int, limit: float
+) -> Iterator[NDArray[np.intp]]:
+    """Yield the corners whose patch will be found again: it shows texture, and no other one near is like it.
+
+    Args:
+        image: (height, width).
+        corners: (n, 2) whole pixels.
+        size: side of a patch in pixels.
+        limit: correlation from which two patches are alike.
+    """
+    looks_for_blocks = shows_blocks(image)
+    for corner in corners:
+        if looks_for_blocks and is_of_blocks(image, corner, size):
+            continue
+        if is_distinct(image, corner, size, limit):
+            yield corner
+
+
 def is_distinct(image: NDArray[np.uint8], corner: NDArray[np.intp], size: int, limit: float) -> bool:
     """Return whether no other patch near a corner has a correlation of `limit` or more with its patch.
 
@@ -89,6 +116,29 @@ def is_distinct(image: NDArray[np.uint8], corner: NDArray[np.intp], size: int, l
     own = size // 4
     scores[max(0, row - own) : row + own + 1, max(0, column - own) : column + own + 1] = -1.0
     return bool(scores.max() < limit)
+
+
+def shows_blocks(image: NDArray[np.uint8]) -> bool:
+    """Return whether the blocks of JPEG show in an image."""
+    middle = JPEG_BLOCK_PX // 2
+    steps = np.abs(np.diff(image[middle::JPEG_BLOCK_PX].astype(np.int16), axis=1))
+    at_edges, inside = (
+        float(steps[:, place - 1 :: JPEG_BLOCK_PX].mean()) for place in (JPEG_BLOCK_PX, middle)
+    )
+    return at_edges > STEP_RATIO * inside
+
+
+def is_of_blocks(image: NDArray[np.uint8], corner: NDArray[np.intp], size: int) -> bool:
+    """Return whether a patch shows hardly more than the blocks of a JPEG image.
+
+    In the dark these are all that is left of a ceiling, and they stay in the image while the camera turns.
+    """
+    u, v = corner - size // 2
+    patch = image[v : v + size, u : u + size].astype(float)
+    steps = np.diff(patch, axis=1) ** 2, np.diff(patch, axis=0).T ** 2
+    edges = [np.arange(start + 1, start + size) % JPEG_BLOCK_PX == 0 for start in (u, v)]
+    at_edges = sum(float(each[:, edge].sum()) for each, edge in zip(steps, edges, strict=True))
+    return at_edges > BLOCK_SHARE * sum(float(each.sum()) for each in steps)
 
 
 def noise_level(image: NDArray[np.uint8]) -> float:

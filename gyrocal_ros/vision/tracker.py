@@ -28,7 +28,7 @@ from gyrocal_ros.data import (
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
-from gyrocal_ros.vision.corners import find_corners, is_distinct, noise_level
+from gyrocal_ros.vision.corners import find_corners, noise_level, recognisable
 from gyrocal_ros.vision.image_flow import followed
 from gyrocal_ros.vision.lens_marks import (
     MIN_CHANGES,
@@ -373,10 +373,8 @@ class Tracker:
         information = extract_patches(frame.image, corners, self._size_px).information
         precise = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
         limit = max(0.0, self.config.min_correlation)
-        distinct = (
-            corner for corner in corners[precise] if is_distinct(frame.image, corner, self._size_px, limit)
-        )
-        corners = np.array(list(islice(distinct, missing)), dtype=np.intp).reshape(-1, 2)
+        usable = recognisable(frame.image, corners[precise], self._size_px, limit)
+        corners = np.array(list(islice(usable, missing)), dtype=np.intp).reshape(-1, 2)
         self._features += self._new_features(frame, R_wc, corners)
         self._next_id += len(corners)
         return corners.astype(float)

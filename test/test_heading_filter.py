@@ -29,6 +29,7 @@ from gyrocal_ros.diagnose.shapes import (
     find_oscillation,
     find_oscillations,
     shapes,
+    turns_enough,
     unexplained_structure,
 )
 from gyrocal_ros.effects import default_model
@@ -300,6 +301,21 @@ class TestStructure:
         for seed in range(3):
             made = drive(gyro_noise=4.0, seed=seed, signals={SIGNAL: switched()})
             assert structure_of(made) is None
+
+    @pytest.mark.parametrize('turned_deg', [180.0, 540.0])
+    def test_one_turn_says_nothing_of_the_scale_and_the_rate(self, turned_deg: float) -> None:
+        """What a turn says is in the scale factor; between turns the rate is noise that the heading took in."""
+        made = knocked()
+        history = made.run.history
+        turned_rad = np.abs(history.turn_rad)
+        stops = np.cumsum(turned_rad) > math.radians(turned_deg)
+        few = replace(history, turn_rad=np.where(stops, 0.0, history.turn_rad))
+        run = replace(made.run, history=few)
+        found = shapes(run, headings(run, DEFAULT_SETTINGS))
+        assert turns_enough(run) == (turned_deg > 360.0)
+        assert any(shape.of_scale for shape in found) == turns_enough(run)
+        assert any(shape.signal == RATE for shape in found) == turns_enough(run)
+        assert any(shape.signal == TIME and not shape.of_scale for shape in found)
 
     def test_signals_that_do_not_vary_or_are_unknown_have_no_shape(self) -> None:
         count = len(times_s())

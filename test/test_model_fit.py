@@ -34,10 +34,10 @@ def test_a_clean_recording_fits() -> None:
     assert model_fit(run).fits is True
     assert conclude(run).converged
     change = str(ScaleChange(0, 0.01, 0.001, 10.0, was_calibrated=True))
-    for time_s, is_misfit in ((20.0, False), (80.0, True)):
-        event = RunEvent(run.span.start_ns + nanoseconds(time_s), change)
-        misfits = model_fit(replace(run, events=(event,))).misfits
-        assert bool(misfits) == is_misfit, 'an earlier calibration may be wrong at first'
+    for times_s, is_misfit in (((20.0,), False), ((80.0,), True), ((20.0, 30.0), True)):
+        events = tuple(RunEvent(run.span.start_ns + nanoseconds(time_s), change) for time_s in times_s)
+        misfits = model_fit(replace(run, events=events)).misfits
+        assert bool(misfits) == is_misfit, 'an earlier calibration may be wrong at first, and once'
 
 
 @pytest.mark.slow

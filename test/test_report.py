@@ -403,10 +403,10 @@ class TestStatus:
         assert status.level == 'yellow' and 'too short' in status.sentence
 
     def test_turns_are_summed_by_side(self, run: Run) -> None:
-        dt_s = run.history.dt_s
+        dt_s, bias = run.history.dt_s, run.history.mean[:, YAW_BIAS]
         rate = np.where(np.arange(len(dt_s)) % 3 == 0, 1.0, -0.5)
         rate[:4] = 0.01  # too slow for a turn
-        turned = replace(run, history=replace(run.history, turn_rad=rate * dt_s))
+        turned = replace(run, history=replace(run.history, turn_rad=(rate - bias) * dt_s))
         left, right = (
             float(np.degrees(rate * dt_s)[4:][side].sum()) for side in (rate[4:] > 0, rate[4:] < 0)
         )

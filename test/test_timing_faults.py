@@ -80,6 +80,30 @@ def test_a_clock_that_drifts_and_is_set_again_is_a_changing_offset() -> None:
     assert '0 to 60 ms' in str(fault).replace('-0', '0')
 
 
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_two_clocks_that_run_apart(sign: float) -> None:
+    """The line tells it, also where innovations are large everywhere, as of turns without pause."""
+    drift_s = sign * 150e-6 * BLOCK_S * np.arange(BLOCKS)
+    examined = examined_with(drift_s, 0.0, BOTH)
+    history = examined.run.history
+    everywhere = replace(history, nis=np.full(len(history.nis), history.nis.mean()))
+    for case in (examined, replace(examined, run=replace(examined.run, history=everywhere))):
+        fault = timing_fault(case)
+        assert fault is not None and fault.kind == 'changes'
+        assert fault.drift_ppm == pytest.approx(sign * 150.0, rel=0.02)
+        assert (fault.low_s, fault.high_s) == pytest.approx(sorted([0.0, drift_s[-1]]), abs=0.001)
+        assert 'their clocks run apart by 150 ppm' in str(fault)
+
+
+def test_an_offset_that_does_not_grow_steadily_is_no_drift() -> None:
+    drift_s = 150e-6 * BLOCK_S * np.arange(BLOCKS)
+    for offsets_s in (SAWTOOTH_S, drift_s[::-1] * np.tile([1.0, 0.0], BLOCKS)[:BLOCKS]):
+        fault = timing_fault(examined_with(offsets_s, 0.0, BOTH))
+        assert fault is not None and fault.drift_ppm == 0.0 and 'ppm' not in str(fault)
+    small = timing_fault(examined_with(0.1 * drift_s, 0.0, BOTH))
+    assert small is None, 'a change of 3 ms costs little'
+
+
 def test_stamps_that_jitter() -> None:
     fault = timing_fault(examined_with(np.zeros(BLOCKS), 0.02, BOTH))
     assert fault is not None and fault.kind == 'jitters'

@@ -22,7 +22,7 @@ from gyrocal_ros.diagnose.ranking import (
 )
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure
+from gyrocal_ros.diagnose.shapes import UnexplainedStructure, turns_enough
 from gyrocal_ros.diagnose.summarise import coarse_step
 from gyrocal_ros.diagnose.timing import TimingFault, stamp_jitter, timing_fault
 from gyrocal_ros.effects import EFFECTS
@@ -129,7 +129,9 @@ def _conclude(
     not_judged = dict(_not_judged(last, recording))
     coarse_step_rad_s = coarse_step(recording.readings)
     structure, fit, timing = last.unexplained_structure, model_fit(last.run), timing_fault(last)
-    uneven = None if missing else uneven_gyro_effect(last.ranked, (), last.settings)
+    uneven = None
+    if not missing and turns_enough(last.run):
+        uneven = uneven_gyro_effect(last.ranked, (), last.settings)
     is_coarse = coarse_step_rad_s is not None
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
     if verdict == 'nothing_missing':

@@ -25,6 +25,8 @@ KNOTS = 5
 """Number of knots over a recorded signal."""
 TIME_KNOT_S = 30.0
 """Distance of the knots over time."""
+LEAST_TURNED_RAD = 2.0 * math.pi
+"""Total turn up to which a run says nothing of changes of the scale, or of errors that go with the rate."""
 JUMP_STEP_S = 2.0
 """Resolution of the moment of a jump."""
 MAX_AT_ONCE = 150
@@ -106,12 +108,13 @@ def shapes(run: Run, seen: Headings) -> list[Shape]:
     rate = run.history.turn_rad / run.history.dt_s
     # On a straight line the rate is noise; removing noise would look like an error of the scale.
     turning = np.where(np.abs(rate) > TURNING_RAD_S, rate, 0.0)
+    turns = turns_enough(run)
     tried = [
         (name, of_scale, knots, parts * turning[:, None] if of_scale else parts)
         for name, values in axes(run)
         for knots, parts in _hats(values, name)
         for of_scale in (False, True)
-        if not (of_scale and name in (RATE, HEADING))
+        if not (of_scale and name in (RATE, HEADING)) and (turns or not (of_scale or name == RATE))
     ]
     scores = heading_scores(seen, np.concatenate([rate[:, None], *(item[3] for item in tried)], axis=1))
     found, start = [], 1
@@ -127,6 +130,12 @@ def shapes(run: Run, seen: Headings) -> list[Shape]:
             found.append(Shape(name, of_scale, knots, values, stds, used, fitted))
         start = end
     return sorted(found, key=lambda shape: shape.fit.gain - len(shape.fit.values), reverse=True)
+
+
+def turns_enough(run: Run) -> bool:
+    """Return True if the scale can be judged beside the scale factor, which one turn is taken up by."""
+    turned_rad, dt_s = np.abs(run.history.turn_rad), run.history.dt_s
+    return float(turned_rad[turned_rad > TURNING_RAD_S * dt_s].sum()) > LEAST_TURNED_RAD
 
 
 def axes(run: Run) -> Iterator[tuple[str, Array]]:

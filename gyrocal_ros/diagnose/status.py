@@ -22,11 +22,12 @@ from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.state import YAW_BIAS
 from gyrocal_ros.pipeline.calibration import Calibration
 
 Level: TypeAlias = Literal['green', 'yellow', 'red']
-TURNING_RAD_S = math.radians(5.0)
-"""Rate above which the robot counts as turning."""
+TURNING_RAD_S = math.radians(1.0)
+"""Rate above which the robot counts as turning: wide arcs have 2 deg/s."""
 MIN_TURN_DEG = 90.0
 """Total turn to each side below which a recording shows one side only."""
 NOTHING_MISSING = 'Nothing is missing: all measurements agree with the model within chance.'
@@ -112,8 +113,9 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
 
 def turned_deg(run: Run) -> tuple[float, float]:
     """Return the total turn to the left and to the right, in degrees, by the gyro while the robot turned."""
-    turn = run.history.turn_rad
-    turning = np.abs(turn) > TURNING_RAD_S * run.history.dt_s
+    history = run.history
+    turn = history.turn_rad + history.mean[:, YAW_BIAS] * history.dt_s
+    turning = np.abs(turn) > TURNING_RAD_S * history.dt_s
     sides = (np.maximum(side * turn, 0.0)[turning].sum() for side in (1.0, -1.0))
     left, right = (math.degrees(float(total)) for total in sides)
     return left, right

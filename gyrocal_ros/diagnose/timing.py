@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from gyrocal_ros.data import IntArray
+from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.candidates import columns_of
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.heading_filter import Headings, heading_log_likelihood
@@ -21,7 +21,7 @@ from gyrocal_ros.diagnose.model_fit import excess_nis
 from gyrocal_ros.diagnose.noise_fit import fit_noises
 from gyrocal_ros.diagnose.ranking import explained_together
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.score_statistics import BLOCK_S
+from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 
 TURNING_RAD_S, STRAIGHT_RAD_S = math.radians(20.0), math.radians(3.0)
 """Rates above and below which the innovations of turns and of straight lanes are compared."""
@@ -36,6 +36,12 @@ CHANGES_PART, JITTERS_PART = 0.5, 0.2
 anything else may explain if it jitters from image to image."""
 MARGIN = 1.05
 """Factor over the gain of all effects together that offsets of the blocks have to gain."""
+DRIFT_BLOCKS, DRIFT_SCATTER, DRIFTS_PART = 6, 0.1, 0.8
+"""Number of blocks, scatter of their offsets about a line over time relative to its range, and part of the
+excess of the NIS that it has to explain, from which two clocks run apart. The line tells that by itself: the
+innovations of turns may be little larger than those of straight lanes, or all be large."""
+ROUGH_S = 0.001
+"""Standard deviation of a line over the offsets of blocks; blocks that are sharper count alike."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,16 +56,43 @@ class TimingFault:
     """Standard deviation from image to image, where it jitters; otherwise that between the blocks."""
     gain: float
     """Log-likelihood that knowing the offset of every block would gain; for jitter, the excess of the NIS."""
+    drift_ppm: float = 0.0
+    """Rate at which the offset grows steadily; 0 if it does not."""
     is_allowed_for: bool = False
     """True if the filter has learned of it, so that effects can be judged beside; there is no gain then."""
 
     def __str__(self) -> str:
         if self.kind == 'jitters':
             return f'the stamps of the images, or of the IMU, jitter by about {1e3 * self.std_s:.0f} ms'
+        clocks = f': their clocks run apart by {abs(self.drift_ppm):.0f} ppm' if self.drift_ppm else ''
         return (
             'the offset between the stamps of camera and IMU changes within the recording, from '
-            f'{1e3 * self.low_s:.0f} to {1e3 * self.high_s:.0f} ms'
+            f'{1e3 * self.low_s:.0f} to {1e3 * self.high_s:.0f} ms{clocks}'
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _BlockOffsets:
+    """Offset of each of b blocks that say something of it."""
+
+    time_s: Array
+    score: Array
+    information: Array
+    """(b,) times, scores and information, 1/s^2."""
+
+    @property
+    def values_s(self) -> Array:
+        """Return the offsets (b,)."""
+        return self.score / self.information
+
+    @property
+    def stds_s(self) -> Array:
+        """Return their standard deviations (b,)."""
+        return 1.0 / np.sqrt(self.information)
+
+    def gain(self, offsets_s: Array) -> float:
+        """Return the log-likelihood that offsets (b,) gain."""
+        return float(offsets_s @ self.score - 0.5 * offsets_s**2 @ self.information)
 
 
 def stamp_jitter(run: Run) -> TimingFault | None:
@@ -75,34 +108,62 @@ def timing_fault(examined: ExaminedModel) -> TimingFault | None:
     offset. So `E[NIS - dof] = dt^2 G^T S^-1 G`, and the score statistics give dt for each block. Beside an
     offset that the model has there are none, so only jitter is judged, by the headings.
     """
-    if not _shows_in_turns(examined):
-        return None
-    if any(effect.acts_on == 'time' for effect in examined.model.effects):
-        known = explained_together(examined.ranked, examined.scores, examined.settings)
-        return _jitter(examined, known, _heading_information(examined.seen), (0.0, 0.0))
+    has_offset = any(effect.acts_on == 'time' for effect in examined.model.effects)
     columns = _time_columns(examined)
-    if len(columns) != 1:
-        return None
-    scores = examined.scores
-    score = scores.score[:, columns[0]]
-    information = scores.information[:, columns[0], columns[0]]
-    excited = information > np.finfo(float).tiny
-    score, information = score[excited], information[excited]
-    if len(score) < 2:
-        return None
-    offsets_s, stds_s = score / information, 1.0 / np.sqrt(information)
-    sharp = offsets_s[stds_s < MIN_STD * np.ptp(offsets_s)]
-    gain = 0.5 * float(np.sum(score**2 / information))
-    known = explained_together(examined.ranked, scores, examined.settings)
-    spread = (float(sharp.min()), float(sharp.max())) if len(sharp) else (0.0, 0.0)
+    blocks = None if has_offset or len(columns) != 1 else _block_offsets(examined.scores, columns[0])
+    known = explained_together(examined.ranked, examined.scores, examined.settings)
     excess = excess_nis(examined.run)
+    drift = None if blocks is None else _drift(blocks, MARGIN * known, excess)
+    if drift is not None or not _shows_in_turns(examined):
+        return drift
+    if has_offset:
+        return _jitter(examined, known, _heading_information(examined.seen), (0.0, 0.0))
+    if blocks is None:
+        return None
+    sharp = blocks.values_s[blocks.stds_s < MIN_STD * np.ptp(blocks.values_s)]
+    gain = blocks.gain(blocks.values_s)
+    spread = (float(sharp.min()), float(sharp.max())) if len(sharp) else (0.0, 0.0)
     if 2.0 * max(gain, known) < JITTERS_PART * excess:
-        return _jitter(examined, max(gain, known), float(information.sum()), spread)
-    price = examined.settings.coefficient_price * len(score)
+        return _jitter(examined, max(gain, known), float(blocks.information.sum()), spread)
+    price = examined.settings.coefficient_price * len(blocks.time_s)
     explains = gain - price > MARGIN * known and 2.0 * gain > CHANGES_PART * excess
     if not explains or spread[1] - spread[0] < MIN_CHANGE_S:
         return None
     return TimingFault('changes', *spread, float(np.std(sharp)), gain)
+
+
+def _block_offsets(scores: ScoreStatistics, column: int) -> _BlockOffsets | None:
+    """Return the offset of each block by the statistics of the time offset; None for a single block."""
+    score, information = scores.score[:, column], scores.information[:, column, column]
+    excited = information > np.finfo(float).tiny
+    if np.count_nonzero(excited) < 2:
+        return None
+    return _BlockOffsets(scores.start_s[excited], score[excited], information[excited])
+
+
+def _drift(blocks: _BlockOffsets, least_gain: float, excess: float) -> TimingFault | None:
+    """Return an offset that grows steadily, as of two clocks that are not synchronised; None without.
+
+    Args:
+        blocks: offset of each block.
+        least_gain: log-likelihood that it has to gain.
+        excess: excess of the NIS.
+    """
+    sharp = blocks.stds_s < MIN_STD * np.ptp(blocks.values_s)
+    if np.count_nonzero(sharp) < DRIFT_BLOCKS:
+        return None
+    time_s, values_s = blocks.time_s[sharp], blocks.values_s[sharp]
+    weights = 1.0 / np.hypot(blocks.stds_s[sharp], ROUGH_S)
+    slope, start_s = np.polyfit(time_s, values_s, 1, w=weights)
+    line_s = start_s + slope * blocks.time_s
+    left_s = values_s - line_s[sharp]
+    grown_s, scatter_s = abs(slope) * np.ptp(time_s), math.sqrt(np.average(left_s**2, weights=weights**2))
+    gain = blocks.gain(line_s)
+    is_line = grown_s > MIN_CHANGE_S and scatter_s < DRIFT_SCATTER * grown_s
+    if not is_line or gain < least_gain or 2.0 * gain < DRIFTS_PART * excess:
+        return None
+    low_s, high_s = (float(line_s[sharp][place]) for place in ((0, -1) if slope > 0.0 else (-1, 0)))
+    return TimingFault('changes', low_s, high_s, scatter_s, gain, drift_ppm=1e6 * float(slope))
 
 
 def _jitter(

@@ -304,7 +304,7 @@ class TestStructure:
 
     @pytest.mark.parametrize('turned_deg', [180.0, 540.0])
     def test_one_turn_says_nothing_of_the_scale_and_the_rate(self, turned_deg: float) -> None:
-        """What a turn says is in the scale factor; between turns the rate is noise that the heading took in."""
+        """The scale factor has taken in what a turn says; between turns the rate is noise of the heading."""
         made = knocked()
         history = made.run.history
         turned_rad = np.abs(history.turn_rad)

@@ -200,6 +200,14 @@ def test_a_gap(tmp_path: Path) -> None:
     assert '1 gap, the longest 2.5 s, 3.0 s after the start' in issues['gap'].text
 
 
+def test_lost_samples_are_no_irregular_stamps(tmp_path: Path) -> None:
+    lossy = with_changed(ImuSample, lambda s: None if round(100 * time_s(s)) % 7 == 3 else s)
+    issues = issues_by_kind(check(tmp_path, lossy))
+    assert (
+        list(issues) == ['lost_samples'] and '14% of the samples are missing' in issues['lost_samples'].text
+    )
+
+
 def check_restamped(path: Path, change: Callable[[Any, float], tuple[float, float]]) -> CheckReport:
     """Check the drive with its stamps and times of recording (s since the start) changed."""
     with new_bag(path / 'bag') as bag:
@@ -226,6 +234,7 @@ def is_imu(sample: Measurement, from_s: float = 0.0, to_s: float = 99.0) -> bool
         (lambda s, t: (t - 0.2 if is_imu(s, 5.0, 5.1) else t, t), {'backward_stamps', 'gap'}),
         (lambda s, t: (t + 0.008 * (round(100 * t) % 2) if is_imu(s) else t, t), {'irregular_stamps'}),
         (lambda s, t: (t + 0.002 * (round(100 * t) % 2) if is_imu(s) else t, t), set()),
+        (lambda s, t: (t, t + 0.015 * (round(100 * t) % 2) if is_imu(s) else t), {'backward_stamps'}),
         (lambda s, t: (t + 0.06 * (t % 2.0) / 2.0 if is_imu(s) else t, t), {'backward_stamps'}),
         (lambda s, t: (t + 60.0 if is_imu(s, 5.0) else t, t), {'clock_jump'}),
         (lambda s, t: (t - 60.0 if is_imu(s, 5.0, 5.005) else t, t), {'clock_jump'}),

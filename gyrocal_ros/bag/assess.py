@@ -22,8 +22,9 @@ MAX_UNCOVERED_S = 2.0
 """Limit of the time at the start or the end that the IMU, or another topic, does not cover."""
 MAX_CLOCK_OFFSET_S = 0.5
 """Limit of the offset between the stamps of two topics that use the same clock."""
-MAX_UNEVEN_SHARE = 0.02
-"""Share of irregular intervals of the IMU above which its stamps are not the times of measurement."""
+MAX_UNEVEN_SHARE, MAX_LOST_SHARE = 0.02, 0.02
+"""Share of irregular intervals of the IMU above which its stamps are not the times of measurement, and share
+of its samples that are lost above which that is reported."""
 MAX_STAMP_OFFSET_S = 1.0
 """Limit of the offset between the stamps and the time of recording on the same clock."""
 
@@ -126,6 +127,10 @@ def _stamp_issues(scan: TopicScan, reorder_window_s: float) -> Iterator[BagIssue
             'turns are integrated over wrong times; let the driver stamp at the measurement, not on arrival'
         )
         yield _issue(scan, WARNING, 'irregular_stamps', text, todo)
+    elif scan.role is Role.IMU and stamps.lost > MAX_LOST_SHARE * stamps.count:
+        text = f'{stamps.lost / (stamps.lost + stamps.count):.0%} of the samples are missing'
+        todo = 'turns are integrated over longer intervals; look at the load of the computer'
+        yield _issue(scan, WARNING, 'lost_samples', text, todo)
     if count := stamps.gap.count:
         text = f'{count} {"gap" if count == 1 else "gaps"}, {largest(stamps.gap, "the longest")}'
         yield _issue(scan, WARNING, 'gap', text, 'were messages lost while recording?')

@@ -17,6 +17,8 @@ GAP_PERIODS, GAP_NS = 4.0, NS_PER_S // 10
 """Minimum length of a gap, in typical periods and in time: a few lost messages are no gap."""
 EVEN_PERIODS = (0.5, 1.5)
 """Interval between two messages, in typical periods, that counts as regular."""
+LOST_PERIODS = 0.1
+"""Difference of an interval from whole periods below which the messages between are lost, or recorded later."""
 MAX_STEP_S = 0.3
 """Longest interval over which a rate is integrated."""
 MAX_DELAY_NS = 5 * NS_PER_S
@@ -74,6 +76,8 @@ class StampStats:
     """Number of stamps that are zero."""
     uneven: int = 0
     """Number of intervals that are neither regular nor one of the events below."""
+    lost: int = 0
+    """Number of messages that are missing between others."""
     period_ns: float = math.nan
     """Typical interval between two messages."""
     repeated: EventStats = field(default_factory=EventStats)
@@ -117,7 +121,11 @@ class StampStats:
         resent = backward.copy()
         resent[1:] |= backward[:-1]
         is_even = (steps > EVEN_PERIODS[0] * self.period_ns) & (steps < EVEN_PERIODS[1] * self.period_ns)
-        self.uneven += int(np.count_nonzero(~is_even & (steps > 0) & ~jumped & ~gap & ~resent))
+        whole = np.rint(steps / self.period_ns) if self.period_ns > 0.0 else np.ones(len(steps))
+        is_whole = np.abs(steps - whole * self.period_ns) < LOST_PERIODS * self.period_ns
+        self.lost += int(np.sum(whole[is_whole & ~jumped & ~gap] - 1.0))
+        is_odd = ~is_even & ~is_whole & (steps > 0)
+        self.uneven += int(np.count_nonzero(is_odd & ~jumped & ~gap & ~resent))
         delays = recorded_ns - stamps_ns
         self.min_delay_s = min(self.min_delay_s, seconds(int(delays.min())))
         self.max_delay_s = max(self.max_delay_s, seconds(int(delays.max())))

@@ -18,7 +18,7 @@ GAP_PERIODS, GAP_NS = 4.0, NS_PER_S // 10
 EVEN_PERIODS = (0.5, 1.5)
 """Interval between two messages, in typical periods, that counts as regular."""
 LOST_PERIODS = 0.1
-"""Difference of an interval from whole periods below which the messages between are lost, or recorded later."""
+"""Difference of an interval from whole periods below which messages between are lost, or recorded later."""
 MAX_STEP_S = 0.3
 """Longest interval over which a rate is integrated."""
 MAX_DELAY_NS = 5 * NS_PER_S

@@ -22,7 +22,6 @@ from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.noise import MIN_GAIN, MORE_DRIFT, find_missing, or_noise, shown_noise
 from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.search import continued
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.status import ADD_NOISE, diagnosis_status, improvement_status
 from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
 from gyrocal_ros.effects import default_model, find_effect
@@ -213,29 +212,6 @@ def test_noisy_readings_prove_white_noise_alone(
     assert found is not None and found.effect == fitted.effect
     assert found.is_kept, 'the filter takes it over, so it need not predict better'
     assert shown_noise(found.after, recorded, runner(source)) is None, 'the model knows it'
-
-
-@pytest.mark.parametrize('name', ['bias_instability', 'scale_asymmetry'])
-def test_structure_beside_a_noise_is_unexplained_however_much_the_noise_gains(
-    name: str, quiet: Quiet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source, recorded, first = quiet
-    monkeypatch.setattr(Addition, 'is_kept', True)
-    effect = with_means(find_effect(name), (SIZES.get(name, 1e-3),))
-    after = examine(with_effect(first.model, effect), recorded, runner(source))
-    left = UnexplainedStructure('the bias goes with heading', 60.0, 9.0, shapes(first.run, first.seen)[0])
-    added = replace(addition(first, after), effect=effect, gain=4e3)
-    without, beside = (
-        diagnose(
-            Search(first, (replace(added, after=replace(after, unexplained_structure=structure)),)), recorded
-        )
-        for structure in (None, left)
-    )
-    assert [item.effect.name for item in beside.missing] == [name]
-    if name in SIZES:
-        assert (without.verdict, beside.verdict) == ('noise', 'unexplained')
-    else:
-        assert without.verdict == beside.verdict == 'cannot_tell', 'little is left, relative to its gain'
 
 
 @pytest.mark.parametrize('name', SIZES)

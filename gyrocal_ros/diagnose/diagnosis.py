@@ -204,9 +204,7 @@ def _verdict(
     fit: ModelFit,
     settings: DiagnosisSettings,
 ) -> str:
-    # A noise gains by larger variances, which explain no structure.
-    explained = sum(item.gain for item in missing if not is_noise(item.effect))
-    if left is not None and left.gain > settings.leftover_part * explained:
+    if left is not None and left.gain > settings.leftover_part * sum(item.gain for item in missing):
         return 'unexplained'
     if missing and fit.fits is not False and all(is_noise(item.effect) for item in missing):
         return 'noise'

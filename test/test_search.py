@@ -32,7 +32,7 @@ from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.search import continued, search, try_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
-from gyrocal_ros.effects.traits import is_limit, may_break_the_filter
+from gyrocal_ros.effects.traits import has_impossible_sign, is_limit, may_break_the_filter
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
@@ -50,6 +50,16 @@ RECOVERING = {
     name for name, effect in EFFECTS.items() if may_break_the_filter(effect) and not is_limit(effect)
 }
 """Effects that are tried where the filter diverges."""
+
+
+def test_a_sign_is_impossible_where_it_is_sure_and_no_sensor_has_it() -> None:
+    def is_impossible(name: str, *values: float) -> bool:
+        return has_impossible_sign(find_effect(name), np.array(values), np.full(len(values), STD))
+
+    assert is_impossible('gyro_lag', -0.04) and not is_impossible('gyro_lag', 0.04)
+    assert not is_impossible('gyro_lag', -0.02), 'by chance'
+    assert is_impossible('bias_warmup', 0.1, -50.0) and not is_impossible('bias_warmup', -0.1, 50.0)
+    assert not is_impossible('camera_time_offset', -0.04), 'an image may be late or early'
 
 
 @dataclass
@@ -383,6 +393,19 @@ class TestSearch:
         assert added.outperformed == (('scale_cubic',) if first == 'turn_slip' else ())
         found = search(default_model(), AT_REST, fake)
         assert {item.effect.name for item in found.kept} == set(sizes), 'both are there in the end'
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize(
+        ('lag', 'gain', 'first'),
+        [(-2.0, 100.0, 'scale_cubic'), (-2.0, 200.0, 'gyro_lag'), (2.0, 100.0, 'gyro_lag')],
+    )
+    def test_of_two_that_look_alike_the_one_with_an_impossible_sign_gives_way(
+        self, lag: float, gain: float, first: str
+    ) -> None:
+        """A lag is positive; one that predicts clearly better stays, whatever it stands for."""
+        fake = FakeFilter({'gyro_lag': lag, 'scale_cubic': 2.0}, {'gyro_lag': gain, 'scale_cubic': 100.0})
+        (added,) = search(default_model(), AT_REST, fake, most=1).additions
+        assert added.effect.name == first
 
     @pytest.mark.slow
     def test_a_moment_does_not_decide_between_two_that_look_alike(self) -> None:

@@ -13,6 +13,7 @@ from gyrocal_ros.diagnose.drift import blind_drift, drift_of_both_deg, held_out_
 from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.effects.traits import has_impossible_sign
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.model.sensor import Effect
 
@@ -95,6 +96,11 @@ class Addition:
         fading = [size for size, item in zip(sizes, usual, strict=True) if item and not item.is_strength]
         memory = max(min([1.0, *fading]), 0.0)
         return len(self.strengths) > 0 and all(abs(sizes[place]) * memory < part for place in self.strengths)
+
+    @property
+    def is_impossible(self) -> bool:
+        """True if a coefficient has a sign that no real sensor has."""
+        return has_impossible_sign(self.effect, *self.after.estimate_of(self.effect.name))
 
     @property
     def raises_drift(self) -> bool:

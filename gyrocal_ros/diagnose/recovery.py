@@ -13,7 +13,7 @@ from gyrocal_ros.diagnose.late_images import late_images
 from gyrocal_ros.diagnose.limits import detected_limits
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.traits import is_limit, may_break_the_filter, strengths
+from gyrocal_ros.effects.traits import has_impossible_sign, is_limit, may_break_the_filter, strengths
 from gyrocal_ros.errors import CANNOT_RUN, FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
@@ -68,19 +68,27 @@ def _recover(
     calibrate: Calibrate,
     settings: DiagnosisSettings,
 ) -> Addition | None:
-    """Find the effect whose absence makes the filter diverge: the one with which it runs best, or None."""
+    """Find the effect whose absence makes the filter diverge: the one with which it runs best, or None.
+
+    Late images look like a gyro that reads ahead of time. An effect with such a sign is only taken where the
+    filter runs with no other.
+    """
     present = {effect.name for effect in model.effects}
     others = [item for item in EFFECTS.values() if may_break_the_filter(item) and not is_limit(item)]
-    likelihoods: dict[float, Effect] = {}
+    found: list[tuple[bool, float, Effect]] = []
     for effect in [*detected_limits(model, recording.readings), *others]:
         if effect.name in present:
             continue
         with suppress(*CANNOT_RUN):
-            history = calibrate(with_effect(model, effect), ()).history
-            likelihoods[float(history.log_likelihood.sum() / history.dof.sum())] = effect
-    if not likelihoods:
+            run = calibrate(with_effect(model, effect), ())
+            history, k = run.history, len(effect.coefficients)
+            impossible = has_impossible_sign(effect, run.state.coefficients[-k:], history.std[-1, -k:])
+            likelihood = float(history.log_likelihood.sum() / history.dof.sum())
+            found.append((not impossible, likelihood, effect))
+    if not found:
         return None
-    return _recovered_with(likelihoods[max(likelihoods)], model, recording, calibrate, settings)
+    *_, best = max(found, key=lambda item: item[:2])
+    return _recovered_with(best, model, recording, calibrate, settings)
 
 
 def _recovered_with(

@@ -343,13 +343,15 @@ def _contested(
     """Return the last addition, or an effect that looks like it if a run with that predicts clearly better.
 
     To first order the wrong effect may look like the true one, and even a little better; not in a run. Where
-    a few moments make the run better, it says nothing: then both stay indistinguishable.
+    a few moments make the run better, it says nothing: then both stay indistinguishable, and one with a sign
+    that is impossible gives way.
     """
     if last.before is None:
         return last
     settings = last.before.settings
     additions = [last]
-    for rival in _rivals(last.before, last.effect.name, tried):
+    excluded = {last.effect.name} if last.is_impossible else tried
+    for rival in _rivals(last.before, last.effect.name, excluded):
         with suppress(*CANNOT_RUN):
             additions.append(with_one_more(last.before, rival.effect, recording, calibrate))
 
@@ -358,6 +360,8 @@ def _contested(
         gains = predictive_gain(last.after.run, item.after.run)
         if item.is_kept and vuong_sigma(gains) > settings.rival_sigma and gains.sum() > best_gain:
             best, best_gain = item, float(gains.sum())
+    if best.is_impossible:
+        best = next((item for item in additions if _is_as_good(item, best)), best)
     outperformed = (
         item.effect.name
         for item in additions
@@ -365,6 +369,12 @@ def _contested(
         and vuong_sigma(predictive_gain(item.after.run, best.after.run)) > settings.indistinguishable_sigma
     )
     return replace(best, outperformed=tuple(outperformed))
+
+
+def _is_as_good(item: Addition, best: Addition) -> bool:
+    """Return True if an addition is possible and predicts as well as the best one but for chance."""
+    lost = vuong_sigma(predictive_gain(item.after.run, best.after.run))
+    return item.is_kept and not item.is_impossible and lost <= item.after.settings.indistinguishable_sigma
 
 
 def _rivals(present: ExaminedModel, name: str, tried: set[str]) -> list[RankedEffect]:

@@ -18,6 +18,8 @@ from gyrocal_ros.model.sensor import (
 NOT_RECORDED = 'not recorded: '
 """Beginning of a reason why an effect is unobservable, where a recording with more signals would show it."""
 CEILING_IMAGES = 'images of the ceiling'
+SURE_SIGMA = 3.0
+"""Standard deviations from which a sign is sure."""
 
 
 def required_signals(effect: Effect) -> tuple[str, ...]:
@@ -116,3 +118,18 @@ def strengths(effect: Effect) -> IntArray:
 def forms_of(effect: Effect) -> tuple[Effect, ...]:
     """Return the forms in which the diagnosis tries an effect."""
     return effect.forms() if isinstance(effect, EffectWithForms) else (effect,)
+
+
+def has_impossible_sign(effect: Effect, values: Array, stds: Array) -> bool:
+    """Return True if a coefficient is negative that no real sensor has negative: none reads ahead of time.
+
+    Args:
+        effect: with k coefficients.
+        values: (k,) their estimates.
+        stds: (k,) standard deviations of these.
+    """
+    usual = [item.typical for item in effect.coefficients]
+    return any(
+        item is not None and not item.signed and value < -SURE_SIGMA * std
+        for item, value, std in zip(usual, values.tolist(), stds.tolist(), strict=True)
+    )

@@ -23,6 +23,7 @@ from gyrocal_ros.sim.image_conditions import (
     ExposureControl,
     ImageConditions,
     flicker,
+    room_light,
     with_conditions,
 )
 from gyrocal_ros.sim.image_scenes import FISHEYE, RATIONAL, SCENES, find_scene
@@ -277,6 +278,16 @@ class TestMovingThings:
         assert moving_layers(ImageConditions(), np.random.default_rng(0), HEIGHT_M, COARSE) == []
 
 
+def test_the_light_is_off_in_the_middle() -> None:
+    time_s = np.arange(100.0, 160.0, 0.5)
+    conditions = ImageConditions(light=1.5, darkness_s=10.0)
+    is_off = room_light(conditions, time_s) < 0.1
+    assert 9.5 <= 0.5 * np.count_nonzero(is_off) <= 10.0
+    assert time_s[is_off].mean() == pytest.approx(time_s.mean(), abs=0.5)
+    assert np.all(room_light(conditions, time_s)[~is_off] == 1.5)
+    assert np.all(room_light(ImageConditions(), time_s) == 1.0)
+
+
 class TestScenes:
     def test_are_many_and_cover_the_ceilings_lenses_and_conditions(self) -> None:
         assert len(SCENES) >= 10 and all(scene.name == name for name, scene in SCENES.items())
@@ -287,7 +298,15 @@ class TestScenes:
             'equidistant',
         }
         assert {5, 15, 30} <= {scene.camera_hz for scene in SCENES.values()}
-        for name in ('flicker', 'readout_s', 'dust', 'optical_blur_px', 'auto_exposure', *MOVING):
+        for name in (
+            'flicker',
+            'readout_s',
+            'dust',
+            'optical_blur_px',
+            'auto_exposure',
+            'darkness_s',
+            *MOVING,
+        ):
             assert any(getattr(scene.conditions, name) for scene in SCENES.values()), name
         with pytest.raises(ConfigError, match='darc'):
             find_scene('darc')

@@ -26,6 +26,9 @@ class ImageConditions:
     )
     blur_poses: int = setting(5, '', 'number of poses that are averaged over the exposure', low=1, high=50)
     light: float = setting(1.0, '', 'brightness of the room relative to a normal one', low=0.001, high=20.0)
+    darkness_s: float = setting(
+        0.0, 's', 'time for which the light is off, in the middle of the recording', low=0.0, high=3600.0
+    )
     auto_exposure: bool = setting(
         False, '', 'exposure time and gain follow the brightness of the last images'
     )
@@ -84,6 +87,8 @@ def with_conditions(conditions: ImageConditions, assignments: Sequence[str], whe
     return with_settings(_Sections(conditions), {'condition': values}, where).condition
 
 
+DARK = 0.03
+"""Brightness of a room without its light, by what comes through the door."""
 TARGET_GREY = 110.0
 """Mean grey level that the automatic exposure aims at."""
 MAX_GAIN, MIN_FACTOR = 16.0, 0.02
@@ -113,6 +118,13 @@ class ExposureControl:
         if self._conditions.auto_exposure:
             self._factor *= float(TARGET_GREY / max(mean_grey, 1.0)) ** SPEED
             self._factor = min(max(self._factor, MIN_FACTOR), MAX_GAIN)
+
+
+def room_light(conditions: ImageConditions, time_s: Array) -> Array:
+    """Return the brightness (n,) of the room at times (n,), relative to a normal one."""
+    middle_s = 0.5 * float(time_s[0] + time_s[-1])
+    is_off = np.abs(time_s - middle_s) < 0.5 * conditions.darkness_s
+    return conditions.light * np.where(is_off, DARK, 1.0)
 
 
 def flicker(conditions: ImageConditions, time_s: Array, exposure_s: float) -> Array:

@@ -76,6 +76,11 @@ SCENES: dict[str, ImageScene] = {
                 blur_poses=9, exposure_s=0.03, light=0.2, auto_exposure=True, shot_noise_grey=2.5
             ),
         ),
+        ImageScene(
+            'blackout',
+            'the light is off for ten seconds; JPEG of quality 40',
+            conditions=replace(GOOD_LIGHT, darkness_s=10.0, jpeg_quality=40),
+        ),
         ImageScene('fisheye', 'a fisheye lens', camera=FISHEYE),
         ImageScene('wide', 'a wide lens with a rational distortion', camera=RATIONAL),
         ImageScene(

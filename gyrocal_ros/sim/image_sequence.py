@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gyrocal_ros.data import Array, CameraIntrinsics
 from gyrocal_ros.sim.canvas import LEVELS_PER_GREY, OPAQUE, Grid, Layer
 from gyrocal_ros.sim.ceilings import Ceiling, find_ceiling
-from gyrocal_ros.sim.image_conditions import ExposureControl, ImageConditions, flicker
+from gyrocal_ros.sim.image_conditions import ExposureControl, ImageConditions, flicker, room_light
 from gyrocal_ros.sim.image_sensor import ImageSensor
 from gyrocal_ros.sim.moving import moving_layers
 from gyrocal_ros.sim.render import CameraPose, CeilingRenderer, Sweep, block_edges, texture_grid
@@ -62,7 +62,7 @@ class ImageSequence:
         self._is_moving = any(layer.motion is not None for layer in layers)
         self._height_px = camera.height_px
         self._noise = stream(seed, 'image noise')
-        self._brightness = conditions.light * brightness(time_s, stream(seed, 'light'))
+        self._brightness = room_light(conditions, time_s) * brightness(time_s, stream(seed, 'light'))
         self._time_s, self._camera_poses = time_s, camera_poses
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:

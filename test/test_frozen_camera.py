@@ -49,8 +49,8 @@ def test_the_tracker_repeats_the_features_of_an_image_that_is_repeated() -> None
     rig = recording().rig
     assert rig.camera is not None
     rng = np.random.default_rng(1)
-    picture = rng.integers(0, 255, (rig.camera.height_px // 8, rig.camera.width_px // 8), np.uint8)
-    image = np.kron(picture, np.ones((8, 8), np.uint8))
+    picture = rng.integers(0, 255, (rig.camera.height_px // 10, rig.camera.width_px // 10), np.uint8)
+    image = np.kron(picture, np.ones((10, 10), np.uint8))
     tracker = GyroAidedTracker(rig.camera, rig.camera_mount.R_bs, Config().tracker)
     for tick in range(100):
         tracker.add(ImuSample(at(tick / 100), (0.0, 0.0, 1.0), (0.0, 0.0, 9.8)))

@@ -107,6 +107,7 @@ def drive(
         heading_innovation_std_rad=np.full(count, HEADING_STD_RAD),
         pixel_noise_px=np.ones(count),
         stamp_noise_s=zeros,
+        waits=zeros,
         dt_s=np.full(count, DT_S),
         turn_rad=rate * DT_S,
         correction_rad=zeros,

@@ -11,6 +11,7 @@ from filter_states import some_state
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.considered import (
     combinations_not_told,
@@ -194,3 +195,20 @@ class TestDriftAcrossTheFloor:
             error, std = history.coefficients[-1, 1:] - self.SIZE, history.std[-1, 10:12]
             assert (np.abs(error) < 2.0 * std).all()
             assert (np.abs(error) < 0.3 * self.SIZE).all() and (std < 0.6 * self.SIZE).all()
+
+
+def test_images_count_for_no_model_while_coefficients_wait_for_the_camera_to_move() -> None:
+    """Each would pay for coefficients that it may not correct, and a true effect would predict worse."""
+    scenario = replace(find_scenario('lanes'), duration_s=30.0, imu_hz=100, camera_hz=5)
+    source, model = SimSource(scenario, 1), default_model()
+    before, after = (
+        calibrate(source, Config(), each) for each in (model, with_effect(model, find_effect('focal_length')))
+    )
+    history = after.history
+    waits, seen = history.waits > 0, history.dof > 0
+    assert not before.history.waits.any() and 0 < np.count_nonzero(waits & seen) < np.count_nonzero(seen)
+    assert np.all(np.diff(waits[seen].astype(int)) <= 0), 'once the camera has moved, nothing waits any more'
+    for where, counts in ((waits, False), (~waits, True)):
+        worse = replace(history, log_likelihood=history.log_likelihood - 9.0 * where)
+        lost = predictive_gain(before, after) - predictive_gain(before, replace(after, history=worse))
+        assert lost.sum() == pytest.approx(9.0 * np.count_nonzero(where) if counts else 0.0)

@@ -20,7 +20,8 @@ def predictive_gain(before: Run, after: Run) -> Array:
 
     The prequential log-likelihood (Dawid 1984) sums the log-likelihood of each measurement given all before
     it, so further coefficients have already paid for themselves. Using more or fewer features neither helps
-    nor harms: of an image those count that both runs use. Where these are few, each counts as a usual one.
+    nor harms: of an image those count that both runs use. Where these are few, each counts as a usual one. An
+    image counts for neither while coefficients of one of them wait for the camera to move.
     """
     usual = _usual(before)
     scores = [run.history.log_likelihood - usual * run.history.dof for run in (before, after)]
@@ -34,6 +35,10 @@ def predictive_gain(before: Run, after: Run) -> Array:
         tells = np.flatnonzero((most > 0) & (shared >= MIN_SHARED * most))
         for run, score, side in zip((before, after), scores, sides, strict=True):
             score[tells] = run.history.log_likelihood[tells] - side.log_likelihood[tells]
+    both = min(len(score) for score in scores)
+    waits = (before.history.waits[:both] > 0) | (after.history.waits[:both] > 0)
+    for score in scores:
+        score[:both][waits] = 0.0
     count = 1 + int(max(run.history.time_s[-1] for run in (before, after)) / BLOCK_S)
     first, second = (
         np.bincount((run.history.time_s / BLOCK_S).astype(int), score, count)

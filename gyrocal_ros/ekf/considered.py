@@ -74,6 +74,13 @@ def not_told_at_rest(state: State, model: ImageModel) -> IntArray:
     return np.concatenate([np.arange(POSITION.stop), coefficients, depths, anchors])
 
 
+def wait_for_motion(model: ImageModel) -> bool:
+    """Return True while coefficients keep their values until the camera has moved."""
+    if model.has_moved or not model.effects.act_on_view:
+        return False
+    return bool((model.effects.shown(moves=False, turns=model.turns) == 0.0).any())
+
+
 def combinations_not_told(state: State, model: ImageModel) -> Array:
     """Return the combinations (q, k) of the coefficients that an image cannot tell."""
     effects, stretch, k = model.effects, model.stretch_by_values, state.coefficient_columns

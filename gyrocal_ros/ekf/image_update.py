@@ -14,6 +14,7 @@ from gyrocal_ros.ekf.certain_way import at_certain_way
 from gyrocal_ros.ekf.considered import (
     combinations_not_told,
     not_told_at_rest,
+    wait_for_motion,
     with_considered,
     with_kept,
 )
@@ -183,6 +184,7 @@ def _updated(
         stamp_error=stamp_error(by_pose, model.motion.rate, used.residual, whitening),
         by_position=by_position,
         by_feature=by_feature,
+        waits=wait_for_motion(model),
     )
 
 

@@ -67,6 +67,9 @@ class History:
     pixel_noise_px: Array
     stamp_noise_s: Array
     """(s,) noise of the stamps of images that is learned, see `ekf.stamp_noise`."""
+    waits: Array
+    """(s,) 1 while coefficients wait for the camera to move, see `ekf.considered`: the filter is then optimal
+    for no value of them, and its log-likelihood does not measure the model."""
     dt_s: Array
     turn_rad: Array
     """(s,) turn of the step by the nominal gyro, without bias and coefficients."""
@@ -127,6 +130,7 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     ),
     'pixel_noise_px': lambda step: step.pixel_noise_px,
     'stamp_noise_s': lambda step: step.stamp_noise_s,
+    'waits': lambda step: step.update.waits,
     'dt_s': lambda step: step.block.duration_s,
     'turn_rad': lambda step: float(step.block.rate_rad_s[:, 2] @ step.block.dt_s),
     'correction_rad': lambda step: step.correction_rad,
@@ -145,7 +149,7 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     'scale_followed': lambda step: step.scale_followed,
 }
 """Fields of `History` that hold one number a step, and how each follows from the record of the step."""
-COUNTS = ('dof', 'used', 'rejected', 'dropped', 'on_lens', 'in_view', 'resting', 'scale_followed')
+COUNTS = ('dof', 'used', 'rejected', 'dropped', 'on_lens', 'in_view', 'waits', 'resting', 'scale_followed')
 """Those that are whole numbers."""
 NOISES = ('pixel_noise_px', 'stamp_noise_s')
 """Those that need no more than single precision."""

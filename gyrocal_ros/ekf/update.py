@@ -136,6 +136,8 @@ class MeasurementUpdate:
     """Squared distances of the features that the pixel noise dominates, see `robust.Judged`."""
     changes_px2: Array = field(default_factory=lambda: NONE)
     """Changes of unmoved features, see `repeated_errors.Motion`."""
+    waits: bool = False
+    """True while coefficients wait for the camera to move, see `considered`."""
     slips: bool = False
     """True if the features of the image contradict the way by the wheels alone, see `robust.consensus`."""
     contradicts_turn: bool = False

@@ -28,6 +28,7 @@ UPDATE = MeasurementUpdate(
     stats=STATS,
     heading_rad=0.01,
     heading_std_rad=0.002,
+    waits=True,
 )
 
 
@@ -101,6 +102,7 @@ def test_each_field_of_the_history_is_that_of_the_step() -> None:
         'heading_innovation_std_rad': 0.002,
         'pixel_noise_px': 0.3,
         'stamp_noise_s': 0.007,
+        'waits': 1.0,
         'dt_s': 0.06,
         'turn_rad': float(block.rate_rad_s[:, 2] @ block.dt_s),
         'correction_rad': 0.03,

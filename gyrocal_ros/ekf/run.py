@@ -149,11 +149,15 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     'scale_followed': lambda step: step.scale_followed,
 }
 """Fields of `History` that hold one number a step, and how each follows from the record of the step."""
-COUNTS = ('dof', 'used', 'rejected', 'dropped', 'on_lens', 'in_view', 'waits', 'resting', 'scale_followed')
+COUNTS = ('dof', 'used', 'rejected', 'dropped', 'on_lens', 'in_view', 'resting', 'scale_followed')
 """Those that are whole numbers."""
 NOISES = ('pixel_noise_px', 'stamp_noise_s')
 """Those that need no more than single precision."""
-_DTYPES: dict[str, type] = dict.fromkeys(COUNTS, np.int32) | dict.fromkeys(NOISES, np.float32)
+_DTYPES: dict[str, type] = {
+    **dict.fromkeys(COUNTS, np.int32),
+    **dict.fromkeys(NOISES, np.float32),
+    'waits': np.int8,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -111,21 +111,34 @@ def timing_fault(examined: ExaminedModel) -> TimingFault | None:
     has_offset = any(effect.acts_on == 'time' for effect in examined.model.effects)
     columns = _time_columns(examined)
     blocks = None if has_offset or len(columns) != 1 else _block_offsets(examined.scores, columns[0])
+    drift = None if blocks is None else _drift(blocks, excess_nis(examined.run))
+    shows_in_turns = _shows_in_turns(examined)
+    if drift is None and not shows_in_turns:
+        return None
     known = explained_together(examined.ranked, examined.scores, examined.settings)
-    excess = excess_nis(examined.run)
-    drift = None if blocks is None else _drift(blocks, MARGIN * known, excess)
-    if drift is not None or not _shows_in_turns(examined):
+    if drift is not None and drift.gain - 2.0 * examined.settings.coefficient_price > MARGIN * known:
         return drift
+    if not shows_in_turns:
+        return None
     if has_offset:
         return _jitter(examined, known, _heading_information(examined.seen), (0.0, 0.0))
-    if blocks is None:
-        return None
+    return None if blocks is None else _changing(examined, blocks, known)
+
+
+def _changing(examined: ExaminedModel, blocks: _BlockOffsets, known: float) -> TimingFault | None:
+    """Return an offset that changes from block to block, or jitter where not even that explains much.
+
+    Args:
+        examined: a model.
+        blocks: offset of each block.
+        known: log-likelihood that all effects together gain.
+    """
+    excess, price = excess_nis(examined.run), examined.settings.coefficient_price * len(blocks.time_s)
     sharp = blocks.values_s[blocks.stds_s < MIN_STD * np.ptp(blocks.values_s)]
     gain = blocks.gain(blocks.values_s)
     spread = (float(sharp.min()), float(sharp.max())) if len(sharp) else (0.0, 0.0)
     if 2.0 * max(gain, known) < JITTERS_PART * excess:
         return _jitter(examined, max(gain, known), float(blocks.information.sum()), spread)
-    price = examined.settings.coefficient_price * len(blocks.time_s)
     explains = gain - price > MARGIN * known and 2.0 * gain > CHANGES_PART * excess
     if not explains or spread[1] - spread[0] < MIN_CHANGE_S:
         return None
@@ -141,13 +154,12 @@ def _block_offsets(scores: ScoreStatistics, column: int) -> _BlockOffsets | None
     return _BlockOffsets(scores.start_s[excited], score[excited], information[excited])
 
 
-def _drift(blocks: _BlockOffsets, least_gain: float, excess: float) -> TimingFault | None:
+def _drift(blocks: _BlockOffsets, excess: float) -> TimingFault | None:
     """Return an offset that grows steadily, as of two clocks that are not synchronised; None without.
 
     Args:
         blocks: offset of each block.
-        least_gain: log-likelihood that it has to gain.
-        excess: excess of the NIS.
+        excess: excess of the NIS, most of which it has to explain.
     """
     sharp = blocks.stds_s < MIN_STD * np.ptp(blocks.values_s)
     if np.count_nonzero(sharp) < DRIFT_BLOCKS:
@@ -160,7 +172,7 @@ def _drift(blocks: _BlockOffsets, least_gain: float, excess: float) -> TimingFau
     grown_s, scatter_s = abs(slope) * np.ptp(time_s), math.sqrt(np.average(left_s**2, weights=weights**2))
     gain = blocks.gain(line_s)
     is_line = grown_s > MIN_CHANGE_S and scatter_s < DRIFT_SCATTER * grown_s
-    if not is_line or gain < least_gain or 2.0 * gain < DRIFTS_PART * excess:
+    if not is_line or 2.0 * gain < DRIFTS_PART * excess:
         return None
     low_s, high_s = (float(line_s[sharp][place]) for place in ((0, -1) if slope > 0.0 else (-1, 0)))
     return TimingFault('changes', low_s, high_s, scatter_s, gain, drift_ppm=1e6 * float(slope))

@@ -133,9 +133,8 @@ def shapes(run: Run, seen: Headings) -> list[Shape]:
 
 
 def turns_enough(run: Run) -> bool:
-    """Return True if the scale can be judged beside the scale factor, which one turn is taken up by."""
-    turned_rad, dt_s = np.abs(run.history.turn_rad), run.history.dt_s
-    return float(turned_rad[turned_rad > TURNING_RAD_S * dt_s].sum()) > LEAST_TURNED_RAD
+    """Return True if a run can tell changes of the scale: the first turn determines the scale factor."""
+    return sum(run.history.turned_rad(TURNING_RAD_S)) > LEAST_TURNED_RAD
 
 
 def axes(run: Run) -> Iterator[tuple[str, Array]]:

@@ -11,8 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-import numpy as np
-
 from gyrocal_ros.diagnose.advice import join
 from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
@@ -22,7 +20,6 @@ from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.state import YAW_BIAS
 from gyrocal_ros.pipeline.calibration import Calibration
 
 Level: TypeAlias = Literal['green', 'yellow', 'red']
@@ -113,11 +110,7 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
 
 def turned_deg(run: Run) -> tuple[float, float]:
     """Return the total turn to the left and to the right, in degrees, by the gyro while the robot turned."""
-    history = run.history
-    turn = history.turn_rad + history.mean[:, YAW_BIAS] * history.dt_s
-    turning = np.abs(turn) > TURNING_RAD_S * history.dt_s
-    sides = (np.maximum(side * turn, 0.0)[turning].sum() for side in (1.0, -1.0))
-    left, right = (math.degrees(float(total)) for total in sides)
+    left, right = map(math.degrees, run.history.turned_rad(TURNING_RAD_S))
     return left, right
 
 

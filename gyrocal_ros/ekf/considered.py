@@ -76,9 +76,7 @@ def not_told_at_rest(state: State, model: ImageModel) -> IntArray:
 
 def wait_for_motion(model: ImageModel) -> bool:
     """Return True while coefficients keep their values until the camera has moved."""
-    if model.has_moved or not model.effects.act_on_view:
-        return False
-    return bool((model.effects.shown(moves=False, turns=model.turns) == 0.0).any())
+    return not model.has_moved and model.effects.act_on_view and bool(_is_not_told(model).any())
 
 
 def combinations_not_told(state: State, model: ImageModel) -> Array:
@@ -86,13 +84,18 @@ def combinations_not_told(state: State, model: ImageModel) -> Array:
     effects, stretch, k = model.effects, model.stretch_by_values, state.coefficient_columns
     if not effects.act_on_view:  # always shown
         return np.empty((0, effects.count))
-    not_told = np.eye(effects.count)[effects.shown(moves=model.has_moved, turns=model.turns) == 0.0]
+    not_told = np.eye(effects.count)[_is_not_told(model)]
     if not model.has_moved or stretch is None:
         return not_told
     variance = float(stretch @ state.covariance[k, k] @ stretch)
     if variance < MIN_STRETCH_STD**2:
         return not_told
     return np.concatenate([not_told, stretch[None]])
+
+
+def _is_not_told(model: ImageModel) -> np.ndarray:
+    """Return which coefficients (k,) an image cannot tell by itself."""
+    return model.effects.shown(moves=model.has_moved, turns=model.turns) == 0.0
 
 
 def stretch_by_values(way_m: Array, drift_by_values: Array) -> Array | None:

@@ -102,6 +102,12 @@ class History:
         """(s, k)"""
         return self.mean[:, COEFFICIENTS_START:]
 
+    def turned_rad(self, above_rad_s: float) -> tuple[float, float]:
+        """Return the total turn to the left and to the right, bias taken off, in steps above a rate."""
+        turn = self.turn_rad + self.mean[:, YAW_BIAS] * self.dt_s
+        left, right = turn > above_rad_s * self.dt_s, turn < -above_rad_s * self.dt_s
+        return float(turn[left].sum()), -float(turn[right].sum())
+
 
 TURNING_RAD_S = math.radians(2.0)
 """Rate beside the bias from which the robot turns, whatever the encoders say."""

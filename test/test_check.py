@@ -156,6 +156,25 @@ def test_nan(tmp_path: Path) -> None:
     assert '9 of 1000' in issues['not_finite'].text
 
 
+def test_readings_that_no_motion_explains(tmp_path: Path) -> None:
+    rng, kept = np.random.default_rng(1), (0.0, 0.0, 0.0)
+
+    def with_faults(sample: ImuSample) -> ImuSample:
+        nonlocal kept
+        x, y, z = sample.rate_rad_s
+        if 8.05 < time_s(sample) < 8.305:
+            return replace(sample, rate_rad_s=kept)
+        if abs(time_s(sample) - 4.0) < 0.001:
+            return replace(sample, rate_rad_s=(x, y, z - 5.0))
+        kept = (x, y, z + 0.001 * rng.standard_normal())
+        return replace(sample, rate_rad_s=kept)
+
+    issues = issues_by_kind(check(tmp_path, with_changed(ImuSample, with_faults)))
+    assert set(issues) == {'spikes', 'frozen_readings'}
+    assert '1 reading of the gyro is far' in issues['spikes'].text
+    assert '25 readings of the gyro repeat' in issues['frozen_readings'].text
+
+
 @pytest.mark.parametrize(
     'R_ib, words',
     [(np.diag([1.0, -1.0, -1.0]), '180 deg about x'), (np.diag([1.0, -1.0, -1.0])[[2, 1, 0]], 'deg about y')],

@@ -9,6 +9,7 @@ from gyrocal_ros.bag.scan import BagScan, TopicScan
 from gyrocal_ros.bag.selection import NEEDED_ROLES
 from gyrocal_ros.bag.topic_stats import EventStats, TurnComparison, compare_turns
 from gyrocal_ros.data import seconds
+from gyrocal_ros.model.faulty_readings import FaultyReadings
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import Role
 
@@ -189,6 +190,7 @@ def _imu_issues(
         text = 'the gyro reads exactly zero throughout'
         yield _issue(imu, ERROR, 'dead_imu', text, 'choose another IMU topic')
         return
+    yield from _faulty_readings(imu, stats.faulty)
     yield from _accelerometer_issues(imu, stats.mean_force_m_s2, stats.tilt_rad)
     for scan, compared in comparisons.values():
         if _is_degrees(1.0 / compared.ratio):
@@ -218,6 +220,19 @@ def _imu_issues(
     elif min(left, right) < ONE_WAY_SHARE * (left + right):
         text = f'the robot turns {left:.0f} deg to the left, {right:.0f} deg to the right'
         yield _issue(imu, NOTE, 'one_way_turns', text, 'turns to both sides are needed to separate effects')
+
+
+def _faulty_readings(imu: TopicScan, faulty: FaultyReadings) -> Iterator[BagIssue]:
+    """Yield the issues of readings that no motion explains."""
+    if count := faulty.spikes:
+        noun = 'reading of the gyro is' if count == 1 else 'readings of the gyro are'
+        text = f'{count} {noun} far from those before and after'
+        yield _issue(
+            imu, WARNING, 'spikes', text, 'they are left out; check the wires and the bus of the IMU'
+        )
+    if count := faulty.frozen:
+        text = f'{count} readings of the gyro repeat the one before, as if its driver had stalled'
+        yield _issue(imu, WARNING, 'frozen_readings', text, 'they are left out; check its driver')
 
 
 def _accelerometer_issues(imu: TopicScan, force_m_s2: float, tilt_rad: float) -> Iterator[BagIssue]:

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gyrocal_ros.data import NS_PER_S, Array, IntArray, seconds
+from gyrocal_ros.data import NS_PER_S, Array, ImuSample, IntArray, seconds
+from gyrocal_ros.model.faulty_readings import MIN_JUMP_RAD_S, FaultyReadings
 
 STEADY_PART = 0.95
 """Part of the mean norm of the specific force that its mean has if the robot keeps its attitude."""
@@ -203,6 +204,8 @@ class ImuStats:
     """Number of samples."""
     zero_count: int = 0
     """Number of samples with all three rates exactly zero."""
+    faulty: FaultyReadings = field(default_factory=FaultyReadings)
+    """Readings that the filter leaves out."""
     largest_rate_rad_s: float = 0.0
     force_sum_m_s2: float = 0.0
     direction_sum_m_s2: Array = field(default_factory=lambda: np.zeros(3))
@@ -227,6 +230,10 @@ class ImuStats:
         self.direction_sum_m_s2 = self.direction_sum_m_s2 + self.R_bi @ readings[:, 3:].sum(axis=0)
         for turns, axis_rates in zip(self.axis_turns, rates.T, strict=True):
             turns.add(stamps_ns, axis_rates)
+        steps = np.diff(rates, axis=0)
+        if (np.abs(steps[:, 2]) > MIN_JUMP_RAD_S).any() or not steps.any(axis=1).all():
+            for t_ns, rate_rad_s in zip(stamps_ns.tolist(), rates.tolist(), strict=True):
+                self.faulty.sound(ImuSample(t_ns, tuple(rate_rad_s), (0.0, 0.0, 0.0)))
 
     def turning_axis(self, other: TurnStats) -> str:
         """Return the horizontal axis, with its sign, that turns as another sensor; empty if none does."""

@@ -15,9 +15,8 @@ RANGE = (0.002, 0.998)
 SMOOTHING_S = 0.07
 """Time over which the specific force is averaged: about that between two images."""
 
-
-MIN_READINGS = 100
-"""Number of readings of the gyro below which nothing can be learned."""
+MIN_BLOCKS = 10
+"""Number of such times below which nothing can be learned."""
 
 
 def signal_ranges(source: Source) -> dict[str, tuple[float, float]]:
@@ -36,11 +35,15 @@ def signal_ranges(source: Source) -> dict[str, tuple[float, float]]:
             columns[sample.name].append(sample.value)
         elif isinstance(sample, TemperatureSample):
             columns[TEMPERATURE].append(sample.temperature_c)
-    if len(times_ns) < MIN_READINGS:
+    if not times_ns:
         return {}
     readings, time_s = np.array(imu), 1e-9 * (np.array(times_ns) - times_ns[0])
-    count = max(round(SMOOTHING_S / float(np.median(np.diff(time_s)))), 1)
+    steps_s = np.diff(time_s)
+    steps_s = steps_s[steps_s < SMOOTHING_S]  # a longer one is a gap
+    count = round(SMOOTHING_S / float(steps_s.mean())) if len(steps_s) else 1
     blocks = len(readings) // count
+    if blocks < MIN_BLOCKS:
+        return {}
     means = readings[: blocks * count].reshape(blocks, count, 4).mean(axis=1)
     smooth = dict(zip((RATE, 'force_x', 'force_y', 'force_z'), means.T, strict=True))
     middle_s = time_s[: blocks * count].reshape(blocks, count).mean(axis=1)

@@ -21,6 +21,7 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.kernels import compiled
+from gyrocal_ros.model.faulty_readings import FaultyReadings
 from gyrocal_ros.model.recording import SPEED_SIGNAL
 
 GAP_NS = 100_000_000
@@ -70,6 +71,7 @@ class MotionBuffer:
 
     def __init__(self, running_s: float = 0.0) -> None:
         self.start_ns: int | None = None
+        self.faulty = FaultyReadings()
         self._running_s = running_s
         self._imu_ns: list[int] = []
         self._usual_interval_ns = float(GAP_NS)
@@ -84,22 +86,24 @@ class MotionBuffer:
     def add(self, sample: ImuSample | WheelSample | TemperatureSample | CovariateSample) -> None:
         """Add one sample; a sample that is not newer than the last of its kind is ignored."""
         if isinstance(sample, ImuSample):
-            if self._imu_ns and sample.t_ns <= self._imu_ns[-1]:
-                return
-            if self.start_ns is None:
-                self.start_ns = sample.t_ns
-            if self._imu_ns:
-                # Fast decrease and slow increase: right even while most samples are lost.
-                longer_ns = sample.t_ns - self._imu_ns[-1] - self._usual_interval_ns
-                self._usual_interval_ns += longer_ns * (0.001 if longer_ns > 0.0 else 0.2)
-            self._imu_ns.append(sample.t_ns)
-            self._imu.append((*sample.rate_rad_s, *sample.specific_force_m_s2))
+            for sound in self.faulty.sound(sample):
+                self._add_imu(sound)
         elif isinstance(sample, WheelSample):
             self._add_wheels(sample)
         elif isinstance(sample, TemperatureSample):
             self._temperature.append(sample.t_ns, sample.temperature_c)
         else:
             self._covariates.setdefault(sample.name, _Signal()).append(sample.t_ns, sample.value)
+
+    def _add_imu(self, sample: ImuSample) -> None:
+        if self.start_ns is None:
+            self.start_ns = sample.t_ns
+        if self._imu_ns:
+            # Fast decrease and slow increase: right even while most samples are lost.
+            longer_ns = sample.t_ns - self._imu_ns[-1] - self._usual_interval_ns
+            self._usual_interval_ns += longer_ns * (0.001 if longer_ns > 0.0 else 0.2)
+        self._imu_ns.append(sample.t_ns)
+        self._imu.append((*sample.rate_rad_s, *sample.specific_force_m_s2))
 
     def _add_wheels(self, sample: WheelSample) -> None:
         travelled, turned = self._travelled, self._turned

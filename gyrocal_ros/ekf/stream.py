@@ -19,6 +19,7 @@ from gyrocal_ros.data import (
     TemperatureSample,
     TruthSample,
     WheelSample,
+    changed,
     nanoseconds,
 )
 from gyrocal_ros.ekf.motion import MotionBuffer
@@ -173,7 +174,7 @@ class SlamStream:
             if blind_until_ns := self._sync.blind_until_ns(now_ns, offset_s):
                 self.slam.skip_to(blind_until_ns)
             elif item := self._sync.next_block(now_ns, until_ns, offset_s):
-                records.append(self.slam.step(*item))
+                records.append(_with_event(self.slam.step(*item), self._sync.buffer.faulty.news()))
             else:
                 return records
 
@@ -183,6 +184,11 @@ class SlamStream:
         self.slam.start_new_time_base(step.t_ns)
         self.has_started = False
         return records
+
+
+def _with_event(record: StepRecord, event: str) -> StepRecord:
+    """Return a record with one event more, where there is one."""
+    return changed(record, event='; '.join(filter(None, (record.event, event)))) if event else record
 
 
 def _true_time_ns(seen: Seen, offset_s: float) -> int:

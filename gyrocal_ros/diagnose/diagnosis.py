@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,7 +92,8 @@ class Diagnosis:
 def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:
     """Draw the conclusions from a search."""
     missing = sorted(_missing(searched), key=lambda item: item.gain, reverse=True)
-    return _conclude(searched.first, searched.last, missing, recording)
+    refuted = [item.effect.name for item in searched.additions if item.predictive_gain < 0.0]
+    return _conclude(searched.first, searched.last, missing, recording, refuted)
 
 
 def diagnose_before_adding(
@@ -124,14 +125,27 @@ def diagnose_before_adding(
 
 
 def _conclude(
-    first: ExaminedModel, last: ExaminedModel, missing: list[MissingEffect], recording: RecordingSummary
+    first: ExaminedModel,
+    last: ExaminedModel,
+    missing: list[MissingEffect],
+    recording: RecordingSummary,
+    refuted: Collection[str] = (),
 ) -> Diagnosis:
+    """Draw the conclusions from the first model and the last one.
+
+    Args:
+        first: the model that was given.
+        last: the model with all that was found.
+        missing: effects that were found.
+        recording: what the recording contains.
+        refuted: names of effects with which a run predicted worse.
+    """
     not_judged = dict(_not_judged(last, recording))
     coarse_step_rad_s = coarse_step(recording.readings)
     structure, fit, timing = last.unexplained_structure, model_fit(last.run), timing_fault(last)
     uneven = None
     if not missing and turns_enough(last.run):
-        uneven = uneven_gyro_effect(last.ranked, (), last.settings)
+        uneven = uneven_gyro_effect(last.ranked, refuted, last.settings)
     is_coarse = coarse_step_rad_s is not None
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
     if verdict == 'nothing_missing':

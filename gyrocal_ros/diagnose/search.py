@@ -156,6 +156,8 @@ def continued(
         if following is None and (is_exact or is_first):
             following = _uneven_addition(present, recording, calibrate, excluded, is_first=is_first)
         if following is not None:
+            if following.is_kept and following.is_impossible:
+                following = _contested(following, recording, calibrate, set())
             following = _with_limits_resized(following, found, recording, calibrate)
             found.append(following)
             if following.is_kept:

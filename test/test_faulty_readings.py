@@ -50,8 +50,7 @@ def test_all_readings_of_a_sound_gyro_pass_at_once() -> None:
     assert faulty.news() == ''
 
 
-@pytest.mark.parametrize('size_rad_s', [0.5, -4.0, 30.0])
-@pytest.mark.parametrize('count', [1, 2])
+@pytest.mark.parametrize('size_rad_s, count', [(0.5, 1), (-4.0, 1), (30.0, 1), (-8.0, 2), (30.0, 2)])
 def test_spikes_are_left_out(size_rad_s: float, count: int) -> None:
     rates = turning()
     rates[420 : 420 + count, 2] += size_rad_s
@@ -61,9 +60,10 @@ def test_spikes_are_left_out(size_rad_s: float, count: int) -> None:
     assert faulty.news() == ''
 
 
-def test_a_blow_that_lasts_passes() -> None:
+@pytest.mark.parametrize('size_rad_s, count', [(2.0, 2), (30.0, 3)])
+def test_a_blow_that_turns_the_robot_passes(size_rad_s: float, count: int) -> None:
     rates = turning()
-    rates[420:423, 2] += 2.0  # three readings long: the robot has turned
+    rates[420 : 420 + count, 2] += size_rad_s
     faulty, sound = passed(rates)
     assert sound == list(range(len(rates))) and not faulty.spikes
 

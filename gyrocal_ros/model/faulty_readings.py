@@ -25,6 +25,9 @@ STEP_MEMORY = 0.02
 RETURNED = 0.25
 """Part of its jump that a spike leaves behind."""
 MAX_SPIKE_READINGS = 2
+BLOW_S, MAX_BLOW_RAD = 0.025, 0.1
+"""Shortest time in which a blow may turn the robot to and fro, and largest turn by it: what lasts longer and
+turns less may be one."""
 FROZEN_S, MIN_FROZEN_READINGS = 0.1, 5
 """Time and number of equal readings from which a gyro is frozen."""
 MAX_REPEATED_SHARE, MIN_READINGS = 0.02, 200
@@ -110,11 +113,13 @@ class FaultyReadings:
         return is_rare and abs(sample.rate_rad_s[2]) < self._largest_rad_s
 
     def _has_returned(self, sample: ImuSample) -> bool:
-        """Return True if few readings are held, they jumped away, and this one is back."""
+        """Return True if few readings are held, they jumped away as by no blow, and this one is back."""
         assert self._last is not None
         before, away = self._last.rate_rad_s[2], self._held[0].rate_rad_s[2]
-        left = abs(sample.rate_rad_s[2] - before)
-        return len(self._held) <= MAX_SPIKE_READINGS and left < RETURNED * abs(away - before)
+        jump_rad_s, left_rad_s = abs(away - before), abs(sample.rate_rad_s[2] - before)
+        lasts_s = seconds(sample.t_ns - self._last.t_ns)
+        is_no_blow = lasts_s < BLOW_S or 0.5 * lasts_s * jump_rad_s > MAX_BLOW_RAD
+        return len(self._held) <= MAX_SPIKE_READINGS and left_rad_s < RETURNED * jump_rad_s and is_no_blow
 
     def _pass(self, sample: ImuSample) -> None:
         """Learn what is usual from a sound reading."""

@@ -175,6 +175,15 @@ def test_readings_that_no_motion_explains(tmp_path: Path) -> None:
     assert '25 readings of the gyro repeat' in issues['frozen_readings'].text
 
 
+def test_speeds_that_no_motion_explains(tmp_path: Path) -> None:
+    def with_spike(sample: WheelSample) -> WheelSample:
+        return replace(sample, speed_m_s=6.0) if 4.0 < time_s(sample) < 4.04 else sample
+
+    issues = issues_by_kind(check(tmp_path, with_changed(WheelSample, with_spike)))
+    assert list(issues) == ['spikes'] and '1 speed is far' in issues['spikes'].text
+    assert issues['spikes'].topic == '/wheel/odometry'
+
+
 @pytest.mark.parametrize(
     'R_ib, words',
     [(np.diag([1.0, -1.0, -1.0]), '180 deg about x'), (np.diag([1.0, -1.0, -1.0])[[2, 1, 0]], 'deg about y')],

@@ -1,4 +1,4 @@
-"""Spikes and frozen readings of a gyro are left out; everything that motion explains passes."""
+"""Faulty readings of gyro and encoders are left out or replaced; everything that motion explains passes."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pytest
 from recordings import ModifiedSource, recording
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import Array, ImuSample, Measurement
+from gyrocal_ros.data import Array, ImuSample, Measurement, WheelSample
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.model.faulty_readings import FROZEN, SPIKE, FaultyReadings
+from gyrocal_ros.model.faulty_readings import FROZEN, SPIKE, FaultyGyro, FaultyWheels
 from gyrocal_ros.pipeline.calibrate import calibrate
 
 NOISE_RAD_S = 0.002
@@ -36,15 +36,15 @@ def samples(rates: Array) -> list[ImuSample]:
     ]
 
 
-def passed(rates: Array) -> tuple[FaultyReadings, list[int]]:
+def passed(rates: Array) -> tuple[FaultyGyro, list[int]]:
     """Return the judge, and the numbers of the readings that it has passed, in their order."""
-    faulty = FaultyReadings()
+    faulty = FaultyGyro()
     sound = [out.t_ns // PERIOD_NS for sample in samples(rates) for out in faulty.sound(sample)]
     return faulty, sound
 
 
 def test_all_readings_of_a_sound_gyro_pass_at_once() -> None:
-    faulty = FaultyReadings()
+    faulty = FaultyGyro()
     for sample in samples(turning()):
         assert list(faulty.sound(sample)) == [sample]
     assert faulty.news() == ''
@@ -113,9 +113,45 @@ def test_a_coarse_gyro_may_repeat_itself() -> None:
 
 
 def test_a_reading_that_is_not_newer_is_ignored() -> None:
-    faulty, (first, second, *_) = FaultyReadings(), samples(turning())
+    faulty, (first, second, *_) = FaultyGyro(), samples(turning())
     assert list(faulty.sound(second)) == [second]
     assert list(faulty.sound(first)) == [] and list(faulty.sound(second)) == []
+
+
+def speeds(values_m_s: list[float]) -> tuple[FaultyWheels, list[float]]:
+    """Return the judge, and the speeds that it has passed, of readings every 50 ms."""
+    faulty = FaultyWheels()
+    sound: list[WheelSample] = []
+    for i, speed_m_s in enumerate(values_m_s):
+        sound += faulty.sound(WheelSample(5 * i * PERIOD_NS, speed_m_s, 0.1))
+    return faulty, [sample.speed_m_s for sample in sound]
+
+
+@pytest.mark.parametrize('glitch_m_s', [(9.0,), (-3.0,), (6.0, -6.0)])
+def test_spikes_of_the_encoders_are_replaced(glitch_m_s: tuple[float, ...]) -> None:
+    faulty, sound = speeds([0.1, 0.2, *glitch_m_s, 0.4, 0.3])
+    assert sound == pytest.approx([0.1, 0.2, *[0.3] * len(glitch_m_s), 0.4, 0.3])
+    assert faulty.spikes == len(glitch_m_s)
+
+
+def test_speeds_that_wheels_reach_pass() -> None:
+    values_m_s = [
+        0.0,
+        0.3,
+        1.2,
+        0.2,
+        -0.8,
+        0.0,
+        5.0,
+        5.0,
+        5.1,
+        5.0,
+        0.0,
+        0.0,
+        0.0,
+    ]  # slips, and a sudden unit
+    faulty, sound = speeds(values_m_s)
+    assert sound == values_m_s and not faulty.spikes
 
 
 def with_faults(measurements: Iterable[Measurement]) -> Iterator[Measurement]:

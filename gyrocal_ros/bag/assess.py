@@ -9,7 +9,7 @@ from gyrocal_ros.bag.scan import BagScan, TopicScan
 from gyrocal_ros.bag.selection import NEEDED_ROLES
 from gyrocal_ros.bag.topic_stats import EventStats, TurnComparison, compare_turns
 from gyrocal_ros.data import seconds
-from gyrocal_ros.model.faulty_readings import FaultyReadings
+from gyrocal_ros.model.faulty_readings import FaultyGyro
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import Role
 
@@ -70,6 +70,11 @@ def assess(bag: BagScan, *, reorder_window_s: float) -> Iterator[BagIssue]:
             yield from _synchronisation_issues(scan, imus[0], reorder_window_s)
     for imu in imus:
         yield from _imu_issues(imu, bag, _compare_with_imu(imu, stamped, bag))
+    wheels = bag.of_role(Role.WHEELS)
+    if wheels and (count := bag.wheels.spikes):
+        noun = 'speed is' if count == 1 else 'speeds are'
+        text = f'{count} {noun} far from those before and after'
+        yield _issue(wheels, WARNING, 'spikes', text, 'they are replaced; check the wires of the encoders')
     features = bag.of_role(Role.FEATURES)
     if features and bag.feature_count < MIN_FEATURES * features.stamps.count:
         mean = bag.feature_count / features.stamps.count
@@ -222,14 +227,12 @@ def _imu_issues(
         yield _issue(imu, NOTE, 'one_way_turns', text, 'turns to both sides are needed to separate effects')
 
 
-def _faulty_readings(imu: TopicScan, faulty: FaultyReadings) -> Iterator[BagIssue]:
+def _faulty_readings(imu: TopicScan, faulty: FaultyGyro) -> Iterator[BagIssue]:
     """Yield the issues of readings that no motion explains."""
     if count := faulty.spikes:
         noun = 'reading of the gyro is' if count == 1 else 'readings of the gyro are'
         text = f'{count} {noun} far from those before and after'
-        yield _issue(
-            imu, WARNING, 'spikes', text, 'they are left out; check the wires and the bus of the IMU'
-        )
+        yield _issue(imu, WARNING, 'spikes', text, 'they are left out; check the wires of the IMU')
     if count := faulty.frozen:
         text = f'{count} readings of the gyro repeat the one before, as if its driver had stalled'
         yield _issue(imu, WARNING, 'frozen_readings', text, 'they are left out; check its driver')

@@ -15,8 +15,9 @@ from gyrocal_ros.bag.rig import read_imu_rotation
 from gyrocal_ros.bag.selection import Selection
 from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.bag.topic_stats import ImuStats, StampStats, TurnStats
-from gyrocal_ros.data import NS_PER_S, Array, HeadingSample, IntArray
+from gyrocal_ros.data import NS_PER_S, Array, HeadingSample, IntArray, WheelSample
 from gyrocal_ros.errors import MessageError
+from gyrocal_ros.model.faulty_readings import FaultyWheels
 from gyrocal_ros.msgs.headings import heading_conversion
 from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.msgs.topics import (
@@ -86,6 +87,8 @@ class BagScan:
     """Statistics by topic; several if no topic is selected as the IMU."""
     turns: dict[Role, TurnStats] = field(default_factory=dict)
     """Turns by wheels and by heading reference."""
+    wheels: FaultyWheels = field(default_factory=FaultyWheels)
+    """Readings of the encoders that the filter replaces."""
     feature_count: int = 0
     """Number of features in all images together."""
     _by_topic: dict[str, list[TopicScan]] = field(default_factory=lambda: defaultdict(list))
@@ -178,7 +181,13 @@ def _ignore(stamps_ns: IntArray, numbers: Array) -> None:
 
 def _wheel_handler(scan: BagScan) -> BlockHandler:
     turns = scan.turns[Role.WHEELS] = TurnStats()
-    return lambda stamps_ns, numbers: turns.add(stamps_ns, numbers[:, 1])
+
+    def handle(stamps_ns: IntArray, numbers: Array) -> None:
+        turns.add(stamps_ns, numbers[:, 1])
+        for t_ns, motion in zip(stamps_ns.tolist(), numbers.tolist(), strict=True):
+            scan.wheels.sound(WheelSample(t_ns, *motion))
+
+    return handle
 
 
 def _heading_handler(scan: BagScan, conversion: FieldConversion[HeadingSample]) -> BlockHandler:

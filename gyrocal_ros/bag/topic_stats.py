@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gyrocal_ros.data import NS_PER_S, Array, ImuSample, IntArray, seconds
-from gyrocal_ros.model.faulty_readings import MIN_JUMP_RAD_S, FaultyReadings
+from gyrocal_ros.model.faulty_readings import MIN_JUMP_RAD_S, FaultyGyro
 
 STEADY_PART = 0.95
 """Part of the mean norm of the specific force that its mean has if the robot keeps its attitude."""
@@ -204,7 +204,7 @@ class ImuStats:
     """Number of samples."""
     zero_count: int = 0
     """Number of samples with all three rates exactly zero."""
-    faulty: FaultyReadings = field(default_factory=FaultyReadings)
+    faulty: FaultyGyro = field(default_factory=FaultyGyro)
     """Readings that the filter leaves out."""
     largest_rate_rad_s: float = 0.0
     force_sum_m_s2: float = 0.0

@@ -21,7 +21,7 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.kernels import compiled
-from gyrocal_ros.model.faulty_readings import FaultyReadings
+from gyrocal_ros.model.faulty_readings import FaultyGyro, FaultyWheels
 from gyrocal_ros.model.recording import SPEED_SIGNAL
 
 GAP_NS = 100_000_000
@@ -71,7 +71,7 @@ class MotionBuffer:
 
     def __init__(self, running_s: float = 0.0) -> None:
         self.start_ns: int | None = None
-        self.faulty = FaultyReadings()
+        self.faulty_gyro, self._faulty_wheels = FaultyGyro(), FaultyWheels()
         self._running_s = running_s
         self._imu_ns: list[int] = []
         self._usual_interval_ns = float(GAP_NS)
@@ -86,10 +86,11 @@ class MotionBuffer:
     def add(self, sample: ImuSample | WheelSample | TemperatureSample | CovariateSample) -> None:
         """Add one sample; a sample that is not newer than the last of its kind is ignored."""
         if isinstance(sample, ImuSample):
-            for sound in self.faulty.sound(sample):
+            for sound in self.faulty_gyro.sound(sample):
                 self._add_imu(sound)
         elif isinstance(sample, WheelSample):
-            self._add_wheels(sample)
+            for moved in self._faulty_wheels.sound(sample):
+                self._add_wheels(moved)
         elif isinstance(sample, TemperatureSample):
             self._temperature.append(sample.t_ns, sample.temperature_c)
         else:
@@ -110,12 +111,10 @@ class MotionBuffer:
         if not travelled.t_ns:
             travelled.append(sample.t_ns, 0.0)
             turned.append(sample.t_ns, 0.0)
-        elif sample.t_ns > travelled.t_ns[-1]:
+        else:
             interval_s = seconds(sample.t_ns - travelled.t_ns[-1])
             travelled.append(sample.t_ns, travelled.values[-1] + sample.speed_m_s * interval_s)
             turned.append(sample.t_ns, turned.values[-1] + sample.yaw_rate_rad_s * interval_s)
-        else:
-            return
         self._speeds.append((sample.speed_m_s, sample.yaw_rate_rad_s))
 
     def running_s(self, t_ns: int) -> float:

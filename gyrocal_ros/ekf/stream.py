@@ -174,7 +174,7 @@ class SlamStream:
             if blind_until_ns := self._sync.blind_until_ns(now_ns, offset_s):
                 self.slam.skip_to(blind_until_ns)
             elif item := self._sync.next_block(now_ns, until_ns, offset_s):
-                records.append(_with_event(self.slam.step(*item), self._sync.buffer.faulty.news()))
+                records.append(_with_event(self.slam.step(*item), self._sync.buffer.faulty_gyro.news()))
             else:
                 return records
 

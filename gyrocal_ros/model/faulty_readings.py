@@ -1,8 +1,9 @@
-"""Readings of the gyro that no motion explains: spikes and frozen ones.
+"""Readings that no motion explains: spikes of gyro and encoders, and a frozen gyro.
 
 A bit that flips on the bus makes a single reading that is far from those before and after it; a driver that
-stalls repeats its last reading, or zeros. Both are faults of the sensor, not of its model. Such readings are
-left out, so that the filter treats their time as any other without samples.
+stalls repeats its last reading, or zeros. Both are faults of the sensor, not of its model. Such readings of
+the gyro are left out, so that the filter treats their time as any other without samples. Spikes of the speed
+are replaced by their neighbours, so that the way goes on.
 
 A reading that may be faulty waits for the next ones. All others are passed on at once.
 """
@@ -12,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from gyrocal_ros.data import ImuSample, seconds
+from gyrocal_ros.data import ImuSample, WheelSample, seconds
 
 MAX_ACCELERATION_RAD_S2 = 40.0
 """Yaw acceleration that a robot may reach both up and down within two samples, even if it hits something."""
@@ -33,11 +34,13 @@ FROZEN_S, MIN_FROZEN_READINGS = 0.1, 5
 MAX_REPEATED_SHARE, MIN_READINGS = 0.02, 200
 """Share of readings that repeat the one before, above which that is the resolution of the gyro, and the
 number of readings that tell it."""
+MAX_WHEEL_ACCELERATION_M_S2, MIN_SPEED_JUMP_M_S = 30.0, 0.5
+"""Acceleration of the wheels, even if they spin, and jump of the speed up to which no reading is a spike."""
 SPIKE = 'a reading of the gyro was far from those before and after it: such readings are left out'
 FROZEN = 'the gyro repeated one reading, as if its driver had stalled: such readings are left out'
 
 
-class FaultyReadings:
+class FaultyGyro:
     """Keeps spikes and frozen readings of a gyro from the filter, reading by reading."""
 
     def __init__(self) -> None:
@@ -133,3 +136,38 @@ class FaultyReadings:
             self._largest_rad_s = abs(rate[2])
         self._passed += 1
         self._last = sample
+
+
+class FaultyWheels:
+    """Replaces spikes in the speed by the encoders, reading by reading."""
+
+    def __init__(self) -> None:
+        self.spikes = 0
+        """Number of readings replaced."""
+        self._last: WheelSample | None = None
+        self._newest_ns: float = -math.inf
+        self._held: list[WheelSample] = []
+
+    def sound(self, sample: WheelSample) -> Sequence[WheelSample]:
+        """Take the next reading; return those known to be sound, in order. An older one is ignored."""
+        if sample.t_ns <= self._newest_ns:
+            return ()
+        self._newest_ns = sample.t_ns
+        held, last = self._held, self._last
+        jumps = last is not None and self._jumps(last, sample)
+        if jumps and len(held) < MAX_SPIKE_READINGS:
+            held.append(sample)
+            return ()
+        if last is not None and held and not jumps:
+            self.spikes += len(held)
+            speed_m_s = 0.5 * (last.speed_m_s + sample.speed_m_s)
+            yaw_rate_rad_s = 0.5 * (last.yaw_rate_rad_s + sample.yaw_rate_rad_s)
+            held = [WheelSample(item.t_ns, speed_m_s, yaw_rate_rad_s) for item in held]
+        self._held, self._last = [], sample
+        return (*held, sample)
+
+    def _jumps(self, before: WheelSample, sample: WheelSample) -> bool:
+        """Return True if no motion explains the step between two readings."""
+        jump_m_s = abs(sample.speed_m_s - before.speed_m_s)
+        by_motion_m_s = MAX_WHEEL_ACCELERATION_M_S2 * seconds(sample.t_ns - before.t_ns)
+        return jump_m_s > max(by_motion_m_s, MIN_SPEED_JUMP_M_S)

@@ -48,6 +48,7 @@ from gyrocal_ros.ekf.steady_rate import SteadyRate
 from gyrocal_ros.ekf.step_record import StepRecord, step_record
 from gyrocal_ros.ekf.track_noise import TrackNoise
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, zero_rate_update
+from gyrocal_ros.ekf.way_agreement import WayAgreement
 from gyrocal_ros.ekf.wheel_noise import WheelNoise
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.features import PARAMETRISATIONS
@@ -109,7 +110,7 @@ class EkfSlam:
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
         self._moving, self._sliding, self._resting_view = MovingFeatures(), SlidingPoints(), RestingView()
-        self._steady, self._frozen = SteadyRate(), FrozenCamera()
+        self._steady, self._frozen, self._way = SteadyRate(), FrozenCamera(), WayAgreement()
         self._heading = HeadingReference(config.reference, config.gyro)
         at_first = config.gyro if config.reference.estimate_noise else config.rest
         self._rest_noise = RestNoise(math.radians(at_first.rate_noise_deg_s))
@@ -140,6 +141,7 @@ class EkfSlam:
         is_at_rest = self._rest.is_at_rest(block, self.config.rest.settle_s)
         if self._levelling is None:
             self._frozen.move(block)
+            self._way.move(block)
         else:
             self._heading.move(block, self._rest_noise.density_rad_s if is_at_rest else None)
 
@@ -190,7 +192,7 @@ class EkfSlam:
     @property
     def finding(self) -> str:
         """What is wrong with the camera or the heading reference; empty where nothing is."""
-        return self._watch.finding
+        return self._way.finding or self._watch.finding
 
     def _gyro_noise(self, block: MotionBlock) -> GyroConfig:
         """Return the noise of the gyro in motion."""
@@ -251,8 +253,10 @@ class EkfSlam:
             return update, update.event
         if self._frozen.repeats(seen):
             return MeasurementUpdate(), self._frozen.event()
+        assert self.rig.camera is not None
+        turned = self._way.event(seen, self.rig.camera, self.rig.camera_mount)
         update = self._update_from_image(seen, is_at_rest=is_at_rest)
-        event = self._slip_watch.event(update, self.state.t_ns)
+        event = '; '.join(filter(None, (turned, self._slip_watch.event(update, self.state.t_ns))))
         if self._map_watch.is_lost(update, self.track_noise.pixel):
             self.state, event, self._telling_way = forget_all(self.state), MAP_DROPPED, TellingWay()
         return update, event

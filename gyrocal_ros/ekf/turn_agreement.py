@@ -11,6 +11,7 @@ import math
 from gyrocal_ros.ekf.convergence import is_plausible
 from gyrocal_ros.ekf.run import Run, step_by_step
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA
 
 INTERVAL_S = 0.5
 """Time over which turns are added up: in that of an image the noise of the wheels is larger than a turn."""
@@ -120,11 +121,12 @@ class TurnAgreement:
 
 
 def mounting_fault(run: Run) -> str:
-    """Return what is mounted or wired wrongly, by the turns of a run; empty where nothing is."""
+    """Return what is mounted or wired wrongly, by turns and way of a run; empty where nothing is."""
     history, agreement = run.history, TurnAgreement()
     for step in step_by_step(history.turn_rad, history.wheel_turn_rad, history.dt_s):
         agreement.add(*step)
     if not len(history.std):
         return ''
     scale = COEFFICIENTS_START
-    return agreement.fault(1.0 + float(history.mean[-1, scale]), float(history.std[-1, scale]))
+    fault = agreement.fault(1.0 + float(history.mean[-1, scale]), float(history.std[-1, scale]))
+    return fault or next((event.text for event in run.events if TURNED_CAMERA in event.text), '')

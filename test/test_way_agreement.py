@@ -1,0 +1,64 @@
+"""The way by the images is compared with that by the wheels: a turned camera, wheels that run backwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from recordings import ModifiedSource, each, recording
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import FeatureObservations, WheelSample
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.turn_agreement import mounting_fault
+from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA
+from gyrocal_ros.pipeline.calibrate import calibrate
+
+SOURCE = recording('cleaning', 4, duration_s=60.0)
+
+
+def calibrated(kind: type, change: Callable[[Any], Any]) -> Run:
+    return calibrate(ModifiedSource(SOURCE, each(kind, change)), Config(), default_model())
+
+
+def turned(seen: FeatureObservations, quarters: int) -> FeatureObservations:
+    """Return features as a camera sees them that is turned about its axis by some right angles."""
+    camera = SOURCE.rig.camera
+    assert camera is not None
+    centre = np.array([camera.cx_px, camera.cy_px])
+    turn = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), quarters)
+    return replace(seen, pixels=(seen.pixels - centre) @ turn.T + centre)
+
+
+def test_a_good_robot_has_no_fault() -> None:
+    run = calibrated(WheelSample, lambda wheels: wheels)
+    assert mounting_fault(run) == '' and not run.events
+
+
+@pytest.mark.parametrize('quarters, angles_deg', [(1, (89, 90, 91)), (2, (178, 179, 180))])
+def test_a_camera_that_is_turned_about_its_axis(quarters: int, angles_deg: tuple[int, ...]) -> None:
+    run = calibrated(FeatureObservations, lambda seen: turned(seen, quarters))
+    fault = mounting_fault(run)
+    assert fault.startswith(TURNED_CAMERA) and any(f'at {angle} deg' in fault for angle in angles_deg)
+    assert sum(TURNED_CAMERA in event.text for event in run.events) == 1
+
+
+def test_wheels_that_run_backwards() -> None:
+    run = calibrated(WheelSample, lambda wheels: replace(wheels, speed_m_s=-wheels.speed_m_s))
+    assert mounting_fault(run).startswith(TURNED_CAMERA)
+
+
+def test_a_small_error_of_the_mount_is_left_to_effects() -> None:
+    angle = np.radians(4.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    camera = SOURCE.rig.camera
+    assert camera is not None
+    centre = np.array([camera.cx_px, camera.cy_px])
+    run = calibrated(
+        FeatureObservations, lambda seen: replace(seen, pixels=(seen.pixels - centre) @ turn.T + centre)
+    )
+    assert mounting_fault(run) == ''

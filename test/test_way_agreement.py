@@ -12,10 +12,15 @@ from recordings import ModifiedSource, each, recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, WheelSample
+from gyrocal_ros.diagnose.diagnosis import diagnose
+from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.status import diagnosis_status
+from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA
+from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 
 SOURCE = recording('cleaning', 4, duration_s=60.0)
@@ -45,6 +50,20 @@ def test_a_camera_that_is_turned_about_its_axis(quarters: int, angles_deg: tuple
     fault = mounting_fault(run)
     assert fault.startswith(TURNED_CAMERA) and any(f'at {angle} deg' in fault for angle in angles_deg)
     assert sum(TURNED_CAMERA in event.text for event in run.events) == 1
+
+
+def test_a_diagnosis_tells_the_mount_and_judges_no_effect() -> None:
+    source = ModifiedSource(SOURCE, each(FeatureObservations, lambda seen: turned(seen, 2)))
+
+    def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
+        return calibrate(source, Config(), model, candidates=candidates)
+
+    summary = summarise_recording(source)
+    diagnosis = diagnose(find_missing(default_model(), summary, run), summary)
+    status = diagnosis_status(diagnosis)
+    assert diagnosis.verdict == 'cannot_tell'
+    assert status.level == 'red' and TURNED_CAMERA in status.sentence
+    assert status.next_step.startswith('Correct the transform of the camera')
 
 
 def test_wheels_that_run_backwards() -> None:

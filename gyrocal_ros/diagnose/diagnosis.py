@@ -142,7 +142,8 @@ def _conclude(
     """
     not_judged = dict(_not_judged(last, recording))
     coarse_step_rad_s = coarse_step(recording.readings)
-    structure, fit, timing = last.unexplained_structure, model_fit(last.run), timing_fault(last)
+    structure, fit = last.unexplained_structure, model_fit(last.run)
+    timing = None if fit.mounting else timing_fault(last)
     uneven = None
     if not missing and turns_enough(last.run):
         uneven = uneven_gyro_effect(last.ranked, refuted, last.settings)
@@ -218,6 +219,8 @@ def _verdict(
     fit: ModelFit,
     settings: DiagnosisSettings,
 ) -> str:
+    if fit.mounting:
+        return 'cannot_tell'
     if left is not None and left.gain > settings.leftover_part * sum(item.gain for item in missing):
         return 'unexplained'
     if missing and fit.fits is not False and all(is_noise(item.effect) for item in missing):

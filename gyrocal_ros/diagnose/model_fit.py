@@ -35,6 +35,8 @@ class ModelFit:
     """True if the recording is long enough to tell."""
     drift_ratio: float = math.nan
     """Held-out blind drift relative to what noise explains; NaN where there is no span, or no noise."""
+    mounting: str = ''
+    """Sensor that is mounted or wired wrongly, one of the contradictions; empty without."""
 
     @property
     def fits(self) -> bool | None:
@@ -48,8 +50,9 @@ def model_fit(run: Run) -> ModelFit:
     drift = blind_drift(run, from_s=held_out_from_s(run))
     by_noise_deg = drift_by_noise_deg(run, drift)
     is_judged = scatter.is_judged and len(drift.error_rad) > 0
-    misfits = tuple(_misfits(run, scatter, drift.rms_deg, by_noise_deg))
-    return ModelFit(misfits, is_judged, drift.rms_deg / by_noise_deg if by_noise_deg else math.nan)
+    mounting, others = mounting_fault(run), _misfits(run, scatter, drift.rms_deg, by_noise_deg)
+    misfits = tuple(filter(None, (mounting, *others)))
+    return ModelFit(misfits, is_judged, drift.rms_deg / by_noise_deg if by_noise_deg else math.nan, mounting)
 
 
 def excess_nis(run: Run) -> float:
@@ -82,8 +85,6 @@ def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
 
 
 def _misfits(run: Run, scatter: Scatter, drift_deg: float, by_noise_deg: float) -> Iterator[str]:
-    if fault := mounting_fault(run):
-        yield fault
     nis, limit = nis_per_dof(run.history.nis, run.history.dof), run.config.convergence.nis_high
     if nis is not None and nis > limit:
         yield f'the innovations are larger than expected (NIS {nis:.1f} per degree of freedom)'

@@ -116,6 +116,10 @@ def turned_deg(run: Run) -> tuple[float, float]:
 
 def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Status:
     """Return the verdict of a diagnosis, and the next step in the words of those who ask."""
+    if diagnosis.fit.mounting:
+        fault, _, remedy = diagnosis.fit.mounting.partition('; ')
+        sentence = f'Mounted or wired wrongly: {fault}. Effects cannot be judged until that is mended.'
+        return Status('red', sentence, f'{remedy[:1].upper()}{remedy[1:]}.')
     if diagnosis.timing is not None:
         return _timing_status(diagnosis.timing)
     sentence = _diagnosis_sentence(diagnosis)

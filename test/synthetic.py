@@ -98,7 +98,7 @@ def drive(
         nis=zeros,
         dof=np.ones(count),
         log_likelihood=zeros,
-        used=np.ones(count),
+        used=np.full(count, 10.0),
         rejected=zeros,
         dropped=zeros,
         on_lens=zeros,

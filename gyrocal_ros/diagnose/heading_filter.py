@@ -25,6 +25,8 @@ TURNING_RAD_S = math.radians(5.0)
 """Rate above which the robot counts as turning; on a straight line the rate is noise."""
 INITIAL_BIAS_STD_RAD_S = math.radians(1.0)
 """Prior standard deviation of the bias."""
+MIN_FEATURES = 3
+"""Features of an image below which one of them that is wrong cannot show."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +64,7 @@ def headings(run: Run, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> Headin
     )
     expected = earlier[:, YAW] + np.where(history.resting > 0, 0.0, by_gyro + history.tilt_rad)
     noise = yaw_noise_of(run.model, gyro, history.turn_rad / history.dt_s)
+    is_sure = (history.used >= MIN_FEATURES) | (run.rig.camera is None)
     return Headings(
         time_s=history.time_s,
         dt_s=history.dt_s,
@@ -69,7 +72,7 @@ def headings(run: Run, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> Headin
         unobserved_turn_std_rad=history.unobserved_turn_std_rad
         + math.radians(gyro.gap_rate_std_deg_s) * history.gap_s,
         turn_rad=turns(run, run.state.coefficients),
-        seen_rad=expected + history.heading_innovation_rad,
+        seen_rad=np.where(is_sure, expected + history.heading_innovation_rad, np.nan),
         std_rad=history.heading_innovation_std_rad,
         rate_noise_rad_s=noise.density_rad_s,
         bias_walk_rad_s=noise.bias_walk_rad_s,

@@ -136,7 +136,14 @@ def update_from_image(
         rejected=len(good) - told.used,
         noise_distances=_noise_dominated(judged, matches.unmoved, least) if is_in_pixels else np.empty(0),
         dropped_ids=dropped_ids,
+        compared=_compared(state, matches, judged),
     )
+
+
+def _compared(state: State, matches: _Matches, judged: Judged) -> tuple[IntArray, Array]:
+    """Return the numbers of the moved features, and their squared distances per degree of freedom."""
+    moved = (~matches.unmoved).nonzero()[0]
+    return state.landmarks.ids[matches.rows[moved]], judged.distances[moved] / DOF_PER_FEATURE
 
 
 def _match(state: State, model: ImageModel, observations: FeatureObservations) -> _Matches:

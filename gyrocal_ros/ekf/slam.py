@@ -26,6 +26,7 @@ from gyrocal_ros.ekf.calibration_watch import CalibrationWatch
 from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
 from gyrocal_ros.ekf.certain_way import is_certain, without_way
 from gyrocal_ros.ekf.considered import stretch_by_values
+from gyrocal_ros.ekf.contradictions import LastingContradictions
 from gyrocal_ros.ekf.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
@@ -110,6 +111,7 @@ class EkfSlam:
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
         self._moving, self._sliding, self._resting_view = MovingFeatures(), SlidingPoints(), RestingView()
+        self._contradictions = LastingContradictions()
         self._steady, self._frozen, self._way = SteadyRate(), FrozenCamera(), WayAgreement()
         self._heading = HeadingReference(config.reference, config.gyro)
         at_first = config.gyro if config.reference.estimate_noise else config.rest
@@ -275,7 +277,8 @@ class EkfSlam:
         if update.used:
             self.wheel_noise.learn(update.by_position, float(self.state.mean[YAW]))
         self._telling_way.see(self.state, model.view)
-        if not is_at_rest and self._agrees(update) and len(ids := self._sliding.find(self.state)):
+        if not is_at_rest and self._agrees(update):
+            ids = np.union1d(self._sliding.find(self.state), self._contradictions.find(*update.compared))
             self._moving.add(ids)
             self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])
         self._moving.update(observations.ids, update.dropped_ids)

@@ -20,10 +20,6 @@ from gyrocal_ros.ekf.scale_watch import DRIFT_STD, USUAL_DRIFT_STD, ScaleChange,
 from gyrocal_ros.ekf.state import SCALE, YAW, State
 from gyrocal_ros.ekf.update import UpdateStats
 
-REPEATED_PART, MAX_REPEATED_PX = 0.8, 0.12
-"""Standard deviation of an error that all matches of a turn have in common where motion blurs the images:
-relative to the noise of one feature, and at most. What is learned of that grows with a wrong scale factor."""
-
 
 @quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +92,7 @@ class CalibrationWatch:
         state: State,
         duration_s: float,
         updates: tuple[UpdateStats, ...],
-        pixel_noise_px: float,
+        common_px: float,
     ) -> tuple[State, Suspicions]:
         """Return the state after the tests of one step, and what they have found.
 
@@ -106,15 +102,14 @@ class CalibrationWatch:
             state: the one after the updates.
             duration_s: length of the step.
             updates: its updates, the last one by the image or the heading.
-            pixel_noise_px: learned noise of a feature.
+            common_px: standard deviation of an error that all features of a turn have in common.
         """
         camera = self._camera
         if camera is not None:
             camera.add(updates)
         sums = None if camera is None else camera.sums
         turned_rad = abs(float(predicted.mean[YAW] - before.mean[YAW]))
-        repeated_rad = min(REPEATED_PART * pixel_noise_px, MAX_REPEATED_PX) / self._focal_px
-        change = self._scale.add(duration_s, updates, sums, turned_rad, repeated_rad)
+        change = self._scale.add(duration_s, updates, sums, turned_rad, common_px / self._focal_px)
         follows, events = self._follows_changes and self._scale.is_settled, []
         if change is not None and follows:
             state = self._scale.follow(state, change)

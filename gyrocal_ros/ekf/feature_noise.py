@@ -133,6 +133,11 @@ class TypicalMatch:
         self._log_std, self._count = 0.0, 0
 
     @property
+    def is_known(self) -> bool:
+        """True if the tracker has told any."""
+        return self._count > 0
+
+    @property
     def std_px(self) -> float:
         """Standard deviation of a typical match."""
         return math.exp(self._log_std)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.ekf.feature_noise import TypicalMatch
@@ -10,6 +12,12 @@ from gyrocal_ros.ekf.slow_errors import SlowErrors
 from gyrocal_ros.ekf.stamp_noise import StampNoise
 from gyrocal_ros.ekf.update import MeasurementUpdate
 
+COMMON_PART, MAX_COMMON_PX = 0.8, 0.12
+"""Standard deviation of an error that all matches of a turn have in common where motion blurs the images:
+relative to the noise of one feature, and at most. What is learned of that grows with a wrong scale factor."""
+SLIDING_PX = 0.5
+"""The same where a tracker finds the features: some of them slide until they are found out, see
+`contradictions`, and turn the map."""
 MIN_PIXEL_NOISE_PX, MAX_PIXEL_NOISE_PX = 0.02, 5.0
 """Bounds of the estimated pixel noise; at the upper one the images do not fit the estimate."""
 
@@ -49,6 +57,12 @@ class TrackNoise:
     def learned_stamp_std_s(self) -> float:
         """That which the images show; 0 for stamps that are exact, and while nothing is known of them."""
         return self._stamp.learned_s if self._stamp else 0.0
+
+    @property
+    def common_px(self) -> float:
+        """Standard deviation of an error that all features of a turn have in common."""
+        sliding_px = SLIDING_PX if self._typical_match.is_known else 0.0
+        return math.hypot(min(COMMON_PART * self.pixel.std, MAX_COMMON_PX), sliding_px)
 
     @property
     def errors_repeat(self) -> bool:

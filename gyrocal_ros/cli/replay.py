@@ -36,7 +36,7 @@ from gyrocal_ros.msgs.issues import BagIssue, worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.pipeline.run_filter import Progress
-from gyrocal_ros.report.describe import quantity, status_line, summarised, with_std
+from gyrocal_ros.report.describe import events_in_words, quantity, status_line, with_std
 
 EXAMPLE = """gyrocal replay my_bag -o result
 gyrocal replay my_bag --json
@@ -108,8 +108,8 @@ def replay(
         for issue in worst_per_kind(checked.issues):
             print_message(f'{issue.severity}: {issue}')
         calibration = conclude(finished)
-        for event in summarised(finished.events):
-            warn(event.text)
+        for _, event in events_in_words(finished):
+            warn(event)
         if folder is not None:
             _write(folder, finished, calibration, checked.issues, png)
             print_if_requested(pdf, folder)

@@ -71,7 +71,7 @@ def examine(
     assert run.scores is not None
     scores, seen = candidates.project(run.scores), headings(run, settings)
     ranked, disturbed = without_disturbed(rank(scores, settings), settings)
-    most_gained = max((item.fit.gain for item in ranked), default=0.0)
+    most_gained = max((item.fit.gain for item in ranked if item.effect.acts_on == 'gyro'), default=0.0)
     structure = confirmed(unexplained_structure(run, seen, settings), most_gained, settings)
     return ExaminedModel(model, run, scores, tuple(ranked), disturbed, seen, structure, settings)
 

@@ -203,14 +203,15 @@ class DiagnosisSettings:
     structure_shown_part: float = threshold(
         0.1,
         '1',
-        'part of the structure that some effect must explain in the full filter: the headings alone cannot '
-        'distinguish it from errors of the map',
+        'part of the structure that some effect of the gyro must explain in the full filter: the headings '
+        'alone cannot distinguish it from errors of the map',
         'none',
     )
     structure_shown_gain: float = threshold(
         40.0,
         'nat',
-        'gain of an effect in the full filter that is enough, whatever part of the structure it is',
+        'gain of an effect of the gyro in the full filter that is enough, whatever part of the structure '
+        'it is',
         'effects out of the library',
     )
     leftover_part: float = threshold(

@@ -85,13 +85,14 @@ def unexplained_structure(
 def confirmed(
     structure: UnexplainedStructure | None, most_gained: float, settings: DiagnosisSettings
 ) -> UnexplainedStructure | None:
-    """Return the structure if the full filter sees it too: some effect then explains a part of it.
+    """Return the structure if the full filter sees it too: an effect of the gyro then explains some of it.
 
-    The headings alone cannot distinguish structure from errors of the map, which change with its features.
+    The headings alone cannot distinguish structure from errors of the map, which change with its features;
+    effects of the camera explain a part of these.
 
     Args:
         structure: structure by the headings.
-        most_gained: log-likelihood that the best effect gains in the full filter.
+        most_gained: log-likelihood that the best effect of the gyro gains in the full filter.
         settings: thresholds.
     """
     if structure is None:

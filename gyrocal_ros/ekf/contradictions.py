@@ -37,12 +37,14 @@ class LastingContradictions:
         if not len(ids):
             return ids
         # Where most features are off, the model is to blame.
-        usual = max(float(np.median(distances)), 1.0)
-        excess = np.minimum(distances / usual, MAX_DISTANCE) - ALLOWED
-        sums = {
-            feature: max(self._sums.get(feature, 0.0) + more, 0.0)
-            for feature, more in zip(ids.tolist(), excess.tolist(), strict=True)
-        }
-        found = [feature for feature, total in sums.items() if total > MAX_SUM]
-        self._sums = {feature: total for feature, total in sums.items() if 0.0 < total <= MAX_SUM}
+        squares = distances.tolist()
+        usual = max(sorted(squares)[len(squares) // 2], 1.0)
+        sums, found = {}, []
+        for feature, square in zip(ids.tolist(), squares, strict=True):
+            total = self._sums.get(feature, 0.0) + min(square / usual, MAX_DISTANCE) - ALLOWED
+            if total > MAX_SUM:
+                found.append(feature)
+            elif total > 0.0:
+                sums[feature] = total
+        self._sums = sums
         return np.array(found if len(found) <= MAX_SHARE * len(ids) else [], np.int64)

@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal_ros.data import IntArray
+from gyrocal_ros.ekf.contradictions import LastingContradictions
+from gyrocal_ros.ekf.sliding import SlidingPoints
+from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.update import MeasurementUpdate
 
 MAX_DROPS = 2
 """Number of times that a feature is removed from the map before it moves: the first place may be wrong."""
@@ -16,10 +20,11 @@ class MovingFeatures:
     """Keeps features that move out of the map while they are in view.
 
     Those are features that were removed from it again and again, and those that were seen moving: by a robot
-    at rest, or by their depth.
+    at rest, by their depth, or by what the others of their images expect.
     """
 
     def __init__(self) -> None:
+        self._sliding, self._contradictions = SlidingPoints(), LastingContradictions()
         self._drops: dict[int, int] = {}
         self._seen_moving: set[int] = set()
 
@@ -34,6 +39,13 @@ class MovingFeatures:
         self._seen_moving &= seen
         if len(self._removed()) > MAX_SHARE * len(in_view):
             self._drops.clear()
+
+    def find(self, state: State, update: MeasurementUpdate) -> IntArray:
+        """Return the ids of features of the map that an image that agrees with it shows to move."""
+        sliding, contradicting = self._sliding.find(state), self._contradictions.find(*update.compared)
+        found = {*sliding.tolist(), *contradicting.tolist()}
+        self._seen_moving |= found
+        return np.array(sorted(found), np.int64)
 
     def add(self, moving: IntArray) -> None:
         """Add features that were seen moving."""

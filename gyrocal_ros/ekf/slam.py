@@ -26,7 +26,6 @@ from gyrocal_ros.ekf.calibration_watch import CalibrationWatch
 from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
 from gyrocal_ros.ekf.certain_way import is_certain, without_way
 from gyrocal_ros.ekf.considered import stretch_by_values
-from gyrocal_ros.ekf.contradictions import LastingContradictions
 from gyrocal_ros.ekf.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
 from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
@@ -42,7 +41,6 @@ from gyrocal_ros.ekf.predict import FilterModel, Transition, predict, predict_se
 from gyrocal_ros.ekf.rest import RestDetector, RestNoise
 from gyrocal_ros.ekf.resting_view import RestingView
 from gyrocal_ros.ekf.scale_watch import COLUMNS
-from gyrocal_ros.ekf.sliding import SlidingPoints
 from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.steady_rate import SteadyRate
@@ -110,8 +108,7 @@ class EkfSlam:
         self._telling_way, self.wheel_noise = TellingWay(), WheelNoise(config.wheels)
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
-        self._moving, self._sliding, self._resting_view = MovingFeatures(), SlidingPoints(), RestingView()
-        self._contradictions = LastingContradictions()
+        self._moving, self._resting_view = MovingFeatures(), RestingView()
         self._steady, self._frozen, self._way = SteadyRate(), FrozenCamera(), WayAgreement()
         self._heading = HeadingReference(config.reference, config.gyro)
         at_first = config.gyro if config.reference.estimate_noise else config.rest
@@ -277,9 +274,7 @@ class EkfSlam:
         if update.used:
             self.wheel_noise.learn(update.by_position, float(self.state.mean[YAW]))
         self._telling_way.see(self.state, model.view)
-        if not is_at_rest and self._agrees(update):
-            ids = np.union1d(self._sliding.find(self.state), self._contradictions.find(*update.compared))
-            self._moving.add(ids)
+        if not is_at_rest and self._agrees(update) and len(ids := self._moving.find(self.state, update)):
             self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])
         self._moving.update(observations.ids, update.dropped_ids)
         known = update.used + update.rejected + update.unmoved

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed, quickly_filled
 from gyrocal_ros.ekf.anchors import settled, with_moved_anchors, with_moving_anchors
-from gyrocal_ros.ekf.camera_watch import CameraWatch
+from gyrocal_ros.ekf.camera_watch import PRIOR_STD, CameraWatch
 from gyrocal_ros.ekf.certain_way import at_certain_way
 from gyrocal_ros.ekf.considered import (
     combinations_not_told,
@@ -34,6 +34,8 @@ from gyrocal_ros.ekf.stamp_noise import stamp_error, with_stamp_noise
 from gyrocal_ros.ekf.state import POSE, YAW, State, features_seen
 from gyrocal_ros.ekf.update import (
     NO_DIFFERENCES,
+    NO_FEATURES,
+    NONE,
     Innovation,
     MeasurementUpdate,
     UpdateStats,
@@ -108,7 +110,8 @@ def update_from_image(
     if model.slow_variance_px:
         focal_px = model.view.camera.fx_px
         state = with_slow_errors(state, matches.rows, matches.moved_px, model.slow_variance_px, focal_px)
-    found = _consensus(_innovation(state, model, matches), model)
+    innovation = _innovation(state, model, matches)
+    found = _consensus(innovation, model)
     judged, good = found.judged, found.good & (matches.prediction.points_c[:, 2] > MIN_DEPTH)
     learns = model.form.is_robust and model.config.camera.estimate_pixel_noise
     if learns:
@@ -136,12 +139,21 @@ def update_from_image(
         rejected=len(good) - told.used,
         noise_distances=_noise_dominated(judged, matches.unmoved, least) if is_in_pixels else np.empty(0),
         dropped_ids=dropped_ids,
-        compared=_compared(state, matches, judged),
+        compared=_compared(state, model, matches, innovation) if learns_slow_errors else (NO_FEATURES, NONE),
     )
 
 
-def _compared(state: State, matches: _Matches, judged: Judged) -> tuple[IntArray, Array]:
-    """Return the numbers of the moved features, and their squared distances per degree of freedom."""
+def _compared(
+    state: State, model: ImageModel, matches: _Matches, innovation: Innovation
+) -> tuple[IntArray, Array]:
+    """Return the numbers of moved features, and their squared distances per degree of freedom.
+
+    An error of the lens or of the mount, which all features have in common, is none of a single one.
+    """
+    watched = innovation.sensitivity[:, :, model.scored : model.scored + CameraWatch.count]
+    by_camera = watched.reshape(-1, CameraWatch.count) * PRIOR_STD
+    covariance = innovation.covariance + (by_camera @ by_camera.T).reshape(innovation.covariance.shape)
+    judged = _consensus(changed(innovation, covariance=covariance), model).judged
     moved = (~matches.unmoved).nonzero()[0]
     return state.landmarks.ids[matches.rows[moved]], judged.distances[moved] / DOF_PER_FEATURE
 

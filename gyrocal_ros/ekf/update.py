@@ -122,7 +122,7 @@ class MeasurementUpdate:
     by_feature: FeatureScores | None = None
     """Scores of the candidates by feature, where there are candidates."""
     compared: tuple[IntArray, Array] = NO_FEATURES, NONE
-    """Numbers (m,) of the moved features of the map, and their squared distances (m,) from the others."""
+    """Numbers (m,) of moved features, and their squared distances (m,), see `contradictions`."""
     used_ids: IntArray = field(default_factory=lambda: NO_FEATURES)
     given_others: Array = field(default_factory=lambda: NONE)
     differences: Array = field(default_factory=lambda: NO_DIFFERENCES)

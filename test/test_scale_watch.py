@@ -228,8 +228,18 @@ def test_only_repeated_changes_are_a_drift() -> None:
     for change, expected in ((0.002, gyro.scale_walk), (0.002, 0.002 / np.sqrt(10.0)), (0.1, LARGEST_WALK)):
         found = watch.add(10.0, (stats(1e8, change),))
         assert found is not None
-        state = watch.follow(state, found)
+        state = watch.follow(state, replace(found, was_calibrated=True))
         assert watch.walk(gyro).scale_walk == pytest.approx(expected)
+
+
+def test_a_first_estimate_that_was_wrong_is_no_drift() -> None:
+    watch, state = some_watch()
+    gyro = Config().gyro
+    for change in (0.002, 0.002):
+        found = watch.add(10.0, (stats(1e8, change),))
+        assert found is not None and not found.was_calibrated
+        state = watch.follow(state, found)
+        assert watch.walk(gyro).scale_walk == gyro.scale_walk
 
 
 @pytest.mark.slow
@@ -313,7 +323,7 @@ def test_a_change_that_a_ramp_explains_may_go_on(is_ramp: bool) -> None:
     update = UpdateStats(100.0, 100, information=np.diag(information), score=information * step)
     found = watch.add(40.0, (update,))
     assert found is not None
-    state = watch.follow(state, found)
+    state = watch.follow(state, replace(found, was_calibrated=True))
     watch.add(5.0, ())
     state = watch.renew(state, 5.0)
     assert watch.suspected_std(state) == pytest.approx(ramp * 5.0 / RAMP_S if is_ramp else 0.0)

@@ -302,14 +302,16 @@ class ScaleWatch:
 
         A change soon after another one, or one that shows only in a long window, is a drift, which the random
         walk then covers. One since the start is a calibration that was wrong. One that a ramp explains
-        as well may go on, until a new ramp shows that it does not.
+        as well may go on, until a new ramp shows that it does not. A first estimate that was wrong, as the
+        map of the first turns may be, is neither.
         """
         window_s = float(self._sums[change.column - self._first, AGE])
         is_drift = JUMP_S < window_s < self._running_s
         drifting_s = min(self._unchanged_s, window_s if is_drift else math.inf)
         walk = abs(change.value) / math.sqrt(max(drifting_s, SETTLE_S))
-        self._walk = max(self._walk, min(walk, LARGEST_WALK))
-        is_ramp = self._ramp_sigma**2 > change.sigma**2 - CHANCE_SIGMA**2
+        if change.was_calibrated:
+            self._walk = max(self._walk, min(walk, LARGEST_WALK))
+        is_ramp = change.was_calibrated and self._ramp_sigma**2 > change.sigma**2 - CHANCE_SIGMA**2
         self._drift = abs(self._ramp) if is_ramp and abs(self._ramp) < FASTEST_DRIFT else 0.0
         self._unchanged_s = self._significant_s = 0.0
         self._is_stored = False

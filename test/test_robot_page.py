@@ -20,6 +20,8 @@ SOURCES = [
     *(ROOT / 'gyrocal_ros' / 'robot').glob('*.py'),
     ROOT / 'gyrocal_ros' / 'board' / 'link.py',
     ROOT / 'gyrocal_ros' / 'ekf' / 'camera_watch.py',
+    ROOT / 'gyrocal_ros' / 'ekf' / 'way_agreement.py',
+    ROOT / 'gyrocal_ros' / 'model' / 'faulty_readings.py',
     ROOT / 'gyrocal_ros' / 'msgs' / 'mounts.py',
     ROOT / 'gyrocal_ros' / 'nodes' / 'qos_watch.py',
     ROOT / 'gyrocal_ros' / 'vision' / 'tracker.py',

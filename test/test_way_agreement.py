@@ -19,7 +19,7 @@ from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.turn_agreement import mounting_fault
-from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA
+from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA, turned_camera
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 
@@ -64,6 +64,12 @@ def test_a_diagnosis_tells_the_mount_and_judges_no_effect() -> None:
     assert diagnosis.verdict == 'cannot_tell'
     assert status.level == 'red' and TURNED_CAMERA in status.sentence
     assert status.next_step.startswith('Correct the transform of the camera')
+
+
+def test_a_fault_is_told_without_what_else_happened_in_that_step() -> None:
+    fault = mounting_fault(calibrated(FeatureObservations, lambda seen: turned(seen, 2)))
+    assert turned_camera(f'the map was dropped; {fault}; the bias walks') == fault
+    assert turned_camera('the map was dropped') == ''
 
 
 def test_wheels_that_run_backwards() -> None:

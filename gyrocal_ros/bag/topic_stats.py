@@ -230,7 +230,7 @@ class ImuStats:
         self.direction_sum_m_s2 = self.direction_sum_m_s2 + self.R_bi @ readings[:, 3:].sum(axis=0)
         for turns, axis_rates in zip(self.axis_turns, rates.T, strict=True):
             turns.add(stamps_ns, axis_rates)
-        steps = np.diff(rates, axis=0)
+        steps = np.diff(rates, axis=0)  # without a jump or a repetition no reading of the block is faulty
         if (np.abs(steps[:, 2]) > MIN_JUMP_RAD_S).any() or not steps.any(axis=1).all():
             for t_ns, rate_rad_s in zip(stamps_ns.tolist(), rates.tolist(), strict=True):
                 self.faulty.sound(ImuSample(t_ns, tuple(rate_rad_s), (0.0, 0.0, 0.0)))

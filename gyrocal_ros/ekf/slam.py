@@ -255,10 +255,10 @@ class EkfSlam:
         assert self.rig.camera is not None
         turned = self._way.event(seen, self.rig.camera, self.rig.camera_mount)
         update = self._update_from_image(seen, is_at_rest=is_at_rest)
-        event = '; '.join(filter(None, (turned, self._slip_watch.event(update, self.state.t_ns))))
+        event = self._slip_watch.event(update, self.state.t_ns)
         if self._map_watch.is_lost(update, self.track_noise.pixel):
             self.state, event, self._telling_way = forget_all(self.state), MAP_DROPPED, TellingWay()
-        return update, event
+        return update, '; '.join(filter(None, (turned, event)))
 
     def _update_from_image(self, observations: FeatureObservations, *, is_at_rest: bool) -> MeasurementUpdate:
         features = self.config.features

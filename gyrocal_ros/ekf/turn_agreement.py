@@ -11,7 +11,7 @@ import math
 from gyrocal_ros.ekf.convergence import is_plausible
 from gyrocal_ros.ekf.run import Run, step_by_step
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
-from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA
+from gyrocal_ros.ekf.way_agreement import turned_camera
 
 INTERVAL_S = 0.5
 """Time over which turns are added up: in that of an image the noise of the wheels is larger than a turn."""
@@ -129,4 +129,4 @@ def mounting_fault(run: Run) -> str:
         return ''
     scale = COEFFICIENTS_START
     fault = agreement.fault(1.0 + float(history.mean[-1, scale]), float(history.std[-1, scale]))
-    return fault or next((event.text for event in run.events if TURNED_CAMERA in event.text), '')
+    return fault or next(filter(None, (turned_camera(event.text) for event in run.events)), '')

@@ -27,7 +27,8 @@ MAX_ANGLE_RAD = math.radians(30.0)
 LEAST_UP = 0.1
 """Vertical part of a ray from which its bearing is used as it is: walls may be seen, too."""
 TURNED_CAMERA = 'the images show another way than the wheels'
-"""Beginning of the event."""
+REMEDY = 'correct the transform of the camera, or the sign of the speed'
+"""Beginning and end of the event."""
 
 
 class WayAgreement:
@@ -84,8 +85,14 @@ class WayAgreement:
             return ''
         return (
             f'{TURNED_CAMERA}, at {math.degrees(abs(angle_rad)):.0f} deg: the camera is turned about its '
-            'axis, or the wheels run backwards; correct the transform of the camera, or the sign of the speed'
+            f'axis, or the wheels run backwards; {REMEDY}'
         )
+
+
+def turned_camera(event: str) -> str:
+    """Return what the text of an event, which may tell others as well, says of the way; empty for nothing."""
+    _, is_told, rest = event.partition(TURNED_CAMERA)
+    return f'{TURNED_CAMERA}{rest.partition(REMEDY)[0]}{REMEDY}' if is_told else ''
 
 
 def _levelled(pixels: Array, camera: CameraIntrinsics, mount: Mount) -> Array:

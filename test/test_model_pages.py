@@ -14,6 +14,7 @@ import pytest
 from gyrocal_ros.config.declare import with_settings
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.advice import RECORD
 from gyrocal_ros.diagnose.candidate_fit import Fit
 from gyrocal_ros.diagnose.comparison import Comparison, compare
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
@@ -42,7 +43,7 @@ from gyrocal_ros.diagnose.search_series import (
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
-from gyrocal_ros.diagnose.status import diagnosis_status, missing_sentence
+from gyrocal_ros.diagnose.status import TOO_SHORT, Status, diagnosis_status, missing_sentence
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.wander import MAX_MOMENTS, wander
 from gyrocal_ros.effects import default_model, find_effect
@@ -438,8 +439,15 @@ class TestConclusions:
             status = diagnosis_status(case)
             assert (status.level, status.sentence) == (level, sentence)
             assert bool(status.next_step) == bool(places)
-        unjudged = replace(case, fit=ModelFit((), is_judged=False))
-        assert diagnosis_status(unjudged).level == 'yellow', 'too short to judge'
+        unjudged = replace(case, verdict='cannot_tell', fit=ModelFit((), is_judged=False))
+        assert diagnosis_status(unjudged) == Status('yellow', TOO_SHORT, RECORD)
+
+    def test_the_next_step_names_all_effects_found(self, diagnosis: Diagnosis) -> None:
+        missing = diagnosis.missing[0]
+        several = (missing, replace(missing, effect=find_effect('gyro_lag')))
+        case = replace(diagnosis, verdict='effect_found', missing=several)
+        step = diagnosis_status(case).next_step
+        assert step == f'Let `gyrocal improve` add {missing.effect.name} and gyro_lag and show the gain.'
 
     def test_an_effect_that_does_not_explain_evenly_is_said(self, diagnosis: Diagnosis) -> None:
         case = replace(diagnosis, verdict='cannot_tell', missing=(), fails_where=(), uneven='scale_cubic')

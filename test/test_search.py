@@ -356,14 +356,20 @@ class TestSearch:
         names = [(item.effect.name, item.is_kept) for item in found.additions]
         assert names[:2] == [('gyro_lag', False), ('scale_cubic', True)]
 
+    @pytest.mark.parametrize('is_judged', [True, False])
     @pytest.mark.parametrize('hidden', [{'gyro_lag': 6.0}, {}])
-    def test_an_effect_that_one_moment_shows_is_not_tried_alone(self, hidden: dict[str, float]) -> None:
+    def test_an_effect_that_one_moment_shows_is_not_tried_alone(
+        self, hidden: dict[str, float], is_judged: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         fake = FakeFilter(hidden, {'gyro_lag': 50.0}, shows_seldom=('gyro_lag',))
         judging = replace(DEFAULT_SETTINGS, min_judgeable_part=0.0)
         found = search(default_model(), AT_REST, fake, settings=judging)
         assert found.additions == () and len(fake.models) == 1
+        # A fake filter tells nothing of the fit.
+        monkeypatch.setattr('gyrocal_ros.diagnose.diagnosis.model_fit', lambda run: ModelFit((), is_judged))
         diagnosed = diagnose(found, AT_REST)
-        assert diagnosed.uneven == '' and diagnosed.verdict == 'nothing_missing'
+        assert diagnosed.uneven == ''
+        assert diagnosed.verdict == ('nothing_missing' if is_judged else 'cannot_tell')
 
     def test_a_rejected_effect_is_tried_again_beside_one_found_later(self) -> None:
         sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}

@@ -10,6 +10,10 @@ from gyrocal_ros.diagnose.separability import drive_for, how_to_tell_apart
 from gyrocal_ros.diagnose.shapes import TIME, UnexplainedStructure
 from gyrocal_ros.effects.traits import NOT_RECORDED
 
+RECORD = (
+    'Record five minutes with turns to both sides at several speeds, straight lanes and short rests, '
+    'with the ceiling or the heading reference in view.'
+)
 CAUTION = (
     'A signal that changes slowly goes together with anything that changes slowly: '
     'find a reason, or make it change often, before you trust this.'
@@ -37,10 +41,7 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.fit.misfits:
         sentences.append(f'The model does not fit: {join(list(diagnosis.fit.misfits))}.')
     if diagnosis.verdict == 'cannot_tell' and not diagnosis.missing:
-        sentences.append(
-            'Record at least two minutes with turns to both sides at several speeds, straight lanes '
-            'and short rests, with the ceiling or the heading reference in view.'
-        )
+        sentences.append(RECORD)
     return sentences
 
 

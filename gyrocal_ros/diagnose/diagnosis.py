@@ -228,7 +228,7 @@ def _verdict(
     if missing:
         is_ambiguous = is_coarse or fit.fits is False or any(item.confused_with for item in missing)
         return 'cannot_tell' if is_ambiguous else 'effect_found'
-    if fit.fits is False or uneven is not None:
+    if not fit.fits or uneven is not None:
         return 'cannot_tell'
     basic = [name for name, effect in EFFECTS.items() if shows_in_any_turns(effect)]
     judged = [name for name in basic if name not in not_judged]

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from gyrocal_ros.diagnose.advice import join
+from gyrocal_ros.diagnose.advice import RECORD, join
 from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement
@@ -20,6 +20,7 @@ from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration
 
 Level: TypeAlias = Literal['green', 'yellow', 'red']
@@ -44,10 +45,6 @@ MEND_STAMPS = (
     'Stamp images and IMU with one clock, when they are taken, not when they arrive; look at the '
     'synchronisation of the IMU board.'
 )
-RECORD = (
-    'Record five minutes with turns to both sides at several speeds, straight lanes and short rests, '
-    'with the ceiling or the heading reference in view.'
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +64,15 @@ class NextSteps:
 
     add: str
     """Adds the effect `{name}`; on the command line with `{command}`."""
+    add_several: str
+    """Adds the effects `{names}`."""
     learn: str
     add_limit: str
 
 
 COMMANDS = NextSteps(
     add='Add it with `{command}`, or let `gyrocal improve` add it and show the gain.',
+    add_several='Let `gyrocal improve` add {names} and show the gain.',
     learn=LEARN,
     add_limit='Try it with `gyrocal improve`.',
 )
@@ -124,20 +124,23 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
         return _timing_status(diagnosis.timing)
     sentence = _diagnosis_sentence(diagnosis)
     if diagnosis.verdict == 'nothing_missing':
-        if diagnosis.fit.fits is None:
-            return Status('yellow', TOO_SHORT, RECORD)
         return Status('yellow', sentence, REPEAT) if diagnosis.fails_where else Status('green', sentence)
     if not diagnosis.is_open and (diagnosis.verdict == 'unexplained' or diagnosis.fit.fits is False):
         return Status('red', sentence, steps.learn)
     if diagnosis.missing:
-        effect = diagnosis.missing[0].effect
-        add = steps.add.format(name=effect.name, command=shlex.join(add_words(effect)))
-        return Status('yellow', sentence, add)
+        return Status('yellow', sentence, _adding([item.effect for item in diagnosis.missing], steps))
     if diagnosis.limits:
         return Status('yellow', sentence, steps.add_limit)
     if diagnosis.uneven:
         return Status('yellow', sentence, steps.learn)
     return Status('yellow', sentence, RECORD)
+
+
+def _adding(effects: Sequence[Effect], steps: NextSteps) -> str:
+    """Return the step that adds effects."""
+    if len(effects) > 1:
+        return steps.add_several.format(names=join([effect.name for effect in effects]))
+    return steps.add.format(name=effects[0].name, command=shlex.join(add_words(effects[0])))
 
 
 def _timing_status(fault: TimingFault) -> Status:
@@ -160,7 +163,7 @@ def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
         return f'The gyro reads in {step}, wider than its noise; {causes} cause the errors.'
     if diagnosis.verdict == 'noise':
         return f'Only noise: the gyro is noisier than the settings say ({join([*missing])}); no law is left.'
-    otherwise = CANNOT_TELL
+    otherwise = CANNOT_TELL if diagnosis.fit.fits is not None else TOO_SHORT
     if diagnosis.verdict == 'nothing_missing':
         otherwise = _nothing_missing(len(diagnosis.fails_where))
     elif diagnosis.limits:

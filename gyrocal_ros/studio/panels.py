@@ -12,12 +12,12 @@ from typing import Any
 
 from dash import html
 
-from gyrocal_ros.diagnose.advice import join
+from gyrocal_ros.diagnose.advice import RECORD, join
 from gyrocal_ros.diagnose.candidate_fit import held_out_gain
 from gyrocal_ros.diagnose.failure_ranges import Ranges, failure_ranges
 from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.separability import how_to_tell_apart
-from gyrocal_ros.diagnose.status import RECORD, NextSteps, Status, diagnosis_status, missing_sentence
+from gyrocal_ros.diagnose.status import NextSteps, Status, diagnosis_status, missing_sentence
 from gyrocal_ros.diagnose.validation import coefficient_pairs
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation, with_unit
@@ -42,6 +42,7 @@ MAX_LISTED = 8
 MAX_FAILURES = 8
 """Maximum number of failures in the table."""
 ADD = 'Add {name}, and compare the drift.'
+ADD_SEVERAL = 'Add {names}, one after the other, and compare the drift.'
 ADD_LIMIT = 'Add it, and compare the drift.'
 LEARN = 'Press Learn this: it learns what no effect of the library explains.'
 
@@ -136,7 +137,7 @@ def status(state: StudioState) -> Status | None:
         what = next(law_in_words(state.proposal.law))
         return Status('yellow', what, ADD.format(name=state.proposal.name))
     learn = LEARN if state.can_learn else f'{nothing_learned(examination.is_contradicted)} {RECORD}'
-    return diagnosis_status(examination.diagnosis, NextSteps(ADD, learn, ADD_LIMIT))
+    return diagnosis_status(examination.diagnosis, NextSteps(ADD, ADD_SEVERAL, learn, ADD_LIMIT))
 
 
 def candidate_list(state: StudioState) -> list[Any]:

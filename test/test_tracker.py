@@ -234,6 +234,42 @@ def test_a_feature_lost_for_long_is_dropped(renderer: CeilingRenderer) -> None:
     assert set(after.ids.tolist()) - set(before.ids.tolist()) > set()
 
 
+def test_a_feature_that_the_filter_does_not_use_is_replaced_but_keeps_its_place(
+    renderer: CeilingRenderer,
+) -> None:
+    drive = RenderedDrive(renderer)
+    first = drive.step(0.0, 0.0)
+    assert len(first.ids) == CONFIG.features
+    unused = first.ids[:3]
+
+    def track(t_s: float) -> FeatureObservations:
+        for feature in unused.tolist():
+            drive.points_w.pop(feature, None)
+        return drive.step(t_s, 0.0)
+
+    tracked = [track(0.2 * (k + 1)).ids for k in range(2 * CONFIG.detect_interval)]
+    for ids in tracked:
+        assert np.isin(unused, ids).all(), 'no other is found where they are'
+    counts = [len(ids) for ids in tracked]
+    assert counts[:5] == [CONFIG.features] * 5, 'they may find their place in the map again'
+    assert counts[-1] == max(counts) == CONFIG.features + len(unused)
+
+
+@pytest.mark.parametrize(
+    'regions', [None, SearchRegions(0, np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))]
+)
+def test_without_a_map_features_are_not_replaced_without_end(
+    renderer: CeilingRenderer, regions: SearchRegions | None
+) -> None:
+    tracker, image = Tracker(CAMERA, CONFIG), renderer.render(np.eye(3), np.zeros(3))
+    counts = [
+        len(tracker.track(Frame(nanoseconds(0.2 * k), image), np.eye(3), regions).ids)
+        for k in range(4 * CONFIG.detect_interval)
+    ]
+    assert counts[0] == CONFIG.features
+    assert max(counts) == CONFIG.features + (0 if regions is None else CONFIG.features // 2)
+
+
 def test_no_two_features_track_one_corner(renderer: CeilingRenderer) -> None:
     drive = RenderedDrive(renderer)
     for k in range(15):

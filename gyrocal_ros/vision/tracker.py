@@ -9,7 +9,7 @@ the gyro does not become an error of the tracks.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -29,6 +29,8 @@ from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.model.camera import in_image
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.vision.corners import find_corners, noise_level, recognisable
+from gyrocal_ros.vision.defective_pixels import DefectivePixels
+from gyrocal_ros.vision.features import Features, Match, SearchSet
 from gyrocal_ros.vision.image_flow import followed
 from gyrocal_ros.vision.lens_marks import (
     MIN_CHANGES,
@@ -38,7 +40,7 @@ from gyrocal_ros.vision.lens_marks import (
     ViewChange,
     correlation_at,
 )
-from gyrocal_ros.vision.patches import MATCHING_PX, NODE_CENTRE, Patches, align, extract_patches, node_offsets
+from gyrocal_ros.vision.patches import MATCHING_PX, NODE_CENTRE, align, extract_patches, node_offsets
 from gyrocal_ros.vision.search_region import (
     approximate_ceiling,
     best_match,
@@ -55,6 +57,11 @@ MAX_RADIUS_PX = 20
 MAX_WARP_SHIFT_PX = 2.0
 """Distance from the predicted position above which a patch is warped again for the lens there and
 realigned."""
+UNUSED_S = 1.0
+"""Time without a place in the map from which a feature is not used by the filter, and takes no place of
+another."""
+MAX_UNUSED_SHARE = 0.5
+"""Largest number of such features that are replaced, as a share of those wanted."""
 MAX_NOISE_PX = 0.1
 """Limit of the position noise of a new corner, as far as it is caused by the image noise."""
 
@@ -63,74 +70,6 @@ AS_COMPLEX = np.array([1.0, 1.0j])
 """Factor that turns coordinates (n, 2) into complex numbers (n,)."""
 ID_COUNT = 2**32
 """Number of ids; they are 32 bits wide in messages."""
-
-
-@dataclass(slots=True, eq=False)
-class _Features:
-    """n features, oldest first."""
-
-    ids: IntArray
-    seen_ns: IntArray
-    """(n,) time of their last observation."""
-    ceiling: Array
-    """(n, 2) ceiling coordinates at that time."""
-    outline: Array
-    """(n, 9, 2) ceiling coordinates of the nodes of the patch, relative to its centre."""
-    first_pixels: IntArray
-    """(n, 2) their first observation."""
-    first_view: IntArray
-    """(n,) number of its view, see `ViewChange`, or of the last one in which they were elsewhere."""
-    patches: Patches
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    def __getitem__(self, chosen: NDArray[np.bool_] | IntArray) -> _Features:
-        return _Features(*(getattr(self, item.name)[chosen] for item in fields(self)))
-
-    def __add__(self, more: _Features) -> _Features:
-        return _Features(
-            np.concatenate([self.ids, more.ids]),
-            np.concatenate([self.seen_ns, more.seen_ns]),
-            np.concatenate([self.ceiling, more.ceiling]),
-            np.concatenate([self.outline, more.outline]),
-            np.concatenate([self.first_pixels, more.first_pixels]),
-            np.concatenate([self.first_view, more.first_view]),
-            self.patches + more.patches,
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _SearchSet:
-    """The k features to be searched for in an image, with their search regions."""
-
-    index: IntArray
-    """(k,) indices of the features."""
-    pixels: Array
-    """(k, 2) predicted positions."""
-    covariances_px2: Array
-    """(k, 2, 2) covariances of the predicted positions."""
-    tracked: NDArray[np.bool_]
-    """(k,) True if found in the last image."""
-
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> _SearchSet:
-        return _SearchSet(*(getattr(self, item.name)[chosen] for item in fields(self)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Match:
-    """Result of the search for k features."""
-
-    pixels: Array
-    """(k, 2)"""
-    covariances_px2: Array
-    """(k, 2, 2)"""
-    score: Array
-    """(k,) correlation, -1 if the match is rejected."""
-
-    def __setitem__(self, chosen: NDArray[np.bool_], better: _Match) -> None:
-        for item in fields(self):
-            getattr(self, item.name)[chosen] = getattr(better, item.name)
 
 
 class Tracker:
@@ -153,6 +92,7 @@ class Tracker:
         self._frames_to_detection = 0
         self._yaw_error_rad = self._yaw_error_std_rad = 0.0  # see `yaw_error_rad`
         self._view, self._marks = ViewChange(), LensMarks()
+        self._defects = DefectivePixels(camera.height_px, camera.width_px)
         self._last: tuple[Frame, FeatureObservations] | None = None
         self._found_by_flow = False
         dark = np.zeros((camera.height_px, camera.width_px), np.uint8)
@@ -186,7 +126,10 @@ class Tracker:
             RecordingError: the size of the image differs from that of the camera.
         """
         self._check(frame)
+        self._defects.learn(frame.image, math.atan2(R_wc[1, 0], R_wc[0, 0]))
+        frame = replace(frame, image=self._defects.corrected(frame.image))
         self._drop_old(frame.t_ns)
+        self._note_used(frame.t_ns, regions)
         search = self._select(R_wc, regions)
         match = self._match(frame.image, R_wc, search)
         self._view.add(frame.image)
@@ -197,7 +140,7 @@ class Tracker:
         moved_px = np.linalg.norm(pixels[found] - self._features.first_pixels[seen], axis=1)
         self._features.first_view[seen[moved_px > MOVED_PX]] = self._view.number
         self._features.ceiling[seen] = self._to_ceiling(pixels[found], R_wc)
-        new = self._detect(frame, R_wc, pixels, len(seen))
+        new = self._detect(frame, R_wc, pixels, seen)
         self._last_ns = frame.t_ns
         ids = np.concatenate([self._features.ids[seen], self._features.ids[len(self._features) - len(new) :]])
         first = np.broadcast_to(MATCHING_PX**2 * np.eye(2), (len(new), 2, 2))
@@ -225,6 +168,20 @@ class Tracker:
         if (lost & old).any():
             self._features = self._features[~(lost & old)]
 
+    def _note_used(self, t_ns: int, regions: SearchRegions | None) -> None:
+        """Note which features the filter has in its map."""
+        in_map = slice(None) if regions is None else np.isin(self._features.ids, regions.ids)
+        self._features.used_ns[in_map] = t_ns
+
+    def _wanted(self, indices: IntArray) -> int:
+        """Return the number of features to track, of which these are found: unused ones are replaced.
+
+        They are tracked further, so that no new feature is found in their place.
+        """
+        unused_ns = self._features.seen_ns[indices] - self._features.used_ns[indices]
+        unused = int(np.count_nonzero(unused_ns > nanoseconds(UNUSED_S)))
+        return self.config.features + min(unused, int(MAX_UNUSED_SHARE * self.config.features))
+
     def _attitude(self, R_wc: Array) -> Array:
         """Return the attitude with the yaw corrected by that of the patches."""
         return rotation_from_euler(np.array([0.0, 0.0, -self._yaw_error_rad])) @ R_wc
@@ -235,7 +192,7 @@ class Tracker:
     def _to_pixels(self, ceiling: Array, R_wc: Array) -> Array:
         return ceiling_pixels(self._camera, ceiling, self._attitude(R_wc))
 
-    def _select(self, R_wc: Array, regions: SearchRegions | None) -> _SearchSet:
+    def _select(self, R_wc: Array, regions: SearchRegions | None) -> SearchSet:
         """Select the features to search for, and their regions.
 
         Lost features are searched for only while fewer features than wanted are tracked, and only if
@@ -252,30 +209,31 @@ class Tracker:
             ours, theirs = ours[usable], theirs[usable]
             pixels[ours] = regions.pixels[theirs]
             covariances[ours] = regions.covariances_px2[theirs]
-            reacquired[ours] = tracked.sum() < self.config.features
+            reacquired[ours] = tracked.sum() < self._wanted(tracked.nonzero()[0])
         index = np.flatnonzero((tracked | reacquired) & in_image(self._camera, pixels, self._margin_px))
-        return _SearchSet(index, pixels[index], covariances[index], tracked[index])
+        return SearchSet(index, pixels[index], covariances[index], tracked[index])
 
-    def _match(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet) -> _Match:
+    def _match(self, image: NDArray[np.uint8], R_wc: Array, search: SearchSet) -> Match:
         """Search for features; the pixels are as predicted where one is not found."""
         self._found_by_flow = False
         if not len(search.index):
-            return _Match(search.pixels, search.covariances_px2, np.empty(0))
+            return Match(search.pixels, search.covariances_px2, np.empty(0))
         match = self._align(image, R_wc, search, search.pixels)
         if 2 * (search.tracked & (match.score > 0.0)).sum() < search.tracked.sum():
             search, match = self._by_flow(image, R_wc, search, match)
         match = self._by_correlation(image, R_wc, search, match)
         score = match.score
         _reject_duplicates(match.pixels, score, 0.5 * self.config.patch_px)
-        vacant = max(0, self.config.features - int((score[search.tracked] > 0.0).sum()))
+        found = search.index[search.tracked & (score > 0.0)]
+        vacant = max(0, self._wanted(found) - len(found))
         reacquired = np.flatnonzero(~search.tracked & (score > 0.0))
         score[reacquired[np.argsort(-score[reacquired], kind='stable')][vacant:]] = -1.0
         match.pixels[score < 0.0] = search.pixels[score < 0.0]
         return match
 
     def _by_correlation(
-        self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet, match: _Match
-    ) -> _Match:
+        self, image: NDArray[np.uint8], R_wc: Array, search: SearchSet, match: Match
+    ) -> Match:
         """Search again for what was missed, in larger regions if that is most."""
         searched = search.tracked if search.tracked.any() else np.ones(len(match.score), dtype=bool)
         missed = searched & (match.score < 0.0)
@@ -287,8 +245,8 @@ class Tracker:
         return match
 
     def _by_flow(
-        self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet, match: _Match
-    ) -> tuple[_SearchSet, _Match]:
+        self, image: NDArray[np.uint8], R_wc: Array, search: SearchSet, match: Match
+    ) -> tuple[SearchSet, Match]:
         """Search where the flow of the image leads; keep the matches if most features are found there.
 
         The flow shows the error of the predicted yaw and the motion over the ceiling of all features.
@@ -306,7 +264,7 @@ class Tracker:
         moved = self._to_ceiling(pixels[agreeing], R_wc) - features.ceiling[rows[agreeing]]
         predicted = self._to_pixels(features.ceiling + np.median(moved, axis=0), R_wc)
         covariances = np.tile(UNPREDICTED_STD_PX**2 * np.eye(2), (len(predicted), 1, 1))
-        by_flow = _SearchSet(search.index, predicted, covariances, search.tracked)
+        by_flow = SearchSet(search.index, predicted, covariances, search.tracked)
         found = self._align(image, R_wc, by_flow, predicted)
         if 2 * (found.score > 0.0).sum() > search.tracked.sum():
             self._found_by_flow = True
@@ -314,7 +272,7 @@ class Tracker:
         self._yaw_error_rad, self._yaw_error_std_rad = yaw_error_rad, yaw_error_std_rad
         return search, match
 
-    def _reject_on_lens(self, frame: Frame, search: _SearchSet, match: _Match) -> IntArray:
+    def _reject_on_lens(self, frame: Frame, search: SearchSet, match: Match) -> IntArray:
         """Reject the matches of features that stay in the image; return the indices of these features."""
         features = self._features
         moved_px = np.linalg.norm(match.pixels - features.first_pixels[search.index], axis=1)
@@ -330,14 +288,14 @@ class Tracker:
         self._marks.add(features.first_pixels[search.index[on_lens]], frame.t_ns)
         return search.index[on_lens]
 
-    def _best_matches(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet) -> Array:
+    def _best_matches(self, image: NDArray[np.uint8], R_wc: Array, search: SearchSet) -> Array:
         """Return the positions (k, 2) of best correlation in the regions, to the pixel."""
         features = self._features[search.index]
         nodes = self._nodes(features, search.pixels, R_wc)
         arguments = zip(features.patches.template, nodes, search.covariances_px2, strict=True)
         return search.pixels + np.array([best_match(image, *each) for each in arguments])
 
-    def _align(self, image: NDArray[np.uint8], R_wc: Array, search: _SearchSet, starts: Array) -> _Match:
+    def _align(self, image: NDArray[np.uint8], R_wc: Array, search: SearchSet, starts: Array) -> Match:
         """Align the patches by Lucas-Kanade."""
         features = self._features[search.index]
         for _ in range(2):
@@ -356,17 +314,17 @@ class Tracker:
             if not (moved_px[good] > MAX_WARP_SHIFT_PX).any():
                 break
             starts = np.where(good[:, None], result.pixels, starts)
-        return _Match(result.pixels, result.covariances_px2, np.where(good, result.correlation, -1.0))
+        return Match(result.pixels, result.covariances_px2, np.where(good, result.correlation, -1.0))
 
-    def _nodes(self, features: _Features, centres: Array, R_wc: Array) -> Array:
+    def _nodes(self, features: Features, centres: Array, R_wc: Array) -> Array:
         """Return pixels (n, 9, 2) of the nodes of patches whose centres are at pixels (n, 2)."""
         return self._to_pixels(self._to_ceiling(centres, R_wc)[:, None] + features.outline, R_wc)
 
-    def _detect(self, frame: Frame, R_wc: Array, taken: Array, tracked: int) -> Array:
+    def _detect(self, frame: Frame, R_wc: Array, taken: Array, seen: IntArray) -> Array:
         """Add new features if detection is due or many are missing; return their pixels (k, 2)."""
-        missing = self.config.features - tracked
+        missing = self._wanted(seen) - len(seen)
         self._frames_to_detection -= 1
-        if missing <= 0 or (self._frames_to_detection > 0 and missing <= tracked):
+        if missing <= 0 or (self._frames_to_detection > 0 and missing <= len(seen)):
             return np.zeros((0, 2))
         self._frames_to_detection = self.config.detect_interval
         corners = find_corners(frame.image, taken, self._marks.pixels, self._margin_px, self.config)
@@ -379,14 +337,15 @@ class Tracker:
         self._next_id += len(corners)
         return corners.astype(float)
 
-    def _new_features(self, frame: Frame, R_wc: Array, corners: NDArray[np.intp]) -> _Features:
+    def _new_features(self, frame: Frame, R_wc: Array, corners: NDArray[np.intp]) -> Features:
         nodes = corners[:, None] + node_offsets(self._size_px)
         outline = ceiling_coordinates(self._camera, nodes, self._attitude(R_wc))
         ceiling = outline[:, NODE_CENTRE]
         ids = (self._next_id + np.arange(len(corners))) % ID_COUNT
         patches = extract_patches(frame.image, corners, self._size_px)
-        seen_ns, view = np.full(len(ids), frame.t_ns), np.full(len(ids), self._view.number)
-        return _Features(ids, seen_ns, ceiling, outline - ceiling[:, None], corners, view, patches)
+        now_ns, view = np.full(len(ids), frame.t_ns), np.full(len(ids), self._view.number)
+        relative = outline - ceiling[:, None]
+        return Features(ids, now_ns, now_ns.copy(), ceiling, relative, corners, view, patches)
 
 
 def _reject_duplicates(pixels: Array, score: Array, distance_px: float) -> None:

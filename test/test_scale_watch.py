@@ -13,20 +13,17 @@ from recordings import ModifiedSource, recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ImuSample, Measurement, Source, seconds
 from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.drift_suspicion import CHANCE_SIGMA, DRIFT_STD, RAMP_S, USUAL_DRIFT_STD, HeadingErrors
 from gyrocal_ros.ekf.scale_watch import (
-    CHANCE_SIGMA,
     CHANGE_SIGMA,
     COLUMNS,
-    DRIFT_STD,
     LARGEST_WALK,
     NOT_LINEAR,
     NOTICED_S,
     RAMP,
-    RAMP_S,
     SCALE_CHANGED,
     SETTLE_S,
     TURNING_RAD_S,
-    USUAL_DRIFT_STD,
     WINDOWS_S,
     ScaleWatch,
 )
@@ -168,7 +165,7 @@ def test_an_error_that_headings_have_in_common_is_no_change(turned_rad: float, i
     """Its standard deviation, over the turn, is one of the change besides that by the innovations."""
     watch, _ = some_watch()
     change, repeated_rad = 0.005, 2e-4
-    found = watch.add(1.0, (stats(1e6, change),), None, turned_rad, repeated_rad)
+    found = watch.add(1.0, (stats(1e6, change),), None, turned_rad, HeadingErrors(repeated_rad))
     assert (found is not None) == is_change
     if found is not None:
         assert found.std == pytest.approx(math.hypot(1e-3, repeated_rad / turned_rad))

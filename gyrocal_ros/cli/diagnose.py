@@ -114,9 +114,11 @@ def _missing_effects(diagnosis: Diagnosis) -> Iterator[str]:
             ],
         )
         yield f'(drift against {REFERENCES[diagnosis.drift_reference]})'
-    elif diagnosis.ranked:
-        best = diagnosis.ranked[0]
-        yield f'The most significant effect was {best.effect.name}, at {best.fit.sigma:.1f} sigma.'
+        return
+    for best in diagnosis.ranked:
+        if best.effect.name not in diagnosis.not_judged:
+            yield f'The most significant effect was {best.effect.name}, at {best.fit.sigma:.1f} sigma.'
+            return
 
 
 def _drift_change(missing: MissingEffect) -> str:

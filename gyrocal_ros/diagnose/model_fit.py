@@ -95,7 +95,7 @@ def _misfits(run: Run, scatter: Scatter, drift_deg: float, by_noise_deg: float) 
     ]
     # Once, an earlier calibration may have been wrong, but not twice.
     if len(changed_s) > 1 or any(time_s > CALIBRATED_S for time_s in changed_s):
-        yield 'the scale factor changes within the recording'
+        yield 'the estimate of the scale factor changes within the recording'
     if scatter.contradicts:
         yield (
             'from stretch to stretch the estimates change by '

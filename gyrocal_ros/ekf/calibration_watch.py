@@ -14,10 +14,12 @@ import numpy as np
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array, quickly_filled
 from gyrocal_ros.ekf.camera_watch import CameraWatch
+from gyrocal_ros.ekf.drift_suspicion import DRIFT_STD, USUAL_DRIFT_STD, HeadingErrors
 from gyrocal_ros.ekf.heading import HeadingReference
 from gyrocal_ros.ekf.noise_bank import NoiseBank
-from gyrocal_ros.ekf.scale_watch import DRIFT_STD, USUAL_DRIFT_STD, ScaleChange, ScaleWatch
+from gyrocal_ros.ekf.scale_watch import ScaleChange, ScaleWatch
 from gyrocal_ros.ekf.state import SCALE, YAW, State
+from gyrocal_ros.ekf.track_noise import TrackNoise
 from gyrocal_ros.ekf.update import UpdateStats
 
 
@@ -92,7 +94,7 @@ class CalibrationWatch:
         state: State,
         duration_s: float,
         updates: tuple[UpdateStats, ...],
-        common_px: float,
+        tracks: TrackNoise,
     ) -> tuple[State, Suspicions]:
         """Return the state after the tests of one step, and what they have found.
 
@@ -102,14 +104,17 @@ class CalibrationWatch:
             state: the one after the updates.
             duration_s: length of the step.
             updates: its updates, the last one by the image or the heading.
-            common_px: standard deviation of an error that all features of a turn have in common.
+            tracks: what is known of the errors of the features.
         """
         camera = self._camera
         if camera is not None:
             camera.add(updates)
         sums = None if camera is None else camera.sums
         turned_rad = abs(float(predicted.mean[YAW] - before.mean[YAW]))
-        change = self._scale.add(duration_s, updates, sums, turned_rad, common_px / self._focal_px)
+        errors = HeadingErrors(
+            tracks.common_px / self._focal_px, tracks.turn_px / self._focal_px, tracks.are_tracked
+        )
+        change = self._scale.add(duration_s, updates, sums, turned_rad, errors)
         follows, events = self._follows_changes and self._scale.is_settled, []
         if change is not None and follows:
             state = self._scale.follow(state, change)

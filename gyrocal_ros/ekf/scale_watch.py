@@ -19,6 +19,16 @@ import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array, changed, quickly_filled
+from gyrocal_ros.ekf.drift_suspicion import (
+    CHANCE_SIGMA,
+    DRIFT_STD,
+    EXACT,
+    JUMP_S,
+    RAMP_S,
+    HeadingErrors,
+    Ramp,
+    suspected_drift,
+)
 from gyrocal_ros.ekf.positive_definite import inverse, solve
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import UpdateStats, add_lacking
@@ -28,17 +38,10 @@ SCALE_CHANGED = 'off what was calibrated before'
 """Words in the event of a run."""
 WINDOWS_S = (3.0, 8.0, 20.0, 50.0, 120.0)
 """Lengths of the windows, one column each: a jump shows in a short one, a slow drift in a long one."""
-RAMP_S = 300.0
-"""Length of the window of the ramp; its unit is the change over this time."""
 LENGTHS_S = *WINDOWS_S, RAMP_S
 """Lengths of the windows of all columns."""
 COLUMNS, RAMP = len(LENGTHS_S), -1
 """Number of columns, and the place of the ramp."""
-DRIFT_STD = 0.005
-"""Largest standard deviation of the drift of a scale factor over `RAMP_S` while the ramp is hardly known."""
-USUAL_DRIFT_STD = 0.001
-"""The same of a usual gyro: 0.01 % per K (`gyro.scale_temperature_std`) and 10 K of warm-up. Beside a heading
-reference it bounds a ramp that chance explains: a random walk of headings is full of such ramps."""
 FASTEST_DRIFT = 0.02
 """Drift over `RAMP_S` beyond which a change was not one: within a single turn, steps look like ramps."""
 ABSORBED = 0.2
@@ -49,8 +52,6 @@ MAX_STD = 0.005
 """Standard deviation of a change from which its window holds part of a turn; without, it holds noise."""
 CHANGE_SIGMA = 4.5
 """Significance from which a change is real."""
-CHANCE_SIGMA = 3.0
-"""Significance by which a step has to explain more than a ramp, so that it is no ramp."""
 NOTICED_S = 0.5
 """Time of measurements for which a change has to be significant before it counts: of all images of a drive, a
 few that err alike may seem to show one."""
@@ -66,8 +67,6 @@ MIN_TURN_RAD = 0.01
 NOT_LINEAR = 0.1
 """Part of a change that may be wrong because the sensitivity is linear, and because features were rejected
 and weighted as if nothing had changed."""
-JUMP_S = 20.0
-"""Time in which a jump shows; what takes longer is a drift."""
 LARGEST_WALK = FASTEST_DRIFT / math.sqrt(RAMP_S)
 """Largest random walk (1/sqrt(s)) that is learned. What changes faster are jumps, followed one by one: a walk
 that covers them would leave the scale factor unknown for hours after a loose contact."""
@@ -180,7 +179,9 @@ class ScaleWatch:
         self._drift = 0.0
         self._running_s = self._significant_s = 0.0
         self._is_turning = False
-        self._turned_rad = np.zeros(COLUMNS)
+        self._errors, self._turned_rad = EXACT, np.zeros(COLUMNS)
+        # The turn that the scale factor is from: that of an earlier calibration is not known, but large.
+        self._calibrating_turn_rad = math.inf if is_stored else 0.0
         self._unchanged_s, self._walk = math.inf, 0.0
 
     def walk(self, gyro: GyroConfig) -> GyroConfig:
@@ -197,7 +198,7 @@ class ScaleWatch:
         updates: tuple[UpdateStats, ...],
         others: NormalEquations | None = None,
         turned_rad: float = 0.0,
-        repeated_rad: float = 0.0,
+        errors: HeadingErrors = EXACT,
     ) -> ScaleChange | None:
         """Add the updates of one step; return the most significant change, None before it is noticed.
 
@@ -210,15 +211,17 @@ class ScaleWatch:
             updates: its updates, the last one by the image or the heading.
             others: errors that are tested beside.
             turned_rad: by how much the robot has turned in the step.
-            repeated_rad: standard deviation of an error that several headings have in common.
+            errors: of the headings.
         """
         for stats in updates:
             if stats.information is not None and stats.score is not None:
                 self._sums = scores_added(
                     self._sums, stats.information, stats.score, stats.nis, stats.dof, self._first
                 )
+        self._errors = errors
         self._sums[:, AGE] += duration_s
         self._turned_rad += turned_rad
+        self._calibrating_turn_rad += turned_rad
         self._is_turning = turned_rad > TURNING_RAD_S * duration_s
         self._unchanged_s += duration_s
         self._running_s += duration_s
@@ -232,7 +235,7 @@ class ScaleWatch:
         self._ramp_sigma = float(sigmas[RAMP])
         sigma = max(sigmas.tolist()[:RAMP])
         if sigma >= CHANGE_SIGMA:
-            repeated = (repeated_rad / np.maximum(self._turned_rad, MIN_TURN_RAD)) ** 2
+            repeated = (errors.repeated_rad / np.maximum(self._turned_rad, MIN_TURN_RAD)) ** 2
             sigmas, variances = sigmas / np.sqrt(1.0 + repeated / variances), variances + repeated
             sigma = max(sigmas.tolist()[:RAMP])
         if sigma < CHANGE_SIGMA:
@@ -251,21 +254,12 @@ class ScaleWatch:
         return self._significant_s >= SETTLE_S + (PATIENCE_S if self._is_turning else 0.0)
 
     def suspected_std(self, state: State) -> float:
-        """Return what a drift that is not sure adds to the standard deviation of the scale factor.
-
-        The variance p of the drift is what the ramp suggests (empirical Bayes, Morris 1983), at most that of
-        a gyro. A ramp counts from 1.4 times its standard deviation: the price of one more parameter (Akaike
-        1974), or every clean recording would pay. A change that was a ramp may go on.
-        """
-        r, v = self._ramp, self._ramp_variance
-        is_measured = self._ramp_sigma > 1.0 and self._sums[RAMP, AGE] >= JUMP_S
-        largest = DRIFT_STD if self._ramp_sigma > CHANCE_SIGMA else self._chance_drift_std
-        p = min(r**2 - 2.0 * v, largest**2) if is_measured else 0.0
-        p = max(p, self._drift**2)
-        if p == 0.0:
-            return 0.0
-        drift = math.hypot(r / (1.0 + v / p), math.sqrt(p / (1.0 + p / v)))
-        return drift * abs(float(state.sensitivity[COEFFICIENTS_START, RAMP]))
+        """Return what a drift that is not sure, and slow errors, add to the deviation of the scale factor."""
+        age_s, turned_rad = float(self._sums[RAMP, AGE]), float(self._turned_rad[RAMP])
+        ramp = Ramp(self._ramp, self._ramp_variance, self._ramp_sigma, age_s, turned_rad)
+        drift = suspected_drift(ramp, self._errors, self._chance_drift_std, self._drift)
+        by_errors = self._errors.slow_rad / max(self._calibrating_turn_rad, MIN_TURN_RAD)
+        return math.hypot(drift * float(state.sensitivity[COEFFICIENTS_START, RAMP]), by_errors)
 
     def renew(self, state: State, duration_s: float) -> State:
         """Return the state where windows begin again that have ended, or say no more about the present.
@@ -315,6 +309,7 @@ class ScaleWatch:
         self._drift = abs(self._ramp) if is_ramp and abs(self._ramp) < FASTEST_DRIFT else 0.0
         self._unchanged_s = self._significant_s = 0.0
         self._is_stored = False
+        self._calibrating_turn_rad = float(self._turned_rad[change.column - self._first])
         std = math.hypot(change.std, NOT_LINEAR * change.value)
         return self.begin(add_lacking(state, change.column, change.value, std))
 

@@ -171,7 +171,7 @@ class EkfSlam:
         # Tests: the scale factor may have changed, an earlier calibration or the camera may be wrong.
         stats = resting, update.stats
         self.state, suspicions = self._watch.test(
-            before, predicted, self.state, block.duration_s, stats, self.track_noise.common_px
+            before, predicted, self.state, block.duration_s, stats, self.track_noise
         )
 
         pause, self._pause = self._pause, ''

@@ -18,6 +18,10 @@ relative to the noise of one feature, and at most. What is learned of that grows
 SLIDING_PX = 0.5
 """The same where a tracker finds the features: some of them slide until they are found out, see
 `contradictions`, and turn the map."""
+TURN_PX_BY_SLOW = 25.0
+"""Standard deviation of the error of a heading by slow errors, times the focal length, relative to the root
+of their variance (px^2 per px). In the first turns of four recordings of two other simulators the error was
+0.2 to 0.8 px."""
 MIN_PIXEL_NOISE_PX, MAX_PIXEL_NOISE_PX = 0.02, 5.0
 """Bounds of the estimated pixel noise; at the upper one the images do not fit the estimate."""
 
@@ -61,8 +65,18 @@ class TrackNoise:
     @property
     def common_px(self) -> float:
         """Standard deviation of an error that all features of a turn have in common."""
-        sliding_px = SLIDING_PX if self._typical_match.is_known else 0.0
+        sliding_px = SLIDING_PX if self.are_tracked else 0.0
         return math.hypot(min(COMMON_PART * self.pixel.std, MAX_COMMON_PX), sliding_px)
+
+    @property
+    def are_tracked(self) -> bool:
+        """True if a tracker finds the features in images."""
+        return self._typical_match.is_known
+
+    @property
+    def turn_px(self) -> float:
+        """Standard deviation of the error of the heading by slow errors, times the focal length."""
+        return TURN_PX_BY_SLOW * math.sqrt(self._slow.variance_px)
 
     @property
     def errors_repeat(self) -> bool:

@@ -22,6 +22,7 @@ from gyrocal_ros.diagnose.ranking import (
     uneven_explanation,
     uneven_first_effect,
     uneven_gyro_effect,
+    uneven_sign,
     with_estimate,
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
@@ -88,6 +89,9 @@ class TestRank:
         assert uneven_gyro_effect([second], (), lenient) is second
         of_camera = replace(second, effect=find_effect('focal_length'))
         assert uneven_gyro_effect([of_camera], (), lenient) is None
+        assert uneven_sign([second, of_camera], (), lenient) is second
+        sliding = replace(of_camera, merit=2.1 * second.merit)
+        assert uneven_sign([second, sliding], (), lenient) is None, 'tracks slide'
         part, fitted = 1e-4, second.fit
         small = replace(fitted, values=part * fitted.values, covariance=part**2 * fitted.covariance)
         assert uneven_gyro_effect([replace(second, fit=small)], (), lenient) is None, 'smaller than is usual'

@@ -18,7 +18,7 @@ from gyrocal_ros.diagnose.ranking import (
     estimate,
     estimate_stds,
     indistinguishable,
-    uneven_gyro_effect,
+    uneven_sign,
 )
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
@@ -92,7 +92,8 @@ class Diagnosis:
 def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:
     """Draw the conclusions from a search."""
     missing = sorted(_missing(searched), key=lambda item: item.gain, reverse=True)
-    refuted = [item.effect.name for item in searched.additions if item.predictive_gain < 0.0]
+    least = searched.last.settings.min_predictive_gain
+    refuted = [item.effect.name for item in searched.additions if item.predictive_gain < least]
     return _conclude(searched.first, searched.last, missing, recording, refuted)
 
 
@@ -138,7 +139,7 @@ def _conclude(
         last: the model with all that was found.
         missing: effects that were found.
         recording: what the recording contains.
-        refuted: names of effects with which a run predicted worse.
+        refuted: names of effects with which a run did not predict better.
     """
     not_judged = dict(_not_judged(last, recording))
     coarse_step_rad_s = coarse_step(recording.readings)
@@ -146,7 +147,7 @@ def _conclude(
     timing = None if fit.mounting else timing_fault(last)
     uneven = None
     if not missing and turns_enough(last.run):
-        uneven = uneven_gyro_effect(last.ranked, refuted, last.settings)
+        uneven = uneven_sign(last.ranked, refuted, last.settings)
     is_coarse = coarse_step_rad_s is not None
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
     if verdict == 'nothing_missing':

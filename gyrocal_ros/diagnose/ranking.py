@@ -189,6 +189,18 @@ def uneven_gyro_effect(
     return uneven_explanation(usual, tried, settings)
 
 
+def uneven_sign(
+    ranked: Sequence[RankedEffect], refuted: Collection[str], settings: DiagnosisSettings
+) -> RankedEffect | None:
+    """Return the effect of the gyro that explains much, though unevenly, unless others explain far more.
+
+    Where those of camera and floor do, it is they that are at fault for a while: wheels spin, tracks slide.
+    """
+    found = uneven_gyro_effect(ranked, refuted, settings)
+    others = (item.merit for item in ranked if item.effect.acts_on != 'gyro')
+    return None if found and max(others, default=0.0) > MUCH_MORE * found.merit else found
+
+
 def uneven_first_effect(
     ranked: Sequence[RankedEffect], tried: Collection[str], settings: DiagnosisSettings
 ) -> RankedEffect | None:

@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 from recordings import recording
+from scipy.signal import lfilter
 from synthetic import DT_S, TOP_DEG_S, Drive, drive, turning_rad_s
 
 from gyrocal_ros.config.sections import Config
@@ -399,3 +400,24 @@ class TestFailures:
         still = replace(made.run, history=replace(made.run.history, distance_m=np.zeros(3000)))
         assert any(' m after a turn' in failure.what for failure in failures(made.run, made.seen))
         assert not any(' m after a turn' in failure.what for failure in failures(still, made.seen))
+
+    def test_slow_errors_of_the_headings_are_no_failure_of_a_model_that_lacks_nothing(self) -> None:
+        """In a short recording the difference of blocks tells little of them."""
+
+        def slow_errors(seed: int) -> Array:
+            rng, kept = np.random.default_rng(seed), math.exp(-DT_S / 5.0)
+            steps_rad = math.sqrt(1.0 - kept**2) * math.radians(0.1) * rng.normal(size=900)
+            heading_rad: Array = lfilter([1.0], [1.0, -kept], steps_rad)
+            return np.diff(heading_rad, prepend=0.0) / DT_S
+
+        drives = [drive(slow_errors(seed), duration_s=90.0, seed=seed) for seed in range(24)]
+        assert sum(bool(failures(made.run, made.seen)) for made in drives) >= 6
+        assert sum(bool(failures(made.run, made.seen, is_complete=True)) for made in drives) <= 2
+
+    def test_a_large_error_is_a_failure_though_no_effect_explains_it(self) -> None:
+        rate, error = turning_rad_s(300.0), np.zeros(3000)
+        for end in np.flatnonzero((rate[:-1] != 0.0) & (rate[1:] == 0.0)) + 1:
+            error[end : end + 20] = deg(0.5)
+        made = drive(error)
+        places = {failure.regime for failure in failures(made.run, made.seen, is_complete=True)}
+        assert {f'0 to 2 s after a turn to the {side}' for side in ('left', 'right')} <= places

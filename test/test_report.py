@@ -31,9 +31,10 @@ from gyrocal_ros.diagnose.run_series import (
     uncorrected,
     windows,
 )
-from gyrocal_ros.diagnose.status import DOES_NOT_FIT, calibration_status, turned_deg
+from gyrocal_ros.diagnose.status import DOES_NOT_FIT, MORE_TURNS, calibration_status, turned_deg
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
+from gyrocal_ros.ekf.camera_watch import TILT_FAULT
 from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.state import EULER, YAW_BIAS, no_landmarks
@@ -401,6 +402,14 @@ class TestStatus:
     def test_green_needs_a_model_that_was_judged(self, run: Run, calibration: Calibration) -> None:
         status = calibration_status(calibration, run, ModelFit((), False))
         assert status.level == 'yellow' and 'too short' in status.sentence
+
+    def test_more_turns_are_no_remedy_for_a_wrong_camera(self, run: Run, calibration: Calibration) -> None:
+        unknown = replace(calibration, converged=False, convergence_time_s=None)
+        assert calibration_status(unknown, run, FITS).next_step == MORE_TURNS
+        event = RunEvent(run.span.start_ns, f'{TILT_FAULT} 1.5 deg beside its transform; correct them')
+        status = calibration_status(unknown, replace(run, events=(event,)), FITS)
+        assert status.sentence.endswith('; the camera looks 1.5 deg beside its transform.')
+        assert status.next_step == 'Correct them.'
 
     def test_turns_are_summed_by_side(self, run: Run) -> None:
         dt_s, bias = run.history.dt_s, run.history.mean[:, YAW_BIAS]

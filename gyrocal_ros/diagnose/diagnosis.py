@@ -158,7 +158,14 @@ def _conclude(
         ranked=first.ranked,
         not_judged=not_judged,
         unexplained=structure,
-        fails_where=tuple(failures(first.run, first.seen, first.settings)),
+        fails_where=tuple(
+            failures(
+                first.run,
+                first.seen,
+                first.settings,
+                is_complete=verdict == 'nothing_missing',
+            )
+        ),
         fit=fit,
         drift_reference=reference_heading(last.run)[1],
         timing=timing,

@@ -26,6 +26,8 @@ SPEEDING_UP_M_S2 = 0.15
 SINCE_TURN_S = (0.0, 2.0, 5.0, 10.0, 20.0, math.inf)
 SINCE_TURN_M = (0.0, 0.3, 1.0, 2.0, math.inf)
 """Edges of the regimes of time and distance since the last turn."""
+MAX_CHANCE = 3.0
+"""Largest error of most regimes, in standard deviations, that counts as chance where nothing is missing."""
 PARTS = 4
 """Number of parts of equal duration into which the range of a signal is cut."""
 
@@ -56,17 +58,30 @@ class Regime:
     """True for a regime of the motion, False for one of a slowly changing signal."""
 
 
-def failures(run: Run, seen: Headings, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> list[Failure]:
+def failures(
+    run: Run, seen: Headings, settings: DiagnosisSettings = DEFAULT_SETTINGS, *, is_complete: bool = False
+) -> list[Failure]:
     """Find where turns by the gyro and headings by the camera differ by more than chance, worst first.
 
     The gyro has the final coefficients and a bias that drifts as slowly as the settings say. Chance is
     estimated from the difference of neighbouring blocks of time after everything that motion explains has
-    been fitted.
+    been fitted. If nothing is missing, the errors of most regimes are chance, too: slow errors of the images
+    hardly show in the difference of blocks.
+
+    Args:
+        run: with the model.
+        seen: its headings.
+        settings: thresholds.
+        is_complete: True if the model lacks nothing.
     """
     every = [regime for regime in regimes(run) if _length_s(regime, seen) > settings.failure_length_s]
     by_motion = np.stack([regime.column for regime in every if regime.is_motion], axis=1).astype(float)
+    errors = _errors(every, seen)
     chance = max(1.0, robust_std(np.diff(misfits(seen, by_motion))) / math.sqrt(2.0))
-    found = [*_in_regimes(every, seen, chance, settings), *_in_time(seen, chance, settings)]
+    if is_complete and errors:
+        by_regimes = robust_std(np.array([sigma for _, _, sigma in errors]))
+        chance = max(chance, min(by_regimes, MAX_CHANCE))
+    found = [*_in_regimes(errors, chance, settings), *_in_time(seen, chance, settings)]
     return sorted(found, key=lambda failure: failure.sigma, reverse=True)
 
 
@@ -120,22 +135,27 @@ def _of_signal(name: str, values: Array, turning_rad_s: Array) -> Iterator[Regim
         yield Regime(f'{name} {low:.4g} to {high:.4g}', inside * turning_rad_s, True, False)
 
 
-def _in_regimes(
-    regimes: list[Regime], seen: Headings, chance: float, settings: DiagnosisSettings
-) -> Iterator[Failure]:
+def _errors(regimes: list[Regime], seen: Headings) -> list[tuple[Regime, float, float]]:
+    """Return the regimes that tell of an error, each with its error and that in standard deviations."""
     columns = np.stack([regime.column for regime in regimes], axis=1).astype(float)
     total = heading_scores(seen, columns)
     information, score = np.einsum('bcc->c', total.information), total.score.sum(axis=0)
-    for place in np.flatnonzero(information > 0.0):
-        regime, value = regimes[place], float(score[place] / information[place])
-        sigma = abs(value) * math.sqrt(information[place]) / chance
-        if sigma < settings.failure_sigma:
+    known = np.flatnonzero(information > 0.0)
+    values, sigmas = score[known] / information[known], score[known] / np.sqrt(information[known])
+    return list(zip([regimes[place] for place in known], values.tolist(), sigmas.tolist(), strict=True))
+
+
+def _in_regimes(
+    errors: list[tuple[Regime, float, float]], chance: float, settings: DiagnosisSettings
+) -> Iterator[Failure]:
+    for regime, value, sigma in errors:
+        if abs(sigma) / chance < settings.failure_sigma:
             continue
         if regime.of_scale:
             error = f'the scale needs {100.0 * value:+.3f} %'
         else:
             error = f'the gyro needs {math.degrees(value):+.3f} deg/s'
-        yield Failure(f'{regime.name}: {error}', sigma, regime=regime.name)
+        yield Failure(f'{regime.name}: {error}', abs(sigma) / chance, regime=regime.name)
 
 
 def _in_time(seen: Headings, chance: float, settings: DiagnosisSettings) -> Iterator[Failure]:

@@ -19,6 +19,7 @@ from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
+from gyrocal_ros.ekf.camera_watch import LENS_FAULT, TILT_FAULT
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration
@@ -92,8 +93,11 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         return Status('red', f'Not to be trusted: {"; ".join(fit.misfits)}; {DOES_NOT_FIT}', DIAGNOSE)
     if converged_s is None:
         known = f'{100.0 * calibration.scale_factor_std:.2g} %'
-        sentence = f'Not calibrated yet: the scale factor is known to {known} only, not to {threshold}.'
-        return Status('yellow', sentence, MORE_TURNS)
+        sentence = f'Not calibrated yet: the scale factor is known to {known} only, not to {threshold}'
+        fault, remedy = _camera_fault(run)
+        if fault:
+            return Status('yellow', f'{sentence}; {fault}.', remedy)
+        return Status('yellow', f'{sentence}.', MORE_TURNS)
     if not calibration.converged:
         sentence = 'Not to be trusted: at the end the innovations are not as large as the filter expects.'
         return Status('red', sentence, 'Look at the warnings, the camera calibration and the time stamps.')
@@ -108,6 +112,18 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
     return Status('green', f'{sentence}.')
 
 
+def _camera_fault(run: Run) -> tuple[str, str]:
+    """Return what is wrong with the camera, and what to do about it; both empty without."""
+    faults = [event.text for event in run.events if event.text.startswith((LENS_FAULT, TILT_FAULT))]
+    return _fault_and_remedy(faults[-1]) if faults else ('', '')
+
+
+def _fault_and_remedy(finding: str) -> tuple[str, str]:
+    """Separate what is wrong from what to do about it, which becomes a sentence."""
+    fault, _, remedy = finding.partition('; ')
+    return fault, f'{remedy[:1].upper()}{remedy[1:]}.'
+
+
 def turned_deg(run: Run) -> tuple[float, float]:
     """Return the total turn to the left and to the right, in degrees, by the gyro while the robot turned."""
     left, right = map(math.degrees, run.history.turned_rad(TURNING_RAD_S))
@@ -117,9 +133,9 @@ def turned_deg(run: Run) -> tuple[float, float]:
 def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Status:
     """Return the verdict of a diagnosis, and the next step in the words of those who ask."""
     if diagnosis.fit.mounting:
-        fault, _, remedy = diagnosis.fit.mounting.partition('; ')
+        fault, remedy = _fault_and_remedy(diagnosis.fit.mounting)
         sentence = f'Mounted or wired wrongly: {fault}. Effects cannot be judged until that is mended.'
-        return Status('red', sentence, f'{remedy[:1].upper()}{remedy[1:]}.')
+        return Status('red', sentence, remedy)
     if diagnosis.timing is not None:
         return _timing_status(diagnosis.timing)
     sentence = _diagnosis_sentence(diagnosis)

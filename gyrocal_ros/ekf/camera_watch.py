@@ -29,6 +29,8 @@ CHANCE = 7e-6
 """Probability, by chance, of errors from which they are significant: 4.5 sigma."""
 GATE = chi_square_quantile(1.0 - CHANCE, 4)
 PRIOR_STD = np.array([item.prior_std for effect in CAMERA_ERRORS for item in effect.coefficients])
+LENS_FAULT, TILT_FAULT = 'the distortion in camera_info', 'the camera looks'
+"""First words of the findings; the remedy follows after a semicolon."""
 SETTLE_S = 10.0
 """Time for which an error has to matter before it is reported."""
 
@@ -101,12 +103,12 @@ class CameraWatch:
         if by_lens >= by_tilt:
             k1, k2 = errors[LENS]
             return (
-                f'the distortion in camera_info does not fit the images ({sigma:.0f} sigma): k1 {k1:+.2g}, '
+                f'{LENS_FAULT} does not fit the images ({sigma:.0f} sigma): k1 {k1:+.2g}, '
                 f'k2 {k2:+.2g} would fit better; calibrate the camera again'
             )
         tilt_deg = math.degrees(float(np.linalg.norm(errors[TILT])))
         return (
-            f'the camera looks {tilt_deg:.1f} deg beside the direction of its transform, or the principal '
+            f'{TILT_FAULT} {tilt_deg:.1f} deg beside the direction of its transform, or the principal '
             f'point in camera_info is wrong ({sigma:.0f} sigma); correct them'
         )
 

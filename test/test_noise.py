@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from synthetic import readings, turning_rad_s
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock, Source
@@ -214,6 +215,32 @@ def test_noisy_readings_prove_white_noise_alone(
     assert shown_noise(found.after, recorded, runner(source)) is None, 'the model knows it'
 
 
+def noisy_readings(name: str, size: float, seed: int) -> GyroReadings:
+    """Return the readings of a drive, 100 a second, with a noise and that of the settings."""
+    rng, effect, rate = np.random.default_rng(seed), find_effect(name), np.repeat(turning_rad_s(100.0), 10)
+    known = math.radians(Config().gyro.rate_noise_deg_s)
+    density = np.hypot(known, effect.density(rate, np.array([size])))  # type: ignore[attr-defined]
+    walk = effect.bias_walk(np.array([size]))  # type: ignore[attr-defined]
+    bias = walk * math.sqrt(0.01) * np.cumsum(rng.normal(size=len(rate)))
+    return readings(rate + bias + density / math.sqrt(0.01) * rng.normal(size=len(rate)), 100.0)
+
+
+@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('name', SIZES)
+def test_readings_that_scatter_far_less_refute_a_noise(name: str, seed: int) -> None:
+    size = 5.0 * SIZES[name]
+    read = noisy_readings(name, size, seed)
+    assert noise._fits_readings(NoiseFit(with_means(find_effect(name), (size,)), 1.0, 0.0), read)
+    too_large = NoiseFit(with_means(find_effect(name), (10.0 * size,)), 1.0, 0.0)
+    assert not noise._fits_readings(too_large, read)
+
+
+def test_a_few_readings_refute_no_noise() -> None:
+    none = readings(np.zeros(0), 100.0)
+    for name, size in SIZES.items():
+        assert noise._fits_readings(NoiseFit(with_means(find_effect(name), (size,)), 1.0, 0.0), none)
+
+
 @pytest.mark.parametrize('name', SIZES)
 @pytest.mark.parametrize('proven', [False, True])
 def test_noise_in_place_of_what_was_found_has_to_be_proven(
@@ -232,10 +259,13 @@ def test_noise_in_place_of_what_was_found_has_to_be_proven(
     monkeypatch.setattr(noise, 'fit_noises', lambda *about: [fitted])
     monkeypatch.setattr(noise, '_first_kept', lambda *about: kept)
     monkeypatch.setattr(noise, '_is_proven', is_proven)
+    monkeypatch.setattr(noise, '_fits_readings', lambda *about: True)
     monkeypatch.setattr(noise, 'continued', lambda additions, *about: additions)
     monkeypatch.setattr(Addition, 'predictive_gain', 1e3)
     found = or_noise(searched, recorded, runner(source), most=1)
     assert asked
+    monkeypatch.setattr(noise, '_fits_readings', lambda *about: False)
+    assert or_noise(searched, recorded, runner(source), most=1) is searched
     assert [item.effect.name for item in found.additions] == ([name] if proven else [])
 
 

@@ -22,12 +22,12 @@ from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search_from
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
-from gyrocal_ros.diagnose.summarise import white_noise
+from gyrocal_ros.diagnose.summarise import scatter_in_turns, walk_of_means, white_noise
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.traits import is_white_noise
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.errors import CANNOT_RUN
-from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel, with_means
 
 MIN_GAIN = 25.0
@@ -41,6 +41,10 @@ EFFECT_PART = 0.5
 MORE_DRIFT = 2.0
 """Held-out drift with a noise, relative to that with effects, from which it does not take their place: a
 filter that follows the bias predicts the next image as well as the law behind it."""
+READ_PART = 0.2
+"""Part of a white noise that the readings must show: a low-pass filter in the gyro may hide the rest."""
+WALK_PART = 0.6
+"""Part of a random walk of the bias that the readings must show; no filter hides it."""
 SHOWN_NOISE = 3.0
 """Noise of the readings, relative to the settings, from which they show it; twice is common among parts."""
 
@@ -85,6 +89,16 @@ def shown_noise(present: ExaminedModel, recording: RecordingSummary, calibrate: 
         found = replace(with_noise(present, noise, recording, calibrate), is_shown=True)
         return found if found.is_kept else None
     return None
+
+
+def _fits_readings(noise: NoiseFit, readings: GyroReadings) -> bool:
+    """Return False for a noise that would make the readings scatter far more than they do."""
+    turn_rad_s, in_turns_rad_s = scatter_in_turns(readings)
+    effect, size = noise.effect, np.array([noise.size])
+    white = effect.density(np.array([0.0, turn_rad_s]), size)  # type: ignore[attr-defined]
+    walk = effect.bias_walk(size)  # type: ignore[attr-defined]
+    read = np.array([white_noise(readings), in_turns_rad_s])
+    return not ((read < READ_PART * white).any() or walk_of_means(readings) < WALK_PART * walk)
 
 
 def _no_larger(noise: NoiseFit, read_rad_s: float) -> NoiseFit:
@@ -156,7 +170,8 @@ def or_noise(
     if is_recovered or not is_missing_something(first):
         return searched
     explained = heading_log_likelihood(searched.last.seen) - heading_log_likelihood(first.seen)
-    noises, structure = fit_noises(first), first.unexplained_structure
+    noises = [noise for noise in fit_noises(first) if _fits_readings(noise, recording.readings)]
+    structure = first.unexplained_structure
     if not noises or noises[0].gain < max(MIN_GAIN, explained):
         return searched
     jump_gain = structure.gain if structure is not None and structure.at_s is not None else 0.0

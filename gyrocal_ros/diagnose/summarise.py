@@ -45,8 +45,12 @@ UNEVEN, EVEN_PART = 0.02, 0.99
 REPEATED = 0.5
 """Part of slow readings that repeat the one before where the noise is below a third of a step."""
 
+TURNING_RAD_S = math.radians(20.0)
+"""Rate from which a robot turns."""
 MEAN_S, MIN_MEANS = 1.0, 40
 """Time over which a vibration averages out, and the minimum number of such means."""
+SLOWEST_PART = 0.25
+"""Part of the means that tells of a walk of the bias."""
 VIBRATES = 0.5
 """Noise of means over that time, relative to that of the readings, below which these vibrate."""
 
@@ -79,7 +83,7 @@ def white_noise(readings: GyroReadings) -> float:
     if len(rate) < MIN_SLOW:
         return math.nan
     interval_s = float(np.median(np.diff(readings.t_ns))) / NS_PER_S
-    density, count = _density(rate, interval_s), int(len(rate) * MEAN_S * NS_PER_S / np.ptp(readings.t_ns))
+    density, count = _density(rate, interval_s), _readings_per_mean(readings)
     if count < 2 or len(rate) < MIN_MEANS * count:
         return density
     weights = np.hanning(count + 2)[1:-1]  # leaves less of a vibration than equal ones
@@ -89,15 +93,56 @@ def white_noise(readings: GyroReadings) -> float:
     return of_means if of_means < VIBRATES * density else density
 
 
+def walk_of_means(readings: GyroReadings) -> float:
+    """Return the largest random walk of the bias, rad/s/sqrt(s), that readings show; NaN for a few readings.
+
+    Second differences of successive means over T of a walk q have the variance `q^2 T`. The slowest quarter
+    counts; what the robot does there makes them larger, never smaller.
+    """
+    count = _readings_per_mean(readings) if len(readings.rate_rad_s) >= MIN_SLOW else 0
+    if count < 1 or len(readings.rate_rad_s) < MIN_MEANS * count:
+        return math.nan
+    rate = readings.rate_rad_s
+    bends, speeds = _bends(rate[: len(rate) // count * count].reshape(-1, count).mean(axis=1))
+    slow = bends[speeds <= np.quantile(speeds, SLOWEST_PART)]
+    return math.sqrt(float(np.mean(slow**2)) / MEAN_S)
+
+
+def scatter_in_turns(readings: GyroReadings) -> tuple[float, float]:
+    """Return the median rate of turns (rad/s), and the density of the scatter of the readings in them.
+
+    The density is in rad/s/sqrt(Hz) as if the scatter were white noise; NaN for a few readings.
+    """
+    rate = readings.rate_rad_s
+    bends, speeds = _bends(rate)
+    turning = speeds > TURNING_RAD_S
+    if np.count_nonzero(turning) < MIN_SLOW:
+        return math.nan, math.nan
+    interval_s = float(np.median(np.diff(readings.t_ns))) / NS_PER_S
+    return float(np.median(speeds[turning])), robust_std(bends[turning]) * math.sqrt(interval_s / 6.0)
+
+
 def _density(rate_rad_s: Array, interval_s: float) -> float:
     """Return the density of the white noise of a rate (N,).
 
-    Second differences contain neither the rate nor its steady change; their median leaves out the jerks. The
-    slower half counts: noise may grow with the rate.
+    The slower half counts: noise may grow with the rate.
+    """
+    bends, speeds = _bends(rate_rad_s)
+    return robust_std(bends[speeds <= np.median(speeds)]) * math.sqrt(interval_s / 6.0)
+
+
+def _readings_per_mean(readings: GyroReadings) -> int:
+    """Return the number of readings of a mean over `MEAN_S`."""
+    return int(len(readings.rate_rad_s) * MEAN_S * NS_PER_S / np.ptp(readings.t_ns))
+
+
+def _bends(rate_rad_s: Array) -> tuple[Array, Array]:
+    """Return the second differences (N - 2,) of a rate (N,), and the magnitude of the rate there.
+
+    They contain neither the rate nor its steady change; their median leaves out the jerks.
     """
     before, middle, after = rate_rad_s[:-2], rate_rad_s[1:-1], rate_rad_s[2:]
-    bends, speeds = after - 2.0 * middle + before, np.abs(after + middle + before)
-    return robust_std(bends[speeds <= np.median(speeds)]) * math.sqrt(interval_s / 6.0)
+    return after - 2.0 * middle + before, np.abs(after + middle + before) / 3.0
 
 
 def summarise_recording(source: Source) -> RecordingSummary:

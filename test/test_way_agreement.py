@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -19,7 +21,8 @@ from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.turn_agreement import mounting_fault
-from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA, turned_camera
+from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA, WRONG_YAW, turned_camera
+from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 
@@ -50,6 +53,23 @@ def test_a_camera_that_is_turned_about_its_axis(quarters: int, angles_deg: tuple
     fault = mounting_fault(run)
     assert fault.startswith(TURNED_CAMERA) and any(f'at {angle} deg' in fault for angle in angles_deg)
     assert sum(TURNED_CAMERA in event.text for event in run.events) == 1
+
+
+@pytest.mark.parametrize('angle_deg', [-6.0, 5.0, 2.0])
+def test_a_yaw_of_the_mount_that_was_measured_badly_is_told_as_such(angle_deg: float) -> None:
+    rig = SOURCE.rig
+    turn = rotation_from_euler(np.array([0.0, 0.0, math.radians(angle_deg)]))
+    mount = replace(rig.camera_mount, R_bs=turn @ rig.camera_mount.R_bs, p_bs=rig.camera_mount.p_bs)
+    source = ModifiedSource(SOURCE, iter, replace(rig, camera_mount=mount))
+    run = calibrate(source, Config(), default_model())
+    assert mounting_fault(run) == ''
+    told = [event.text for event in run.events if WRONG_YAW in event.text]
+    if abs(angle_deg) < 3.0:
+        assert told == []
+        return
+    found = re.search(r'is ([+-][\d.]+) \S ([\d.]+) deg off', told[0])
+    assert len(told) == 1 and found is not None
+    assert abs(float(found[1]) - angle_deg) < 3.0 * float(found[2]) and float(found[2]) < 2.0
 
 
 def test_a_diagnosis_tells_the_mount_and_judges_no_effect() -> None:

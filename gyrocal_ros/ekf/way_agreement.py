@@ -20,15 +20,21 @@ LANE_M, MAX_TURN_RAD = 0.15, math.radians(2.0)
 MIN_FEATURES, MIN_SHIFT = 4, 0.01
 """Features that two images must have in common, and shift of their bearings (x/z, y/z) from which it tells a
 direction."""
-LANES, MIN_AGREEMENT = 12, 0.9
-"""Number of lanes that tell the direction, and mean of their unit vectors from which they agree on it."""
+LANES, MOST_LANES, MIN_AGREEMENT = 12, 100, 0.9
+"""Numbers of lanes from which and up to which they tell the direction, and mean of their unit vectors from
+which they agree on it."""
 MAX_ANGLE_RAD = math.radians(30.0)
-"""Angle that no error of a mount explains that was measured; smaller ones are effects of the library."""
+"""Angle from which the camera is turned, or the wheels run backwards; a smaller one is a yaw that was
+measured badly, which makes the path wrong but not the gyro."""
+MIN_ANGLE_RAD, MIN_SIGMA = math.radians(3.0), 4.0
+"""Smallest yaw that is told, and its significance."""
 LEAST_UP = 0.1
 """Vertical part of a ray from which its bearing is used as it is: walls may be seen, too."""
 TURNED_CAMERA = 'the images show another way than the wheels'
 REMEDY = 'correct the transform of the camera, or the sign of the speed'
 """Beginning and end of the event."""
+WRONG_YAW = 'the yaw of the camera in its transform is'
+"""First words of the event of a smaller angle."""
 
 
 class WayAgreement:
@@ -42,6 +48,7 @@ class WayAgreement:
         self._bearings: Array = np.empty(0, complex)
         self._way_m = self._turn_rad = 0.0
         self._lanes, self._sum = 0, 0.0j
+        self._has_told = False
 
     def move(self, block: MotionBlock) -> None:
         """Add the motion of a block."""
@@ -51,7 +58,7 @@ class WayAgreement:
 
     def event(self, seen: FeatureObservations, camera: CameraIntrinsics, mount: Mount) -> str:
         """Take the features of an image; return what is wrong, once; empty otherwise."""
-        if self._lanes >= LANES:
+        if self._has_told or self._lanes >= MOST_LANES:
             return ''
         is_straight = self._ids is not None and abs(self._turn_rad) < MAX_TURN_RAD
         if is_straight and abs(self._way_m) < LANE_M:
@@ -61,6 +68,7 @@ class WayAgreement:
             self._compare(seen.ids, bearings)
         self._ids, self._bearings = seen.ids, bearings
         self._way_m = self._turn_rad = 0.0
+        self._has_told = bool(self.finding)
         return self.finding
 
     def _compare(self, ids: IntArray, bearings: Array) -> None:
@@ -79,14 +87,22 @@ class WayAgreement:
     @property
     def finding(self) -> str:
         """What is wrong; empty where nothing is, or while that is not known."""
-        angle_rad = cmath.phase(self._sum)
-        agrees = abs(self._sum) > MIN_AGREEMENT * self._lanes
-        if self._lanes < LANES or not agrees or abs(angle_rad) < MAX_ANGLE_RAD:
+        agreement = abs(self._sum) / max(self._lanes, 1)
+        if self._lanes < LANES or agreement < MIN_AGREEMENT:
             return ''
-        return (
-            f'{TURNED_CAMERA}, at {math.degrees(abs(angle_rad)):.0f} deg: the camera is turned about its '
-            f'axis, or the wheels run backwards; {REMEDY}'
-        )
+        angle_rad = cmath.phase(self._sum)
+        # Of unit vectors that scatter by s, the mean has a length of 1 - s^2 / 2 (Mardia and Jupp 2000).
+        std_rad = math.sqrt(2.0 * max(1.0 - agreement, 0.0) / self._lanes)
+        angle_deg = math.degrees(angle_rad)
+        if abs(angle_rad) >= MAX_ANGLE_RAD:
+            return (
+                f'{TURNED_CAMERA}, at {abs(angle_deg):.0f} deg: the camera is turned about its axis, or the '
+                f'wheels run backwards; {REMEDY}'
+            )
+        if abs(angle_rad) < max(MIN_ANGLE_RAD, MIN_SIGMA * std_rad):
+            return ''
+        uncertainty = f'{angle_deg:+.1f} \N{PLUS-MINUS SIGN} {math.degrees(std_rad):.1f} deg'
+        return f'{WRONG_YAW} {uncertainty} off, by the way of the wheels; subtract that'
 
 
 def turned_camera(event: str) -> str:

@@ -165,6 +165,15 @@ def test_the_final_coefficients_fit_best(run: Run) -> None:
     )
 
 
+def test_no_span_is_held_out_before_a_change_that_was_followed(run: Run) -> None:
+    history = run.history
+    followed = np.zeros(len(history.time_s))
+    assert held_out_from_s(run) < history.time_s[-1] - 5.0
+    followed[-20] = 1.0
+    changed = replace(run, history=replace(history, scale_followed=followed))
+    assert held_out_from_s(changed) == history.time_s[-20]
+
+
 def test_held_out_spans_are_in_the_second_half_or_at_the_end(run: Run) -> None:
     def from_s(end_s: float) -> float:
         stretched = run.history.time_s * end_s / run.history.time_s[-1]

@@ -47,6 +47,20 @@ def test_new_features_join_with_all_correlations(form: Parametrisation) -> None:
     assert_positive_definite(after.covariance[: behind.stop, : behind.stop])
 
 
+@pytest.mark.parametrize('form', PARAMETRISATIONS.values(), ids=PARAMETRISATIONS)
+def test_an_error_of_the_stamp_moves_new_features_together(form: Parametrisation) -> None:
+    state = some_state(form)
+    new = form.initialise(view_at(state.mean[POSE]), PIXELS[:2], NOISE_PX, FEATURES)
+    arguments = state, np.array([20, 21]), PIXELS[:2], DIRECTIONS[:2], new, None, None
+    by_stamp = 0.01 * np.array([0.3, -0.1, 0.0, 0.02, 0.01, 1.2])
+    added = augment(*arguments, by_stamp).covariance - augment(*arguments).covariance
+    moved = np.zeros(len(added))
+    moved[state.anchors_start : state.anchors_start + 6] = new.by_pose.reshape(6, 6) @ by_stamp
+    if new.anchor_by_pose is not None:
+        moved[-3:] = new.anchor_by_pose @ by_stamp
+    np.testing.assert_allclose(added, np.outer(moved, moved), atol=1e-12)
+
+
 def test_removal_leaves_the_rest_unchanged() -> None:
     state = some_state()
     after = keep(state, np.array([True, False, True, True, False]))

@@ -208,6 +208,21 @@ class TestDiagnose:
         assert any('finer range' in text for text in advice(unsure))
         clean = replace(unsure, missing=(), verdict='nothing_missing')
         assert diagnosis_status(clean).sentence.startswith('Nothing is missing')
+        shape = shapes(search_.last.run, search_.last.seen)[0]
+        strange = UnexplainedStructure('the scale goes with time', 80.0, 9.0, shape)
+        last = replace(search_.first, unexplained_structure=strange)
+        by_steps = diagnose(replace(search_, first=last, additions=()), coarse)
+        assert by_steps.verdict == 'cannot_tell' and by_steps.unexplained is strange
+        assert diagnosis_status(by_steps).sentence.endswith('wider than its noise; these cause the errors.')
+
+    def test_stamps_at_fault_are_mended_first(self, searched: tuple[Search, Diagnosis]) -> None:
+        drifting = replace(searched[1], verdict='timing', timing=TimingFault('the clocks run apart'))
+        assert advice(drifting) == [diagnosis_status(drifting).next_step]
+        parser = argparse.ArgumentParser()
+        add_arguments(parser)
+        misfit = replace(drifting, missing=(), fit=ModelFit(('NIS 9.0',), True))
+        steps = list(next_steps(misfit, parser.parse_args(['bag'])))
+        assert not any('gyrocal learn' in step for step in steps)
 
     def test_unexplained_structure(self, searched: tuple[Search, Diagnosis]) -> None:
         search_, diagnosis = searched

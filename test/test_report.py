@@ -31,7 +31,7 @@ from gyrocal_ros.diagnose.run_series import (
     uncorrected,
     windows,
 )
-from gyrocal_ros.diagnose.status import DOES_NOT_FIT, MORE_TURNS, calibration_status, turned_deg
+from gyrocal_ros.diagnose.status import DIAGNOSE, DOES_NOT_FIT, MORE_TURNS, calibration_status, turned_deg
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
 from gyrocal_ros.ekf.camera_watch import TILT_FAULT
@@ -360,6 +360,7 @@ class TestSentences:
 
     def test_a_calibration_that_needs_more_turns(self, run: Run, calibration: Calibration) -> None:
         early = replace(calibration, converged=False, convergence_time_s=None)
+        run = replace(run, history=replace(run.history, turn_rad=0.1 * run.history.turn_rad))
         verdict = conclusion(early, run, FITS, blind_drift(run), blind_drift(run))
         assert verdict.status.level != 'green'
         assert 'Record more turns' in verdict.steps[0]
@@ -405,11 +406,17 @@ class TestStatus:
 
     def test_more_turns_are_no_remedy_for_a_wrong_camera(self, run: Run, calibration: Calibration) -> None:
         unknown = replace(calibration, converged=False, convergence_time_s=None)
-        assert calibration_status(unknown, run, FITS).next_step == MORE_TURNS
+        few = replace(run.history, turn_rad=0.1 * run.history.turn_rad)
+        assert calibration_status(unknown, replace(run, history=few), FITS).next_step == MORE_TURNS
+        assert min(turned_deg(run)) > 360.0
+        assert calibration_status(unknown, run, FITS).next_step == DIAGNOSE
         event = RunEvent(run.span.start_ns, f'{TILT_FAULT} 1.5 deg beside its transform; correct them')
         status = calibration_status(unknown, replace(run, events=(event,)), FITS)
         assert status.sentence.endswith('; the camera looks 1.5 deg beside its transform.')
         assert status.next_step == 'Correct them.'
+        status = calibration_status(calibration, replace(run, events=(event,)), FITS)
+        assert status.level == 'yellow' and status.next_step == 'Correct them.'
+        assert status.sentence.endswith(' s, but the camera looks 1.5 deg beside its transform.')
 
     def test_turns_are_summed_by_side(self, run: Run) -> None:
         dt_s, bias = run.history.dt_s, run.history.mean[:, YAW_BIAS]

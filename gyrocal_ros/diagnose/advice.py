@@ -14,6 +14,10 @@ RECORD = (
     'Record five minutes with turns to both sides at several speeds, straight lanes and short rests, '
     'with the ceiling or the heading reference in view.'
 )
+MEND_STAMPS = (
+    'Stamp images and IMU with one clock, when they are taken, not when they arrive; look at the '
+    'synchronisation of the IMU board.'
+)
 CAUTION = (
     'A signal that changes slowly goes together with anything that changes slowly: '
     'find a reason, or make it change often, before you trust this.'
@@ -22,6 +26,8 @@ CAUTION = (
 
 def advice(diagnosis: Diagnosis) -> list[str]:
     """Return sentences for a person, the most urgent first."""
+    if diagnosis.timing is not None:
+        return [MEND_STAMPS]
     sentences = [
         sentence
         for item in diagnosis.missing

@@ -230,7 +230,7 @@ def _verdict(
     if fit.mounting:
         return 'cannot_tell'
     if left is not None and left.gain > settings.leftover_part * sum(item.gain for item in missing):
-        return 'unexplained'
+        return 'cannot_tell' if is_coarse else 'unexplained'
     if missing and fit.fits is not False and all(is_noise(item.effect) for item in missing):
         return 'noise'
     if missing:

@@ -234,9 +234,14 @@ def blind_drift(
 
 
 def held_out_from_s(run: Run) -> float:
-    """Return the beginning of the held-out spans: the second half, or earlier in a short run."""
-    end_s = float(run.history.time_s[-1])
-    return max(SETTLING_S, min(0.5 * end_s, end_s - SPAN_S - 3.0 * STRIDE_S))
+    """Return the beginning of the held-out spans: the second half, or earlier in a short run.
+
+    Before a change of the scale factor that the filter followed, another one was believed.
+    """
+    history = run.history
+    end_s, followed = float(history.time_s[-1]), history.scale_followed.nonzero()[0]
+    changed_s = float(history.time_s[followed[-1]]) if len(followed) else 0.0
+    return max(SETTLING_S, changed_s, min(0.5 * end_s, end_s - SPAN_S - 3.0 * STRIDE_S))
 
 
 def drift_of_both_deg(before: Run, after: Run, from_s: float = 0.0) -> tuple[float, float]:

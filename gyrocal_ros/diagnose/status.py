@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from gyrocal_ros.diagnose.advice import RECORD, join
+from gyrocal_ros.diagnose.advice import MEND_STAMPS, RECORD, join
 from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement
@@ -27,8 +27,9 @@ from gyrocal_ros.pipeline.calibration import Calibration
 Level: TypeAlias = Literal['green', 'yellow', 'red']
 TURNING_RAD_S = math.radians(1.0)
 """Rate above which the robot counts as turning: wide arcs have 2 deg/s."""
-MIN_TURN_DEG = 90.0
-"""Total turn to each side below which a recording shows one side only."""
+MIN_TURN_DEG, ENOUGH_TURN_DEG = 90.0, 360.0
+"""Total turn to each side below which a recording shows one side only, and from which more of them are no
+remedy."""
 NOTHING_MISSING = 'Nothing is missing: all measurements agree with the model within chance.'
 CANNOT_TELL = (
     'This recording cannot tell whether an effect is missing: '
@@ -36,16 +37,13 @@ CANNOT_TELL = (
 )
 DOES_NOT_FIT = 'the model does not fit this recording.'
 """The last words on a calibration that its own recording contradicts."""
-TOO_SHORT = 'The recording is too short to judge the model.'
+UNJUDGED = 'the recording is too short to judge the model, or has too many gaps'
+TOO_SHORT = f'{UNJUDGED[0].upper()}{UNJUDGED[1:]}.'
 REPEAT = 'Diagnose a second recording: what is off there, too, is not chance.'
 DIAGNOSE = 'Run `gyrocal diagnose` on this recording.'
 ADD_NOISE = 'Add it with `gyrocal add` where right standard deviations count more than drift without images.'
 LEARN = 'Run `gyrocal learn` on this recording: it learns what no effect of the library explains.'
 MORE_TURNS = 'Record more turns, both ways, with the ceiling or the heading reference in view.'
-MEND_STAMPS = (
-    'Stamp images and IMU with one clock, when they are taken, not when they arrive; look at the '
-    'synchronisation of the IMU board.'
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,16 +86,16 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         fit: whether the model fits the run.
     """
     criteria, converged_s = run.config.convergence, calibration.convergence_time_s
-    threshold = f'{100.0 * criteria.scale_std:g} %'
+    threshold, (fault, remedy) = f'{100.0 * criteria.scale_std:g} %', _camera_fault(run)
     if fit.misfits:
         return Status('red', f'Not to be trusted: {"; ".join(fit.misfits)}; {DOES_NOT_FIT}', DIAGNOSE)
     if converged_s is None:
         known = f'{100.0 * calibration.scale_factor_std:.2g} %'
         sentence = f'Not calibrated yet: the scale factor is known to {known} only, not to {threshold}'
-        fault, remedy = _camera_fault(run)
         if fault:
             return Status('yellow', f'{sentence}; {fault}.', remedy)
-        return Status('yellow', f'{sentence}.', MORE_TURNS)
+        turned_enough = min(turned_deg(run)) > ENOUGH_TURN_DEG
+        return Status('yellow', f'{sentence}.', DIAGNOSE if turned_enough else MORE_TURNS)
     if not calibration.converged:
         sentence = 'Not to be trusted: at the end the innovations are not as large as the filter expects.'
         return Status('red', sentence, 'Look at the warnings, the camera calibration and the time stamps.')
@@ -107,8 +105,10 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         side, other = ('left', 'right') if left_deg > right_deg else ('right', 'left')
         sentence += f', but the robot turned to the {side} only, so that an asymmetry cannot show.'
         return Status('yellow', sentence, f'Record turns to the {other}, too.')
+    if fault:
+        return Status('yellow', f'{sentence}, but {fault}.', remedy)
     if fit.fits is None:
-        return Status('yellow', f'{sentence}, but the recording is too short to judge the model.', RECORD)
+        return Status('yellow', f'{sentence}, but {UNJUDGED}.', RECORD)
     return Status('green', f'{sentence}.')
 
 
@@ -173,7 +173,7 @@ def _timing_status(fault: TimingFault) -> Status:
 def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
     missing = {item.effect.name: item.confused_with for item in diagnosis.missing}
     is_unexplained = diagnosis.verdict == 'unexplained'
-    if missing and not is_unexplained and diagnosis.coarse_step_rad_s is not None:
+    if (missing or diagnosis.unexplained) and not is_unexplained and diagnosis.coarse_step_rad_s is not None:
         step = f'steps of {math.degrees(diagnosis.coarse_step_rad_s):.2g} deg/s'
         causes = join(['these', *missing], 'or')
         return f'The gyro reads in {step}, wider than its noise; {causes} cause the errors.'

@@ -57,6 +57,11 @@ class ImageModel:
     """True if a slip of the wheels may explain what contradicts the pose."""
 
     @property
+    def by_stamp(self) -> Array | None:
+        """Change of the pose (6,) in a standard deviation of the stamp; None for exact stamps."""
+        return self.stamp_std_s * self.motion.rate if self.stamp_std_s else None
+
+    @property
     def moves(self) -> bool:
         """True if the image tells of depths and of the way."""
         return self.has_moved and not self.stays

@@ -316,7 +316,8 @@ def add_landmarks(
         by_candidates = _at_first_sight(
             first, prediction, model.by_candidates(prediction), first.anchors.by_candidates
         )
-    return augment(state, ids, pixels, bearing(model.view.camera, at_stamp), first, by_values, by_candidates)
+    directions = bearing(model.view.camera, at_stamp)
+    return augment(state, ids, pixels, directions, first, by_values, by_candidates, model.by_stamp)
 
 
 def _first_sight(state: State, model: ImageModel, pixels: Array) -> tuple[Array, NewFeatures]:

@@ -18,8 +18,11 @@ def augment(
     new: NewFeatures,
     by_values: Array | None,
     by_candidates: Array | None,
+    by_stamp: Array | None = None,
 ) -> State:
     """Eq. (18): add m features; the new block of P is `Jx P Jx^T + Jz R Jz^T`, with cross terms.
+
+    An error of the stamp puts all of them where they are seen from another pose.
 
     Features with an anchor share a new one, which follows them in the state.
 
@@ -31,6 +34,7 @@ def augment(
         new: the features at their first observation.
         by_values: (m, 3, k) their derivative with respect to the coefficients; None for zero.
         by_candidates: (m, 3, c) the same for effects that the model lacks.
+        by_stamp: (6,) change of the pose in a standard deviation of the stamp; None for zero.
     """
     count, r = len(ids), state.robot_size
     by_pose, parameters = new.by_pose.reshape(-1, 6), new.parameters.ravel()
@@ -46,6 +50,9 @@ def augment(
     own = cross[:, :r] @ by_robot.T
     blocks = own[: 3 * count, : 3 * count].reshape(count, 3, count, 3)
     blocks[np.arange(count), :, np.arange(count), :] += new.noise
+    if by_stamp is not None:
+        moved = by_pose @ by_stamp
+        own += moved[:, None] * moved
     sensitivity = by_robot @ state.sensitivity[:r]
     if by_candidates is not None:
         sensitivity[: 3 * count] += by_candidates.reshape(3 * count, -1)

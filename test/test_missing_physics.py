@@ -26,10 +26,12 @@ from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.advice import advice
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
+from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.timing import TimingFault
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.covariate import covariate_bias
 from gyrocal_ros.effects.model_file import load_model
@@ -216,7 +218,9 @@ class TestDiagnose:
         assert diagnosis_status(by_steps).sentence.endswith('wider than its noise; these cause the errors.')
 
     def test_stamps_at_fault_are_mended_first(self, searched: tuple[Search, Diagnosis]) -> None:
-        drifting = replace(searched[1], verdict='timing', timing=TimingFault('the clocks run apart'))
+        drifting = replace(
+            searched[1], verdict='timing', timing=TimingFault('changes', 0.0, 0.03, 0.01, 500.0, 300.0)
+        )
         assert advice(drifting) == [diagnosis_status(drifting).next_step]
         parser = argparse.ArgumentParser()
         add_arguments(parser)

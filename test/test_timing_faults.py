@@ -13,7 +13,13 @@ from gyrocal_ros.diagnose.examined import ExaminedModel, with_effect
 from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.ranking import rank
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.diagnose.timing import TURNING_RAD_S, TimingFault, timing_fault
+from gyrocal_ros.diagnose.timing import (
+    CHANGES_NIS_RATIO,
+    JITTERS_NIS_RATIO,
+    TURNING_RAD_S,
+    TimingFault,
+    timing_fault,
+)
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 
@@ -108,6 +114,24 @@ def test_stamps_that_jitter() -> None:
     fault = timing_fault(examined_with(np.zeros(BLOCKS), 0.02, BOTH))
     assert fault is not None and fault.kind == 'jitters'
     assert fault.std_s == pytest.approx(0.02, rel=0.1) and 'jitter by about 20 ms' in str(fault)
+
+
+@pytest.mark.parametrize(('factor', 'is_fault'), [(1.2, True), (1.5, False)])
+def test_an_offset_that_changes_explains_most_of_the_innovations(factor: float, is_fault: bool) -> None:
+    """A camera that is loose in its mount leaves a third of them, or more."""
+    examined = examined_with(SAWTOOTH_S, 0.0, BOTH)
+    history = examined.run.history
+    larger = replace(history, nis=history.dof + factor * (history.nis - history.dof))
+    examined = replace(examined, run=replace(examined.run, history=larger))
+    assert (timing_fault(examined) is not None) == is_fault
+
+
+def test_a_small_excess_in_turns_tells_of_a_change() -> None:
+    examined = examined_with(0.1 * SAWTOOTH_S, 0.0, BOTH)
+    history = examined.run.history
+    turning = np.abs(history.turn_rad / history.dt_s) > TURNING_RAD_S
+    assert CHANGES_NIS_RATIO < history.nis[turning].sum() / history.dof[turning].sum() < JITTERS_NIS_RATIO
+    assert timing_fault(examined) is not None
 
 
 def test_noise_that_grows_with_the_rate_is_no_jitter() -> None:

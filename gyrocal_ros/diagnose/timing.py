@@ -25,15 +25,16 @@ from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 
 TURNING_RAD_S, STRAIGHT_RAD_S = math.radians(20.0), math.radians(3.0)
 """Rates above and below which the innovations of turns and of straight lanes are compared."""
-MIN_NIS_RATIO = 3.0
-"""NIS in turns, relative to that on straight lanes, from which stamps may be at fault."""
+CHANGES_NIS_RATIO, JITTERS_NIS_RATIO = 1.8, 3.0
+"""NIS in turns, relative to that on straight lanes, from which the offset of the stamps may change, and from
+which they may jitter."""
 MIN_CHANGE_S = 0.005
 """Range of the offsets of the blocks below which nothing has changed."""
 MIN_STD = 0.3
 """Standard deviation of the offset, relative to that range, above which a block is not counted."""
-CHANGES_PART, JITTERS_PART = 0.5, 0.2
-"""Part of the excess of the NIS that an offset for each block explains if it changes slowly; and that
-anything else may explain if it jitters from image to image."""
+CHANGES_PART, JITTERS_PART = 0.72, 0.2
+"""Part of the excess of the NIS that an offset for each block explains if it changes slowly, of which a loose
+camera leaves more; and that anything else may explain if it jitters from image to image."""
 MARGIN = 1.05
 """Factor over the gain of all effects together that offsets of the blocks have to gain."""
 DRIFT_BLOCKS, DRIFT_SCATTER, DRIFTS_PART = 6, 0.1, 0.8
@@ -112,32 +113,36 @@ def timing_fault(examined: ExaminedModel) -> TimingFault | None:
     columns = _time_columns(examined)
     blocks = None if has_offset or len(columns) != 1 else _block_offsets(examined.scores, columns[0])
     drift = None if blocks is None else _drift(blocks, excess_nis(examined.run))
-    shows_in_turns = _shows_in_turns(examined)
-    if drift is None and not shows_in_turns:
+    nis_ratio = _nis_ratio_of_turns(examined)
+    if drift is None and nis_ratio < CHANGES_NIS_RATIO:
         return None
     known = explained_together(examined.ranked, examined.scores, examined.settings)
     if drift is not None and drift.gain - 2.0 * examined.settings.coefficient_price > MARGIN * known:
         return drift
-    if not shows_in_turns:
-        return None
+    may_jitter = nis_ratio > JITTERS_NIS_RATIO
     if has_offset:
-        return _jitter(examined, known, _heading_information(examined.seen), (0.0, 0.0))
-    return None if blocks is None else _changing(examined, blocks, known)
+        information = _heading_information(examined.seen)
+        return _jitter(examined, known, information, (0.0, 0.0)) if may_jitter else None
+    may_change = blocks is not None and nis_ratio > CHANGES_NIS_RATIO
+    return _changing(examined, blocks, known, may_jitter=may_jitter) if may_change and blocks else None
 
 
-def _changing(examined: ExaminedModel, blocks: _BlockOffsets, known: float) -> TimingFault | None:
+def _changing(
+    examined: ExaminedModel, blocks: _BlockOffsets, known: float, *, may_jitter: bool
+) -> TimingFault | None:
     """Return an offset that changes from block to block, or jitter where not even that explains much.
 
     Args:
         examined: a model.
         blocks: offset of each block.
         known: log-likelihood that all effects together gain.
+        may_jitter: True if the innovations are far larger in turns.
     """
     excess, price = excess_nis(examined.run), examined.settings.coefficient_price * len(blocks.time_s)
     sharp = blocks.values_s[blocks.stds_s < MIN_STD * np.ptp(blocks.values_s)]
     gain = blocks.gain(blocks.values_s)
     spread = (float(sharp.min()), float(sharp.max())) if len(sharp) else (0.0, 0.0)
-    if 2.0 * max(gain, known) < JITTERS_PART * excess:
+    if may_jitter and 2.0 * max(gain, known) < JITTERS_PART * excess:
         return _jitter(examined, max(gain, known), float(blocks.information.sum()), spread)
     explains = gain - price > MARGIN * known and 2.0 * gain > CHANGES_PART * excess
     if not explains or spread[1] - spread[0] < MIN_CHANGE_S:
@@ -227,15 +232,15 @@ def _errs_by_image(examined: ExaminedModel, std_s: float) -> bool:
     return all(noise.gain < gain for noise in fit_noises(examined))
 
 
-def _shows_in_turns(examined: ExaminedModel) -> bool:
-    """Return True if the innovations are too large in turns, but not on straight lanes."""
+def _nis_ratio_of_turns(examined: ExaminedModel) -> float:
+    """Return the NIS in turns relative to that on straight lanes; 0 where one of them is not known."""
     history = examined.run.history
     rate = np.abs(history.turn_rad / history.dt_s)
     parts = []
     for chosen in (rate > TURNING_RAD_S, rate < STRAIGHT_RAD_S):
         dof = float(history.dof[chosen].sum())
         if dof <= 0.0 or history.time_s[-1] < 2.0 * BLOCK_S:
-            return False
+            return 0.0
         parts.append(float(history.nis[chosen].sum()) / dof)
     turning, straight = parts
-    return turning > MIN_NIS_RATIO * max(straight, 1.0)
+    return turning / max(straight, 1.0)

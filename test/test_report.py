@@ -410,12 +410,12 @@ class TestStatus:
         assert calibration_status(unknown, replace(run, history=few), FITS).next_step == MORE_TURNS
         assert min(turned_deg(run)) > 360.0
         assert calibration_status(unknown, run, FITS).next_step == DIAGNOSE
-        event = RunEvent(run.span.start_ns, f'{TILT_FAULT} 1.5 deg beside its transform; correct them')
+        event = RunEvent(run.span.start_ns, f'{TILT_FAULT} 1.5 deg beside its transform; diagnose it')
         status = calibration_status(unknown, replace(run, events=(event,)), FITS)
         assert status.sentence.endswith('; the camera looks 1.5 deg beside its transform.')
-        assert status.next_step == 'Correct them.'
+        assert status.next_step == 'Diagnose it.'
         status = calibration_status(calibration, replace(run, events=(event,)), FITS)
-        assert status.level == 'yellow' and status.next_step == 'Correct them.'
+        assert status.level == 'yellow' and status.next_step == 'Diagnose it.'
         assert status.sentence.endswith(' s, but the camera looks 1.5 deg beside its transform.')
 
     def test_turns_are_summed_by_side(self, run: Run) -> None:

@@ -109,8 +109,7 @@ class CameraWatch:
         tilt_deg = math.degrees(float(np.linalg.norm(errors[TILT])))
         return (
             f'{TILT_FAULT} {tilt_deg:.1f} deg beside the direction of its transform, or the principal '
-            f'point in camera_info is wrong ({sigma:.0f} sigma); `gyrocal diagnose` tells which, and by how '
-            'much'
+            f'point in camera_info is wrong ({sigma:.0f} sigma); a diagnosis tells which, and by how much'
         )
 
     def _of(self, columns: slice) -> NormalEquations:

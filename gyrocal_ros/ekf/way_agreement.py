@@ -27,7 +27,7 @@ MAX_ANGLE_RAD = math.radians(30.0)
 """Angle from which the camera is turned, or the wheels run backwards; a smaller one is a yaw that was
 measured badly, which makes the path wrong but not the gyro."""
 MIN_ANGLE_RAD, MIN_SIGMA = math.radians(3.0), 4.0
-"""Smallest yaw that is told, and its significance."""
+"""Smallest error of the yaw that is reported, and its significance."""
 LEAST_UP = 0.1
 """Vertical part of a ray from which its bearing is used as it is: walls may be seen, too."""
 TURNED_CAMERA = 'the images show another way than the wheels'

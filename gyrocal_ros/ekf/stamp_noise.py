@@ -16,7 +16,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.state import YAW
 from gyrocal_ros.kernels import compiled
 
-PRIOR_STD_S, PRIOR_WEIGHT = 0.004, 3
+PRIOR_STD_S, PRIOR_WEIGHT = 0.0015, 3
 """Noise of stamps before anything is known of it, and number of images that it counts for. Without, noisy
 stamps would count for exact ones in the first turn, and later the scale factor would seem to have changed."""
 MAX_STD_S = 0.03

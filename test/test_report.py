@@ -410,7 +410,8 @@ class TestStatus:
         assert calibration_status(unknown, replace(run, history=few), FITS).next_step == MORE_TURNS
         assert min(turned_deg(run)) > 360.0
         assert calibration_status(unknown, run, FITS).next_step == DIAGNOSE
-        event = RunEvent(run.span.start_ns, f'{TILT_FAULT} 1.5 deg beside its transform; diagnose it')
+        told = f'{TILT_FAULT} 1.5 deg beside its transform; diagnose it'
+        event = RunEvent(run.span.start_ns, f'the bias walks; {told}; the map was dropped')
         status = calibration_status(unknown, replace(run, events=(event,)), FITS)
         assert status.sentence.endswith('; the camera looks 1.5 deg beside its transform.')
         assert status.next_step == 'Diagnose it.'

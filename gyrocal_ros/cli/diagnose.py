@@ -130,8 +130,8 @@ def _drift_change(missing: MissingEffect) -> str:
 def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
     """Yield the next steps, with the commands to copy."""
     steps = advice(diagnosis)
-    is_open = diagnosis.timing is None and not diagnosis.fit.mounting
-    if is_open and (diagnosis.unexplained is not None or diagnosis.fit.misfits):
+    is_judged = diagnosis.timing is None and not diagnosis.fit.mounting
+    if is_judged and (diagnosis.unexplained is not None or diagnosis.fit.misfits):
         words = ['gyrocal', 'learn', *bag_arguments(args), *_model_arguments(args), '-o', 'learned']
         steps = [f'Learn what no effect of the library explains: {shlex.join(words)}', *steps]
     if diagnosis.missing:

@@ -150,7 +150,8 @@ def _conclude(
         uneven = uneven_sign(last.ranked, refuted, last.settings)
     is_coarse = coarse_step_rad_s is not None
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
-    if verdict == 'nothing_missing':
+    is_complete = verdict == 'nothing_missing'
+    if is_complete:
         timing = timing or stamp_jitter(last.run)
     return Diagnosis(
         verdict='timing' if timing is not None else verdict,
@@ -158,14 +159,7 @@ def _conclude(
         ranked=first.ranked,
         not_judged=not_judged,
         unexplained=structure,
-        fails_where=tuple(
-            failures(
-                first.run,
-                first.seen,
-                first.settings,
-                is_complete=verdict == 'nothing_missing',
-            )
-        ),
+        fails_where=tuple(failures(first.run, first.seen, first.settings, is_complete=is_complete)),
         fit=fit,
         drift_reference=reference_heading(last.run)[1],
         timing=timing,

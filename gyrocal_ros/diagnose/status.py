@@ -19,7 +19,7 @@ from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
-from gyrocal_ros.ekf.camera_watch import LENS_FAULT, TILT_FAULT
+from gyrocal_ros.ekf.camera_watch import camera_fault
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration
@@ -114,14 +114,12 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
 
 def _camera_fault(run: Run) -> tuple[str, str]:
     """Return what is wrong with the camera, and what to do about it; both empty without."""
-    faults = [event.text for event in run.events if event.text.startswith((LENS_FAULT, TILT_FAULT))]
-    return _fault_and_remedy(faults[-1]) if faults else ('', '')
+    found = [fault for fault in (camera_fault(event.text) for event in run.events) if fault[0]]
+    return (found[-1][0], _sentence(found[-1][1])) if found else ('', '')
 
 
-def _fault_and_remedy(finding: str) -> tuple[str, str]:
-    """Separate what is wrong from what to do about it, which becomes a sentence."""
-    fault, _, remedy = finding.partition('; ')
-    return fault, f'{remedy[:1].upper()}{remedy[1:]}.'
+def _sentence(clause: str) -> str:
+    return f'{clause[:1].upper()}{clause[1:]}.'
 
 
 def turned_deg(run: Run) -> tuple[float, float]:
@@ -133,9 +131,9 @@ def turned_deg(run: Run) -> tuple[float, float]:
 def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Status:
     """Return the verdict of a diagnosis, and the next step in the words of those who ask."""
     if diagnosis.fit.mounting:
-        fault, remedy = _fault_and_remedy(diagnosis.fit.mounting)
+        fault, _, remedy = diagnosis.fit.mounting.partition('; ')
         sentence = f'Mounted or wired wrongly: {fault}. Effects cannot be judged until that is mended.'
-        return Status('red', sentence, remedy)
+        return Status('red', sentence, _sentence(remedy))
     if diagnosis.timing is not None:
         return _timing_status(diagnosis.timing)
     sentence = _diagnosis_sentence(diagnosis)

@@ -123,8 +123,9 @@ def timing_fault(examined: ExaminedModel) -> TimingFault | None:
     if has_offset:
         information = _heading_information(examined.seen)
         return _jitter(examined, known, information, (0.0, 0.0)) if may_jitter else None
-    may_change = blocks is not None and nis_ratio > CHANGES_NIS_RATIO
-    return _changing(examined, blocks, known, may_jitter=may_jitter) if may_change and blocks else None
+    if blocks is None or nis_ratio < CHANGES_NIS_RATIO:
+        return None
+    return _changing(examined, blocks, known, may_jitter=may_jitter)
 
 
 def _changing(

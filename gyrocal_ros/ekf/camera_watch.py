@@ -119,3 +119,16 @@ class CameraWatch:
         """Return the explained part of the NIS by the part per degree of freedom that is left, 1 or more."""
         left = (self._nis - explained) / max(self._dof, 1)
         return explained / max(left, 1.0)
+
+
+def camera_fault(event: str) -> tuple[str, str]:
+    """Return the fault and the remedy of a finding in the text of an event, which may report others as well.
+
+    Both are empty where there is none.
+    """
+    for first_words in (LENS_FAULT, TILT_FAULT):
+        _, is_found, rest = event.partition(first_words)
+        if is_found:
+            fault, remedy, *_ = rest.split('; ')
+            return f'{first_words}{fault}', remedy
+    return '', ''

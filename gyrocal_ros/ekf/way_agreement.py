@@ -68,8 +68,9 @@ class WayAgreement:
             self._compare(seen.ids, bearings)
         self._ids, self._bearings = seen.ids, bearings
         self._way_m = self._turn_rad = 0.0
-        self._has_told = bool(self.finding)
-        return self.finding
+        finding = self.finding
+        self._has_told = bool(finding)
+        return finding
 
     def _compare(self, ids: IntArray, bearings: Array) -> None:
         """Compare an image with that at the beginning of a lane."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,10 @@ from recordings import ModifiedSource, recording
 
 from gyrocal_ros.config.sections import Config, ConvergenceConfig
 from gyrocal_ros.data import Rig
-from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.camera_watch import GATE, PRIOR_STD, CameraWatch
+from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.camera_faults import camera_fault, time_fault
+from gyrocal_ros.ekf.camera_watch import GATE, PRIOR_STD, TIME, CameraWatch
 from gyrocal_ros.ekf.convergence import CONSISTENCY_STEPS, STEPS_AFTER_CHANGE, Convergence
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import initial_state
@@ -21,6 +24,7 @@ from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
+from gyrocal_ros.sim.forward import HiddenEffect
 
 COUNT = len(PRIOR_STD)
 
@@ -43,20 +47,20 @@ def test_only_a_significant_error_shifts_the_scale_factor() -> None:
     state = some_state(0.5)
     for sigma, shift in ((0.9 * math.sqrt(GATE), 0.0), (20.0, 0.5 * 0.01)):
         watch = CameraWatch(0)
-        watch.add((stats_of(0.01, sigma),))
+        watch.add(0.1, (stats_of(0.01, sigma),))
         np.testing.assert_allclose(watch.shift(state), [0.0, shift], rtol=0.02)
         assert SCALE == 1
 
 
 def test_innovations_that_no_camera_explains_are_noise() -> None:
     watch = CameraWatch(0)
-    watch.add((stats_of(0.01, 20.0, nis=1000.0, dof=10),))
+    watch.add(0.1, (stats_of(0.01, 20.0, nis=1000.0, dof=10),))
     np.testing.assert_array_equal(watch.shift(some_state(0.5)), 0.0)
 
 
 def test_an_error_is_reported_once_it_has_mattered_for_some_time() -> None:
     watch, state = CameraWatch(0), some_state(50.0)
-    watch.add((stats_of(0.01, 20.0),))
+    watch.add(0.1, (stats_of(0.01, 20.0),))
     said = [watch.finding(4.0, state, watch.shift(state)) for _ in range(3)]
     assert said[:2] == ['', ''] and said[2].startswith('the distortion in camera_info does not fit')
     assert watch.finding(4.0, state, np.zeros(2)) == '', 'it no longer matters'
@@ -84,6 +88,77 @@ def test_a_wrong_camera_is_named_and_no_result_claims_more_than_it_knows(fault: 
     assert sum(said in event.text for event in run.events) == 1
     is_right = abs(found.scale_factor - source.truth.scale_factor) < 3.0 * found.scale_factor_std
     assert is_right or not found.converged
+
+
+def calibrated(name: str, *values: float, adds: bool = False) -> tuple[Run, float]:
+    """Return a run of a recording with a hidden effect, and its error of the scale factor in sigma.
+
+    Args:
+        name: of the effect.
+        values: its coefficients.
+        adds: whether the model has the effect.
+    """
+    effect, model = find_effect(name), default_model()
+    source = recording('cleaning', 1, 60.0, hidden=(HiddenEffect(effect, values),))
+    model = with_effect(model, effect) if adds else model
+    run = calibrate(source, Config(), model, follows_changes=True)
+    found = conclude(run)
+    assert found.convergence_time_s is not None
+    return run, (found.scale_factor - source.truth.scale_factor) / found.scale_factor_std
+
+
+@pytest.mark.parametrize(
+    ('name', 'values', 'first_words', 'size'),
+    [
+        ('camera_time_offset', (0.02,), 'the images and the gyro are', 20.0),
+        ('camera_time_offset', (-0.006,), 'the images and the gyro are', 6.0),
+        ('gyro_lag', (0.008,), 'the images and the gyro are', 8.0),
+        ('rolling_shutter', (0.02,), 'the rows of an image are exposed', 20.0),
+        ('principal_point', (3.0, 3.0), 'the principal point in camera_info is off by', 3.0),
+    ],
+)
+def test_what_the_camera_does_is_no_change_of_the_scale_factor(
+    name: str, values: tuple[float, ...], first_words: str, size: float
+) -> None:
+    run, z = calibrated(name, *values)
+    assert not run.history.scale_followed.any() and abs(z) < 2.5
+    told = [camera_fault(event.text) for event in run.events]
+    fault = [words for words, remedy in told if remedy.startswith('a diagnosis')][-1]
+    assert fault.startswith(first_words)
+    (number, *_) = re.findall(r'[0-9.]+', fault)
+    assert float(number) == pytest.approx(size, rel=0.1)
+    assert not calibrated(name, *values, adds=True)[0].events, 'the model has it'
+
+
+def test_the_words_tell_which_clock_is_late() -> None:
+    assert 'the images are stamped late' in time_fault(np.array([0.005]), 9.0)
+    assert 'the gyro lags' in time_fault(np.array([-0.005]), 9.0)
+
+
+def test_the_time_between_images_and_gyro_is_followed_once_it_is_sure() -> None:
+    state, watch = some_state(0.0), CameraWatch(0)
+    state.sensitivity[COEFFICIENTS_START, TIME] = 0.5
+    information = np.zeros((COUNT, COUNT))
+    information[TIME, TIME] = (20.0 / 0.01) ** 2
+    watch.add(0.1, (UpdateStats(402.0, 2, information=information, score=information[:, TIME] * 0.01),))
+    for step in range(4):
+        before = state
+        state, has_changed = watch.with_time_offset(state, 1.0 if step else 0.0)
+        assert has_changed == (step == 3), 'three seconds with images'
+    assert watch.time_offset_s == pytest.approx(0.01, rel=0.03) and '10.0 ms' in watch.allowed_for
+    followed = state.mean - before.mean
+    assert followed[COEFFICIENTS_START] == pytest.approx(0.5 * watch.time_offset_s)
+    assert abs(watch.sums.values[TIME]) < 1e-12 and not watch.errors.any(), 'nothing is left'
+    assert not watch.with_time_offset(state, 10.0)[1]
+
+
+def test_runs_that_are_compared_keep_the_stamps_as_they_are() -> None:
+    effect = find_effect('camera_time_offset')
+    source = recording('cleaning', 1, 60.0, hidden=(HiddenEffect(effect, (0.02,)),))
+    compared = calibrate(source, Config(), default_model())
+    followed = calibrate(source, Config(), default_model(), follows_changes=True)
+    nis = [run.history.nis.sum() / run.history.dof.sum() for run in (compared, followed)]
+    assert nis[0] > 1.5 > 1.3 > nis[1]
 
 
 def test_nothing_is_said_of_a_right_camera() -> None:

@@ -6,20 +6,27 @@ import math
 
 import numpy as np
 import pytest
+from recordings import recording
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.drift_suspicion import (
+    DRIFT_MEMORY_S,
     DRIFT_STD,
     EXACT,
     RAMP_S,
+    FollowedChanges,
     HeadingErrors,
     Ramp,
     suspected_drift,
 )
 from gyrocal_ros.ekf.scale_watch import COLUMNS, ScaleWatch
+from gyrocal_ros.ekf.scatter import scatter_of
 from gyrocal_ros.ekf.start import initial_state
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE
 from gyrocal_ros.ekf.track_noise import TURN_PX_BY_SLOW, TrackNoise
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.sim.forward import HiddenEffect
 
 TRACKS = HeadingErrors(are_by_tracks=True)
 
@@ -84,3 +91,24 @@ def test_tracks_without_slow_errors_do_not_err_in_a_turn() -> None:
         noise._slow.learn(np.arange(20), alike)
     assert noise.slow_variance_px > 1e-5
     assert noise.turn_px == pytest.approx(TURN_PX_BY_SLOW * math.sqrt(noise.slow_variance_px))
+
+
+def test_what_has_changed_twice_will_change_again() -> None:
+    once = FollowedChanges().with_one(0.01)
+    assert once.std == 0.0, 'a gyro may be exchanged'
+    twice = once.after(30.0).with_one(-0.005)
+    assert twice.std == pytest.approx(np.hypot(0.01, 0.005) / np.sqrt(2.0))
+    stds = [twice.after(duration_s).std for duration_s in (10.0, 40.0, 5.0 * DRIFT_MEMORY_S)]
+    assert twice.std > stds[0] > stds[1] > 0.5 * twice.std > 100.0 * stds[2]
+    loose = once.after(3.0).with_one(0.01).after(DRIFT_MEMORY_S)
+    assert loose.std < 0.01 * once.with_one(0.01).std, 'it is over sooner where changes were frequent'
+
+
+def test_a_scale_factor_that_goes_with_the_rate_is_not_known_better_than_it_changes() -> None:
+    source = recording('cleaning', 1, 90.0, hidden=(HiddenEffect(find_effect('scale_asymmetry'), (0.006,)),))
+    run = calibrate(source, Config(), default_model(), follows_changes=True)
+    assert np.count_nonzero(run.history.scale_followed) > 1
+    error = run.history.mean[:, COEFFICIENTS_START] - (source.truth.scale_factor - 1.0)
+    _, inflations = scatter_of(run)
+    z = (error / (run.history.std[:, COEFFICIENTS_START] * inflations[:, SCALE]))[run.history.time_s > 60.0]
+    assert np.sqrt(np.mean(z**2)) < 2.0

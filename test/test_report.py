@@ -34,7 +34,7 @@ from gyrocal_ros.diagnose.run_series import (
 from gyrocal_ros.diagnose.status import DIAGNOSE, DOES_NOT_FIT, MORE_TURNS, calibration_status, turned_deg
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
-from gyrocal_ros.ekf.camera_watch import TILT_FAULT
+from gyrocal_ros.ekf.camera_faults import TILT
 from gyrocal_ros.ekf.map import ceiling_map
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.state import EULER, YAW_BIAS, no_landmarks
@@ -410,7 +410,7 @@ class TestStatus:
         assert calibration_status(unknown, replace(run, history=few), FITS).next_step == MORE_TURNS
         assert min(turned_deg(run)) > 360.0
         assert calibration_status(unknown, run, FITS).next_step == DIAGNOSE
-        told = f'{TILT_FAULT} 1.5 deg beside its transform; diagnose it'
+        told = f'{TILT} 1.5 deg beside its transform; diagnose it'
         event = RunEvent(run.span.start_ns, f'the bias walks; {told}; the map was dropped')
         status = calibration_status(unknown, replace(run, events=(event,)), FITS)
         assert status.sentence.endswith('; the camera looks 1.5 deg beside its transform.')

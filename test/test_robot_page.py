@@ -19,7 +19,7 @@ PAGE = (ROOT / 'docs' / 'robot.md').read_text(encoding='utf-8')
 SOURCES = [
     *(ROOT / 'gyrocal_ros' / 'robot').glob('*.py'),
     ROOT / 'gyrocal_ros' / 'board' / 'link.py',
-    ROOT / 'gyrocal_ros' / 'ekf' / 'camera_watch.py',
+    ROOT / 'gyrocal_ros' / 'ekf' / 'camera_faults.py',
     ROOT / 'gyrocal_ros' / 'ekf' / 'way_agreement.py',
     ROOT / 'gyrocal_ros' / 'model' / 'faulty_readings.py',
     ROOT / 'gyrocal_ros' / 'msgs' / 'mounts.py',

@@ -21,6 +21,8 @@ from gyrocal_ros.statistics import nis_per_dof
 
 CALIBRATED_S = 60.0
 """Time after which a change of the scale factor is none of an earlier calibration that was wrong."""
+MAX_FOLLOWED = 3
+"""Largest number of changes that a run follows, whatever was known of the scale factor before."""
 MAX_DRIFT_RATIO = 4.0
 """Largest blind drift, relative to what noise explains, of a model that fits."""
 
@@ -94,7 +96,8 @@ def _misfits(run: Run, scatter: Scatter, drift_deg: float, by_noise_deg: float) 
         seconds(event.t_ns - run.span.start_ns) for event in run.events if SCALE_CHANGED in event.text
     ]
     # Once, an earlier calibration may have been wrong, but not twice.
-    if len(changed_s) > 1 or any(time_s > CALIBRATED_S for time_s in changed_s):
+    is_followed_often = int(run.history.scale_followed.sum()) > MAX_FOLLOWED
+    if is_followed_often or len(changed_s) > 1 or any(time_s > CALIBRATED_S for time_s in changed_s):
         yield 'the estimate of the scale factor changes within the recording'
     if scatter.contradicts:
         yield (

@@ -19,7 +19,7 @@ from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
-from gyrocal_ros.ekf.camera_watch import camera_fault
+from gyrocal_ros.ekf.camera_faults import camera_fault
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration

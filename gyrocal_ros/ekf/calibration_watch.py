@@ -83,6 +83,11 @@ class CalibrationWatch:
         """Return the state from which changes of the scale factor are tested."""
         return self._scale.begin(state)
 
+    @property
+    def time_offset_s(self) -> float:
+        """Stamp minus true time of the images, as far as the filter follows it."""
+        return 0.0 if self._camera is None else self._camera.time_offset_s
+
     def walk(self, gyro: GyroConfig) -> GyroConfig:
         """Return settings with the random walk of the scale factor that repeated changes show."""
         return self._scale.walk(gyro)
@@ -108,7 +113,7 @@ class CalibrationWatch:
         """
         camera = self._camera
         if camera is not None:
-            camera.add(updates)
+            camera.add(duration_s, updates)
         sums = None if camera is None else camera.sums
         turned_rad = abs(float(predicted.mean[YAW] - before.mean[YAW]))
         errors = HeadingErrors(
@@ -123,6 +128,15 @@ class CalibrationWatch:
             if self._noise is not None:
                 self._noise.begin(state)
             events += [str(change)] if change.was_calibrated else []
+        elif change is None and camera is not None and self._follows_changes:
+            measured_s = duration_s if updates[-1].dof else 0.0
+            told = camera.allowed_for
+            state, has_changed = camera.with_time_offset(state, measured_s)
+            self._has_told = self._has_told and camera.allowed_for == told
+            if has_changed:
+                state = self._scale.begin(state)
+                if self._noise is not None:
+                    self._noise.begin(state)
         if self._noise is not None:
             self._noise.add(predicted, state, duration_s)
             events += self._walk_events(self._noise.least_walk)

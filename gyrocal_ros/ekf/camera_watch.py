@@ -1,38 +1,50 @@
-"""Test whether the camera differs from its calibration: wrong distortion, or a tilt.
+"""Test whether the camera differs from its calibration: the lens, the mounting, or the stamps of its images.
 
-A wrong lens hides behind a larger pixel noise and shifts the scale factor. Errors of the camera have columns
-in the sensitivity X, like a candidate effect (`ekf.score_statistics`): the innovations give the errors theta,
-and X theta is what they change in bias and coefficients (Friedland 1969). The estimate does not follow; while
-an error is significant, this shift adds to the standard deviations.
+A wrong lens hides behind a larger pixel noise and shifts the scale factor. Where images and gyro are some
+milliseconds apart, the scale factor seems to change with each turn. Errors of the camera have columns in the
+sensitivity X, like a candidate effect (`ekf.score_statistics`): the innovations give the errors theta, and
+X theta is what they change in bias and coefficients (Friedland 1969). The estimate does not follow; while an
+error is significant, this shift adds to the standard deviations. Only the time between images and gyro is
+followed, on the robot: without, no turn would be predicted well.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
-from gyrocal_ros.data import Array
-from gyrocal_ros.effects.camera_tilt import CameraTilt
-from gyrocal_ros.effects.radial_distortion import RadialDistortion
+from gyrocal_ros.data import Array, changed
+from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS, time_fault
 from gyrocal_ros.ekf.scale_watch import NormalEquations, equations_added, normal_equations
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.ekf.update import UpdateStats
-from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.statistics import chi_square_quantile
 
-CAMERA_ERRORS: tuple[Effect, ...] = (RadialDistortion(), CameraTilt())
-"""Errors of the camera that are tested, as effects that the model lacks."""
-LENS, TILT = slice(0, 2), slice(2, 4)
-"""Their columns."""
-CHANCE = 7e-6
-"""Probability, by chance, of errors from which they are significant: 4.5 sigma."""
-GATE = chi_square_quantile(1.0 - CHANCE, 4)
-PRIOR_STD = np.array([item.prior_std for effect in CAMERA_ERRORS for item in effect.coefficients])
-LENS_FAULT, TILT_FAULT = 'the distortion in camera_info', 'the camera looks'
-"""First words of the findings; the remedy follows after a semicolon."""
+SIGNIFICANT_SIGMA, CHANCE = 4.5, 7e-6
+"""Significance from which an error is one, and its probability by chance."""
+PRIOR_STD = np.array([item.prior_std for error in CAMERA_ERRORS for item in error.effect.coefficients])
+GATE = chi_square_quantile(1.0 - CHANCE, len(PRIOR_STD))
+COLUMNS = tuple(
+    slice(*ends)
+    for ends in pairwise(
+        np.cumsum([0, *(len(error.effect.coefficients) for error in CAMERA_ERRORS)]).tolist()
+    )
+)
+"""Those of each error."""
+LENS_AND_TILT = 4
+"""Number of the first columns, of errors that all features of an image have in common."""
+TIME = len(PRIOR_STD) - 1
+"""Column of the time between images and gyro."""
 SETTLE_S = 10.0
 """Time for which an error has to matter before it is reported."""
+SURE_S = 3.0
+"""Time of measurements for which the time between images and gyro is significant before it is followed."""
+CLOCK_WALK = 1e-4
+"""Random walk of the time between images and gyro, s/sqrt(s): clocks drift apart by up to 300 ppm."""
+TOLD_S, TOLD_PART = 0.001, 0.2
+"""Time between images and gyro from which it is told, and relative change from which again."""
 
 
 class CameraWatch:
@@ -47,6 +59,11 @@ class CameraWatch:
 
     def __init__(self, first: int) -> None:
         self._columns = slice(first, first + self.count)
+        self.time_offset_s = 0.0
+        """Stamp minus true time of the images, as far as that is followed."""
+        self.allowed_for = ''
+        """What is followed, for the user."""
+        self._told_s = self._sure_s = 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -55,8 +72,10 @@ class CameraWatch:
         self._nis, self._dof = 0.0, 0
         self._matters_s = 0.0
 
-    def add(self, updates: tuple[UpdateStats, ...]) -> None:
-        """Add the updates of one step."""
+    def add(self, duration_s: float, updates: tuple[UpdateStats, ...]) -> None:
+        """Add the updates of one step. Clocks whose offset is followed may drift apart further."""
+        if self.time_offset_s:
+            self.sums = _with_clock_walk(self.sums, CLOCK_WALK**2 * duration_s)
         for stats in updates:
             if stats.information is not None and stats.score is not None:
                 first = self._columns.start
@@ -72,7 +91,7 @@ class CameraWatch:
 
     @property
     def errors(self) -> Array:
-        """(4,) errors of the camera if they are significant, zero otherwise."""
+        """(8,) errors of the camera if they are significant, zero otherwise."""
         return self.sums.values if self._is_significant else np.zeros(self.count)
 
     def shift(self, state: State) -> Array:
@@ -96,39 +115,64 @@ class CameraWatch:
         matters = len(shift) > 1 and shift[1] ** 2 > scale_variance
         self._matters_s = self._matters_s + duration_s if matters else 0.0
         if self._matters_s < SETTLE_S:
-            return ''
-        by_lens, by_tilt = (self._of(columns).explained for columns in (LENS, TILT))
-        sigma = math.sqrt(self._significance(max(by_lens, by_tilt)))
-        errors = self.errors
-        if by_lens >= by_tilt:
-            k1, k2 = errors[LENS]
-            return (
-                f'{LENS_FAULT} does not fit the images ({sigma:.0f} sigma): k1 {k1:+.2g}, '
-                f'k2 {k2:+.2g} would fit better; calibrate the camera again'
-            )
-        tilt_deg = math.degrees(float(np.linalg.norm(errors[TILT])))
-        return (
-            f'{TILT_FAULT} {tilt_deg:.1f} deg beside the direction of its transform, or the principal '
-            f'point in camera_info is wrong ({sigma:.0f} sigma); a diagnosis tells which, and by how much'
-        )
+            return self.allowed_for
+        alone = [
+            normal_equations(self.sums.information[columns, columns], self.sums.score[columns])
+            for columns in COLUMNS
+        ]
+        best = max(range(len(alone)), key=lambda i: alone[i].explained)
+        sigma = math.sqrt(self._significance(alone[best].explained))
+        return CAMERA_ERRORS[best].fault(alone[best].values, sigma)
 
-    def _of(self, columns: slice) -> NormalEquations:
-        return normal_equations(self.sums.information[columns, columns], self.sums.score[columns])
+    def with_time_offset(self, state: State, measured_s: float) -> tuple[State, bool]:
+        """Follow the time between images and gyro once it is sure.
+
+        The state becomes what it would be, had the images been used at their true times; so do the sums,
+        which go on. Later images are to be used at the times by `time_offset_s`.
+
+        Args:
+            state: after the step.
+            measured_s: length of the step if an image was used, else zero.
+
+        Returns:
+            The state, and True if it has changed.
+        """
+        value, std = self._time_offset() if self._is_significant else (0.0, math.inf)
+        self._sure_s = self._sure_s + measured_s if abs(value) > SIGNIFICANT_SIGMA * std else 0.0
+        if self._sure_s < SURE_S:
+            return state, False
+        self._sure_s = 0.0
+        self.time_offset_s += value
+        if abs(self.time_offset_s - self._told_s) > max(TOLD_S, TOLD_PART * abs(self._told_s)):
+            self._told_s = self.time_offset_s
+            self.allowed_for = time_fault(np.array([self.time_offset_s]), abs(value) / std)
+        before = self.sums
+        self.sums = normal_equations(before.information, before.score - value * before.information[:, TIME])
+        self._nis -= before.explained - self.sums.explained
+        followed = value * state.sensitivity[:, self._columns.start + TIME]
+        return changed(state, mean=state.mean + followed), True
+
+    def _time_offset(self) -> tuple[float, float]:
+        """Return the time between images and gyro that is not followed yet, and its standard deviation."""
+        variance = np.linalg.inv(self.sums.information)[TIME, TIME]
+        return float(self.sums.values[TIME]), math.sqrt(variance * self._left(self.sums.explained))
 
     def _significance(self, explained: float) -> float:
-        """Return the explained part of the NIS by the part per degree of freedom that is left, 1 or more."""
-        left = (self._nis - explained) / max(self._dof, 1)
-        return explained / max(left, 1.0)
+        """Return the explained part of the NIS by the part per degree of freedom that is left."""
+        return explained / self._left(explained)
+
+    def _left(self, explained: float) -> float:
+        """Return the NIS per degree of freedom that is not explained, 1 or more."""
+        return max((self._nis - explained) / max(self._dof, 1), 1.0)
 
 
-def camera_fault(event: str) -> tuple[str, str]:
-    """Return the fault and the remedy of a finding in the text of an event, which may report others as well.
+def _with_clock_walk(sums: NormalEquations, variance_s2: float) -> NormalEquations:
+    """Return the equations where the time between images and gyro has a further variance.
 
-    Both are empty where there is none.
+    The values stay: it is the information that decreases, by the matrix inversion lemma.
     """
-    for first_words in (LENS_FAULT, TILT_FAULT):
-        _, is_found, rest = event.partition(first_words)
-        if is_found:
-            fault, remedy, *_ = rest.split('; ')
-            return f'{first_words}{fault}', remedy
-    return '', ''
+    by_time = sums.information[TIME]
+    lost = variance_s2 / (1.0 + variance_s2 * by_time[TIME])
+    information = sums.information - lost * np.outer(by_time, by_time)
+    score = sums.score - lost * sums.score[TIME] * by_time
+    return NormalEquations(information, score, sums.values, float(score @ sums.values))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gyrocal_ros.data import quickly_filled
 
@@ -19,6 +19,10 @@ COUNTS_SIGMA = 1.0
 CHANCE_SIGMA = 3.0
 """Significance from which chance does not explain a ramp. By tracks of images it counts from there only:
 their slow errors are largest in the first turns, which then differ from the later ones."""
+DRIFT_MEMORY_S = 120.0
+"""Time constant by which what was learned from repeated changes decays."""
+INTERVALS = 3.0
+"""Mean times between changes after which a next one is no longer expected."""
 JUMP_S = 20.0
 """Time in which a jump shows; what takes longer is a drift."""
 
@@ -62,6 +66,37 @@ class Ramp:
             return 0.0
         turns = max(self.turned_rad / math.pi, 1.0)
         return 12.0 * (errors.slow_rad / math.pi) ** 2 / turns * (RAMP_S / self.age_s) ** 2
+
+
+@dataclass(frozen=True, slots=True)
+class FollowedChanges:
+    """Changes of the scale factor that were followed: what has changed twice will change again."""
+
+    count: int = 0
+    mean_square: float = 0.0
+    interval_s: float = 0.0
+    """Mean time between them."""
+    age_s: float = 0.0
+    """Time since the last one."""
+
+    def after(self, duration_s: float) -> FollowedChanges:
+        """Return them after some time."""
+        return replace(self, age_s=self.age_s + duration_s)
+
+    def with_one(self, value: float) -> FollowedChanges:
+        """Return them with one more."""
+        count = self.count + 1
+        mean_square = self.mean_square + (value**2 - self.mean_square) / count
+        interval_s = self.interval_s + (self.age_s - self.interval_s) / self.count if self.count else 0.0
+        return FollowedChanges(count, mean_square, interval_s)
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the next change; zero after a single one, and long after the last one."""
+        if self.count < 2:
+            return 0.0
+        expected_s = min(INTERVALS * self.interval_s, DRIFT_MEMORY_S)
+        return math.sqrt(self.mean_square) * math.exp(-self.age_s / max(expected_s, JUMP_S))
 
 
 def suspected_drift(

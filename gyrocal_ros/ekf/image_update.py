@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed, quickly_filled
 from gyrocal_ros.ekf.anchors import settled, with_moved_anchors, with_moving_anchors
-from gyrocal_ros.ekf.camera_watch import PRIOR_STD, CameraWatch
+from gyrocal_ros.ekf.camera_watch import LENS_AND_TILT, PRIOR_STD
 from gyrocal_ros.ekf.certain_way import at_certain_way
 from gyrocal_ros.ekf.considered import (
     combinations_not_told,
@@ -150,8 +150,8 @@ def _compared(
 
     An error of the lens or of the mount, which all features have in common, is none of a single one.
     """
-    watched = innovation.sensitivity[:, :, model.scored : model.scored + CameraWatch.count]
-    by_camera = watched.reshape(-1, CameraWatch.count) * PRIOR_STD
+    watched = innovation.sensitivity[:, :, model.scored : model.scored + LENS_AND_TILT]
+    by_camera = watched.reshape(-1, LENS_AND_TILT) * PRIOR_STD[:LENS_AND_TILT]
     covariance = innovation.covariance + (by_camera @ by_camera.T).reshape(innovation.covariance.shape)
     judged = _consensus(changed(innovation, covariance=covariance), model).judged
     moved = (~matches.unmoved).nonzero()[0]
@@ -220,7 +220,7 @@ def _corrected(state: State, model: ImageModel, used: Innovation) -> tuple[State
 
 def _differences(model: ImageModel, used: Innovation, whitening: Array, moved: np.ndarray) -> Array:
     """Return how moved features differ from each other, whatever pose and camera are; NaN for others."""
-    watched = used.sensitivity[:, :, model.scored : model.scored + CameraWatch.count]
+    watched = used.sensitivity[:, :, model.scored : model.scored + LENS_AND_TILT]
     common = np.concatenate([used.prediction.by_pose, watched], axis=2)
     found = differences(used.residual, whitening, common)
     return np.where(moved[:, None], found, np.nan) if len(found) else found

@@ -21,10 +21,12 @@ from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array, changed, quickly_filled
 from gyrocal_ros.ekf.drift_suspicion import (
     CHANCE_SIGMA,
+    DRIFT_MEMORY_S,
     DRIFT_STD,
     EXACT,
     JUMP_S,
     RAMP_S,
+    FollowedChanges,
     HeadingErrors,
     Ramp,
     suspected_drift,
@@ -70,8 +72,6 @@ and weighted as if nothing had changed."""
 LARGEST_WALK = FASTEST_DRIFT / math.sqrt(RAMP_S)
 """Largest random walk (1/sqrt(s)) that is learned. What changes faster are jumps, followed one by one: a walk
 that covers them would leave the scale factor unknown for hours after a loose contact."""
-DRIFT_MEMORY_S = 120.0
-"""Time constant by which a random walk that was learned from repeated changes decays."""
 
 TINY = float(np.finfo(float).tiny)
 NOT_SEPARABLE = 1e-9
@@ -183,6 +183,7 @@ class ScaleWatch:
         # The turn that the scale factor is from: that of an earlier calibration is not known, but large.
         self._calibrating_turn_rad = math.inf if is_stored else 0.0
         self._unchanged_s, self._walk = math.inf, 0.0
+        self._followed = FollowedChanges()
 
     def walk(self, gyro: GyroConfig) -> GyroConfig:
         """Return settings with the random walk of the scale factor that repeated changes show."""
@@ -228,6 +229,7 @@ class ScaleWatch:
         is_measured = bool(updates and updates[-1].dof)
         self._significant_s += duration_s if is_measured and self._significant_s > 0.0 else 0.0
         self._walk *= math.exp(-0.5 * duration_s / DRIFT_MEMORY_S)
+        self._followed = self._followed.after(duration_s)
         values, variances, sigmas = scale_changes(
             self._sums, NOTHING if others is None else others, MAX_STD**-2.0, RAMP_S
         )
@@ -254,12 +256,13 @@ class ScaleWatch:
         return self._significant_s >= SETTLE_S + (PATIENCE_S if self._is_turning else 0.0)
 
     def suspected_std(self, state: State) -> float:
-        """Return what a drift that is not sure, and slow errors, add to the deviation of the scale factor."""
+        """Return what adds to the deviation of the scale factor: a drift, slow errors, a next change."""
         age_s, turned_rad = float(self._sums[RAMP, AGE]), float(self._turned_rad[RAMP])
         ramp = Ramp(self._ramp, self._ramp_variance, self._ramp_sigma, age_s, turned_rad)
         drift = suspected_drift(ramp, self._errors, self._chance_drift_std, self._drift)
         by_errors = self._errors.slow_rad / max(self._calibrating_turn_rad, MIN_TURN_RAD)
-        return math.hypot(drift * float(state.sensitivity[COEFFICIENTS_START, RAMP]), by_errors)
+        by_ramp = drift * float(state.sensitivity[COEFFICIENTS_START, RAMP])
+        return math.hypot(by_ramp, by_errors, self._followed.std)
 
     def renew(self, state: State, duration_s: float) -> State:
         """Return the state where windows begin again that have ended, or say no more about the present.
@@ -310,6 +313,8 @@ class ScaleWatch:
         self._unchanged_s = self._significant_s = 0.0
         self._is_stored = False
         self._calibrating_turn_rad = float(self._turned_rad[change.column - self._first])
+        if change.was_calibrated or self._followed.count:
+            self._followed = self._followed.with_one(change.value)
         std = math.hypot(change.std, NOT_LINEAR * change.value)
         return self.begin(add_lacking(state, change.column, change.value, std))
 

@@ -23,7 +23,8 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.ekf.calibration_watch import CalibrationWatch
-from gyrocal_ros.ekf.camera_watch import CAMERA_ERRORS, CameraWatch
+from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS
+from gyrocal_ros.ekf.camera_watch import CameraWatch
 from gyrocal_ros.ekf.certain_way import is_certain, without_way
 from gyrocal_ros.ekf.considered import stretch_by_values
 from gyrocal_ros.ekf.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
@@ -85,7 +86,7 @@ class EkfSlam:
         self.model, self.config, self.rig = model, config, rig
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
         tests_camera = rig.camera is not None and self.parametrisation.rows == 2
-        watched = CAMERA_ERRORS if tests_camera else ()
+        watched = [error.effect for error in CAMERA_ERRORS] if tests_camera else []
         self._effects = sort_effects(model.effects)
         self._candidates = sort_effects((*candidates, *watched), more=COLUMNS)
         self._own_candidates = sum(len(effect.coefficients) for effect in candidates)
@@ -351,7 +352,7 @@ class EkfSlam:
 
     def time_offset_s(self) -> float:
         """Return the estimated stamp error of images or headings: stamp minus true time."""
-        offset_s = self._heading.time_offset_s
+        offset_s = self._heading.time_offset_s + self._watch.time_offset_s
         for _, place in self._effects.time:
             offset_s += float(self.state.coefficients[place][0])
         return offset_s

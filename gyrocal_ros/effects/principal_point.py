@@ -11,6 +11,9 @@ from gyrocal_ros.data import Array, CameraIntrinsics, Mount
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, Place, SeenPoints, TypicalRange
 
+BY_CENTRE = np.eye(2)
+"""Derivative of a pixel by the principal point."""
+
 
 @dataclass(frozen=True)
 class PrincipalPoint:
@@ -46,4 +49,4 @@ class PrincipalPoint:
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the motion of the pixels with the principal point."""
-        return np.eye(2)[None].repeat(len(seen.pixels), axis=0)
+        return np.broadcast_to(BY_CENTRE, (len(seen.pixels), 2, 2))

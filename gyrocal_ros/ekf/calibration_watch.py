@@ -76,17 +76,14 @@ class CalibrationWatch:
         self._noise = NoiseBank(state) if heading is None else None  # beside a heading the filter learns it
         self._told_walk = 1.0
         self._follows_changes = follows_changes
+        self.time_offset_s = 0.0
+        """Stamp minus true time of the images, as far as the filter follows it."""
         self._has_told, self.finding = False, ''
         """What is wrong with the camera or the heading reference; empty where nothing is."""
 
     def begin(self, state: State) -> State:
         """Return the state from which changes of the scale factor are tested."""
         return self._scale.begin(state)
-
-    @property
-    def time_offset_s(self) -> float:
-        """Stamp minus true time of the images, as far as the filter follows it."""
-        return 0.0 if self._camera is None else self._camera.time_offset_s
 
     def walk(self, gyro: GyroConfig) -> GyroConfig:
         """Return settings with the random walk of the scale factor that repeated changes show."""
@@ -134,6 +131,7 @@ class CalibrationWatch:
             state, has_changed = camera.with_time_offset(state, measured_s)
             self._has_told = self._has_told and camera.allowed_for == told
             if has_changed:
+                self.time_offset_s = camera.time_offset_s
                 state = self._scale.begin(state)
                 if self._noise is not None:
                     self._noise.begin(state)

@@ -13,7 +13,8 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, ImuSample, Measurement
 from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.turn_agreement import TurnAgreement
+from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.turn_agreement import TurnAgreement, mounting_fault
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
@@ -127,3 +128,19 @@ def test_exchanged_axes_are_named_where_the_filter_diverges() -> None:
     source = ModifiedSource(recording('cleaning', 2, 30.0), lambda items: map(exchanged, items))
     with pytest.raises(FilterDivergedError, match='an axis is mirrored or swapped'):
         calibrate(source, Config(), default_model())
+
+
+def test_the_scale_factor_counts_together_with_what_else_turns_the_robot() -> None:
+    """Beside a scale that goes with the speed it is that at a speed at which the robot never turns."""
+    run = calibrate(recording('cleaning', 1, 30.0), Config(), default_model())
+    history = run.history
+    wrong = replace(
+        history, mean=history.mean - 0.9 * (np.arange(history.mean.shape[1]) == COEFFICIENTS_START)
+    )
+    assert 'no gyro has a scale factor' in mounting_fault(replace(run, history=wrong))
+    compensated = replace(
+        wrong,
+        mean=np.column_stack([wrong.mean, np.full(len(wrong.mean), 0.9)]),
+        columns=np.column_stack([wrong.columns, wrong.turn_rad]),
+    )
+    assert mounting_fault(replace(run, history=compensated)) == ''

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from gyrocal_ros.ekf.convergence import is_plausible
-from gyrocal_ros.ekf.run import Run, step_by_step
+from gyrocal_ros.ekf.run import History, Run, step_by_step
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.ekf.way_agreement import turned_camera
 
@@ -127,6 +127,15 @@ def mounting_fault(run: Run) -> str:
         agreement.add(*step)
     if not len(history.std):
         return ''
-    scale = COEFFICIENTS_START
-    fault = agreement.fault(1.0 + float(history.mean[-1, scale]), float(history.std[-1, scale]))
+    fault = agreement.fault(_scale_in_turns(history), float(history.std[-1, COEFFICIENTS_START]))
     return fault or next(filter(None, (turned_camera(event.text) for event in run.events)), '')
+
+
+def _scale_in_turns(history: History) -> float:
+    """Return by how much the robot turns by all coefficients of the model, per turn of the nominal gyro.
+
+    The scale factor alone may be that at a speed at which the robot never turns.
+    """
+    added_rad = history.columns @ history.mean[-1, COEFFICIENTS_START:]
+    square = float(history.turn_rad @ history.turn_rad)
+    return 1.0 + float(history.turn_rad @ added_rad) / square if square else 1.0

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -130,6 +131,9 @@ def test_a_bias_that_jumps_to_and_fro_is_noise() -> None:
     source = recording('', seconds=80.0, also=(HiddenEffect(TwoLevels(), (0.6 * DEG,)),))
     found = diagnosed(source)
     assert found.verdict == 'noise' and [item.effect.name for item in found.missing] == ['bias_instability']
+    status = diagnosis_status(found)
+    assert found.unusual_noise == ['bias_instability'] and 'a loose contact' in status.sentence
+    assert 'gyrocal learn' in status.next_step
 
 
 @pytest.mark.slow
@@ -233,6 +237,14 @@ def test_readings_that_scatter_far_less_refute_a_noise(name: str, seed: int) -> 
     assert noise._fits_readings(NoiseFit(with_means(find_effect(name), (size,)), 1.0, 0.0), read)
     too_large = NoiseFit(with_means(find_effect(name), (10.0 * size,)), 1.0, 0.0)
     assert not noise._fits_readings(too_large, read)
+
+
+def test_what_the_bias_follows_is_preferred_to_a_walk_that_no_gyro_has() -> None:
+    walk = NoiseFit(with_means(find_effect('bias_instability'), (0.2 * DEG,)), 1e3, 1e-6)
+    usual = NoiseFit(with_means(find_effect('bias_instability'), (0.02 * DEG,)), 1e3, 1e-6)
+    law, jump = Mock(at_s=None), Mock(at_s=30.0)
+    assert noise._part_of_law(law, walk) == noise.LAW_PART < 1.0 < noise._part_of_law(law, usual)
+    assert noise._part_of_law(jump, walk) == noise._part_of_law(jump, usual) == noise.JUMP_PART
 
 
 def test_a_few_readings_refute_no_noise() -> None:

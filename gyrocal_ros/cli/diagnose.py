@@ -131,7 +131,7 @@ def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
     """Yield the next steps, with the commands to copy."""
     steps = advice(diagnosis)
     is_judged = diagnosis.timing is None and not diagnosis.fit.mounting
-    if is_judged and (diagnosis.unexplained is not None or diagnosis.fit.misfits):
+    if is_judged and (diagnosis.unexplained is not None or diagnosis.fit.misfits or diagnosis.unusual_noise):
         words = ['gyrocal', 'learn', *bag_arguments(args), *_model_arguments(args), '-o', 'learned']
         steps = [f'Learn what no effect of the library explains: {shlex.join(words)}', *steps]
     if diagnosis.missing:

@@ -26,7 +26,13 @@ from gyrocal_ros.diagnose.shapes import UnexplainedStructure, turns_enough
 from gyrocal_ros.diagnose.summarise import coarse_step
 from gyrocal_ros.diagnose.timing import TimingFault, stamp_jitter, timing_fault
 from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.traits import is_estimated, is_noise, shows_in_any_turns, why_unobservable
+from gyrocal_ros.effects.traits import (
+    is_estimated,
+    is_noise,
+    is_unusual,
+    shows_in_any_turns,
+    why_unobservable,
+)
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
 
@@ -87,6 +93,12 @@ class Diagnosis:
     """Effect that would explain much, but not in all stretches alike: something else is missing."""
     is_open: bool = False
     """True where no missing effect has been added yet: fit and structure are those of the model without."""
+
+    @property
+    def unusual_noise(self) -> list[str]:
+        """Names of missing noises that are far larger than those of any usual gyro."""
+        noises = [item for item in self.missing if is_noise(item.effect)]
+        return [item.effect.name for item in noises if is_unusual(item.effect, float(item.values[0]))]
 
 
 def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:

@@ -22,9 +22,10 @@ from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search_from
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
+from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.summarise import scatter_in_turns, walk_of_means, white_noise
 from gyrocal_ros.diagnose.timing import timing_fault
-from gyrocal_ros.effects.traits import is_white_noise
+from gyrocal_ros.effects.traits import is_unusual, is_white_noise
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
@@ -34,6 +35,9 @@ MIN_GAIN = 25.0
 """Log-likelihood that a noise, or a law beside it, has to gain: many are tried."""
 JUMP_PART = 0.7
 """Part of the gain of a noise above which a single jump of the bias is preferred to it."""
+LAW_PART = 0.45
+"""Part of the gain of a noise that no gyro has above which what the bias or the scale follows is preferred to
+it: the signal need not explain all to be the cause."""
 RIVAL_PART = 0.85
 """Part of the best gain above which another noise is tried, where the robot drifts more with the best."""
 EFFECT_PART = 0.5
@@ -174,8 +178,7 @@ def or_noise(
     structure = first.unexplained_structure
     if not noises or noises[0].gain < max(MIN_GAIN, explained):
         return searched
-    jump_gain = structure.gain if structure is not None and structure.at_s is not None else 0.0
-    if jump_gain > JUMP_PART * noises[0].gain:
+    if structure is not None and structure.gain > _part_of_law(structure, noises[0]) * noises[0].gain:
         return searched
     found = _first_kept(first, noises, recording, calibrate)
     if found is None or found.predictive_gain < MIN_GAIN:
@@ -183,6 +186,13 @@ def or_noise(
     if not _is_proven(found, searched, recording, calibrate):
         return searched
     return Search(first, tuple(continued([found], found.after, recording, calibrate, most)))
+
+
+def _part_of_law(structure: UnexplainedStructure, noise: NoiseFit) -> float:
+    """Return the part of the gain of a noise above which a structure is preferred to it."""
+    if structure.at_s is not None:
+        return JUMP_PART
+    return LAW_PART if is_unusual(noise.effect, noise.size) else math.inf
 
 
 def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> bool:

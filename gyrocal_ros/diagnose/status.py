@@ -141,6 +141,8 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
         return Status('yellow', sentence, REPEAT) if diagnosis.fails_where else Status('green', sentence)
     if not diagnosis.is_open and (diagnosis.verdict == 'unexplained' or diagnosis.fit.fits is False):
         return Status('red', sentence, steps.learn)
+    if diagnosis.verdict == 'noise' and diagnosis.unusual_noise:
+        return Status('yellow', sentence, steps.learn)
     if diagnosis.missing:
         return Status('yellow', sentence, _adding([item.effect for item in diagnosis.missing], steps))
     if diagnosis.limits:
@@ -175,6 +177,11 @@ def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
         step = f'steps of {math.degrees(diagnosis.coarse_step_rad_s):.2g} deg/s'
         causes = join(['these', *missing], 'or')
         return f'The gyro reads in {step}, wider than its noise; {causes} cause the errors.'
+    if diagnosis.verdict == 'noise' and (unusual := diagnosis.unusual_noise):
+        return (
+            f'The gyro seems noisier than any usual one ({join(unusual)}): a loose contact, or a law that '
+            'nothing recorded shows.'
+        )
     if diagnosis.verdict == 'noise':
         return f'Only noise: the gyro is noisier than the settings say ({join([*missing])}); no law is left.'
     otherwise = CANNOT_TELL if diagnosis.fit.fits is not None else TOO_SHORT

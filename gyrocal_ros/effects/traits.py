@@ -18,6 +18,8 @@ from gyrocal_ros.model.sensor import (
 NOT_RECORDED = 'not recorded: '
 """Beginning of a reason why an effect is unobservable, where a recording with more signals would show it."""
 CEILING_IMAGES = 'images of the ceiling'
+MAX_USUAL = 5.0
+"""Size of a noise, relative to the largest usual one, beyond which something else is behind it."""
 SURE_SIGMA = 3.0
 """Standard deviations from which a sign is sure."""
 
@@ -51,6 +53,12 @@ def why_unobservable(effect: Effect, recording: RecordingSummary) -> str:
     if missing:
         return f'{NOT_RECORDED}{", ".join(sorted(missing))}'
     return effect.unobservable(recording) if isinstance(effect, ConditionallyObservable) else ''
+
+
+def is_unusual(noise: Effect, size: float) -> bool:
+    """Return True for a noise that is far larger than that of any usual gyro."""
+    usual = noise.coefficients[0].typical
+    return usual is not None and size > MAX_USUAL * usual.high
 
 
 def is_limit(effect: Effect) -> bool:

@@ -152,6 +152,16 @@ def test_the_time_between_images_and_gyro_is_followed_once_it_is_sure() -> None:
     assert not watch.with_time_offset(state, 10.0)[1]
 
 
+def test_what_the_model_estimates_is_no_error_of_the_camera() -> None:
+    information = np.zeros((COUNT, COUNT))
+    information[TIME, TIME] = (20.0 / 0.01) ** 2
+    shown = UpdateStats(402.0, 2, information=information, score=information[:, TIME] * 0.01)
+    for estimated, offset_s in (((), 0.01), (('camera_time_offset',), 0.0)):
+        watch = CameraWatch(0, estimated)
+        watch.add(0.1, (shown,))
+        assert watch.errors[TIME] == pytest.approx(offset_s, rel=0.03, abs=1e-6)
+
+
 def test_runs_that_are_compared_keep_the_stamps_as_they_are() -> None:
     effect = find_effect('camera_time_offset')
     source = recording('cleaning', 1, 60.0, hidden=(HiddenEffect(effect, (0.02,)),))

@@ -11,6 +11,7 @@ followed, on the robot: without, no turn would be predicted well.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from itertools import pairwise
 
 import numpy as np
@@ -37,6 +38,8 @@ LENS_AND_TILT = 4
 """Number of the first columns, of errors that all features of an image have in common."""
 TIME = len(PRIOR_STD) - 1
 """Column of the time between images and gyro."""
+NOTHING_LEFT = 1e-5
+"""Part of its standard deviation that is left of an error that the model estimates."""
 SETTLE_S = 10.0
 """Time for which an error has to matter before it is reported."""
 SURE_S = 3.0
@@ -52,13 +55,18 @@ class CameraWatch:
 
     Args:
         first: index of the first of them.
+        estimated: names of the effects that the model has: it estimates these errors itself.
     """
 
     count = len(PRIOR_STD)
     """Number of the columns."""
 
-    def __init__(self, first: int) -> None:
+    def __init__(self, first: int, estimated: Collection[str] = ()) -> None:
         self._columns = slice(first, first + self.count)
+        self._prior_std = PRIOR_STD.copy()
+        for error, columns in zip(CAMERA_ERRORS, COLUMNS, strict=True):
+            if error.effect.name in estimated:
+                self._prior_std[columns] *= NOTHING_LEFT
         self.time_offset_s = 0.0
         """Stamp minus true time of the images, as far as that is followed."""
         self.allowed_for = ''
@@ -68,7 +76,7 @@ class CameraWatch:
 
     def restart(self) -> None:
         """Forget what was seen so far."""
-        self.sums = normal_equations(np.diag(PRIOR_STD**-2.0), np.zeros(self.count))
+        self.sums = normal_equations(np.diag(self._prior_std**-2.0), np.zeros(self.count))
         self._nis, self._dof = 0.0, 0
         self._matters_s = 0.0
 

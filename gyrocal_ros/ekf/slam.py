@@ -120,7 +120,9 @@ class EkfSlam:
         unknown = initial_state(model, config, None, 0)
         self._watch = CalibrationWatch(
             self.state,
-            CameraWatch(self._own_candidates) if tests_camera else None,
+            CameraWatch(self._own_candidates, {effect.name for effect in model.effects})
+            if tests_camera
+            else None,
             self._heading if rig.camera is None else None,
             np.sqrt(unknown.covariance.diagonal()[YAW_BIAS:]),
             config.convergence.scale_std,

@@ -47,7 +47,7 @@ SURE_S = 3.0
 CLOCK_WALK = 1e-4
 """Random walk of the time between images and gyro, s/sqrt(s): clocks drift apart by up to 300 ppm."""
 TOLD_S, TOLD_PART = 0.001, 0.2
-"""Time between images and gyro from which it is told, and relative change from which again."""
+"""Time between images and gyro from which an event tells it, and relative change until the next one."""
 
 
 class CameraWatch:

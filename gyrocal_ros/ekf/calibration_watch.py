@@ -1,7 +1,7 @@
 """What speaks against the calibration: a changed scale factor, a wrong camera, a wrong heading reference.
 
 Each is tested at every step by the innovations. What is suspected adds to the standard deviations, and a
-scale factor that has changed is followed where that is wanted.
+scale factor that has changed is followed where that is wanted, as is the time between images and gyro.
 """
 
 from __future__ import annotations
@@ -76,10 +76,13 @@ class CalibrationWatch:
         self._noise = NoiseBank(state) if heading is None else None  # beside a heading the filter learns it
         self._told_walk = 1.0
         self._follows_changes = follows_changes
-        self.time_offset_s = 0.0
-        """Stamp minus true time of the images, as far as the filter follows it."""
         self._has_told, self.finding = False, ''
         """What is wrong with the camera or the heading reference; empty where nothing is."""
+
+    @property
+    def time_offset_s(self) -> float:
+        """Stamp minus true time of the images, as far as the filter follows it."""
+        return 0.0 if self._camera is None else self._camera.time_offset_s
 
     def begin(self, state: State) -> State:
         """Return the state from which changes of the scale factor are tested."""
@@ -126,15 +129,7 @@ class CalibrationWatch:
                 self._noise.begin(state)
             events += [str(change)] if change.was_calibrated else []
         elif change is None and camera is not None and self._follows_changes:
-            measured_s = duration_s if updates[-1].dof else 0.0
-            told = camera.allowed_for
-            state, has_changed = camera.with_time_offset(state, measured_s)
-            self._has_told = self._has_told and camera.allowed_for == told
-            if has_changed:
-                self.time_offset_s = camera.time_offset_s
-                state = self._scale.begin(state)
-                if self._noise is not None:
-                    self._noise.begin(state)
+            state = self._with_time_offset(state, camera, duration_s if updates[-1].dof else 0.0)
         if self._noise is not None:
             self._noise.add(predicted, state, duration_s)
             events += self._walk_events(self._noise.least_walk)
@@ -144,6 +139,17 @@ class CalibrationWatch:
             self._has_told = True
         state = self._scale.renew(state, duration_s)
         return state, Suspicions(std, change, follows, '; '.join(events))
+
+    def _with_time_offset(self, state: State, camera: CameraWatch, measured_s: float) -> State:
+        """Return the state where the time between images and gyro is followed; tests go on from there."""
+        told = camera.allowed_for
+        state, has_changed = camera.with_time_offset(state, measured_s)
+        if not has_changed:
+            return state
+        self._has_told = self._has_told and camera.allowed_for == told
+        if self._noise is not None:
+            self._noise.begin(state)
+        return self._scale.begin(state)
 
     def _walk_events(self, least: float) -> Iterator[str]:
         """Yield an event if the bias walks by a larger factor, relative to the settings, than was told."""

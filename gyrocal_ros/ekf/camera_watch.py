@@ -18,6 +18,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, changed
 from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS, time_fault
+from gyrocal_ros.ekf.positive_definite import inverse
 from gyrocal_ros.ekf.scale_watch import NormalEquations, equations_added, normal_equations
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
 from gyrocal_ros.ekf.update import UpdateStats
@@ -162,7 +163,7 @@ class CameraWatch:
 
     def _time_offset(self) -> tuple[float, float]:
         """Return the time between images and gyro that is not followed yet, and its standard deviation."""
-        variance = np.linalg.inv(self.sums.information)[TIME, TIME]
+        variance = inverse(self.sums.information)[TIME, TIME]
         return float(self.sums.values[TIME]), math.sqrt(variance * self._left(self.sums.explained))
 
     def _significance(self, explained: float) -> float:
